@@ -245,6 +245,8 @@ def _judgement(
             return TOO_LARGE, "no exact orbit"
         return (OPEN if row.verdict != "stable" else WRONG), "no exact orbit"
     near = max(TIMES * row.estimate, ROUNDING)
+    if case.family == "rigid":  # the penalty that stands for it gives way by 1 / product
+        near = max(near, TIMES / case.product)
     if row.estimate > LARGE:  # decided all the same
         other = row.verdict != ("stable" if row.exact < 1.0 else "unstable")
         contradicted = other and abs(row.exact - 1.0) > SURE and row.true <= near

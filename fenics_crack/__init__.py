@@ -1,6 +1,6 @@
 """Periodic vibration of structures with a crack that opens and closes.
 
-Start with ``docs/recipes.md`` or ``demos/paper_plate.py``; equations and conventions are in
+Start with ``docs/cracked_blade.md`` or ``demos/paper_plate.py``; equations and conventions are in
 ``docs/theory.md``, and the reference is built from the docstrings (``docs/extend.md``).
 
 The names are those that ``__init__.pyi`` imports. Each is imported here when it is first used: who

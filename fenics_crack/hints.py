@@ -1,17 +1,21 @@
-"""What may be meant by a name that there is not: one misspelt, or another program's word for it.
+"""What may be meant by a name that there is not, misspelt or another program's word for it, and by
+a number with a decimal comma or in another unit.
 
-Whoever refuses a name asks here what to suggest: keys of a scene, commands, names of the package
-and attributes of results.
+Whoever refuses one asks here what to suggest: keys and values of a scene, commands, names of the
+package and attributes of results.
 """
 
 from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-__all__ = ["Hinted", "in_other_words", "meant", "near", "no_attribute"]
+__all__ = [
+    "Hinted", "candidates", "converted", "in_other_words", "meant", "near", "no_attribute",
+    "written",
+]  # fmt: skip
 
 SAME_WORD = 0.85
 """Likeness of two forms of a word, as "eigenfrequency" and "eigenfrequencies"."""
@@ -34,6 +38,24 @@ WORDS = {
     ".report": "error errors accuracy residual uncertainty",
 }
 """What to write, by the words that other programs and people have for it."""
+
+
+PREFIXES = {"G": 1e9, "M": 1e6, "k": 1e3, "": 1.0, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9}
+OTHERS = {
+    ("g/cm^3", "kg/m^3"): 1e3,
+    ("kg/dm^3", "kg/m^3"): 1e3,
+    ("t/m^3", "kg/m^3"): 1e3,
+    ("t/mm^3", "kg/m^3"): 1e12,
+    ("N/mm^2", "Pa"): 1e6,
+    ("N/m^2", "Pa"): 1.0,
+    ("N/mm", "N/m"): 1e3,
+    ("N/mm^3", "N/m^3"): 1e9,
+    ("g", "m/s^2"): 9.80665,
+    ("%", ""): 1e-2,
+}
+"""Units of others: a key's unit in them."""
+SPELLINGS = str.maketrans({"µ": "u", "μ": "u", "²": "^2", "³": "^3", "·": " "})
+NUMBER = re.compile(r"([+-]?\d*(?:[.,]\d*)?(?:[eE][+-]?\d+)?) *([^\d].*)?")
 
 
 def near(word: object, known: Iterable[str], likeness: float = 0.7) -> list[str]:
@@ -78,3 +100,42 @@ class Hinted:
             if hasattr(type(self), name):  # a property in which an attribute is missing
                 return object.__getattribute__(self, name)
             raise no_attribute(f"{type(self).__name__!r} object", name, dir(self))
+
+
+# --- numbers --------------------------------------------------------------------------------------
+
+
+def converted(text: str, unit: str) -> float | None:
+    """A number with a decimal comma, or in another unit than a key's, in that of the key."""
+    found = NUMBER.fullmatch(text.strip()[:100].translate(SPELLINGS))
+    try:
+        value = float(found[1].replace(",", ".")) if found else None
+    except ValueError:
+        return None
+    if found is None or value is None:
+        return None
+    given = re.sub(r"([a-z])([23])\b", r"\1^\2", (found[2] or unit).strip())
+    if given == unit:
+        return value
+    factor = OTHERS.get((given, unit))
+    if factor is None and unit and given.endswith(unit):
+        factor = PREFIXES.get(given.removesuffix(unit))
+    return None if factor is None else float(f"{value * factor:.12g}")  # no 0.30000000000000004
+
+
+def candidates(value: object, unit: str) -> Iterator[object]:
+    """What may be meant by a value that is no number, or no list of numbers; or nothing."""
+    if isinstance(value, str):
+        number = converted(value, unit)
+        yield number
+        if number is not None and number.is_integer():
+            yield int(number)
+        value = value.strip("[] ").split(",")
+    if isinstance(value, list | tuple):
+        yield [converted(one, unit) if isinstance(one, str) else one for one in value]
+
+
+def written(value: object) -> str:
+    """A value as a scene has it, numbers in short: "2.1e+11"."""
+    short = f"{value:g}" if isinstance(value, float) else ""
+    return short if short and float(short) == value else repr(value)

@@ -16,6 +16,7 @@ from surroundings import main
 from test_any_input import TINY
 
 from fenics_crack import Scene
+from fenics_crack.cli.template import ASKED_FOR, lines_of
 
 # fmt: off
 LISTS = {
@@ -278,8 +279,11 @@ def test_bad_input_is_one_line(
     for word in line.split():
         arguments += ["--set", word] if "=" in word or word in SETTINGS else [word]
     assert main(arguments) == 2
-    errors = capsys.readouterr().err.splitlines()
-    assert len(errors) == 1 and errors[0].startswith(f"fenics-crack: {message}")
+    error, *shown = capsys.readouterr().err.splitlines()
+    assert error.startswith(f"fenics-crack: {message}")
+    table = error.split()[1]
+    lacks = table in ASKED_FOR and f"{table} = None: must be given" in error
+    assert shown == (["for example:", "", *lines_of(table).splitlines()] if lacks else [])
 
 
 SETTINGS = ("crack.length",)

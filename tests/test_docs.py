@@ -8,7 +8,9 @@ import shlex
 import subprocess
 import sys
 import tomllib
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 from helpers import MPI_ENVIRONMENT, ROOT
@@ -17,26 +19,66 @@ from surroundings import main
 import fenics_crack as fc
 import fenics_crack.scene.scene
 from fenics_crack.cli.command_line import parser
+from fenics_crack.draw import animation
 from fenics_crack.scene import tables
 
+NEWCOMER = ("first_hour", "program", "cluster")
+"""Pages whose lines for the shell are run one after the other."""
 SHELL = re.compile(r"```sh\n(.*?)```", re.S)
 PAGES = [
     ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")),
     *sorted((ROOT / "docs" / "verification").glob("*.md")),
     *sorted((ROOT / "docs" / "decisions").glob("*.md")), ROOT / "benchmarks" / "README.md",
 ]  # fmt: skip
+NOTEBOOKS = ("cracked_blade.md", "find_the_crack.md", "gallery.md", "matrices.md")
+"""Pages whose blocks are one program."""
+BY_PAGE = {page: re.findall(r"```python\n(.*?)```", page.read_text(), re.S) for page in PAGES}
 BLOCKS = [
     pytest.param(code, id=f"{page.name} {number}")
-    for page in PAGES
-    for number, code in enumerate(re.findall(r"```python\n(.*?)```", page.read_text(), re.S))
+    for page, blocks in BY_PAGE.items()
+    for number, code in enumerate(blocks if page.name not in NOTEBOOKS else ["\n".join(blocks)])
 ]
 
 
 @pytest.mark.parametrize("code", BLOCKS)
 def test_python_block_runs(code: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each block is a whole program, run in the project's folder."""
+    """Each block, or page that is one program, is a whole program, run in the project's folder."""
     monkeypatch.chdir(ROOT)
     exec(compile(code, "documentation", "exec"), {"__name__": "documentation"})
+
+
+def test_gallery_draws_its_pictures() -> None:
+    """Each picture of the gallery stands above the lines that draw it, and is small."""
+    text = (ROOT / "docs" / "gallery.md").read_text()
+    shown = re.findall(r"\]\(pictures/(.*?)\)", text)
+    assert shown == re.findall(r'"output/pictures/(.*?)"', text) and len(shown) > 10
+    assert all((ROOT / "docs" / "pictures" / name).stat().st_size < 100_000 for name in shown)
+
+
+@pytest.mark.mpi
+def test_job_script_runs(tmp_path: Path) -> None:
+    """That of a cluster: a sweep, and again, where it finds nothing left."""
+    [script] = re.findall(r"```bash\n(.*?)```", (ROOT / "docs" / "cluster.md").read_text(), re.S)
+    (tmp_path / "job.sh").write_text(script)
+    over = {"sweep.over": {"excitation.frequency": [700.0, 710.0, 720.0]}}
+    scene = fc.Scene.load(ROOT / "demos" / "blade.toml").replace(over)
+    (tmp_path / "plate.toml").write_text(scene.as_toml())
+    activate = tmp_path / "fenics_crack" / ".venv" / "bin" / "activate"
+    activate.parent.mkdir(parents=True)
+    program = tmp_path / "fenics-crack"
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m fenics_crack "$@"\n')
+    program.chmod(0o755)
+    activate.write_text(f'PATH="{tmp_path}:$PATH"\n')
+    own = {"HOME": str(tmp_path), "SLURM_NTASKS": "2", "PYTHONPATH": str(ROOT)}
+    how: dict[str, Any] = {"capture_output": True, "text": True, "timeout": 300}
+    how |= {"cwd": tmp_path, "env": os.environ | MPI_ENVIRONMENT | own}
+    done = subprocess.run(["bash", "job.sh"], **how)
+    assert done.returncode == 0, done.stderr
+    found = fc.SweepResult.load(tmp_path / "output" / "sweep" / "sweep.h5")
+    assert found.converged.all()
+    again = ["sweep", tmp_path / "plate.toml", "--output", tmp_path / "output" / "sweep"]
+    assert main([*map(str, again), "--quiet"]) == 0
+    assert fc.SweepResult.load(found.path)["seconds"].tolist() == found["seconds"].tolist()
 
 
 def in_a_process(words: list[str]) -> tuple[int, str, str]:
@@ -52,7 +94,7 @@ def in_a_process(words: list[str]) -> tuple[int, str, str]:
 def test_shell_blocks_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The page about the program, line by line in one folder: a newcomer's path.
+    """A newcomer's path, line by line in one folder.
 
     Only mpirun starts processes; all else is run in this one.
     """
@@ -65,7 +107,9 @@ def test_shell_blocks_run(
         return (main(words), *capsys.readouterr())
 
     monkeypatch.chdir(tmp_path)
-    lines = "".join(SHELL.findall((ROOT / "docs" / "program.md").read_text())).splitlines()
+    monkeypatch.setattr(animation, "animate_period", partial(animation.animate_period, frames=4))
+    pages = "".join((ROOT / "docs" / f"{name}.md").read_text() for name in NEWCOMER)
+    lines = "".join(SHELL.findall(pages)).splitlines()
     assert any(line.startswith("mpirun") for line in lines)
     for line in lines:
         code, printed, told = run(line)

@@ -68,6 +68,7 @@ REFUSED = {
     "no scene": (["sweep", "none.toml"], "none.toml"),
     "no measurements": (["identify", "{plate}"], "measurements = None"),
     "a measurement": (["identify", "{plate}", "{rows}"], "measurements.mode = 99"),
+    "a point that there is not": (["identify", "{plate}", "{points}"], "measurements.point = 'tip"),
     "no [tip_timing]": (["timing", "{plate}", "{rows}"], "tip_timing = None"),
     "arrivals": (
         ["timing", "{plate}", "{rows}", "--set", "tip_timing.probes=[0.0]",
@@ -81,7 +82,10 @@ def test_bad_input_is_refused_before_all_is_loaded(tmp_path: Path) -> None:
     """Of the package a tenth and of the libraries NumPy: the rest takes longer than the answer."""
     rows = tmp_path / "rows.csv"
     rows.write_text("quantity,value,deviation,mode\nfrequency_open,100.0,1.0,99\n")
-    places = {"plate": str(DEMOS / "paper_plate.toml"), "rows": str(rows)}
+    points = tmp_path / "points.csv"
+    points.write_text("quantity,value,deviation,frequency,point\nratio_2_1,0.1,0.01,50.0,tip.ux\n")
+    places = {"points": str(points), "plate": str(DEMOS / "paper_plate.toml")}
+    places["rows"] = str(rows)
     commands = [[word.format(**places) for word in words] for words, _ in REFUSED.values()]
     program = f"""
 import sys
@@ -92,6 +96,7 @@ print([name for name in {ALL} if name in sys.modules])
 print(sum(name.startswith("fenics_crack") for name in sys.modules))
 """
     *lines, codes, libraries, count = fresh(program).splitlines()
+    lines = [line for line in lines if line.startswith("fenics-crack: ")]
     assert len(lines) == len(commands) and codes == str([2] * len(commands))
     for line, (_, reason) in zip(lines, REFUSED.values(), strict=True):
         assert reason in line

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import re
 import resource
 import signal
 import sys
@@ -12,9 +13,10 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 from fenics_crack.errors import ConvergenceError, Exit, InputError, WriteError
+from fenics_crack.hints import in_other_words, meant, near
 from fenics_crack.one_thread import alone
 from fenics_crack.version import VERSION
 from fenics_crack.whole import FULL
@@ -83,6 +85,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if error.__cause__ is not None and given.verbose:
             traceback.print_exception(error.__cause__)
         _say(str(type(error)(KEYS.get(error.key, error.key), error.value, error.allowed)))
+        if error.value is None:
+            _show_lines_of(error.key)
         return Exit.FAULT if isinstance(error, WriteError) else Exit.BAD_INPUT
     except ConvergenceError as error:
         _say(f"did not converge: {error}")
@@ -130,6 +134,14 @@ def _say(text: str, stream: TextIO | None = None) -> None:
     """Print the last line, if that is possible."""
     with contextlib.suppress(OSError):
         print(f"fenics-crack: {text}", file=stream or sys.stderr or sys.__stderr__, flush=True)
+
+
+def _show_lines_of(table: str) -> None:
+    """Print lines to be pasted where a scene lacks a table that a command asks for."""
+    from fenics_crack.cli.template import lines_of
+
+    if lines := lines_of(table):
+        print(f"for example:\n\n{lines}", file=sys.stderr)
 
 
 def _discard_output() -> None:
@@ -230,7 +242,7 @@ def path(text: str) -> Path:
 
 SOLVED = "scene --set --output"
 COMMANDS = {
-    "new": ("write a commented scene to start from", "file"),
+    "new": ("write a commented scene to start from", "file --blade --timing --identify"),
     "check": ("mesh and assemble a scene without solving it", "scene --set"),
     "modes": ("natural frequencies and mode shapes, crack open", f"{SOLVED} --count"),
     "campbell": (
@@ -278,6 +290,9 @@ FUNCTIONS = {
 """What they call in this folder; the others are runs, ``commands.solved``."""
 ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "file": ("the file to write, for example plate.toml", {"type": path, "metavar": "scene"}),
+    "--blade": ("of a plate on a rotor: engine order, centrifugal load", {"action": "store_true"}),
+    "--timing": ("of one with probes that its tip passes", {"action": "store_true"}),
+    "--identify": ("of one whose crack is looked for, by a CSV file", {"action": "store_true"}),
     "scene": ("the scene, a TOML file", {"type": path}),
     "measurements": (
         "a CSV file with the columns quantity, value, deviation, mode, frequency [Hz], point, "
@@ -329,15 +344,59 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
 }
 
 
+class Parser(argparse.ArgumentParser):
+    """Asks what may be meant by a command, or an option, that there is not."""
+
+    def error(self, message: str) -> NoReturn:
+        """Say what is wrong and what may be meant, and exit."""
+        wrong = re.search(r"invalid choice: '(.*?)'|unrecognized arguments: (-\S+)", message)
+        if wrong and wrong[2]:
+            message += f"; {meant(near(wrong[2].partition('=')[0], options_of(*COMMANDS)))}"
+        elif wrong:
+            others = [
+                name
+                for name in COMMANDS
+                for text in in_other_words(wrong[1])
+                if re.search(rf"fc\.(run_)?{name}\(", text)
+            ]
+            message += f"; {meant(near(wrong[1], COMMANDS) or others)}"
+        super().error(message.rstrip("; "))
+
+
+class Completion(argparse.Action):
+    """Print what a shell needs to complete the program's words, and exit."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *given: Any) -> NoReturn:
+        """Called by argparse: the namespace, the shell, and the option."""
+        from fenics_crack.cli.completion import script
+        from fenics_crack.scene.scene import known_keys
+
+        commands = {name: (text, options_of(name)) for name, (text, _) in COMMANDS.items()}
+        forms = ARGUMENTS["--format"][1]["choices"]
+        sys.stdout.write(script(given[1], commands, {"--set": known_keys(), "--format": forms}))
+        parser.exit()
+
+
+def options_of(*commands: str) -> list[str]:
+    """The options of some commands, each once."""
+    words = " ".join(COMMANDS[name][1] for name in commands).split()
+    own = [word.partition("=")[0] for word in words if word.startswith("--")]
+    return list(dict.fromkeys([*own, "--format", "--quiet", "--verbose", "--help"]))
+
+
 def parser() -> argparse.ArgumentParser:
     """The arguments of all commands."""
-    whole = argparse.ArgumentParser(
+    whole = Parser(
         prog="fenics-crack",
         description="Periodic vibration of a plate with a crack that opens and closes.",
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     whole.add_argument("--version", action="version", version=f"fenics-crack {VERSION}")
+    shell = 'print what a shell needs to complete words: eval "$(fenics-crack --completion bash)"'
+    whole.add_argument(
+        "--completion", action=Completion, choices=("bash", "zsh", "fish"), help=shell
+    )
     group = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, (text, own) in COMMANDS.items():
         command = group.add_parser(name, help=text, description=text[0].upper() + text[1:])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from argparse import Namespace
 from collections.abc import Callable
 from dataclasses import replace
@@ -67,6 +68,7 @@ def tell(
     """Write the tables of an account, and its picture by ``draw(path=...)``; print what there is to
     say. Returns how that ended."""
     path = folder / account.name
+    before = None if account.name == "sweep" else _content(path)  # its file is of one scene
 
     def write() -> None:
         account.summary.save(f"{path}.json")
@@ -80,6 +82,7 @@ def tell(
     h5 = f"{path}.h5"
     where = f"{path}.csv, .json, .png"
     console.note(where if draw else f"{h5}, .csv, .json; pictures: fenics-crack plot {h5}")
+    _note_replaced(path, before, console)
     if account.run is not None:
         away = {w.name.partition(".")[0]: w.distance for w in account.run.watched if w.distance > 0}
         places = [f"{name} {quantity(distance, 'm')}" for name, distance in away.items()]
@@ -88,6 +91,19 @@ def tell(
     console.note(*account.notes)
     console.warn(*account.warnings)
     return account.exit
+
+
+def _content(path: Path) -> bytes | None:
+    """What the table of a result holds; None where there is none yet."""
+    with contextlib.suppress(OSError):
+        return path.with_name(f"{path.name}.json").read_bytes()
+    return None
+
+
+def _note_replaced(path: Path, before: bytes | None, console: Console) -> None:
+    """Say so where a result has taken the place of another: of other values, or other data."""
+    if before not in (None, _content(path)):
+        console.note(f"{path}.*: took the place of another result; --output FOLDER keeps both")
 
 
 def sweep(_: Namespace, inputs: Inputs, console: Console) -> Exit:
@@ -174,6 +190,7 @@ def identification(given: Namespace, inputs: Inputs, console: Console) -> None:
         if len(found.unknown) > 1:
             draw_posterior(found, *found.unknown[:2], path=folder / "posterior.png")
 
+    before = _content(folder / "identify")
     on_root(console.comm, write)
     console.table(found.table())
     ratio = found.log_bayes_factor
@@ -182,6 +199,7 @@ def identification(given: Namespace, inputs: Inputs, console: Console) -> None:
     console.note(*(f"remark: {remark}" for remark in found.remarks))
     console.note(f"next to measure: {worth}")
     console.note(f"{folder / 'identify.h5'}, .json; posterior.png, fit.csv, where_to_measure.csv")
+    _note_replaced(folder / "identify", before, console)
     console.warn(*found.warnings)
 
 

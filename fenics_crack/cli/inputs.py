@@ -43,11 +43,14 @@ def read_inputs(given: argparse.Namespace) -> Inputs | None:
     scene = Scene.load(given.scene).replace(_changes(given.set))
     measured, seen = (getattr(given, name, None) for name in ("measurements", "arrivals"))
     if given.command == "identify" and measured is None and seen is None:
-        raise InputError("measurements", None, "given: a CSV file, or --arrivals")
+        allowed = "given: a CSV file (fenics-crack new --identify writes one), or --arrivals"
+        raise InputError("measurements", None, allowed)
     if (count := vars(given).get("count")) is not None:
         check_count("--count", count, 1)
     folder = vars(given).get("output") or Path("output") / given.scene.stem
     rows = None if measured is None else Measurements.from_csv(measured)
+    if rows is not None:
+        rows.check(scene)
     return Inputs(scene, folder, rows, _arrivals(scene, seen))
 
 

@@ -6,13 +6,13 @@ import contextlib
 import itertools
 import os
 from argparse import Namespace
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.memory import check_memory
+from fenics_crack.cli import template
 from fenics_crack.cli.console import Console
 from fenics_crack.cli.inputs import Inputs
 from fenics_crack.errors import ConvergenceError, InputError
@@ -23,7 +23,7 @@ from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.key_figures import KeyFigures, find_key_figures, highest_omega
 from fenics_crack.study.prepare import Study, check_memory_of, prepare, reduction_of
-from fenics_crack.study.remarks import is_proportional, remarks_on
+from fenics_crack.study.remarks import is_proportional, remarks_on, remarks_on_structure
 from fenics_crack.study.stated_errors import errors_of_natural
 from fenics_crack.sweep.plan import Plan
 from fenics_crack.table import RPM, TURN, Table, counted
@@ -40,15 +40,23 @@ MAX_CHECKED = 10_000
 def new(given: Namespace, _: None, console: Console) -> None:
     """Write a commented scene to start from."""
     path: Path = given.file
+    kinds = [kind for kind in template.KINDS if vars(given)[kind]]
+    rows = path.with_name(f"{path.stem}_measured.csv")
+    files = {path: template.scene(path.name, rows.name, kinds)}
+    if "identify" in kinds:
+        files[rows] = template.measured()
 
     def write() -> None:
-        text = resources.files("fenics_crack.cli").joinpath("new_scene.toml").read_text("utf-8")
-        if os.path.exists(path):  # False for a name too long, which writing will say
-            raise InputError("scene", str(path), "a new file; there is one already")
-        write_whole(path, text.replace("SCENE", path.name), "scene")
+        for file in files:
+            if os.path.exists(file):  # False for a name too long, which writing will say
+                raise InputError("scene", str(file), "a new file; there is one already")
+        for file, text in files.items():
+            write_whole(file, text, "scene")
 
     on_root(console.comm, write)
     console.note(f"{path}: a scene to start from; now: fenics-crack check {path}")
+    if rows in files:
+        console.note(f"{rows}: what was measured; then: fenics-crack identify {path} {rows}")
 
 
 def check(_: Namespace, inputs: Inputs, console: Console) -> None:
@@ -82,9 +90,10 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
         rows["of them impossible"] = on_root(console.comm, lambda: _impossible(scene))
     highest = max(highest_omega(scene, command) for command in ("solve", "curve", "sweep"))
     remark = _remark_on_whole(scene, whole, highest)
+    remarks = remarks_on(study.scene, figures) + remarks_on_structure(scene, whole)
     console.table(Table(("what", "value"), [*rows.items()]))
     console.note(remark)
-    console.note(*(f"remark: {remark}" for remark in remarks_on(study.scene, figures)))
+    console.note(*(f"remark: {remark}" for remark in remarks))
 
 
 def draw_scene(scene: Scene, folder: Path, structure: Structure | None = None) -> list[Path]:

@@ -4,8 +4,9 @@ The multipliers of the truncated equations' waves cross the unit circle where th
 need not, above all where contact is stiff and modes beyond the harmonics are lightly damped. So the
 branch of exact orbits along a curve is found (:mod:`orbit_branch`), and a point is judged by the
 segment of it at its own value of the parameter, on its own side of a fold, if the orbits there are
-the point's own (:mod:`fenics_crack.balance.judgement`): no farther than 1 %, or than three times
-the error predicted. Points of branches of twice the period are judged as :func:`floquet` does.
+near enough and the point's own (:mod:`fenics_crack.balance.judgement`): no farther than 1 %, or
+than three times the error predicted. Points of branches of twice the period are judged as
+:func:`floquet` does.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 import scipy.optimize
 
-from fenics_crack.balance.judgement import relative
+from fenics_crack.balance.judgement import BELIEVED, FARTHEST, relative
 from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.curves.by_waves import FOLLOWED, judged_by_waves, place_on
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
@@ -75,6 +76,7 @@ class _Judge:
             self.parameters = np.array([family.parameter(value) for value in curve.values])
             self._family = family
         self._own: dict[float, bool] = {}
+        self._away: dict[float, float] = {}
         self._bounces = not curve.structure.light_lips
         self.affordable = self._is_affordable()
         """Whether the motion of some point is followed within the budget."""
@@ -126,6 +128,7 @@ class _Judge:
     def _ask(self, nodes: list[Node]) -> None:
         """Judge some nodes: beyond doubt where the gaps, or all the more the states, are near."""
         self._own.update({one.place: True for one in nodes})
+        self._away.update({one.place: one.away for one in nodes})
         nodes = [one for one in nodes if one.away > NO_DOUBT**2]
         if not nodes:
             return
@@ -155,9 +158,10 @@ class _Judge:
     def points(self) -> np.ndarray:
         """Leading multiplier of each point; nan where no orbit is its own. Where orbits at its
         value of the parameter lie on both sides of a fold it is that of the nearest one; where
-        none is found between nodes, or none that tells, it is that of the orbit next to it."""
+        none is found between nodes that is near enough, or none that tells, it is that of the orbit
+        next to it."""
         found = np.full(len(self._curve), np.nan + 0j)
-        accepted = self._accepted()
+        accepted, expected = self._accepted()
         parts: dict[int, list[tuple[_Part, complex]]] = {}
         for ends, linked in zip(pairwise(self.branch.nodes), self.branch.linked, strict=True):
             begin, rise = ends[0].parameter, ends[1].parameter - ends[0].parameter
@@ -171,10 +175,13 @@ class _Judge:
             for place, share, value in zip(near + there, shares[there], values, strict=True):
                 parts.setdefault(int(place), []).append(((*ends, share), value))
         for place, several in parts.items():
-            found[place] = several[0][1]
-            if len({value for _, value in several}) > 1:
-                motion = self.branch.motion(place)
-                found[place] = min(several, key=lambda one: _apart(motion, one[0]))[1]
+            part, value = several[0]
+            if any(other != value for _, other in several[1:]):
+                part, value = min(several, key=lambda one: self._apart(place, one[0]))
+            far = min(expected[place], FARTHEST)
+            inside = part[0].place <= place <= part[1].place and expected[place] == far
+            if inside or self._apart(place, part) <= far:
+                found[place] = value
         for place in map(int, np.flatnonzero(accepted & np.isnan(found))):
             found[place] = self._alone(place)
         return found
@@ -182,27 +189,28 @@ class _Judge:
     def _alone(self, place: int) -> complex:
         """Leading multiplier of the orbit next to a point at its value of the parameter; nan where
         there is none, or it is not its own, or does not tell."""
-        node = self.branch.anchor(place)
-        if node is None or node.parameter != self.parameters[place]:
-            return complex(np.nan)
-        if node.crossing is not None or abs(node.moduli[0] - 1.0) <= KNOWN:
+        node = self.branch.alone(place)
+        if node is None or abs(node.moduli[0] - 1.0) <= KNOWN:
             return complex(np.nan)
         self._ask([node])
         return _upper(node.leading[0]) if self._own[place] else complex(np.nan)
 
-    def _accepted(self) -> np.ndarray:
-        """Whether the orbits on both sides of a point are the points' own: (n,) bool."""
+    def _apart(self, place: int, part: _Part) -> float:
+        """From a point's motion to a part of a segment, relative."""
+        motion = self.branch.motion(place)
+        return float(np.linalg.norm(cubic(*part)[0] - motion) / np.linalg.norm(motion))
+
+    def _accepted(self) -> tuple[np.ndarray, np.ndarray]:
+        """Whether the orbits on both sides of a point are the points' own, (n,) bool, and how far
+        away its own orbit may be, by those: (n,)."""
         places = np.arange(len(self._curve))
         if not len(self._anchors):
-            return np.zeros(len(places), dtype=bool)
+            return np.zeros(len(places), dtype=bool), np.zeros(len(places))
         own = np.array([self._own[place] for place in self._anchors])
+        away = BELIEVED * np.array([self._away[place] for place in self._anchors])
         before = np.clip(np.searchsorted(self._anchors, places, "right") - 1, 0, None)
         after = np.clip(np.searchsorted(self._anchors, places), None, len(own) - 1)
-        return np.asarray(own[before] & own[after])
-
-
-def _apart(motion: np.ndarray, part: _Part) -> float:
-    return float(np.linalg.norm(cubic(*part)[0] - motion))
+        return own[before] & own[after], np.maximum(away[before], away[after])
 
 
 def _between(first: Node, last: Node, shares: np.ndarray) -> np.ndarray:

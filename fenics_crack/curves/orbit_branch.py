@@ -62,7 +62,7 @@ ALIKE = 0.5
 """Farthest orbit from the motion of its point; whether it is the point's own is asked later."""
 REACH = 5e-3
 """Farthest orbit from the parameter of its point, of the whole."""
-STRAIGHT = 0.7
+STRAIGHT = 0.9
 """Cosine of the angle between a chord and the tangents at its ends."""
 LEADING = 8
 """Multipliers that are kept."""
@@ -254,16 +254,26 @@ class OrbitBranch:
             self.nodes[number : number + len(there)] = [node]
         return node
 
-    def _next_to(self, place: int, beside: list[Node]) -> Node | None:
-        """The orbit next to a point, with those of some nodes known."""
+    def alone(self, place: int) -> Node | None:
+        """The node next to a point of the curve at the point's own parameter, also next to folds;
+        None where none is found."""
+        number = int(np.searchsorted([one.place for one in self.nodes], place))
+        return self._next_to(place, self.nodes[max(0, number - 1) : number + 2], across=False)
+
+    def _next_to(self, place: int, beside: list[Node], *, across: bool = True) -> Node | None:
+        """The orbit next to a point, with those of some nodes known; with ``across`` also in the
+        plane across the curve."""
         motion, parameter = self.motion(place), float(self._parameters[place])
         starts = [motion]
         known = [one for one in beside if one.away >= 0.0 and abs(one.place - place) <= EVERY]
         if known:
             near = min(known, key=lambda one: (abs(one.place - place), one.away))
             starts.insert(0, motion + near.unknown - self.motion(round(near.place)))
+        planes: list[Callable[[int], Tangent | None] | None] = [None, self._chord]
+        if across and self._turn[place] <= 2:
+            del planes[0]
         for start in starts:
-            for plane in [self._chord] if self._turn[place] <= 2 else [None, self._chord]:
+            for plane in planes if across else planes[:1]:
                 found = self._solved(start, parameter, plane and plane(place))
                 if found is None:
                     continue

@@ -31,7 +31,6 @@ from fenics_crack.table import readable, with_unit
 from fenics_crack.whole import write_whole
 
 __all__ = [
-    "ABOVE",
     "COLOURS",
     "FIRST",
     "Picture",
@@ -45,8 +44,6 @@ __all__ = [
 COLOURS = {"blue": "#0072B2", "orange": "#D55E00", "green": "#009E73", "pink": "#CC79A7"}
 COLOURS["grey"] = "#5C5C5C"
 """Okabe and Ito's palette, which colour-blind readers can tell apart, and a grey."""
-ABOVE: dict[str, Any] = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "frameon": False}
-"""Where the legend of a panel among others stands."""
 MANY = 1e5
 """Ratio of the ends of a logarithmic axis beyond which its labels are powers of ten."""
 LETTERS = 38
@@ -222,8 +219,11 @@ def _draw_legend(axes: Axes) -> None:
         alone = len(axes.figure.axes) == 1
         room = 0.9 * axes.figure.bbox.width if alone else axes.get_window_extent().width
         letters = 17.0 * room / axes.figure.dpi
-        columns = max(1, min(len(named), int(letters / (max(map(len, named)) + 8))))
+        lines = [label.splitlines() for label in named]
+        longest = max(len(line) for label in lines for line in label)
+        columns = max(1, min(len(named), int(letters / (longest + 8))))
         rows, before = -(-len(named) // columns), axes.get_legend()
+        rows += max(map(len, lines)) - 1
         more = max(rows, ROWS) - max(ROWS if before is None else int(before.get_gid()), ROWS)
         if alone:
             axes.figure.set_figheight(axes.figure.get_figheight() + 0.17 * more)

@@ -19,7 +19,7 @@ from fenics_crack.table import frequency_axis, quantity, with_unit
 
 __all__ = ["draw_content", "draw_curve", "draw_multipliers"]
 
-BEHIND = ("#9a9a9a", "#c8a2b8", "#a9c7bb")
+BEHIND = ("#8f8f8f", "#cc8fb1", "#6fb59a")
 """Other curves, drawn behind the one in question."""
 MARKERS = {"fold": "v", "branch_point": "s", "period_doubling": "D", "neimark_sacker": "^"}
 CLOSEST, MOST = 0.02, 40
@@ -135,7 +135,7 @@ def _mark_peak(
     place, height, damping = top_and_damping(x, y, at)
     words = f"largest: {quantity(height, 'm')} at {place:.5g} {unit}".removesuffix(" -")
     if by_frequency and np.isfinite(damping):
-        words += f", half-power damping {100.0 * damping:.2g} %"
+        words += f",\nhalf-power damping {100.0 * damping:.2g} %"
     look = {"color": ink or COLOURS["blue"], "mfc": "none", "ms": 7.0, "mew": 1.1}
     axes.plot(place, height, "o", label="" if ink else words, **look)
 
@@ -271,6 +271,7 @@ def draw_content(
     """
     [panel] = picture = Picture(**where)
     panel.set_yscale("log")
+    curve = filled(curve)
     harmonics = _harmonic_amplitudes(curve, dof)[:, curve.subharmonic - 1 :: curve.subharmonic]
     shown = harmonics[:, :highest].T
     x = _factor(curve, in_hertz) * curve.values

@@ -72,9 +72,7 @@ def draw_campbell(
     for mode, line in enumerate(real.T):
         colour, label = colours[mode % len(colours)], f"mode {mode + 1}"
         if diagram.cracked:
-            label += (
-                f", {' or '.join(dict.fromkeys(STATES[kind] for kind in diagram.kind[:, mode]))}"
-            )
+            label = ", ".join([label, *dict.fromkeys(STATES[k] for k in diagram.kind[:, mode])])
         panel.plot(speed, line, color=colour, label=label)
         if diagram.cracked:
             ends = (factor * ends[:, mode] for ends in (diagram.omega_open, diagram.omega_tied))

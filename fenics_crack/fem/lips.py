@@ -23,6 +23,9 @@ PLUGIN = (
     "Plugin(Crack) of gmsh, run after meshing with Dimension = 1, PhysicalGroup = the tag of the "
     "curve, and OpenBoundaryPhysicalGroup = the tag of a physical point at the mouth"
 )
+SAME, BESIDE = 1e-6, 1e-3
+"""Distance at which a point lies on the lips, and of one to choose beside them, in parts of the
+crack's length."""
 CLOSE = 1e-3
 """Distance of nodes in the same place, relative to the shortest edge."""
 
@@ -47,6 +50,23 @@ class Lip:
         """Distance of each corner from the beginning, along the lip [m]."""
         steps = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
         return np.concatenate([[0.0], np.cumsum(steps)])
+
+    def beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
+        """Points below and above one that lies on the crack, and not at its tip; else None."""
+        start, steps = self.points[:-1], np.diff(self.points, axis=0)
+        share = np.sum((point - start) * steps, axis=1) / np.sum(steps**2, axis=1)
+        feet = start + np.clip(share, 0.0, 1.0)[:, None] * steps
+        edge, length = int(np.argmin(np.linalg.norm(feet - point, axis=1))), self.position[-1]
+        tips = self.points[-1:] if self.has_mouth else self.points[[0, -1]]
+        on_lips, at_tip = (
+            np.linalg.norm(places - point, axis=1).min() <= SAME * length for places in (feet, tips)
+        )
+        if at_tip or not on_lips:
+            return None
+        across = np.array([-1.0, 1.0]) * steps[edge, ::-1] / np.linalg.norm(steps[edge])
+        across *= np.copysign(BESIDE * length, across[1] or across[0])
+        low, high = (np.round(feet[edge] + side * across, 9).tolist() for side in (-1.0, 1.0))
+        return low, high
 
 
 def find_lips(lower: np.ndarray, upper: np.ndarray, positions: np.ndarray) -> list[Lip]:

@@ -46,16 +46,16 @@ def assemble_loads(
     Raises
     ------
     InputError
-        A load is off the mesh, or where the plate is clamped.
+        A load is off the mesh, where the plate is clamped, or on a crack, where there are two lips.
     """
     force, watched = np.zeros((3, len(dofs.free))), None
     excitation = scene.excitation
     point = excitation.point if excitation.point is not None else plate.points.get("load")
     if point is not None:
         parts = (excitation.force_mean, excitation.force_cos, excitation.force_sin)
-        force += _point_force(scene, dofs, "excitation.point", point, parts)
+        force += _point_force(scene, plate, dofs, "excitation.point", point, parts)
         if (scene.has_other_loads or scene.speed > 0.0) and any(map(any, parts)):
-            watched = _point_force(scene, dofs, "excitation.point", point, _unit(parts))[0]
+            watched = _point_force(scene, plate, dofs, "excitation.point", point, _unit(parts))[0]
     elif not scene.has_other_loads:
         allowed = "given, or a physical point 'load' in the mesh file"
         raise InputError("excitation.point", None, allowed)
@@ -63,9 +63,11 @@ def assemble_loads(
         key = f"loads.{number}"
         if load.point is not None:
             forces = load.parts("force")
-            force += _point_force(scene, dofs, f"{key}.point", load.point, forces)
+            force += _point_force(scene, plate, dofs, f"{key}.point", load.point, forces)
             if watched is None and any(map(any, forces)):
-                watched = _point_force(scene, dofs, f"{key}.point", load.point, _unit(forces))[0]
+                watched = _point_force(
+                    scene, plate, dofs, f"{key}.point", load.point, _unit(forces)
+                )[0]
         else:
             own = _edge_force(scene, plate, dofs, key, load)
             force += own
@@ -91,9 +93,13 @@ def _unit(parts: Sequence[Vector]) -> list[Vector]:
 
 
 def _point_force(
-    scene: Scene, dofs: Dofs, key: str, point: Vector, parts: Sequence[Vector]
+    scene: Scene, plate: PlateMesh, dofs: Dofs, key: str, point: Vector, parts: Sequence[Vector]
 ) -> np.ndarray:
     """Forces at a point as consistent nodal forces: (len(parts), n_local)."""
+    if sides := [found for lip in plate.lips if (found := lip.beside(point)) is not None]:
+        (low, high), *_ = sides
+        allowed = "on one of the two lips that are there: {} on the lower one, {} on the upper one"
+        raise InputError(key, tuple(point), allowed.format(low, high))
     nodes, values = compat.basis_at(dofs.space, scene.mesh.order, np.array(point))
     values = np.where(np.abs(values) < 1e-12, 0.0, values)  # rounding
     hits = dofs.comm.allgather(len(nodes) > 0)

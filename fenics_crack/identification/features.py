@@ -23,23 +23,14 @@ import numpy as np
 
 from fenics_crack.errors import FEW_MODES, InputError
 from fenics_crack.identification.interpolation import Cube
-from fenics_crack.identification.measurements import Measurement
-from fenics_crack.scene.scene import Scene
+from fenics_crack.identification.measurements import Measurement, check_point
 from fenics_crack.sweep.file import CONVERGED, ORDERS
 from fenics_crack.sweep.result import SweepResult
 
-__all__ = ["Feature", "Part", "check_point"]
+__all__ = ["Feature", "Part"]
 
 LIPS = {"uncracked": ("open",), "bilinear": ("open", "tied"), "resonance": ("open", "tied")}
 """Of what natural frequencies are made."""
-
-
-def check_point(scene: Scene, point: str) -> None:
-    """Raise InputError if a point is not one of the scene."""
-    known = scene.point_names
-    if point and point not in known:
-        allowed = f"empty, or one of [output.points]: {', '.join(known) or 'there are none'}"
-        raise InputError("measurements.point", point, allowed)
 
 
 @dataclass(frozen=True)

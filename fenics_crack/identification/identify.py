@@ -21,8 +21,8 @@ from mpi4py import MPI
 
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import scene_text
-from fenics_crack.identification.features import Part, check_point
-from fenics_crack.identification.measurements import Measurements
+from fenics_crack.identification.features import Part
+from fenics_crack.identification.measurements import Measurements, has_uncracked
 from fenics_crack.identification.model import Model
 from fenics_crack.identification.posterior import Likelihood, Posterior, explore
 from fenics_crack.identification.result import Identification
@@ -104,10 +104,8 @@ def identify(
     if not isinstance(measurements, Measurements):
         path = measurements
         measurements = on_root(comm, lambda: Measurements.from_csv(path))
-    rows = measurements.rows
-    for row in rows:
-        check_point(scene, row.point)
-    loads = [row.frequency for row in rows if not row.natural]
+    measurements.check(scene)
+    loads = [row.frequency for row in measurements.rows if not row.natural]
     forward = solve_forward(scene, loads, Path(folder), comm, progress=progress)
     begin("inference")
     return infer(forward, measurements)
@@ -121,6 +119,7 @@ def infer(forward: Forward, measurements: Measurements) -> Identification:
     InputError
         A measurement is not one of the model.
     """
+    measurements.check(forward.scene)
     bare = forward.uncracked
     branches = {
         name: explore(_likelihood(model, bare, measurements))
@@ -156,9 +155,6 @@ def _calibration(
     rows = [row for row in measurements.rows if row.quantity == "frequency_uncracked"]
     if not rows:
         return {}
-    if not bare:
-        allowed = "left out where the crack cannot be taken out of the scene"
-        raise InputError("measurements.quantity", "frequency_uncracked", allowed)
     model = next(iter(bare.values()))
     middle = 0.5 * (model.cube.low + model.cube.high)
     predicted = model.quantities(rows)(middle[None]).values[0]
@@ -260,7 +256,7 @@ def solve_forward(
         return _models(scene, sweeps)
 
     cracked = models("forward", (), table.unknown)
-    if scene.structure is not None or scene.mesh.layout == "file" or len(scene.all_cracks) != 1:
+    if not has_uncracked(scene):
         return Forward(scene, cracked, {})
     others = [axis for axis in table.unknown if not axis.key.startswith(("crack.", "contact."))]
     return Forward(scene, cracked, models("uncracked", ("crack", "cracks", "contact"), others))

@@ -16,9 +16,12 @@ from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.errors import FEW_MODES, InputError, check_count, check_number, reading
 from fenics_crack.outside import text_of
 from fenics_crack.scene.fields import LARGEST, OR_ZERO, SMALLEST
+from fenics_crack.scene.scene import Scene
 from fenics_crack.table import Tabular, counted
 
-__all__ = ["AT_A_LOAD", "FREQUENCIES", "Measurement", "Measurements"]
+__all__ = [
+    "AT_A_LOAD", "FREQUENCIES", "Measurement", "Measurements", "check_point", "has_uncracked",
+]  # fmt: skip
 
 FREQUENCIES = (
     "frequency_open",
@@ -274,6 +277,14 @@ class Measurements(Tabular):
                 raise InputError(f"measurements, line {number}", line, allowed) from None
         return cls(tuple(rows))
 
+    def check(self, scene: Scene) -> None:
+        """Raise InputError for what is none of a scene."""
+        for row in self.rows:
+            check_point(scene, row.point)
+            if row.quantity == "frequency_uncracked" and not has_uncracked(scene):
+                allowed = "left out where the crack cannot be taken out of the scene"
+                raise InputError("measurements.quantity", row.quantity, allowed)
+
     def __add__(self, other: Measurements) -> Measurements:
         return Measurements(self.rows + other.rows)
 
@@ -296,6 +307,19 @@ class Measurements(Tabular):
         natural = sum(row.natural for row in self.rows)
         parts = [(natural, "natural frequencies"), (len(self) - natural, "at loads")]
         return ", ".join(f"{count} {what}" for count, what in parts if count) or counted(0, "row")
+
+
+def check_point(scene: Scene, point: str) -> None:
+    """Raise InputError if a point is not one of the scene."""
+    known = scene.point_names
+    if point and point not in known:
+        allowed = f"empty, or one of [output.points]: {', '.join(known) or 'there are none'}"
+        raise InputError("measurements.point", point, allowed)
+
+
+def has_uncracked(scene: Scene) -> bool:
+    """Tell whether the crack can be taken out of a scene."""
+    return scene.structure is None and scene.mesh.layout != "file" and len(scene.all_cracks) == 1
 
 
 def _is_one(value: Any) -> bool:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from numbers import Integral, Real
 from typing import Any, ClassVar
@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fenics_crack.errors import InputError
-from fenics_crack.hints import meant, near
+from fenics_crack.hints import candidates, meant, near, written
 from fenics_crack.table import TURN
 
 __all__ = [
@@ -170,6 +170,8 @@ def _values(name: str, given: object) -> tuple[Any, ...]:
             "a list of values, or a table of start, stop, count (>= 2) and, if wanted, "
             "spacing = 'linear' or 'logarithmic'"
         )
+        if span and not span.keys() & {"start", "stop", "count"}:
+            allowed += f'; did you mean "{name}.{next(iter(span))}", in quotes?'
         raise InputError(full_name, given, allowed)
     if spacing == "linear":
         return tuple(map(float, np.linspace(start, stop, count)))
@@ -193,6 +195,12 @@ _READERS: dict[str, Callable[[object], Any]] = {
     "tuple[str, ...]": _words,
 }
 """By the type of a field that is not None."""
+
+
+def _reader(item: Field[Any]) -> Callable[[object], Any]:
+    """How a key's value is read, by its type."""
+    return _READERS[str(item.type).removesuffix(" | None")]
+
 
 # --- what a key may hold --------------------------------------------------------------------------
 
@@ -304,6 +312,9 @@ class Table:
 
     WORD: ClassVar[str | None] = None
     """The key for which a word may stand instead of the table: ``reduction = "off"``."""
+    _ADVICE: ClassVar[Mapping[str, str]] = {}
+    """What to say of keys that people look for and the table does not have, "name", and of values
+    that a key does not take, "edge = top"."""
 
     def __post_init__(self) -> None:
         for name, item in self.keys().items():
@@ -322,17 +333,32 @@ class Table:
         """A value as a key holds it; raises InputError if the key may not hold it."""
         item = cls.keys()[key]
         try:
-            found = _READERS[str(item.type).removesuffix(" | None")](value)
+            found = _reader(item)(value)
             accepted = item.metadata["accepts"](found)
         except InputError as error:  # of one of its axes
             raise InputError(cls.name_of(key) + error.key, error.value, error.allowed) from None
         except (TypeError, OverflowError):
             accepted = False
         if not accepted:
-            words = near(value, item.metadata.get("words", ())) if isinstance(value, str) else []
-            question = f"; {meant([repr(word) for word in words])}".rstrip("; ")
-            raise InputError(cls.name_of(key), value, item.metadata["allowed"] + question)
+            raise InputError(
+                cls.name_of(key), value, item.metadata["allowed"] + cls._hint(key, value)
+            )
         return found
+
+    @classmethod
+    def _hint(cls, key: str, value: object) -> str:
+        """What to write instead of a value that a key may not hold; or nothing."""
+        item = cls.keys()[key]
+        words: list[Any] = []
+        if isinstance(value, str):
+            if advice := cls._ADVICE.get(f"{key} = {value}"):
+                return f"; {advice}"
+            words = near(value, item.metadata.get("words", ()))
+        for other in candidates(value, item.metadata["unit"]):
+            with suppress(InputError, TypeError, OverflowError):
+                if not words and item.metadata["accepts"](_reader(item)(other)):
+                    words.append(other)
+        return f"; {meant([written(word) for word in words])}".rstrip("; ")
 
     @classmethod
     def keys(cls) -> dict[str, Field[Any]]:
@@ -401,7 +427,8 @@ class Table:
     @classmethod
     def instead_of(cls, key: str) -> str:
         """What is allowed where the table has no such key: which may be meant, and which it has."""
-        return f"left out; {meant(cls.meant_by(key))}known keys: {', '.join(cls.keys())}"
+        advice = cls._ADVICE.get(key) or meant(cls.meant_by(key)).strip()
+        return f"left out; {advice} known keys: {', '.join(cls.keys())}".replace(";  ", "; ")
 
     def changed(self, values: Mapping[str, object]) -> Any:
         """The table with other values of some keys; a key takes the place of its twin."""

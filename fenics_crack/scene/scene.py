@@ -8,6 +8,7 @@ the key, the value and what is allowed, before anything is computed.
 from __future__ import annotations
 
 import dataclasses
+import re
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
@@ -15,7 +16,7 @@ from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
 from fenics_crack.errors import InputError, reading
-from fenics_crack.hints import Hinted, meant, near
+from fenics_crack.hints import Hinted, converted, meant, near, written
 from fenics_crack.outside import text_of
 from fenics_crack.scene.cracks import OF_PLATES, check_cracks
 from fenics_crack.scene.fields import Axis, Table, named, radians
@@ -42,7 +43,7 @@ from fenics_crack.scene.tables import (
 )
 from fenics_crack.table import RPM, frequency_axis
 
-__all__ = ["LOOKED_AT", "Scene", "unit_of"]
+__all__ = ["LOOKED_AT", "Scene", "known_keys", "unit_of"]
 
 LOOKED_AT = ("curve", "integration", "sweep", "identify", "tip_timing", "output")
 """Tables that say what is looked at, and change nothing of it."""
@@ -178,7 +179,11 @@ class Scene(Hinted):
     def from_text(cls, text: str, name: str = "given as text", folder: Path = Path()) -> Scene:
         """Make a scene from the text of a TOML file, which errors call ``name``."""
         with reading("scene", name, "a TOML file"):
-            tables = tomllib.loads(text)
+            try:
+                tables = tomllib.loads(text)
+            except tomllib.TOMLDecodeError as error:
+                allowed = f"a TOML file ({error}){_hint_in(text, str(error))}"
+                raise InputError("scene", name, allowed) from error
         return cls.from_mapping(tables, folder)
 
     @property
@@ -310,6 +315,28 @@ class Scene(Hinted):
             elif tables is not None:
                 parts.append(tables.as_toml())
         return "\n".join(parts)
+
+
+def _hint_in(text: str, error: str) -> str:
+    """What to write in the line that an error of TOML names, a number in SI units or a word in
+    quotes; or nothing."""
+    lines, place = text.splitlines(), re.search(r"at line (\d+)", error)
+    if place is None or int(place[1]) > len(lines):
+        return ""
+    above, line = lines[: int(place[1])], lines[int(place[1]) - 1]
+    headers = [one.strip("[ ]") for one in above if one.startswith("[")]
+    key, _, value = (part.strip() for part in line.partition("#")[0].partition("="))
+    number = converted(value.strip("\"'"), unit_of(".".join([*headers[-1:], key])))
+    if number is None and not value.isidentifier():
+        return ""
+    right = f'"{value}"' if number is None else written(number)
+    return f"; {meant([f'{key} = {right}'])}".rstrip()
+
+
+def known_keys() -> list[str]:
+    """Every key of a scene; of a list of tables those of the first."""
+    tables = [(f"{name}.1" if name in _LISTS else name, kind) for name, kind in _TABLES.items()]
+    return [f"{name}.{key}" for name, kind in tables for key in kind.keys()]
 
 
 def unit_of(name: str) -> str:

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import MISSING, dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -75,6 +75,11 @@ class Geometry(Table):
 class Crack(Table):
     """Straight horizontal crack: a slit whose two lips share only its tip, or its two tips."""
 
+    _ADVICE: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        ("edge = top", "edge = bottom"),
+        "cracks run across the plate; one that does not comes in a mesh (mesh.layout = 'file')",
+    )
+
     edge: str | None = choice("left", "right", default=None)
     """Edge of the plate at the crack's mouth; left out for a crack inside the plate."""
     center: float | None = positive(None, unit="m")
@@ -102,6 +107,14 @@ class Crack(Table):
 @dataclass(frozen=True)
 class Material(Table):
     """Isotropic linear elastic."""
+
+    _ADVICE: ClassVar[Mapping[str, str]] = {
+        "name": "no material is known by its name: steel has young = 2.1e11, poisson = 0.3 and "
+        "density = 7850.0;",
+        "E": "did you mean material.young?",
+        "nu": "did you mean material.poisson?",
+        "rho": "did you mean material.density?",
+    }
 
     young: float = positive(unit="Pa")
     """Young's modulus E."""

@@ -12,11 +12,14 @@ from typing import Any
 
 import numpy as np
 
+from fenics_crack.model.structure import Structure
+from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.key_figures import KeyFigures, span_of
+from fenics_crack.study.prepare import reduction_of
 from fenics_crack.table import RPM, TURN
 
-__all__ = ["Remark", "is_proportional", "remarks_on", "remarks_on_scene"]
+__all__ = ["Remark", "is_proportional", "remarks_on", "remarks_on_scene", "remarks_on_structure"]
 
 Remarks = Iterator["Remark"]
 
@@ -60,6 +63,11 @@ def remarks_on_scene(scene: Scene) -> list[Remark]:
     of_matrices = () if scene.damping is None else (_damping, _settling)
     chosen = of_plates if scene.structure is None else of_matrices
     return [remark for rule in (*chosen, _probes) for remark in rule(scene)]
+
+
+def remarks_on_structure(scene: Scene, structure: Structure) -> list[Remark]:
+    """What the scene's structure shows, before it is reduced (collective)."""
+    return [*_between_nodes(scene, structure), *_bouncing(scene, structure)]
 
 
 def remarks_on(scene: Scene, figures: KeyFigures) -> list[Remark]:
@@ -232,6 +240,45 @@ def _of_one_direction(vectors: Sequence[Any]) -> bool:
     given = np.array(vectors, dtype=float)
     sizes = np.linalg.norm(given, axis=1, keepdims=True)
     return bool(np.allclose(given / np.where(sizes > 0.0, sizes, 1.0), given[-1] / sizes[-1]))
+
+
+# --- of the structure ---------------------------------------------------------------------------
+
+
+def _between_nodes(scene: Scene, structure: Structure) -> Remarks:
+    """A load that acts far from all nodes, for its elements."""
+    if structure.nodes is None:
+        return
+    nodes, comm = structure.nodes, structure.comm
+    points, cells = gather_rows(comm, nodes.points), gather_rows(comm, nodes.cells)
+    given = {f"loads.{number}": load.point for number, load in enumerate(scene.loads, 1)}
+    for name, point in {"excitation": scene.excitation.point, **given}.items():
+        if point is None:
+            continue
+        distance = np.linalg.norm(points - point, axis=1)
+        nearest = int(np.argmin(distance))
+        corners = points[cells[np.any(cells == nearest, axis=1)]]
+        if distance[nearest] > np.ptp(corners, axis=1).max(axis=1).min() / 2.0:
+            x, y = points[nearest].round(12) + 0.0
+            text = (
+                f"more than half an element from the nearest node, at ({x:.6g}, {y:.6g}): the "
+                "force acts on all nodes of its element; a smaller mesh.size brings one nearer"
+            )
+            yield Remark(f"{name}.point", list(point), text)
+
+
+def _bouncing(scene: Scene, structure: Structure) -> Remarks:
+    """Rigid contact of pairs that keep their mass."""
+    table = reduction_of(scene, structure)
+    massless = table is not None and table.method == "massless"
+    if scene.contact is None or scene.contact.law != "unilateral" or massless:
+        return
+    if structure.n_pairs:
+        text = (
+            "rigid contact of pairs that keep their mass: solve gives no verdict on stability, and "
+            "curve needs 'penalty' or 'smoothed', or reduction.method = 'massless'"
+        )
+        yield Remark("contact.law", "unilateral", text)
 
 
 # --- of the key figures ---------------------------------------------------------------------------

@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import ROOT
 from mpi4py import MPI
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene, run_sweep
+from fenics_crack.fem.lips import Lip
 from fenics_crack.fem.plate import write_msh
 
 WIDTH, HEIGHT, THICKNESS, DENSITY = 0.01, 0.4, 0.005, 7800.0
@@ -316,3 +318,43 @@ def test_on_two_ranks(on_ranks: Callable[..., Any]) -> None:
     (shared, name), (alone, same) = on_ranks(loads_on, text), loads_on(text, MPI.COMM_SELF)
     assert name == same
     assert shared == pytest.approx(alone, rel=1e-10, abs=1e-12)
+
+
+@pytest.mark.parametrize("place", ["excitation", "loads.1"])
+def test_on_a_crack_there_are_two_lips(place: str) -> None:
+    """A load there is refused, with a place on either; these are taken, and the tip, which is one
+    node."""
+    scene = Scene.load(ROOT / "benchmarks" / "plate.toml").replace({"mesh.size": 0.05})
+    changes = {f"{place}.point": [0.01, 0.15], f"{place}.force_sin": [0.0, 1.0]}
+    with pytest.raises(InputError, match=r"lower one.*upper one") as caught:
+        fc.build_structure(scene.replace(changes))
+    assert caught.value.key == f"{place}.point"
+    low, high = ([0.01, y] for y in (0.14997, 0.15003))
+    assert f"{low} on the lower one, {high} on the upper one" in caught.value.allowed
+    forces = []
+    for point in (low, high, [0.03, 0.15]):
+        forces.append(fc.build_structure(scene.replace(changes | {f"{place}.point": point})).force)
+    openings = []
+    for force, point in zip(forces, (low, high), strict=False):
+        structure = fc.build_structure(scene.replace(changes | {f"{place}.point": point}))
+        openings.append(structure.apply_bt(force[2:])[0].sum())
+    assert openings[0] > 0.0 > openings[1]  # B^T f: a push up at the lower lip closes
+
+
+def test_on_a_crack_that_slopes_or_lies_inside() -> None:
+    """By the lips of the mesh; both ends of a crack inside are tips."""
+    inside = Scene.load(ROOT / "benchmarks" / "plate.toml").replace(
+        {"crack.edge": None, "crack.center": 0.05, "mesh.size": 0.05}
+    )
+    for x, taken in ((0.035, True), (0.0351, False), (0.05, False), (0.065, True)):
+        scene = inside.replace({"excitation.point": [x, 0.15]})
+        if taken:
+            fc.build_structure(scene)
+        else:
+            with pytest.raises(InputError, match="two lips"):
+                fc.build_structure(scene)
+    lip = Lip(np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 1.0]]), has_mouth=True)
+    low, high = lip.beside((0.5, 0.5)) or ([], [])
+    assert low[0] > 0.5 > low[1] and high[0] < 0.5 < high[1]
+    assert lip.beside((0.0, 0.0)) and lip.beside((2.0, 1.0)) is None
+    assert lip.beside((0.5, 0.6)) is None

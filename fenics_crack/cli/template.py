@@ -1,0 +1,56 @@
+"""The scene that ``new`` writes, and the lines of it that a scene without a table can be given.
+
+Lines of the template that end in a mark, ``(--blade)``, are commented out, or in, where that is
+asked for: a blade on a rotor in place of a plate, probes in its casing, a crack that is looked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from importlib import resources
+
+__all__ = ["KINDS", "lines_of", "measured", "scene"]
+
+KINDS = ("blade", "timing", "identify")
+"""What ``new`` writes besides a plate."""
+ASKED_FOR = ("curve", "identify", "rotation", "sweep", "tip_timing")
+"""Tables that a scene may do without, and commands may not."""
+
+
+def scene(name: str, rows: str, kinds: Collection[str]) -> str:
+    """The scene of some :data:`KINDS`, written under a name, beside a file of measurements."""
+    marks = [f"(--{kind})" for kind in {*kinds, *(["blade"] if "timing" in kinds else [])}]
+    lines = (
+        _turned(line) if line.endswith(tuple(marks)) else line for line in _template().splitlines()
+    )
+    return "\n".join([*lines, ""]).replace("SCENE", name).replace("MEASURED", rows)
+
+
+def measured() -> str:
+    """Measurements of the plate: a CSV file for ``identify``."""
+    return resources.files("fenics_crack.cli").joinpath("new_measured.csv").read_text("utf-8")
+
+
+def lines_of(table: str) -> str:
+    """The lines by which the template gives a scene a table of :data:`ASKED_FOR`; else empty."""
+    if table not in ASKED_FOR:
+        return ""
+    for block in _template().split("\n\n"):
+        lines = block.splitlines()
+        for place, line in enumerate(lines):
+            if line.removeprefix("# ").startswith((f"[{table}]", f"[{table}.")):
+                asleep = line.startswith("#")
+                chosen = (one for one in lines[place:] if one.startswith("#") == asleep)
+                return "\n".join(_turned(one) if asleep else one for one in chosen)
+    raise KeyError(table)
+
+
+def _template() -> str:
+    return resources.files("fenics_crack.cli").joinpath("new_scene.toml").read_text("utf-8")
+
+
+def _turned(line: str) -> str:
+    """A line without the ``#`` that it begins with, or with one; its remark stays in place."""
+    if line.startswith("# "):
+        return line.removeprefix("# ").replace("  #", "    #", 1)
+    return "# " + line.replace("    #", "  #", 1)

@@ -1,0 +1,158 @@
+"""What ``new`` writes runs, what is missing is shown, nothing is replaced unsaid; completion."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from surroundings import main
+
+import fenics_crack as fc
+from fenics_crack.cli.command_line import COMMANDS
+from fenics_crack.cli.template import KINDS
+from fenics_crack.scene.scene import known_keys
+
+COARSE = (
+    "mesh.size=0.05", "mesh.lip_elements=2", "reduction.modes=5", "curve.stability=false",
+    "harmonic_balance.tolerance=none", "harmonic_balance.harmonics=3",
+)  # fmt: skip
+
+
+def sets(*changes: str) -> list[str]:
+    return [word for change in changes for word in ("--set", change)]
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("kinds", [[], *([kind] for kind in KINDS), [*KINDS]], ids="-".join)
+def test_new_writes_a_scene(kinds: list[str], here: Path) -> None:
+    """With any of its kinds; a blade turns, and has its load's order, probes, an unknown crack."""
+    assert main(["new", "own.toml", *(f"--{kind}" for kind in kinds), "--quiet"]) == 0
+    scene = fc.Scene.load("own.toml")
+    turns = bool({"blade", "timing"} & {*kinds})
+    assert (scene.speed > 0.0) == turns == (scene.excitation.order is not None)
+    assert scene.excitation.omega / (2.0 * 3.14159265) == pytest.approx(800.0, rel=1e-6)
+    assert (scene.tip_timing is not None) == ("timing" in kinds)
+    assert (scene.identify is not None) == ("identify" in kinds)
+    assert (here / "own_measured.csv").exists() == ("identify" in kinds)
+    assert scene.curve is not None and (scene.curve.parameter == "rpm") == turns
+
+
+def test_every_command_runs_on_what_new_wrote(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A blade with probes and measurements takes all of them; what is found is in the sample."""
+    assert main(["new", "own.toml", *(f"--{kind}" for kind in KINDS), "--quiet"]) == 0
+    few = ["sweep.over={'crack.length' = [0.02, 0.03]}", "curve.stop=2905.0"]
+    words = sets(*COARSE, *few, "integration.periods=3", "integration.settle=10.0")
+    for command in ("check", "modes", "campbell", "solve", "curve", "integrate", "sweep", "timing"):
+        more = ["--speeds", "0", "3000", "2"] if command == "campbell" else []
+        assert main([command, "own.toml", *words, *more, "--quiet"]) == 0, command
+    assert main(["new", "plain.toml", "--identify", "--quiet"]) == 0
+    coarse = sets("mesh.size=0.04", "mesh.lip_elements=3", "identify.finer=1.0")
+    capsys.readouterr()
+    assert main(["identify", "plain.toml", "plain_measured.csv", *coarse, "--quiet"]) == 0
+    *_, row = capsys.readouterr().out.splitlines()
+    assert float(row.split()[1]) == pytest.approx(0.025, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("command", "gone"),
+    [("timing", "tip_timing"), ("campbell", "rotation"), ("curve", "curve"), ("sweep", "sweep")],
+)
+def test_lines_to_paste(
+    command: str, gone: str, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The error shows a table; put behind the scene it does."""
+    assert main(["new", "own.toml", "--quiet"]) == 0
+    parts = Path("own.toml").read_text().split("\n\n")
+    text = "\n\n".join(part for part in parts if not part.startswith(f"[{gone}"))
+    Path("own.toml").write_text(text)
+    assert main([command, "own.toml", "--quiet"]) == 2
+    told, _, lines = capsys.readouterr().err.partition("for example:\n\n")
+    assert told.startswith(f"fenics-crack: {gone} = None: must be given") and told.count("\n") == 1
+    Path("own.toml").write_text(f"{text}\n{lines}")
+    coarse = [change for change in COARSE if not change.startswith(("curve", gone))]
+    short = {"curve": ["curve.stop=780.5"], "sweep": ["sweep.over={'crack.length' = [0.02]}"]}
+    assert main([command, "own.toml", *sets(*coarse, *short.get(gone, [])), "--quiet"]) == 0
+
+
+def test_another_result_is_not_replaced_in_silence(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One line says so; the same result again is none."""
+    assert main(["new", "own.toml", "--quiet"]) == 0
+    words = ["modes", "own.toml", *sets(*COARSE)]
+    for more, replaced in ([], False), ([], False), (sets("crack.length=0.02"), True):
+        capsys.readouterr()
+        assert main([*words, *more]) == 0
+        told = "output/own/modes.*: took the place of another result; --output FOLDER keeps both"
+        assert (told in capsys.readouterr().err.splitlines()) == replaced
+
+
+@pytest.mark.parametrize(
+    ("words", "question"),
+    [
+        (["slove", "own.toml"], "did you mean solve?"),
+        (["simulate", "own.toml"], "did you mean integrate?"),
+        (["eigenfrequencies", "own.toml"], "did you mean modes?"),
+        (["frf", "own.toml"], "did you mean curve?"),
+        (["solve", "own.toml", "--ouput", "x"], "did you mean --output?"),
+        (["solve", "own.toml", "--sets=x"], "did you mean --set?"),
+        (["frobnicate", "own.toml"], None),
+    ],
+)
+def test_wrong_words(
+    words: list[str], question: str | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A command or an option that there is not."""
+    with pytest.raises(SystemExit):
+        main(words)
+    said = capsys.readouterr().err
+    assert said.rstrip().endswith(question) if question else "did you mean" not in said
+
+
+def completion(shell: str, capsys: pytest.CaptureFixture[str]) -> str:
+    with pytest.raises(SystemExit) as left:
+        main(["--completion", shell])
+    assert left.value.code == 0
+    return capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        (["so"], ["solve"]),
+        (["modes", "plate.toml", "--c"], ["--count"]),
+        (["new", "--bl"], ["--blade"]),
+        (["solve", "plate.toml", "--set", "crack.l"], ["crack.length"]),
+        (["solve", "plate.toml", "--format", "c"], ["csv"]),
+        (["solve", ""], []),
+    ],
+)
+def test_bash_completes(
+    typed: list[str], offered: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Commands, options, keys; where nothing fits bash itself offers files."""
+    words = ["fenics-crack", *typed]
+    ask = f"COMP_WORDS=({' '.join(map(repr, words))}); COMP_CWORD={len(typed)}; "
+    ask += f"_fenics_crack fenics-crack {words[-1]!r} {words[-2]!r}; echo ${{COMPREPLY[@]}}"
+    done = subprocess.run(
+        ["bash", "-c", completion("bash", capsys) + ask], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == offered and not done.stderr
+
+
+@pytest.mark.parametrize("shell", ["zsh", "fish"])
+def test_other_shells(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Their scripts have all words; a shell that is here reads them."""
+    text = completion(shell, capsys)
+    assert all(word in text for word in (*COMMANDS, *known_keys()))
+    if shutil.which(shell):
+        subprocess.run([shell, "-c", text], check=True)

@@ -1,0 +1,56 @@
+"""Numbers as people write them: what a key would hold, said in the error that refuses them."""
+
+from __future__ import annotations
+
+import pytest
+from helpers import DEMOS
+
+from fenics_crack import InputError, Scene
+from fenics_crack.hints import converted
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "value"),
+    [
+        ("0,03", "m", 0.03), ("30 mm", "m", 0.03), ("30mm", "m", 0.03), ("2,5 µm", "m", 2.5e-6),
+        ("210 GPa", "Pa", 2.1e11), ("210e3 MPa", "Pa", 2.1e11), ("210000 N/mm²", "Pa", 2.1e11),
+        ("7.85 g/cm3", "kg/m^3", 7850.0), ("7850 kg/m³", "kg/m^3", 7850.0),
+        ("7.85e-9 t/mm^3", "kg/m^3", 7850.0), ("1,5 kN", "N", 1500.0), ("0.8 kHz", "Hz", 800.0),
+        ("0.5 %", "", 0.005), ("1 g", "m/s^2", 9.80665), ("1e3 N/mm", "N/m", 1e6),
+        ("steel", "Pa", None), ("30 mm", "Pa", None), ("", "m", None), ("1,2,3", "m", None),
+        ("800 Hz", "rad/s", None), ("e", "m", None), ("-", "m", None), (".", "m", None),
+    ],
+)  # fmt: skip
+def test_converted(text: str, unit: str, value: float | None) -> None:
+    """In the unit of the key, or nothing where that is not sure."""
+    assert converted(text, unit) == (None if value is None else pytest.approx(value, rel=1e-14))
+
+
+PLATE = (DEMOS / "paper_plate.toml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "question"),
+    [
+        ("young = 2e9", "young = 210 GPa", "did you mean young = 2.1e+11?"),
+        ("young = 2e9", "young = 210,5 GPa # x", "did you mean young = 2.105e+11?"),
+        ("poisson = 0.3", "poisson = 0,3", "did you mean poisson = 0.3?"),
+        ('edge = "left"', "edge = left", 'did you mean edge = "left"?'),
+    ],
+)
+def test_in_a_file_that_is_no_toml(old: str, new: str, question: str) -> None:
+    """TOML itself refuses it: the line is shown as it should be."""
+    assert old in PLATE
+    with pytest.raises(InputError) as caught:
+        Scene.from_text(PLATE.replace(old, new))
+    assert question in caught.value.allowed and "line" in caught.value.allowed
+
+
+def test_what_is_not_understood_is_not_guessed() -> None:
+    """No question after another mistake, or where the number would not do either."""
+    with pytest.raises(InputError) as caught:
+        Scene.from_text(PLATE.replace("poisson = 0.3", "poisson 0.3"))
+    assert "did you mean" not in str(caught.value)
+    with pytest.raises(InputError) as caught:
+        Scene.from_text(PLATE).replace({"crack.length": "-30 mm"})
+    assert "did you mean" not in str(caught.value)
