@@ -31,7 +31,6 @@ from fenics_crack.table import readable, with_unit
 from fenics_crack.whole import write_whole
 
 __all__ = [
-    "ABOVE",
     "COLOURS",
     "FIRST",
     "Picture",
@@ -45,8 +44,6 @@ __all__ = [
 COLOURS = {"blue": "#0072B2", "orange": "#D55E00", "green": "#009E73", "pink": "#CC79A7"}
 COLOURS["grey"] = "#5C5C5C"
 """Okabe and Ito's palette, which colour-blind readers can tell apart, and a grey."""
-ABOVE: dict[str, Any] = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "frameon": False}
-"""Where the legend of a panel among others stands."""
 MANY = 1e5
 """Ratio of the ends of a logarithmic axis beyond which its labels are powers of ten."""
 LETTERS = 38

@@ -271,6 +271,7 @@ def draw_content(
     """
     [panel] = picture = Picture(**where)
     panel.set_yscale("log")
+    curve = filled(curve)
     harmonics = _harmonic_amplitudes(curve, dof)[:, curve.subharmonic - 1 :: curve.subharmonic]
     shown = harmonics[:, :highest].T
     x = _factor(curve, in_hertz) * curve.values

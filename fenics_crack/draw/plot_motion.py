@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Unpack
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from mpi4py import MPI
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.draw.figure import (
-    ABOVE,
     COLOURS,
     Picture,
     Where,
@@ -63,35 +63,22 @@ def draw_spectrum(
     --------
     >>> figure = fc.draw_spectrum(solution, tip, path="spectrum.png")
     """
-    lengths: dict[str, np.ndarray] = {}
+    lengths: Series = {}
+    loads = solution.subharmonic
     if solution.structure.n_pairs:
         time = np.linspace(0.0, solution.period, 257)
         pair = int(np.argmax(np.ptp(solution.gap(time), axis=0)))
-        lengths[f"gap {solution.structure.where(pair)}"] = _amplitudes(
-            solution.gap_coefficients[:, pair]
-        )
+        gap = solution.gap_coefficients[:, pair]
+        lengths[f"gap {solution.structure.where(pair)}"] = _amplitudes(gap), loads
     if dof is not None:
         name = solution.structure.dof_name(dof)
-        lengths[name] = _amplitudes(solution.coefficients_at([dof])[:, 0])
+        lengths[name] = _amplitudes(solution.coefficients_at([dof])[:, 0]), loads
     if not lengths:
         raise InputError("dof", None, "given where there is no contact pair")
     force = _amplitudes(solution.force_coefficients.sum(axis=1))
-    series, axes = [(lengths, "displacement", "m")], given_axes(where.get("axes"), where.get("ax"))
-    if np.any(force) if axes is None else np.size(axes) > 1:
-        series.append(({"contact force, all pairs": force}, "contact force", "N"))
-    size = (7.0, 2.4 + 2.2 * len(series))
-    comm = solution.structure.comm
-    picture = Picture(len(series), size=size, sharex=True, comm=comm, **where)
-    for panel, (values, quantity, unit) in zip(picture, series, strict=True):
-        shared = {name: (found, solution.subharmonic) for name, found in values.items()}
-        _stems(panel, shared, quantity, unit)
-    picture.panels[-1].set_xlabel(ORDERS)
-    if axes is None:
-        picture.figure.align_ylabels()
-    return picture.saved()
-
-
-ORDERS = "order of the harmonic, in load frequencies (0: mean)"
+    forces: Series = {"contact force, all pairs": (force, loads)}
+    parts = [(lengths, "displacement", "m"), (forces, "contact force", "N")]
+    return _spectra(parts, solution.structure.comm, where)
 
 
 def draw_spectra(
@@ -130,16 +117,30 @@ def draw_spectra(
             pair = solution.structure.first_watched
             gaps[label] = _amplitudes(solution.gap_coefficients[:, pair]), solution.subharmonic
             places.add(solution.structure.where(pair))
-    series = [(motions, "displacement")]
+    gap = f"gap {places.pop()}" if len(places) == 1 else "gap"
+    all_gaps = gaps if len(gaps) == len(motions) else {}
+    comm = next(iter(solutions.values()))[0].structure.comm
+    return _spectra([(motions, "displacement", "m"), (all_gaps, gap, "m")], comm, where)
+
+
+Series = dict[str, tuple[np.ndarray, int]]
+"""Amplitudes and the loads in a period, by their labels."""
+
+
+def _spectra(parts: Sequence[tuple[Series, str, str]], comm: MPI.Comm, where: Where) -> Figure:
+    """Draw series, each part with its quantity and unit in a panel: as many as there are axes, or
+    the first and those that are not zero."""
     axes = given_axes(where.get("axes"), where.get("ax"))
-    if len(gaps) == len(motions) and (axes is None or np.size(axes) > 1):
-        series.append((gaps, f"gap {places.pop()}" if len(places) == 1 else "gap"))
-    size = (7.0, 2.4 + 2.2 * len(series))
-    picture = Picture(len(series), size=size, sharex=True, **where)
-    for panel, (values, quantity) in zip(picture, series, strict=True):
-        _stems(panel, values, quantity, "m")
-    picture.panels[-1].set_xlabel(ORDERS)
-    return picture.saved()
+    first, *others = (part for part in parts if part[0])
+    if axes is None:
+        others = [part for part in others if any(np.any(found) for found, _ in part[0].values())]
+    shown = [first, *others][: None if axes is None else np.size(axes)]
+    size = (7.0, 2.4 + 2.2 * len(shown))
+    picture = Picture(len(shown), size=size, sharex=True, comm=comm, **where)
+    for panel, part in zip(picture, shown, strict=True):
+        _stems(panel, *part)
+    picture.panels[-1].set_xlabel("order of the harmonic, in load frequencies (0: mean)")
+    return picture.finished()
 
 
 def _amplitudes(column: np.ndarray) -> np.ndarray:
@@ -147,9 +148,7 @@ def _amplitudes(column: np.ndarray) -> np.ndarray:
     return np.concatenate([np.abs(column[:1]), np.hypot(column[1::2], column[2::2])])
 
 
-def _stems(
-    axes: Axes, series: Mapping[str, tuple[np.ndarray, int]], quantity: str, unit: str
-) -> None:
+def _stems(axes: Axes, series: Series, quantity: str, unit: str) -> None:
     """Draw amplitudes, each with the loads in its period, as stems, or as points where
     they are many, several series side by side."""
     seen = np.concatenate([values for values, _ in series.values()])
@@ -173,8 +172,6 @@ def _stems(
     axes.set_ylim(bottom, top * (top / bottom) ** 0.08)
     axes.xaxis.get_major_locator().set_params(integer=True)
     label_axis(axes.yaxis, f"amplitude of the\n{quantity}", unit)
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize=8, ncol=min(3, len(series)), **ABOVE)
 
 
 def draw_orbits(
@@ -231,7 +228,7 @@ def draw_orbits(
     picture = Picture(count, columns=count, size=size, comm=comm, **where)
     for panel, content in zip(picture, orbits, strict=True):
         _orbit(panel, solution, *content)
-    return picture.saved()
+    return picture.finished()
 
 
 def _orbit(
@@ -259,5 +256,3 @@ def _orbit(
     label_axis(axes.xaxis, quantity, "m")
     label_axis(axes.yaxis, "its velocity", "m/s")
     axes.margins(0.08)
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize=7.5, ncol=3, columnspacing=1.2, handletextpad=0.5, **ABOVE)
