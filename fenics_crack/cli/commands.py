@@ -18,7 +18,6 @@ from fenics_crack.cli.inputs import Inputs
 from fenics_crack.cli.results import account_of, result_of
 from fenics_crack.cli.scenes import remark_on_sweep
 from fenics_crack.errors import FEW_MODES, Exit, InputError
-from fenics_crack.files.results import save
 from fenics_crack.files.store import read
 from fenics_crack.model.modes import Modes
 from fenics_crack.parallel import on_root
@@ -49,11 +48,7 @@ def solved(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     with console.stage(name):
         run = compute(inputs.scene, comm=console.comm, **own)
     folder = inputs.folder
-    path, watched = folder / f"{name}.h5", run.motion()
-    if run.structure.comm.size > 1 and isinstance(run.result, PeriodicSolution | Modes):
-        save(run.result, path, scene=run.scene, watched=watched)  # it is spread over the ranks
-    else:
-        on_root(console.comm, lambda: save(run.result, path, run.scene, watched=watched))
+    run.save(folder / f"{name}.h5")
     return tell(account_of(run), folder, console)
 
 

@@ -17,7 +17,7 @@ from fenics_crack.balance.solver import Solver
 from fenics_crack.balance.to_tolerance import FEWEST, FIRST_MODES, solve_to_tolerance
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import ConvergenceError, InputError
-from fenics_crack.files.results import Result, type_of, unpack
+from fenics_crack.files.results import Result, save, type_of, unpack
 from fenics_crack.files.store import Stored, read
 from fenics_crack.hints import no_attribute
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid, is_unilateral
@@ -82,8 +82,8 @@ class Run(Study, Generic[Found]):
         return sorted({*super().__dir__(), *dir(self.result)})
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("_") or name == "result" or not hasattr(type(self.result), name):
-            known = () if name == "result" else dir(self)
+        known = dir(self) if "result" in vars(self) else ()  # not while it is being copied
+        if name.startswith("_") or name not in known:
             raise no_attribute(f"{type(self).__name__!r} object", name, known)
         return getattr(self.result, name)
 
@@ -111,6 +111,22 @@ class Run(Study, Generic[Found]):
         return {
             watched.words: column for watched, column in zip(self.watched, columns, strict=False)
         }
+
+    def save(self, path: str | Path) -> None:
+        """Write the result with its scene and what is watched of it, for :func:`load_run` and for
+        programs without the structure (:func:`fenics_crack.save`; collective).
+
+        Raises
+        ------
+        InputError
+            The file cannot be written.
+        """
+        found, motion = self.result, self.motion()
+        if self.structure.comm.size > 1 and isinstance(found, PeriodicSolution | Modes):
+            save(found, path, self.scene, watched=motion)  # it is spread over the ranks
+        else:
+            comm = self.structure.whole.comm
+            on_root(comm, lambda: save(found, path, self.scene, watched=motion))
 
 
 # --- the commands ---------------------------------------------------------------------------------
@@ -432,7 +448,7 @@ def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
 
     Examples
     --------
-    >>> fc.save(solution, "solution.h5", scene)
+    >>> fc.solve(scene).save("solution.h5")
     >>> run = fc.load_run("solution.h5")
     """
     return run_of(read(path, comm), comm)
