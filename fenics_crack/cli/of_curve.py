@@ -114,7 +114,10 @@ def _warnings(run: Run[ResponseCurve]) -> Iterator[str]:
         yield f"the stability is undecided at {count}, {where}: {reason}"
     if len(stretches) > SHOWN_POINTS:
         more = sum(last + 1 - first for first, last in stretches[SHOWN_POINTS:])
-        yield f"the stability is undecided at {counted(more, 'other point')}"
+        yield (
+            f"the stability is undecided at {counted(more, 'other point')}, each for its own "
+            "reason: curve.reason(index) in Python"
+        )
     if not found.complete:
         yield f"the curve ended early: {found.status}"
 
