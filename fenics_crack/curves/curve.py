@@ -486,7 +486,7 @@ class ResponseCurve(_Waves):
 
     def to_dict(self) -> dict[str, Any]:
         """Columns, a row for every point: multipliers where the curve has them, and the indicators
-        of the watched dof."""
+        of the watched dof (collective)."""
         names = "omega", "harmonics", "iterations", "truncation"
         found = {self.parameter: self.values.tolist()}
         found |= {name: getattr(self, name).tolist() for name in names}

@@ -201,10 +201,8 @@ class Structure(Coordinates):
 
     def watching(self, dof: int) -> Self:
         """Return this structure with another dof for results to be asked about."""
-        watched = np.zeros(self.n_local)
-        if 0 <= dof - self.first_dof < self.n_local:
-            watched[dof - self.first_dof] = 1.0
-        return self._copied(watched=watched, _original=self.original)
+        found = int(self.whole.check_dofs([dof])[0])
+        return self._copied(watched_dof=found, _original=self.original)
 
     def varied(
         self,
