@@ -141,11 +141,7 @@ def linear_response(
     dof = structure.find_dof(corner, "x")
     small = structure if structure.n_dofs < 100 else fc.reduce_structure(structure, modes=30)
     omega = np.linspace(*RANGE, LINEAR)
-    amplitude = [
-        np.hypot(*fc.solve_linear(small, w, harmonics=1).coefficients_at([dof])[1:, 0])
-        for w in omega
-    ]
-    return omega, np.array(amplitude)
+    return omega, fc.linear_response(small, dof, omega)
 
 
 def write(file: Path, curve: fc.ResponseCurve, dof: int) -> None:

@@ -27,7 +27,7 @@ WORDS = {
     "fc.modes(scene)": "modal modes eigen eigenmodes eigenfrequencies eigenvalues natural",
     "fc.run_sweep(scene)": "sweep study parameter parametric batch scan map campaign",
     "fc.load_run(path)": "load read open import restore",
-    "fc.save(result, path, scene)": "save write dump export store hdf5",
+    "fc.save(result, path, scene), or run.save(path)": "save write dump export store hdf5",
     ".to_dataframe(), .to_csv(path) or .to_dict()": "dataframe frame pandas csv excel dict numpy",
     "fc.draw_curve(curve, ax=ax), fc.draw_waves(...), ...": "plot draw figure picture chart axes",
     '.indicators().ratio_2_1, of a sweep ["ratio_2_1"]': "ratio harmonic harmonics superharmonic "
@@ -86,7 +86,8 @@ def no_attribute(owner: str, name: str, known: Iterable[str]) -> AttributeError:
     """The error of a name that an owner does not have, with what may be meant."""
     public = [other for other in known if not other.startswith("_")]
     others = [] if name.startswith("_") else in_other_words(name)
-    alike = [other for other in near(name, public) if not any(other in text for text in others)]
+    alike = near(name, public, SAME_WORD if others else 0.7)
+    alike = [other for other in alike if not any(other in text for text in others)]
     question = meant([*alike, *others])
     return AttributeError(f"{owner} has no attribute {name!r}; {question}".rstrip("; "))
 

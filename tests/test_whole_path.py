@@ -1,19 +1,24 @@
 """The whole path of an engineer, from a new scene to a report, by the program's commands alone."""
 
 import base64
+import contextlib
 import csv
 import io
 import json
 import re
+import shlex
+import sys
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from PIL import Image
-from surroundings import main
+from surroundings import ROOT, main
 
+import fenics_crack as fc
 from fenics_crack.draw import animation
 
 BREATHING = "breathing crack resonates near [Hz]"
@@ -131,4 +136,59 @@ def assert_drawn(folder: Path, results: Path) -> None:
     assert len(embedded) >= 10
     for data in embedded:
         Image.open(io.BytesIO(base64.b64decode(data))).verify()
-    assert "<h2" in text and "http" not in re.sub(r"http://www.w3.org\S*", "", text)
+    written = re.sub(r"http://www.w3.org\S*|data:image/[^\"]*", "", text)  # pictures may say it
+    assert "<h2" in text and "http" not in written
+
+
+# --- docs/short_answers.md ------------------------------------------------------------------------
+
+PAGE = (ROOT / "docs" / "short_answers.md").read_text()
+ANSWERS = re.findall(r"```python\nimport fenics_crack as fc\n(.*?)```", PAGE, re.S)
+ROWS = re.findall(r"^\| `([^`]+)` \| ([^|]+?) \|$", PAGE, re.M)
+
+
+def test_ten_answers_have_three_lines() -> None:
+    """Behind the import."""
+    assert len(ANSWERS) == 10
+    assert max(len([*filter(None, answer.splitlines())]) for answer in ANSWERS) <= 3
+
+
+@pytest.fixture
+def coarse(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The scenes that are loaded are coarse and short, and there is a pandas."""
+    load = fc.Scene.load
+    short = {"curve.stop": 781.0, "integration.periods": 2} | dict(
+        zip(("mesh.size", "mesh.lip_elements", "reduction.modes"), (0.05, 2, 8), strict=True)
+    )
+    monkeypatch.setattr(fc.Scene, "load", lambda path: load(path).replace(short))
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=dict))
+
+
+@pytest.mark.usefixtures("coarse")
+@pytest.mark.parametrize("number", range(10))
+def test_an_answer(number: int, capsys: pytest.CaptureFixture[str]) -> None:
+    """As it stands on the page."""
+    names: dict[str, object] = {}
+    exec("import fenics_crack as fc\n" + ANSWERS[number], names)
+    said = capsys.readouterr().out
+    assert said or number in (6, 8, 9)
+    assert "NOT CONVERGED" not in said and "not complete" not in said.lower()
+
+
+def test_what_is_answered(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every line of the table, in its order and in one folder."""
+    assert len(ROWS) >= 20
+    scene = fc.Scene.load("plate.toml")
+    things = {"fenics_crack": fc, "scene": scene, "run": fc.modes(scene, 1)}
+    for written, answer in ROWS:
+        capsys.readouterr()
+        if written.startswith("fenics-crack "):
+            with contextlib.suppress(SystemExit):
+                main(shlex.split(written)[1:])
+            said = "".join(capsys.readouterr())
+        else:
+            with pytest.raises(AttributeError) as caught:
+                eval(written, dict(things))
+            said = str(caught.value)
+        parts = [re.escape(part) for part in answer.split(" ... ")]
+        assert re.search(".*".join(parts), said, re.S), (written, said)

@@ -19,7 +19,6 @@ from fenics_crack.cli.inputs import Inputs
 from fenics_crack.cli.results import Computed, account_of, account_of_verification, result_of
 from fenics_crack.cli.scenes import remark_on_sweep
 from fenics_crack.errors import FEW_MODES, Exit, InputError
-from fenics_crack.files.results import save
 from fenics_crack.files.store import read
 from fenics_crack.model.modes import Modes
 from fenics_crack.parallel import on_root
@@ -51,14 +50,7 @@ def solved(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     with console.stage("errors"):
         run = replace(run, stated=run.errors)
     folder = inputs.folder
-    path = folder / f"{name}.h5"
-    kept: dict[str, Any] = {"watched": run.motion()}
-    if run.stated is not None:
-        kept["errors"] = run.stated.text()
-    if run.structure.comm.size > 1 and isinstance(run.result, PeriodicSolution | Modes):
-        save(run.result, path, scene=run.scene, **kept)  # it is spread over the ranks
-    else:
-        on_root(console.comm, lambda: save(run.result, path, run.scene, **kept))
+    run.save(folder / f"{name}.h5")
     return tell(account_of(run), folder, console)
 
 

@@ -12,6 +12,7 @@ from fenics_crack.cli.account import IN_A_TEST, Account, in_short, known_to, of_
 from fenics_crack.cli.of_motion import with_hertz
 from fenics_crack.cli.scenes import remark_on
 from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, kind_in_words, parameter_axis
+from fenics_crack.curves.peak import top_and_damping
 from fenics_crack.model.bilinear import BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.run_up import RunUpStructure
 from fenics_crack.scene.quantities import OF_LIPS, OF_POINTS, QUANTITIES
@@ -73,13 +74,13 @@ def _facts(run: Run[ResponseCurve]) -> Iterator[str]:
     factor, _, unit = parameter_axis(found.parameter, run.scene.in_hertz)
     unit = f" {unit}".removesuffix(" -")
     amplitude = found.amplitude(run.watched_dof)
-    peak = int(np.argmax(amplitude))
+    peak, height, _ = top_and_damping(found.values, amplitude, int(np.argmax(amplitude)))
     known = known_to(run, run.watched[0].column("amplitude"))
     where = "" if run.stated is None else known_to(run, run.stated.resonance)
     yield (
-        f"The largest response of the curve, {quantity(float(amplitude[peak]), 'm')} half "
-        f"peak-to-peak ({run.watched_name}{known and f', known to {known}'}), is at "
-        f"{factor * found.values[peak]:.6g}{unit}{where and f', known to {where}'}."
+        f"The largest response of the curve, {quantity(height, 'm')} half peak-to-peak "
+        f"({run.watched_name}{known and f', known to {known}'}), is at "
+        f"{factor * peak:.6g}{unit}{where and f', known to {where}'}."
     )
     if found.multipliers is not None:
         states = ("stable", "unstable", "undecided")
@@ -116,7 +117,10 @@ def _warnings(run: Run[ResponseCurve]) -> Iterator[str]:
         yield f"the stability is undecided at {count}, {where}: {reason}"
     if len(stretches) > SHOWN_POINTS:
         more = sum(last + 1 - first for first, last in stretches[SHOWN_POINTS:])
-        yield f"the stability is undecided at {counted(more, 'other point')}"
+        yield (
+            f"the stability is undecided at {counted(more, 'other point')}, each for its own "
+            "reason: curve.reason(index) in Python"
+        )
     if not found.complete:
         yield f"the curve ended early: {found.status}"
 

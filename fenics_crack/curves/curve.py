@@ -154,6 +154,12 @@ class _Waves(Tabular):
     subharmonic: int
     static_above: float | None
 
+    def __len__(self) -> int:
+        return len(self.omega)
+
+    def _units(self) -> Mapping[str, str]:
+        return UNITS | {name: unit for name, (_, unit) in QUANTITIES.items()}
+
     def _linearised(self, places: np.ndarray | None = None) -> Iterator[tuple[int, ContactPoint]]:
         """The equations at all points, or some, with their numbers; not in order."""
         raise NotImplementedError
@@ -322,9 +328,6 @@ class ResponseCurve(_Waves):
 
     KIND: ClassVar[str] = "response curve"
 
-    def __len__(self) -> int:
-        return len(self.values)
-
     @property
     def stable(self) -> np.ndarray:
         """Whether the largest multiplier is known to lie within the unit circle: (n,) bool.
@@ -486,7 +489,7 @@ class ResponseCurve(_Waves):
 
     def to_dict(self) -> dict[str, Any]:
         """Columns, a row for every point: multipliers where the curve has them, and the indicators
-        of the watched dof."""
+        of the watched dof (collective)."""
         names = "omega", "harmonics", "iterations", "truncation"
         found = {self.parameter: self.values.tolist()}
         found |= {name: getattr(self, name).tolist() for name in names}
@@ -494,9 +497,6 @@ class ResponseCurve(_Waves):
             found["multiplier"] = np.abs(self.multipliers).tolist()
             found["verdict"] = self.verdicts.tolist()
         return with_frequency(found | self.indicators().to_dict())
-
-    def _units(self) -> Mapping[str, str]:
-        return UNITS | {name: unit for name, (_, unit) in QUANTITIES.items()}
 
     def _title(self) -> str:
         parts = [

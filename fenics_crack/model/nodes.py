@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, NoReturn, Self
 
 import numpy as np
@@ -228,14 +229,16 @@ class Coordinates(Hinted):
         """The pair at the mouth of the first crack, or in the middle of one inside the plate."""
         return next(iter(self.watched_pairs.values()))
 
-    @property
+    @cached_property
     def watched_dof(self) -> int:
         """The dof of the whole structure that results are asked about where none is named: the
         first that the scene watches, else the load's (collective)."""
-        watched = self.whole.watched
-        if watched is None:
-            return self.whole.most_loaded()
-        return int(np.argmax(gather_rows(self.comm, np.abs(watched))))
+        whole = self.whole
+        if whole is not self:
+            return int(whole.watched_dof)
+        if self.watched is None:
+            return self.most_loaded()
+        return int(np.argmax(gather_rows(self.comm, np.abs(self.watched))))
 
     def most_loaded(self) -> int:
         """The dof that carries most of the load, of all ranks' (collective)."""

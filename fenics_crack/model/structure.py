@@ -104,13 +104,7 @@ class Structure(Coordinates):
         )
 
     def __repr__(self) -> str:
-        pairs = counted(self.n_pairs, "pair")
-        damping = self.original.damping
-        if isinstance(damping, DampingRule):
-            words = str(damping.scaled(self.damping_factor))
-        else:
-            words = "no damping" if damping is None else "damping matrix"
-        return f"{type(self).__name__}({self._size_words}, {pairs}, {words})"
+        return f"{type(self).__name__}({self._size_words}, {_in_words(self)})"
 
     @cached_property
     def damping(self) -> Any:
@@ -201,10 +195,8 @@ class Structure(Coordinates):
 
     def watching(self, dof: int) -> Self:
         """Return this structure with another dof for results to be asked about."""
-        watched = np.zeros(self.n_local)
-        if 0 <= dof - self.first_dof < self.n_local:
-            watched[dof - self.first_dof] = 1.0
-        return self._copied(watched=watched, _original=self.original)
+        found = int(self.whole.check_dofs([dof])[0])
+        return self._copied(watched_dof=found, _original=self.original)
 
     def varied(
         self,
@@ -233,15 +225,13 @@ class Structure(Coordinates):
         InputError
             A value cannot be used.
         """
-        weights = numbers(load)
-        if weights.shape not in ((), (3, 3)) or not np.all(np.isfinite(weights)):
-            raise InputError("load", load, "a finite number, or a finite matrix of shape (3, 3)")
+        weights = _weights(load)
         if self.whole.rotation is not None and not (weights.ndim == 0 and weights == 1.0):
             allowed = "1 for a structure that rotates: part of its mean load is centrifugal"
             raise InputError("load", load, allowed)
         check_number("damping", damping, 0.0)
         other = self._copied(
-            force=weights @ self.force if weights.ndim else weights * self.force,
+            force=np.dot(weights, self.force),
             clearance=self.clearance + per_pair("clearance", clearance, self.n_pairs),
             damping_factor=damping * self.damping_factor,
             _original=self.original,
@@ -300,6 +290,22 @@ class Structure(Coordinates):
             made = parts["mass"]
             damping = petsc_matrix("damping", damping, made.comm.tompi4py(), made.size[0])
         return cls(**parts, damping=damping)
+
+
+def _in_words(structure: Structure) -> str:
+    """The pairs and the damping of a structure."""
+    pairs, damping = counted(structure.n_pairs, "pair"), structure.original.damping
+    if isinstance(damping, DampingRule):
+        return f"{pairs}, {damping.scaled(structure.damping_factor)}"
+    return f"{pairs}, {'no damping' if damping is None else 'damping matrix'}"
+
+
+def _weights(load: Any) -> np.ndarray:
+    """A factor of a load, or the matrix that maps its parts to others; checked."""
+    weights = numbers(load)
+    if weights.shape not in ((), (3, 3)) or not np.all(np.isfinite(weights)):
+        raise InputError("load", load, "a finite number, or a finite matrix of shape (3, 3)")
+    return weights
 
 
 def _read_only_rows(matrix: Any) -> sparse.csr_matrix:

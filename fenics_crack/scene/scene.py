@@ -129,18 +129,7 @@ class Scene(Hinted):
                 object.__setattr__(self, name, dataclasses.replace(chosen, **{key: axes}))
 
     def __repr__(self) -> str:
-        if self.structure is not None:
-            parts = [f"matrices {self.structure.stiffness!r}"]
-        elif self.mesh.layout == "file":
-            parts = [f"mesh {self.mesh.file!r}"]
-        else:
-            parts = [f"plate of {self.geometry.width:g} x {self.geometry.height:g} m"]
-        for crack in self.all_cracks.values():
-            parts.append("crack" if crack.length is None else f"crack of {crack.length:g} m")
-        if self.contact is not None:
-            parts.append(self.contact.law)
-        factor, _, unit = frequency_axis(self.in_hertz)
-        return f"Scene({', '.join(parts)}, {factor * self.excitation.omega:g} {unit})"
+        return f"Scene({_in_short(self)})"
 
     @property
     def all_cracks(self) -> dict[str, Crack]:
@@ -315,6 +304,22 @@ class Scene(Hinted):
             elif tables is not None:
                 parts.append(tables.as_toml())
         return "\n".join(parts)
+
+
+def _in_short(scene: Scene) -> str:
+    """What vibrates, cracked how, and where the load's frequency is."""
+    if scene.structure is not None:
+        parts = [f"matrices {scene.structure.stiffness!r}"]
+    elif scene.mesh.layout == "file":
+        parts = [f"mesh {scene.mesh.file!r}"]
+    else:
+        parts = [f"plate of {scene.geometry.width:g} x {scene.geometry.height:g} m"]
+    for crack in scene.all_cracks.values():
+        parts.append("crack" if crack.length is None else f"crack of {crack.length:g} m")
+    if scene.contact is not None:
+        parts.append(scene.contact.law)
+    factor, _, unit = frequency_axis(scene.in_hertz)
+    return f"{', '.join(parts)}, {factor * scene.excitation.omega:g} {unit}"
 
 
 def _hint_in(text: str, error: str) -> str:

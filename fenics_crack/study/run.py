@@ -18,7 +18,7 @@ from fenics_crack.balance.solver import Solver
 from fenics_crack.balance.to_tolerance import FEWEST, FIRST_MODES, solve_to_tolerance
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
-from fenics_crack.files.results import Result, type_of, unpack
+from fenics_crack.files.results import Result, save, type_of, unpack
 from fenics_crack.files.store import Stored, read
 from fenics_crack.hints import no_attribute
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid, is_unilateral
@@ -93,8 +93,8 @@ class Run(Study, Generic[Found]):
         return sorted({*super().__dir__(), *dir(self.result)})
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("_") or name == "result" or not hasattr(type(self.result), name):
-            known = () if name == "result" else dir(self)
+        known = dir(self) if "result" in vars(self) else ()  # not while it is being copied
+        if name.startswith("_") or name not in known:
             raise no_attribute(f"{type(self).__name__!r} object", name, known)
         return getattr(self.result, name)
 
@@ -122,6 +122,23 @@ class Run(Study, Generic[Found]):
         return {
             watched.words: column for watched, column in zip(self.watched, columns, strict=False)
         }
+
+    def save(self, path: str | Path) -> None:
+        """Write the result with its scene, its errors if they are stated, and what is watched of it,
+        for :func:`load_run` and for programs without the structure (:func:`fenics_crack.save`; collective).
+
+        Raises
+        ------
+        InputError
+            The file cannot be written.
+        """
+        found, motion = self.result, self.motion()
+        errors = None if self.stated is None else self.stated.text()
+        if self.structure.comm.size > 1 and isinstance(found, PeriodicSolution | Modes):
+            save(found, path, self.scene, watched=motion, errors=errors)  # it is spread over ranks
+        else:
+            comm = self.structure.whole.comm
+            on_root(comm, lambda: save(found, path, self.scene, watched=motion, errors=errors))
 
 
 # --- the commands ---------------------------------------------------------------------------------
@@ -446,7 +463,7 @@ def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
 
     Examples
     --------
-    >>> fc.save(solution, "solution.h5", scene)
+    >>> fc.solve(scene).save("solution.h5")
     >>> run = fc.load_run("solution.h5")
     """
     return run_of(read(path, comm), comm)

@@ -103,7 +103,7 @@ def build(scene: Scene, comm: MPI.Comm, unit_loads: bool, last: Geometry | None 
 def _at_load(scene: Scene, structure: Structure) -> dict[str, np.ndarray]:
     """What is watched at the load, where the structure says it; of matrices the dof that carries
     most of the load (collective)."""
-    whole = structure.whole.original  # which watches the load, whatever the scene does
+    whole = structure.whole
     if whole.watched is not None:
         weights = gather_rows(whole.comm, whole.watched)
     elif scene.structure is not None:
