@@ -124,8 +124,9 @@ class Run(Study, Generic[Found]):
         }
 
     def save(self, path: str | Path) -> None:
-        """Write the result with its scene, its errors if they are stated, and what is watched of it,
-        for :func:`load_run` and for programs without the structure (:func:`fenics_crack.save`; collective).
+        """Write the result with its scene, its errors if they are stated, and what is watched of
+        it, for :func:`load_run` and for programs without the structure
+        (:func:`fenics_crack.save`; collective).
 
         Raises
         ------
