@@ -72,8 +72,8 @@ def tell(
     shown = account.shown if console.form == "text" else None
     console.table(shown or account.summary)
     h5 = f"{path}.h5"
-    where = f"{path}.csv, .json, .png"
-    console.note(where if draw else f"{h5}, .csv, .json; pictures: fenics-crack plot {h5}")
+    drawn = f"{h5}, .csv, .json, .png" if Path(h5).exists() else f"{path}.csv, .json, .png"
+    console.note(drawn if draw else f"{h5}, .csv, .json; pictures: fenics-crack plot {h5}")
     _note_replaced(path, before, console)
     if account.run is not None:
         away = {w.name.partition(".")[0]: w.distance for w in account.run.watched if w.distance > 0}

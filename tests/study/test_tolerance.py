@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -166,3 +167,21 @@ def test_lips_that_the_load_presses_together(paper_scene: fc.Scene) -> None:
     run = fc.solve(paper_scene.replace(SMALL | pressed), MPI.COMM_SELF)
     assert run.result.converged and run.result.harmonics < 10
     assert run.result.report.total < 1e-14 < run.result.contact_force(np.zeros(1)).min()
+
+
+@pytest.mark.parametrize("frequency", [1800.0, 1832.0])
+def test_own_plate_from_the_settings_of_new(
+    new: fc.Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str], frequency: float
+) -> None:
+    """90 x 180 mm, 30 % crack, 0.3 % of damping, next to its resonance: an answer and a verdict."""
+    own = {
+        "geometry.width": 0.09, "geometry.height": 0.18, "crack.length": 0.027,
+        "crack.height": 0.09, "damping.ratio": 0.003, "excitation.point": [0.09, 0.18],
+        "excitation.frequency": frequency,
+    }  # fmt: skip
+    path = tmp_path / "own.toml"
+    path.write_text(new.replace(own).as_toml())
+    assert main(["solve", str(path), "--output", str(tmp_path), "--format", "json"]) == 0
+    rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)}
+    assert rows["verdict"]["value"] == "stable" and rows["total_error"]["value"] < 1e-2
+    assert 0.5 < rows["amplitude"]["error [%]"] < 5.0
