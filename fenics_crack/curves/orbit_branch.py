@@ -14,7 +14,7 @@ A segment between two nodes is halved, by the orbit next to Hermite's cubic thro
   those of pairs whose sums and products are (where a pair becomes real, moduli have a corner, but
   its sum and its product are smooth): the longer of the two segments;
 - where moduli that went on as they came would pass 1 before its middle;
-- where several of r, d and c change, until each changes by itself.
+- where several of r, d and c change, or one by more than 1, until each changes by itself.
 
 Then a fold (or a branch point) lies on a segment where r changes, a period doubling where d does, a
 Neimark-Sacker point where c does. It is found by Brent's method on
@@ -211,7 +211,7 @@ class OrbitBranch:
             doubt[1:] |= bent & (wide[1:] >= wide[:-1])
             doubt[1:] |= _pass_one(moduli, lengths)
             doubt[:-1] |= _pass_one(moduli[::-1], lengths[::-1])[::-1]
-        several = ~linked | (_changes(nodes).sum(axis=1) > 1)
+        several = ~linked | (_steps(nodes).sum(axis=1) > 1)
         return (wide > EVERY) | (doubt & (wide > NARROWEST)) | (several & (wide > ALONE))
 
     @property
@@ -571,12 +571,17 @@ def _pass_one(moduli: np.ndarray, lengths: np.ndarray) -> np.ndarray:
     return np.asarray(np.any((here * ahead > 0.0) & (here * beyond < 0.0), axis=1))
 
 
+def _steps(nodes: list[Node]) -> np.ndarray:
+    """By how much r, d and c change between each node and the next: (n - 1, 3); zero where nothing
+    but two real multipliers meet, or part."""
+    changes = np.diff(np.array([one.outside for one in nodes], dtype=int).reshape(-1, 3), axis=0)
+    meet = ~np.any(changes[:, :2] % 2, axis=1) & (changes @ (1, 1, 2) == 0)
+    return np.abs(changes) * ~meet[:, None]
+
+
 def _changes(nodes: list[Node]) -> np.ndarray:
     """Whether a bifurcation of each kind is between each node and the next: (n - 1, 3) bool."""
-    changes = np.diff(np.array([one.outside for one in nodes], dtype=int).reshape(-1, 3), axis=0)
-    odd = changes % 2 == 1
-    meet = ~odd[:, 0] & ~odd[:, 1] & (changes @ (1, 1, 2) == 0)
-    return np.asarray(odd & ~meet[:, None])
+    return np.asarray(_steps(nodes) % 2 == 1)
 
 
 def _outside(values: np.ndarray) -> tuple[int, int, int]:
