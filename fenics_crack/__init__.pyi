@@ -90,6 +90,7 @@ from fenics_crack.study.grid_convergence import grid_convergence as grid_converg
 from fenics_crack.study.prepare import Study as Study
 from fenics_crack.study.prepare import contact_law as contact_law
 from fenics_crack.study.prepare import prepare as prepare
+from fenics_crack.study.refinement import verify as verify
 from fenics_crack.study.run import Run as Run
 from fenics_crack.study.run import curve as curve
 from fenics_crack.study.run import integrate as integrate
@@ -97,7 +98,6 @@ from fenics_crack.study.run import load_run as load_run
 from fenics_crack.study.run import modes as modes
 from fenics_crack.study.run import solve as solve
 from fenics_crack.study.verification import Verification as Verification
-from fenics_crack.study.verification import verify as verify
 from fenics_crack.sweep.result import SweepResult as SweepResult
 from fenics_crack.sweep.result import run_sweep as run_sweep
 from fenics_crack.time.central_differences import (

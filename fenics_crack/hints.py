@@ -8,6 +8,7 @@ package and attributes of results.
 from __future__ import annotations
 
 import difflib
+import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -121,7 +122,9 @@ def converted(text: str, unit: str) -> float | None:
     factor = OTHERS.get((given, unit))
     if factor is None and unit and given.endswith(unit):
         factor = PREFIXES.get(given.removesuffix(unit))
-    return None if factor is None else float(f"{value * factor:.12g}")  # no 0.30000000000000004
+    if factor is None or not math.isfinite(value * factor):
+        return None
+    return float(f"{value * factor:.12g}")  # no 0.30000000000000004
 
 
 def candidates(value: object, unit: str) -> Iterator[object]:

@@ -31,6 +31,7 @@ __all__ = [
     "how_it_is_left",
     "in_one_unit",
     "in_short",
+    "known_to",
     "of_error",
     "of_stability",
     "readable_rows",
@@ -68,6 +69,8 @@ IN_A_TEST = {
     "swells and falls slowly, and lines appear on both sides of the load's frequency",
 }
 """What bifurcations are to somebody at a test rig, by their kinds."""
+LEAST_TOLD = 1e-4
+"""Error whose cause is told."""
 ROUNDING = 1e-15
 """Lengths [m] and forces [N] up to this are written as 0."""
 
@@ -148,6 +151,18 @@ def of_error(scene: Scene, report: ErrorReport, harmonics: int, where: str = "")
         f"the estimated error is {report.total:.2g} of the gap{where}, most of it by {part}: it "
         f"needs {wanted}"
     )
+
+
+def known_to(run: Run, name: str) -> str:
+    """How well a number of a result is known: "2.4 %, most of it by the mesh"; empty where that is
+    not stated."""
+    if run.stated is None:
+        return ""
+    error, cause = run.stated.stated(name)
+    if not error > 0.0:
+        return run.stated.without
+    by = f", most of it by the {cause}" if error > LEAST_TOLD else ""
+    return f"{100.0 * error:.2g} %{by}" + (f", {run.stated.without}" if run.stated.without else "")
 
 
 def of_stability(scene: Scene, run: Run, stability: Stability | None) -> Iterator[str]:
@@ -238,9 +253,12 @@ def _with_columns(table: Table, wanted: Callable[[str, str], bool]) -> Table:
 
 def readable_rows(table: Table) -> Table:
     """The known quantities of a table with a column "name" as one reads them: "7.916 µm", "5.7 % of
-    the lips' motion"."""
+    the lips' motion"; with their errors where it has these."""
     rows = [row[1:] for row in table.rows if row[2] == row[2]]
-    return Table(("quantity", "value"), [_readable(*row) for row in rows])
+    return Table(
+        ("quantity", "value", *table.columns[4:]),
+        [(*_readable(*row[:3]), *row[3:]) for row in rows],
+    )
 
 
 def _readable(name: str, value: Any, unit: str) -> tuple[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from argparse import Namespace
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import Account
 from fenics_crack.cli.console import Console, make_writable
 from fenics_crack.cli.inputs import Inputs
-from fenics_crack.cli.results import account_of, result_of
+from fenics_crack.cli.results import Computed, account_of, account_of_verification, result_of
 from fenics_crack.cli.scenes import remark_on_sweep
 from fenics_crack.errors import FEW_MODES, Exit, InputError
 from fenics_crack.files.store import read
@@ -23,7 +24,6 @@ from fenics_crack.model.modes import Modes
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.run import Run, curve, integrate, modes, solve
-from fenics_crack.sweep.result import SweepResult
 from fenics_crack.table import RPM, counted, quantity
 
 __all__ = ["campbell_diagram", "identification", "plot", "solved", "sweep", "tell", "verification"]
@@ -47,6 +47,8 @@ def solved(given: Namespace, inputs: Inputs, console: Console) -> Exit:
         own = {"progress": console.progress}
     with console.stage(name):
         run = compute(inputs.scene, comm=console.comm, **own)
+    with console.stage("errors"):
+        run = replace(run, stated=run.errors)
     folder = inputs.folder
     run.save(folder / f"{name}.h5")
     return tell(account_of(run), folder, console)
@@ -70,8 +72,8 @@ def tell(
     shown = account.shown if console.form == "text" else None
     console.table(shown or account.summary)
     h5 = f"{path}.h5"
-    where = f"{path}.csv, .json, .png"
-    console.note(where if draw else f"{h5}, .csv, .json; pictures: fenics-crack plot {h5}")
+    drawn = f"{h5}, .csv, .json, .png" if Path(h5).exists() else f"{path}.csv, .json, .png"
+    console.note(drawn if draw else f"{h5}, .csv, .json; pictures: fenics-crack plot {h5}")
     _note_replaced(path, before, console)
     if account.run is not None:
         away = {w.name.partition(".")[0]: w.distance for w in account.run.watched if w.distance > 0}
@@ -142,20 +144,13 @@ def campbell_diagram(given: Namespace, inputs: Inputs, console: Console) -> Exit
 def verification(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     """What mesh, modes, harmonics and samples contribute to the error of the steady vibration."""
     from fenics_crack.draw.plot_study import draw_verification
-    from fenics_crack.study.verification import verify
+    from fenics_crack.study.refinement import verify
 
     with console.stage("verification"):
         found = verify(inputs.scene, console.comm)
-
-    account = Account(
-        "verify",
-        found.table(),
-        shown=found.totals(),
-        notes=found.statement[: -len(found.warnings) or None],
-        warnings=found.warnings,
-        done=not found.failures,
-    )
-    return tell(account, inputs.folder, console, partial(draw_verification, found))
+    found.save(inputs.folder / "verify.h5", console.comm)
+    draw = partial(draw_verification, found)
+    return tell(account_of_verification(found), inputs.folder, console, draw)
 
 
 def identification(given: Namespace, inputs: Inputs, console: Console) -> None:
@@ -228,11 +223,9 @@ def plot(given: Namespace, _: None, console: Console) -> None:
     console.note(*map(str, files))
 
 
-def _for_paraview(
-    run: Run | SweepResult, folder: Path, console: Console, *, show: bool
-) -> list[Path]:
+def _for_paraview(run: Computed, folder: Path, console: Console, *, show: bool) -> list[Path]:
     """Files of modes and of a period; none without a mesh. With ``show`` a window, too."""
-    if isinstance(run, SweepResult) or not isinstance(run.result, Modes | PeriodicSolution):
+    if not (isinstance(run, Run) and isinstance(run.result, Modes | PeriodicSolution)):
         return []
     from fenics_crack.draw.paraview import write_modes, write_period
 

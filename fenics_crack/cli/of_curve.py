@@ -8,7 +8,7 @@ import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.indicators import Indicators
-from fenics_crack.cli.account import IN_A_TEST, Account, in_short, of_error
+from fenics_crack.cli.account import IN_A_TEST, Account, in_short, known_to, of_error
 from fenics_crack.cli.of_motion import with_hertz
 from fenics_crack.cli.scenes import remark_on
 from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, kind_in_words, parameter_axis
@@ -75,9 +75,12 @@ def _facts(run: Run[ResponseCurve]) -> Iterator[str]:
     unit = f" {unit}".removesuffix(" -")
     amplitude = found.amplitude(run.watched_dof)
     peak, height, _ = top_and_damping(found.values, amplitude, int(np.argmax(amplitude)))
+    known = known_to(run, run.watched[0].column("amplitude"))
+    where = "" if run.stated is None else known_to(run, run.stated.resonance)
     yield (
         f"The largest response of the curve, {quantity(height, 'm')} half peak-to-peak "
-        f"({run.watched_name}), is at {factor * peak:.6g}{unit}."
+        f"({run.watched_name}{known and f', known to {known}'}), is at "
+        f"{factor * peak:.6g}{unit}{where and f', known to {where}'}."
     )
     if found.multipliers is not None:
         states = ("stable", "unstable", "undecided")

@@ -14,6 +14,7 @@ from fenics_crack.cli.account import (
     frequency_in_words,
     how_it_is_left,
     in_short,
+    known_to,
     of_error,
     of_stability,
     readable_rows,
@@ -26,6 +27,7 @@ from fenics_crack.scene.tables import Integration
 from fenics_crack.study.key_figures import highest_omega
 from fenics_crack.study.prepare import Watched
 from fenics_crack.study.run import Run
+from fenics_crack.study.stated_errors import KINDS, natural_name
 from fenics_crack.table import Table, quantity
 from fenics_crack.time.march import TimeHistory
 
@@ -33,6 +35,8 @@ __all__ = [
     "account_of_history", "account_of_modes", "account_of_solution", "closings", "with_hertz",
 ]  # fmt: skip
 
+ERROR = "error [%]"
+"""Of modes, harmonics and mesh, as far as it is known."""
 Row = tuple[str, str, object, str]
 """Name, words, value, unit."""
 
@@ -42,8 +46,13 @@ def account_of_modes(run: Run[Modes]) -> Account:
     found, table = run.result, run.result.table()
     first = float(found.omega[0])
     hertz = first / (2.0 * np.pi)
-
-    fact = f"The first natural frequency with the crack open is {hertz:.5g} Hz ({first:.5g} rad/s)."
+    names = [natural_name(run.scene, "open", number + 1) for number in range(len(found.omega))]
+    known = known_to(run, names[0])
+    fact = f"The first natural frequency with the crack open is {hertz:.5g} Hz ({first:.5g} rad/s)"
+    fact += f", known to {known}." if known else "."
+    if run.stated is not None:
+        rows = [[*row, _errors(run, name)[0]] for row, name in zip(table.rows, names, strict=True)]
+        table = Table([*table.columns, ERROR], rows)
     tables = {"Natural frequencies with the crack open": table}
     return Account("modes", table, facts=[fact], tables=tables, run=run)
 
@@ -61,6 +70,7 @@ def account_of_solution(run: Run[PeriodicSolution]) -> Account:
             "the stability is not judged, as that would take long: it is for a reduced structure, "
             "with contact.law = 'unilateral' for lips without mass (reduction.method)"
         )
+    known = known_to(run, run.watched[0].column("amplitude"))
     tolerance = scene.harmonic_balance.tolerance
     missed = tolerance is not None and found.report.total > tolerance
     warnings = []
@@ -69,6 +79,8 @@ def account_of_solution(run: Run[PeriodicSolution]) -> Account:
         warnings.append(f"{failed}{found.status}")
     elif run.structure.n_pairs:
         warnings += of_error(scene, found.report, found.harmonics)
+    if found.converged and not missed and known:
+        notes.insert(0, f"solved; the half peak-to-peak displacement is known to {known}")
     if found.converged:
         warnings += of_stability(scene, run, found.stability)
     return Account(
@@ -92,13 +104,15 @@ def _facts(run: Run[PeriodicSolution]) -> Iterator[str]:
     found, report = run.result, run.result.report
     size = quantity(found.amplitude(run.watched_dof), "m")
     fact = f"At {frequency_in_words(run.scene, found.omega)} the {run.watched_name} is {size} half "
+    known = known_to(run, run.watched[0].column("amplitude"))
+    fact += f"peak-to-peak (known to {known})" if known else "peak-to-peak"
     if not found.gap_coefficients.size:
-        yield f"{fact}peak-to-peak."
+        yield f"{fact}."
         yield "There is no contact: the solution is exact for its mesh and modes."
         return
     values = found.to_dict()
     yield (
-        f"{fact}peak-to-peak; the crack opens by {quantity(values['opening'], 'm')} and is closed "
+        f"{fact}; the crack opens by {quantity(values['opening'], 'm')} and is closed "
         f"for {values['closed_share']:.0%} of the period."
     )
     causes = {
@@ -109,10 +123,10 @@ def _facts(run: Run[PeriodicSolution]) -> Iterator[str]:
     }
     name = max(causes, key=causes.__getitem__)
     yield (
-        f"The motion of the lips is known to about {report.total:.2%}; most of that is due to "
-        f"{name} ({causes[name]:.2%})."
+        f"Without the mesh, the motion of the lips is known to about {report.total:.2%}; most of "
+        f"that is due to {name} ({causes[name]:.2%})."
     )
-    yield f"The displacement at the load is known to about {report.displacement:.2%}."
+    yield f"The displacement at the load is then known to about {report.displacement:.2%}."
     if report.penetration > 0.0:
         yield (
             f"The contact law lets the lips penetrate by {report.penetration:.2%} of their motion; "
@@ -202,7 +216,22 @@ def _quantities(run: Run[Any], values: Mapping[str, object]) -> Table:
             (name, f"{words}, mode {near['mode']}", float(value), _shown(unit))
             for name, words, unit, value in with_hertz(near)
         )
-    return Table(("name", "quantity", "value", "unit"), [*rows, *_named(OTHERS, values)])
+    columns, rows = ["name", "quantity", "value", "unit"], [*rows, *_named(OTHERS, values)]
+    if run.stated is None:
+        return Table(columns, rows)
+    return Table([*columns, ERROR, "most by"], [(*row, *_errors(run, row[0])) for row in rows])
+
+
+def _errors(run: Run[Any], name: str) -> tuple[float, str]:
+    """Error of a number [%], and what most of it is by; of natural frequencies that of the mode
+    which is named."""
+    assert run.stated is not None
+    kind = name.rpartition("_")[2]
+    if kind in KINDS:
+        mode = bilinear_frequencies(run.structure).nearest(run.result.omega)["mode"]
+        name = natural_name(run.scene, kind, int(mode))
+    error, cause = run.stated.stated(name)
+    return float(f"{100.0 * error:.3g}"), cause
 
 
 def _of_point(watched: Watched, values: Mapping[str, object]) -> list[Row]:

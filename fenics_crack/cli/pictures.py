@@ -19,13 +19,14 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import frequency_in_words
 from fenics_crack.cli.of_motion import closings
 from fenics_crack.cli.of_sweep import FREQUENCIES
-from fenics_crack.cli.results import kind_of, result_of
+from fenics_crack.cli.results import Computed, kind_of, result_of
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw.figure import Picture, distinct_colours
 from fenics_crack.draw.plot import Wave, draw_contact_map, draw_map, draw_response, draw_waves
 from fenics_crack.draw.plot_curve import draw_content, draw_curve, draw_multipliers
 from fenics_crack.draw.plot_mesh import draw_modes
 from fenics_crack.draw.plot_motion import draw_orbits, draw_spectra, draw_spectrum
+from fenics_crack.draw.plot_study import draw_verification
 from fenics_crack.errors import FEW_MODES, InputError
 from fenics_crack.files.store import read
 from fenics_crack.model.modes import LIPS, Modes, n_tied_modes, solve_modes
@@ -34,6 +35,7 @@ from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.words import WHOLE, differences, key_in_words, unit_of, value_in_words
 from fenics_crack.study.prepare import prepare
 from fenics_crack.study.run import Run
+from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.file import KIND as SWEEP
 from fenics_crack.sweep.result import SweepResult
 from fenics_crack.table import ranging, readable, with_unit
@@ -54,7 +56,7 @@ File = Callable[[str], Path]
 """Takes the name of a picture; remembers and returns its path."""
 
 
-def draw_result(result: Run | SweepResult, folder: Path) -> list[Path]:
+def draw_result(result: Computed, folder: Path) -> list[Path]:
     """Draw the pictures of a result into a folder; return the files."""
     files: list[Path] = []
     DRAW[kind_of(result)](result, _file_in(folder, files))
@@ -258,6 +260,7 @@ DRAW: dict[str, Callable[[Any, File], None]] = {
     ResponseCurve.KIND: _curve,
     SWEEP: _sweep,
     TimeHistory.KIND: _history,
+    Verification.KIND: lambda found, file: draw_verification(found, path=file("verify.png")),
 }
 
 

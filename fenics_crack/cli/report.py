@@ -22,7 +22,7 @@ import h5py
 from fenics_crack.cli.account import frequency_in_words
 from fenics_crack.cli.console import Console
 from fenics_crack.cli.pictures import draw_result
-from fenics_crack.cli.results import HEADINGS, account_of, result_of
+from fenics_crack.cli.results import HEADINGS, Computed, account_of, result_of
 from fenics_crack.cli.scenes import draw_scene, harmonics_in_words
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import Stored, read, versions
@@ -35,7 +35,6 @@ from fenics_crack.scene.words import (
     value_in_words,
 )
 from fenics_crack.study.run import Run
-from fenics_crack.sweep.result import SweepResult
 from fenics_crack.table import Table
 from fenics_crack.version import VERSION
 from fenics_crack.whole import write_whole
@@ -137,11 +136,11 @@ def write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) ->
 # --- parts ----------------------------------------------------------------------------------------
 
 
-def _scene_part(result: Run | SweepResult, folder: Path) -> str:
+def _scene_part(result: Computed, folder: Path) -> str:
     """The scene of a result in short, its mesh if it has one, its text."""
     scene, blocks = result.scene, []
     if scene.geometry is not None:
-        own = None if isinstance(result, SweepResult) else result.structure.whole
+        own = result.structure.whole if isinstance(result, Run) else None
         blocks += [_picture(mesh) for mesh in draw_scene(scene, folder, own)]
     rows: list[tuple[str, object]] = [
         (key_in_words(key), _value(key, value))

@@ -17,11 +17,17 @@ from fenics_crack.errors import InputError
 from fenics_crack.files.store import Stored
 from fenics_crack.model.modes import Modes
 from fenics_crack.study.run import Run, run_of
+from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.file import KIND as SWEEP
 from fenics_crack.sweep.result import SweepResult
 from fenics_crack.time.march import TimeHistory
 
-__all__ = ["HEADINGS", "account_of", "kind_of", "result_of"]
+__all__ = [
+    "HEADINGS", "Computed", "account_of", "account_of_verification", "kind_of", "result_of",
+]  # fmt: skip
+
+Computed = Run[Any] | SweepResult | Verification
+"""What commands write."""
 
 HEADINGS = {
     Modes.KIND: "Natural frequencies and modes",
@@ -29,28 +35,48 @@ HEADINGS = {
     ResponseCurve.KIND: "Response curve",
     SWEEP: "Sweep",
     TimeHistory.KIND: "Motion in time",
+    Verification.KIND: "Convergence study",
 }
 """By kind, in the order of a report."""
+
+
+def account_of_verification(found: Verification) -> Account:
+    """A convergence study."""
+    return Account(
+        "verify",
+        found.table(),
+        shown=found.totals(),
+        facts=found.statement[: -len(found.warnings) or None],
+        notes=found.statement[: -len(found.warnings) or None],
+        warnings=found.warnings,
+        tables={"Contributions": found.totals()},
+        done=not found.failures,
+    )
+
+
 SPEAKERS: dict[str, Callable[[Any], Account]] = {
     Modes.KIND: account_of_modes,
     PeriodicSolution.KIND: account_of_solution,
     ResponseCurve.KIND: account_of_curve,
     SWEEP: account_of_sweep,
     TimeHistory.KIND: account_of_history,
+    Verification.KIND: account_of_verification,
 }
 
 
-def kind_of(result: Run[Any] | SweepResult) -> str:
+def kind_of(result: Computed) -> str:
     """The kind of a result, as its file has it."""
-    return SWEEP if isinstance(result, SweepResult) else str(result.result.KIND)
+    if isinstance(result, SweepResult):
+        return SWEEP
+    return str(result.KIND if isinstance(result, Verification) else result.result.KIND)
 
 
-def account_of(result: Run[Any] | SweepResult) -> Account:
+def account_of(result: Computed) -> Account:
     """What there is to say of a result (collective)."""
     return SPEAKERS[kind_of(result)](result)
 
 
-def result_of(stored: Stored) -> Run[Any] | SweepResult:
+def result_of(stored: Stored) -> Computed:
     """The result of a file that one rank has read.
 
     Raises
@@ -61,4 +87,6 @@ def result_of(stored: Stored) -> Run[Any] | SweepResult:
     if stored.kind not in HEADINGS:
         allowed = f"a result of one of these kinds: {', '.join(HEADINGS)}"
         raise InputError("result", str(stored.path), allowed)
+    if stored.kind == Verification.KIND and (found := Verification.of(stored)) is not None:
+        return found
     return SweepResult.load(stored.path) if stored.kind == SWEEP else run_of(stored, MPI.COMM_SELF)

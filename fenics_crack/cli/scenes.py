@@ -24,6 +24,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.study.key_figures import KeyFigures, find_key_figures, highest_omega
 from fenics_crack.study.prepare import Study, check_memory_of, prepare, reduction_of
 from fenics_crack.study.remarks import is_proportional, remarks_on, remarks_on_structure
+from fenics_crack.study.stated_errors import errors_of_natural
 from fenics_crack.sweep.plan import Plan
 from fenics_crack.table import RPM, TURN, Table, counted
 from fenics_crack.whole import write_whole
@@ -72,6 +73,7 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
         **({} if whole.nodes is None else {"width x height [m]": _size(figures)}),
         "degrees of freedom": whole.n_dofs,
         **_frequencies(study.scene, figures),
+        **_errors_by_mesh(study, figures),
         **_rotation(study.scene, figures),
         **_contact(study, figures),
         "harmonics": harmonics_in_words(scene),
@@ -130,6 +132,19 @@ def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:
         if natural[0] > 0.0:
             rows[f"load's frequency / the first{words}"] = omega / float(natural[0])
     return rows
+
+
+def _errors_by_mesh(study: Study, figures: KeyFigures) -> dict[str, object]:
+    """How well the mesh knows these frequencies."""
+    natural = {"open": figures.omega_open}
+    if study.structure.n_pairs:
+        natural["tied"] = figures.omega_tied
+    found = errors_of_natural(study, natural)
+    if found.unknown:
+        return {"natural frequencies known to": f"without the mesh: {found.unknown['mesh']}"}
+    ends = [f"{100.0 * found.stated(name)[0]:.2g} %" for name in found.values]
+    first = [end for name, end in zip(found.values, ends, strict=True) if name.endswith("_1")]
+    return {"first natural frequencies known to, by the mesh": " and ".join(first)}
 
 
 def _rotation(scene: Scene, figures: KeyFigures) -> dict[str, object]:

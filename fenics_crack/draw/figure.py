@@ -46,7 +46,7 @@ COLOURS["grey"] = "#5C5C5C"
 """Okabe and Ito's palette, which colour-blind readers can tell apart, and a grey."""
 MANY = 1e5
 """Ratio of the ends of a logarithmic axis beyond which its labels are powers of ten."""
-LETTERS = 38
+LETTERS = 42
 """Of a line of a label along the height of a panel, at most."""
 NO_PREFIX = ("1", "-", "%", "Hz", "rad/s")
 """Units that are shown as they are."""

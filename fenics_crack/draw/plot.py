@@ -266,7 +266,7 @@ def draw_response(
     ringed = [(values[mask], curves[label][mask]) for label, mask in (doubtful or {}).items()]
     if any(len(x) for x, _ in ringed):
         x, y = np.concatenate(ringed, axis=1)
-        panel.plot(x, y, "o", color=COLOURS["grey"], mfc="none", ms=8, label=DOUBTFUL)
+        panel.plot(x, y, "o", color=COLOURS["grey"], mfc="none", ms=size + 4.0, label=DOUBTFUL)
     panel.set_xlabel(over)
     label_axis(panel.yaxis, quantity, unit)
     return picture.finished()

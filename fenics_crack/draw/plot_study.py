@@ -203,7 +203,7 @@ def _draw_contributions(panel: Any, found: Verification) -> None:
         if total > LEAST:
             panel.plot([total, total], [place - 0.32, place + 0.32], color="black", lw=1.6)
         for cause, error in found.contributions(name).items():
-            inside = found.parts[cause][name].factor == SAFE
+            inside = found.parts[cause][name].factor <= SAFE
             share = 100.0 * found.relative(name, error)
             if not share > LEAST:
                 continue

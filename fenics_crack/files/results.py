@@ -42,6 +42,7 @@ def save(
     scene: Scene | None = None,
     *,
     watched: Mapping[str, np.ndarray] | None = None,
+    errors: str | None = None,
 ) -> None:
     """Write a result to an HDF5 file, with its scene if there is one (collective).
 
@@ -60,6 +61,8 @@ def save(
         Motion of some dofs, for programs without the structure, by what they are called:
         coefficients of a solution (2H+1,) and of a curve (n, 2H+1), or displacements in time (n,)
         [m]. ``load`` leaves it alone.
+    errors : str, optional
+        Of its numbers, as ``Verification.text`` has them, for :func:`fenics_crack.load_run`.
 
     Raises
     ------
@@ -75,6 +78,7 @@ def save(
         names = ", ".join(kind.__name__ for kind in _FORMS)
         raise InputError("result", type(result).__name__, f"one of {names}")
     parts = _FORMS[type(result)][0](result) | _motion(result, watched or {})
+    parts["verification"] = errors
     write(parts, path, result.KIND, scene, result.structure.comm)
 
 
@@ -114,7 +118,7 @@ def unpack(stored: Stored, structure: Structure, contact: Law = None) -> Result:
     """The same of a file that is read (collective)."""
     kind = type_of(stored)
     with stored.taken() as parts:
-        for name in [name for name in parts if name.startswith("watched")]:
+        for name in [name for name in parts if name.startswith(("watched", "verification"))]:
             del parts[name]
         return _FORMS[kind][1](parts, structure, contact)
 

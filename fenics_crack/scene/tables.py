@@ -453,6 +453,8 @@ class Mesh(Table):
     """Of a graded mesh: size at the mouth over size at the tip."""
     file: str | None = path("the path of a .msh file")
     """Beside the scene's file, or with its whole path."""
+    error: bool = holds("true or false", default=True)
+    """Whether a coarser mesh says what this one contributes to the error of each number."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

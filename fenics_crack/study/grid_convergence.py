@@ -55,7 +55,8 @@ class GridConvergence(Described):
     behaviour : str
         "asymptotic": the observed order is near that of theory; "outside": it falls, with another
         order; "oscillating", "diverging" or "irregular" (too fast to be an order): not in the
-        asymptotic range; "two sizes": no order is observed; "unchanged": the same to rounding.
+        asymptotic range; "two sizes": no order is observed; "unchanged": the same to rounding;
+        "carried": the values are those at a shifted resonance.
     order : float
         p, observed; nan where there is none.
     exponent : float

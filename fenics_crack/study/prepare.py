@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.errors import InputError
+from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.fem.assembly import assemble
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.hints import Hinted
@@ -25,6 +25,7 @@ from fenics_crack.scene.tables import Contact, Reduction
 
 __all__ = [
     "FEW_DOFS",
+    "REFUSALS",
     "Study",
     "Watched",
     "check_memory_of",
@@ -35,6 +36,8 @@ __all__ = [
     "reduction_of",
 ]
 
+REFUSALS = (InputError, ConvergenceError, np.linalg.LinAlgError)
+"""Errors that fail one run while others go on."""
 FEW_DOFS = 100
 """A structure with at most so many dofs is reduced only on request."""
 SHARE = 0.8

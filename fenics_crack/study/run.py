@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -16,7 +17,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.balance.solver import Solver
 from fenics_crack.balance.to_tolerance import FEWEST, FIRST_MODES, solve_to_tolerance
 from fenics_crack.curves.curve import ResponseCurve
-from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.errors import InputError
 from fenics_crack.files.results import Result, save, type_of, unpack
 from fenics_crack.files.store import Stored, read
 from fenics_crack.hints import no_attribute
@@ -40,6 +41,8 @@ from fenics_crack.study.prepare import (
     reduced,
     reduction_of,
 )
+from fenics_crack.study.stated_errors import errors_of
+from fenics_crack.study.verification import Verification
 from fenics_crack.time.central_differences import (
     integrate_central_difference,
     stable_steps_per_period,
@@ -49,12 +52,10 @@ from fenics_crack.time.implicit import integrate_implicit
 from fenics_crack.time.march import TimeHistory
 
 __all__ = [
-    "REFUSALS", "Run", "curve", "integrate", "load_run", "modes", "run_of", "solve",
+    "Run", "curve", "integrate", "load_run", "modes", "run_of", "solve",
     "solve_prepared",
 ]  # fmt: skip
 
-REFUSALS = (InputError, ConvergenceError, np.linalg.LinAlgError)
-"""Errors that fail one run while others go on."""
 RECORDED_PERIODS = 4
 """Periods kept of a motion in time."""
 
@@ -71,9 +72,19 @@ class Run(Study, Generic[Found]):
         As :class:`Study` has them.
     result : Modes, PeriodicSolution, ResponseCurve, Backbone or TimeHistory
         What was found.
+    stated : Verification or None
+        Its :attr:`errors`, where they were computed with it.
     """
 
     result: Found
+    stated: Verification | None = None
+
+    @cached_property
+    def errors(self) -> Verification | None:
+        """What modes, harmonics and the mesh contribute to the error of each number, by one other
+        run for each; of a curve those of its largest response. Computed when first asked for, and
+        None of motions in time (collective)."""
+        return self.stated or errors_of(self, self.result)
 
     def __repr__(self) -> str:
         return f"Run({self.result!r}, {self.scene!r})"
@@ -113,8 +124,9 @@ class Run(Study, Generic[Found]):
         }
 
     def save(self, path: str | Path) -> None:
-        """Write the result with its scene and what is watched of it, for :func:`load_run` and for
-        programs without the structure (:func:`fenics_crack.save`; collective).
+        """Write the result with its scene, its errors if they are stated, and what is watched of
+        it, for :func:`load_run` and for programs without the structure
+        (:func:`fenics_crack.save`; collective).
 
         Raises
         ------
@@ -122,11 +134,12 @@ class Run(Study, Generic[Found]):
             The file cannot be written.
         """
         found, motion = self.result, self.motion()
+        errors = None if self.stated is None else self.stated.text()
         if self.structure.comm.size > 1 and isinstance(found, PeriodicSolution | Modes):
-            save(found, path, self.scene, watched=motion)  # it is spread over the ranks
+            save(found, path, self.scene, watched=motion, errors=errors)  # it is spread over ranks
         else:
             comm = self.structure.whole.comm
-            on_root(comm, lambda: save(found, path, self.scene, watched=motion))
+            on_root(comm, lambda: save(found, path, self.scene, watched=motion, errors=errors))
 
 
 # --- the commands ---------------------------------------------------------------------------------
@@ -195,11 +208,14 @@ def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution
     return solve_prepared(prepare(scene, comm, whole=True))
 
 
-def solve_prepared(whole: Study, initial: PeriodicSolution | None = None) -> Run[PeriodicSolution]:
+def solve_prepared(
+    whole: Study, initial: PeriodicSolution | None = None, omega: float | None = None
+) -> Run[PeriodicSolution]:
     """The same of a scene that is prepared; reduced, if its modes are chosen (collective).
-    Without a tolerance it is sought from a solution of the same structure, if there is one."""
+    Without a tolerance it is sought from a solution of the same structure, if there is one, and at
+    another frequency than the scene's, if that is given."""
     scene, law = whole.scene, whole.contact
-    omega, table = scene.excitation.omega, scene.harmonic_balance
+    omega, table = omega or scene.excitation.omega, scene.harmonic_balance
     if law is None:
         study = reduced(whole)
         linear = solve_linear(study.structure, omega, harmonics=table.harmonics)
@@ -464,4 +480,5 @@ def run_of(stored: Stored, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
         study = _prepare_curve(scene, comm)
     else:
         study = prepare(scene, comm, whole=kind is Modes)
-    return Run(**vars(study), result=unpack(stored, study.structure, study.contact))
+    result = unpack(stored, study.structure, study.contact)
+    return Run(**vars(study), result=result, stated=Verification.of(stored))

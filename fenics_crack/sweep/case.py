@@ -24,8 +24,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.stability.floquet import floquet
-from fenics_crack.study.prepare import Study, law_of, prepare
-from fenics_crack.study.run import REFUSALS
+from fenics_crack.study.prepare import REFUSALS, Study, law_of, prepare
 from fenics_crack.sweep.file import AT_POINTS, COLUMNS, OPEN, PHASES, of_load
 from fenics_crack.sweep.plan import FORCES, Chunk
 from fenics_crack.table import with_frequency

@@ -22,7 +22,7 @@ from fenics_crack.errors import InputError
 from fenics_crack.files.store import Stored
 from fenics_crack.parallel import StopRequest
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.run import REFUSALS
+from fenics_crack.study.prepare import REFUSALS
 from fenics_crack.sweep.case import Found, Geometry, all_failed, build, solve_chunk
 from fenics_crack.sweep.file import FAILED, PENDING, SweepFile
 from fenics_crack.sweep.plan import Chunk, Plan

@@ -12,6 +12,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from surroundings import ROOT
 
 import fenics_crack as fc
 
@@ -85,7 +86,7 @@ ENOUGH = 40
 @pytest.fixture(scope="module")
 def things() -> dict[str, Any]:
     """The package, and what its short calls give for a small plate."""
-    scene = fc.Scene.load("benchmarks/plate.toml")
+    scene = fc.Scene.load(ROOT / "benchmarks" / "plate.toml")
     scene = scene.replace({"curve.stop": 781.0, "reduction.modes": 5})
     scene = scene.replace({"integration.periods": 2, "sweep.over": {"crack.length": [0.02]}})
     calls = {"solution": fc.solve, "curve": fc.curve, "history": fc.integrate}

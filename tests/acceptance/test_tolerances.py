@@ -60,7 +60,7 @@ def test_what_cannot_be_reached_says_so() -> None:
     """A reduction that leaves more out: an error with the figure, or with throw=False the best
     solution found."""
     law = fc.UnilateralPenalty(1e9)
-    with pytest.raises(fc.ConvergenceError, match="asked 1e-07; what limits it: modes"):
+    with pytest.raises(fc.ConvergenceError, match="1e-05 % was asked; what helps: modes"):
         fc.solve_harmonic_balance(judged.plate(), 2000.0, law, tolerance=1e-7)
     found = fc.solve_harmonic_balance(judged.plate(), 2000.0, law, tolerance=1e-7, throw=False)
     assert found.status.startswith("solved; error") and found.report.total > 1e-7

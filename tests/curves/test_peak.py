@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import ROOT
 from mpi4py import MPI
 
 import fenics_crack as fc
 from fenics_crack.curves.peak import top_and_damping
 
-STEEL = "benchmarks/plate.toml"
+STEEL = ROOT / "benchmarks" / "plate.toml"
 POINT = {"output.points": {"corner": [0.0, 0.3]}}
 XI = 0.02
 
@@ -120,8 +121,8 @@ def test_short_words() -> None:
     """A scene, a plate and a run in one line each."""
     scene = fc.Scene.load(STEEL)
     assert str(scene) == "Scene(plate of 0.1 x 0.3 m, crack of 0.03 m, unilateral, 800 Hz)"
-    chain = fc.Scene.load("demos/chain.toml")
-    mesh = fc.Scene.load("demos/inclined_crack.toml")
+    chain = fc.Scene.load(ROOT / "demos" / "chain.toml")
+    mesh = fc.Scene.load(ROOT / "demos" / "inclined_crack.toml")
     assert "matrices" in str(chain) and "mesh" in str(mesh)
     plate = fc.prepare(scene)
     assert str(plate).startswith("Study(MasslessStructure(20 modes") and len(str(plate)) < 250

@@ -19,6 +19,7 @@ from fenics_crack.hints import converted
         ("0.5 %", "", 0.005), ("1 g", "m/s^2", 9.80665), ("1e3 N/mm", "N/m", 1e6),
         ("steel", "Pa", None), ("30 mm", "Pa", None), ("", "m", None), ("1,2,3", "m", None),
         ("800 Hz", "rad/s", None), ("e", "m", None), ("-", "m", None), (".", "m", None),
+        ("1e400 mm", "m", None),
     ],
 )  # fmt: skip
 def test_converted(text: str, unit: str, value: float | None) -> None:

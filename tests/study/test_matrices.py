@@ -111,6 +111,15 @@ def test_results_belong_to_their_files(scene: Scene, tmp_path: Path) -> None:
     assert caught.value.key == "structure.gap"
 
 
+def test_rigid_contact_of_masses_gets_a_remark(capsys: pytest.CaptureFixture[str]) -> None:
+    """Its verdict and its curve are not to be had; without mass at the pairs they are."""
+    words = ["check", str(DEMOS / "chain.toml"), "--set", "contact.stiffness=none"]
+    for more, remarked in ((), True), (("--set", "reduction.method=massless"), False):
+        assert main([*words, "--set", "contact.law=unilateral", *more]) == 0
+        said = capsys.readouterr().err
+        assert ("remark: contact.law = unilateral: rigid contact of pairs" in said) == remarked
+
+
 @pytest.mark.parametrize("commands", [["check"], ["modes"], ["solve"], ["integrate"], ["sweep"]])
 def test_the_example_runs_from_the_shell(
     commands: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]

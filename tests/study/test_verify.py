@@ -17,10 +17,10 @@ from mpi4py import MPI
 from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack import ConvergenceError, InputError, PeriodicSolution, Run, Scene, Study
+from fenics_crack import ConvergenceError, InputError, Run, Scene, Study
 from fenics_crack.stages import listening
 from fenics_crack.study import prepare
-from fenics_crack.study import verification as module
+from fenics_crack.study import refinement as module
 from fenics_crack.study.run import solve_prepared
 
 PLATE: dict[str, Any] = {
@@ -43,19 +43,34 @@ def plate(changes: dict[str, object] | None = None) -> Scene:
 
 
 def test_each_part_is_what_its_runs_say() -> None:
-    """The three runs of each cause, one at a time, are those of scenes changed by hand; totals are
-    those of the contributions."""
+    """The three runs of each cause, one at a time, are those of scenes changed by hand, on other
+    meshes as far from the resonance; the shift's part is the answer at a shifted frequency; totals
+    are those of the contributions."""
     scene = plate({"harmonic_balance.harmonics": 3})
     found = fc.verify(scene)
-    assert found.causes == ("mesh", "modes", "harmonics") and not found.failures
+    assert found.causes == ("mesh", "shift", "modes", "harmonics") and not found.failures
     assert found.counts["modes"] == (6, 12, 24) and found.counts["harmonics"] == (3, 6, 12)
+    own = fc.prepare(scene)
+    part = found.parts["mesh"]["omega_bilinear_1"]
+    error = part.uncertainty(-1) / part.values[-1]
+    shifts = [1.0 + 0.5 * error, 1.0 + error]
+    shifts.append(part.values[-1] / part.extrapolated)
+    there = [solve_prepared(own, None, 2000.0 * shift).result for shift in shifts]
+    openings = [one.indicators(own.watched[0].dof).opening for one in there]
+    by_shift, value = found.parts["shift"]["opening"], found.values["opening"]
+    assert by_shift.extrapolated == pytest.approx(openings[-1], rel=1e-6)
+    most = max(abs(opening - value) for opening in openings)
+    assert found.contributions("opening")["shift"] == pytest.approx(most, rel=1e-6)
     changes: dict[str, list[dict[str, object]]] = {
         "mesh": [{"mesh.size": 0.03 / f, "mesh.lip_elements": int(2 * f)} for f in (1.5, 2.0)],
         "modes": [{"reduction.modes": 12}, {"reduction.modes": 24}],
         "harmonics": [{"harmonic_balance.harmonics": 6}, {"harmonic_balance.harmonics": 12}],
     }
     for cause, two in changes.items():
-        runs = [module.solve_prepared(fc.prepare(scene.replace(c), whole=True)) for c in two]
+        plates = [fc.prepare(scene.replace(c)) for c in two]
+        moved = [breathing(one) / breathing(own) if cause == "mesh" else 1.0 for one in plates]
+        omegas = [2000.0 * share for share in moved]
+        runs = [solve_prepared(one, None, at) for one, at in zip(plates, omegas, strict=True)]
         values = [run.result.indicators(run.watched_dof).opening for run in runs]
         part = found.parts[cause]["opening"]
         assert part.values[1::-1] == pytest.approx(values, rel=1e-6)
@@ -65,12 +80,18 @@ def test_each_part_is_what_its_runs_say() -> None:
     mesh = found.parts["mesh"]["opening"]
     assert mesh.sizes[2] == pytest.approx(math.sqrt(0.01 / found.counts["mesh"][0]))
     parts = found.contributions("opening")
-    assert found.total("opening") == pytest.approx(math.hypot(*parts.values()))
+    both = math.hypot(parts["mesh"] + parts["shift"], parts["modes"], parts["harmonics"])
+    assert found.total("opening") == pytest.approx(both)
     assert found.total("opening", independent=False) == pytest.approx(sum(parts.values()))
     tiny = replace(found, values={name: value / 1e3 for name, value in found.values.items()})
     assert re.search(r"\+- \d{3,} % \(sum of all: \d{3,} %\)", tiny.statement[0])
     rows = [row for row in found.totals().rows if row[0] == "opening [m]"]
     assert rows[0][2] == pytest.approx(100.0 * parts["mesh"] / found.values["opening"], rel=1e-2)
+
+
+def breathing(plate: Study) -> float:
+    """The first bilinear frequency."""
+    return float(fc.bilinear_frequencies(plate.structure).omega_bilinear[0])
 
 
 def test_runs_of_a_mesh_share_what_they_can(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -157,8 +178,8 @@ def test_failed_runs_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """One that does not converge leaves two sizes and a factor of 3; two leave a cause unknown."""
     bad: set[int] = set()
 
-    def failing(study: Study, *initial: PeriodicSolution) -> Run:
-        run = solve_prepared(study, *initial)
+    def failing(study: Study, *how: Any) -> Run:
+        run = solve_prepared(study, *how)
         if run.result.harmonics in bad:
             return replace(run, result=replace(run.result, converged=False, status="lost"))
         if run.structure.n_modes == 24:
@@ -209,14 +230,21 @@ def test_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert "amplitude = " in printed.err and "contact is integrated exactly" in printed.err
     rows = list(csv.DictReader((tmp_path / "verify.csv").open()))
     mesh = next(row for row in rows if (row["quantity"], row["cause"]) == ("opening", "mesh"))
+    found = fc.verify(Scene.load(path))
     assert float(mesh["gci_finest"]) > 0.0 and [mesh[f"count_{n}"] for n in (1, 2, 3)] == [
-        str(count) for count in fc.verify(Scene.load(path)).counts["mesh"]
+        str(count) for count in found.counts["mesh"]
     ]
     records = json.loads((tmp_path / "verify.json").read_text())
-    assert {row["cause"] for row in records} == {"mesh", "modes", "harmonics", "total", "sum"}
+    assert {row["cause"] for row in records} == {*found.causes, "total", "sum"}
     assert (tmp_path / "verify.png").stat().st_size > 20_000
     assert main([*words, "--format", "json", "--quiet"]) == 0
     assert json.loads(capsys.readouterr().out) == records
+    kept = str(tmp_path / "verify.h5")
+    assert main(["report", kept, "--output", str(tmp_path / "page.html"), "--quiet"]) == 0
+    page = (tmp_path / "page.html").read_text()
+    assert "Convergence study" in page and "most of it by" in page and page.count("<img") == 2
+    (tmp_path / "verify.png").unlink()
+    assert main(["plot", kept, "--quiet"]) == 0 and (tmp_path / "verify.png").exists()
 
 
 def test_bad_input() -> None:

@@ -1,0 +1,291 @@
+"""Mesh, modes, harmonics and samples of a scene made finer, one at a time.
+
+Each number of the answer is extrapolated with the order that it shows (:mod:`grid_convergence`).
+The uncertainty is that of the scene's own choice, the coarsest of the three: coarser meshes mostly
+are not in the asymptotic range. Contributions are put together as the root of the sum of their
+squares, if they are independent, and as their sum, if they are not.
+
+Orders of theory: at the tip of a crack displacements are like r^(1/2), so frequencies and work
+converge like h with elements of both orders, on equal cells and on cells graded by a fixed ratio
+alike (Strang and Fix, An Analysis of the Finite Element Method, 1973, chapter 8); at the ends of a
+clamp like h^(3/2) (Williams' equation for a right angle with one side held, nu = 0.3, plane stress:
+1.52). Modes in a plane have w_j^2 proportional to j, and each that is left out contributes
+w^2 / w_j^4, which sums up to N^-1. Where lips hit each other velocities jump: |U_k| falls like k^-2
+and what is left out like H^-1, often faster (H^-3 where only forces have kinks), which is not
+relied on. Samples of a force with kinks err like N^-2.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from mpi4py import MPI
+
+from fenics_crack.balance.contact_integrals import default_samples
+from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.errors import MAX_SAMPLES, ConvergenceError
+from fenics_crack.model.contact import is_unilateral
+from fenics_crack.scene.scene import Scene
+from fenics_crack.stages import within
+from fenics_crack.study.grid_convergence import grid_convergence
+from fenics_crack.study.prepare import REFUSALS, Study, modes_of, prepare, reduction_of
+from fenics_crack.study.run import Run, solve_prepared
+from fenics_crack.study.stated_errors import (
+    carried,
+    finer_mesh,
+    n_elements,
+    numbers_of,
+    resonance_of,
+)
+from fenics_crack.study.verification import CAUSES, Verification
+
+__all__ = ["verify"]
+
+GRADED, GRID, COUNTS = (1.5, 2.0), (2.0, 3.0), (1, 2, 4)
+"""How much finer graded meshes and grids are taken, and numbers of something."""
+EVEN = 1.56
+"""Elements along a lip after a refinement by 1.5, at most, relative to those before: with more, by
+rounding up, the mesh would be of another kind."""
+TIP, CLAMP = 1.0, 1.5
+"""Orders with a crack and without one."""
+OWN = "the scene's own choice"
+
+
+def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
+    """How far a scene's steady vibration and natural frequencies are from converged (collective).
+
+    Mesh, modes, harmonics and samples are made finer, one at a time and twice: a graded mesh by 1.5
+    and 2, a grid by 2 and 3, numbers by 2 and 4. Of the three values of each quantity the observed
+    order p, the extrapolated value f and the uncertainty F abs(f_i - f) follow, with a factor of
+    safety F of 1.25 or 3 (:func:`fenics_crack.grid_convergence`; Roache 1994, Celik and others
+    2008, ASME V&V 20-2009).
+
+    A tolerance of the scene chooses harmonics and modes first. Of a mesh file and of matrices the
+    mesh is left alone, and that is said. Runs that fail, and orbits that are not stable, are named.
+
+    Parameters
+    ----------
+    scene : Scene
+        As it is solved.
+    comm : MPI.Comm
+        Ranks that share each mesh.
+
+    Returns
+    -------
+    Verification
+        Each cause's part of the error of each quantity, and their total.
+
+    Raises
+    ------
+    InputError
+        As :func:`fenics_crack.prepare`.
+    ConvergenceError
+        The scene itself does not converge.
+
+    Examples
+    --------
+    >>> found = fc.verify(scene)
+    >>> percent = found.total("amplitude")
+    """
+    with within(OWN):
+        study = prepare(scene, comm, whole=True)
+        own = solve_prepared(study)
+        if scene.harmonic_balance.tolerance is not None and own.result.converged:
+            own = solve_prepared(_varied(own, _settled(own)), own.result)
+    if not own.result.converged:
+        raise ConvergenceError(f"{OWN}: {own.result.status}")
+    study = replace(study, scene=_settled(own))
+    numbers = numbers_of(own, own.result)
+    first = numbers.values
+    failures: list[str] = []
+    verdicts = _doubtful(OWN, own)
+    parts, counts = {}, {}
+    absent: dict[str, str] = {}
+    unknown: dict[str, str] = {}
+    for cause, ways in WAYS.items():
+        found = ways(study, own)
+        if isinstance(found, str):
+            (unknown if cause == "mesh" else absent)[cause] = found
+            continue
+        levels = [(found.counts[0] or n_elements(own.structure), first)]
+        finest_first = list(zip(found.finer.items(), found.counts[1:], strict=True))[::-1]
+        for (name, finer), count in finest_first:  # few modes are among many
+            run = _finer_run(name, finer, found.shared, own, numbers.mode, failures)
+            if run is not None:
+                values = numbers_of(run, run.result, numbers.mode).values
+                levels.insert(1, (count or n_elements(run.structure), values))
+                verdicts |= _doubtful(name, run)
+        many = tuple(count for count, _ in levels)
+        if len(many) == 1:
+            unknown[cause] = "no finer run has converged"
+        elif len(set(many)) < len(many):
+            unknown[cause] = "finer ones have as many elements, as mesh.size is that of the plate"
+        else:
+            counts[cause] = many
+            parts[cause] = {
+                name: grid_convergence(
+                    [found.size(count) for count in many],
+                    [values.get(name, 0.0) for _, values in levels],  # 0: none there
+                    formal=found.formal,
+                    highest=found.highest,
+                )
+                for name in first
+            }
+    if "mesh" in parts:
+        parts["shift"] = carried(own, own.result, numbers, parts["mesh"])
+        counts["shift"] = counts["mesh"][:: len(counts["mesh"]) - 1]
+    parts = {cause: parts[cause] for cause in CAUSES if cause in parts}
+    settled, units = study.scene, numbers.units
+    return Verification(
+        settled, first, units, parts, counts, absent, unknown, tuple(failures), verdicts
+    )
+
+
+def _varied(study: Study, scene: Scene) -> Study:
+    """Another scene of the same mesh, and with the same reduction where the study is reduced."""
+    return Study(scene, study.structure, study.contact, study.watched)
+
+
+def _settled(run: Run[PeriodicSolution]) -> Scene:
+    """The scene of a run with what was chosen for it; with all modes kept it is not reduced, so
+    that none is left out on a finer mesh."""
+    scene, whole = run.scene, run.structure.whole
+    changes: dict[str, Any] = {}
+    if scene.harmonic_balance.tolerance is not None:
+        changes["harmonic_balance.tolerance"] = None
+        changes["harmonic_balance.harmonics"] = run.result.harmonics
+    table = reduction_of(scene, whole)
+    if table is None or modes_of(scene, table) >= whole.n_dofs:
+        return scene.replace(changes | {"reduction.method": "off", "reduction.modes": None})
+    kept = {"reduction.method": table.method, "reduction.modes": modes_of(scene, table)}
+    return scene.replace(changes | kept)
+
+
+# --- what is made finer ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Ways:
+    """Finer scenes by what each is called, and the orders of theory.
+
+    ``counts`` are the numbers of what is varied, the scene's own first; None of a mesh, whose
+    elements are counted when it is made. ``shared`` is the study of them all but for a mesh,
+    ``area`` that of the mesh [m^2].
+    """
+
+    finer: dict[str, Scene]
+    counts: tuple[int | None, ...]
+    formal: float
+    shared: Study | None = None
+    highest: float = math.inf
+    area: float = 1.0
+
+    def size(self, count: int) -> float:
+        """The side of a square of the mean area of so many elements [m] (Celik and others, equation
+        1), or one over the number of something else."""
+        return 1.0 / count if self.shared is not None else math.sqrt(self.area / count)
+
+
+def _meshes(study: Study, own: Study) -> _Ways | str:
+    scene = study.scene
+    if scene.structure is not None:
+        return "[structure] has matrices, and not the mesh that they are of"
+    lips = scene.mesh.lip_elements or 0
+    even = scene.mesh.layout == "graded" and math.ceil(1.5 * lips) <= EVEN * lips
+    finer = {
+        f"a mesh {factor:g} times finer": finer_mesh(scene, factor)
+        for factor in (GRADED if even else GRID)
+    }
+    scenes = {name: found for name, found in finer.items() if found is not None}
+    if not scenes:
+        return "mesh.file is one mesh; make finer ones and compare them by fc.grid_convergence"
+    formal = TIP if study.structure.n_pairs else CLAMP
+    area = (scene.geometry.width or 1.0) * (scene.geometry.height or 1.0)
+    none = (None,) * (1 + len(scenes))
+    return _Ways(scenes, none, formal, highest=2.0 * scene.mesh.order, area=area)
+
+
+def _modes(study: Study, own: Study) -> _Ways | str:
+    scene, whole = study.scene, study.structure
+    table = reduction_of(scene, whole)
+    if table is None:
+        return "the structure is not reduced"
+    kept, most = modes_of(scene, table), whole.n_dofs - whole.n_pairs
+    if kept >= most:
+        return "all are kept"
+    return _more(study, scene, "reduction.modes", kept, most, 1.0)
+
+
+def _harmonics(study: Study, own: Study) -> _Ways | str:
+    scene, table = study.scene, study.scene.harmonic_balance
+    if study.contact is None:
+        return "without contact there is one"
+    if table.samples is not None:  # enough for all of them
+        least = 4 * COUNTS[-1] * table.harmonics + 1
+        scene = scene.replace({"harmonic_balance.samples": max(table.samples, least)})
+    return _more(own, scene, "harmonic_balance.harmonics", table.harmonics, MAX_SAMPLES, 1.0)
+
+
+def _samples(study: Study, own: Study) -> _Ways | str:
+    law, table = study.contact, study.scene.harmonic_balance
+    if law is None:
+        return "without contact there are none"
+    if table.samples is None and is_unilateral(law):
+        return "contact is integrated exactly"
+    count = table.samples or default_samples(table.harmonics)
+    return _more(own, study.scene, "harmonic_balance.samples", count, MAX_SAMPLES, 2.0)
+
+
+def _more(shared: Study, scene: Scene, key: str, own: int, most: int, formal: float) -> _Ways:
+    """Twice and four times as many of something, at most so many."""
+    counts = tuple(sorted({min(factor * own, most) for factor in COUNTS}))
+    name = key.rpartition(".")[2]
+    finer = {f"{count} {name}": scene.replace({key: count}) for count in counts[1:]}
+    return _Ways(finer, counts, formal, shared)
+
+
+WAYS: dict[str, Callable[[Study, Study], _Ways | str]]
+WAYS = {"mesh": _meshes, "modes": _modes, "harmonics": _harmonics, "samples": _samples}
+"""What is varied, and how."""
+
+
+# --- runs -----------------------------------------------------------------------------------------
+
+
+def _finer_run(
+    name: str,
+    scene: Scene,
+    shared: Study | None,
+    own: Run[PeriodicSolution],
+    mode: int,
+    failures: list[str],
+) -> Run[PeriodicSolution] | None:
+    """The run of a finer scene, from the solution that it shares a structure with; on another mesh
+    as far from the resonance of a mode; None, and its failure, where it does not converge
+    (collective)."""
+    initial, omega = shared.result if isinstance(shared, Run) else None, own.result.omega
+    with within(name):
+        try:
+            if shared is not None:
+                varied = _varied(shared, scene)
+            else:
+                varied = prepare(scene, own.structure.comm)
+                moved = resonance_of(varied.structure, mode) / resonance_of(own.structure, mode)
+                omega *= moved
+            run = solve_prepared(varied, initial, omega)
+            if run.result.converged:
+                return run
+            failures.append(f"{name}: {run.result.status}")
+        except REFUSALS as error:
+            failures.append(f"{name}: {error}")
+    return None
+
+
+def _doubtful(name: str, run: Run[PeriodicSolution]) -> dict[str, str]:
+    """The verdict by the name of a run, where it is not known to be stable."""
+    stability = run.result.stability
+    known = stability is None or stability.verdict == "stable"
+    return {} if known or stability is None else {name: stability.verdict}

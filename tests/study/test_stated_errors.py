@@ -1,0 +1,190 @@
+"""What every command states of its numbers: errors by modes, harmonics and mesh."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from helpers import DEMOS, ROOT
+from mpi4py import MPI
+from surroundings import main
+
+import fenics_crack as fc
+from fenics_crack.files.store import read, write
+from fenics_crack.study.stated_errors import COARSER, ORDER, finer_mesh, numbers_of
+from fenics_crack.study.verification import Verification
+
+COARSE = {
+    "mesh.size": 0.03, "mesh.lip_elements": 3, "reduction.modes": 10, "curve": None, "sweep": None,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def scene() -> fc.Scene:
+    """A plate of some 100 quadratic elements, 4 % below its resonance."""
+    return fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(COARSE)
+
+
+@pytest.fixture(scope="module")
+def run(scene: fc.Scene) -> fc.Run:
+    """Its vibration."""
+    return fc.solve(scene, MPI.COMM_SELF)
+
+
+def changed(scene: fc.Scene, run: fc.Run) -> dict[str, float]:
+    """Relative changes of a run's numbers in another scene."""
+    own = numbers_of(run, run.result)
+    other = fc.solve(scene, MPI.COMM_SELF)
+    values = numbers_of(other, other.result, own.mode).values
+    return {name: abs(values[name] / value - 1.0) for name, value in own.values.items()}
+
+
+@pytest.mark.parametrize("frequency", [800.0, 845.0])
+def test_true_errors_over_stated_ones(scene: fc.Scene, frequency: float) -> None:
+    """On both sides of the resonance, beside a mesh four times finer with twice the modes: at most
+    1.5 times the stated error, of opening and 2/1 3 times, and at least a fifth."""
+    run = fc.solve(scene.replace({"excitation.frequency": frequency}), MPI.COMM_SELF)
+    finer = finer_mesh(run.scene, 4.0)
+    assert finer is not None and run.errors is not None
+    exact = {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 40}
+    true = changed(finer.replace(exact | {"reduction.modes": 20}), run)
+    names = {"amplitude": 1.5, "frequency_open_1": 1.5, "frequency_bilinear_1": 1.5}
+    for name, most in (names | {"opening": 3.0, "ratio_2_1": 3.0}).items():
+        error, cause = run.errors.stated(name)
+        assert 0.2 < true[name] / error < most, name
+        assert cause == "mesh"
+
+
+def test_parts_are_what_their_runs_say(scene: fc.Scene, run: fc.Run) -> None:
+    """Each is that of a run made by hand."""
+    found = run.errors
+    assert found is not None and not found.unknown
+    natural = [fc.bilinear_frequencies(run.structure).omega_bilinear[0]]
+    twin_scene = run.scene.replace({"mesh.size": 0.03 * COARSER, "mesh.lip_elements": 2})
+    twin = fc.prepare(twin_scene, MPI.COMM_SELF)
+    natural.append(fc.bilinear_frequencies(twin.structure).omega_bilinear[0])
+    many, few = found.counts["mesh"]
+    meshes = [plate.structure.whole.nodes.cells for plate in (run, twin)]
+    assert [many, few] == [*map(len, meshes)] and many > few
+    over = (many / few) ** (ORDER / 2.0) - 1.0
+    resonance = found.values[found.resonance]
+    frequency = found.contributions("frequency_bilinear_1")["mesh"] / resonance
+    assert frequency == pytest.approx(abs(natural[1] / natural[0] - 1.0) / over, rel=1e-9)
+
+    def opening(structure: fc.Structure, omega: float, **how: Any) -> float:
+        law = fc.contact_law(run.scene.contact, structure)
+        harmonics = {"harmonics": run.result.harmonics} | how
+        solution = fc.solve_harmonic_balance(structure, omega, law, **harmonics)
+        return float(solution.indicators(0).opening)
+
+    omega = run.result.omega
+    own, parts = opening(run.structure, omega), found.contributions("opening")
+    there = opening(twin.structure, omega * natural[1] / natural[0])
+    assert parts["mesh"] == pytest.approx(abs(there - own) / over, rel=1e-6)
+    shifted = [opening(run.structure, omega * (1.0 + k * frequency)) for k in (0.5, 1.0)]
+    most = max(abs(one - own) for one in shifted)
+    assert parts["shift"] == pytest.approx(most, rel=3.0 * frequency)
+    more = opening(run.structure, omega, harmonics=2 * run.result.harmonics)
+    assert parts["harmonics"] == pytest.approx(2.0 * abs(more - own), rel=1e-6)
+    modes = opening(run.structure.reference, omega)
+    assert parts["modes"] == pytest.approx(2.0 * abs(modes - own), rel=1e-5)
+    stated, cause = found.stated("opening")
+    assert stated == pytest.approx(sum(parts.values()) / found.values["opening"])
+    rows = found.to_dict()
+    row = list(zip(rows["quantity"], rows["cause"], strict=True)).index(("opening", "mesh"))
+    assert (rows["value_1"][row], rows["value_2"][row]) == pytest.approx((own, there), rel=1e-6)
+    assert rows["count_1"][row] == many and cause == "mesh"
+
+
+def test_without_the_mesh(scene: fc.Scene) -> None:
+    """Where it is not asked for, or there is one mesh, that is said."""
+    off = fc.solve(scene.replace({"mesh.error": False}), MPI.COMM_SELF).errors
+    assert off is not None and off.unknown == {"mesh": "mesh.error = false"}
+    assert off.without == "without the mesh" and 0.0 < off.stated("amplitude")[0] < 1e-2
+    for demo in ("chain", "inclined_crack", "paper_plate"):
+        few = {"harmonic_balance.harmonics": 3, "curve": None}
+        run = fc.solve(fc.Scene.load(DEMOS / f"{demo}.toml").replace(few), MPI.COMM_SELF)
+        assert run.errors is not None and run.errors.without == "without the mesh"
+    whole = fc.solve(scene.replace({"crack": None, "contact": None}), MPI.COMM_SELF).errors
+    assert whole is not None and not whole.unknown and whole.absent.keys() == {"harmonics"}
+    assert set(whole.values) == {"amplitude", *(f"frequency_open_{n}" for n in (1, 2, 3))}
+    assert fc.integrate(scene.replace({"integration.periods": 2}), MPI.COMM_SELF).errors is None
+
+
+def test_of_modes_and_of_a_curve(scene: fc.Scene, run: fc.Run) -> None:
+    """Natural frequencies by the mesh alone; of a curve the largest response, whose frequency
+    moves with the resonance."""
+    modes = fc.modes(scene, 3, MPI.COMM_SELF)
+    assert modes.errors is not None and run.errors is not None and modes.errors.causes == ("mesh",)
+    name = "frequency_open_1"
+    assert modes.errors.stated(name)[0] == pytest.approx(run.errors.stated(name)[0], rel=1e-6)
+    range_ = {"curve.start": 820.0, "curve.stop": 845.0, "curve.parameter": "frequency"}
+    curve = fc.curve(scene.replace(range_ | {"curve.stability": False}), MPI.COMM_SELF)
+    assert curve.errors is not None and "shift" not in curve.errors.parts
+    largest = curve.result.amplitude(curve.watched_dof).max()
+    assert curve.errors.values["amplitude"] == pytest.approx(largest, rel=1e-4)
+    assert curve.errors.stated("amplitude")[0] < run.errors.stated("amplitude")[0]
+
+
+def test_words_and_files(
+    scene: fc.Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The table, the file and the report have them; a file read again states the same."""
+    path = tmp_path / "plate.toml"
+    path.write_text(scene.as_toml())
+    where = ["--output", str(tmp_path)]
+    assert main(["solve", str(path), *where]) == 0
+    captured = capsys.readouterr()
+    assert "error [%]" in captured.out and "most by" in captured.out
+    assert "solved; the half peak-to-peak displacement is known to" in captured.err
+    rows = {row["name"]: row for row in json.loads((tmp_path / "solution.json").read_text())}
+    assert 1.0 < rows["amplitude"]["error [%]"] < 20.0 and rows["amplitude"]["most by"] == "mesh"
+    assert rows["over_bilinear"]["error [%]"] < 1.0 and rows["verdict"]["error [%]"] is None
+    again = fc.load_run(tmp_path / "solution.h5", MPI.COMM_SELF)
+    assert again.stated is not None and again.errors is again.stated
+    assert 100.0 * again.stated.stated("opening")[0] == pytest.approx(
+        rows["opening"]["error [%]"], rel=1e-2
+    )
+    assert main(["modes", str(path), *where]) == main(["check", str(path)]) == 0
+    printed = capsys.readouterr().out
+    assert "error [%]" in printed and "known to, by the mesh" in printed
+    files = [str(tmp_path / f"{name}.h5") for name in ("solution", "modes")]
+    assert main(["report", *files, *where[:1], str(tmp_path / "page.html"), "--quiet"]) == 0
+    assert "most of it by the mesh" in (tmp_path / "page.html").read_text()
+    assert main(["solve", str(path), *where, "--set", "mesh.error=false"]) == 0
+    assert "without the mesh" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda kept: kept.pop("values"),
+        lambda kept: kept["counts"].pop("mesh"),
+        lambda kept: kept["counts"].update(mesh=[1]),
+        lambda kept: kept["parts"]["mesh"].pop("opening"),
+        lambda kept: kept["parts"]["mesh"]["opening"].update(order="large"),
+        lambda kept: kept["units"].pop("opening"),
+        lambda kept: kept.update(values=7),
+    ],
+)
+def test_strange_files(run: fc.Run, tmp_path: Path, change: Callable[[Any], object]) -> None:
+    """What does not fit is refused."""
+    assert run.errors is not None
+    kept = json.loads(run.errors.text())
+    whole = replace(run.errors, parts=run.errors.parts)
+    path = tmp_path / "verify.h5"
+    whole.save(path)
+    found = Verification.of(read(path))
+    assert found is not None and found.to_dict().keys() == whole.to_dict().keys()
+    np.testing.assert_equal(found.totals().rows, whole.totals().rows)
+    change(kept)
+    write({"verification": json.dumps(kept)}, path, Verification.KIND, run.scene)
+    with h5py.File(path) as file, pytest.raises(fc.InputError, match="verification written by"):
+        assert file.attrs["kind"] == Verification.KIND
+        Verification.of(read(path))
