@@ -76,6 +76,32 @@ def test_is_not_called_stable(number: int) -> None:
     assert campaign.judge(case, found, "solution", verdict).judgement != campaign.WRONG
 
 
+CURVES = {
+    736: "two masses: at a fold the orbits of both sides are as near as the wave's own error",
+    742: "18 rigid pairs, 0.16 %: three pairs of multipliers leave the circle between two nodes",
+}
+
+
+@pytest.mark.parametrize("number", CURVES)
+def test_points_of_a_curve_have_the_verdict_of_their_own_orbits(number: int) -> None:
+    """Which each of them has by itself, and the reference confirms for each third."""
+    case = campaign.draw(74, number, None, campaign.family_of(74, number))
+    curve = campaign.followed(case, 0.1 if case.family == "few" else 0.03)
+    alone = [fc.floquet(case.structure, one).verdict for one in curve.solutions]
+    both = [
+        place
+        for place, verdicts in enumerate(zip(curve.verdicts, alone, strict=True))
+        if "undecided" not in verdicts
+    ]
+    assert {curve.verdicts[place] for place in both} == {"stable", "unstable"}
+    assert len(both) > 0.8 * len(curve)
+    for place in both:
+        assert curve.verdicts[place] == alone[place], place
+    for place in both[::3]:
+        row = campaign.judge(case, curve.solution(place), "point", str(curve.verdicts[place]))
+        assert row.judgement != campaign.WRONG, row
+
+
 def test_backbone_is_held_against_free_motions_of_any_period() -> None:
     """Without clearance all amplitudes have one frequency; with few harmonics a slightly other one,
     at which there is no free motion."""

@@ -158,8 +158,8 @@ class _Judge:
     def points(self) -> np.ndarray:
         """Leading multiplier of each point; nan where no orbit is its own. Where orbits at its
         value of the parameter lie on both sides of a fold it is that of the nearest one; where
-        none is found between nodes that is near enough, or none that tells, it is that of the orbit
-        next to it."""
+        several are as near, none is near enough, or none tells, it is that of the orbit next to
+        it."""
         found = np.full(len(self._curve), np.nan + 0j)
         accepted, expected = self._accepted()
         parts: dict[int, list[tuple[_Part, complex]]] = {}
@@ -175,16 +175,25 @@ class _Judge:
             for place, share, value in zip(near + there, shares[there], values, strict=True):
                 parts.setdefault(int(place), []).append(((*ends, share), value))
         for place, several in parts.items():
-            part, value = several[0]
-            if any(other != value for _, other in several[1:]):
-                part, value = min(several, key=lambda one: self._apart(place, one[0]))
-            far = min(expected[place], FARTHEST)
-            inside = part[0].place <= place <= part[1].place and expected[place] == far
-            if inside or self._apart(place, part) <= far:
-                found[place] = value
+            found[place] = self._of_nearest(place, several, expected[place])
         for place in map(int, np.flatnonzero(accepted & np.isnan(found))):
             found[place] = self._alone(place)
         return found
+
+    def _of_nearest(
+        self, place: int, several: list[tuple[_Part, complex]], expected: float
+    ) -> complex:
+        """Of the part nearest to a point, if it is near enough, and none on the other side of 1 is
+        as near; else nan."""
+        apart = [self._apart(place, part) for part, _ in several] if len(several) > 1 else [0.0]
+        number = int(np.argmin(apart))
+        near = np.flatnonzero(np.array(apart) <= BELIEVED * apart[number])
+        if len({abs(several[other][1]) > 1.0 for other in near}) > 1:
+            return complex(np.nan)
+        part, value = several[number]
+        inside = part[0].place <= place <= part[1].place and expected <= FARTHEST
+        near_enough = inside or self._apart(place, part) <= min(expected, FARTHEST)
+        return value if near_enough else complex(np.nan)
 
     def _alone(self, place: int) -> complex:
         """Leading multiplier of the orbit next to a point at its value of the parameter; nan where
@@ -215,8 +224,10 @@ class _Judge:
 
 def _between(first: Node, last: Node, shares: np.ndarray) -> np.ndarray:
     """Leading multipliers at parts of a segment, (n,) complex, on the side of 1 of its ends that
-    are no bifurcations; nan where these differ, or do not tell it from 1."""
-    sides = [one for one in (first, last) if one.crossing is None]
+    are no bifurcations; nan where these differ, or do not tell it from 1, or where one that is a
+    bifurcation is not located."""
+    lost = [one for one in (first, last) if one.crossing and not one.crossing.located]
+    sides = [] if lost else [one for one in (first, last) if one.crossing is None]
     largest = [float(one.moduli[0]) for one in sides]
     if len({size > 1.0 for size in largest}) != 1 or min(abs(s - 1.0) for s in largest) <= KNOWN:
         return np.full(len(shares), np.nan + 0j)

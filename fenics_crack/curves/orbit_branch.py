@@ -14,7 +14,7 @@ A segment between two nodes is halved, by the orbit next to Hermite's cubic thro
   those of pairs whose sums and products are (where a pair becomes real, moduli have a corner, but
   its sum and its product are smooth): the longer of the two segments;
 - where moduli that went on as they came would pass 1 before its middle;
-- where several of r, d and c change, until each changes by itself.
+- where several of r, d and c change, or one by more than 1, until each changes by itself.
 
 Then a fold (or a branch point) lies on a segment where r changes, a period doubling where d does, a
 Neimark-Sacker point where c does. It is found by Brent's method on
@@ -211,7 +211,7 @@ class OrbitBranch:
             doubt[1:] |= bent & (wide[1:] >= wide[:-1])
             doubt[1:] |= _pass_one(moduli, lengths)
             doubt[:-1] |= _pass_one(moduli[::-1], lengths[::-1])[::-1]
-        several = ~linked | (_changes(nodes).sum(axis=1) > 1)
+        several = ~linked | (_steps(nodes).sum(axis=1) > 1)
         return (wide > EVERY) | (doubt & (wide > NARROWEST)) | (several & (wide > ALONE))
 
     @property
@@ -284,13 +284,14 @@ class OrbitBranch:
 
     def between(self, first: Node, last: Node, share: float) -> Node | None:
         """A node at a part of the segment between two others; None where none is found."""
-        found = self._across(first, last, share, {}, TOLERANCE)
-        return None if found is None else self._inside(first, last, share, found)
+        found = self.across(first, last, share, {}, TOLERANCE)
+        return None if found is None else self.inside(first, last, share, found)
 
-    def _inside(self, first: Node, last: Node, share: float, found: PathPoint) -> Node:
+    def inside(self, first: Node, last: Node, share: float, found: PathPoint) -> Node:
+        """The node of an orbit at a part of the segment between two others."""
         return self._node(first.place + share * (last.place - first.place), found, found.tangent)
 
-    def _across(
+    def across(
         self, first: Node, last: Node, share: float, met: dict[float, PathPoint], tolerance: float
     ) -> PathPoint | None:
         """The orbit next to the cubic through two nodes, bent through those that have been met on
@@ -356,11 +357,11 @@ class OrbitBranch:
         values = _multipliers(found.at.monodromy)
         leading = values[:LEADING]
         return Node(
-            place, found.unknown, found.parameter, self._tangent(found, ahead), leading,
+            place, found.unknown, found.parameter, self.tangent(found, ahead), leading,
             _outside(values), _paired(leading), away,
         )  # fmt: skip
 
-    def _tangent(self, found: PathPoint, ahead: Tangent | None) -> Tangent:
+    def tangent(self, found: PathPoint, ahead: Tangent | None) -> Tangent:
         """Of the branch, towards where a direction leads."""
         assert found.at is not None
         tangent = tangent_of(self.system, found.unknown, found.at)
@@ -377,52 +378,76 @@ class OrbitBranch:
             found.append(first)
             if last.place - first.place <= EVERY:
                 kinds = [kind for kind, change in zip(KINDS, changes, strict=True) if change]
-                there = [self._located(kind, first, last) for kind in kinds]
+                there = [_Test(self, kind, first, last).located() for kind in kinds]
                 found += sorted(there, key=lambda one: one.place)
         self.nodes = [*found, *self.nodes[-1:]]
         return [one.crossing for one in self.nodes if one.crossing is not None]
 
-    def _located(self, kind: str, first: Node, last: Node) -> Node:
-        """Where a test function vanishes on a segment; not located: where it was smallest, as an
-        orbit is missed, or it has one sign, or jumps past zero."""
-        pairs = max(first.outside[2], last.outside[2])
-        met: dict[float, PathPoint] = {}
-        tests: dict[float, float] = {}
 
-        def test(node: Node) -> float:
-            if kind == KINDS[0]:
-                return node.tangent.p
-            if kind == KINDS[1]:
-                return float(np.prod(1.0 + node.pairs.sum(axis=1)))
-            sizes = np.abs(node.leading[node.leading.imag > 0.0])
-            return float(sizes[pairs - 1]) - 1.0 if len(sizes) >= pairs else -1.0
+class _Test:
+    """A function of the orbits on a segment of a branch that vanishes at a bifurcation.
 
-        ends = test(first), test(last)
-        largest = max(map(abs, ends))
+    Attributes
+    ----------
+    met : dict
+        Orbits by their parts of the segment.
+    values : dict
+        Of the function there.
+    """
 
-        def value(share: float) -> float:
-            if share in (0.0, 1.0):
-                return ends[int(share)]
-            if share not in met:
-                found = self._across(first, last, share, met, SHARP)
-                if found is None:
-                    raise ConvergenceError("no orbit")
-                met[share] = found
-                if kind == KINDS[0]:  # its multipliers are no matter
-                    tests[share] = self._tangent(found, found.tangent).p
-                else:
-                    tests[share] = test(self._inside(first, last, share, found))
-            return tests[share] if abs(tests[share]) > TOLERANCE * largest else 0.0
+    def __init__(self, branch: OrbitBranch, kind: str, first: Node, last: Node) -> None:
+        self._branch, self._kind, self._ends = branch, kind, (first, last)
+        self._pairs = max(first.outside[2], last.outside[2])
+        self.met: dict[float, PathPoint] = {}
+        self.values: dict[float, float] = {}
+        self._at_ends = self._of(first), self._of(last)
+        self.largest = max(map(abs, self._at_ends))
 
+    def _of(self, node: Node) -> float:
+        if self._kind == KINDS[0]:
+            return node.tangent.p
+        if self._kind == KINDS[1]:
+            return float(np.prod(1.0 + node.pairs.sum(axis=1)))
+        sizes = np.abs(node.leading[node.leading.imag > 0.0])
+        return float(sizes[self._pairs - 1]) - 1.0 if len(sizes) >= self._pairs else -1.0
+
+    def __call__(self, share: float) -> float:
+        """Its value at a part of the segment, 0 where it is small enough.
+
+        Raises
+        ------
+        ConvergenceError
+            No orbit is found there.
+        """
+        if share in (0.0, 1.0):
+            return self._at_ends[int(share)]
+        if share not in self.met:
+            found = self._branch.across(*self._ends, share, self.met, SHARP)
+            if found is None:
+                raise ConvergenceError("no orbit")
+            self.met[share] = found
+            if self._kind == KINDS[0]:  # the multipliers are no matter
+                self.values[share] = self._branch.tangent(found, found.tangent).p
+            else:
+                self.values[share] = self._of(self._branch.inside(*self._ends, share, found))
+        value = self.values[share]
+        return value if abs(value) > TOLERANCE * self.largest else 0.0
+
+    def located(self) -> Node:
+        """Where it vanishes; not located: where it was smallest, as an orbit is missed, or it has
+        one sign, or jumps past zero."""
         try:
-            scipy.optimize.brentq(value, 0.0, 1.0, xtol=TOLERANCE)
+            scipy.optimize.brentq(self, 0.0, 1.0, xtol=TOLERANCE)
             searched = True
         except (ConvergenceError, ValueError):
             searched = False
-        share = min(tests, key=lambda share: abs(tests[share]), default=0.0)
-        one = self._inside(first, last, share, met[share]) if tests else first
-        located = searched and bool(tests) and abs(tests[share]) <= SMOOTH * largest
-        return replace(one, crossing=Crossing(kind, one.parameter, one.place, located))
+        one, located = self._ends[0], False
+        if self.values:
+            share = min(self.values, key=lambda share: abs(self.values[share]))
+            one = self._branch.inside(*self._ends, share, self.met[share])
+            located = searched and abs(self.values[share]) <= SMOOTH * self.largest
+        crossing = Crossing(self._kind, one.parameter, one.place, located)
+        return replace(one, crossing=crossing)
 
 
 def _direction(change: np.ndarray, rise: float, at: np.ndarray) -> Tangent | None:
@@ -571,12 +596,17 @@ def _pass_one(moduli: np.ndarray, lengths: np.ndarray) -> np.ndarray:
     return np.asarray(np.any((here * ahead > 0.0) & (here * beyond < 0.0), axis=1))
 
 
+def _steps(nodes: list[Node]) -> np.ndarray:
+    """By how much r, d and c change between each node and the next: (n - 1, 3); zero where nothing
+    but two real multipliers meet, or part."""
+    changes = np.diff(np.array([one.outside for one in nodes], dtype=int).reshape(-1, 3), axis=0)
+    meet = ~np.any(changes[:, :2] % 2, axis=1) & (changes @ (1, 1, 2) == 0)
+    return np.abs(changes) * ~meet[:, None]
+
+
 def _changes(nodes: list[Node]) -> np.ndarray:
     """Whether a bifurcation of each kind is between each node and the next: (n - 1, 3) bool."""
-    changes = np.diff(np.array([one.outside for one in nodes], dtype=int).reshape(-1, 3), axis=0)
-    odd = changes % 2 == 1
-    meet = ~odd[:, 0] & ~odd[:, 1] & (changes @ (1, 1, 2) == 0)
-    return np.asarray(odd & ~meet[:, None])
+    return np.asarray(_steps(nodes) % 2 == 1)
 
 
 def _outside(values: np.ndarray) -> tuple[int, int, int]:
