@@ -63,7 +63,7 @@ from fenics_crack.files import store
 
 SECONDS, BYTES = 60.0, 2 * 2**30
 WRONG = ("RAW", "DEATH", "TOO LONG", "TOO LARGE")
-CODES = {0: "done", 2: "refused", 3: "not converged"}
+CODES = {0: "done", 2: "refused", 3: "not converged", 4: "above the tolerance"}
 COLUMNS = ("part", "case", "what", "outcome", "seconds", "MiB", "message")
 SHOWN = 300
 """Characters of a message that are written."""
