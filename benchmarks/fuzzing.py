@@ -449,7 +449,7 @@ def make_base(folder: Path) -> None:
             code, errors = call(
                 [command, str(folder / f"{name}.toml"), "--output", str(folder / name)]
             )
-            if code not in (0, 3):
+            if code not in (0, 3, 4):
                 raise RuntimeError(errors)
     scene = fc.Scene.load(folder / "plate.toml")
     solution = folder / "plate" / "solution.h5"

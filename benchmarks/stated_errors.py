@@ -34,7 +34,8 @@ import common
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.study.stated_errors import finer_mesh, numbers_of
+from fenics_crack.study.coarser_mesh import finer_mesh
+from fenics_crack.study.stated_errors import numbers_of
 from fenics_crack.study.verification import MESH
 
 Numbers = dict[str, float]

@@ -31,8 +31,8 @@ from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Identify, Sweep
 from fenics_crack.stages import begin
+from fenics_crack.study.coarser_mesh import finer_mesh
 from fenics_crack.study.remarks import is_proportional
-from fenics_crack.study.stated_errors import finer_mesh
 from fenics_crack.sweep.result import SweepResult, run_sweep
 
 __all__ = ["Forward", "identify", "infer", "remarks_on", "solve_forward"]

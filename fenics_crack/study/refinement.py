@@ -30,16 +30,11 @@ from fenics_crack.errors import MAX_SAMPLES, ConvergenceError
 from fenics_crack.model.contact import is_unilateral
 from fenics_crack.scene.scene import Scene
 from fenics_crack.stages import within
+from fenics_crack.study.coarser_mesh import finer_mesh, n_elements
 from fenics_crack.study.grid_convergence import grid_convergence
 from fenics_crack.study.prepare import REFUSALS, Study, modes_of, prepare, reduction_of
 from fenics_crack.study.run import Run, solve_prepared
-from fenics_crack.study.stated_errors import (
-    carried,
-    finer_mesh,
-    n_elements,
-    numbers_of,
-    resonance_of,
-)
+from fenics_crack.study.stated_errors import carried, numbers_of, resonance_of
 from fenics_crack.study.verification import CAUSES, Verification
 
 __all__ = ["verify"]

@@ -4,19 +4,14 @@ Twice the modes and twice the harmonics are solved from the answer itself, and
 
     e = |f - f_2| / (1 - 2^-1),
 
-as both converge like N^-1 (:mod:`refinement`). The mesh is made coarser, to elements r = 1.5 times
-as long or what comes near it, and
+as both converge like N^-1 (:mod:`refinement`). The mesh is made coarser (:mod:`coarser_mesh`).
 
-    e = |f - f_r| / (r^p - 1),    p = 1.5:
-
-between the order 1 of the tip of a crack and those that coarse meshes show before it comes out.
-
-A mesh moves the resonances before all else. Next to one a small shift changes an answer by much,
-on one side up and on the other down, so that differences may vanish by chance. The coarse mesh is
+A mesh moves the resonances before all else. Next to one a small shift changes an answer by much, on
+one side up and on the other down, so that differences may vanish by chance. The coarse mesh is
 therefore solved at w w_r / w_b, as far from its resonance w_r as the answer is from its own, w_b;
-and what the shift changes is the answer at w w_b / w_e, w_e being the extrapolated resonance. The
-mesh's part is the sum of both. All are errors that are expected, not bounds: ten scenes beside a
-mesh four times finer are in docs/error_report.md.
+and what the shift changes is the most by which the answer does up to the frequency w w_b / w_e, w_e
+being the extrapolated resonance. The mesh's part is the sum of both. All are errors that are
+expected, not bounds: ten scenes beside a mesh four times finer are in docs/error_report.md.
 """
 
 from __future__ import annotations
@@ -24,7 +19,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -33,39 +27,30 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.balance.solver import Solver
 from fenics_crack.curves.curve import ResponseCurve
-from fenics_crack.model.bilinear import bilinear_frequencies, tied_frequencies
+from fenics_crack.model.bilinear import bilinear_frequencies
 from fenics_crack.model.modal import is_small
-from fenics_crack.model.modes import Modes, solve_modes
+from fenics_crack.model.modes import Modes
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.quantities import OF_LIPS, OF_POINTS, QUANTITIES
-from fenics_crack.scene.scene import Scene
-from fenics_crack.stages import within
-from fenics_crack.study.grid_convergence import GridConvergence, grid_convergence
-from fenics_crack.study.prepare import REFUSALS, Study, modes_of, prepare
+from fenics_crack.study.coarser_mesh import (
+    KINDS,
+    coarser,
+    errors_of_natural,
+    expected,
+    natural_name,
+)
+from fenics_crack.study.grid_convergence import GridConvergence
+from fenics_crack.study.prepare import REFUSALS, Study, modes_of
 from fenics_crack.study.verification import Verification
 from fenics_crack.table import frequency_axis
 
-__all__ = [
-    "KINDS",
-    "Numbers",
-    "carried",
-    "errors_of",
-    "errors_of_natural",
-    "finer_mesh",
-    "n_elements",
-    "natural_name",
-    "numbers_of",
-    "resonance_of",
-    "stated_errors",
-]  # fmt: skip
+__all__ = ["Numbers", "carried", "errors_of", "numbers_of", "resonance_of", "stated_errors"]
 
-COARSER, ORDER = 1.5, 1.6
-"""How much longer elements are made, and p."""
 ANSWER = ("amplitude", "ratio_2_1", "ratio_3_1", "mean_shift", "opening", "closed_share")
 """Quantities that are looked at where the scene does not choose."""
-LOWEST, KINDS = (1, 2, 3), ("open", "tied", "bilinear")
-"""Modes whose natural frequencies with lips open are looked at, and kinds of these."""
+LOWEST = (1, 2, 3)
+"""Modes whose natural frequencies with lips open are looked at."""
 TINY = 1e-9
 """A ratio that is none."""
 STEPS = 2
@@ -124,11 +109,6 @@ def numbers_of(study: Study, found: PeriodicSolution, mode: int | None = None) -
     return Numbers(values, units, resonance, mode)
 
 
-def natural_name(scene: Scene, kind: str, mode: int) -> str:
-    """The name of a natural frequency: "frequency_open_1"."""
-    return f"{'frequency' if scene.in_hertz else 'omega'}_{kind}_{mode}"
-
-
 # --- one other run for each cause -----------------------------------------------------------------
 
 
@@ -166,7 +146,7 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
             counts, values = varied
             stated.counts[cause], stated.parts[cause] = (
                 counts,
-                _expected(cause, counts, own.values, values),
+                expected(cause, counts, own.values, values),
             )
             if cause == "mesh" and not of_peak:
                 stated.counts["shift"] = counts
@@ -187,39 +167,6 @@ def errors_of(study: Study, result: object) -> Verification | None:
     if isinstance(result, PeriodicSolution) and result.converged:
         return stated_errors(study, result)
     return None
-
-
-def errors_of_natural(study: Study, natural: Mapping[str, np.ndarray]) -> Verification:
-    """The errors by the mesh of natural frequencies [rad/s] of a whole structure, with lips "open"
-    and "tied" (collective)."""
-    scene, stated = study.scene, Verification(study.scene, {}, {}, {}, {}, {}, {}, (), {})
-    factor, _, unit = frequency_axis(scene.in_hertz)
-
-    def named(kinds: Mapping[str, np.ndarray]) -> dict[str, float]:
-        return {
-            natural_name(scene, kind, number): factor * float(omega)
-            for kind, values in kinds.items()
-            for number, omega in enumerate(values, 1)
-            if 0.0 < omega < np.inf
-        }
-
-    stated.values.update(named(natural))
-    stated.units.update(dict.fromkeys(stated.values, unit))
-    try:
-        coarse = _coarser(study)
-        if isinstance(coarse, str):
-            stated.unknown["mesh"] = coarse
-            return stated
-        twin, counts = coarse
-        count = max(map(len, natural.values()))
-        both = {"open": solve_modes(twin.structure, count).omega}
-        if "tied" in natural:
-            both["tied"] = tied_frequencies(twin.structure, count)
-        stated.counts["mesh"] = counts
-        stated.parts["mesh"] = _expected("mesh", counts, stated.values, named(both))
-    except REFUSALS as error:
-        stated.unknown["mesh"] = str(error)
-    return stated
 
 
 Varied = tuple[tuple[int, int], Mapping[str, float]] | str
@@ -247,7 +194,7 @@ def _more_harmonics(study: Study, near: PeriodicSolution, own: Numbers) -> Varie
 
 
 def _coarser_mesh(study: Study, near: PeriodicSolution, own: Numbers) -> Varied:
-    coarse = _coarser(study)
+    coarse = coarser(study)
     if isinstance(coarse, str):
         return coarse
     twin, counts = coarse
@@ -258,38 +205,6 @@ def _coarser_mesh(study: Study, near: PeriodicSolution, own: Numbers) -> Varied:
 
 VARIED = {"modes": _more_modes, "harmonics": _more_harmonics, "mesh": _coarser_mesh}
 """What is varied, and by whom."""
-
-
-def _coarser(study: Study) -> tuple[Study, tuple[int, int]] | str:
-    """The twin on a coarser mesh, reduced where the study is, and the elements of both; or why
-    there is none (collective)."""
-    scene, structure = study.scene, study.structure
-    if scene.structure is not None or scene.mesh.layout == "file":
-        return "there is one mesh"
-    if not scene.mesh.error:
-        return "mesh.error = false"
-    coarse = finer_mesh(scene, 1.0 / COARSER)
-    if coarse is None:
-        return "a grid of half as many columns and rows has no lines along the crack"
-    with within("a coarser mesh"):
-        twin = prepare(coarse, structure.comm, whole=structure.whole is structure)
-    counts = n_elements(structure), n_elements(twin.structure)
-    return (twin, counts) if counts[1] < counts[0] else "a coarser one has as many elements"
-
-
-def _expected(
-    cause: str, counts: tuple[int, int], own: Mapping[str, float], other: Mapping[str, float]
-) -> dict[str, GridConvergence]:
-    """The part of a cause, without a factor of safety."""
-    mesh = cause == "mesh"
-    sizes = [count ** (-0.5 if mesh else -1.0) for count in counts]
-    formal = ORDER if mesh else 1.0
-    return {
-        name: replace(
-            grid_convergence(sizes, [value, other.get(name, 0.0)], formal=formal), factor=1.0
-        )
-        for name, value in own.items()
-    }
 
 
 def carried(
@@ -332,39 +247,6 @@ def _solved(
         return solve_linear(study.structure, omega, harmonics=harmonics)
     problem = Problem(study.structure, omega, study.contact, harmonics)
     return Solver(problem).solve(initial, reported=False)
-
-
-# --- meshes ---------------------------------------------------------------------------------------
-
-
-def finer_mesh(scene: Scene, factor: float) -> Scene | None:
-    """A scene whose elements are ``factor`` times as short; None where the scene makes no such
-    mesh.
-
-    Elements along lips are counted up to the next whole number. A grid becomes finer by the next
-    whole factor, so that cracks stay on its lines; or coarser by 2, where that is possible.
-    """
-    mesh = scene.mesh
-    if mesh is None or mesh.layout == "file":
-        return None
-    changes: dict[str, Any] = {}
-    if mesh.size is not None:
-        changes["mesh.size"] = mesh.size / factor
-    if mesh.lip_elements is not None:
-        changes["mesh.lip_elements"] = math.ceil(factor * mesh.lip_elements)
-    for key in ("columns", "rows"):
-        count = getattr(mesh, key)
-        if count is not None:
-            changes[f"mesh.{key}"] = math.ceil(factor) * count if factor > 1.0 else count // 2
-            if factor < 1.0 and count % 2:
-                return None
-    return scene.replace(changes)
-
-
-def n_elements(structure: Structure) -> int:
-    """How many there are; of matrices one (collective)."""
-    whole = structure.whole
-    return max(1, 0 if whole.nodes is None else whole.comm.allreduce(len(whole.nodes.cells)))
 
 
 def resonance_of(structure: Structure, mode: int) -> float:

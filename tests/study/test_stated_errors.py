@@ -17,7 +17,8 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack.files.store import read, write
-from fenics_crack.study.stated_errors import COARSER, ORDER, finer_mesh, numbers_of
+from fenics_crack.study.coarser_mesh import COARSER, ORDER, finer_mesh
+from fenics_crack.study.stated_errors import numbers_of
 from fenics_crack.study.verification import Verification
 
 COARSE = {

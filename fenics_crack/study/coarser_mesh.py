@@ -1,0 +1,137 @@
+"""What the mesh contributes to an error, by a coarser one: elements r = 1.5 times as long, or what
+comes near it, and
+
+    e = |f - f_r| / (r^p - 1),    p = 1.6.
+
+The exponent lies between the orders that the first frequency of a plate with a crack shows from
+half as fine to twice as fine, 2.4, and from there on, 1.1, near that of the tip, 1.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from fenics_crack.model.bilinear import tied_frequencies
+from fenics_crack.model.modes import solve_modes
+from fenics_crack.model.structure import Structure
+from fenics_crack.scene.scene import Scene
+from fenics_crack.stages import within
+from fenics_crack.study.grid_convergence import GridConvergence, grid_convergence
+from fenics_crack.study.prepare import REFUSALS, Study, prepare
+from fenics_crack.study.verification import Verification
+from fenics_crack.table import frequency_axis
+
+__all__ = [
+    "COARSER", "KINDS", "ORDER", "coarser", "errors_of_natural", "expected", "finer_mesh",
+    "n_elements", "natural_name",
+]  # fmt: skip
+
+COARSER, ORDER = 1.5, 1.6
+"""How much longer elements are made, and p."""
+KINDS = ("open", "tied", "bilinear")
+"""Of natural frequencies."""
+
+
+def natural_name(scene: Scene, kind: str, mode: int) -> str:
+    """The name of a natural frequency: "frequency_open_1"."""
+    return f"{'frequency' if scene.in_hertz else 'omega'}_{kind}_{mode}"
+
+
+def errors_of_natural(study: Study, natural: Mapping[str, np.ndarray]) -> Verification:
+    """The errors by the mesh of natural frequencies [rad/s] of a whole structure, with lips "open"
+    and "tied" (collective)."""
+    scene, stated = study.scene, Verification(study.scene, {}, {}, {}, {}, {}, {}, (), {})
+    factor, _, unit = frequency_axis(scene.in_hertz)
+
+    def named(kinds: Mapping[str, np.ndarray]) -> dict[str, float]:
+        return {
+            natural_name(scene, kind, number): factor * float(omega)
+            for kind, values in kinds.items()
+            for number, omega in enumerate(values, 1)
+            if 0.0 < omega < np.inf
+        }
+
+    stated.values.update(named(natural))
+    stated.units.update(dict.fromkeys(stated.values, unit))
+    try:
+        coarse = coarser(study)
+        if isinstance(coarse, str):
+            stated.unknown["mesh"] = coarse
+            return stated
+        twin, counts = coarse
+        count = max(map(len, natural.values()))
+        both = {"open": solve_modes(twin.structure, count).omega}
+        if "tied" in natural:
+            both["tied"] = tied_frequencies(twin.structure, count)
+        stated.counts["mesh"] = counts
+        stated.parts["mesh"] = expected("mesh", counts, stated.values, named(both))
+    except REFUSALS as error:
+        stated.unknown["mesh"] = str(error)
+    return stated
+
+
+def coarser(study: Study) -> tuple[Study, tuple[int, int]] | str:
+    """The twin on a coarser mesh, reduced where the study is, and the elements of both; or why
+    there is none (collective)."""
+    scene, structure = study.scene, study.structure
+    if scene.structure is not None or scene.mesh.layout == "file":
+        return "there is one mesh"
+    if not scene.mesh.error:
+        return "mesh.error = false"
+    coarse = finer_mesh(scene, 1.0 / COARSER)
+    if coarse is None:
+        return "a grid of half as many columns and rows has no lines along the crack"
+    with within("a coarser mesh"):
+        twin = prepare(coarse, structure.comm, whole=structure.whole is structure)
+    counts = n_elements(structure), n_elements(twin.structure)
+    return (twin, counts) if counts[1] < counts[0] else "a coarser one has as many elements"
+
+
+def expected(
+    cause: str, counts: tuple[int, int], own: Mapping[str, float], other: Mapping[str, float]
+) -> dict[str, GridConvergence]:
+    """The part of a cause, without a factor of safety."""
+    mesh = cause == "mesh"
+    sizes = [count ** (-0.5 if mesh else -1.0) for count in counts]
+    formal = ORDER if mesh else 1.0
+    return {
+        name: replace(
+            grid_convergence(sizes, [value, other.get(name, 0.0)], formal=formal), factor=1.0
+        )
+        for name, value in own.items()
+    }
+
+
+def finer_mesh(scene: Scene, factor: float) -> Scene | None:
+    """A scene whose elements are ``factor`` times as short; None where the scene makes no such
+    mesh.
+
+    Elements along lips are counted up to the next whole number. A grid becomes finer by the next
+    whole factor, so that cracks stay on its lines; or coarser by 2, where that is possible.
+    """
+    mesh = scene.mesh
+    if mesh is None or mesh.layout == "file":
+        return None
+    changes: dict[str, Any] = {}
+    if mesh.size is not None:
+        changes["mesh.size"] = mesh.size / factor
+    if mesh.lip_elements is not None:
+        changes["mesh.lip_elements"] = math.ceil(factor * mesh.lip_elements)
+    for key in ("columns", "rows"):
+        count = getattr(mesh, key)
+        if count is not None:
+            changes[f"mesh.{key}"] = math.ceil(factor) * count if factor > 1.0 else count // 2
+            if factor < 1.0 and count % 2:
+                return None
+    return scene.replace(changes)
+
+
+def n_elements(structure: Structure) -> int:
+    """How many there are; of matrices one (collective)."""
+    whole = structure.whole
+    return max(1, 0 if whole.nodes is None else whole.comm.allreduce(len(whole.nodes.cells)))
