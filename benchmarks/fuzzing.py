@@ -726,6 +726,9 @@ def judged(code: int, errors: str, noise: str) -> tuple[str, str]:
         return "RAW", f"exit code {code}: {last}"
     if noise.strip():
         return "RAW", f"a library says: {noise.strip().splitlines()[0]}"
+    if code == 2 and "for example:" in lines:  # lines to paste
+        lines = lines[: lines.index("for example:")]
+        last = lines[-1]
     told = [line for line in lines if line.startswith("fenics-crack: ")]
     if code == 2 and "usage: " not in errors and told != [last]:
         return "RAW", f"{len(lines)} lines: {' | '.join(lines)}"

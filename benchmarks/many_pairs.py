@@ -51,7 +51,7 @@ from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.numerics.fourier import evaluate
 
 REFERENCE = 120
-NEW = Path(fc.__file__).parent / "cli" / "new_scene.toml"
+NEW = Path(__file__).with_name("plate.toml")
 LAWS: dict[str, Any] = {
     "rigid": fc.UnilateralConstraint(),
     "1e9 N/m": fc.UnilateralPenalty(1e9),

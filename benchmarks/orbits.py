@@ -32,7 +32,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "motion"))
 from reference import ReferenceFlow
 
 SEED, PLATES, COMPARED = 25, 40, 8
-NEW = Path(fc.__file__).parent / "cli" / "new_scene.toml"
+NEW = Path(__file__).with_name("plate.toml")
 COLUMNS = (
     "plate", "pairs", "modes", "xi", "omega", "H", "pred", "distance", "|mu|", "events", "flows",
     "closure", "ms pred", "ms orbit", "ms multipliers", "gap error", "multiplier error",

@@ -24,7 +24,7 @@ from functools import partial
 import numpy as np
 
 from fenics_crack.balance.error_report import UNKNOWN, ErrorReport
-from fenics_crack.balance.judgement import AFFORDABLE, Judgement, relative
+from fenics_crack.balance.judgement import AFFORDABLE, FARTHEST, Judgement, relative
 from fenics_crack.balance.more_modes import more_modes
 from fenics_crack.balance.nearby import recurring
 from fenics_crack.balance.neighbours import more_harmonics
@@ -167,12 +167,30 @@ def _sought(
         near = few.attempt(initial, patient=False, reported=False)[1]
         if near.converged:
             break
-    if near.converged and near.judged.orbit is not None:
-        return near, near.judged.orbit, _way(near)
     if near.converged:
+        alone = near if near.judged.orbit is not None else _by_itself(solver, near.harmonics)
+        if alone is not None:
+            return alone, alone.judged.orbit, _way(alone)
         start = near.judged.states[0]
     known = near if near.converged else None
     return known, recurring(flow, omega, start, periods), "exact orbit, by following the motion"
+
+
+def _by_itself(solver: Solver, fewer: int) -> PeriodicSolution | None:
+    """A solution with more harmonics, and with its own orbit, that no other one leads to: with few
+    harmonics it may be another motion's."""
+    for count in RUNGS:
+        problem = solver.problem.with_harmonics(count * solver.problem.subharmonic)
+        if problem.harmonics <= fewer:
+            continue
+        begin(f"H = {problem.harmonics}, {problem.structure.n_dofs} coordinates, from rest")
+        found = replace(solver, problem=problem).attempt(None, reported=False)[1]
+        if not found.converged:
+            return None
+        judged = found.judged
+        if judged.prediction <= FARTHEST and judged.near is not None and judged.accepted:
+            return found
+    return None
 
 
 def _way(found: PeriodicSolution) -> str:

@@ -17,7 +17,7 @@ from fenics_crack.errors import InputError
 from fenics_crack.files.store import Stored
 from fenics_crack.model.modes import Modes
 from fenics_crack.study.run import Run, run_of
-from fenics_crack.study.verification import Verification
+from fenics_crack.study.verification import Verification, verification_of
 from fenics_crack.sweep.file import KIND as SWEEP
 from fenics_crack.sweep.result import SweepResult
 from fenics_crack.time.march import TimeHistory
@@ -87,6 +87,6 @@ def result_of(stored: Stored) -> Computed:
     if stored.kind not in HEADINGS:
         allowed = f"a result of one of these kinds: {', '.join(HEADINGS)}"
         raise InputError("result", str(stored.path), allowed)
-    if stored.kind == Verification.KIND and (found := Verification.of(stored)) is not None:
+    if stored.kind == Verification.KIND and (found := verification_of(stored)) is not None:
         return found
     return SweepResult.load(stored.path) if stored.kind == SWEEP else run_of(stored, MPI.COMM_SELF)

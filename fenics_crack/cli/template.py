@@ -6,6 +6,7 @@ asked for: a blade on a rotor in place of a plate, probes in its casing, a crack
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection
 from importlib import resources
 
@@ -23,7 +24,8 @@ def scene(name: str, rows: str, kinds: Collection[str]) -> str:
     lines = (
         _turned(line) if line.endswith(tuple(marks)) else line for line in _template().splitlines()
     )
-    return "\n".join([*lines, ""]).replace("SCENE", name).replace("MEASURED", rows)
+    whole = "\n".join([*map(_without_mark, lines), ""])
+    return whole.replace("SCENE", name).replace("MEASURED", rows)
 
 
 def measured() -> str:
@@ -41,12 +43,16 @@ def lines_of(table: str) -> str:
             if line.removeprefix("# ").startswith((f"[{table}]", f"[{table}.")):
                 asleep = line.startswith("#")
                 chosen = (one for one in lines[place:] if one.startswith("#") == asleep)
-                return "\n".join(_turned(one) if asleep else one for one in chosen)
+                return "\n".join(_without_mark(_turned(one) if asleep else one) for one in chosen)
     raise KeyError(table)
 
 
 def _template() -> str:
     return resources.files("fenics_crack.cli").joinpath("new_scene.toml").read_text("utf-8")
+
+
+def _without_mark(line: str) -> str:
+    return re.sub(r"\s+(# )?\(--\w+\)$", "", line)
 
 
 def _turned(line: str) -> str:

@@ -42,7 +42,7 @@ from fenics_crack.study.prepare import (
     reduction_of,
 )
 from fenics_crack.study.stated_errors import errors_of
-from fenics_crack.study.verification import Verification
+from fenics_crack.study.verification import Verification, verification_of
 from fenics_crack.time.central_differences import (
     integrate_central_difference,
     stable_steps_per_period,
@@ -481,4 +481,4 @@ def run_of(stored: Stored, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
     else:
         study = prepare(scene, comm, whole=kind is Modes)
     result = unpack(stored, study.structure, study.contact)
-    return Run(**vars(study), result=result, stated=Verification.of(stored))
+    return Run(**vars(study), result=result, stated=verification_of(stored))

@@ -21,7 +21,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.study.grid_convergence import LEAST_ORDER, GridConvergence
 from fenics_crack.table import Table, Tabular, with_unit
 
-__all__ = ["CAUSES", "MESH", "Verification"]
+__all__ = ["CAUSES", "MESH", "Verification", "verification_of"]
 
 MESH = ("mesh", "shift")
 """The mesh's part: of the answer at a given distance from the resonance, and by the shift of the
@@ -102,32 +102,6 @@ class Verification(Tabular):
             The file cannot be written.
         """
         write({"verification": self.text()}, path, self.KIND, self.scene, comm)
-
-    @classmethod
-    def of(cls, stored: Stored) -> Verification | None:
-        """What a file holds, of its own kind or beside a solution; None where it holds none.
-
-        Raises
-        ------
-        InputError
-            It does not fit.
-        """
-        with stored.taken() as parts:
-            scene = stored.scene()
-            if "verification" not in parts or scene is None:
-                return None
-            found = json.loads(parts["verification"])
-            values = {name: float(value) for name, value in found["values"].items()}
-            counts = {one: tuple(map(int, many)) for one, many in found["counts"].items()}
-            grids = {
-                cause: {name: _grid(by_name[name], len(counts[cause])) for name in values}
-                for cause, by_name in found["parts"].items()
-            }
-            words = ({n: str(w) for n, w in found[key].items()} for key in WORDS)
-            units, absent, unknown, verdicts = words
-            failures = tuple(map(str, found["failures"]))
-            [units[name] for name in values]  # LookupError
-            return cls(scene, values, units, grids, counts, absent, unknown, failures, verdicts)
 
     # --- numbers ----------------------------------------------------------------------------------
 
@@ -319,6 +293,34 @@ class Verification(Tabular):
         return (
             f"{text} +- {share} % (sum of all: {bound} %), most of it by {cause}, {how}; "
             f"extrapolated {self.extrapolated(name):.5g}"
+        )
+
+
+def verification_of(stored: Stored) -> Verification | None:
+    """What a file holds, of its own kind or beside a solution; None where it holds none.
+
+    Raises
+    ------
+    InputError
+        It does not fit.
+    """
+    with stored.taken() as parts:
+        scene = stored.scene()
+        if "verification" not in parts or scene is None:
+            return None
+        found = json.loads(parts["verification"])
+        values = {name: float(value) for name, value in found["values"].items()}
+        counts = {one: tuple(map(int, many)) for one, many in found["counts"].items()}
+        grids = {
+            cause: {name: _grid(by_name[name], len(counts[cause])) for name in values}
+            for cause, by_name in found["parts"].items()
+        }
+        words = ({n: str(w) for n, w in found[key].items()} for key in WORDS)
+        units, absent, unknown, verdicts = words
+        failures = tuple(map(str, found["failures"]))
+        [units[name] for name in values]  # LookupError
+        return Verification(
+            scene, values, units, grids, counts, absent, unknown, failures, verdicts
         )
 
 

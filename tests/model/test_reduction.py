@@ -473,7 +473,7 @@ def test_same_reduction_on_two_ranks(paper_scene: fc.Scene, on_ranks: Callable[.
 
 def test_all_modes_damped_whatever_the_mesh() -> None:
     """A scene with all modes damped: those of the reduced structure, within its error."""
-    scene = fc.Scene.load(ROOT / "fenics_crack" / "cli" / "new_scene.toml").replace(
+    scene = fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(
         {
             "mesh.size": 0.03, "mesh.order": 1, "mesh.lip_elements": 3, "reduction.modes": 10,
             "reduction.method": "free_interface", "contact.law": "penalty",

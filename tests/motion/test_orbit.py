@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import chain, oscillator, period_two_orbit, relative
+from helpers import ROOT, chain, oscillator, period_two_orbit, relative
 from motion.reference import ReferenceFlow
 
 import fenics_crack as fc
@@ -68,7 +68,7 @@ def test_against_the_reference(seed: int, light: bool) -> None:
 def test_plate_of_a_wrong_verdict() -> None:
     """The plate that fixed steps take for stable. Another factor of its stiffness, as accurate,
     makes another structure of it by rounding: 1.4e-10 of the multiplier."""
-    scene = fc.Scene.load(fc.__path__[0] + "/cli/new_scene.toml").replace(
+    scene = fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(
         {
             "crack.length": 0.03938896112631299,
             "mesh.lip_elements": 10,

@@ -8,6 +8,7 @@ import pytest
 import scipy.linalg
 from helpers import (
     OMEGA_0,
+    ROOT,
     chain_stiffness,
     oscillator,
     period_two_orbit,
@@ -21,7 +22,7 @@ from fenics_crack import floquet
 from fenics_crack.balance import judgement
 from fenics_crack.motion.flow import flow_of
 
-NEW = Path(fc.__file__).parent / "cli" / "new_scene.toml"
+NEW = ROOT / "benchmarks" / "plate.toml"
 BLADE = Path(__file__).parents[2] / "demos" / "blade.toml"
 
 

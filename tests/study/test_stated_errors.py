@@ -19,7 +19,7 @@ import fenics_crack as fc
 from fenics_crack.files.store import read, write
 from fenics_crack.study.coarser_mesh import COARSER, ORDER, finer_mesh
 from fenics_crack.study.stated_errors import numbers_of
-from fenics_crack.study.verification import Verification
+from fenics_crack.study.verification import Verification, verification_of
 
 COARSE = {
     "mesh.size": 0.03, "mesh.lip_elements": 3, "reduction.modes": 10, "curve": None, "sweep": None,
@@ -181,11 +181,11 @@ def test_strange_files(run: fc.Run, tmp_path: Path, change: Callable[[Any], obje
     whole = replace(run.errors, parts=run.errors.parts)
     path = tmp_path / "verify.h5"
     whole.save(path)
-    found = Verification.of(read(path))
+    found = verification_of(read(path))
     assert found is not None and found.to_dict().keys() == whole.to_dict().keys()
     np.testing.assert_equal(found.totals().rows, whole.totals().rows)
     change(kept)
     write({"verification": json.dumps(kept)}, path, Verification.KIND, run.scene)
     with h5py.File(path) as file, pytest.raises(fc.InputError, match="verification written by"):
         assert file.attrs["kind"] == Verification.KIND
-        Verification.of(read(path))
+        verification_of(read(path))
