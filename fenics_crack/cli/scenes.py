@@ -118,6 +118,8 @@ def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:
     lips = {words: natural[np.isfinite(natural)] for words, natural in lips.items()}
     lips = {words: natural for words, natural in lips.items() if len(natural)}
     rows: dict[str, object] = {}
+    if figures.elements is not None:
+        rows["modes"] = "in the plate's plane: no bending across it (flap), no torsion"
     for words, natural in lips.items():
         rows[f"first natural frequency{words} [Hz]"] = float(natural[0]) / TURN
         rows[f"first natural frequency{words} [rad/s]"] = float(natural[0])
