@@ -17,7 +17,7 @@ harmonics as bring the estimated error down.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 
@@ -161,9 +161,7 @@ def _sought(
     where none has its own, another one, or one that the motion passes. And how it was found."""
     problem, start = solver.problem, np.zeros(flow.size)
     periods, omega = problem.subharmonic, problem.omega
-    for count in RUNGS:
-        few = replace(solver, problem=problem.with_harmonics(count * periods))
-        begin(f"H = {few.problem.harmonics}, {problem.structure.n_dofs} coordinates")
+    for few in _rungs(solver):
         near = few.attempt(initial, patient=False, reported=False)[1]
         if near.converged:
             break
@@ -179,18 +177,23 @@ def _sought(
 def _by_itself(solver: Solver, fewer: int) -> PeriodicSolution | None:
     """A solution with more harmonics, and with its own orbit, that no other one leads to: with few
     harmonics it may be another motion's."""
-    for count in RUNGS:
-        problem = solver.problem.with_harmonics(count * solver.problem.subharmonic)
-        if problem.harmonics <= fewer:
-            continue
-        begin(f"H = {problem.harmonics}, {problem.structure.n_dofs} coordinates, from rest")
-        found = replace(solver, problem=problem).attempt(None, reported=False)[1]
+    for more in _rungs(solver, fewer):
+        found = more.attempt(None, reported=False)[1]
         if not found.converged:
             return None
         judged = found.judged
         if judged.prediction <= FARTHEST and judged.near is not None and judged.accepted:
             return found
     return None
+
+
+def _rungs(solver: Solver, fewer: int = 0) -> Iterator[Solver]:
+    """The same with the harmonics of one rung after the other, above some."""
+    for count in RUNGS:
+        problem = solver.problem.with_harmonics(count * solver.problem.subharmonic)
+        if problem.harmonics > fewer:
+            begin(f"H = {problem.harmonics}, {problem.structure.n_dofs} coordinates")
+            yield replace(solver, problem=problem)
 
 
 def _way(found: PeriodicSolution) -> str:

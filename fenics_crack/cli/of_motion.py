@@ -20,11 +20,11 @@ from fenics_crack.cli.account import (
     readable_rows,
 )
 from fenics_crack.cli.scenes import remark_on
-from fenics_crack.model.bilinear import bilinear_frequencies
+from fenics_crack.model.bilinear import KINDS, bilinear_frequencies
 from fenics_crack.model.modes import Modes
 from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, SHORT
 from fenics_crack.scene.tables import Integration
-from fenics_crack.study.coarser_mesh import KINDS, natural_name
+from fenics_crack.study.coarser_mesh import natural_name
 from fenics_crack.study.key_figures import highest_omega
 from fenics_crack.study.prepare import Watched
 from fenics_crack.study.run import Run

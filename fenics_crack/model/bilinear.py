@@ -21,7 +21,10 @@ from fenics_crack.model.modes import n_tied_modes, solve_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.table import Tabular, counted
 
-__all__ = ["BilinearFrequencies", "bilinear_frequencies", "tied_frequencies"]
+__all__ = ["KINDS", "BilinearFrequencies", "bilinear_frequencies", "tied_frequencies"]
+
+KINDS = ("open", "tied", "bilinear")
+"""Of natural frequencies."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -57,7 +60,7 @@ class BilinearFrequencies(Tabular):
         place = np.abs(omega[..., None] - bilinear).argmin(axis=-1)
         count = bilinear.shape[-1]
         found: dict[str, np.ndarray] = {"mode": place + 1}
-        for name in ("open", "tied", "bilinear"):
+        for name in KINDS:
             natural = np.broadcast_to(getattr(self, f"omega_{name}"), (*place.shape, count))
             natural = np.take_along_axis(natural, place[..., None], -1)[..., 0]
             found[f"omega_{name}"] = natural

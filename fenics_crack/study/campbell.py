@@ -22,7 +22,7 @@ from mpi4py import MPI
 from fenics_crack.errors import InputError, check_count
 from fenics_crack.fem.assembly import assemble
 from fenics_crack.fem.build import with_crack_length
-from fenics_crack.model.bilinear import BilinearFrequencies
+from fenics_crack.model.bilinear import KINDS, BilinearFrequencies
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import Modes, n_tied_modes, solve_modes, times
 from fenics_crack.model.rotation import static_state
@@ -33,7 +33,6 @@ from fenics_crack.table import RPM, UNITS, Tabular, counted, with_frequency
 
 __all__ = ["STATES", "Campbell", "campbell"]
 
-KINDS = ("open", "tied", "bilinear")
 STATES = {"open": "held open", "tied": "held shut", "bilinear": "breathing"}
 """What a crack does whose frequency is of a kind."""
 

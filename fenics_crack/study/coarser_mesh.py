@@ -27,14 +27,12 @@ from fenics_crack.study.verification import Verification
 from fenics_crack.table import frequency_axis
 
 __all__ = [
-    "COARSER", "KINDS", "ORDER", "coarser", "errors_of_natural", "expected", "finer_mesh",
+    "COARSER", "ORDER", "coarser", "errors_of_natural", "expected", "finer_mesh",
     "n_elements", "natural_name",
 ]  # fmt: skip
 
 COARSER, ORDER = 1.5, 1.6
 """How much longer elements are made, and p."""
-KINDS = ("open", "tied", "bilinear")
-"""Of natural frequencies."""
 
 
 def natural_name(scene: Scene, kind: str, mode: int) -> str:

@@ -27,19 +27,13 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.balance.solver import Solver
 from fenics_crack.curves.curve import ResponseCurve
-from fenics_crack.model.bilinear import bilinear_frequencies
+from fenics_crack.model.bilinear import KINDS, bilinear_frequencies
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.quantities import OF_LIPS, OF_POINTS, QUANTITIES
-from fenics_crack.study.coarser_mesh import (
-    KINDS,
-    coarser,
-    errors_of_natural,
-    expected,
-    natural_name,
-)
+from fenics_crack.study.coarser_mesh import coarser, errors_of_natural, expected, natural_name
 from fenics_crack.study.grid_convergence import GridConvergence
 from fenics_crack.study.prepare import REFUSALS, Study, modes_of
 from fenics_crack.study.verification import Verification
