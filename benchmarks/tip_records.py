@@ -15,10 +15,10 @@ each probe. Order, frequency and damping are sought by `find_passages`.
 Columns: draws; `order` right; `declared`: wrong, and the right one among those said to fit as well;
 `covered`: 95 % intervals that hold the truth (first harmonic; natural frequency), which the exact
 binomial 99 % interval of the count must allow; `also`: the same of the asynchronous vibration's
-frequency, or the damping; `found`: the asynchronous vibration; `unwarned`: harmonics more than three
-standard errors off in a fit that is not said to be in doubt; `holds`: all of it: order or declared
-in 98 %, covered and also within their intervals, found in all, and unwarned no more than chance
-allows (0.27 % of the harmonics, 99 % bound).
+frequency, or the damping; `found`: the asynchronous vibration; `unwarned`: harmonics more than
+three standard errors off in a fit that is not said to be in doubt; `holds`: all of it: order or
+declared in 98 %, covered and also within their intervals, found in all, and unwarned no more than
+chance allows (0.27 % of the harmonics, 99 % bound).
 
     OMP_NUM_THREADS=1 python benchmarks/tip_records.py [--quick] [--seed N] [--draws N] [folder]
 """
