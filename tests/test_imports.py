@@ -108,7 +108,7 @@ def test_check_needs_no_solver() -> None:
     program = """
 import sys
 from fenics_crack.cli import scenes
-print([name for name in ("fenics_crack.balance.solver", "scipy.optimize") if name in sys.modules])
+print([name for name in ("fenics_crack.balance.solution", "scipy.optimize") if name in sys.modules])
 """
     assert fresh(program) == "[]"
 
