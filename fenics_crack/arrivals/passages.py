@@ -394,8 +394,7 @@ def fit_passage(
 
     Examples
     --------
-    >>> [blade_1] = fc.read_record("demos/blisk_blade.csv", tip_radius=0.164).values()
-    >>> fit = fc.fit_passage(blade_1, 98.6, range(6, 10))
+    >>> fit = fc.fit_passage(record[1], 98.6, range(6, 10))
     """
     check_number("speed", speed, 0.0, above=True)
     tried, _ = wanted(orders, 1, 1)
@@ -437,7 +436,7 @@ def find_passages(
 
     Examples
     --------
-    >>> for fit in fc.find_passages(arrivals, range(1, 17)):
+    >>> for fit in fc.find_passages(record[1], range(6, 10), most=2):
     ...     print(fit)
     """
     tried, _ = wanted(orders, 1, 1)

@@ -83,7 +83,8 @@ def read_record(
 
     Examples
     --------
-    >>> blades = fc.read_record("demos/blisk_blade.csv", tip_radius=0.164)
+    >>> arrivals.to_csv("record.csv")
+    >>> blades = fc.read_record("record.csv")
     """
     with reading("path", path, "a table of numbers"):
         lines = [line for line in text_of(path).splitlines() if line.strip()[:1] not in ("", "#")]
