@@ -24,9 +24,8 @@ import scipy.sparse as sparse
 from fenics_crack.errors import InputError
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
-from fenics_crack.fem.crack_surface import CrackSurface
 from fenics_crack.fem.elasticity import thickness
-from fenics_crack.fem.lips import Lip, along
+from fenics_crack.fem.lips import along
 from fenics_crack.fem.numbering import Dofs, nodes_on
 from fenics_crack.fem.plate import Lips, PlateMesh
 from fenics_crack.model.nodes import Pairs
@@ -147,7 +146,7 @@ def _matched(
 def _watched(lips: Lips, cracks: np.ndarray, positions: np.ndarray) -> dict[str, int]:
     """The pair to watch of each crack by its name."""
     found: dict[str, int] = {}
-    lip: Lip | CrackSurface
+    lip: Any
     for number, lip in enumerate(lips):
         own = np.flatnonzero(cracks == number)
         name, place = lip.watched

@@ -208,7 +208,7 @@ def _modes_of_dofs(parts: Parts, whole: Structure) -> Modes:
 
 
 def _marks(mesh: NodalMesh) -> np.ndarray:
-    """Position of each node and mean midpoint of its cells, which tells the lips apart: (n, 2 d)."""
+    """Position of each node, and mean midpoint of its cells, which tells lips apart: (n, 2 d)."""
     sums, counts = np.zeros_like(mesh.points), np.zeros((len(mesh.points), 1))
     middles = mesh.points[mesh.cells].mean(axis=1)
     for nodes in mesh.cells.T:

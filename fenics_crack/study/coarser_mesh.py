@@ -67,7 +67,7 @@ def errors_of_natural(study: Study, natural: Mapping[str, np.ndarray]) -> Verifi
         if "tied" in natural:
             both["tied"] = tied_frequencies(twin.structure, count)
         stated.counts["mesh"] = counts
-        stated.parts["mesh"] = expected("mesh", counts, stated.values, named(both))
+        stated.parts["mesh"] = expected("mesh", counts, stated.values, named(both), scene.dimension)
     except REFUSALS as error:
         stated.unknown["mesh"] = str(error)
     return stated
@@ -91,11 +91,12 @@ def coarser(study: Study) -> tuple[Study, tuple[int, int]] | str:
 
 
 def expected(
-    cause: str, counts: tuple[int, int], own: Mapping[str, float], other: Mapping[str, float]
-) -> dict[str, GridConvergence]:
-    """The part of a cause, without a factor of safety."""
+    cause: str, counts: tuple[int, int], own: Mapping[str, float], other: Mapping[str, float],
+    dimension: int,
+) -> dict[str, GridConvergence]:  # fmt: skip
+    """The part of a cause, without a factor of safety; of a mesh in a plane or in space."""
     mesh = cause == "mesh"
-    sizes = [count ** (-0.5 if mesh else -1.0) for count in counts]
+    sizes = [count ** (-1.0 / dimension if mesh else -1.0) for count in counts]
     formal = ORDER if mesh else 1.0
     return {
         name: replace(

@@ -139,7 +139,7 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
             counts, values = varied
             stated.counts[cause], stated.parts[cause] = (
                 counts,
-                expected(cause, counts, own.values, values),
+                expected(cause, counts, own.values, values, study.scene.dimension),
             )
             if cause == "mesh" and not of_peak:
                 stated.counts["shift"] = counts
