@@ -132,6 +132,15 @@ def test_of_modes_and_of_a_curve(scene: fc.Scene, run: fc.Run) -> None:
     largest = curve.result.amplitude(curve.watched_dof).max()
     assert curve.errors.values["amplitude"] == pytest.approx(largest, rel=1e-4)
     assert curve.errors.stated("amplitude")[0] < run.errors.stated("amplitude")[0]
+    peak, alone = curve.peak(), curve.result.peak()
+    stated = [curve.errors.stated(name)[0] for name in ("amplitude", "frequency_bilinear_1")]
+    assert [peak.error, peak.omega_error] == stated and not peak.without
+    assert peak.amplitude == alone.amplitude and peak.error > 2.0 * alone.error
+    assert alone.without == "without the mesh" and alone.without in str(alone)
+    assert "of the frequency 0.00" in str(peak) and "without" not in str(peak)
+    assert "peak" in dir(curve) and "peak" not in dir(run)
+    with pytest.raises(AttributeError, match="'Run' object has no attribute 'peak'"):
+        run.peak()
 
 
 def test_words_and_files(
