@@ -6,6 +6,10 @@ from fenics_crack.arrivals.fit_order import TipTrack as TipTrack
 from fenics_crack.arrivals.fit_order import fit_order as fit_order
 from fenics_crack.arrivals.fit_order import track_order as track_order
 from fenics_crack.arrivals.harmonics import TipFit as TipFit
+from fenics_crack.arrivals.passages import PassageFit as PassageFit
+from fenics_crack.arrivals.passages import find_passages as find_passages
+from fenics_crack.arrivals.passages import fit_passage as fit_passage
+from fenics_crack.arrivals.records import read_record as read_record
 from fenics_crack.arrivals.simulate import tip_timing as tip_timing
 from fenics_crack.balance.error_report import ErrorReport as ErrorReport
 from fenics_crack.balance.harmonic_balance import linear_response as linear_response
@@ -48,6 +52,7 @@ from fenics_crack.draw.plot_motion import draw_spectra as draw_spectra
 from fenics_crack.draw.plot_motion import draw_spectrum as draw_spectrum
 from fenics_crack.draw.plot_rotor import draw_arrivals as draw_arrivals
 from fenics_crack.draw.plot_rotor import draw_campbell as draw_campbell
+from fenics_crack.draw.plot_rotor import draw_passages as draw_passages
 from fenics_crack.draw.plot_rotor import draw_tip_fit as draw_tip_fit
 from fenics_crack.draw.plot_rotor import draw_tip_track as draw_tip_track
 from fenics_crack.draw.plot_study import draw_posterior as draw_posterior
@@ -56,6 +61,7 @@ from fenics_crack.errors import ConvergenceError as ConvergenceError
 from fenics_crack.errors import InputError as InputError
 from fenics_crack.fem.build import build_structure as build_structure
 from fenics_crack.fem.build import find_crack_length as find_crack_length
+from fenics_crack.fem.plate import write_msh as write_msh
 from fenics_crack.files.results import load as load
 from fenics_crack.files.results import save as save
 from fenics_crack.identification.identify import identify as identify

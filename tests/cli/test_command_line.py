@@ -22,7 +22,6 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack.cli.scenes import in_words
-from fenics_crack.fem.plate import write_msh
 from fenics_crack.study import run as study_run
 
 ENVIRONMENT = os.environ | MPI_ENVIRONMENT | {"PYTHONPATH": str(ROOT)}
@@ -419,7 +418,7 @@ def test_file_of_a_mesh_that_has_changed(tmp_path: Path) -> None:
     """A result whose mesh file has changed is refused."""
     mesh = tmp_path / "plate.msh"
     drawn = fc.Scene.load(PAPER).replace({"contact.stiffness": 1e9, "damping.ratio": 0.02})
-    write_msh(drawn, mesh)
+    fc.write_msh(drawn, mesh)
     scene = tmp_path / "scene.toml"
     scene.write_text(
         PAPER.read_text().replace('layout = "grid"', 'layout = "file"\nfile = "plate.msh"')
@@ -438,7 +437,7 @@ def test_file_of_a_mesh_that_has_changed(tmp_path: Path) -> None:
     for read in (fc.load_run, lambda path: fc.load(path, swept.solution(0).structure)):
         with pytest.raises(fc.InputError, match=r"sweep \(SweepResult.load reads sweeps\)"):
             read(tmp_path / "sweep.h5")
-    write_msh(drawn.replace({"crack.height": 0.0625}), mesh)
+    fc.write_msh(drawn.replace({"crack.height": 0.0625}), mesh)
     with pytest.raises(fc.InputError, match="it has changed or gone"):
         fc.load_run(tmp_path / "solution.h5")
     with pytest.raises(fc.InputError, match="it has changed or gone"):
