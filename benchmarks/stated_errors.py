@@ -228,8 +228,8 @@ def answered(name: str, scene: fc.Scene) -> Iterator[common.Row]:
     low = [quantity for quantity, (_, true, stated, _) in found.items() if true < LOW * stated]
     key, nearby = "frequency" if scene.in_hertz else "omega", []
     for factor in BAND if low else ():
-        at = float(factor) * getattr(scene.excitation, key)
-        nearby.append(stated_and_true(fc.solve(scene.replace({f"excitation.{key}": at})), reference))
+        at = {f"excitation.{key}": float(factor) * getattr(scene.excitation, key)}
+        nearby.append(stated_and_true(fc.solve(scene.replace(at)), reference))
     for quantity, (value, true, stated, cause) in found.items():
         both = np.array([one[quantity][1:3] for one in nearby if quantity in low])
         share = np.divide(*np.sqrt(np.mean(both**2, axis=0))) if len(both) else np.nan
