@@ -105,12 +105,23 @@ def build_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> PlateMesh:
 
 
 def write_msh(scene: Scene, path: str | Path) -> None:
-    """Write the scene's mesh, with its named groups, to a gmsh file (format 4.1).
+    """Write the mesh of a scene, with its named groups, to a gmsh file (format 4.1).
+
+    Parameters
+    ----------
+    scene : Scene
+        With a plate.
+    path : path
+        The file.
 
     Raises
     ------
     InputError
         The file cannot be written.
+
+    Examples
+    --------
+    >>> fc.write_msh(scene, "plate.msh")
     """
     with _gmsh_on_root(MPI.COMM_SELF):
         _model(scene)

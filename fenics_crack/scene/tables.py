@@ -594,10 +594,12 @@ class Integration(Table):
     )
     """"events": exact from one switching instant to the next. Default: "exponential" where lips
     have no mass, else "central_difference"."""
-    periods: int = at_least_one(400)
+    periods: int = at_least_one(600)
     """Load periods at most."""
-    settle: float = positive(1e-3)
-    """Relative change of the gaps from one period to the next at which to stop."""
+    settle: float = positive(1e-4)
+    """Relative change of the gaps from one period to the next at which to stop. The motion is then
+    several times farther from the settled one, and the higher harmonics, mostly below a thousandth
+    of the first, show it most."""
     steps_per_period: int | None = at_least_one(None)
     """Default: 512; twice what is stable (central differences), 256 (events)."""
 

@@ -184,8 +184,9 @@ def _at_another_speed(scene: Scene, like: Study) -> Structure | None:
     return rotation.at(scene.speed)
 
 
-def reduced(study: Study) -> Study:
-    """A study, reduced as its scene says unless it has been reduced (collective).
+def reduced(study: Study, *, judged: bool = True) -> Study:
+    """A study, reduced as its scene says unless it has been reduced, with what judges the reduction
+    unless that is not needed (collective).
 
     Raises
     ------
@@ -201,7 +202,7 @@ def reduced(study: Study) -> Study:
         return study
     assert table.method is not None
     settled = scene.replace({f"reduction.{name}": value for name, value in asdict(table).items()})
-    structure = reduce_structure(whole, modes=table.modes, method=table.method)
+    structure = reduce_structure(whole, modes=table.modes, method=table.method, judged=judged)
     return replace(study, scene=settled, structure=structure)
 
 

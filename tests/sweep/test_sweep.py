@@ -539,11 +539,12 @@ def sweep_on(scene: fc.Scene, path: Path, comm: MPI.Comm) -> None:
 def test_ranks_and_groups_give_the_same_table(
     paper_scene: fc.Scene, tmp_path: Path, on_ranks: Callable[..., Any], mpirun: Callable[..., str]
 ) -> None:
-    """1, 2 and 3 ranks to the bit; groups of 2, whose mesh is divided, to 1e-9."""
-    over = RANKS_OVER | {"excitation.omega": {"start": 1500.0, "stop": 2600.0, "count": 8}}
+    """1 and 2 ranks to the bit, also where one has more to do; groups of 2, whose mesh is divided,
+    to 1e-9."""
+    over = RANKS_OVER | {"excitation.omega": {"start": 1500.0, "stop": 2600.0, "count": 5}}
     alone = run_sweep(swept(paper_scene, over, GRADED), tmp_path / "alone.h5")
     assert alone.converged.all()
-    for group, ranks in ((1, 2), (1, 3), (2, 2), (2, 4)):
+    for group, ranks in ((1, 2), (2, 2), (2, 4)):
         scene = swept(paper_scene, over, GRADED, ranks=group)
         path = tmp_path / f"{ranks}_in_groups_of_{group}.h5"
         if ranks == 2:
