@@ -168,6 +168,11 @@ def test_words_and_files(
     files = [str(tmp_path / f"{name}.h5") for name in ("solution", "modes")]
     assert main(["report", *files, *where[:1], str(tmp_path / "page.html"), "--quiet"]) == 0
     assert "most of it by the mesh" in (tmp_path / "page.html").read_text()
+    short = ["curve.parameter=frequency", "curve.start=825.0", "curve.stop=845.0"]
+    of_curve = [*short, "curve.stability=false"]
+    assert main(["curve", str(path), *where, *(w for s in of_curve for w in ("--set", s))]) == 0
+    assert "largest response of the curve" in (told := capsys.readouterr().err)
+    assert told.count("known to") == 2
     assert main(["solve", str(path), *where, "--set", "mesh.error=false"]) == 0
     assert "without the mesh" in capsys.readouterr().err
 
