@@ -74,6 +74,9 @@ LARGE, UNKNOWN = 0.1, 1.0
 know its error."""
 TIMES = 3.0
 """The estimate, and pred, beyond which an error is too large."""
+CLOSE = 1.1
+"""Times the estimate at which an orbit is so near that none is sought that is nearer: next to a
+fold there are two."""
 NEAR = 1e-5
 """Distance of an answer from its stable orbit up to which the motion that begins with it need not
 be followed."""
@@ -119,7 +122,7 @@ def exact_orbit(case: Case, found: fc.PeriodicSolution) -> tuple[Orbit | None, f
         except (NoOrbit, fc.ConvergenceError, np.linalg.LinAlgError):
             continue
         orbits.append((distance(found, orbit), orbit))
-        if orbits[-1][0] <= max(TIMES * estimate(found), ROUNDING):
+        if orbits[-1][0] <= max(CLOSE * estimate(found), ROUNDING):
             break
     if not orbits:
         return None, float("nan")
