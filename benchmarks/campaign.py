@@ -74,6 +74,8 @@ LARGE, UNKNOWN = 0.1, 1.0
 know its error."""
 TIMES = 3.0
 """The estimate, and pred, beyond which an error is too large."""
+GIVING = 10.0
+"""Times the closing of the penalty for a rigid stop in statics, up to which it is that."""
 CLOSE = 1.1
 """Times the estimate at which an orbit is so near that none is sought that is nearer: next to a
 fold there are two."""
@@ -248,8 +250,8 @@ def _judgement(
             return TOO_LARGE, "no exact orbit"
         return (OPEN if row.verdict != "stable" else WRONG), "no exact orbit"
     near = max(TIMES * row.estimate, ROUNDING)
-    if case.family == "rigid":  # the penalty that stands for it gives way by 1 / product
-        near = max(near, TIMES / case.product)
+    if case.family == "rigid":  # the penalty that stands for it gives way by 1 / product, in statics
+        near = max(near, GIVING / case.product)
     if row.estimate > LARGE:  # decided all the same
         other = row.verdict != ("stable" if row.exact < 1.0 else "unstable")
         contradicted = other and abs(row.exact - 1.0) > SURE and row.true <= near
