@@ -229,7 +229,7 @@ def _load_row(solution: PeriodicSolution, case: Scene) -> dict[str, np.ndarray]:
     The direction is that of the larger of the sine and the cosine part, of the mean if there is
     neither. The load vector f of a force F at the point x gives the displacement: f . u = F . u(x).
     """
-    sizes = {name: float(np.hypot(*getattr(case.excitation, name))) for name in FORCES}
+    sizes = {name: float(np.linalg.norm(getattr(case.excitation, name))) for name in FORCES}
     name = max(("force_sin", "force_cos"), key=sizes.__getitem__)
     if sizes[name] == 0.0:
         name = "force_mean"
