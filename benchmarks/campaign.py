@@ -250,7 +250,7 @@ def _judgement(
             return TOO_LARGE, "no exact orbit"
         return (OPEN if row.verdict != "stable" else WRONG), "no exact orbit"
     near = max(TIMES * row.estimate, ROUNDING)
-    if case.family == "rigid":  # the penalty that stands for it gives way by 1 / product, in statics
+    if case.family == "rigid":  # whose penalty gives way by 1 / product in statics
         near = max(near, GIVING / case.product)
     if row.estimate > LARGE:  # decided all the same
         other = row.verdict != ("stable" if row.exact < 1.0 else "unstable")
