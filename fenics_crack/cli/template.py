@@ -12,14 +12,16 @@ from importlib import resources
 
 __all__ = ["KINDS", "lines_of", "measured", "scene"]
 
-KINDS = ("blade", "timing", "identify")
-"""What ``new`` writes besides a plate."""
+KINDS = ("blade", "timing", "identify", "solid")
+"""What ``new`` writes besides a plate; a solid by itself."""
 ASKED_FOR = ("curve", "identify", "rotation", "sweep", "tip_timing")
 """Tables that a scene may do without, and commands may not."""
 
 
 def scene(name: str, rows: str, kinds: Collection[str]) -> str:
     """The scene of some :data:`KINDS`, written under a name, beside a file of measurements."""
+    if "solid" in kinds:
+        return _template("new_solid.toml").replace("SCENE", name)
     marks = [f"(--{kind})" for kind in {*kinds, *(["blade"] if "timing" in kinds else [])}]
     lines = (
         _turned(line) if line.endswith(tuple(marks)) else line for line in _template().splitlines()
@@ -47,8 +49,8 @@ def lines_of(table: str) -> str:
     raise KeyError(table)
 
 
-def _template() -> str:
-    return resources.files("fenics_crack.cli").joinpath("new_scene.toml").read_text("utf-8")
+def _template(name: str = "new_scene.toml") -> str:
+    return resources.files("fenics_crack.cli").joinpath(name).read_text("utf-8")
 
 
 def _without_mark(line: str) -> str:
