@@ -22,10 +22,10 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.wave import Wave
 from fenics_crack.errors import MOST_HARMONICS
 from fenics_crack.motion.flow import ContactFlow, Samples, flow_of
-from fenics_crack.motion.orbit import PeriodicOrbit, Prediction
+from fenics_crack.motion.orbit import PeriodicOrbit, Prediction, affordable
 
 __all__ = [
-    "AFFORDABLE", "BELIEVED", "CLOSE", "FARTHEST", "STILL", "UNKNOWN", "Judgement", "relative",
+    "BELIEVED", "CLOSE", "FARTHEST", "STILL", "UNKNOWN", "Judgement", "relative",
 ]  # fmt: skip
 
 BELIEVED, FARTHEST, FAR = 3.0, 0.1, 0.3
@@ -34,8 +34,6 @@ beyond which more harmonics have to confirm it; and the prediction from which on
 none is found."""
 UNKNOWN = 1.0
 """An error that is not known."""
-AFFORDABLE = 240
-"""Numbers of a state up to which the derivatives along a wave are no matter: 0.5 s."""
 CLOSE = 1e-7
 """Distance that may come from how closely waves and orbits are solved for."""
 STILL = 1e-11
@@ -189,9 +187,10 @@ class Judgement:
 
     @property
     def affordable(self) -> bool:
-        """Whether there is a flow whose derivatives do not take long: an error report is asked for
-        each solution."""
-        return self.flow is not None and self.flow.size <= AFFORDABLE
+        """Whether there is a flow whose orbits are not sought for long: an error report is asked
+        for each solution."""
+        flow, wave = self.flow, self.wave
+        return flow is not None and affordable(flow, wave.omega, wave.subharmonic)
 
     def errors(self, *, search: bool = True) -> tuple[float, float]:
         """Of the gap, and of the displacement at the load in the direction of each of its parts:

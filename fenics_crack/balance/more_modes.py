@@ -16,13 +16,13 @@ from functools import cached_property
 import numpy as np
 
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
-from fenics_crack.balance.judgement import AFFORDABLE, Judgement, relative
+from fenics_crack.balance.judgement import Judgement, relative
 from fenics_crack.balance.nearby import PARTS, orbit_next_to, predicted
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import times
 from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.motion.flow import ContactFlow, flow_of
-from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit, Prediction
+from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit, Prediction, affordable
 from fenics_crack.numerics.fourier import waves
 
 __all__ = ["MoreModes", "more_modes"]
@@ -57,7 +57,8 @@ class MoreModes:
     @property
     def affordable(self) -> bool:
         """Whether Newton's step does not take long."""
-        return self.flow.size <= AFFORDABLE
+        wave = self._judged.wave
+        return affordable(self.flow, wave.omega, wave.subharmonic)
 
     @cached_property
     def _states(self) -> np.ndarray | None:

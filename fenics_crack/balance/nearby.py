@@ -7,7 +7,7 @@ import numpy as np
 from fenics_crack.balance.orbits import FlowOrbits, Homotopy, recurrences
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.flow import ContactFlow
-from fenics_crack.motion.orbit import CLOSED, PeriodicOrbit, Prediction, find_orbit, predict
+from fenics_crack.motion.orbit import CLOSED, FORMED, PeriodicOrbit, Prediction, find_orbit, predict
 from fenics_crack.numerics.bordered import point_on_path, solve_in_plane
 from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.numerics.path import Path, PathOptions, Target
@@ -43,7 +43,7 @@ def predicted(
     be followed."""
     try:
         return predict(flow, omega, states, subharmonic=subharmonic)
-    except (ConvergenceError, np.linalg.LinAlgError):
+    except (ConvergenceError, np.linalg.LinAlgError, ValueError):
         return None
 
 
@@ -56,12 +56,12 @@ def orbit_next_to(
     patient: bool = True,
 ) -> PeriodicOrbit | None:
     """The orbit next to a state: by Newton's method, or else, if ``patient``, where the homotopy
-    from the state leads; None where these lead to none.
+    from the state leads, where M is formed; None where these lead to none.
 
     Where stiff pairs open and close many times, Newton's method finds an orbit only from very near.
     """
     orbit = find_orbit(flow, omega, start, subharmonic=subharmonic)
-    if orbit is not None or not patient:
+    if orbit is not None or not patient or flow.size > FORMED:
         return orbit
     return _by_homotopy(FlowOrbits(flow, omega, start, subharmonic))
 

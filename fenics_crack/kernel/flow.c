@@ -13,8 +13,8 @@
 /* Rows of a load: its mean, cosine and sine. ANSWERS: of complementarity problems that are kept. */
 enum { LOAD = 3, ANSWERS = 64 };
 
-/* Length of a piece and of a step of the search for events, times the largest frequency. */
-static const double REACH = 10.0, GRID = 0.5;
+/* Length of a step of the search for events, times the largest frequency. */
+static const double GRID = 0.5;
 /* When pairs that should have changed with the one before do so, as a part of a piece. */
 static const double BEHIND = 1e-12;
 
@@ -233,7 +233,7 @@ static int finite_state(int count, const double *state)
 int flow_advance(flow *f, flow_motion *m)
 {
     const int p = f->of.pairs;
-    const double length = REACH / fastest(f, m->omega);
+    const double length = FLOW_REACH / fastest(f, m->omega);
     double sizes[TERMS];
     signed char *closed = f->closed;
     if (contact_at(f, m->omega, m->now, m->state, closed)) return FLOW_LOST;
@@ -253,7 +253,7 @@ int flow_advance(flow *f, flow_motion *m)
         if (!(end > 0.0)) return FLOW_LOST;
         round_off(f, a, sizes, end);
         double when = end;
-        const int pair = next_event(f, GRID / REACH, end, &when);
+        const int pair = next_event(f, GRID / FLOW_REACH, end, &when);
         const int last = pair < 0 && end == left;
         sample(f, m, closed, length, when, last);
         state_at(f, length, when, m->state);
@@ -270,7 +270,7 @@ int flow_advance(flow *f, flow_motion *m)
 int flow_column(flow *f, const flow_track *track, const double *force, const double *gap,
                 int by_time, double *state)
 {
-    const double length = REACH / fastest(f, track->omega);
+    const double length = FLOW_REACH / fastest(f, track->omega);
     double now = track->start, sizes[TERMS];
     for (int k = 0; k < track->intervals; k++) {
         const closed_set *a = closed_set_of(f->known, track->sets + (long)k * f->of.pairs);
