@@ -185,6 +185,12 @@ class Judgement:
             vars(self).setdefault("near", orbit)
         return self.accepted and abs(distance / self.distance - 1.0) <= FARTHEST
 
+    def suggest(self, orbit: PeriodicOrbit) -> None:
+        """Take an orbit for the one next to the wave, unless it may be another one's."""
+        vars(self).setdefault("flow", orbit.flow)
+        if self.believes(distance := self._to(orbit)) and distance <= FARTHEST:
+            vars(self)["near"] = orbit
+
     @property
     def affordable(self) -> bool:
         """Whether there is a flow whose orbits are not sought for long: an error report is asked

@@ -57,7 +57,7 @@ class Solver:
             at = replace(self, problem=problem).find(search, compliance, initial)
             found = solution_of(
                 problem, at, status=search.status, converged=search.converged, enough=self.enough,
-                reported=reported,
+                reported=reported, orbit=search.orbit,
             )  # fmt: skip
             return search, replace(found, iterations=search.iterations)
 

@@ -51,7 +51,7 @@ CLOSED, NEARLY = 1e-11, 1e-8
 """Relative length of a step behind which an orbit is found: of one by factors of M, by products."""
 FORMED = 240
 """Numbers of a state up to which M is formed."""
-PRODUCTS, SHARP, BLUNT = 60, 1e-3, 0.25
+PRODUCTS, SHARP, BLUNT = 60, 1e-2, 0.25
 """With M that a solution may take, its relative residual, and that of a step which is only
 compared."""
 ROUNDED = 1e3
