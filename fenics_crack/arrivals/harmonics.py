@@ -17,7 +17,10 @@ from fenics_crack.numerics.fourier import waves
 from fenics_crack.table import Tabular, counted, quantity, with_frequency
 
 __all__ = [
+    "ALIKE",
     "MISFIT",
+    "ORDERS",
+    "UNITS",
     "Candidates",
     "LinearFit",
     "TipFit",
@@ -31,7 +34,10 @@ __all__ = [
 ]
 
 UNITS = {"omega": "rad/s", "frequency": "Hz", "phase": "rad", "residual": "m"}
-UNITS |= {"amplitude": "m", "amplitude_error": "m"}
+UNITS |= {"amplitude": "m", "amplitude_error": "m", "frequency_error": "Hz"}
+UNITS |= {"speed": "rad/s", "rpm": "rpm"}
+ORDERS = range(1, 25)
+"""Engine orders that are tried where none are given."""
 MISFIT = 0.001
 """Probability of a misfit below which a model does not explain what was measured."""
 ALIKE = 9.0

@@ -45,8 +45,8 @@ from fenics_crack.balance.wave import Wave
 from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.numerics.fourier import resized, stretched
-from fenics_crack.numerics.krylov import gmres
 from fenics_crack.numerics.linearisation import DenseLinearisation, solve_factored
+from fenics_crack.numerics.newton import gmres
 
 __all__ = ["ContactPoint", "ContactSystem", "default_weight"]
 

@@ -24,8 +24,7 @@ import numpy as np
 
 from fenics_crack.balance.family import FrequencyFamily
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import PeriodicSolution, solution_of
-from fenics_crack.balance.solver import Solver
+from fenics_crack.balance.solution import PeriodicSolution, Solver, solution_of
 from fenics_crack.errors import MOST_HARMONICS, ConvergenceError
 from fenics_crack.model.modal import all_modes
 from fenics_crack.numerics.bordered import MAX_ITERATIONS, point_on_path, solve_at

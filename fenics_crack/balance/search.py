@@ -18,6 +18,9 @@ A path in the stiffness cannot return to soft contact: with enough steps it reac
 unless solutions grow without bound. Several stiff pairs with little damping have thousands of folds
 on their way. So all starts together take a certain number of iterations and no more, the same on
 every machine: a search that finds nothing ends within seconds, and says what was tried.
+
+No search can undo what rounding does: a gap rounded to eps |g| makes a contact force rounded to
+eps k |g|, which moves the gap by eps k R |g|, and no residual can be smaller than that.
 """
 
 from __future__ import annotations
@@ -27,26 +30,34 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from fenics_crack.balance.compliance import Compliance
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
-from fenics_crack.balance.nearby import orbit_next_to, wave_states
+from fenics_crack.balance.orbits import orbit_next_to, wave_states
 from fenics_crack.balance.problem import NEARLY, Problem
-from fenics_crack.balance.rounding import SOFT, check_stiffness, stiffness_times_compliance
-from fenics_crack.errors import ConvergenceError
+from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.kernel import kernel
+from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.model.modal import all_modes
 from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit, affordable
 from fenics_crack.numerics.bordered import PATIENCE, STEPS, point_on_path, solve_at, solve_near
 from fenics_crack.numerics.fourier import balanced
-from fenics_crack.numerics.linearisation import Linearisation
+from fenics_crack.numerics.linearisation import (
+    EPSILON,
+    MAX_ROUNDING,
+    ROUNDING,
+    Linearisation,
+    least_residual,
+)
 from fenics_crack.numerics.newton import DistributedSystem, KernelNewton, Newton, newton_of
 from fenics_crack.numerics.path import Ended, Path, PathOptions, Target
-from fenics_crack.numerics.rounding import ROUNDING, least_residual
 from fenics_crack.stages import begin
 
-__all__ = ["Search"]
+__all__ = ["SOFT", "Search", "check_stiffness", "stiffness_times_compliance"]
 
+SOFT = 0.05
+"""k R up to which contact is so soft that the solution is unique and close to the linear one."""
 COMPILED, INTERPRETED = 5000, 1000
 """Iterations of all starts together, with 300 unknowns in the kernel, and in Python: 5 to 8 s."""
 PERIODS, MARCHED, MOVING, BALANCED = 40, (1, 3, 9), 40, 20
@@ -61,6 +72,25 @@ WIDE, NARROW = PathOptions(1.0, 2.0, min_cosine=0.5), PathOptions(0.1, 0.3, min_
 
 Start = tuple[str, Iterator[np.ndarray]]
 """What a start is called, and its guesses."""
+
+
+def stiffness_times_compliance(compliance: Compliance, law: ContactLaw) -> float:
+    """Largest k R over the harmonics."""
+    largest = np.abs(compliance.matrices).sum(axis=2).max()
+    return float(largest * np.max(law.stiffness))
+
+
+def check_stiffness(compliance: Compliance, law: ContactLaw) -> None:
+    """Raise InputError where rounding would leave nothing of the contact force."""
+    stiffest = float(np.max(law.stiffness))
+    static = float(np.abs(compliance.matrices[0]).sum(axis=1).max())
+    if not EPSILON * stiffest * static < MAX_ROUNDING:
+        raise InputError(
+            "contact stiffness",
+            stiffest,
+            f"at most {MAX_ROUNDING / (EPSILON * static):.2g} N/m on this structure, beyond "
+            "which rounding leaves nothing; UnilateralConstraint is the limit",
+        )
 
 
 @dataclass

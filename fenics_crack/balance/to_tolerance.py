@@ -24,13 +24,11 @@ from functools import partial
 import numpy as np
 
 from fenics_crack.balance.error_report import UNKNOWN, ErrorReport
-from fenics_crack.balance.judgement import FARTHEST, Judgement, relative
-from fenics_crack.balance.more_modes import more_modes
-from fenics_crack.balance.nearby import recurring
+from fenics_crack.balance.judgement import FARTHEST, Judgement, more_modes, relative
 from fenics_crack.balance.neighbours import more_harmonics
+from fenics_crack.balance.orbits import recurring
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.balance.solver import Solver
+from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduced import ReducedStructure, massless

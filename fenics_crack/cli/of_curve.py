@@ -14,7 +14,7 @@ from fenics_crack.cli.scenes import remark_on
 from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, kind_in_words, parameter_axis
 from fenics_crack.curves.peak import top_and_damping
 from fenics_crack.model.bilinear import BilinearFrequencies, bilinear_frequencies
-from fenics_crack.model.run_up import RunUpStructure
+from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.scene.quantities import OF_LIPS, OF_POINTS, QUANTITIES
 from fenics_crack.study.key_figures import highest_omega
 from fenics_crack.study.run import Run

@@ -4,6 +4,13 @@ Lengths found from a frequency are kept beside the compiled forms in the user's 
 a length [m] and what its frequency exceeds the one asked for by [rad/s]. Its name is a digest of
 the tables of the scene on which both depend. Whoever reads it checks it: nothing rests on the file
 but time.
+
+DOLFINx assembles plane-stress matrices,
+
+    sigma = E / (1 - nu^2) ((1 - nu) eps + nu tr(eps) I),    eps = sym(grad u)
+    u^T K v = t int sigma(u) : eps(v) dx,                     u^T M v = t rho int u . v dx
+
+with thickness t. Clamped dofs are left out, so that no spurious mode stands for them.
 """
 
 from __future__ import annotations
@@ -14,21 +21,220 @@ import json
 import os
 from functools import cache
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError
-from fenics_crack.fem.assembly import assemble
+from fenics_crack.fem import compat
+from fenics_crack.fem.compat import ufl
+from fenics_crack.fem.lips import Lip, along
+from fenics_crack.fem.loads import assemble_loads
+from fenics_crack.fem.matrix_files import read_structure
+from fenics_crack.fem.numbering import Dofs, nodes_on
+from fenics_crack.fem.plate import PlateMesh, build_mesh
+from fenics_crack.fem.rotation import constants, plane_stress, rotation_of
+from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
 from fenics_crack.model.modes import solve_modes
+from fenics_crack.model.nodes import Pairs
 from fenics_crack.model.structure import Structure
-from fenics_crack.parallel import on_root
+from fenics_crack.parallel import collect_garbage, gather_rows, on_root
 from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.tables import Damping
+from fenics_crack.stages import begin
 from fenics_crack.whole import write_whole
 
-__all__ = ["build_structure", "find_crack_length", "with_crack_length"]
+__all__ = ["assemble", "build_structure", "clearance_of", "find_crack_length", "with_crack_length"]
 
 FOUND_AGAIN = 1e-9
 """Relative difference of a frequency that is found again."""
+
+
+def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
+    """Mesh a scene whose crack length is known, and assemble its structure, or read its matrices
+    (collective).
+
+    Parameters and errors are those of :func:`fenics_crack.build_structure`.
+    """
+    collect_garbage(comm)  # of structures made before
+    if scene.structure is not None:
+        rule = None if scene.damping is None else _damping(scene.damping)
+        return read_structure(scene.structure, rule, comm)
+    begin("mesh")
+    plate = build_mesh(scene, comm)
+    begin("matrices")
+    if not plate.cracked and scene.mesh.layout == "file" and (scene.contact or scene.all_cracks):
+        allowed = "a mesh with curves named 'lower_lip' and 'upper_lip', as the scene has contact"
+        raise InputError("mesh.file", scene.mesh.file, allowed)
+    space = compat.function_space(plate.mesh, scene.mesh.order)
+    dofs = Dofs(plate, space, comm)
+    stiffness, mass = _matrices(scene, space)
+    if not all(np.isfinite(matrix.norm()) for matrix in (stiffness, mass)):
+        raise InputError("mesh", "cells of no area", "one whose cells all have an area")
+    gap, pairs = _pair_lips(scene, plate, space, dofs)
+    force, watched = assemble_loads(scene, plate, dofs, mass)
+    structure = Structure(
+        dofs.free_block(mass),
+        dofs.free_block(stiffness),
+        gap,
+        force=force,
+        clearance=clearance_of(scene, pairs),
+        damping=_damping(scene.damping),
+        nodes=dofs.nodes(),
+        pairs=pairs,
+        watched=watched,
+    )
+    if scene.speed > 0.0:
+        begin("rotation")
+        structure = rotation_of(scene, space, dofs, structure).at(scene.speed)
+    return structure
+
+
+# --- matrices -------------------------------------------------------------------------------------
+
+
+def _matrices(scene: Scene, space: Any) -> tuple[Any, Any]:
+    """Stiffness and mass matrix of all dofs, clamped ones included."""
+    thickness, density = constants(space, scene.geometry.thickness, scene.material.density)
+    u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
+    stress = plane_stress(scene, space, u)
+    stiffness = thickness * ufl.inner(stress, ufl.sym(ufl.grad(v))) * ufl.dx
+    mass = thickness * density * ufl.inner(u, v) * ufl.dx
+    return compat.assembled_matrix(stiffness), compat.assembled_matrix(mass)
+
+
+def _damping(table: Damping) -> DampingRule:
+    """The damping that a scene's table describes."""
+    if table.ratio is not None:
+        return ModalDamping(table.ratio, None if table.modes == "all" else int(table.modes))
+    if table.ratios is not None and table.omegas is not None:
+        return RayleighDamping.from_ratios(table.ratios, table.omegas)
+    return RayleighDamping(table.mass or 0.0, table.stiffness or 0.0)
+
+
+# --- cracks ---------------------------------------------------------------------------------------
+
+
+def clearance_of(scene: Scene, pairs: Pairs) -> np.ndarray:
+    """Clearance of every pair, by its crack: (n_pairs,) [m].
+
+    Raises
+    ------
+    InputError
+        There are several tables, but not one for each crack of a mesh file.
+    """
+    given = np.array([crack.clearance for crack in scene.all_cracks.values()] or [0.0])
+    assert pairs.cracks is not None
+    if len(given) == 1:
+        return np.full(len(pairs.cracks), given[0])
+    cracks = int(pairs.cracks.max(initial=-1)) + 1
+    if len(given) != cracks:
+        allowed = (
+            f"[crack] alone, for all, or one table for each of the {cracks} cracks of the mesh "
+            "file: [crack] and then [[cracks]], from bottom to top"
+        )
+        raise InputError("cracks", f"{len(given)} tables with [crack]", allowed)
+    found: np.ndarray = given[pairs.cracks]
+    return found
+
+
+def _pair_lips(
+    scene: Scene, plate: PlateMesh, space: Any, dofs: Dofs
+) -> tuple[sparse.csr_matrix, Pairs]:
+    """Pair the nodes of the lips in the same place, crack by crack: B, and where the pairs are.
+
+    The pairs of a crack are ordered from its mouth to its tip, or from the left to the right tip.
+    The normal at a node is the lower lip's outward normal, averaged with the node's basis function
+    over the lip: the load vector of a unit pressure points along it. The area of a pair is the
+    thickness times the integral of that function.
+    """
+    if not plate.cracked:
+        return sparse.csr_matrix((len(dofs.free), 0)), Pairs.none()
+    comm = dofs.comm
+    normal = ufl.FacetNormal(plate.mesh)
+    lip = ufl.ds(domain=plate.mesh, subdomain_data=plate.facet_tags)(plate.groups["lower_lip"])
+    pressure = compat.assembled_vector(ufl.inner(normal, ufl.TestFunction(space)) * lip)
+    pressure = pressure.reshape(-1, 2)
+
+    coordinates = space.tabulate_dof_coordinates()[:, :2]
+    sides = []
+    for group in ("lower_lip", "upper_lip"):
+        local = nodes_on(plate, space, group)
+        local = local[local < dofs.n_nodes]
+        rows = np.column_stack([local + dofs.first_node, coordinates[local], pressure[local]])
+        sides.append(gather_rows(comm, rows))
+    lower, upper, cracks, positions = _matched(plate.lips, *sides)
+    places = _watched(plate.lips, cracks, positions)
+    if scene.contact is not None and scene.contact.pairs == "mouth":
+        chosen = list(places.values())
+        lower, upper, cracks, positions = (x[chosen] for x in (lower, upper, cracks, positions))
+        places = {name: number for number, name in enumerate(places)}
+    lengths = np.linalg.norm(lower[:, 3:5], axis=1)
+    normals = lower[:, 3:5] / lengths[:, None]
+
+    n_pairs = len(lower)
+    entries = []
+    for side, sign in ((lower, 1.0), (upper, -1.0)):
+        node = side[:, 0].astype(int) - dofs.first_node
+        mine = np.flatnonzero((node >= 0) & (node < dofs.n_nodes))
+        for component in (0, 1):
+            rows = 2 * node[mine] + component
+            entries.append(np.array([sign * normals[mine, component], rows, mine]))
+    values, rows, columns = np.hstack(entries)
+    shape = 2 * dofs.n_nodes, n_pairs
+    gap = sparse.csr_matrix((values, (rows.astype(int), columns.astype(int))), shape)
+    gap.eliminate_zeros()
+    areas = scene.geometry.thickness * lengths
+    where = Pairs(lower[:, 1:3], areas, cracks, positions, places)
+    return gap[dofs.free], where
+
+
+def _matched(
+    lips: tuple[Lip, ...], lower: np.ndarray, upper: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Rows (number, x, y, ...) of both lips' nodes without the tips, partner by partner in order
+    along the cracks; the crack of each pair, and its distance from where that begins."""
+    shared = np.intersect1d(lower[:, 0], upper[:, 0])
+    size = np.ptp(lower[:, 1:3], axis=0).max()
+    sides = []
+    for side in (lower, upper):
+        own = side[~np.isin(side[:, 0], shared)]
+        cracks, positions = along(lips, own[:, 1:3])
+        order = np.lexsort((positions, cracks))
+        sides.append((own[order], cracks[order], positions[order]))
+    (lower, cracks, positions), (upper, _, _) = sides
+    alike = len(lower) == len(upper) > 0
+    reason = "one has more nodes than the other"
+    if alike:
+        distance = np.linalg.norm(lower[:, 1:3] - upper[:, 1:3], axis=1)
+        alike = distance.max() <= 1e-6 * size
+        x, y = lower[int(np.argmax(distance)), 1:3]
+        reason = f"the lower node at ({x:g}, {y:g}) has its partner {distance.max():.2g} m away"
+    if not alike:
+        found = f"{len(lower)} lower and {len(upper)} upper nodes"
+        allowed = (
+            f"meshed identically, so that the nodes of the two lips pair one to one, but {reason}; "
+            "gmsh's Transfinite Curve divides both alike, or its Plugin(Crack) makes both of one "
+            "curve"
+        )
+        raise InputError("lips", found, allowed)
+    return lower, upper, cracks, positions
+
+
+def _watched(lips: tuple[Lip, ...], cracks: np.ndarray, positions: np.ndarray) -> dict[str, int]:
+    """The pair at the mouth, or in the middle of a crack inside, of each crack by its name."""
+    found = {}
+    for number, lip in enumerate(lips):
+        own = np.flatnonzero(cracks == number)
+        name = "the mouth" if lip.has_mouth else "the middle"
+        place = 0.0 if lip.has_mouth else 0.5 * lip.position[-1]
+        if len(lips) > 1:
+            name += f" of crack {number + 1}"
+        if len(own):
+            found[name] = int(own[np.argmin(np.abs(positions[own] - place))])
+    return found
 
 
 def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:

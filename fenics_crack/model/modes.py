@@ -22,7 +22,7 @@ from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
 from fenics_crack.model.factor import Factor, factored_sum
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.rounding import EPSILON
+from fenics_crack.numerics.linearisation import EPSILON
 from fenics_crack.parallel import gather_rows
 from fenics_crack.stages import begin
 from fenics_crack.table import Tabular, counted

@@ -35,7 +35,7 @@ from scipy.linalg.lapack import dgeev
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import kernel
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples, Track
-from fenics_crack.numerics.krylov import gmres
+from fenics_crack.numerics.newton import gmres
 from fenics_crack.table import Described, counted
 
 __all__ = [

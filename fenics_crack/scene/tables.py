@@ -680,16 +680,17 @@ class TipTiming(Table):
     """Resolution of the computed arrivals; 0: none."""
     seed: int = holds("a whole number >= 0", lambda value: value >= 0, 0)
     """Of the noise."""
-    orders: tuple[float, ...] = holds(
+    orders: tuple[float, ...] | None = holds(
         "a list of different whole numbers >= 1",
         lambda orders: (
             orders
             and all(order >= 1.0 and order % 1.0 == 0.0 for order in orders)
             and len(set(orders)) == len(orders)
         ),
-        tuple(map(float, range(1, 25))),
+        None,
     )
-    """Engine orders that may be in the arrivals."""
+    """Engine orders that may be in the arrivals; default: the load's, or 1 to 24 where it is not
+    known."""
     frequencies: tuple[float, ...] | None = holds(
         "two finite numbers > 0, the second one larger",
         lambda ends: len(ends) == 2 and 0.0 < ends[0] < ends[1],

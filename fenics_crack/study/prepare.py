@@ -8,8 +8,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.errors import ConvergenceError, InputError
-from fenics_crack.fem.assembly import assemble
-from fenics_crack.fem.build import with_crack_length
+from fenics_crack.fem.build import assemble, with_crack_length
 from fenics_crack.hints import Hinted
 from fenics_crack.model.contact import (
     ContactLaw,

@@ -13,8 +13,7 @@ from mpi4py import MPI
 
 from fenics_crack.balance.harmonic_balance import solve_harmonic_balance, solve_linear
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.balance.solver import Solver
+from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.balance.to_tolerance import FEWEST, FIRST_MODES, solve_to_tolerance
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
@@ -25,7 +24,7 @@ from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes, solve_modes
 from fenics_crack.model.reduction import MODES
-from fenics_crack.model.run_up import run_up_structure
+from fenics_crack.model.rotation import run_up_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene

@@ -24,8 +24,7 @@ import numpy as np
 
 from fenics_crack.balance.harmonic_balance import solve_linear
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.balance.solver import Solver
+from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.model.bilinear import KINDS, bilinear_frequencies
 from fenics_crack.model.modal import is_small

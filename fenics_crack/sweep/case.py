@@ -11,14 +11,14 @@ from mpi4py import MPI
 
 from fenics_crack.balance.harmonic_balance import solve_linear
 from fenics_crack.balance.indicators import indicators_of
-from fenics_crack.balance.memory import check_memory
 from fenics_crack.balance.neighbours import Neighbours
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import InputError
-from fenics_crack.fem.assembly import clearance_of
+from fenics_crack.fem.build import clearance_of
 from fenics_crack.model.bilinear import BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.contact import is_rigid
+from fenics_crack.model.memory import check_memory
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows

@@ -8,7 +8,7 @@ from helpers import oscillator
 
 import fenics_crack as fc
 from fenics_crack.balance.search import Search
-from fenics_crack.balance.solver import Solver
+from fenics_crack.balance.solution import Solver
 from fenics_crack.numerics.bordered import solve_at
 
 FREQUENCIES = np.linspace(0.3, 2.0, 300)

@@ -9,7 +9,7 @@ from motion.reference import ReferenceFlow
 
 import fenics_crack as fc
 from fenics_crack import PeriodicOrbit
-from fenics_crack.balance.nearby import orbit_next_to, predicted, wave_states
+from fenics_crack.balance.orbits import orbit_next_to, predicted, wave_states
 from fenics_crack.motion.flow import ContactFlow, flow_of
 from fenics_crack.motion.orbit import Prediction, find_orbit
 from fenics_crack.numerics.fourier import balanced, evaluate
