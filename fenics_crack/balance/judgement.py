@@ -35,7 +35,7 @@ from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import times
 from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.motion.flow import ContactFlow, Samples, flow_of
-from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit, Prediction, affordable
+from fenics_crack.motion.orbit import FLOWS, INSTANTS, PeriodicOrbit, Prediction, affordable
 from fenics_crack.numerics.fourier import waves
 
 __all__ = [
@@ -310,7 +310,7 @@ class MoreModes:
     def affordable(self) -> bool:
         """Whether Newton's step does not take long."""
         wave = self._judged.wave
-        return affordable(self.flow, wave.omega, wave.subharmonic)
+        return affordable(self.flow, wave.omega, wave.subharmonic, FLOWS)
 
     @cached_property
     def _states(self) -> np.ndarray | None:

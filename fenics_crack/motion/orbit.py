@@ -39,16 +39,17 @@ from fenics_crack.numerics.newton import gmres
 from fenics_crack.table import Described, counted
 
 __all__ = [
-    "FORMED", "INSTANTS", "KNOWN", "PIECES", "OrbitCoefficients", "PeriodicOrbit", "Prediction",
-    "affordable", "doubling_test", "eigenvalues", "find_orbit", "predict",
+    "FLOWS", "FORMED", "INSTANTS", "KNOWN", "PIECES", "OrbitCoefficients", "PeriodicOrbit",
+    "Prediction", "affordable", "doubling_test", "eigenvalues", "find_orbit", "predict",
 ]  # fmt: skip
 
 FLOWS, SHORTEST = 20, 1e-3
 """Periods followed before an orbit is given up, and how short a step may become."""
 PIECES = 20_000
 """Of the flow's series that a search may take: a second, with many pairs."""
-CLOSED, NEARLY = 1e-11, 1e-8
-"""Relative length of a step behind which an orbit is found: of one by factors of M, by products."""
+CLOSED, NEARLY, HURRIED = 1e-11, 1e-8, 0.1
+"""Relative length of a step behind which an orbit is found: of one by factors of M, by products;
+and how short one by products may become."""
 FORMED = 240
 """Numbers of a state up to which M is formed."""
 PRODUCTS, SHARP, BLUNT = 60, 1e-2, 0.25
@@ -236,11 +237,15 @@ class OrbitCoefficients:
     displacement: np.ndarray
 
 
-def affordable(flow: ContactFlow, omega: float, subharmonic: int = 1) -> bool:
-    """Whether an orbit's search does not take long at a frequency: M is formed, or all of its
-    periods together have no more pieces, but for events, than it may take."""
+def affordable(
+    flow: ContactFlow, omega: float, subharmonic: int = 1, periods: int = FLOWS + PRODUCTS
+) -> bool:
+    """Whether a search does not take long at a frequency: M is formed, or so many periods have no
+    more pieces, but for events, than it may take. Large states of lips with mass, which bounce, are
+    not tried: from their waves Newton's method leads to no orbit."""
     pieces = flow.fastest * 2.0 * np.pi * subharmonic / omega / kernel.FLOW_REACH
-    return flow.size <= FORMED or FLOWS * pieces <= PIECES
+    light = flow.structure.light_lips
+    return flow.size <= FORMED or (light and periods * pieces <= PIECES)
 
 
 def predict(
@@ -348,7 +353,8 @@ class _Search:
     def leads_to_orbit(self) -> bool:
         """Whether it ends with an orbit."""
         share, inverse = 1.0, None
-        closed = CLOSED if self._flow.size <= FORMED else NEARLY
+        formed = self._flow.size <= FORMED
+        closed, shortest = (CLOSED, SHORTEST) if formed else (NEARLY, HURRIED)
         self.motion = self._follow(self.state)
         while self.flows < FLOWS:
             if inverse is None:
@@ -364,7 +370,7 @@ class _Search:
                 if before <= ROUNDED * goal:
                     return True
                 share = min(0.5 * share, 0.5 * share**2 * before / bent)
-                if share < SHORTEST:
+                if share < shortest:
                     return False
                 continue
             self.state, self.motion, inverse = trial, moved, None
