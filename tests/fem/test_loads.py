@@ -15,7 +15,6 @@ from mpi4py import MPI
 import fenics_crack as fc
 from fenics_crack import InputError, Scene, run_sweep
 from fenics_crack.fem.lips import Lip
-from fenics_crack.fem.plate import write_msh
 
 WIDTH, HEIGHT, THICKNESS, DENSITY = 0.01, 0.4, 0.005, 7800.0
 STRIP: dict[str, Any] = {
@@ -252,7 +251,7 @@ def test_a_named_curve_of_a_mesh_file(tmp_path: Path) -> None:
     """The same loads on the same mesh, read from a file."""
     loads = [{"edge": "top", "pressure_cos": 2e5}, {"edge": "right", "traction_mean": [1.0, 2.0]}]
     plate = strip(loads=loads, mesh=PLAIN)
-    write_msh(plate, tmp_path / "strip.msh")
+    fc.write_msh(plate, tmp_path / "strip.msh")
     tables = STRIP | {"loads": loads, "geometry": {"thickness": THICKNESS}}
     tables["mesh"] = {"layout": "file", "file": str(tmp_path / "strip.msh"), "order": 2}
     read, made = (fc.build_structure(one) for one in (Scene.from_mapping(tables), plate))
