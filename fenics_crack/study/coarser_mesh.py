@@ -68,7 +68,7 @@ def errors_of_natural(study: Study, natural: Mapping[str, np.ndarray]) -> Verifi
         if "tied" in natural:
             both["tied"] = tied_frequencies(twin.structure, count)
         stated.counts["mesh"] = counts
-        stated.parts["mesh"] = expected("mesh", counts, stated.values, named(both))
+        stated.parts["mesh"] = expected("mesh", counts, stated.values, named(both), scene.dimension)
     except REFUSALS as error:
         stated.unknown["mesh"] = str(error)
     return stated
@@ -93,11 +93,12 @@ def coarser(study: Study) -> tuple[Study, tuple[int, int]] | str:
 
 
 def expected(
-    cause: str, counts: tuple[int, int], own: Mapping[str, float], other: Mapping[str, float]
-) -> dict[str, GridConvergence]:
-    """The part of a cause, of order 1 in the size of an element or in one over the number of
-    something, without a factor of safety."""
-    sizes = [count ** (-0.5 if cause == "mesh" else -1.0) for count in counts]
+    cause: str, counts: tuple[int, int], own: Mapping[str, float], other: Mapping[str, float],
+    dimension: int,
+) -> dict[str, GridConvergence]:  # fmt: skip
+    """The part of a cause, of order 1 in the size of an element, of a mesh in a plane or in space,
+    or in one over the number of something, without a factor of safety."""
+    sizes = [count ** (-1.0 / dimension if cause == "mesh" else -1.0) for count in counts]
     return {
         name: replace(
             grid_convergence(sizes, [value, other.get(name, 0.0)], formal=1.0), factor=1.0

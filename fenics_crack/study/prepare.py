@@ -17,6 +17,7 @@ from fenics_crack.model.contact import (
     UnilateralPenalty,
 )
 from fenics_crack.model.memory import machine_memory, reduction_memory, whole_memory
+from fenics_crack.model.nodes import AXES
 from fenics_crack.model.reduction import MODES, reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import LOOKED_AT, Scene
@@ -168,7 +169,7 @@ def _watched_dofs(scene: Scene, structure: Structure) -> tuple[Watched, ...]:
             raise InputError(key, point.values, "left out: the structure has no positions")
         place, dofs = structure.nodes.nearest(structure.comm, key, point.values)
         distance = float(np.linalg.norm(place - point.values).round(12))
-        for axis, dof in zip("xy", dofs, strict=True):
+        for axis, dof in zip(AXES, dofs, strict=False):
             if dof >= 0:
                 words = f"{axis} displacement of {point.key}"
                 found.append(Watched(f"{point.key}.u{axis}", words, int(dof), distance))

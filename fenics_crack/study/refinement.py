@@ -168,7 +168,7 @@ class _Ways:
 
     ``counts`` are the numbers of what is varied, the scene's own first; None of a mesh, whose
     elements are counted when it is made. ``shared`` is the study of them all but for a mesh,
-    ``area`` that of the mesh [m^2].
+    ``volume`` that of the mesh, its area [m^2] where it is one in a plane.
     """
 
     finer: dict[str, Scene]
@@ -176,12 +176,15 @@ class _Ways:
     formal: float
     shared: Study | None = None
     highest: float = math.inf
-    area: float = 1.0
+    volume: float = 1.0
+    dimension: int = 2
 
     def size(self, count: int) -> float:
-        """The side of a square of the mean area of so many elements [m] (Celik and others, equation
-        1), or one over the number of something else."""
-        return 1.0 / count if self.shared is not None else math.sqrt(self.area / count)
+        """The side of a square or cube of the mean size of so many elements [m] (Celik and others,
+        equation 1), or one over the number of something else."""
+        if self.shared is not None:
+            return 1.0 / count
+        return float((self.volume / count) ** (1.0 / self.dimension))
 
 
 def _meshes(study: Study, own: Study) -> _Ways | str:
@@ -198,9 +201,16 @@ def _meshes(study: Study, own: Study) -> _Ways | str:
     if not scenes:
         return "mesh.file is one mesh; make finer ones and compare them by fc.grid_convergence"
     formal = TIP if study.structure.n_pairs else CLAMP
-    area = (scene.geometry.width or 1.0) * (scene.geometry.height or 1.0)
+    volume = math.prod(scene.geometry.sides)
     none = (None,) * (1 + len(scenes))
-    return _Ways(scenes, none, formal, highest=2.0 * scene.mesh.order, area=area)
+    return _Ways(
+        scenes,
+        none,
+        formal,
+        highest=2.0 * scene.mesh.order,
+        volume=volume,
+        dimension=scene.dimension,
+    )
 
 
 def _modes(study: Study, own: Study) -> _Ways | str:

@@ -149,7 +149,7 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
                 (stated.unknown if cause == "mesh" else stated.absent)[cause] = varied
                 continue
             counts, values = varied
-            parts = expected(cause, counts, own.values, values)
+            parts = expected(cause, counts, own.values, values, study.scene.dimension)
             if cause == "mesh" and not of_peak:
                 parts = _with_shift(study, near, own, parts)
             stated.counts[cause], stated.parts[cause] = counts, parts

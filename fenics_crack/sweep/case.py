@@ -11,9 +11,8 @@ from mpi4py import MPI
 
 from fenics_crack.balance.harmonic_balance import solve_linear
 from fenics_crack.balance.indicators import indicators_of
-from fenics_crack.balance.neighbours import Neighbours
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.balance.solution import PeriodicSolution, solve_beside
 from fenics_crack.errors import InputError
 from fenics_crack.fem.build import clearance_of
 from fenics_crack.model.bilinear import BilinearFrequencies, bilinear_frequencies
@@ -176,8 +175,8 @@ class Cases:
 
     def __init__(self, geometry: Geometry) -> None:
         self._geometry = geometry
-        self._neighbours = Neighbours()
         self._last: Scene | None = None
+        self._near: PeriodicSolution | None = None
 
     def solve(self, case: Scene) -> PeriodicSolution:
         """The solution of a case; one of :data:`REFUSALS` where there is none."""
@@ -190,10 +189,11 @@ class Cases:
         structure, law = self._structure, self._law
         if law is None:
             return solve_linear(structure, omega, harmonics=table.harmonics)
-        self._neighbours.tolerance = table.tolerance
         check_memory(structure, table.harmonics)
         problem = Problem(structure, omega, law, table.harmonics, table.samples)
-        return self._neighbours.solve(problem)
+        near, self._near = self._near, None
+        self._near = solve_beside(problem, near, table.tolerance)
+        return self._near
 
     def verdict(self, solution: PeriodicSolution) -> Found:
         """Verdict on a solution, modulus of its leading multiplier, and the reason where it is
@@ -239,7 +239,7 @@ def _load_row(solution: PeriodicSolution, case: Scene) -> dict[str, np.ndarray]:
     The direction is that of the larger of the sine and the cosine part, of the mean if there is
     neither. The load vector f of a force F at the point x gives the displacement: f . u = F . u(x).
     """
-    sizes = {name: float(np.hypot(*getattr(case.excitation, name))) for name in FORCES}
+    sizes = {name: float(np.linalg.norm(getattr(case.excitation, name))) for name in FORCES}
     name = max(("force_sin", "force_cos"), key=sizes.__getitem__)
     if sizes[name] == 0.0:
         name = "force_mean"

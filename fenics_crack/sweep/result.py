@@ -42,6 +42,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import InputError
 from fenics_crack.files.results import solution_from
 from fenics_crack.files.store import Stored, header
+from fenics_crack.model.nodes import AXES
 from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.quantities import OF_POINTS, QUANTITIES
@@ -349,7 +350,7 @@ class SweepResult(Tabular):
         seen = [
             (f"{point.key}.u{axis}.", f", {axis} displacement of {point.key}")
             for point in points
-            for axis in "xy"
+            for axis in AXES[: self.scene.dimension]
         ]
         found = {}
         for name in chosen:

@@ -103,7 +103,9 @@ def pair_nodes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray
         touched = np.flatnonzero(np.any(nodal[:, :, pair] != 0.0, axis=1))
         assert len(touched) == 2
         first, second = sorted(touched, key=lambda node: -nodal[node, 1, pair])
-        np.testing.assert_allclose(nodal[first, :, pair], -nodal[second, :, pair], rtol=1e-14)
+        np.testing.assert_allclose(
+            nodal[first, :, pair], -nodal[second, :, pair], rtol=1e-12, atol=1e-14
+        )
         lower.append(first)
         upper.append(second)
         normals.append(nodal[first, :, pair])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import errno
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -225,6 +226,15 @@ def test_harmonics_follow_a_tolerance(paper_scene: fc.Scene, tmp_path: Path, cha
     assert alone.iterations <= 1 and alone.report.truncation == pytest.approx(
         result["truncation_error"][4, 1], rel=1e-3
     )
+
+
+def test_a_tolerance_out_of_reach(paper_scene: fc.Scene, tmp_path: Path) -> None:
+    """Such a case says what its error stays above; the next one is solved without it."""
+    over = {"excitation.omega": [1700.0, 1800.0], "harmonic_balance.tolerance": [1e-12, 0.03]}
+    result = run_sweep(swept(paper_scene, over, SOFT), tmp_path / "sweep.h5")
+    assert result.converged.tolist() == [[False, True], [False, True]]
+    for reason in dict(result.failed).values():
+        assert re.search(r"truncation error, .* with H = \d+, stays above 1e-12", reason)
 
 
 def test_constraint(paper_scene: fc.Scene, tmp_path: Path) -> None:
