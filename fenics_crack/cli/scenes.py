@@ -41,10 +41,11 @@ def new(given: Namespace, _: None, console: Console) -> None:
     """Write a commented scene to start from."""
     path: Path = given.file
     kinds = [kind for kind in template.KINDS if vars(given)[kind]]
-    if "solid" in kinds and len(kinds) > 1:
+    if given.solid and kinds:
         raise InputError("--solid", f"with --{kinds[0]}", "asked for alone: the others are plates")
     rows = path.with_name(f"{path.stem}_measured.csv")
-    files = {path: template.scene(path.name, rows.name, kinds)}
+    text = template.scene(path.name, rows.name, kinds)
+    files = {path: template.solid(path.name) if given.solid else text}
     if "identify" in kinds:
         files[rows] = template.measured()
 

@@ -10,24 +10,27 @@ import re
 from collections.abc import Collection
 from importlib import resources
 
-__all__ = ["KINDS", "lines_of", "measured", "scene"]
+__all__ = ["KINDS", "lines_of", "measured", "scene", "solid"]
 
-KINDS = ("blade", "timing", "identify", "solid")
-"""What ``new`` writes besides a plate; a solid by itself."""
+KINDS = ("blade", "timing", "identify")
+"""What ``new`` writes besides a plate."""
 ASKED_FOR = ("curve", "identify", "rotation", "sweep", "tip_timing")
 """Tables that a scene may do without, and commands may not."""
 
 
 def scene(name: str, rows: str, kinds: Collection[str]) -> str:
     """The scene of some :data:`KINDS`, written under a name, beside a file of measurements."""
-    if "solid" in kinds:
-        return _template("new_solid.toml").replace("SCENE", name)
     marks = [f"(--{kind})" for kind in {*kinds, *(["blade"] if "timing" in kinds else [])}]
     lines = (
         _turned(line) if line.endswith(tuple(marks)) else line for line in _template().splitlines()
     )
     whole = "\n".join([*map(_without_mark, lines), ""])
     return whole.replace("SCENE", name).replace("MEASURED", rows)
+
+
+def solid(name: str) -> str:
+    """The scene of a solid, written under a name."""
+    return _template("new_solid.toml").replace("SCENE", name)
 
 
 def measured() -> str:
