@@ -16,61 +16,75 @@ vibration, and not where the tip was expected.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.special import fdtrc
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
+from fenics_crack.arrivals.fit_frequency import find_lines
 from fenics_crack.arrivals.harmonics import (
-    LinearFit,
+    ALIKE,
+    LARGER,
+    ORDERS,
+    Candidates,
     TipFit,
-    compared,
-    nominal_condition,
+    condition,
     refuse,
     rounding,
     strengths,
     wanted,
 )
-from fenics_crack.errors import InputError, check_count
+from fenics_crack.arrivals.robust import reweighted
+from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.numerics.fourier import waves
-from fenics_crack.table import UNITS, Tabular, counted, with_frequency
+from fenics_crack.table import TURN, UNITS, Tabular, counted, with_frequency
 
 __all__ = ["TipTrack", "fit_order", "track_order"]
 
 SIGNIFICANT = 0.01
 """Below this probability what is left between the probes' means is no chance."""
+LONGEST = 24
+"""Revolutions after which a probe sees the same again, at most."""
 
 
 def fit_order(
     arrivals: ArrivalTimes,
-    orders: Iterable[float] = range(1, 25),
+    orders: Iterable[float] = ORDERS,
     *,
     harmonics: int = 1,
     subharmonic: int = 1,
+    angle_deviation: float = 0.0,
 ) -> TipFit:
-    """Find the engine order of a vibration, and its harmonics, by linear least squares.
+    """Find the engine order of a vibration, and its harmonics, by least squares.
 
-    Each candidate is fitted. All whose sum of squares is less than 9 variances above the least one
-    are alike: the one with the smallest vibration is taken (within 20 %, the one that leaves
-    least), and the others are reported. So are those whose columns are dependent at these probes,
-    as hidden (:class:`Candidates`). The variance is that of the residuals; where the means of the
-    probes are off by more than their scatter explains (F test), it is that of the means, so that
-    harmonics left out do not pass for information.
+    What a probe sees alike in every revolution is its mean, found beside vibrations that follow no
+    order (:attr:`TipFit.asynchronous`), with errors of Student's t, so that single wrong arrivals
+    have no weight. Each candidate is fitted to the means. All whose sum of squares is less than 9
+    variances above the least one are alike: the one with the smallest vibration is taken (within
+    20 %, the one that leaves least), and the others are reported. So are those whose columns are
+    dependent at these probes, as hidden (:class:`Candidates`). The variance of a mean is that of
+    the residuals and of the probe's angle; where the means are off by more (F test), it is that of
+    the means, so that harmonics left out do not pass for information.
 
     Parameters
     ----------
     arrivals : ArrivalTimes
         Measured or simulated; of steady vibration. :func:`track_order` is for run-ups.
     orders : iterable of float
-        Candidates: periods of the load in a revolution. Those that a Campbell diagram allows are
-        told apart most easily.
+        Candidates: periods of the load in a revolution, whole numbers or fractions of small ones.
+        Those that a Campbell diagram allows are told apart most easily.
     harmonics : int
         K; 2 or more show a breathing crack by :meth:`TipFit.ratio`.
     subharmonic : int
         2: the response has twice the load's period, and harmonics 1/2, 1, ..., K/2 of the load.
+    angle_deviation : float [rad]
+        Standard deviation of the probes' angles, the same in every revolution.
 
     Returns
     -------
@@ -87,55 +101,159 @@ def fit_order(
     >>> fit = fc.fit_order(arrivals, range(1, 13))
     """
     tried, multiples = wanted(orders, harmonics, subharmonic)
-    seen = np.isfinite(arrivals.time)
-    turn, probe = np.nonzero(seen)
-    same = probe + len(arrivals.probes) * ((arrivals.first + turn) % subharmonic)
-
-    def variance_of(fit: LinearFit, order: float) -> tuple[float, float]:
-        """Variance and misfit; with a whole order probes see the same points in every turn."""
-        found, chance = _variance(fit, same if order % 1.0 == 0.0 else None)
-        return max(found, rounding(arrivals) ** 2), chance
-
-    found = compared(arrivals, tried, multiples, lambda *least: variance_of(*least)[0])
-    candidates, best, fit, least = found
-    variance, misfit = variance_of(*least)
-    columns = fit.jacobian[:, :-1]
-    known = variance if np.isfinite(variance) else np.nan
+    check_number("angle_deviation", angle_deviation, 0.0)
+    means = _Means(arrivals, _period(tried, multiples), float(tried.max()), angle_deviation)
+    unknowns = 2 * len(multiples) + 1
+    fits = [means.fit(order, multiples) for order in tried]
+    hidden = np.array([fit is None for fit in fits])
+    if np.all(hidden):
+        refuse(arrivals, unknowns)
+    sums = np.array([np.inf if fit is None else fit[1] for fit in fits])
+    lowest, misfit = means.judged(float(sums.min()), unknowns)
+    alike = sums - sums.min() < ALIKE * lowest
+    sizes = np.array([np.inf if fit is None else np.linalg.norm(fit[0][1:]) for fit in fits])
+    small = alike & (sizes <= LARGER * sizes[alike].min())
+    best = int(np.argmin(np.where(small, sums, np.inf)))
+    chosen = fits[best]
+    assert chosen is not None
+    # That arrivals are not at the probes' angles tells aliases apart, too little to rely on.
+    wave = waves(tried[best] * means.nominal, multiples) @ chosen[0]
+    alike |= np.array([means.unexplained(wave, one, multiples) for one in tried]) < ALIKE * lowest
+    known = lowest if np.isfinite(lowest) else np.nan
+    residuals = np.array([means.residual(order, multiples) for order in tried])
+    conditions = [condition(waves(order * means.nominal, multiples)) for order in tried]
     return TipFit(
         order=float(tried[best]),
         order_error=0.0,
-        speed=_mean_speed(arrivals, seen),
+        speed=arrivals.mean_speed,
         multiples=multiples,
-        coefficients=fit.coefficients,
-        covariance=known * np.linalg.inv(columns.T @ columns),
-        scatter=float(np.sqrt(known)),
+        coefficients=chosen[0],
+        covariance=known * chosen[2],
+        scatter=means.scatter * float(np.sqrt(known)),
         misfit=misfit,
-        candidates=candidates,
+        candidates=Candidates(tried, residuals, np.array(conditions), alike, hidden),
+        spare=len(means.values) - unknowns,
+        asynchronous=means.lines,
     )
 
 
-def _mean_speed(arrivals: ArrivalTimes, seen: np.ndarray) -> float:
-    """Speed over the revolutions from which there are arrivals [rad/s]."""
-    turns = np.flatnonzero(seen.any(axis=1))
-    begin, end = turns[0], turns[-1] + 1
-    return float(2.0 * np.pi * (end - begin) / (arrivals.marks[end] - arrivals.marks[begin]))
+def _period(orders: np.ndarray, multiples: np.ndarray) -> int:
+    """Revolutions after which each probe sees the same again."""
+    products = np.multiply.outer(orders, multiples).ravel()
+    parts = [Fraction(product).limit_denominator(LONGEST) for product in products.tolist()]
+    period = math.lcm(*(part.denominator for part in parts))
+    if period > LONGEST or np.any(np.abs([float(part) for part in parts] - products) > 1e-9):
+        allowed = f"whole numbers, or fractions that repeat within {LONGEST} revolutions"
+        raise InputError("orders", orders.tolist(), f"{allowed}; fit_frequency finds others")
+    return period
 
 
-def _variance(fit: LinearFit, group: np.ndarray | None) -> tuple[float, float]:
-    """Variance of a displacement [m^2], inf where no arrival is to spare, and the probability of
-    the misfit between groups of arrivals that see the same point of the period, if there are."""
-    left, unknowns = fit.left, len(fit.coefficients)
-    plain = fit.total / (len(left) - unknowns) if len(left) > unknowns else np.inf
-    if group is None:
-        return plain, np.nan
-    _, where, sizes = np.unique(group, return_inverse=True, return_counts=True)
-    between, within = len(sizes) - unknowns, len(left) - len(sizes)
-    if between < 1 or within < 1:
-        return plain, np.nan
-    means = np.bincount(where, left) / sizes
-    pure, lack = float(np.sum((left - means[where]) ** 2)), float(sizes @ means**2) / between
-    chance = float(fdtrc(between, within, lack / pure * within)) if pure > 0.0 else 0.0
-    return (lack if chance < SIGNIFICANT else plain), chance
+class _Means:
+    """What each probe sees alike, every so many revolutions: its means, with their covariance.
+
+    Parameters
+    ----------
+    arrivals : ArrivalTimes
+        Of steady vibration.
+    period : int
+        After so many revolutions a probe sees the same again.
+    order : float
+        The largest of the candidates; up to it vibrations that follow none are sought.
+    angle_deviation : float [rad]
+        Of the probes.
+
+    Attributes
+    ----------
+    values : (g,) [m]
+        Means.
+    nominal, angle : (g,) [rad]
+        Rotor's angles where they are expected, and where they are.
+    scatter : float [m]
+        Of a displacement about its mean; 1 where it is not known.
+    lines : tuple of TipFit
+        Vibrations beside them.
+    """
+
+    def __init__(
+        self, arrivals: ArrivalTimes, period: int, order: float, angle_deviation: float
+    ) -> None:
+        count, probes = arrivals.time.shape
+        row = (arrivals.first + np.arange(count)) % period
+        constants = row[:, None] * probes + np.arange(probes)
+        ends = arrivals.mean_speed * 0.5, arrivals.mean_speed * (order + 1.0)
+        found = find_lines(arrivals, arrivals.displacement, constants, ends)
+        self.lines, left = found
+        seen = np.isfinite(left)
+        turn, probe = np.nonzero(seen)
+        groups, where = np.unique(constants[seen], return_inverse=True)
+        self._data, self._where = left[seen], where
+        self.nominal = arrivals.probes[groups % probes] + TURN * (groups // probes)
+        self.within = len(where) - len(groups)
+
+        def solve(weights: np.ndarray) -> np.ndarray:
+            self._share = np.bincount(where, weights)
+            self.values = np.bincount(where, weights * self._data) / self._share
+            return self._data - self.values[where]
+
+        noise = reweighted(solve, len(where), len(groups), rounding(arrivals))
+        own = np.eye(len(groups))[where]
+        self.scatter, covariance = 1.0, np.diag(1.0 / np.bincount(where))
+        if self.within > 0:
+            self.scatter = max(float(np.sqrt(noise.variance)), rounding(arrivals))
+            covariance = noise.covariance(own, turn, probe)
+            covariance += np.eye(len(groups)) * rounding(arrivals) ** 2
+            place = groups % probes
+            spread = (arrivals.tip_radius * angle_deviation) ** 2
+            covariance += spread * (place[:, None] == place)
+        self.angle = self.nominal - self.values / arrivals.tip_radius
+        self._radius, self._root = arrivals.tip_radius, np.linalg.cholesky(covariance)
+
+    def fit(
+        self, order: float, multiples: np.ndarray
+    ) -> tuple[np.ndarray, float, np.ndarray] | None:
+        """Coefficients, the sum of squares that they leave, in variances, and their covariance;
+        None where the probes cannot measure this order, or the tip would move backwards."""
+        columns = waves(order * self.angle, multiples)
+        planned = waves(order * self.nominal, multiples)
+        if np.isinf(condition(planned)) or np.isinf(condition(columns)):
+            return None
+        whitened, values = (
+            solve_triangular(self._root, part, lower=True) for part in (columns, self.values)
+        )
+        found = np.linalg.lstsq(whitened, values, rcond=None)[0]
+        turned = columns[:, 2::2] * found[1::2] - columns[:, 1::2] * found[2::2]
+        if np.any(order * turned @ multiples >= self._radius):
+            return None
+        left = values - whitened @ found
+        return found, float(left @ left), np.linalg.inv(whitened.T @ whitened)
+
+    def judged(self, least: float, unknowns: int) -> tuple[float, float]:
+        """The variance in units of the one that is expected, inf where none is to spare, and the
+        probability of a misfit, nan where it is not known."""
+        between = len(self.values) - unknowns
+        if self.within < 1:
+            return (least / between if between else np.inf), np.nan
+        if between < 1:
+            return 1.0, np.nan
+        chance = float(fdtrc(between, self.within, least / between))
+        pooled = (self.within + least) / (self.within + between)
+        return (least / between if chance < SIGNIFICANT else pooled), chance
+
+    def unexplained(self, wave: np.ndarray, order: float, multiples: np.ndarray) -> float:
+        """What an order leaves of a wave at the nominal angles, in variances."""
+        columns, values = (
+            solve_triangular(self._root, part, lower=True)
+            for part in (waves(order * self.nominal, multiples), wave)
+        )
+        left = values - columns @ np.linalg.lstsq(columns, values, rcond=1e-10)[0]
+        return float(left @ left)
+
+    def residual(self, order: float, multiples: np.ndarray) -> float:
+        """Root mean square of what an order leaves of the arrivals [m]."""
+        columns = waves(order * self.angle, multiples)
+        found = np.linalg.lstsq(columns, self.values, rcond=1e-10)[0]
+        left = self._data - (columns @ found)[self._where]
+        return float(np.sqrt(np.mean(left**2)))
 
 
 # --- run-ups --------------------------------------------------------------------------------------
@@ -230,7 +348,8 @@ def track_order(
     groups, unknowns = len(arrivals) // revolutions, 2 * len(multiples) + 1
     if not groups:
         raise InputError("revolutions", revolutions, f"at most {len(arrivals)}, what there is")
-    if np.isinf(nominal_condition(arrivals.nominal_angle[:revolutions].ravel(), order, multiples)):
+    planned = waves(order * arrivals.nominal_angle[:revolutions].ravel(), multiples)
+    if np.isinf(condition(planned)):
         refuse(arrivals, unknowns)
     shape = (groups, revolutions * len(arrivals.probes))
     angle, nominal, values = (

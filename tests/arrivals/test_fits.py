@@ -116,7 +116,10 @@ def test_twice_the_loads_period() -> None:
     assert np.allclose(fit.multiples, [0.5, 1.0, 1.5, 2.0])
     assert np.abs(fit.coefficients - wave[:9]).max() < 0.02 * np.abs(wave).max()
     assert fit.ratio(0.5)[0] == pytest.approx(amplitudes(wave)[0] / amplitudes(wave)[1], rel=0.02)
-    assert fc.fit_order(arrivals, [3], harmonics=2).scatter > 20.0 * fit.scatter
+    # Where that is not known, what repeats in two revolutions follows no order.
+    half = fc.fit_order(arrivals, [3], harmonics=2).asynchronous[0]
+    assert half.omega == pytest.approx(0.5 * orbit.omega, rel=1e-4)
+    assert half.amplitudes[0] == pytest.approx(amplitudes(wave)[0], rel=0.01)
 
 
 # --- what probes cannot tell ----------------------------------------------------------------------
@@ -294,9 +297,6 @@ def test_bad_input(sine: fc.PeriodicSolution) -> None:
     for low, high, words in ((0.0, 1.0, "low"), (2.0, 1.0, "high"), (1.0, 1e12, "high - low")):
         with pytest.raises(fc.InputError, match=f"^{words}"):
             fc.fit_frequency(arrivals, low, high)
-    faster = replace(arrivals, marks=arrivals.marks**1.01)
-    with pytest.raises(fc.InputError, match=r"^speed = .*constant"):
-        fc.fit_frequency(faster, 1.0, 1000.0)
     with pytest.raises(fc.InputError, match="arrivals"):
         fc.fit_frequency(arrivals.between(0, 1), 1.0, 1000.0)
     with pytest.raises(fc.InputError, match="begin"):
