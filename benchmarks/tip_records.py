@@ -199,7 +199,9 @@ def judge_steady(row: Row, record: Record, count: Count) -> None:
     sought = fc.fit_order(record.arrivals, range(1, 25), **how)
     count.order += sought.order == record.order
     count.declared += sought.order != record.order and record.order in sought.ambiguous
-    fit = fc.fit_order(record.arrivals, [record.order], **how)
+    fit = sought
+    if sought.order != record.order:
+        fit = fc.fit_order(record.arrivals, [record.order], **how)
     true = np.array(row.waves[: row.harmonics])
     scores = np.abs(fit.amplitudes - true) / fit.amplitude_errors
     count.covered += bool(scores[0] < 1.96)

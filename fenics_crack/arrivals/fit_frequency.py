@@ -37,15 +37,17 @@ FINER = 4
 """Frequencies tried within the resolution, 1 / duration."""
 MOST_FREQUENCIES = 10**6
 PEAKS = 40
-"""Peaks of the scan that are refined."""
+"""Peaks of the scan that are refined, as far as they are not too low."""
+LOWEST = 0.5
+"""Height of a peak, over that of the highest."""
 APART = 2.0
 """Peaks nearer to a higher one, in units of the resolution, are its side lobes."""
 CHANCE = 1e-5
 """Probability of a vibration in the noise, above which there is none."""
 SPREAD = 8
 """Neighbours on each side to which the FFT's grid gets a time: eleven digits."""
-ROUNDS = 8
-"""Steps of Gauss-Newton from a peak."""
+ROUNDS, SETTLED = 8, 1e-6
+"""Steps of Gauss-Newton from a peak, and the relative gain of one that is worth it."""
 
 
 def fit_frequency(
@@ -182,8 +184,12 @@ class _Sought:
         self._own = (constants[seen][:, None] == np.unique(constants[seen])).astype(float)
         self._unknowns = 2 * harmonics + 1 + self._own.shape[1]
         self._least, self._spread = rounding(arrivals), deviation * arrivals.tip_radius
-        self._stiffness, self._ones = 0.0, np.ones(len(turn))
-        self._stiffen(float(np.std(self._without(self._values, self._ones))))
+        self._stiffness = 0.0
+        self._stiffen(float(np.std(self._without(self._values, np.ones(len(turn))))))
+        self._none = reweighted(
+            lambda weights: self._without(self._values, weights),
+            len(turn), self._own.shape[1], self._least,
+        )  # fmt: skip
 
     def _stiffen(self, scatter: float) -> None:
         """How stiffly the probes' constants are held together, for a scatter [m]."""
@@ -202,7 +208,8 @@ class _Sought:
         """Coefficients a1, b1, ..., what they leave (n,), and the columns (n, 2K+1), the last one
         by the frequency."""
         raw, root = waves(omega * time, self._multiples)[:, 1:], np.sqrt(weights)[:, None]
-        columns, left = self._without(raw, weights), self._without(values, weights)
+        both = self._without(np.column_stack([raw, values]), weights)
+        columns, left = both[:, :-1], both[:, -1]
         found = np.linalg.lstsq(root * columns, root[:, 0] * left, rcond=1e-10)[0]
         turned = raw[:, 0::2] * found[1::2] - raw[:, 1::2] * found[0::2]
         slope = self._without(time * (turned @ self._multiples), weights)
@@ -220,15 +227,16 @@ class _Sought:
         """The vibration that explains most, or as much with the smallest amplitude; and the
         probability that noise has one as large."""
         tried: list[tuple[bool, float, float]] = []
+        weights = self._none.weights
         for omega in self._peaks(low, high):
             best = True, np.inf, float(omega)
             for _ in range(ROUNDS):
-                _, left, columns = self._fitted(omega, self._ones, self._values, self._time)
-                held, least = self._held(columns), float(left @ left)
-                if held > best[0] or least >= best[1]:
+                _, left, columns = self._fitted(omega, weights, self._values, self._time)
+                held, least = self._held(columns), float(weights @ left**2)
+                if held > best[0] or least >= (1.0 - SETTLED) * best[1]:
                     break
                 best = held, least, float(omega)
-                omega = float(np.clip(self._moved(omega, self._ones, left, columns), low, high))
+                omega = float(np.clip(self._moved(omega, weights, left, columns), low, high))
             tried.append(best)
         kept: list[float] = []
         for _, _, omega in sorted(tried):
@@ -238,11 +246,7 @@ class _Sought:
         self._settle()
         candidates, self.omega = self._compared(np.sort([self.omega, *kept[1:]]))
         self._settle()
-        none = reweighted(
-            lambda weights: self._without(self._values, weights), len(self._values),
-            self._unknowns - 2 * len(self._multiples) - 1, self._least,
-        )  # fmt: skip
-        gain = max(none.cost - self.noise.cost, 0.0)
+        gain = max(self._none.cost - self.noise.cost, 0.0)
         cells = max((high - low) * self._span / TURN, 1.0)
         chance = min(cells * float(chdtrc(2 * len(self._multiples) + 1, gain)), 1.0)
         return self._described(candidates), 1.0 if self._held(self.columns) else chance
@@ -260,12 +264,15 @@ class _Sought:
         if not 0 < end - begin or count > MOST_FREQUENCIES:
             allowed = f"between {step:.3g} and {MOST_FREQUENCIES * step:.3g} rad/s"
             raise InputError("high - low", high - low, allowed)
-        values, places = self._without(self._values, self._ones), np.arange(begin, end)
+        values, places = self._none.psi, np.arange(begin, end)
         sums = np.abs(_spectrum(step * self._time, values, count)) ** 2
         power = np.sum([sums[int(multiple) * places] for multiple in self._multiples], axis=0)
         padded = np.concatenate([[-np.inf], power, [-np.inf]])
         peaks = np.flatnonzero((power >= padded[:-2]) & (power >= padded[2:]))
-        return np.asarray(step * places[peaks[np.argsort(-power[peaks])[:PEAKS]]])
+        peaks = peaks[np.argsort(-power[peaks])[:PEAKS]]
+        if power[peaks[0]] < np.log(len(places)) * float(values @ values):
+            peaks = peaks[:1]  # as high as in noise: exponentially distributed
+        return np.asarray(step * places[peaks[power[peaks] > LOWEST * power[peaks[0]]]])
 
     def _settle(self) -> None:
         """Fit frequency, harmonics and constants by turns with weights."""

@@ -180,9 +180,8 @@ class _Means:
         count, probes = arrivals.time.shape
         row = (arrivals.first + np.arange(count)) % period
         constants = row[:, None] * probes + np.arange(probes)
-        ends = arrivals.mean_speed * 0.5, arrivals.mean_speed * (order + 1.0)
-        found = find_lines(arrivals, arrivals.displacement, constants, ends)
-        self.lines, left = found
+        ends = arrivals.mean_speed * 0.5, arrivals.mean_speed * (max(order, ORDERS[-1]) + 1.0)
+        self.lines, left = find_lines(arrivals, arrivals.displacement, constants, ends)
         seen = np.isfinite(left)
         turn, probe = np.nonzero(seen)
         groups, where = np.unique(constants[seen], return_inverse=True)
