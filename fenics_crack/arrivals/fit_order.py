@@ -31,6 +31,7 @@ from fenics_crack.arrivals.fit_frequency import find_lines
 from fenics_crack.arrivals.harmonics import (
     ALIKE,
     LARGER,
+    MISFIT,
     ORDERS,
     Candidates,
     TipFit,
@@ -40,7 +41,7 @@ from fenics_crack.arrivals.harmonics import (
     strengths,
     wanted,
 )
-from fenics_crack.arrivals.robust import reweighted
+from fenics_crack.arrivals.robust import reweighted, trend
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.numerics.fourier import waves
 from fenics_crack.table import TURN, UNITS, Tabular, counted, with_frequency
@@ -49,6 +50,10 @@ __all__ = ["TipTrack", "fit_order", "track_order"]
 
 SIGNIFICANT = 0.01
 """Below this probability what is left between the probes' means is no chance."""
+OTHERS = 3
+"""Harmonics beyond those kept that may be folded onto them."""
+WIDEST = 1e6
+"""Of their deviation over the errors, beyond which nothing is told of them."""
 LONGEST = 24
 """Revolutions after which a probe sees the same again, at most."""
 
@@ -120,6 +125,9 @@ def fit_order(
     wave = waves(tried[best] * means.nominal, multiples) @ chosen[0]
     alike |= np.array([means.unexplained(wave, one, multiples) for one in tried]) < ALIKE * lowest
     known = lowest if np.isfinite(lowest) else np.nan
+    if means.within > 0 and len(means.values) > unknowns + 1:
+        chosen = means.beside_others(tried[best], multiples)
+        known = max(means.judged(chosen[1], unknowns)[0], 1.0)
     residuals = np.array([means.residual(order, multiples) for order in tried])
     conditions = [condition(waves(order * means.nominal, multiples)) for order in tried]
     return TipFit(
@@ -129,7 +137,7 @@ def fit_order(
         multiples=multiples,
         coefficients=chosen[0],
         covariance=known * chosen[2],
-        scatter=means.scatter * float(np.sqrt(known)),
+        scatter=means.scatter * float(np.sqrt(lowest if np.isfinite(lowest) else np.nan)),
         misfit=misfit,
         candidates=Candidates(tried, residuals, np.array(conditions), alike, hidden),
         spare=len(means.values) - unknowns,
@@ -207,6 +215,33 @@ class _Means:
         self.angle = self.nominal - self.values / arrivals.tip_radius
         self._radius, self._root = arrivals.tip_radius, np.linalg.cholesky(covariance)
 
+    def beside_others(
+        self, order: float, multiples: np.ndarray
+    ) -> tuple[np.ndarray, float, np.ndarray]:
+        """As :meth:`fit`, beside the next harmonics, which are left out, as normal numbers of the
+        variance that makes the means most likely (restricted likelihood): so far as they are seen,
+        the errors hold what is folded from them onto the harmonics kept."""
+        kept, found, least = self._root, self.fit(order, multiples), np.inf
+        assert found is not None
+        others = multiples[-1] + multiples[0] * np.arange(1.0, OTHERS + 1.0)
+        columns = waves(order * self.angle, others)[:, 1:]
+        columns = solve_triangular(kept, columns, lower=True)
+        largest = float(np.abs(found[0][1:]).max())
+        for size in largest * np.array([0.0, *2.0 ** -np.arange(8.0)]):
+            wide = size * np.linalg.norm(columns)
+            if wide > WIDEST:
+                continue
+            square = np.eye(len(columns)) + size**2 * columns @ columns.T
+            self._root = kept @ np.linalg.cholesky(square)
+            tried = self.fit(order, multiples)
+            if tried is None:
+                continue
+            logs = 2.0 * np.log(np.diag(self._root)).sum() - np.linalg.slogdet(tried[2])[1]
+            if (cost := tried[1] + logs) < least:
+                found, least = tried, cost
+        self._root = kept
+        return found
+
     def fit(
         self, order: float, multiples: np.ndarray
     ) -> tuple[np.ndarray, float, np.ndarray] | None:
@@ -216,13 +251,18 @@ class _Means:
         planned = waves(order * self.nominal, multiples)
         if np.isinf(condition(planned)) or np.isinf(condition(columns)):
             return None
-        whitened, values = (
-            solve_triangular(self._root, part, lower=True) for part in (columns, self.values)
-        )
-        found = np.linalg.lstsq(whitened, values, rcond=None)[0]
-        turned = columns[:, 2::2] * found[1::2] - columns[:, 1::2] * found[2::2]
-        if np.any(order * turned @ multiples >= self._radius):
-            return None
+        slope = np.ones(len(columns))
+        # An arrival that is late by e leaves R W e (1 + u' / R): it is elsewhere, too.
+        for _ in range(2):
+            whitened, values = (
+                solve_triangular(self._root, (part.T / slope).T, lower=True)
+                for part in (columns, self.values)
+            )
+            found = np.linalg.lstsq(whitened, values, rcond=None)[0]
+            turned = columns[:, 1::2] * found[2::2] - columns[:, 2::2] * found[1::2]
+            slope = 1.0 + order * turned @ multiples / self._radius
+            if np.any(slope <= 0.0):
+                return None
         left = values - whitened @ found
         return found, float(left @ left), np.linalg.inv(whitened.T @ whitened)
 
@@ -275,6 +315,10 @@ class TipTrack(Tabular):
     amplitudes, amplitude_errors : (n, K) [m]
         And standard errors; nan where too many arrivals are missing, and errors of fits without
         an arrival to spare.
+    misfit : float
+        Probability that what is left is as alike from revolution to revolution by chance. If it is
+        tiny, harmonics are missing, and what is left out is folded onto those that are kept. nan
+        where there are no more probes than unknowns, which fit anything.
     """
 
     order: float
@@ -283,6 +327,17 @@ class TipTrack(Tabular):
     coefficients: np.ndarray
     amplitudes: np.ndarray
     amplitude_errors: np.ndarray
+    misfit: float
+
+    @property
+    def does_not_fit(self) -> bool:
+        """Tell whether the misfit is below 0.001: harmonics are missing."""
+        return self.misfit < MISFIT
+
+    @property
+    def in_doubt(self) -> bool:
+        """Tell whether it does not fit, or has as many unknowns as there are probes."""
+        return self.does_not_fit or bool(np.isnan(self.misfit))
 
     @property
     def omega(self) -> np.ndarray:
@@ -303,7 +358,8 @@ class TipTrack(Tabular):
 
     def _title(self) -> str:
         speeds = f"{self.speed[0]:.6g} to {self.speed[-1]:.6g} rad/s"
-        return f"order {self.order:g}, {speeds}, {counted(len(self.speed), 'point')}"
+        doubt = ", DOES NOT FIT" * self.does_not_fit
+        return f"order {self.order:g}, {speeds}, {counted(len(self.speed), 'point')}{doubt}"
 
 
 def track_order(
@@ -313,15 +369,18 @@ def track_order(
     harmonics: int = 1,
     subharmonic: int = 1,
     revolutions: int = 1,
+    angle_deviation: float = 0.0,
 ) -> TipTrack:
     """Fit the harmonics of a known engine order to each few revolutions of a run-up.
 
     The fit of :func:`fit_order` with one candidate, to ``revolutions`` revolutions at a time.
-    A vibration of twice the load's period and an odd order needs two or more.
+    A vibration of twice the load's period and an odd order needs two or more. A harmonic that is
+    left out looks like some mixture of those kept; what remains of it shows as a misfit, and the
+    standard errors then follow from what the means of the probes leave.
 
     Parameters
     ----------
-    arrivals, harmonics, subharmonic
+    arrivals, harmonics, subharmonic, angle_deviation
         As of :func:`fit_order`.
     order : float
         Periods of the load in a revolution.
@@ -344,6 +403,7 @@ def track_order(
     """
     _, multiples = wanted([order], harmonics, subharmonic)
     check_count("revolutions", revolutions, 1)
+    check_number("angle_deviation", angle_deviation, 0.0)
     groups, unknowns = len(arrivals) // revolutions, 2 * len(multiples) + 1
     if not groups:
         raise InputError("revolutions", revolutions, f"at most {len(arrivals)}, what there is")
@@ -365,9 +425,21 @@ def track_order(
     inverse = np.linalg.pinv(columns)
     found = np.where(enough[:, None], (inverse @ values[..., None])[..., 0], np.nan)
     left = values - (columns @ found[..., None])[..., 0]
+    left = np.where(seen & enough[:, None], left, 0.0)
+    split = groups, revolutions, len(arrivals.probes)
+    turn, probe = np.nonzero(seen.reshape(-1, split[2]))
+    flat = left.reshape(-1, split[2])[turn, probe]
+    own = split[2] * (subharmonic if revolutions > 1 else 1) - unknowns
+    misfit = trend(flat, turn, probe) if own > 0 else np.nan
     with np.errstate(divide="ignore", invalid="ignore"):
         variance = np.where(count > unknowns, (left**2).sum(axis=1) / (count - unknowns), np.nan)
+        if misfit < MISFIT:
+            sizes = np.maximum(seen.reshape(split).sum(axis=1), 1)
+            lack = (left.reshape(split).sum(axis=1) ** 2 / sizes).sum(axis=1) / own
+            variance = np.maximum(variance, lack)
     covariance = variance[:, None, None] * (inverse @ inverse.transpose(0, 2, 1))
+    each = inverse.reshape(groups, unknowns, *split[1:]).sum(axis=2)
+    covariance += (arrivals.tip_radius * angle_deviation) ** 2 * (each @ each.transpose(0, 2, 1))
     times = arrivals.marks[: groups * revolutions + 1 : revolutions]
     speed = 2.0 * np.pi * revolutions / np.diff(times)
-    return TipTrack(order, speed, multiples, found, *strengths(found, covariance))
+    return TipTrack(order, speed, multiples, found, *strengths(found, covariance), misfit)

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaln, ndtr
 
-__all__ = ["Noise", "reweighted"]
+__all__ = ["Noise", "reweighted", "trend"]
 
 FREEDOMS = np.array([3.0, 5.0, 10.0, 30.0, 1e6])
 """Degrees of freedom that are tried."""
@@ -86,11 +86,8 @@ class Noise:
 
     def whiteness(self, turn: np.ndarray, probe: np.ndarray) -> float:
         """Probability that white errors are as correlated from revolution to revolution."""
-        (total, count), _ = self._products(1, turn, probe)
-        if not count:
-            return np.nan
-        score = total / float(self.psi @ self.psi) * len(self.psi)
-        return float(2.0 * ndtr(-abs(score) / np.sqrt(count)))
+        chance = trend(self.psi, turn, probe)
+        return 2.0 * min(chance, 1.0 - chance)
 
     def covariance(self, columns: np.ndarray, turn: np.ndarray, probe: np.ndarray) -> np.ndarray:
         """Covariance (m, m) of the coefficients of columns (n, m), of arrivals in revolutions and
@@ -148,6 +145,17 @@ class Noise:
                 break
             found.append((seen[0], seen[1]))
         return found
+
+
+def trend(values: np.ndarray, turn: np.ndarray, probe: np.ndarray) -> float:
+    """Probability that white values (n,) of revolutions and probes are as alike as these from each
+    revolution to the next, or more; nan where there is one revolution."""
+    dense, there = (_dense(part, turn, probe) for part in (values, np.ones(len(values))))
+    count = float((there[1:] * there[:-1]).sum())
+    square = float(values @ values) / len(values)
+    if not count or not square:
+        return np.nan
+    return float(ndtr(-float((dense[1:] * dense[:-1]).sum()) / (square * np.sqrt(count))))
 
 
 def _dense(values: np.ndarray, turn: np.ndarray, probe: np.ndarray) -> np.ndarray:
