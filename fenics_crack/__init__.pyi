@@ -61,6 +61,7 @@ from fenics_crack.errors import ConvergenceError as ConvergenceError
 from fenics_crack.errors import InputError as InputError
 from fenics_crack.fem.build import build_structure as build_structure
 from fenics_crack.fem.build import find_crack_length as find_crack_length
+from fenics_crack.fem.plate import write_msh as write_msh
 from fenics_crack.files.results import load as load
 from fenics_crack.files.results import save as save
 from fenics_crack.identification.identify import identify as identify

@@ -19,14 +19,19 @@ from fenics_crack.balance.judgement import Judgement
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.search import Search
 from fenics_crack.balance.wave import Wave
-from fenics_crack.errors import ConvergenceError
+from fenics_crack.errors import MOST_HARMONICS, ConvergenceError
 from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.table import Described, counted, quantity, with_frequency
 
-__all__ = ["PeriodicSolution", "Solver", "Stability", "solution_of"]
+__all__ = [
+    "PeriodicSolution", "Solver", "Stability", "fewer_harmonics", "more_harmonics", "solution_of",
+    "solve_beside",
+]  # fmt: skip
 
 HURRIED = 0.25
 """Of a search's iterations, where other ways are left."""
+SMALL = 0.05
+"""Part of a tolerance below which an error allows fewer harmonics."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -307,3 +312,58 @@ class Solver:
         )
         # The kernel's points do not know the forces.
         return at if isinstance(at, ContactPoint) else system.linearise(at.unknown)
+
+
+def solve_beside(
+    problem: Problem, near: PeriodicSolution | None, tolerance: float | None = None
+) -> PeriodicSolution:
+    """The solution of a problem of a small structure, sought from that of another one.
+
+    With a tolerance of the truncation it has as many harmonics as the other one, and then as many
+    more as its estimated error asks for. Half of them come first: many fail from far away.
+
+    Raises
+    ------
+    InputError
+        The contact is so stiff that rounding leaves nothing of its force.
+    ConvergenceError
+        There is no solution, or not to the tolerance.
+    """
+    enough = math.inf if tolerance is None else tolerance
+    if tolerance is not None and near is not None:
+        count = fewer_harmonics(near.harmonics, _truncation(near), tolerance, problem.harmonics)
+        if count // 2 >= problem.harmonics:
+            half = Solver(problem.with_harmonics(count // 2))
+            near = half.attempt(near, patient=False, reported=False)[1]
+        problem = problem.with_harmonics(count)
+    found = Solver(problem, enough=enough).solve(near)
+    while (more := more_harmonics(found.harmonics, _truncation(found), tolerance)) is not None:
+        found = Solver(problem.with_harmonics(more), enough=enough).solve(found)
+    if tolerance is not None and _truncation(found) > tolerance:
+        raise ConvergenceError(
+            f"harmonic balance at {problem.omega:g} rad/s: the estimated truncation error, "
+            f"{_truncation(found):.1e} with H = {found.harmonics}, stays above {tolerance:g}"
+        )
+    return found
+
+
+def more_harmonics(
+    count: int, truncation: float, tolerance: float | None, most: int = MOST_HARMONICS
+) -> int | None:
+    """As many harmonics as an error that falls like H^-3 asks for; None where these are enough, or
+    the most."""
+    if tolerance is None or truncation <= tolerance or count >= most:
+        return None
+    factor = min(2.0, 1.1 * (truncation / tolerance) ** (1.0 / 3.0))
+    return min(most, math.ceil(factor * count))
+
+
+def fewer_harmonics(count: int, truncation: float, tolerance: float, least: int) -> int:
+    """As many harmonics as a neighbour's error allows to begin with."""
+    return max(least, math.floor(0.8 * count)) if truncation < SMALL * tolerance else count
+
+
+def _truncation(solution: PeriodicSolution) -> float:
+    """Estimated truncation error, infinite where it is unknown."""
+    found = solution.report.truncation
+    return found if math.isfinite(found) else math.inf

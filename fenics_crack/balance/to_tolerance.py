@@ -25,10 +25,9 @@ import numpy as np
 
 from fenics_crack.balance.error_report import UNKNOWN, ErrorReport
 from fenics_crack.balance.judgement import AFFORDABLE, FARTHEST, Judgement, more_modes, relative
-from fenics_crack.balance.neighbours import more_harmonics
 from fenics_crack.balance.orbits import recurring
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import PeriodicSolution, Solver
+from fenics_crack.balance.solution import PeriodicSolution, Solver, more_harmonics
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduced import ReducedStructure, massless

@@ -354,7 +354,9 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Say what is wrong and what may be meant, and exit."""
         wrong = re.search(r"invalid choice: '(.*?)'|unrecognized arguments: (-\S+)", message)
-        if wrong and wrong[2]:
+        if re.search(r"unrecognized arguments: [\w.]+=", message):
+            message += "; each key takes its own --set: --set KEY=VALUE --set KEY=VALUE"
+        elif wrong and wrong[2]:
             message += f"; {meant(near(wrong[2].partition('=')[0], options_of(*COMMANDS)))}"
         elif wrong:
             others = [

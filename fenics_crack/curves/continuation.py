@@ -16,9 +16,14 @@ import numpy as np
 
 from fenics_crack.balance.family import FAMILIES, Family
 from fenics_crack.balance.harmonic_balance import check_initial
-from fenics_crack.balance.neighbours import fewer_harmonics, more_harmonics
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import PeriodicSolution, Solver, solution_of
+from fenics_crack.balance.solution import (
+    PeriodicSolution,
+    Solver,
+    fewer_harmonics,
+    more_harmonics,
+    solution_of,
+)
 from fenics_crack.curves.beginnings import check_resumed, directions, first_of_branch, odd_rows
 from fenics_crack.curves.by_waves import FOLLOWED
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve

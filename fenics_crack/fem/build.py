@@ -5,12 +5,11 @@ a length [m] and what its frequency exceeds the one asked for by [rad/s]. Its na
 the tables of the scene on which both depend. Whoever reads it checks it: nothing rests on the file
 but time.
 
-DOLFINx assembles plane-stress matrices,
+DOLFINx assembles the matrices, with sigma and t of :mod:`fenics_crack.fem.elasticity`,
 
-    sigma = E / (1 - nu^2) ((1 - nu) eps + nu tr(eps) I),    eps = sym(grad u)
-    u^T K v = t int sigma(u) : eps(v) dx,                     u^T M v = t rho int u . v dx
+    u^T K v = t int sigma(u) : eps(v) dx,                     u^T M v = t rho int u . v dx.
 
-with thickness t. Clamped dofs are left out, so that no spurious mode stands for them.
+Clamped dofs are left out, so that no spurious mode stands for them.
 """
 
 from __future__ import annotations
@@ -24,23 +23,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
-from fenics_crack.fem.lips import Lip, along
+from fenics_crack.fem.elasticity import constants, stress, thickness
+from fenics_crack.fem.interface import pair_lips
 from fenics_crack.fem.loads import assemble_loads
 from fenics_crack.fem.matrix_files import read_structure
-from fenics_crack.fem.numbering import Dofs, nodes_on
-from fenics_crack.fem.plate import PlateMesh, build_mesh
-from fenics_crack.fem.rotation import constants, plane_stress, rotation_of
+from fenics_crack.fem.numbering import Dofs
+from fenics_crack.fem.plate import build_mesh
+from fenics_crack.fem.rotation import rotation_of
 from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.nodes import Pairs
 from fenics_crack.model.structure import Structure
-from fenics_crack.parallel import collect_garbage, gather_rows, on_root
+from fenics_crack.parallel import collect_garbage, on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Damping
 from fenics_crack.stages import begin
@@ -73,7 +72,7 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     stiffness, mass = _matrices(scene, space)
     if not all(np.isfinite(matrix.norm()) for matrix in (stiffness, mass)):
         raise InputError("mesh", "cells of no area", "one whose cells all have an area")
-    gap, pairs = _pair_lips(scene, plate, space, dofs)
+    gap, pairs = pair_lips(scene, plate, dofs)
     force, watched = assemble_loads(scene, plate, dofs, mass)
     structure = Structure(
         dofs.free_block(mass),
@@ -97,11 +96,10 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
 
 def _matrices(scene: Scene, space: Any) -> tuple[Any, Any]:
     """Stiffness and mass matrix of all dofs, clamped ones included."""
-    thickness, density = constants(space, scene.geometry.thickness, scene.material.density)
+    (density,), t = constants(space, scene.material.density), thickness(scene, space)
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
-    stress = plane_stress(scene, space, u)
-    stiffness = thickness * ufl.inner(stress, ufl.sym(ufl.grad(v))) * ufl.dx
-    mass = thickness * density * ufl.inner(u, v) * ufl.dx
+    stiffness = t * ufl.inner(stress(scene, space, u), ufl.sym(ufl.grad(v))) * ufl.dx
+    mass = t * density * ufl.inner(u, v) * ufl.dx
     return compat.assembled_matrix(stiffness), compat.assembled_matrix(mass)
 
 
@@ -137,103 +135,6 @@ def clearance_of(scene: Scene, pairs: Pairs) -> np.ndarray:
         )
         raise InputError("cracks", f"{len(given)} tables with [crack]", allowed)
     found: np.ndarray = given[pairs.cracks]
-    return found
-
-
-def _pair_lips(
-    scene: Scene, plate: PlateMesh, space: Any, dofs: Dofs
-) -> tuple[sparse.csr_matrix, Pairs]:
-    """Pair the nodes of the lips in the same place, crack by crack: B, and where the pairs are.
-
-    The pairs of a crack are ordered from its mouth to its tip, or from the left to the right tip.
-    The normal at a node is the lower lip's outward normal, averaged with the node's basis function
-    over the lip: the load vector of a unit pressure points along it. The area of a pair is the
-    thickness times the integral of that function.
-    """
-    if not plate.cracked:
-        return sparse.csr_matrix((len(dofs.free), 0)), Pairs.none()
-    comm = dofs.comm
-    normal = ufl.FacetNormal(plate.mesh)
-    lip = ufl.ds(domain=plate.mesh, subdomain_data=plate.facet_tags)(plate.groups["lower_lip"])
-    pressure = compat.assembled_vector(ufl.inner(normal, ufl.TestFunction(space)) * lip)
-    pressure = pressure.reshape(-1, 2)
-
-    coordinates = space.tabulate_dof_coordinates()[:, :2]
-    sides = []
-    for group in ("lower_lip", "upper_lip"):
-        local = nodes_on(plate, space, group)
-        local = local[local < dofs.n_nodes]
-        rows = np.column_stack([local + dofs.first_node, coordinates[local], pressure[local]])
-        sides.append(gather_rows(comm, rows))
-    lower, upper, cracks, positions = _matched(plate.lips, *sides)
-    places = _watched(plate.lips, cracks, positions)
-    if scene.contact is not None and scene.contact.pairs == "mouth":
-        chosen = list(places.values())
-        lower, upper, cracks, positions = (x[chosen] for x in (lower, upper, cracks, positions))
-        places = {name: number for number, name in enumerate(places)}
-    lengths = np.linalg.norm(lower[:, 3:5], axis=1)
-    normals = lower[:, 3:5] / lengths[:, None]
-
-    n_pairs = len(lower)
-    entries = []
-    for side, sign in ((lower, 1.0), (upper, -1.0)):
-        node = side[:, 0].astype(int) - dofs.first_node
-        mine = np.flatnonzero((node >= 0) & (node < dofs.n_nodes))
-        for component in (0, 1):
-            rows = 2 * node[mine] + component
-            entries.append(np.array([sign * normals[mine, component], rows, mine]))
-    values, rows, columns = np.hstack(entries)
-    shape = 2 * dofs.n_nodes, n_pairs
-    gap = sparse.csr_matrix((values, (rows.astype(int), columns.astype(int))), shape)
-    gap.eliminate_zeros()
-    areas = scene.geometry.thickness * lengths
-    where = Pairs(lower[:, 1:3], areas, cracks, positions, places)
-    return gap[dofs.free], where
-
-
-def _matched(
-    lips: tuple[Lip, ...], lower: np.ndarray, upper: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Rows (number, x, y, ...) of both lips' nodes without the tips, partner by partner in order
-    along the cracks; the crack of each pair, and its distance from where that begins."""
-    shared = np.intersect1d(lower[:, 0], upper[:, 0])
-    size = np.ptp(lower[:, 1:3], axis=0).max()
-    sides = []
-    for side in (lower, upper):
-        own = side[~np.isin(side[:, 0], shared)]
-        cracks, positions = along(lips, own[:, 1:3])
-        order = np.lexsort((positions, cracks))
-        sides.append((own[order], cracks[order], positions[order]))
-    (lower, cracks, positions), (upper, _, _) = sides
-    alike = len(lower) == len(upper) > 0
-    reason = "one has more nodes than the other"
-    if alike:
-        distance = np.linalg.norm(lower[:, 1:3] - upper[:, 1:3], axis=1)
-        alike = distance.max() <= 1e-6 * size
-        x, y = lower[int(np.argmax(distance)), 1:3]
-        reason = f"the lower node at ({x:g}, {y:g}) has its partner {distance.max():.2g} m away"
-    if not alike:
-        found = f"{len(lower)} lower and {len(upper)} upper nodes"
-        allowed = (
-            f"meshed identically, so that the nodes of the two lips pair one to one, but {reason}; "
-            "gmsh's Transfinite Curve divides both alike, or its Plugin(Crack) makes both of one "
-            "curve"
-        )
-        raise InputError("lips", found, allowed)
-    return lower, upper, cracks, positions
-
-
-def _watched(lips: tuple[Lip, ...], cracks: np.ndarray, positions: np.ndarray) -> dict[str, int]:
-    """The pair at the mouth, or in the middle of a crack inside, of each crack by its name."""
-    found = {}
-    for number, lip in enumerate(lips):
-        own = np.flatnonzero(cracks == number)
-        name = "the mouth" if lip.has_mouth else "the middle"
-        place = 0.0 if lip.has_mouth else 0.5 * lip.position[-1]
-        if len(lips) > 1:
-            name += f" of crack {number + 1}"
-        if len(own):
-            found[name] = int(own[np.argmin(np.abs(positions[own] - place))])
     return found
 
 

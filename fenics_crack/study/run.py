@@ -16,6 +16,7 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.balance.to_tolerance import FEWEST, FIRST_MODES, solve_to_tolerance
 from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.curves.peak import Peak
 from fenics_crack.errors import InputError
 from fenics_crack.files.results import Result, save, type_of, unpack
 from fenics_crack.files.store import Stored, read
@@ -89,7 +90,7 @@ class Run(Study, Generic[Found]):
         return f"Run({self.result!r}, {self.scene!r})"
 
     def __dir__(self) -> list[str]:
-        return sorted({*super().__dir__(), *dir(self.result)})
+        return sorted({*super().__dir__()} - {"peak"} | {*dir(self.result)})
 
     def __getattr__(self, name: str) -> Any:
         known = dir(self) if "result" in vars(self) else ()  # not while it is being copied
@@ -106,6 +107,20 @@ class Run(Study, Generic[Found]):
     def watched_name(self) -> str:
         """That dof in words."""
         return self.watched[0].words
+
+    def peak(self, dof: int | None = None) -> Peak:
+        """The largest response of a curve, as :meth:`ResponseCurve.peak` has it, with the
+        :attr:`errors` that are stated of the watched dof's (collective)."""
+        if not isinstance(self.result, ResponseCurve):
+            raise no_attribute(f"{type(self).__name__!r} object", "peak", dir(self))
+        found, stated = self.result.peak(dof), self.errors
+        if stated is None or not stated.parts or dof not in (None, self.watched_dof):
+            return found
+        of_amplitude, of_omega = (
+            stated.stated(name)[0]
+            for name in (self.watched[0].column("amplitude"), stated.resonance)
+        )
+        return replace(found, error=of_amplitude, omega_error=of_omega, without=stated.without)
 
     def motion(self) -> dict[str, np.ndarray]:
         """Motion of what is watched [m], by its words: coefficients of a solution (2H+1,), along a

@@ -40,14 +40,15 @@ def test_bilinear_oscillator(stiffness: float, harmonics: int) -> None:
 
 
 def test_breathing_plate(breathing_plate: fc.Structure) -> None:
-    """18 pairs on the reduced structure, soft and stiff, H = 5 and 10, 1000 to 3000 rad/s."""
+    """18 pairs on the reduced structure, soft and stiff, H = 5 and 10, at and above resonance: from
+    fewer harmonics, a marched motion, and by the paths in the stiffness and the softness."""
     reduced = fc.reduce_structure(breathing_plate)
     assert reduced.n_pairs == 18
     pressed = np.zeros(18, dtype=bool)
     for stiffness, harmonics, frequencies in (
-        (1e9, 5, (1000.0, 1500.0, 2000.0, 2500.0, 3000.0)),
-        (1e9, 10, (1500.0, 2000.0)),
-        (1e11, 5, (2000.0, 3000.0)),
+        (1e9, 5, (2000.0, 3000.0)),
+        (1e9, 10, (2000.0,)),
+        (1e11, 5, (3000.0,)),
         (1e11, 10, (2000.0, 3000.0)),
     ):
         law = fc.UnilateralPenalty(stiffness)
