@@ -69,7 +69,7 @@ def fit_order(
     """Find the engine order of a vibration, and its harmonics, by least squares.
 
     What a probe sees alike in every revolution is its mean, found beside vibrations that follow no
-    order (:attr:`TipFit.asynchronous`), with errors of Student's t, so that single wrong arrivals
+    order (``asynchronous`` of the fit), with errors of Student's t, so that single wrong arrivals
     have no weight. Each candidate is fitted to the means. All whose sum of squares is less than 9
     variances above the least one are alike: the one with the smallest vibration is taken (within
     20 %, the one that leaves least), and the others are reported. So are those whose columns are
