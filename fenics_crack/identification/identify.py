@@ -246,7 +246,7 @@ def solve_forward(
         swept = replace(of, sweep=Sweep(over=over))
         digest = hashlib.sha256(scene_text(swept).encode()).hexdigest()[:8]
         path = folder / f"{name}_{digest}.h5"
-        return run_sweep(swept, path, comm, progress=progress, verdicts=False)
+        return run_sweep(swept, path, comm, progress=progress, verdicts=False, judged=False)
 
     def models(name: str, gone: Sequence[str], axes: Sequence[Axis]) -> dict[str, Model]:
         without = dict.fromkeys(gone)

@@ -21,7 +21,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.stages import within
 from fenics_crack.study.grid_convergence import GridConvergence, grid_convergence
-from fenics_crack.study.prepare import REFUSALS, Study, prepare, reduced
+from fenics_crack.study.prepare import REFUSALS, Study, prepare
 from fenics_crack.study.verification import Verification
 from fenics_crack.table import frequency_axis
 
@@ -86,9 +86,8 @@ def coarser(study: Study) -> tuple[Study, tuple[int, int]] | str:
     if coarse is None:
         return "a grid of half as many columns and rows has no lines along the crack"
     with within("a coarser mesh"):
-        twin = prepare(coarse, structure.comm, whole=True)
-        if structure.whole is not structure:
-            twin = reduced(twin, judged=False)
+        whole = structure.whole is structure
+        twin = prepare(coarse, structure.comm, whole=whole, judged=False)
     counts = n_elements(structure), n_elements(twin.structure)
     return (twin, counts) if counts[1] < counts[0] else "a coarser one has as many elements"
 

@@ -97,7 +97,12 @@ class Study(Hinted):
 
 
 def prepare(
-    scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, whole: bool = False, like: Study | None = None
+    scene: Scene,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    *,
+    whole: bool = False,
+    like: Study | None = None,
+    judged: bool = True,
 ) -> Study:
     """Find a scene's crack length, build its structure, reduce it, and make its law (collective).
 
@@ -112,6 +117,8 @@ def prepare(
     like : Study, optional
         Of another scene, whose mesh and matrices are taken if the rotor's speed is all that
         differs.
+    judged : bool
+        Reduce with what estimates the error of the reduction (:func:`reduce_structure`).
 
     Returns
     -------
@@ -137,7 +144,7 @@ def prepare(
     if watched[0].name:
         structure = structure.watching(watched[0].dof)
     study = Study(scene, structure, law_of(scene, structure), watched)
-    return study if whole else reduced(study)
+    return study if whole else reduced(study, judged=judged)
 
 
 def _watched_dofs(scene: Scene, structure: Structure) -> tuple[Watched, ...]:

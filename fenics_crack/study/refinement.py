@@ -32,7 +32,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.stages import within
 from fenics_crack.study.coarser_mesh import CLAMP, TIP, finer_mesh, n_elements
 from fenics_crack.study.grid_convergence import GridConvergence, grid_convergence
-from fenics_crack.study.prepare import REFUSALS, Study, modes_of, prepare, reduction_of
+from fenics_crack.study.prepare import REFUSALS, Study, modes_of, prepare, reduced, reduction_of
 from fenics_crack.study.run import Run, solve_prepared
 from fenics_crack.study.stated_errors import Numbers, numbers_of, resonance_of, shifted
 from fenics_crack.study.verification import CAUSES, Verification
@@ -275,9 +275,9 @@ def _finer_run(
     with within(name):
         try:
             if shared is not None:
-                varied = _varied(shared, scene)
+                varied = reduced(_varied(shared, scene), judged=False)
             else:
-                varied = prepare(scene, own.structure.comm)
+                varied = prepare(scene, own.structure.comm, judged=False)
                 moved = resonance_of(varied.structure, mode) / resonance_of(own.structure, mode)
                 omega *= moved
             run = solve_prepared(varied, initial, omega)

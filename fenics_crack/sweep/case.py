@@ -71,14 +71,21 @@ class Geometry:
         return self.structure.varied(load=load, clearance=of_cracks)
 
 
-def build(scene: Scene, comm: MPI.Comm, unit_loads: bool, last: Geometry | None = None) -> Geometry:
-    """The geometry of a case; the mesh of the last one serves another speed of the rotor
-    (collective)."""
+def build(
+    scene: Scene,
+    comm: MPI.Comm,
+    unit_loads: bool,
+    last: Geometry | None = None,
+    *,
+    judged: bool = True,
+) -> Geometry:
+    """The geometry of a case, with what judges its reduction if that is asked for; the mesh of the
+    last one serves another speed of the rotor (collective)."""
     scene = scene.replace({f"{name}.clearance": 0.0 for name in scene.all_cracks})
     if unit_loads:
         units = {"force_mean": (0.0, 0.0), "force_cos": (0.0, 1.0), "force_sin": (1.0, 0.0)}
         scene = scene.replace({f"excitation.{name}": value for name, value in units.items()})
-    study = prepare(scene, comm, like=None if last is None else last.study)
+    study = prepare(scene, comm, like=None if last is None else last.study, judged=judged)
     structure = study.structure
     if not is_small(structure):
         method = "off" if scene.reduction is None else scene.reduction.method
@@ -126,8 +133,9 @@ def all_failed(chunk: Chunk, reason: str) -> list[Found]:
     return [{"status": case if isinstance(case, str) else reason} for case in chunk.cases]
 
 
-def solve_chunk(geometry: Geometry, chunk: Chunk, verdicts: bool) -> list[Found]:
-    """Solve cases one after the other; with verdicts on their stability, if wanted."""
+def solve_chunk(geometry: Geometry, chunk: Chunk, *, verdicts: bool, judged: bool) -> list[Found]:
+    """Solve cases one after the other; with verdicts on their stability, if wanted, and with the
+    error of a reduction that has been judged."""
     cases, solved = Cases(geometry), []
     for case in chunk.cases:
         if isinstance(case, str):
@@ -144,6 +152,8 @@ def solve_chunk(geometry: Geometry, chunk: Chunk, verdicts: bool) -> list[Found]
         try:
             solution = cases.solve(case)
             measured = {name: v for name, v in solution.to_dict().items() if name in COLUMNS}
+            if not judged:
+                measured.pop("reduction_error")
             found |= measured | _seen(solution, case, geometry)
             if verdicts:
                 found |= cases.verdict(solution)

@@ -82,6 +82,7 @@ def run_sweep(
     *,
     progress: bool = False,
     verdicts: bool = True,
+    judged: bool = True,
 ) -> SweepResult:
     """Solve all cases of a scene's sweep by harmonic balance (collective).
 
@@ -102,6 +103,9 @@ def run_sweep(
     verdicts : bool
         Judge the stability of each case. It takes a tenth to a third of the time where a geometry
         has many cases; without, the columns ``verdict`` and ``multiplier`` are empty.
+    judged : bool
+        Estimate the error of the reduction, which takes twice the modes; without, the column
+        ``reduction_error`` is empty.
 
     Returns
     -------
@@ -131,7 +135,7 @@ def run_sweep(
     how = on_root(comm, start)
     group = comm.Split(comm.rank // ranks, comm.rank)
     leaders = comm.Split(min(group.rank, 1), comm.rank)
-    worker = Worker(group, **how, verdicts=verdicts)
+    worker = Worker(group, **how, verdicts=verdicts, judged=judged)
     with StopRequest() as stop:
         if managers:
             managers[0].run(worker, leaders, stop)

@@ -504,7 +504,9 @@ def test_a_complete_sweep_is_not_computed_again(
     chunks = []
     whole = sweep_jobs.solve_chunk
     monkeypatch.setattr(
-        sweep_jobs, "solve_chunk", lambda *given: chunks.append(given) or whole(*given)
+        sweep_jobs,
+        "solve_chunk",
+        lambda *given, **how: chunks.append(given) or whole(*given, **how),
     )
     written = []
     write = sweep.SweepFile.write
