@@ -35,12 +35,12 @@ from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import times
 from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.motion.flow import ContactFlow, Samples, flow_of
-from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit, Prediction
+from fenics_crack.motion.orbit import FLOWS, INSTANTS, PeriodicOrbit, Prediction, affordable
 from fenics_crack.numerics.fourier import waves
 
 __all__ = [
-    "AFFORDABLE", "BELIEVED", "CLOSE", "FARTHEST", "STILL", "UNKNOWN", "Judgement", "MoreModes",
-    "more_modes", "relative",
+    "BELIEVED", "CLOSE", "FARTHEST", "STILL", "UNKNOWN", "Judgement", "MoreModes", "more_modes",
+    "relative",
 ]  # fmt: skip
 
 BELIEVED, FARTHEST, FAR = 3.0, 0.1, 0.3
@@ -49,8 +49,6 @@ beyond which more harmonics have to confirm it; and the prediction from which on
 none is found."""
 UNKNOWN = 1.0
 """An error that is not known."""
-AFFORDABLE = 240
-"""Numbers of a state up to which the derivatives along a wave are no matter: 0.5 s."""
 CLOSE = 1e-7
 """Distance that may come from how closely waves and orbits are solved for."""
 STILL = 1e-11
@@ -205,11 +203,18 @@ class Judgement:
             vars(self).setdefault("near", orbit)
         return self.accepted and abs(distance / self.distance - 1.0) <= FARTHEST
 
+    def suggest(self, orbit: PeriodicOrbit) -> None:
+        """Take an orbit for the one next to the wave, unless it may be another one's."""
+        vars(self).setdefault("flow", orbit.flow)
+        if self.believes(distance := self._to(orbit)) and distance <= FARTHEST:
+            vars(self)["near"] = orbit
+
     @property
     def affordable(self) -> bool:
-        """Whether there is a flow whose derivatives do not take long: an error report is asked for
-        each solution."""
-        return self.flow is not None and self.flow.size <= AFFORDABLE
+        """Whether there is a flow whose orbits are not sought for long: an error report is asked
+        for each solution."""
+        flow, wave = self.flow, self.wave
+        return flow is not None and affordable(flow, wave.omega, wave.subharmonic)
 
     def errors(self, *, search: bool = True) -> tuple[float, float]:
         """Of the gap, and of the displacement at the load in the direction of each of its parts:
@@ -304,7 +309,8 @@ class MoreModes:
     @property
     def affordable(self) -> bool:
         """Whether Newton's step does not take long."""
-        return self.flow.size <= AFFORDABLE
+        wave = self._judged.wave
+        return affordable(self.flow, wave.omega, wave.subharmonic, FLOWS)
 
     @cached_property
     def _states(self) -> np.ndarray | None:

@@ -31,6 +31,7 @@ from fenics_crack.kernel import Struct, doubles, kernel, owned
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion
 from fenics_crack.motion.orbit import (
     CLOSED,
+    FORMED,
     INSTANTS,
     PeriodicOrbit,
     Prediction,
@@ -325,7 +326,7 @@ def predicted(
     be followed."""
     try:
         return predict(flow, omega, states, subharmonic=subharmonic)
-    except (ConvergenceError, np.linalg.LinAlgError):
+    except (ConvergenceError, np.linalg.LinAlgError, ValueError):
         return None
 
 
@@ -338,12 +339,12 @@ def orbit_next_to(
     patient: bool = True,
 ) -> PeriodicOrbit | None:
     """The orbit next to a state: by Newton's method, or else, if ``patient``, where the homotopy
-    from the state leads; None where these lead to none.
+    from the state leads, where M is formed; None where these lead to none.
 
     Where stiff pairs open and close many times, Newton's method finds an orbit only from very near.
     """
     orbit = find_orbit(flow, omega, start, subharmonic=subharmonic)
-    if orbit is not None or not patient:
+    if orbit is not None or not patient or flow.size > FORMED:
         return orbit
     return _by_homotopy(FlowOrbits(flow, omega, start, subharmonic))
 

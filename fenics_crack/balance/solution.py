@@ -20,6 +20,7 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.search import Search
 from fenics_crack.balance.wave import Wave
 from fenics_crack.errors import MOST_HARMONICS, ConvergenceError
+from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.table import Described, counted, quantity, with_frequency
 
@@ -225,14 +226,17 @@ def solution_of(
     search: bool = True,
     enough: float = math.inf,
     reported: bool = True,
+    orbit: PeriodicOrbit | None = None,
 ) -> PeriodicSolution:
     """The solution that belongs to a point of the condensed equations (collective).
 
     With ``search`` its error is the distance of its exact orbit; else what is predicted without;
     nothing is estimated where it is not ``reported``, and nothing else where the truncation is
-    above ``enough``, or of equations that are not solved.
+    above ``enough``, or of equations that are not solved. Its orbit may be known already.
     """
     found = PeriodicSolution(**vars(problem.wave(at)), status=status, converged=converged)
+    if orbit is not None:
+        found.judged.suggest(orbit)
     if not reported:
         return found
     if not converged:
@@ -278,7 +282,7 @@ class Solver:
             at = replace(self, problem=problem).find(search, compliance, initial)
             found = solution_of(
                 problem, at, status=search.status, converged=search.converged, enough=self.enough,
-                reported=reported,
+                reported=reported, orbit=search.orbit,
             )  # fmt: skip
             return search, replace(found, iterations=search.iterations)
 

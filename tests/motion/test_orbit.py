@@ -107,6 +107,21 @@ def test_twice_the_period() -> None:
     assert orbit.gap_at(np.array([0.3 + orbit.period]))[0] == pytest.approx(once)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_by_products_as_by_factors(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same orbit and the same prediction where M is not formed; its products are M's."""
+    solution = fc.solve_harmonic_balance(light_chain(seed), 0.5, RIGID, harmonics=10)
+    expected, orbit = next_to(solution)
+    change = np.random.default_rng(seed).normal(size=orbit.flow.size)
+    assert relative(orbit.motion.track @ change, orbit.monodromy @ change) < 1e-12
+    monkeypatch.setattr("fenics_crack.motion.orbit.FORMED", 0)
+    found = predicted(orbit.flow, orbit.omega, solution.judged.states)
+    again = find_orbit(orbit.flow, orbit.omega, solution.judged.states[0])
+    assert found is not None and found.error == pytest.approx(expected.error, rel=0.05)
+    assert relative(found.monodromy, expected.monodromy) < 1e-10
+    assert again is not None and relative(again.state, orbit.state) < 1e-7
+
+
 def test_by_omega() -> None:
     """The orbit moves with the frequency as its derivative says."""
     flow, omega, step = flow_of(light_chain(1), RIGID), 0.5, 1e-5
