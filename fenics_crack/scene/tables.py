@@ -708,6 +708,8 @@ class TipTiming(Table):
     """Resolution of the computed arrivals; 0: none."""
     seed: int = holds("a whole number >= 0", lambda value: value >= 0, 0)
     """Of the noise."""
+    angle_deviation: float = not_negative(0.0, unit="degrees")
+    """Standard deviation of the probes' angles, the same in every revolution."""
     orders: tuple[float, ...] | None = holds(
         "a list of different whole numbers >= 1",
         lambda orders: (
