@@ -2,7 +2,8 @@
 
 Errors of predictions are not independent. One sweep makes all of them, so they are taken as a
 covariance: of the interpolation from what each node differs by from the others, all quantities at
-once; of the mesh from what a finer one changes, half of it alike in all quantities.
+once; of the mesh from what a finer one changes, half of it alike in all quantities; of what else is
+not as the scene says from its prior (:mod:`fenics_crack.identification.nuisance`).
 """
 
 from __future__ import annotations
@@ -15,9 +16,10 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.errors import FEW_MODES
-from fenics_crack.identification.features import Feature, Part
+from fenics_crack.identification.features import Feature, Part, scales
 from fenics_crack.identification.interpolation import Interpolation
 from fenics_crack.identification.measurements import Measurement
+from fenics_crack.identification.nuisance import Whole, relative_changes, tilted
 from fenics_crack.identification.probes import Passages
 from fenics_crack.scene.scene import Scene
 
@@ -41,6 +43,8 @@ class Model:
     ----------
     scene : Scene
         For its damping, and its table ``[identify]``.
+    whole : Whole
+        The plate without its crack.
     coarse, finer : Part
         The sweep, and that of the finer mesh, or None.
     fixed : mapping of str to object
@@ -48,10 +52,17 @@ class Model:
     """
 
     def __init__(
-        self, scene: Scene, coarse: Part, finer: Part | None = None, *, fixed: Mapping[str, Any]
+        self,
+        scene: Scene,
+        whole: Whole,
+        coarse: Part,
+        finer: Part | None = None,
+        *,
+        fixed: Mapping[str, Any],
     ) -> None:
         assert scene.identify is not None
-        self.table, self._damping = scene.identify, scene.damping
+        self.table, self._damping, self.whole = scene.identify, scene.damping, whole
+        self._crack = scene.crack
         self.coarse, self.finer = coarse, finer
         self.fixed, self.keys, self.cube = dict(fixed), coarse.keys, coarse.cube
 
@@ -70,10 +81,24 @@ class Model:
             ratio = self._damping.ratios if self._damping.ratio is None else self._damping.ratio
         return np.full((len(x), 1), DEFAULT_RATIO if ratio is None else np.mean(ratio))
 
+    def tilt(self, x: np.ndarray) -> np.ndarray | None:
+        """How far an inclined crack acts as one that is elsewhere, by a standard deviation of its
+        angle, at values (m, d) of the unknowns: (m, d); None where its place is not unknown."""
+        if "crack.height" not in self.keys:
+            return None
+        length = np.full(len(x), getattr(self._crack, "length", None) or 0.0)
+        if "crack.length" in self.keys:
+            length = x[:, self.keys.index("crack.length")]
+        moved = np.zeros_like(x)
+        moved[:, self.keys.index("crack.height")] = tilted(length, self.table)
+        return moved
+
     def candidates(self) -> tuple[Measurement, ...]:
         """List what might be measured: natural frequencies, ratios of harmonics at the points and
         load frequencies of the sweep."""
         kinds = [f"frequency_{lips}" for lips in ("open", "tied", "resonance")]
+        if self.coarse.bare is not None:
+            kinds.append("frequency_uncracked")
         rows = [Measurement(k, 1.0, 1.0, mode=mode + 1) for k in kinds for mode in range(FEW_MODES)]
         sweep, ratios = self.coarse.sweep, ("ratio_2_1", "ratio_3_1")
         seen = ["", *sweep.scene.point_names]
@@ -146,19 +171,22 @@ class Quantities:
 
     def _scales(self, x: np.ndarray) -> np.ndarray:
         """Factors that have made features smooth: (m, f), for both sweeps from the coarse one."""
-        basis = np.where(self._basis.known, self._basis.at(x), np.nan)
-        damping = self.model.damping(x)
-        return np.stack([feature.scale(damping, basis) for feature in self._features], axis=1)
+        return scales(self._features, self.model.damping(x), self._basis_at(x))
+
+    def _basis_at(self, x: np.ndarray) -> np.ndarray:
+        """What :attr:`Part.basis` has, at values (m, d) of the unknowns: (m, 1 + 2 modes)."""
+        return np.where(self._basis.known, self._basis.at(x), np.nan)
 
     def __call__(self, x: np.ndarray) -> Prediction:
         """Predictions at some values (m, d) of the unknowns."""
         smooth, left, scatter = self._of_features(x)
-        scales = self._scales(x)
-        waves = (smooth[:, ::2] + 1j * smooth[:, 1::2]) / scales
-        values, turns, rest = self._of_numbers(x, waves, scales)
+        damping, basis = self.model.damping(x), self._basis_at(x)
+        scale = scales(self._features, damping, basis)
+        waves = (smooth[:, ::2] + 1j * smooth[:, 1::2]) / scale
+        values, turns, rest = self._of_numbers(damping, waves, scale)
         free = [np.zeros((*values.shape, 0))]
         unsure = sum(np.sum(errors**2, axis=1) for errors in scatter)
-        unsure = (unsure[:, ::2] + unsure[:, 1::2]) / np.abs(scales) ** 2
+        unsure = (unsure[:, ::2] + unsure[:, 1::2]) / np.abs(scale) ** 2
         for passages in self._passages:
             at = self._places[passages.rows[0]]
             found = passages.aligned(waves[:, at])
@@ -166,27 +194,55 @@ class Quantities:
             # What harmonics above the last one may be: as much as that may be.
             last = (np.abs(waves[:, at[-1]]) ** 2 + unsure[:, at[-1]]) * found.size**2
             rest[:, passages.rows] = last[:, None]
-            turns[:, np.array(passages.rows)[:, None], at] = found.turns / scales[:, None, at]
+            turns[:, np.array(passages.rows)[:, None], at] = found.turns / scale[:, None, at]
             moved = np.zeros((*values.shape, found.free.shape[2]))
             moved[:, passages.rows] = found.free
             free.append(moved)
         turns[:, ~self._known] = 0.0
-        errors = self._errors(smooth, left, scatter, _pairs(turns.conj()))
+        slopes = _pairs(turns.conj())
+        errors = self._errors(smooth, left, scatter, slopes)
+        errors = np.concatenate([errors, slopes @ self._unknown(x, waves, scale, basis)], axis=2)
         total = errors @ errors.transpose(0, 2, 1) + rest[:, :, None] * np.eye(len(self.rows))
         values = np.where(self._known, values, np.nan)
         return Prediction(values, total, np.concatenate(free, axis=2), self._known)
 
+    def _unknown(
+        self, x: np.ndarray, waves: np.ndarray, scale: np.ndarray, basis: np.ndarray
+    ) -> np.ndarray:
+        """Changes of the smooth forms by what else is not known, a standard deviation of each:
+        (m, 2f, s)."""
+        model = self.model
+        changes = relative_changes(
+            self._features,
+            waves.real,
+            model.damping(x),
+            basis,
+            model.whole,
+            model.table,
+            model.keys,
+        )
+        natural = np.array([bool(feature.lips) for feature in self._features])
+        changes = changes * np.where(natural, 1.0, waves * scale)[..., None]
+        found = _pairs(changes.transpose(0, 2, 1)).transpose(0, 2, 1)
+        if (tilt := model.tilt(x)) is None:
+            return found
+        low, high = model.cube.low, model.cube.high
+        above, below = np.minimum(x + tilt, high), np.maximum(x - tilt, low)
+        share = tilt.sum(axis=1) / np.maximum((above - below).sum(axis=1), np.finfo(float).tiny)
+        moved = share[:, None] * (self._coarse.at(above) - self._coarse.at(below))
+        return np.concatenate([found, moved[..., None]], axis=2)
+
     def _of_numbers(
-        self, x: np.ndarray, waves: np.ndarray, scales: np.ndarray
+        self, damping: np.ndarray, waves: np.ndarray, scale: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Values (m, q) of all measurements but displacements, their slopes t (m, q, f) by the
         smooth forms S, ds = Re sum t dS, and variances of what no feature tells (m, q)."""
         natural = np.array([bool(feature.lips) for feature in self._features])
         with np.errstate(divide="ignore", invalid="ignore"):
             sizes = np.where(natural, np.exp(np.where(natural, waves.real, 0.0)), np.abs(waves))
-            turned = np.where(np.abs(waves) > 0.0, np.conj(waves) / np.abs(waves), 1.0) / scales
+            turned = np.where(np.abs(waves) > 0.0, np.conj(waves) / np.abs(waves), 1.0) / scale
         turned = np.where(natural, sizes, turned)
-        values, rest = np.zeros((2, len(x), len(self.rows)))
+        values, rest = np.zeros((2, len(waves), len(self.rows)))
         turns = np.zeros((*values.shape, len(self._features)), dtype=complex)
         for place, (row, at) in enumerate(zip(self.rows, self._places, strict=True)):
             if row.quantity == "displacement":
@@ -195,7 +251,7 @@ class Quantities:
             turns[:, place, at] = weights * turned[:, at]
             if row.quantity == "frequency_resonance":
                 split = sizes[:, at[1]] - sizes[:, at[0]]
-                shift = values[:, place] * self.model.damping(x)[:, 0] ** 2
+                shift = values[:, place] * damping[:, 0] ** 2
                 rest[:, place] = (OFF.get(row.mode, OFTEN_OFF) * split) ** 2 + shift**2
         return values, turns, rest
 

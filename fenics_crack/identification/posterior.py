@@ -42,6 +42,10 @@ CLOSER = {1: 101, 2: 41, 3: 15}
 """Further ones around each optimum; of more, 7."""
 STARTS = 8
 """Of least squares, at most."""
+STEP = 1e-6
+"""Of an unknown, over its range, for derivatives."""
+FTOL = 1e-5
+"""Relative change of log L with which least squares end: of no weight for a probability."""
 WIDTHS = 5.0
 """Standard deviations around an optimum that are looked at closer."""
 WORSE = 8.0
@@ -133,7 +137,8 @@ def explore(likelihood: Likelihood) -> Branch:
     d = len(cube.axes)
     if d == 0:
         height = likelihood(np.zeros((1, 0)))
-        return Branch(likelihood, [], (), height.reshape(()), np.ones(()))
+        only = Optimum(np.zeros(0), float(height[0]), np.zeros((0, 0)))
+        return Branch(likelihood, [only], (), height.reshape(()), np.ones(()))
     first = [np.linspace(axis[0], axis[-1], LOOK.get(d, 9)) for axis in cube.axes]
     height = _heights(likelihood, _points(first)).reshape([len(axis) for axis in first])
     optima = _optima(likelihood, first, height, cube.low, cube.high)
@@ -197,8 +202,13 @@ def _optima(
         def residuals(unit: np.ndarray) -> np.ndarray:
             return likelihood.residuals((low + span * unit)[None])[0]
 
+        def slopes(unit: np.ndarray) -> np.ndarray:
+            steps = np.diag(np.where(unit < 0.5, STEP, -STEP))
+            rows = likelihood.residuals(low + span * np.vstack([unit, unit + steps]))
+            return np.asarray((rows[1:] - rows[0]).T / np.diag(steps))
+
         unit = np.clip((start - low) / span, 1e-6, 1.0 - 1e-6)
-        fit = least_squares(residuals, unit, bounds=(0.0, 1.0), x_scale=0.1)
+        fit = least_squares(residuals, unit, slopes, bounds=(0.0, 1.0), x_scale=0.1, ftol=FTOL)
         information = fit.jac.T @ fit.jac + 12.0 * np.eye(len(span))
         covariance = np.linalg.inv(information) * np.outer(span, span)
         found.append(Optimum(low + span * fit.x, -float(fit.cost), covariance))
@@ -267,8 +277,9 @@ class Posterior:
         return float(low), float(high)
 
     def parts(self, share: float, least: float) -> list[tuple[str, np.ndarray, float]]:
-        """The separate parts of the region that holds a share of the mass: words, where L is
-        largest there (d,), and mass; those with less than ``least`` are left out."""
+        """The separate parts of the region that holds a share of the mass: words, the middle (d,),
+        and mass, largest first; those with less than ``least`` are left out. The middle is the mean
+        or, of a bent part that does not hold it, the nearest point that is."""
         level = self.level(share)
         found = []
         for name, branch in self.branches.items():
@@ -276,13 +287,16 @@ class Posterior:
             numbers, count = label(within, structure=np.ones((3,) * within.ndim))
             for number in range(1, count + 1):
                 own = numbers == number
-                mass = float(self.mass[name][own].sum())
-                if mass >= least:
-                    at = np.unravel_index(
-                        np.argmax(np.where(own, branch.height, -np.inf)), own.shape
-                    )
-                    x = np.array([a[k] for a, k in zip(branch.axes, at, strict=True)])
-                    found.append((name, x, mass))
+                masses = self.mass[name][own]
+                if masses.sum() >= least:
+                    places = np.argwhere(own)
+                    columns = [axis[at] for axis, at in zip(branch.axes, places.T, strict=True)]
+                    points = np.stack(columns, axis=1) if columns else np.zeros((1, 0))
+                    x = masses @ points / masses.sum()
+                    if branch.likelihood(x[None])[0] < level:
+                        width = np.ptp(points, axis=0) + np.finfo(float).tiny
+                        x = points[np.argmin(np.sum(((points - x) / width) ** 2, axis=1))]
+                    found.append((name, x, float(masses.sum())))
         return sorted(found, key=lambda part: -part[2])
 
     def spread(self, place: int) -> float:
