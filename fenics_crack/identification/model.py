@@ -19,7 +19,7 @@ from fenics_crack.errors import FEW_MODES
 from fenics_crack.identification.features import Feature, Part, scales
 from fenics_crack.identification.interpolation import Interpolation
 from fenics_crack.identification.measurements import Measurement
-from fenics_crack.identification.nuisance import Whole, relative_changes, tilted
+from fenics_crack.identification.nuisance import Whole, act_as, relative_changes
 from fenics_crack.identification.probes import Passages
 from fenics_crack.scene.scene import Scene
 
@@ -62,7 +62,7 @@ class Model:
     ) -> None:
         assert scene.identify is not None
         self.table, self._damping, self.whole = scene.identify, scene.damping, whole
-        self._crack = scene.crack
+        self._scene = scene
         self.coarse, self.finer = coarse, finer
         self.fixed, self.keys, self.cube = dict(fixed), coarse.keys, coarse.cube
 
@@ -81,17 +81,10 @@ class Model:
             ratio = self._damping.ratios if self._damping.ratio is None else self._damping.ratio
         return np.full((len(x), 1), DEFAULT_RATIO if ratio is None else np.mean(ratio))
 
-    def tilt(self, x: np.ndarray) -> np.ndarray | None:
-        """How far an inclined crack acts as one that is elsewhere, by a standard deviation of its
-        angle, at values (m, d) of the unknowns: (m, d); None where its place is not unknown."""
-        if "crack.height" not in self.keys:
-            return None
-        length = np.full(len(x), getattr(self._crack, "length", None) or 0.0)
-        if "crack.length" in self.keys:
-            length = x[:, self.keys.index("crack.length")]
-        moved = np.zeros_like(x)
-        moved[:, self.keys.index("crack.height")] = tilted(length, self.table)
-        return moved
+    def act_as(self, x: np.ndarray) -> np.ndarray:
+        """How far a crack may be from the one that acts like it, at values (m, d) of the unknowns:
+        standard deviations (m, d)."""
+        return act_as(x, self.keys, self._scene)
 
     def candidates(self) -> tuple[Measurement, ...]:
         """List what might be measured: natural frequencies, ratios of harmonics at the points and
@@ -223,14 +216,7 @@ class Quantities:
         )
         natural = np.array([bool(feature.lips) for feature in self._features])
         changes = changes * np.where(natural, 1.0, waves * scale)[..., None]
-        found = _pairs(changes.transpose(0, 2, 1)).transpose(0, 2, 1)
-        if (tilt := model.tilt(x)) is None:
-            return found
-        low, high = model.cube.low, model.cube.high
-        above, below = np.minimum(x + tilt, high), np.maximum(x - tilt, low)
-        share = tilt.sum(axis=1) / np.maximum((above - below).sum(axis=1), np.finfo(float).tiny)
-        moved = share[:, None] * (self._coarse.at(above) - self._coarse.at(below))
-        return np.concatenate([found, moved[..., None]], axis=2)
+        return _pairs(changes.transpose(0, 2, 1)).transpose(0, 2, 1)
 
     def _of_numbers(
         self, damping: np.ndarray, waves: np.ndarray, scale: np.ndarray

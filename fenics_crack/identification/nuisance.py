@@ -11,6 +11,10 @@ Nothing is solved again for it. These changes are directions in which prediction
 together: of the plate with its crack, of the same plate without it, and of its frequencies before
 it had one, which is how these take away what is not known of the plate.
 
+A crack that is inclined, wider, or softer than the model's acts like a straight and sharp one that
+is elsewhere, and longer or shorter: it is this that measurements tell of. What is stated of the
+real one is less sure by that (:func:`act_as`).
+
 Young's modulus and density change the part e of w_j^2 that is elastic, not what rotation adds. A
 clamp that is as soft everywhere, with a radius of gyration q about its middle, takes from w_j^2
 
@@ -37,7 +41,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Identify
 from fenics_crack.study.prepare import prepare
 
-__all__ = ["NO_CRACK", "Whole", "relative_changes", "tilted", "whole_plate"]
+__all__ = ["NO_CRACK", "Whole", "act_as", "relative_changes", "whole_plate"]
 
 NO_CRACK = ("crack", "cracks", "contact")
 """Tables that a scene without a crack does without."""
@@ -46,6 +50,8 @@ STIFFENING = 0.05
 plates differ by so much in it."""
 TOGETHER = 0.9
 """Part of the variance of what a crack changes that all modes have together: a compliance."""
+POWER = 2.0
+"""Of a crack's length, like which it changes natural frequencies."""
 CENTROID = 2.0 / 3.0
 """Of an edge crack's length: the middle of what it weakens, which grows like its length."""
 FACTORS = {"rad/s": 2.0 * np.pi, "kHz": 1e-3, "mHz": 1e3}
@@ -177,20 +183,26 @@ def relative_changes(
         turned = 2j * damping[..., None] * r / pole
         by_damping = -turned.sum(axis=2)
         by_mode = np.where(natural[:, None], by_mode, (turned - 2.0 * r**2 / pole)[..., :count])
-    by_crack = by_mode * np.nan_to_num(shifts)
-    powers = np.array([feature.power for feature in features])
-    common, apart = table.crack_deviation * np.sqrt([TOGETHER, 1.0 - TOGETHER])
     loose = 0.0 if "damping.ratio" in keys else table.damping_deviation
     columns = [
         by_mode @ whole.changes + np.outer(~natural, whole.sizes),
-        apart * by_crack,
-        common * (by_crack.sum(axis=2) + powers)[..., None],
+        table.crack_deviation * np.sqrt(1.0 - TOGETHER) * np.nan_to_num(by_mode * shifts),
         loose * by_damping[..., None],
     ]
     return np.concatenate(columns, axis=2)
 
 
-def tilted(length: np.ndarray, table: Identify) -> np.ndarray:
-    """How far the part of an edge crack that weakens is from its mouth's height, by a standard
-    deviation of its angle: (m,) [m] for lengths (m,)."""
-    return np.asarray(CENTROID * length * np.tan(np.radians(table.angle_deviation)))
+def act_as(x: np.ndarray, keys: Sequence[str], scene: Scene) -> np.ndarray:
+    """How far a crack may be from the straight and sharp one that acts like it, at values (m, d) of
+    the unknowns: standard deviations (m, d)."""
+    table, found = scene.identify, np.zeros_like(x)
+    assert table is not None
+    length = np.full(len(x), getattr(scene.crack, "length", None) or 0.0)
+    if "crack.length" in keys:
+        place = keys.index("crack.length")
+        length = x[:, place]
+        found[:, place] = table.crack_deviation * np.sqrt(TOGETHER) / POWER * length
+    if "crack.height" in keys:
+        tilt = CENTROID * np.tan(np.radians(table.angle_deviation))
+        found[:, keys.index("crack.height")] = tilt * length
+    return found

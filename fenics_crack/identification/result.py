@@ -175,15 +175,14 @@ class Identification(Tabular):
         InputError
             An unknown is missing.
         """
-        for name, branch in self.posterior.branches.items():
+        for branch in self.posterior.branches.values():
             model = branch.likelihood.quantities.model
             missing = [key for key in (*model.keys, *model.fixed) if key not in values]
             if missing:
                 raise InputError("values", dict(values), f"with {', '.join(missing)}")
             if all(values[key] == word for key, word in model.fixed.items()):
-                x = np.array([[float(values[key]) for key in model.keys]])
-                height = float(self.posterior.branches[name].likelihood(x)[0])
-                return height >= self.posterior.level(share)
+                x = np.array([float(values[key]) for key in model.keys])
+                return branch.at(x) >= self.posterior.level(share)
         return False
 
     def where_to_measure(

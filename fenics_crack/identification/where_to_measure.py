@@ -127,7 +127,8 @@ def worth_of(
     before = np.linalg.inv(information)
     moved = new @ before
     gained = np.sum(moved * new, axis=1)
-    after = np.sqrt(np.diag(before) - moved**2 / (1.0 + gained)[:, None]) * span
+    other = (model.act_as(x[None])[0] / span) ** 2
+    after = np.sqrt(np.diag(before) - moved**2 / (1.0 + gained)[:, None] + other) * span
     best = [int(at) for at in np.argsort(-gained, kind="stable") if fit[at]]
     return Worth(
         tuple(
@@ -136,7 +137,7 @@ def worth_of(
         ),
         0.5 * np.log1p(gained[best]),
         {key: after[best, place] for place, key in enumerate(model.keys)},
-        dict(zip(model.keys, (np.sqrt(np.diag(before)) * span).tolist(), strict=True)),
+        dict(zip(model.keys, (np.sqrt(np.diag(before) + other) * span).tolist(), strict=True)),
     )
 
 
@@ -153,7 +154,7 @@ def left_with(
     slopes = _slopes(quantities, x, span, model.cube.low, model.cube.high) / every[:, None]
     slopes = np.nan_to_num(slopes)
     information = slopes.T @ np.linalg.solve(covariance, slopes) + PRIOR * np.eye(len(x))
-    left = np.sqrt(np.diag(np.linalg.inv(information))) * span
+    left = np.hypot(np.sqrt(np.diag(np.linalg.inv(information))) * span, model.act_as(x[None])[0])
     return dict(zip(model.keys, left.tolist(), strict=True))
 
 
