@@ -1,6 +1,7 @@
 """What is interpolated: natural frequencies and harmonics of a sweep, made smooth.
 
-Smooth in the unknowns are the logarithms of natural frequencies, and harmonics as complex numbers,
+Smooth in the unknowns are the logarithms of natural frequencies without the crack, what it adds to
+them, over its length where that is unknown, and harmonics as complex numbers,
 a - i b of a cos + b sin. The amplitudes alone have kinks where they vanish, and both have poles,
 which move with the crack, where k times the load's frequency W meets a natural frequency w_j of the
 breathing crack with a damping ratio z. So of the k-th harmonic it is
@@ -142,6 +143,16 @@ class Feature:
         """n of s^n, to which a harmonic is proportional."""
         return 1 + self.order % 2 if self.order > 1 else 0
 
+    @property
+    def natural(self) -> bool:
+        """Tell whether it is a natural frequency."""
+        return bool(self.lips)
+
+    @property
+    def of_crack(self) -> bool:
+        """Tell whether it is a natural frequency that the crack changes."""
+        return self.lips in ("open", "tied")
+
 
 def poles(
     features: Sequence[Feature], damping: np.ndarray, basis: np.ndarray
@@ -155,9 +166,11 @@ def poles(
     return r, 1.0 - r**2 + 2j * damping[..., None] * r
 
 
-def scales(features: Sequence[Feature], damping: np.ndarray, basis: np.ndarray) -> np.ndarray:
-    """Factors that make the values smooth: (m, f), of the same."""
+def scales(
+    features: Sequence[Feature], damping: np.ndarray, basis: np.ndarray, length: np.ndarray
+) -> np.ndarray:
+    """Factors that make the values smooth: (m, f), of the same and of lengths of the crack (m,)."""
     powers = np.array([feature.power for feature in features])
-    return np.asarray(
-        poles(features, damping, basis)[1].prod(axis=2) / basis[:, :1] ** (2 * powers)
-    )
+    changed = np.array([feature.of_crack for feature in features])
+    found = poles(features, damping, basis)[1].prod(axis=2) / basis[:, :1] ** (2 * powers)
+    return np.where(changed, 1.0 / length[:, None], found)

@@ -62,7 +62,7 @@ class Model:
     ) -> None:
         assert scene.identify is not None
         self.table, self._damping, self.whole = scene.identify, scene.damping, whole
-        self._scene = scene
+        self.scene = scene
         self.coarse, self.finer = coarse, finer
         self.fixed, self.keys, self.cube = dict(fixed), coarse.keys, coarse.cube
 
@@ -81,10 +81,18 @@ class Model:
             ratio = self._damping.ratios if self._damping.ratio is None else self._damping.ratio
         return np.full((len(x), 1), DEFAULT_RATIO if ratio is None else np.mean(ratio))
 
+    def length(self, x: np.ndarray) -> np.ndarray:
+        """Length of the crack over the longest, at values (m, d) of the unknowns: (m,); 1 where it
+        is not unknown."""
+        if "crack.length" not in self.keys:
+            return np.ones(len(x))
+        place = self.keys.index("crack.length")
+        return np.asarray(x[:, place] / self.cube.high[place])
+
     def act_as(self, x: np.ndarray) -> np.ndarray:
         """How far a crack may be from the one that acts like it, at values (m, d) of the unknowns:
         standard deviations (m, d)."""
-        return act_as(x, self.keys, self._scene)
+        return act_as(x, self.keys, self.scene)
 
     def candidates(self) -> tuple[Measurement, ...]:
         """List what might be measured: natural frequencies, ratios of harmonics at the points and
@@ -136,11 +144,18 @@ class Quantities:
     ) -> None:
         self.model, self.rows = model, (*rows, *more)
         of_rows = [Feature.of(row) for row in self.rows]
-        self._features = tuple(dict.fromkeys(one for found in of_rows for one in found))
+        every = [one for found in of_rows for one in found]
+        every += [Feature("uncracked", one.mode) for one in every if one.of_crack]
+        self._features = tuple(dict.fromkeys(every))
         at = {feature: place for place, feature in enumerate(self._features)}
         self._places = [[at[feature] for feature in found] for found in of_rows]
+        plain = [(at[one], at[Feature("uncracked", one.mode)]) for one in at if one.of_crack]
+        self._own, self._plain = (
+            (list(places) for places in zip(*plain, strict=True)) if plain else ([], [])
+        )
         self._passages = Passages.among(rows, more)
         self._alike = _alike(self._features)
+        self._is_plain = np.array([one.lips == "uncracked" for one in self._features])
         self._basis = Interpolation(model.cube, model.coarse.basis)
         self._coarse = Interpolation(model.cube, self._smooth(model.coarse))
         known = self._coarse.known
@@ -154,17 +169,19 @@ class Quantities:
             self._correction = Interpolation(fine.cube, difference)
             known = known & self._correction.known
         of_features = known.reshape(-1, 2).all(axis=1)
+        of_features[self._own] &= of_features[self._plain]
         self._known = np.array([bool(of_features[places].all()) for places in self._places])
 
     def _smooth(self, part: Part) -> np.ndarray:
         """The smooth forms of all features at the nodes of a sweep: (n, 2f), real and imaginary
         parts, one beside the other."""
         values = np.stack([feature.values(part) for feature in self._features], axis=1)
-        return _pairs(values * self._scales(part.cube.nodes))
+        values[:, self._own] -= values[:, self._plain]
+        return _pairs(values * self._scales(part.cube.nodes, self._basis_at(part.cube.nodes)))
 
-    def _scales(self, x: np.ndarray) -> np.ndarray:
+    def _scales(self, x: np.ndarray, basis: np.ndarray) -> np.ndarray:
         """Factors that have made features smooth: (m, f), for both sweeps from the coarse one."""
-        return scales(self._features, self.model.damping(x), self._basis_at(x))
+        return scales(self._features, self.model.damping(x), basis, self.model.length(x))
 
     def _basis_at(self, x: np.ndarray) -> np.ndarray:
         """What :attr:`Part.basis` has, at values (m, d) of the unknowns: (m, 1 + 2 modes)."""
@@ -174,8 +191,13 @@ class Quantities:
         """Predictions at some values (m, d) of the unknowns."""
         smooth, left, scatter = self._of_features(x)
         damping, basis = self.model.damping(x), self._basis_at(x)
-        scale = scales(self._features, damping, basis)
+        scale = self._scales(x, basis)
         waves = (smooth[:, ::2] + 1j * smooth[:, 1::2]) / scale
+        changes = relative_changes(
+            self._features, damping, basis, self.model.scene, self.model.whole
+        )
+        changes = changes * np.where(self._is_plain, 1.0, waves * scale)[..., None]
+        waves[:, self._own] += waves[:, self._plain]
         values, turns, rest = self._of_numbers(damping, waves, scale)
         free = [np.zeros((*values.shape, 0))]
         unsure = sum(np.sum(errors**2, axis=1) for errors in scatter)
@@ -194,40 +216,22 @@ class Quantities:
         turns[:, ~self._known] = 0.0
         slopes = _pairs(turns.conj())
         errors = self._errors(smooth, left, scatter, slopes)
-        errors = np.concatenate([errors, slopes @ self._unknown(x, waves, scale, basis)], axis=2)
+        unknown = slopes @ _pairs(changes.transpose(0, 2, 1)).transpose(0, 2, 1)
+        errors = np.concatenate([errors, unknown], axis=2)
         total = errors @ errors.transpose(0, 2, 1) + rest[:, :, None] * np.eye(len(self.rows))
         values = np.where(self._known, values, np.nan)
         return Prediction(values, total, np.concatenate(free, axis=2), self._known)
-
-    def _unknown(
-        self, x: np.ndarray, waves: np.ndarray, scale: np.ndarray, basis: np.ndarray
-    ) -> np.ndarray:
-        """Changes of the smooth forms by what else is not known, a standard deviation of each:
-        (m, 2f, s)."""
-        model = self.model
-        changes = relative_changes(
-            self._features,
-            waves.real,
-            model.damping(x),
-            basis,
-            model.whole,
-            model.table,
-            model.keys,
-        )
-        natural = np.array([bool(feature.lips) for feature in self._features])
-        changes = changes * np.where(natural, 1.0, waves * scale)[..., None]
-        return _pairs(changes.transpose(0, 2, 1)).transpose(0, 2, 1)
 
     def _of_numbers(
         self, damping: np.ndarray, waves: np.ndarray, scale: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Values (m, q) of all measurements but displacements, their slopes t (m, q, f) by the
         smooth forms S, ds = Re sum t dS, and variances of what no feature tells (m, q)."""
-        natural = np.array([bool(feature.lips) for feature in self._features])
+        natural = np.array([feature.natural for feature in self._features])
         with np.errstate(divide="ignore", invalid="ignore"):
             sizes = np.where(natural, np.exp(np.where(natural, waves.real, 0.0)), np.abs(waves))
             turned = np.where(np.abs(waves) > 0.0, np.conj(waves) / np.abs(waves), 1.0) / scale
-        turned = np.where(natural, sizes, turned)
+        turned = np.where(natural, sizes / scale, turned)
         values, rest = np.zeros((2, len(waves), len(self.rows)))
         turns = np.zeros((*values.shape, len(self._features)), dtype=complex)
         for place, (row, at) in enumerate(zip(self.rows, self._places, strict=True)):
@@ -239,6 +243,8 @@ class Quantities:
                 split = sizes[:, at[1]] - sizes[:, at[0]]
                 shift = values[:, place] * damping[:, 0] ** 2
                 rest[:, place] = (OFF.get(row.mode, OFTEN_OFF) * split) ** 2 + shift**2
+        for own, plain in zip(self._own, self._plain, strict=True):
+            turns[:, :, plain] += turns[:, :, own] * scale[:, None, own]
         return values, turns, rest
 
     def _of_features(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:

@@ -145,49 +145,49 @@ def _by_clamp(modes: Modes) -> np.ndarray:
 
 
 def relative_changes(
-    features: Sequence[Feature],
-    logs: np.ndarray,
-    damping: np.ndarray,
-    basis: np.ndarray,
-    whole: Whole,
-    table: Identify,
-    keys: Sequence[str],
+    features: Sequence[Feature], damping: np.ndarray, basis: np.ndarray, scene: Scene, whole: Whole
 ) -> np.ndarray:
-    """Changes of the logarithms of features by a standard deviation of each unknown: (m, f, s).
+    """Relative changes of features by a standard deviation of each unknown, (m, f, s): of natural
+    frequencies without the crack, of what it adds to their logarithms, and of harmonics.
 
     Parameters
     ----------
     features : sequence of Feature
-    logs : (m, f)
-        Logarithms of natural frequencies; anything of harmonics.
     damping : (m, 1)
         Ratios.
     basis : (m, 1 + 2 n)
         What :attr:`Part.basis` has there.
-    whole, table, keys
-        The plate without a crack, the widths of the priors, and what is unknown as it is.
+    scene : Scene
+        With the widths of the priors.
+    whole : Whole
+        The plate without a crack.
     """
-    count = whole.frequencies.size
-    natural = np.array([bool(feature.lips) for feature in features])
-    bare = np.array([feature.lips == "uncracked" for feature in features])
-    modes = np.array([feature.mode for feature in features])
-    with np.errstate(invalid="ignore"):
-        bilinear, plain = np.split(np.log(basis[:, 1:]), 2, axis=1)
+    table, count = scene.identify, whole.frequencies.size
+    assert table is not None
+    natural, cracked = (
+        np.array([getattr(feature, name) for feature in features])[:, None]
+        for name in ("natural", "of_crack")
+    )
+    modes = np.array([feature.mode for feature in features])[:, None]
     shape = len(basis), len(modes), count
-    by_mode = np.broadcast_to(modes[:, None] == 1 + np.arange(count), shape)
-    own = np.where(natural & ~bare, logs - plain[:, np.maximum(modes, 1) - 1], 0.0)
-    shifts = np.where(natural[:, None], own[..., None], (bilinear - plain)[:, None, :count])
-    by_damping = np.zeros((len(basis), len(modes)))
+    by_mode = np.broadcast_to(natural & (modes == 1 + np.arange(count)), shape)
+    by_crack, by_damping = by_mode * cracked, np.zeros((*shape[:2], 1))
     if not natural.all():
+        with np.errstate(invalid="ignore"):
+            bilinear, plain = np.split(np.log(basis[:, 1:]), 2, axis=1)
+        shifts = np.nan_to_num(bilinear - plain)[:, None, :count]
         r, pole = poles(features, damping, basis)
         turned = 2j * damping[..., None] * r / pole
-        by_damping = -turned.sum(axis=2)
-        by_mode = np.where(natural[:, None], by_mode, (turned - 2.0 * r**2 / pole)[..., :count])
-    loose = 0.0 if "damping.ratio" in keys else table.damping_deviation
+        slopes = (turned - 2.0 * r**2 / pole)[..., :count]
+        by_mode = np.where(natural, by_mode, slopes)
+        by_crack = np.where(natural, by_crack, slopes * shifts)
+        by_damping = -turned.sum(axis=2)[..., None]
+    own = table.crack_deviation * np.sqrt(1.0 - TOGETHER)
+    known = any(axis.key == "damping.ratio" for axis in table.unknown)
     columns = [
-        by_mode @ whole.changes + np.outer(~natural, whole.sizes),
-        table.crack_deviation * np.sqrt(1.0 - TOGETHER) * np.nan_to_num(by_mode * shifts),
-        loose * by_damping[..., None],
+        (by_mode * ~cracked) @ whole.changes + ~natural * whole.sizes,
+        own * by_crack,
+        (0.0 if known else table.damping_deviation) * by_damping,
     ]
     return np.concatenate(columns, axis=2)
 
