@@ -169,8 +169,6 @@ class Measurements(Tabular):
         object.__setattr__(self, "rows", tuple(self.rows))
         if not self.rows or not all(isinstance(row, Measurement) for row in self.rows):
             raise InputError("measurements", list(self.rows), "one Measurement or more")
-        if all(row.quantity == "frequency_uncracked" for row in self.rows):
-            raise InputError("measurements", "frequency_uncracked", "also some of the plate as is")
         names = [row.name for row in self.rows if row.quantity != "displacement"]
         twice = [name for name in names if names.count(name) > 1]
         if twice:
@@ -311,7 +309,9 @@ class Measurements(Tabular):
         return cls(tuple(rows))
 
     def check(self, scene: Scene) -> None:
-        """Raise InputError for what is none of a scene."""
+        """Raise InputError for what is none of a scene, or tells nothing of its crack."""
+        if all(row.quantity == "frequency_uncracked" for row in self.rows):
+            raise InputError("measurements", "frequency_uncracked", "also some of the plate as is")
         for row in self.rows:
             check_point(scene, row.point)
             if row.quantity == "frequency_uncracked" and not has_uncracked(scene):

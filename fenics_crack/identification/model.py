@@ -199,7 +199,7 @@ class Quantities:
         changes = changes * np.where(self._is_plain, 1.0, waves * scale)[..., None]
         waves[:, self._own] += waves[:, self._plain]
         values, turns, rest = self._of_numbers(damping, waves, scale)
-        free = [np.zeros((*values.shape, 0))]
+        free, beyond = [np.zeros((*values.shape, 0))], []
         unsure = sum(np.sum(errors**2, axis=1) for errors in scatter)
         unsure = (unsure[:, ::2] + unsure[:, 1::2]) / np.abs(scale) ** 2
         for passages in self._passages:
@@ -207,8 +207,9 @@ class Quantities:
             found = passages.aligned(waves[:, at])
             values[:, passages.rows] = found.values
             # What harmonics above the last one may be: as much as that may be.
-            last = (np.abs(waves[:, at[-1]]) ** 2 + unsure[:, at[-1]]) * found.size**2
-            rest[:, passages.rows] = last[:, None]
+            last = np.sqrt(np.abs(waves[:, at[-1]]) ** 2 + unsure[:, at[-1]]) * found.size
+            beyond.append(np.zeros((*values.shape, 4)))
+            beyond[-1][:, passages.rows] = last[:, None, None] * passages.beyond(len(at))
             turns[:, np.array(passages.rows)[:, None], at] = found.turns / scale[:, None, at]
             moved = np.zeros((*values.shape, found.free.shape[2]))
             moved[:, passages.rows] = found.free
@@ -217,7 +218,7 @@ class Quantities:
         slopes = _pairs(turns.conj())
         errors = self._errors(smooth, left, scatter, slopes)
         unknown = slopes @ _pairs(changes.transpose(0, 2, 1)).transpose(0, 2, 1)
-        errors = np.concatenate([errors, unknown], axis=2)
+        errors = np.concatenate([errors, unknown, *beyond], axis=2)
         total = errors @ errors.transpose(0, 2, 1) + rest[:, :, None] * np.eye(len(self.rows))
         values = np.where(self._known, values, np.nan)
         return Prediction(values, total, np.concatenate(free, axis=2), self._known)
@@ -273,7 +274,7 @@ class Quantities:
         found.append(apart * of_mesh @ self._alike)
         uneven = self.model.table.harmonic_deviation
         if uneven:
-            upper = np.repeat([feature.order > 1 for feature in self._features], 2)
+            upper = np.repeat([max(feature.order - 1, 0) for feature in self._features], 2)
             turned = np.stack([-smooth[:, 1::2], smooth[:, ::2]], axis=2).reshape(smooth.shape)
             each = np.kron(np.eye(len(self._features)), np.ones((2, 1)))
             for part in (smooth, turned):

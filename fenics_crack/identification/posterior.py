@@ -41,7 +41,7 @@ __all__ = [
 
 LOOK = {1: 200, 2: 45, 3: 17}
 """Values of each unknown of the first grid, by the number of unknowns; of more, 9."""
-CLOSER = {1: 101, 2: 25, 3: 11}
+CLOSER = {1: 101, 2: 31, 3: 13}
 """Further ones around each optimum; of more, 7."""
 STARTS = 8
 """Of least squares, at most."""

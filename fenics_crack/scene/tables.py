@@ -630,9 +630,10 @@ class Identify(Table):
     finer: float = between("1", "4", 2.0)
     """How much finer the mesh is, and how many more harmonics there are, in the few cases that
     correct the model and tell its error; 1: neither."""
-    harmonic_deviation: float = between("0", "1", 0.15)
-    """Least standard deviation of computed harmonics of the crack, over their values: contact on a
-    coarse mesh makes them uneven, and all of them together too large or too small."""
+    harmonic_deviation: float = between("0", "1", 0.05)
+    """Least standard deviation of the computed second harmonic of the crack, over its value, and of
+    the k-th k - 1 times as much: contact on a coarse mesh makes them uneven, and all of them
+    together too large or too small."""
     young_deviation: float = between("0", "1", 0.03)
     """Standard deviations of what the scene says, over its value, and of the model: Young's
     modulus. That of structural steel: JCSS, Probabilistic Model Code, part 3.2, 2001."""

@@ -259,6 +259,16 @@ def test_measurements_from_a_file(tmp_path: Path) -> None:
     assert str(arrays.rows[0]) == str(found.rows[0])
 
 
+def test_one_value_of_each() -> None:
+    """Two of the same are refused, by name, with both values."""
+    one = fc.Measurement("frequency_open", 841.0, 0.8, 1)
+    other = fc.Measurement("frequency_open", 850.0, 0.8, 1)
+    with pytest.raises(fc.InputError) as error:
+        fc.Measurements((one, other))
+    told = "measurements, frequency_open of mode 1 = [841.0, 850.0]: must be one value, the mean"
+    assert told in str(error.value)
+
+
 def test_files_that_are_no_tables(tmp_path: Path) -> None:
     """An empty file, and one of other columns, by their names."""
     for text, found in (("", "nothing"), ("# none\n", "nothing"), ("a,b\n", "the columns a, b")):
