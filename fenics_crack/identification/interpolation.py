@@ -4,8 +4,8 @@ A quantity known on a grid of the unknowns is interpolated by the tensor product
 without knots next to the ends (C. de Boor, A Practical Guide to Splines, 1978, chapters 4 and 17).
 What each node between the ends of an axis differs by from the spline through all others on its line
 tells the error, along each axis: it is that of twice the spacing, 16 times too large where a
-quantity is smooth, and 4/3 times where meshes make it uneven; 0.3 of it is taken. The errors at the nodes around a place, of all
-quantities together, are the covariance that predictions have there.
+quantity is smooth, and 4/3 times where meshes make it uneven; 0.3 of it is taken. The errors at the
+nodes around a place, of all quantities together, are the covariance that predictions have there.
 """
 
 from __future__ import annotations
