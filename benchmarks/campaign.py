@@ -74,6 +74,11 @@ LARGE, UNKNOWN = 0.1, 1.0
 know its error."""
 TIMES = 3.0
 """The estimate, and pred, beyond which an error is too large."""
+GIVING = 10.0
+"""Times the closing of the penalty for a rigid stop in statics, up to which it is that."""
+CLOSE = 1.1
+"""Times the estimate at which an orbit is so near that none is sought that is nearer: next to a
+fold there are two."""
 NEAR = 1e-5
 """Distance of an answer from its stable orbit up to which the motion that begins with it need not
 be followed."""
@@ -119,7 +124,7 @@ def exact_orbit(case: Case, found: fc.PeriodicSolution) -> tuple[Orbit | None, f
         except (NoOrbit, fc.ConvergenceError, np.linalg.LinAlgError):
             continue
         orbits.append((distance(found, orbit), orbit))
-        if orbits[-1][0] <= max(TIMES * estimate(found), ROUNDING):
+        if orbits[-1][0] <= max(CLOSE * estimate(found), ROUNDING):
             break
     if not orbits:
         return None, float("nan")
@@ -245,8 +250,8 @@ def _judgement(
             return TOO_LARGE, "no exact orbit"
         return (OPEN if row.verdict != "stable" else WRONG), "no exact orbit"
     near = max(TIMES * row.estimate, ROUNDING)
-    if case.family == "rigid":  # the penalty that stands for it gives way by 1 / product
-        near = max(near, TIMES / case.product)
+    if case.family == "rigid":  # whose penalty gives way by 1 / product in statics
+        near = max(near, GIVING / case.product)
     if row.estimate > LARGE:  # decided all the same
         other = row.verdict != ("stable" if row.exact < 1.0 else "unstable")
         contradicted = other and abs(row.exact - 1.0) > SURE and row.true <= near

@@ -56,7 +56,7 @@ FAMILIES: dict[str, tuple[float, dict[str, float]]] = {
     "whole": (0.01, {"solution": 1.0}),
 }
 """How often each is drawn, and what is asked of it."""
-RIGID = 1e5
+RIGID = 1e6
 """k times the static compliance of the penalty that stands for a rigid stop."""
 KINDS = list(dict.fromkeys(kind for _, kinds in FAMILIES.values() for kind in kinds))
 SCENES = {"plate": Path(__file__).with_name("plate.toml"), "blade": common.DEMOS / "blade.toml"}

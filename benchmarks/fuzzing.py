@@ -58,7 +58,6 @@ import numpy as np
 
 import fenics_crack as fc
 from fenics_crack.cli.command_line import main
-from fenics_crack.fem.plate import write_msh
 from fenics_crack.files import store
 
 SECONDS, BYTES = 60.0, 2 * 2**30
@@ -432,7 +431,7 @@ def make_base(folder: Path) -> None:
     }  # fmt: skip
     for name, text in texts.items():
         (folder / name).write_text(text)
-    write_msh(fc.Scene.load(folder / "plate.toml"), folder / "plate.msh")
+    fc.write_msh(fc.Scene.load(folder / "plate.toml"), folder / "plate.msh")
     with_gmsh(folder)
     ring = 2.0 * np.eye(3) - np.eye(3, k=1) - np.eye(3, k=-1)
     parts = {

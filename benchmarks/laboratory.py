@@ -33,7 +33,7 @@ from fenics_crack.balance.contact_integrals import PairIntegrals, apply_to_pairs
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.harmonic_balance import check_initial
 from fenics_crack.balance.search import Search
-from fenics_crack.balance.solver import Solver
+from fenics_crack.balance.solution import Solver
 from fenics_crack.errors import check_number
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.numerics.linearisation import Linearisation, determinant_sign

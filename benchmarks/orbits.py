@@ -23,7 +23,7 @@ import common
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.balance.nearby import orbit_next_to, predicted, wave_states
+from fenics_crack.balance.orbits import orbit_next_to, predicted, wave_states
 from fenics_crack.motion.flow import ContactFlow, flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.numerics.fourier import evaluate

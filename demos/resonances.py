@@ -90,10 +90,12 @@ def follow(
     )
     seconds = time.perf_counter() - started
     errors = [curve.solution(i).report.total for i in range(0, len(curve), len(curve) // 20)]
+    known = [error for error in errors if error < 1.0]
     print(
         f"{name}: {len(curve)} points, {len(curve.bifurcations)} bifurcations, {seconds:.1f} s; "
-        f"estimated error at every 20th part of it: median {np.median(errors):.2%}, "
-        f"largest {max(errors):.0%}"
+        f"estimated error at every 20th part of it: unknown at {len(errors) - len(known)} of "
+        f"{len(errors)}"
+        + (f", median {np.median(known):.2%}, largest {max(known):.0%}" if known else "")
     )
     return curve
 

@@ -14,6 +14,7 @@ from pygments.lexers.special import TextLexer
 from sphinx.application import Sphinx
 from sphinx.writers.html5 import HTML5Translator
 
+from fenics_crack.cli import template
 from fenics_crack.scene import tables
 from fenics_crack.version import VERSION
 
@@ -58,6 +59,12 @@ def lead_to_benchmarks(app: Sphinx, *place_and_text: object) -> None:
         text[0] = text[0].replace(link, "(benchmarks.md")
 
 
+def write_the_scene(app: Sphinx, page: str, text: list[str]) -> None:
+    """``{{ new }}``: what ``fenics-crack new`` writes."""
+    scene = template.scene("plate.toml", "measured.csv", ())
+    text[0] = text[0].replace("{{ new }}", scene.rstrip())
+
+
 def show_what_returns(
     app: Sphinx, what: str, name: str, thing: object, options: object, signature: str, _: object
 ) -> tuple[str, str | None]:
@@ -98,3 +105,4 @@ def setup(app: Sphinx) -> None:
     app.connect("autodoc-process-signature", show_what_returns)
     app.connect("source-read", lead_to_benchmarks)
     app.connect("include-read", lead_to_benchmarks)
+    app.connect("source-read", write_the_scene)

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import gmsh
 import h5py
 import numpy as np
+import pytest
 import scipy.linalg
 from surroundings import DEMOS as DEMOS
 from surroundings import MPI_ENVIRONMENT as MPI_ENVIRONMENT
@@ -297,3 +299,16 @@ def gmsh_model() -> Iterator[Any]:
         yield gmsh.model
     finally:
         gmsh.finalize()
+
+
+# --- pictures -------------------------------------------------------------------------------------
+
+
+@contextmanager
+def few_frames() -> Iterator[pytest.MonkeyPatch]:
+    """Periods that are drawn or written have four frames instead of 36; and a monkeypatch."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("animation.animate_period", "paraview.write_period"):
+            whole = getattr(fc, name.partition(".")[2])
+            patch.setattr(f"fenics_crack.draw.{name}", partial(whole, frames=4))
+        yield patch

@@ -8,18 +8,16 @@ import shlex
 import subprocess
 import sys
 import tomllib
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers import MPI_ENVIRONMENT, ROOT
+from helpers import MPI_ENVIRONMENT, ROOT, few_frames
 from surroundings import main
 
 import fenics_crack as fc
 import fenics_crack.scene.scene
 from fenics_crack.cli.command_line import parser
-from fenics_crack.draw import animation
 from fenics_crack.scene import tables
 
 NEWCOMER = ("first_hour", "program", "cluster")
@@ -113,12 +111,12 @@ def test_shell_blocks_run(
         return (main(words), *capsys.readouterr())
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(animation, "animate_period", partial(animation.animate_period, frames=4))
     pages = "".join((ROOT / "docs" / f"{name}.md").read_text() for name in NEWCOMER)
     lines = "".join(SHELL.findall(pages)).splitlines()
     assert any(line.startswith("mpirun") for line in lines)
     for line in lines:
-        code, printed, told = run(line)
+        with few_frames():
+            code, printed, told = run(line)
         assert code == 0, (line, told)
         if not any(word in line for word in (" plot ", " new ", " report ", "json")):
             assert printed.count("\n---") == 1, (line, printed)  # one table, from one rank

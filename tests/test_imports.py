@@ -100,7 +100,7 @@ print(sum(name.startswith("fenics_crack") for name in sys.modules))
     assert len(lines) == len(commands) and codes == str([2] * len(commands))
     for line, (_, reason) in zip(lines, REFUSED.values(), strict=True):
         assert reason in line
-    assert libraries == "['numpy']" and int(count) <= 22
+    assert libraries == "['numpy']" and int(count) <= 23
 
 
 def test_check_needs_no_solver() -> None:
@@ -108,7 +108,7 @@ def test_check_needs_no_solver() -> None:
     program = """
 import sys
 from fenics_crack.cli import scenes
-print([name for name in ("fenics_crack.balance.solver", "scipy.optimize") if name in sys.modules])
+print([name for name in ("fenics_crack.balance.solution", "scipy.optimize") if name in sys.modules])
 """
     assert fresh(program) == "[]"
 

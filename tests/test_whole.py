@@ -19,7 +19,6 @@ from surroundings import main
 import fenics_crack as fc
 from fenics_crack.errors import WriteError
 from fenics_crack.fem import compat
-from fenics_crack.fem.plate import write_msh
 from fenics_crack.whole import write_together, write_whole
 
 SMALL = [
@@ -126,7 +125,7 @@ def test_mesh_file_is_whole(paper_scene: fc.Scene, tmp_path: Path) -> None:
     """gmsh itself does not notice that a file is cut."""
     path = tmp_path / "plate.msh"
     with room_for(500), pytest.raises(WriteError, match=r"plate\.msh"):
-        write_msh(paper_scene, path)
+        fc.write_msh(paper_scene, path)
     assert not list(tmp_path.iterdir())
 
 

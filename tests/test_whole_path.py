@@ -9,17 +9,16 @@ import re
 import shlex
 import sys
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from helpers import few_frames
 from PIL import Image
 from surroundings import ROOT, main
 
 import fenics_crack as fc
-from fenics_crack.draw import animation
 
 BREATHING = "breathing crack resonates near [Hz]"
 LOADS = {"weak": 1.0, "middle": 10.0, "strong": 100.0}
@@ -34,9 +33,8 @@ COARSE = (
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A folder with a new scene; animations have four frames."""
     place = tmp_path_factory.mktemp("path")
-    with pytest.MonkeyPatch.context() as patch:
+    with few_frames() as patch:
         patch.chdir(place)
-        patch.setattr(animation, "animate_period", partial(animation.animate_period, frames=4))
         assert main(["new", "plate.toml", "--quiet"]) == 0
         yield place
 

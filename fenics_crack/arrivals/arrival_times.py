@@ -16,16 +16,20 @@ from fenics_crack.errors import InputError, check_count, check_number, reading
 from fenics_crack.outside import text_of
 from fenics_crack.table import Tabular, counted
 
-__all__ = ["MOST_PASSAGES", "ArrivalTimes", "check_probes"]
+__all__ = ["MOST_PASSAGES", "RADIUS", "ArrivalTimes", "check_probes", "one_radius", "smoothed"]
 
 UNITS = {"angle": "rad", "mark": "s", "next_mark": "s", "arrival": "s", "displacement": "m"}
 UNITS |= {"speed": "rad/s", "tip_radius": "m"}
 COLUMNS = ("revolution", "angle [rad]", "mark [s]", "next_mark [s]", "arrival [s]")
 """What a CSV file must have."""
-STEADY = 1e-3
+STEADY = 1e-2
 MOST_PASSAGES = 10**7
 RADIUS = "tip_radius [m]"
 """What it may have."""
+FEWEST = 10
+"""Revolutions whose speed is smoothed."""
+FOURTH = 70.0 * 0.455
+"""Median of the squares of fourth differences of normal errors of variance 1."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -96,12 +100,19 @@ class ArrivalTimes(Tabular):
         return np.asarray(2.0 * np.pi / np.diff(self.marks))
 
     @property
+    def mean_speed(self) -> float:
+        """Speed over the revolutions from which there are arrivals [rad/s]."""
+        turns = np.flatnonzero(np.isfinite(self.time).any(axis=1))
+        begin, end = int(turns[0]), int(turns[-1]) + 1
+        return float(2.0 * np.pi * (end - begin) / (self.marks[end] - self.marks[begin]))
+
+    @property
     def steady(self) -> bool:
-        """Tell whether the speed varies by less than 0.1 %; else these are arrivals of a run-up."""
+        """Tell whether the speed varies by less than 1 %; else these are arrivals of a run-up."""
         speed = self.speed
         return bool(np.ptp(speed) <= STEADY * speed.mean())
 
-    @property
+    @cached_property
     def nominal_angle(self) -> np.ndarray:
         """Rotor angle phi + 2 pi n where a tip without vibration arrives: (revolutions, probes)."""
         turns = self.first + np.arange(len(self))
@@ -116,9 +127,25 @@ class ArrivalTimes(Tabular):
         return np.asarray(CubicSpline(self.marks, 2.0 * np.pi * turns)(self.time))
 
     @cached_property
+    def expected(self) -> np.ndarray:
+        """Times at the nominal angles, seen or not: (revolutions, probes) [s]."""
+        from scipy.interpolate import CubicSpline
+
+        turns = self.first + np.arange(len(self.marks))
+        return np.asarray(CubicSpline(2.0 * np.pi * turns, self.marks)(self.nominal_angle))
+
+    @cached_property
     def displacement(self) -> np.ndarray:
         """Tangential displacement u at the arrivals: (revolutions, probes) [m]."""
         return np.asarray(self.tip_radius * (self.nominal_angle - self.angle))
+
+    def zeroed(self, begin: int, end: int) -> Self:
+        """The same with the probes where the mean tip of the revolutions begin to end - 1, counted
+        from 0, stands: displacements are those from there, as of quiet revolutions."""
+        check_count("begin", begin, 0)
+        check_count("end", end, begin + 1)
+        quiet = np.nanmedian(self.displacement[begin:end], axis=0)
+        return replace(self, probes=self.probes - quiet / self.tip_radius)
 
     def between(self, begin: int, end: int) -> Self:
         """The same with the arrivals of the revolutions begin to end - 1, counted from 0, alone."""
@@ -144,7 +171,7 @@ class ArrivalTimes(Tabular):
             radius given.
         """
         (turn, angle, mark, after, arrival), radius = _columns(path)
-        tip_radius = _one_radius(path, radius, tip_radius)
+        tip_radius = one_radius(path, radius, tip_radius)
         turns, row = np.unique(turn, return_inverse=True)
         probes, where = np.unique(angle, return_inverse=True)
         if np.any(np.diff(turns) != 1.0):
@@ -190,6 +217,28 @@ class ArrivalTimes(Tabular):
         return ", ".join(parts + [f"{missing} missing"] * (missing > 0))
 
 
+def smoothed(values: np.ndarray) -> np.ndarray:
+    """Values (n,) along the revolutions without their errors, as far as they tell them.
+
+    Quadratics over 2 h + 1 neighbours (Savitzky and Golay, Analytical Chemistry 36, 1964, 1627),
+    with h from 0 up of the least risk by Stein's estimate (Annals of Statistics 9, 1981, 1135); the
+    variance of the errors is that of the fourth differences.
+    """
+    if len(values) < FEWEST:
+        return values
+    from scipy.signal import savgol_coeffs, savgol_filter
+
+    variance = float(np.median(np.diff(values, 4) ** 2)) / FOURTH
+    found, least = values, variance
+    for half in 2 ** np.arange(1, int(np.log2(len(values) / 4.0)) + 1):
+        tried = savgol_filter(values, 2 * half + 1, 2)
+        share = float(savgol_coeffs(2 * half + 1, 2)[half])
+        risk = float(np.mean((values - tried) ** 2)) + (2.0 * share - 1.0) * variance
+        if risk < least:
+            found, least = tried, risk
+    return np.asarray(found)
+
+
 def check_probes(probes: np.ndarray) -> None:
     """Raise InputError unless probes are angles from 0 to 2 pi, increasing."""
     fit = probes.ndim == 1 and len(probes) > 0 and np.all(np.isfinite(probes))
@@ -197,8 +246,8 @@ def check_probes(probes: np.ndarray) -> None:
         raise InputError("probes", probes, "increasing angles [rad] from 0 to less than 2 pi")
 
 
-def _one_radius(path: str | Path, of_file: np.ndarray | None, given: float | None) -> float:
-    """The tip's radius [m], from a file or given; InputError unless it is one."""
+def one_radius(path: str | Path, of_file: np.ndarray | None, given: float | None) -> float:
+    """The tip's radius [m], from a column of a file or given; InputError unless it is one."""
     if of_file is None:
         if given is None:
             allowed = f"given for {path}, which has no column '{RADIUS}'"

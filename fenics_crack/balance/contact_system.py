@@ -45,8 +45,8 @@ from fenics_crack.balance.wave import Wave
 from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.numerics.fourier import resized, stretched
-from fenics_crack.numerics.krylov import gmres
 from fenics_crack.numerics.linearisation import DenseLinearisation, solve_factored
+from fenics_crack.numerics.newton import gmres
 
 __all__ = ["ContactPoint", "ContactSystem", "default_weight"]
 
@@ -146,10 +146,13 @@ class ContactSystem:
 
     def unknown(self, wave: Wave, factor: int = 1) -> np.ndarray:
         """s of a wave, of whose periods one of these has so many: (2H+1, n_pairs)."""
-        gap, force = (
-            resized(stretched(rows, factor), self.integrals.harmonics)
-            for rows in (wave.gap_coefficients, wave.force_coefficients)
+        return self.slow(
+            stretched(wave.gap_coefficients, factor), stretched(wave.force_coefficients, factor)
         )
+
+    def slow(self, gap: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """s of the coefficients of a gap and of its force, with any harmonics: (2H+1, n_pairs)."""
+        gap, force = (resized(rows, self.integrals.harmonics) for rows in (gap, force))
         return gap if self.residual is None else gap + force @ self.residual
 
     def linearise(self, unknown: np.ndarray, parameter: float | None = None) -> ContactPoint:

@@ -40,8 +40,7 @@ from fenics_crack.balance.contact_integrals import (
 )
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
-from fenics_crack.balance.judgement import CLOSE, STILL, UNKNOWN, Judgement
-from fenics_crack.balance.more_modes import more_modes
+from fenics_crack.balance.judgement import CLOSE, STILL, UNKNOWN, Judgement, more_modes
 from fenics_crack.balance.problem import NEARLY, Problem
 from fenics_crack.model.contact import UnilateralPenalty, is_piecewise_linear, is_rigid
 from fenics_crack.model.coupled import is_regular

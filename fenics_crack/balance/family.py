@@ -22,9 +22,9 @@ from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.problem import Problem
 from fenics_crack.errors import InputError, check_number, check_omega
 from fenics_crack.model.contact import ContactLaw
-from fenics_crack.model.run_up import RunUpStructure
+from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.rounding import least_residual
+from fenics_crack.numerics.linearisation import least_residual
 
 __all__ = ["FAMILIES", "Family", "FrequencyFamily"]
 

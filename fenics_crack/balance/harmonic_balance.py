@@ -12,15 +12,13 @@ import contextlib
 
 import numpy as np
 
-from fenics_crack.balance.compliance import ModalCompliance, load_coefficients
-from fenics_crack.balance.dynamic_stiffness import DynamicStiffness
-from fenics_crack.balance.memory import check_memory
+from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.balance.solver import Solver
+from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.balance.to_tolerance import FEWEST, solve_to_tolerance
 from fenics_crack.errors import ConvergenceError, InputError, check_count, check_number, check_omega
 from fenics_crack.model.contact import ContactLaw
+from fenics_crack.model.memory import check_memory
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.modes import LIPS
 from fenics_crack.model.structure import Structure

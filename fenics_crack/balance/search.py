@@ -7,7 +7,9 @@ fewer      instead of the linear one, with many unknowns or pairs that are seen 
            compliance (:mod:`contact_system`): the solution with half the harmonics, which comes
            from that with half of those, and so on
 marched    a motion after 40, 160 and 520 periods of exponential steps in time: with it pairs begin
-           that are seen through a static compliance, where their law is piecewise linear
+           that are seen through a static compliance, where their law is piecewise linear. Many
+           harmonics come from a solution with few: from the exact orbit next to it, which is near
+           whatever their number, or by twice as many again and again
 path       where a path of solutions has the problem, followed by arc-length through its folds,
            from where the solution is unique and close to the linear one: in the contact stiffness,
            or in the softness in series with pairs that are seen through a static compliance
@@ -16,38 +18,52 @@ A path in the stiffness cannot return to soft contact: with enough steps it reac
 unless solutions grow without bound. Several stiff pairs with little damping have thousands of folds
 on their way. So all starts together take a certain number of iterations and no more, the same on
 every machine: a search that finds nothing ends within seconds, and says what was tried.
+
+No search can undo what rounding does: a gap rounded to eps |g| makes a contact force rounded to
+eps k |g|, which moves the gap by eps k R |g|, and no residual can be smaller than that.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.contact_system import ContactSystem
+from fenics_crack.balance.compliance import Compliance
+from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
+from fenics_crack.balance.orbits import orbit_next_to, wave_states
 from fenics_crack.balance.problem import NEARLY, Problem
-from fenics_crack.balance.rounding import SOFT, check_stiffness, stiffness_times_compliance
-from fenics_crack.errors import ConvergenceError
+from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.kernel import kernel
+from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.model.modal import all_modes
+from fenics_crack.motion.flow import flow_of
+from fenics_crack.motion.orbit import PeriodicOrbit, affordable
 from fenics_crack.numerics.bordered import PATIENCE, STEPS, point_on_path, solve_at, solve_near
-from fenics_crack.numerics.fourier import balanced, resized
-from fenics_crack.numerics.linearisation import Linearisation
+from fenics_crack.numerics.fourier import balanced
+from fenics_crack.numerics.linearisation import (
+    EPSILON,
+    MAX_ROUNDING,
+    ROUNDING,
+    Linearisation,
+    least_residual,
+)
 from fenics_crack.numerics.newton import DistributedSystem, KernelNewton, Newton, newton_of
 from fenics_crack.numerics.path import Ended, Path, PathOptions, Target
-from fenics_crack.numerics.rounding import ROUNDING, least_residual
 from fenics_crack.stages import begin
 
-__all__ = ["Search"]
+__all__ = ["SOFT", "Search", "check_stiffness", "stiffness_times_compliance"]
 
+SOFT = 0.05
+"""k R up to which contact is so soft that the solution is unique and close to the linear one."""
 COMPILED, INTERPRETED = 5000, 1000
 """Iterations of all starts together, with 300 unknowns in the kernel, and in Python: 5 to 8 s."""
-PERIODS, MARCHED, MOVING = 40, (1, 3, 9), 40
+PERIODS, MARCHED, MOVING, BALANCED = 40, (1, 3, 9), 40, 20
 """Periods of a response that are marched at a time, how many times for one guess after the other,
-and modes that move in them."""
+modes that move in them, and harmonics of the load that are balanced from there: with fewer, 10 and
+5, 6 of 36 solutions were not found, and with more the steps are dear that fail."""
 FAR = 5.0
 """Distance of the parameter from its end value at which a path is abandoned; a path that begins
 farther away may go as far as its start."""
@@ -56,6 +72,25 @@ WIDE, NARROW = PathOptions(1.0, 2.0, min_cosine=0.5), PathOptions(0.1, 0.3, min_
 
 Start = tuple[str, Iterator[np.ndarray]]
 """What a start is called, and its guesses."""
+
+
+def stiffness_times_compliance(compliance: Compliance, law: ContactLaw) -> float:
+    """Largest k R over the harmonics."""
+    largest = np.abs(compliance.matrices).sum(axis=2).max()
+    return float(largest * np.max(law.stiffness))
+
+
+def check_stiffness(compliance: Compliance, law: ContactLaw) -> None:
+    """Raise InputError where rounding would leave nothing of the contact force."""
+    stiffest = float(np.max(law.stiffness))
+    static = float(np.abs(compliance.matrices[0]).sum(axis=1).max())
+    if not EPSILON * stiffest * static < MAX_ROUNDING:
+        raise InputError(
+            "contact stiffness",
+            stiffest,
+            f"at most {MAX_ROUNDING / (EPSILON * static):.2g} N/m on this structure, beyond "
+            "which rounding leaves nothing; UnilateralConstraint is the limit",
+        )
 
 
 @dataclass
@@ -75,6 +110,8 @@ class Search:
     failed."""
     attempts: list[str] = field(default_factory=list)
     """What was tried and how it ended."""
+    orbit: PeriodicOrbit | None = None
+    """From which a guess was taken."""
     _rounding: float = ROUNDING
     _most: float = 0.0
 
@@ -129,7 +166,7 @@ class Search:
         system = with_harmonics(problem.harmonics)
         starts = [] if start is None else [self._full(system, start, 1.0)]
         if system.integrals.coupled and system.integrals.exact:
-            starts.append(self._marched(system, problem))
+            starts.append(self._marched(with_harmonics, problem))
         starts.append(self._fewer(with_harmonics, problem, 1.0))
         soft = system.softened()
         path = self._path(soft, soft.linear, (0.0, 1.0), NARROW)
@@ -185,56 +222,86 @@ class Search:
             yield point.unknown
 
     def _fewer(
-        self, with_harmonics: Callable[[int], Any], problem: Problem, parameter: float
+        self, with_harmonics: Callable[[int], ContactSystem], problem: Problem, parameter: float
     ) -> Start:
         """The solution with half the harmonics, which comes from that with half of those, down to
-        the load's own; where one is not found it is left out."""
-        counts = [problem.harmonics]
-        while counts[-1] > problem.subharmonic:
-            counts.append(max((counts[-1] + 1) // 2, problem.subharmonic))
+        the load's own."""
+        counts = _halved(problem.harmonics, problem.subharmonic)
+        return "from fewer harmonics", self._climb(with_harmonics, counts, parameter)
+
+    def _climb(
+        self,
+        with_harmonics: Callable[[int], ContactSystem],
+        counts: list[int],
+        parameter: float,
+        at: ContactPoint | None = None,
+    ) -> Iterator[np.ndarray]:
+        """Guesses for the last of some numbers of harmonics: with each of them the solution of the
+        one before, the first from a given one; where one is not found it is left out."""
+        for count in counts:
+            system = with_harmonics(count)
+            start = system.linear if at is None else system.slow(at.gap, at.force)
+            guesses = self._near(system, start, parameter)
+            if count == counts[-1]:
+                yield from guesses
+            else:
+                at = self._nearly(system, guesses, parameter) or at
+
+    def _nearly(
+        self, system: ContactSystem, guesses: Iterator[np.ndarray], parameter: float
+    ) -> ContactPoint | None:
+        """Where full steps lead from one of some guesses; None where they do not arrive."""
+        for guess in guesses:
+            tolerance = max(self.tolerance, NEARLY)
+            point = solve_at(system, guess, parameter, tolerance=tolerance)
+            self.iterations += STEPS if point is None else point.iterations
+            if point is not None:
+                return system.linearise(point.unknown)
+        return None
+
+    def _marched(self, with_harmonics: Callable[[int], ContactSystem], problem: Problem) -> Start:
+        """The slow gap of a motion after more and more periods; or of the exact orbit next to the
+        solution with few harmonics that it leads to."""
 
         def guesses() -> Iterator[np.ndarray]:
-            found: np.ndarray | None = None
-            for count in reversed(counts[1:]):
-                system = with_harmonics(count)
-                start = system.linear if found is None else resized(found, count)
-                for guess in self._near(system, start, parameter):
-                    sharp = max(self.tolerance, NEARLY)
-                    point = solve_at(system, guess, parameter, tolerance=sharp)
-                    self.iterations += STEPS if point is None else point.iterations
-                    if point is not None:
-                        found = point.unknown
-                        break
-            system = with_harmonics(counts[0])
-            start = system.linear if found is None else resized(found, counts[0])
-            yield from self._near(system, start, parameter)
-
-        return "from fewer harmonics", guesses()
-
-    def _marched(self, system: ContactSystem, problem: Problem) -> Start:
-        """The slow gap of a motion after more and more periods."""
-
-        def guesses() -> Iterator[np.ndarray]:
-            harmonics, periods = problem.harmonics, problem.subharmonic
-            steps = 1 << max(8, (4 * harmonics // periods).bit_length())
-            above = min(problem.cutoff, all_modes(problem.structure).above_lowest(MOVING))
-            try:
-                flow = ExponentialFlow(
-                    problem.structure, problem.omega, problem.contact, steps, static_above=above
-                )
-                state = flow.steady[0]
-                for more in MARCHED:
-                    with np.errstate(all="ignore"):  # of motions that run away
-                        for _ in range(more):
-                            state = flow.advance(state, PERIODS * periods).states[-1]
-                        last = flow.advance(state, periods)
-                        assert system.residual is not None
-                        slow = last.gap + last.forces[:-1] @ system.residual
-                    yield from self._near(system, balanced(slow, harmonics), 1.0)
-            except ConvergenceError:
+            few, *more = _halved(problem.harmonics, BALANCED * problem.subharmonic)
+            lowest = problem.with_harmonics(few)
+            system = lowest.system(lowest.compliance())
+            if not more:
+                yield from self._slow_gaps(system, lowest)
                 return
+            at = self._nearly(system, self._slow_gaps(system, lowest), 1.0)
+            if at is None:
+                return
+            self.orbit = _orbit_next_to(lowest, at)
+            system = with_harmonics(more[-1])
+            if self.orbit is not None:
+                known = self.orbit.coefficients(problem.harmonics)
+                yield from self._near(system, system.slow(known.gap, known.force), 1.0)
+            yield from self._climb(with_harmonics, more, 1.0, at)
 
         return "from a marched motion", guesses()
+
+    def _slow_gaps(self, system: ContactSystem, problem: Problem) -> Iterator[np.ndarray]:
+        """Of a motion that is marched."""
+        harmonics, periods = problem.harmonics, problem.subharmonic
+        steps = 1 << max(8, (4 * harmonics // periods).bit_length())
+        above = min(problem.cutoff, all_modes(problem.structure).above_lowest(MOVING))
+        try:
+            flow = ExponentialFlow(
+                problem.structure, problem.omega, problem.contact, steps, static_above=above
+            )
+            state = flow.steady[0]
+            for more in MARCHED:
+                with np.errstate(all="ignore"):  # of motions that run away
+                    for _ in range(more):
+                        state = flow.advance(state, PERIODS * periods).states[-1]
+                    last = flow.advance(state, periods)
+                    assert system.residual is not None
+                    slow = last.gap + last.forces[:-1] @ system.residual
+                yield from self._near(system, balanced(slow, harmonics), 1.0)
+        except ConvergenceError:
+            return
 
     def _path(
         self,
@@ -260,6 +327,27 @@ class Search:
                 return
         if path.ended is Ended.MET:
             yield path.last.unknown
+
+
+def _halved(harmonics: int, enough: int) -> list[int]:
+    """Numbers of harmonics, each about half of the next, down to one that is enough."""
+    counts = [harmonics]
+    while counts[0] > enough:
+        counts.insert(0, max((counts[0] + 1) // 2, enough))
+    return counts
+
+
+def _orbit_next_to(problem: Problem, at: ContactPoint) -> PeriodicOrbit | None:
+    """The exact orbit next to a solution, where it does not take long to find."""
+    flow, omega, periods = (
+        flow_of(problem.structure, problem.contact),
+        problem.omega,
+        problem.subharmonic,
+    )
+    if flow is None or not affordable(flow, omega, periods):
+        return None
+    states = wave_states(flow, problem.wave(at).displacement_coefficients, problem.base_omega)
+    return orbit_next_to(flow, omega, states[0], periods, patient=False)
 
 
 def _iterations(system: DistributedSystem) -> float:

@@ -1,24 +1,38 @@
-"""A periodic solution: Fourier coefficients, and what can be asked of them."""
+"""A periodic solution: Fourier coefficients, what can be asked of them, and how it is found."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
+from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
 
-from fenics_crack.balance.contact_system import ContactPoint
+from fenics_crack.balance.compliance import Compliance, ResizedCompliance
+from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.error_report import ErrorReport, estimate_errors, of_no_solution
 from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
 from fenics_crack.balance.judgement import Judgement
 from fenics_crack.balance.problem import Problem
+from fenics_crack.balance.search import Search
 from fenics_crack.balance.wave import Wave
+from fenics_crack.errors import MOST_HARMONICS, ConvergenceError
+from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.table import Described, counted, quantity, with_frequency
 
-__all__ = ["PeriodicSolution", "Stability", "solution_of"]
+__all__ = [
+    "PeriodicSolution", "Solver", "Stability", "fewer_harmonics", "more_harmonics", "solution_of",
+    "solve_beside",
+]  # fmt: skip
+
+HURRIED = 0.25
+"""Of a search's iterations, where other ways are left."""
+SMALL = 0.05
+"""Part of a tolerance below which an error allows fewer harmonics."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -212,14 +226,17 @@ def solution_of(
     search: bool = True,
     enough: float = math.inf,
     reported: bool = True,
+    orbit: PeriodicOrbit | None = None,
 ) -> PeriodicSolution:
     """The solution that belongs to a point of the condensed equations (collective).
 
     With ``search`` its error is the distance of its exact orbit; else what is predicted without;
     nothing is estimated where it is not ``reported``, and nothing else where the truncation is
-    above ``enough``, or of equations that are not solved.
+    above ``enough``, or of equations that are not solved. Its orbit may be known already.
     """
     found = PeriodicSolution(**vars(problem.wave(at)), status=status, converged=converged)
+    if orbit is not None:
+        found.judged.suggest(orbit)
     if not reported:
         return found
     if not converged:
@@ -227,3 +244,130 @@ def solution_of(
     return replace(
         found, report=estimate_errors(at, found.judged, problem, search=search, enough=enough)
     )
+
+
+@dataclass(frozen=True)
+class Solver:
+    """How a problem is solved."""
+
+    problem: Problem
+    residual_tolerance: float = 1e-10
+    """|F| / |x| at which a solution is accepted."""
+    throw: bool = True
+    """Raise ConvergenceError if nothing converged; else return the last iterate."""
+    enough: float = math.inf
+    """Truncation error above which no other is estimated."""
+
+    def solve(
+        self, initial: PeriodicSolution | None = None, *, reported: bool = True
+    ) -> PeriodicSolution:
+        """Solve from a solution nearby, or from the linear one (collective)."""
+        search, solution = self.attempt(initial, reported=reported)
+        if self.throw and not search.converged:
+            raise ConvergenceError(
+                f"harmonic balance at {self.problem.omega:g} rad/s, "
+                f"H = {self.problem.harmonics}: {search.status}",
+                search.history,
+            )
+        return solution
+
+    def attempt(
+        self, initial: PeriodicSolution | None, *, patient: bool = True, reported: bool = True
+    ) -> tuple[Search, PeriodicSolution]:
+        """The same, whether or not it converged, and the record of the search; its errors are
+        estimated unless they are not asked for."""
+        search = Search(self.residual_tolerance, share=1.0 if patient else HURRIED)
+        with self.compliance() as compliance:
+            problem = self.problem.weighted(compliance)
+            at = replace(self, problem=problem).find(search, compliance, initial)
+            found = solution_of(
+                problem, at, status=search.status, converged=search.converged, enough=self.enough,
+                reported=reported, orbit=search.orbit,
+            )  # fmt: skip
+            return search, replace(found, iterations=search.iterations)
+
+    @contextmanager
+    def compliance(self) -> Iterator[Compliance]:
+        """Compliance of the structure, freed afterwards (collective)."""
+        found = self.problem.compliance()
+        try:
+            yield found
+        finally:
+            found.destroy()
+
+    def find(
+        self, search: Search, compliance: Compliance, initial: PeriodicSolution | None
+    ) -> ContactPoint:
+        """The equations where a search arrives."""
+        problem, start = self.problem, None
+
+        @cache
+        def with_harmonics(harmonics: int) -> ContactSystem:
+            few = ResizedCompliance(compliance, harmonics)
+            return problem.with_harmonics(harmonics).system(few)
+
+        system = with_harmonics(problem.harmonics)
+        if initial is not None:
+            start = system.unknown(initial, problem.subharmonic // initial.subharmonic)
+        at = (
+            search.penalty(system, start, problem, with_harmonics)
+            if system.residual is None
+            else search.coupled(with_harmonics, problem, start)
+        )
+        # The kernel's points do not know the forces.
+        return at if isinstance(at, ContactPoint) else system.linearise(at.unknown)
+
+
+def solve_beside(
+    problem: Problem, near: PeriodicSolution | None, tolerance: float | None = None
+) -> PeriodicSolution:
+    """The solution of a problem of a small structure, sought from that of another one.
+
+    With a tolerance of the truncation it has as many harmonics as the other one, and then as many
+    more as its estimated error asks for. Half of them come first: many fail from far away.
+
+    Raises
+    ------
+    InputError
+        The contact is so stiff that rounding leaves nothing of its force.
+    ConvergenceError
+        There is no solution, or not to the tolerance.
+    """
+    enough = math.inf if tolerance is None else tolerance
+    if tolerance is not None and near is not None:
+        count = fewer_harmonics(near.harmonics, _truncation(near), tolerance, problem.harmonics)
+        if count // 2 >= problem.harmonics:
+            half = Solver(problem.with_harmonics(count // 2))
+            near = half.attempt(near, patient=False, reported=False)[1]
+        problem = problem.with_harmonics(count)
+    found = Solver(problem, enough=enough).solve(near)
+    while (more := more_harmonics(found.harmonics, _truncation(found), tolerance)) is not None:
+        found = Solver(problem.with_harmonics(more), enough=enough).solve(found)
+    if tolerance is not None and _truncation(found) > tolerance:
+        raise ConvergenceError(
+            f"harmonic balance at {problem.omega:g} rad/s: the estimated truncation error, "
+            f"{_truncation(found):.1e} with H = {found.harmonics}, stays above {tolerance:g}"
+        )
+    return found
+
+
+def more_harmonics(
+    count: int, truncation: float, tolerance: float | None, most: int = MOST_HARMONICS
+) -> int | None:
+    """As many harmonics as an error that falls like H^-3 asks for; None where these are enough, or
+    the most."""
+    if tolerance is None or truncation <= tolerance or count >= most:
+        return None
+    factor = min(2.0, 1.1 * (truncation / tolerance) ** (1.0 / 3.0))
+    return min(most, math.ceil(factor * count))
+
+
+def fewer_harmonics(count: int, truncation: float, tolerance: float, least: int) -> int:
+    """As many harmonics as a neighbour's error allows to begin with."""
+    return max(least, math.floor(0.8 * count)) if truncation < SMALL * tolerance else count
+
+
+def _truncation(solution: PeriodicSolution) -> float:
+    """Estimated truncation error, infinite where it is unknown."""
+    found = solution.report.truncation
+    return found if math.isfinite(found) else math.inf

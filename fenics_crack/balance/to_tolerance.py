@@ -24,20 +24,17 @@ from functools import partial
 import numpy as np
 
 from fenics_crack.balance.error_report import UNKNOWN, ErrorReport
-from fenics_crack.balance.judgement import AFFORDABLE, FARTHEST, Judgement, relative
-from fenics_crack.balance.more_modes import more_modes
-from fenics_crack.balance.nearby import recurring
-from fenics_crack.balance.neighbours import more_harmonics
+from fenics_crack.balance.judgement import FARTHEST, Judgement, more_modes, relative
+from fenics_crack.balance.orbits import recurring
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.balance.solver import Solver
+from fenics_crack.balance.solution import PeriodicSolution, Solver, more_harmonics
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ContactFlow, flow_of
-from fenics_crack.motion.orbit import OrbitCoefficients, PeriodicOrbit
+from fenics_crack.motion.orbit import OrbitCoefficients, PeriodicOrbit, affordable
 from fenics_crack.stages import begin
 
 __all__ = ["FEWEST", "FIRST_MODES", "solve_to_tolerance"]
@@ -132,7 +129,7 @@ def _solved(solver: Solver, tolerance: float, initial: PeriodicSolution | None) 
     """The solution of a structure as it is."""
     problem = solver.problem
     flow = flow_of(problem.structure, problem.contact)
-    if flow is None or flow.size > AFFORDABLE:
+    if flow is None or not affordable(flow, problem.omega, problem.subharmonic):
         return _by_harmonics(solver, tolerance, initial)
     near, orbit, way = _sought(solver, flow, initial)
     if orbit is None:  # with more harmonics it may be found, or the error known all the same

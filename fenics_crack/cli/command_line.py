@@ -178,7 +178,8 @@ def _run(given: argparse.Namespace) -> Exit:
 
     launched = any(name in os.environ for name in LAUNCHERS)
     inputs = None if launched else read_inputs(given)
-    if given.command != "new" and not (inputs and inputs.scene.structure):
+    meshes = given.command != "new" and not ("scene" in given and inputs is None and not launched)
+    if meshes and not (inputs and inputs.scene.structure):
         from fenics_crack import mesher  # noqa: F401  before MPI: see there
     with _settings({} if launched else ALONE):
         from mpi4py import MPI
@@ -293,7 +294,10 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "--blade": ("of a plate on a rotor: engine order, centrifugal load", {"action": "store_true"}),
     "--timing": ("of one with probes that its tip passes", {"action": "store_true"}),
     "--identify": ("of one whose crack is looked for, by a CSV file", {"action": "store_true"}),
-    "scene": ("the scene, a TOML file", {"type": path}),
+    "scene": (
+        "the scene, a TOML file; of timing also a measured record, a CSV file",
+        {"type": path},
+    ),
     "measurements": (
         "a CSV file with the columns quantity, value, deviation, mode, frequency [Hz], point, "
         "phase [rad]; may be left out with --arrivals",
@@ -350,7 +354,9 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Say what is wrong and what may be meant, and exit."""
         wrong = re.search(r"invalid choice: '(.*?)'|unrecognized arguments: (-\S+)", message)
-        if wrong and wrong[2]:
+        if re.search(r"unrecognized arguments: [\w.]+=", message):
+            message += "; each key takes its own --set: --set KEY=VALUE --set KEY=VALUE"
+        elif wrong and wrong[2]:
             message += f"; {meant(near(wrong[2].partition('=')[0], options_of(*COMMANDS)))}"
         elif wrong:
             others = [

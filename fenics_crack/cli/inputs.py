@@ -12,12 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.errors import InputError, check_count
 from fenics_crack.identification.measurements import Measurements
 from fenics_crack.scene.scene import Scene
 
-__all__ = ["Inputs", "read_inputs"]
+__all__ = ["Inputs", "changes", "is_record", "read_inputs"]
 
 
 @dataclass(frozen=True)
@@ -31,16 +33,17 @@ class Inputs:
 
 
 def read_inputs(given: argparse.Namespace) -> Inputs | None:
-    """Read the text files that a command is given; None where it has no scene.
+    """Read the text files that a command is given; None where it has no scene, as with a record
+    of ``timing``.
 
     Raises
     ------
     InputError
         One of them cannot be used.
     """
-    if "scene" not in given:
+    if "scene" not in given or is_record(given):
         return None
-    scene = Scene.load(given.scene).replace(_changes(given.set))
+    scene = Scene.load(given.scene).replace(changes(given.set))
     measured, seen = (getattr(given, name, None) for name in ("measurements", "arrivals"))
     if given.command == "identify" and measured is None and seen is None:
         allowed = "given: a CSV file (fenics-crack new --identify writes one), or --arrivals"
@@ -58,12 +61,23 @@ def _arrivals(scene: Scene, source: Path | None) -> ArrivalTimes | Path | None:
     """Arrivals as they are measured; a result as it is."""
     if source is None or source.suffix.lower() == ".h5":
         return source
-    return ArrivalTimes.from_csv(source, tip_radius=scene.given("tip_timing").tip_radius)
+    table = scene.given("tip_timing")
+    from fenics_crack.arrivals.records import read_record
+
+    blades = read_record(source, tip_radius=table.tip_radius, probes=np.radians(table.probes))
+    if len(blades) > 1:
+        raise InputError("arrivals", f"{source} of {len(blades)} blades", "those of one blade")
+    return next(iter(blades.values()))
 
 
-def _changes(given: Sequence[str]) -> dict[str, Any]:
+def is_record(given: argparse.Namespace) -> bool:
+    """Tell whether ``timing`` is given a record of arrivals in place of a scene."""
+    return bool(given.command == "timing" and given.scene.suffix.lower() == ".csv")
+
+
+def changes(given: Sequence[str]) -> dict[str, Any]:
     """Keys and values of ``--set key=value``: TOML, or else a word; ``none`` removes a key."""
-    changes: dict[str, Any] = {}
+    found: dict[str, Any] = {}
     for text in given:
         key, equals, value = text.partition("=")
         if not equals or not key.strip():
@@ -73,5 +87,5 @@ def _changes(given: Sequence[str]) -> dict[str, Any]:
             parsed = tomllib.loads(f"value = {value}")["value"]
         except (ValueError, RecursionError):
             parsed = None if value == "none" else value
-        changes[key.strip()] = parsed
-    return changes
+        found[key.strip()] = parsed
+    return found

@@ -14,7 +14,7 @@ from fenics_crack.cli.scenes import remark_on
 from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, kind_in_words, parameter_axis
 from fenics_crack.curves.peak import top_and_damping
 from fenics_crack.model.bilinear import BilinearFrequencies, bilinear_frequencies
-from fenics_crack.model.run_up import RunUpStructure
+from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.scene.quantities import OF_LIPS, OF_POINTS, QUANTITIES
 from fenics_crack.study.key_figures import highest_omega
 from fenics_crack.study.run import Run
@@ -40,7 +40,11 @@ def account_of_curve(run: Run[ResponseCurve]) -> Account:
     found, scene = run.result, run.scene
     special = special_points(run)
     few, hidden = few_special_points(run, special)
-    notes = [remark_on(run.structure, highest_omega(scene, "curve"))]
+    largest = _largest(run)
+    notes = [
+        *([largest] if run.stated else []),
+        remark_on(run.structure, highest_omega(scene, "curve")),
+    ]
     if hidden:
         what = "more bifurcations and changes of stability"
         notes.insert(0, f"{hidden} {what}: curve.json")
@@ -49,9 +53,9 @@ def account_of_curve(run: Run[ResponseCurve]) -> Account:
     seen = found.indicators(run.watched_dof)
     peak = int(np.argmax(seen.amplitude))
     if seen.largest_order[peak] > 3:
-        largest = f"harmonic {seen.largest_order[peak]:.0f} is the largest of the higher ones"
+        order = f"harmonic {seen.largest_order[peak]:.0f} is the largest of the higher ones"
         share = f"{seen.ratio_largest[peak]:.2g} of harmonic 1"
-        notes.append(f"at the largest response {largest}, {share}")
+        notes.append(f"at the largest response {order}, {share}")
     if scene.harmonic_balance.tolerance is not None and run.structure.n_pairs:
         notes.append(f"harmonics, by the truncation error: {ranging(found.harmonics)}")
     return Account(
@@ -59,7 +63,7 @@ def account_of_curve(run: Run[ResponseCurve]) -> Account:
         special,
         rows=curve_points(run),
         shown=in_short(few, scene, SHORT),
-        facts=_facts(run),
+        facts=_facts(run, largest),
         notes=notes,
         warnings=[*_warnings(run)],
         tables={"Special points": in_short(special, scene, SHORT)},
@@ -68,8 +72,8 @@ def account_of_curve(run: Run[ResponseCurve]) -> Account:
     )
 
 
-def _facts(run: Run[ResponseCurve]) -> Iterator[str]:
-    """The largest response, shares of stability, and where the error is large."""
+def _largest(run: Run[ResponseCurve]) -> str:
+    """The largest response, and how well it is known."""
     found = run.result
     factor, _, unit = parameter_axis(found.parameter, run.scene.in_hertz)
     unit = f" {unit}".removesuffix(" -")
@@ -77,11 +81,19 @@ def _facts(run: Run[ResponseCurve]) -> Iterator[str]:
     peak, height, _ = top_and_damping(found.values, amplitude, int(np.argmax(amplitude)))
     known = known_to(run, run.watched[0].column("amplitude"))
     where = "" if run.stated is None else known_to(run, run.stated.resonance)
-    yield (
+    return (
         f"The largest response of the curve, {quantity(height, 'm')} half peak-to-peak "
         f"({run.watched_name}{known and f', known to {known}'}), is at "
         f"{factor * peak:.6g}{unit}{where and f', known to {where}'}."
     )
+
+
+def _facts(run: Run[ResponseCurve], largest: str) -> Iterator[str]:
+    """The largest response, shares of stability, and where the error is large."""
+    yield largest
+    found = run.result
+    factor, _, unit = parameter_axis(found.parameter, run.scene.in_hertz)
+    unit = f" {unit}".removesuffix(" -")
     if found.multipliers is not None:
         states = ("stable", "unstable", "undecided")
         shares = [f"{np.mean(found.verdicts == state):.0%} {state}" for state in states]

@@ -3,32 +3,43 @@
 from __future__ import annotations
 
 from argparse import Namespace
+from collections.abc import Mapping, Sequence
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 from fenics_crack.arrivals.fit_order import TipTrack
-from fenics_crack.arrivals.harmonics import TipFit
+from fenics_crack.arrivals.harmonics import ORDERS, UNITS, TipFit
+from fenics_crack.arrivals.passages import PassageFit, find_passages
+from fenics_crack.arrivals.records import read_record
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import Account, in_one_unit, of_error, of_stability
 from fenics_crack.cli.commands import tell
-from fenics_crack.cli.console import Console
-from fenics_crack.cli.inputs import Inputs
-from fenics_crack.draw.plot_rotor import draw_arrivals, draw_tip_fit, draw_tip_track
-from fenics_crack.errors import Exit
+from fenics_crack.cli.console import Console, make_writable
+from fenics_crack.cli.inputs import Inputs, changes
+from fenics_crack.draw.plot_rotor import draw_arrivals, draw_passages, draw_tip_fit, draw_tip_track
+from fenics_crack.errors import Exit, InputError
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.tables import TipTiming
 from fenics_crack.study.timing import arrivals_of, vibration_in
-from fenics_crack.table import Table, counted, speed_axis
+from fenics_crack.table import RPM, TURN, Table, counted, quantity, speed_axis
 
 __all__ = ["timing"]
 
+KEYS = ("tip_radius", "orders", "probes")
+"""Of [tip_timing], with a record in place of a scene."""
+MISSING = "harmonics are missing (tip_timing.fitted_harmonics), and folded onto those kept"
+UNTESTED = "as many unknowns as probes: neither the order nor the harmonics kept are tested"
 SHOWN_ORDERS = 6
 """Of those that are as good, and of those that cannot be measured."""
 
 
-def timing(given: Namespace, inputs: Inputs, console: Console) -> Exit:
+def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
     """Compute arrival times unless they are measured, and fit a vibration to them."""
+    if inputs is None:
+        return _record(given, console)
     scene, folder = inputs.scene, inputs.folder
     with console.stage("arrival times"):
         arrivals, run = arrivals_of(scene, inputs.arrivals, console.comm)
@@ -51,13 +62,82 @@ def timing(given: Namespace, inputs: Inputs, console: Console) -> Exit:
         found = run.result
         warnings += of_error(run.scene, found.report, found.harmonics)
         warnings += of_stability(run.scene, run, found.stability)
-    if isinstance(fit, TipTrack):
+    if isinstance(fit, tuple):
+        account = _account_of_passages({1: fit})
+        draw = partial(draw_passages, fit, arrivals)
+    elif isinstance(fit, TipTrack):
         account = _account_of_track(fit, scene, warnings)
         draw = partial(draw_tip_track, fit, in_hertz=scene.in_hertz)
     else:
         account = _account_of_fit(fit, scene, warnings)
         draw = partial(draw_tip_fit, fit, arrivals)
     return tell(account, folder, console, draw)
+
+
+def _record(given: Namespace, console: Console) -> Exit:
+    """The resonances that the blades of a measured record pass, without a scene."""
+    words = {}
+    for key, value in changes(given.set).items():
+        table, _, name = key.partition(".")
+        if table != "tip_timing" or name not in KEYS:
+            allowed = ", ".join(f"tip_timing.{known}" for known in KEYS)
+            raise InputError(
+                key, value, f"left out with a record in place of a scene, or {allowed}"
+            )
+        words[name] = TipTiming.checked(name, value)
+    with console.stage("arrival times"):
+        probes = words.get("probes")
+        blades = read_record(
+            given.scene,
+            tip_radius=words.get("tip_radius"),
+            probes=None if probes is None else np.radians(probes),
+        )
+    folder = given.output or Path("output") / given.scene.stem
+    make_writable(folder, console.comm)
+    orders = words.get("orders") or ORDERS
+    with console.stage("resonances"):
+        found = {blade: find_passages(one, orders) for blade, one in blades.items()}
+
+    first, *others = blades
+
+    def write() -> None:
+        for blade in others:
+            path = folder / f"timing_blade_{blade}.png"
+            draw_passages(found[blade], blades[blade], path=path)
+
+    on_root(console.comm, write)
+    size = [
+        counted(*one) for one in zip(blades[first].time.shape, ("revolution", "probe"), strict=True)
+    ]
+    console.note(f"{counted(len(blades), 'blade')}, {', '.join(size)}")
+    draw = partial(draw_passages, found[first], blades[first])
+    return tell(_account_of_passages(found), folder, console, draw)
+
+
+def _account_of_passages(found: Mapping[int, Sequence[PassageFit]]) -> Account:
+    """Resonances of each blade, and what is in doubt."""
+    tables = {blade: [fit.to_dict() for fit in fits] for blade, fits in found.items()}
+    units = UNITS | {"blade": ""}
+    rows = [{"blade": blade} | row for blade, several in tables.items() for row in several]
+    for row in rows:
+        row.pop("speed")
+    names = list(rows[0]) if rows else ["blade", "rpm", "order", "frequency"]
+    table = Table.of({name: [row[name] for row in rows] for name in names}, units)
+    warnings = []
+    for blade, fits in found.items():
+        for fit in fits:
+            name = f"blade {blade}, {fit.speed / RPM:.5g} rpm"
+            if fit.ambiguous:
+                told = ", ".join(f"{order:g}" for order in fit.ambiguous)
+                warnings.append(f"{name}: orders that explain the arrivals as well: {told}")
+            if fit.disagree:
+                warnings.append(f"{name}: passages differ by {fit.apart:.2%}, more than errors")
+    if not rows:
+        warnings.append("no resonance stands out")
+    biases = [row["steady_bias"] for row in rows]
+    note = "fits of steady vibrations would be off by {:.2%} to {:.2%}"
+    notes = [note.format(min(biases), max(biases))] * bool(biases)
+    return Account("timing", table, notes=notes, warnings=warnings)
 
 
 def _account_of_track(track: TipTrack, scene: Scene, warnings: list[str]) -> Account:
@@ -76,21 +156,29 @@ def _account_of_track(track: TipTrack, scene: Scene, warnings: list[str]) -> Acc
     columns = ["multiple, where it is largest", *(table.columns[n] for n in kept)]
     largest = Table([*columns, "amplitude [m]", "amplitude_error [m]"], rows)
     shown = in_one_unit(largest, scene)
-    return Account("timing", table, shown=shown, warnings=warnings)
+    doubts = [UNTESTED] if np.isnan(track.misfit) else []
+    if track.does_not_fit:
+        doubts.append(f"the fit leaves what is alike from revolution to revolution: {MISSING}")
+    return Account("timing", table, shown=shown, warnings=[*warnings, *doubts])
 
 
 def _account_of_fit(fit: TipFit, scene: Scene, warnings: list[str]) -> Account:
     """A fit, the ratio that tells of a crack, and warnings of what the probes cannot tell."""
     notes, warnings, table = [], [*warnings], fit.table()
+    for line in fit.asynchronous:
+        size, error = line.amplitudes[0], line.amplitude_errors[0]
+        of = f"{line.omega / TURN:.6g} Hz, {quantity(size, 'm')} ± {quantity(error, 'm')}"
+        notes.append(f"beside it a vibration that follows no order: {of}")
     if np.any(np.isclose(fit.multiples, 2.0)):
         ratio, error = fit.ratio()
         notes.append(f"second harmonic over first: {ratio:.4g} ± {error:.2g}")
     if fit.does_not_fit:
         warnings.append(
-            "the fit leaves more between the probes than their scatter: harmonics are missing "
-            "(tip_timing.fitted_harmonics), the order is not among tip_timing.orders, or the "
-            "vibration follows no order (tip_timing.frequencies)"
+            f"the fit leaves more between the probes than their scatter: {MISSING}, probes are "
+            "out of place (tip_timing.angle_deviation), or the order is not among tip_timing.orders"
         )
+    if fit.spare < 1:
+        warnings.append(UNTESTED)
     for orders, what in (
         (fit.ambiguous, "orders that explain the arrivals as well"),
         (fit.hidden, "orders that these probes cannot measure"),

@@ -27,7 +27,7 @@ det J changes its sign. Where no motion of the same shape is found beyond, the t
 Broad ones, with stiff contact, many modes and many harmonics, can end the path: fewer harmonics, or
 a structure reduced to fewer modes, have fewer of them. So where the path from the linear mode ends,
 it is gone with fewer harmonics, and the others are added at its end
-(:mod:`fenics_crack.curves.first_motion`). At the start, a motion whose first harmonic
+(:mod:`fenics_crack.curves.motion_path`). At the start, a motion whose first harmonic
 is small is taken for another mode's, and refused; on the way, :attr:`Backbone.fundamental` tells
 it. Next to a tongue, and where one was passed over, another motion of the same energy may exist.
 
@@ -51,9 +51,8 @@ from tqdm import tqdm
 from fenics_crack.balance.contact_integrals import contact_integrals
 from fenics_crack.balance.error_report import CALM, UNKNOWN, ErrorReport, mean_square
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.curves.first_motion import ELSEWHERE, first_motion
 from fenics_crack.curves.free_motion import EnergyMotion, Equilibrium, MotionPoint, cosine_rows
-from fenics_crack.curves.motion_path import MotionPath
+from fenics_crack.curves.motion_path import ELSEWHERE, MotionPath, first_motion
 from fenics_crack.errors import (
     ConvergenceError,
     InputError,

@@ -17,14 +17,14 @@ from dataclasses import replace
 import numpy as np
 
 from fenics_crack.balance.family import Family
+from fenics_crack.curves.beginnings import chord
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
-from fenics_crack.curves.resume import chord
 from fenics_crack.motion.orbit import doubling_test, eigenvalues
 from fenics_crack.numerics.bordered import PathPoint, point_on_path
 from fenics_crack.numerics.fourier import resized
 from fenics_crack.numerics.path import Crossing
 from fenics_crack.stability.floquet import Stability, floquet
-from fenics_crack.stability.linear_flow import monodromy
+from fenics_crack.stability.waves import monodromy
 from fenics_crack.stages import begin
 
 __all__ = ["FOLLOWED", "judged_by_waves", "place_on"]

@@ -16,20 +16,23 @@ import numpy as np
 
 from fenics_crack.balance.family import FAMILIES, Family
 from fenics_crack.balance.harmonic_balance import check_initial
-from fenics_crack.balance.memory import check_memory
-from fenics_crack.balance.neighbours import fewer_harmonics, more_harmonics
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import PeriodicSolution, solution_of
-from fenics_crack.balance.solver import Solver
-from fenics_crack.curves.bifurcations import first_of_branch, odd_rows
+from fenics_crack.balance.solution import (
+    PeriodicSolution,
+    Solver,
+    fewer_harmonics,
+    more_harmonics,
+    solution_of,
+)
+from fenics_crack.curves.beginnings import check_resumed, directions, first_of_branch, odd_rows
 from fenics_crack.curves.by_waves import FOLLOWED
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.doubled import DoubledStart
 from fenics_crack.curves.exact import verified
 from fenics_crack.curves.points import CurvePoint, Points
-from fenics_crack.curves.resume import check_resumed, directions
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.model.contact import is_rigid
+from fenics_crack.model.memory import check_memory
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure

@@ -24,10 +24,9 @@ from itertools import pairwise
 import numpy as np
 
 from fenics_crack.balance.family import FrequencyFamily
-from fenics_crack.balance.nearby import orbit_next_to
-from fenics_crack.balance.orbits import FlowOrbits
+from fenics_crack.balance.orbits import FlowOrbits, orbit_next_to
 from fenics_crack.balance.problem import Problem
-from fenics_crack.curves.bifurcations import first_aside, odd_rows
+from fenics_crack.curves.beginnings import first_aside, odd_rows
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.orbit_branch import ALIKE, STRAIGHT, TOLERANCE
 from fenics_crack.errors import ConvergenceError

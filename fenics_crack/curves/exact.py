@@ -38,8 +38,7 @@ from fenics_crack.motion.flow import Budget, exact_flow
 from fenics_crack.motion.orbit import KNOWN, PIECES
 from fenics_crack.numerics.bordered import PathPoint, solve_at
 from fenics_crack.numerics.path import PathOptions
-from fenics_crack.stability.floquet import floquet
-from fenics_crack.stability.shooting import leaves
+from fenics_crack.stability.floquet import floquet, leaves
 from fenics_crack.stages import begin
 
 __all__ = ["judge_curve", "verified"]

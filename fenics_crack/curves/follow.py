@@ -12,11 +12,11 @@ from tqdm import tqdm
 
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.curves.beginnings import same_problem
 from fenics_crack.curves.continuation import LONGEST, Continuation
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.doubled import next_to_doubled_orbits
 from fenics_crack.curves.points import CurvePoint
-from fenics_crack.curves.resume import same_problem
 from fenics_crack.errors import (
     ConvergenceError,
     InputError,

@@ -17,8 +17,7 @@ from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import AllModes, all_modes
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.linearisation import Linearisation, determinant_sign
-from fenics_crack.numerics.rounding import EPSILON, ROUNDING
+from fenics_crack.numerics.linearisation import EPSILON, ROUNDING, Linearisation, determinant_sign
 
 __all__ = [
     "EnergyMotion",

@@ -39,12 +39,17 @@ class Peak(Described):
     amplitude : float
         Half the peak-to-peak displacement [m].
     error : float
-        Estimated error of the displacement there, without the mesh's (:class:`ErrorReport`).
+        Estimated error of the amplitude, relative to it.
     verdict : str
         Whether the vibration is stable.
     damping : float
         Ratio of critical damping by the half-power bandwidth; nan where the curve does not fall to
         1/sqrt(2) of the peak on both sides, or is none over the frequency.
+    omega_error : float
+        Estimated error of the frequency, relative to it; nan where it is not known.
+    without : str
+        What the errors do not have: "without the mesh", of a curve alone (:class:`ErrorReport`);
+        empty where the scene is known, by which :func:`fenics_crack.curve` has them all.
     """
 
     index: int
@@ -54,6 +59,8 @@ class Peak(Described):
     error: float
     verdict: str
     damping: float
+    omega_error: float = math.nan
+    without: str = "without the mesh"
 
     @property
     def frequency(self) -> float:
@@ -69,9 +76,13 @@ class Peak(Described):
 
     def _title(self) -> str:
         width = "no half-power width" if math.isnan(self.damping) else f"damping {self.damping:.3g}"
+        error = f"error {self.error:.2g}"
+        if not math.isnan(self.omega_error):
+            error += f", of the frequency {self.omega_error:.2g}"
+        error += f" ({self.without})" if self.without else ""
         return (
             f"{quantity(self.amplitude, 'm')} at {self.frequency:.6g} Hz ({self.omega:.6g} rad/s), "
-            f"error {self.error:.2g}, {self.verdict}, {width}"
+            f"{error}, {self.verdict}, {width}"
         )
 
 

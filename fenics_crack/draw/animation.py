@@ -28,7 +28,8 @@ from vtkmodules.vtkInteractionWidgets import vtkSliderRepresentation2D, vtkSlide
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.draw.figure import COLOURS, label_axis
-from fenics_crack.draw.paraview import PeriodFields, moved_grid
+from fenics_crack.draw.paraview import PeriodFields, in_space, moved_grid
+from fenics_crack.draw.solid import lines, look_from_corner, off_screen_plotter, outline, surface
 from fenics_crack.errors import InputError
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.tables import Material
@@ -136,13 +137,6 @@ def show_period(
     on_root(fields.mesh.structure.comm, show)
 
 
-def off_screen_plotter(**options: Any) -> pyvista.Plotter:
-    """A plotter that draws into memory."""
-    if not os.environ.get("DISPLAY"):  # spares VTK the search for a screen, and its warning
-        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
-    return pyvista.Plotter(off_screen=True, **options)
-
-
 # --- the plate ------------------------------------------------------------------------------------
 
 
@@ -170,52 +164,72 @@ class _Plate:
         self.fields, mesh = fields, fields.mesh
         self.colours, self.height = _Colours(fields), 1e-3 * mesh.size  # of lines above the plate
         add = partial(plotter.add_mesh, lighting=False)
-        above = np.pad(mesh.points, ((0, 0), (0, 1)), constant_values=self.height)
+        solid = mesh.dimension == 3
+        boundary = outline(mesh) if solid else mesh.boundary
 
         def line(edges: np.ndarray, ink: str, width: float) -> pyvista.PolyData:
-            cells = np.pad(edges, ((0, 0), (1, 0)), constant_values=edges.shape[1])
-            drawn = pyvista.PolyData(above.copy(), lines=cells.ravel())
+            drawn = lines(self._above(mesh.points), edges)
             if len(edges):
                 add(drawn, color=INK[ink], line_width=width)
             return drawn
 
-        line(mesh.boundary, "rest", 2)
-        self.surface = moved_grid(mesh)
+        line(boundary, "rest", 2)
+        self.surface = surface(mesh.points, mesh.boundary_facets) if solid else moved_grid(mesh)
         self.surface["shown"] = fields.colour_values[0]
         add(self.surface, scalars="shown", show_scalar_bar=False, **self.colours.scale)
-        self.lines = [line(mesh.boundary, "lips", 2), line(mesh.lips, "lips", 5)]
-        line(mesh.boundary[mesh.clamped[mesh.boundary].all(axis=1)], "rest", 9)
+        self.lines = [line(boundary, "lips", 2)]
+        if not solid:  # whose outline has the mouth
+            self.lines.append(line(mesh.lips, "lips", 5))
+        line(boundary[mesh.clamped[boundary].all(axis=1)], "rest", 9)
         self.dots = pyvista.PolyData(np.zeros((len(fields.areas), 3)))
         if len(fields.areas):
             round_ = {"style": "points", "point_size": 16, "render_points_as_spheres": True}
             add(self.dots, color=INK["contact"], **round_)
         self.arrow = pyvista.Arrow(tip_length=0.45, tip_radius=0.16, shaft_radius=0.055)
         self.unit_arrow = np.array(self.arrow.points)  # along x
+        self.room = np.zeros(3) if solid else np.array([0.0, 0.0, 2.0 * self.height])
         self.starts, self.arrows = _load_arrows(fields)
         if np.any(fields.load):
             add(self.arrow, color=INK["load"])
         plotter.background_color = "white"
-        plotter.view_xy()
         plotter.enable_parallel_projection()
+        if not solid:
+            plotter.view_xy()
+        self.move(0)
+
+    def _above(self, points: np.ndarray) -> np.ndarray:
+        """Where lines are drawn: above a plate."""
+        return in_space(points) + (points.shape[1] == 2) * np.array([0.0, 0.0, self.height])
 
     def move(self, frame: int) -> None:
         """Show another frame."""
         fields = self.fields
         moved = fields.mesh.points + fields.shown(frame)
         for part in (self.surface, *self.lines):
-            part.points[:, :2] = moved
+            part.points[:, : moved.shape[1]] = moved
         self.surface["shown"] = self.colours.factor * fields.colour_values[frame]
         pairs = (fields.pair_nodes / fields.pair_nodes.sum(axis=0)).T
-        self.dots.points = np.pad(pairs @ moved, ((0, 0), (0, 1)), constant_values=2 * self.height)
+        self.dots.points = in_space(pairs @ moved) + self.room
         closed = np.flatnonzero(fields.force[frame] > 0.0)
         self.dots.verts = np.column_stack([np.ones_like(closed), closed]).ravel()
-        (x, y), thick = self.arrows[frame], np.linalg.norm(self.arrows[frame])
-        placed = self.starts[frame] + self.unit_arrow[:, :2] @ [[x, y], [-y, x]]
-        self.arrow.points = np.hstack([placed, 2 * self.height + thick * self.unit_arrow[:, 2:]])
+        start, arrow = (in_space(part[frame][None])[0] for part in (self.starts, self.arrows))
+        self.arrow.points = start + self.room + self.unit_arrow @ _turned(arrow)
+
+
+def _turned(vector: np.ndarray) -> np.ndarray:
+    """What turns the x axis into a vector, as long as that is: (3, 3)."""
+    size = float(np.linalg.norm(vector))
+    if size == 0.0:
+        return np.zeros((3, 3))
+    along = vector / size
+    other = np.eye(3)[2] if abs(along[2]) < 0.9 else np.eye(3)[1]
+    across = np.cross(other, along)
+    across /= np.linalg.norm(across)
+    return size * np.array([along, across, np.cross(along, across)])
 
 
 def _load_arrows(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
-    """Where the load acts on the magnified plate and arrows along it, both (n, 2) [m].
+    """Where the load acts on the magnified plate and arrows along it, both (n, d) [m].
 
     The longest arrow is an eighth of the plate.
     """
@@ -324,6 +338,9 @@ def _palette(colours: _Colours) -> Image.Image:
 def _look_at_all(plotter: Any, fields: PeriodFields, room: float = 1.03) -> None:
     """Set the camera so that the plate stays in the picture for the whole period."""
     moved = fields.mesh.points + fields.magnification * fields.displacement
+    if fields.mesh.dimension == 3:
+        look_from_corner(plotter)
+        return
     heads = np.add(*_load_arrows(fields)) if np.any(fields.load) else np.empty((0, 2))
     points = np.concatenate([fields.mesh.points, *moved, heads])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -350,7 +367,7 @@ class _Page:
         self.loads = fields.time * solution.omega / (2.0 * np.pi)
         self.figure = Figure(figsize=np.divide(PAGE, 100), dpi=100, facecolor="white")
         self.canvas = FigureCanvasAgg(self.figure)
-        title = "Breathing crack" if len(fields.mesh.lips) else "Vibrating plate"
+        title = "Breathing crack" if fields.cracked else "Vibrating structure"
         centred = {"ha": "center", "va": "center"}
         self.figure.text(0.5, 0.968, title, fontsize=16, weight="bold", **centred)
         self.caption = _caption(solution, fields)
@@ -379,7 +396,7 @@ class _Page:
             ("at rest", True, "rest", 1.5, None),
             ("clamped", fields.mesh.clamped.any(), "rest", 6, None),
             ("load", np.any(fields.load), "load", 3, ">"),
-            ("lips", len(fields.mesh.lips), "lips", 3, None),
+            ("lips", fields.cracked and fields.mesh.dimension == 2, "lips", 3, None),
             ("lips in contact", len(fields.areas), "contact", 0, "o"),
         )
         keys = [

@@ -28,8 +28,14 @@ from fenics_crack.stages import begin
 from fenics_crack.whole import write_together, write_whole
 
 __all__ = [
-    "PeriodFields", "moved_grid", "nodal_stress", "von_mises", "write_modes", "write_period",
+    "PeriodFields", "in_space", "moved_grid", "nodal_stress", "von_mises", "write_modes",
+    "write_period",
 ]  # fmt: skip
+
+
+COMPONENTS = {2: ("xx", "yy", "xy"), 3: ("xx", "yy", "zz", "xy", "yz", "xz")}
+VOIGT = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
+"""Stresses in a plane and in space, and places of the latter in their matrix."""
 
 
 def write_modes(modes: Modes, path: str | Path) -> None:
@@ -62,7 +68,7 @@ def write_modes(modes: Modes, path: str | Path) -> None:
         grid = moved_grid(mesh)
         for number, (omega, shape) in enumerate(zip(modes.omega, shapes, strict=True), 1):
             factor = _tenth(shape, mesh.size)
-            grid[f"mode {number}: {omega:.1f} rad/s"] = np.pad(factor * shape, ((0, 0), (0, 1)))
+            grid[f"mode {number}: {omega:.1f} rad/s"] = in_space(factor * shape)
             grid.field_data[f"magnification of mode {number}"] = [factor]
         write_whole(path, _vtu(grid))
 
@@ -80,7 +86,7 @@ class PeriodFields:
         The whole mesh.
     time : (n,) [s]
         Equally spaced from 0; the period itself is left out.
-    displacement, load : (n, n_nodes, 2) [m], [N]
+    displacement, load : (n, n_nodes, d) [m], [N]
         True to scale.
     force, areas : (n, n_pairs) [N], (n_pairs,) [m^2]
         Of the contact, and of one lip.
@@ -116,8 +122,13 @@ class PeriodFields:
         self.load = load.reshape(self.displacement.shape)
         self.pair_nodes = _nodes_of_pairs(structure)
 
+    @property
+    def cracked(self) -> bool:
+        """Whether there are lips."""
+        return len(self.mesh.lips if self.mesh.dimension == 2 else self.mesh.lip_facets) > 0
+
     def shown(self, frame: int) -> np.ndarray:
-        """The magnified displacement of a frame: (n_nodes, 2) [m]."""
+        """The magnified displacement of a frame: (n_nodes, d) [m]."""
         return self.magnification * self.displacement[frame]
 
     @property
@@ -144,7 +155,7 @@ class PeriodFields:
 
     @cached_property
     def stress(self) -> np.ndarray:
-        """Stresses xx, yy, xy: (n, n_nodes, 3) [Pa]."""
+        """Stresses xx, yy, xy: (n, n_nodes, 3) [Pa]; of a solid xx, yy, zz, xy, yz, xz."""
         assert self.material is not None
         return nodal_stress(self.mesh, self.displacement, self.material)
 
@@ -153,14 +164,14 @@ class PeriodFields:
         force, displacement = self.force[frame], self.displacement[frame]
         grid = moved_grid(self.mesh, self.shown(frame))
         closed = self.pair_nodes @ (force > 0.0)
-        grid["displacement"] = np.pad(displacement, ((0, 0), (0, 1)))
+        grid["displacement"] = in_space(displacement)
         grid["contact state"] = np.where(self.pair_nodes.any(axis=1), np.minimum(closed, 1.0), -1.0)
         grid["contact force"] = self.pair_nodes @ force
         grid["contact pressure"] = self.pair_nodes @ (force / self.areas)
         if self.material is not None:
             grid["stress"] = self.stress[frame]
             array = grid.GetPointData().GetAbstractArray("stress")
-            for component, name in enumerate(("xx", "yy", "xy")):
+            for component, name in enumerate(COMPONENTS[self.mesh.dimension]):
                 array.SetComponentName(component, name)
             grid["von Mises stress"] = von_mises(self.stress[frame])
         grid.field_data["magnification"] = [self.magnification]
@@ -168,29 +179,46 @@ class PeriodFields:
 
 
 def moved_grid(mesh: NodalMesh, displacement: np.ndarray | float = 0.0) -> pyvista.UnstructuredGrid:
-    """The cells, moved by nodal vectors (n_nodes, 2) [m]."""
-    points = np.pad(mesh.points + displacement, ((0, 0), (0, 1)))
+    """The cells, moved by nodal vectors (n_nodes, d) [m]."""
+    points = in_space(mesh.points + displacement)
     cells = np.pad(mesh.cells, ((0, 0), (1, 0)), constant_values=mesh.cells.shape[1])
     return pyvista.UnstructuredGrid(cells.ravel(), np.full(len(cells), mesh.vtk_type), points)
 
 
+def in_space(vectors: np.ndarray) -> np.ndarray:
+    """Vectors (n, d) as VTK has them: (n, 3)."""
+    return np.pad(vectors, ((0, 0), (0, 3 - vectors.shape[1])))
+
+
 def nodal_stress(mesh: NodalMesh, displacement: np.ndarray, material: Material) -> np.ndarray:
     """Plane stresses xx, yy, xy of nodal displacements (..., n_nodes, 2) [m]: (..., n_nodes, 3)
-    [Pa]; of many at once, as they are components of one field."""
+    [Pa]; of a solid xx, yy, zz, xy, yz, xz: (..., n_nodes, 6). Of many at once, as they are
+    components of one field."""
     columns, grid = np.moveaxis(displacement, -2, 0), moved_grid(mesh)
     grid["displacement"] = columns.reshape(len(columns), -1)
     found = grid.compute_derivative("displacement", gradient="gradient")["gradient"]
     slope = np.moveaxis(found.reshape(*columns.shape, 3), 0, -3)
+    nu, modulus = material.poisson, material.young
+    if mesh.dimension == 3:
+        strain = 0.5 * (slope + np.swapaxes(slope, -1, -2))
+        volume = np.trace(strain, axis1=-2, axis2=-1)[..., None, None] * np.eye(3)
+        full = modulus / (1.0 + nu) * (strain + nu / (1.0 - 2.0 * nu) * volume)
+        return np.stack([full[..., i, j] for i, j in VOIGT], axis=-1)
     strain = np.stack([slope[..., 0, 0], slope[..., 1, 1], slope[..., 0, 1] + slope[..., 1, 0]], -1)
-    nu = material.poisson
     plane = np.array([[1.0, nu, 0.0], [nu, 1.0, 0.0], [0.0, 0.0, 0.5 * (1.0 - nu)]])
-    return strain @ (material.young / (1.0 - nu**2) * plane)
+    return strain @ (modulus / (1.0 - nu**2) * plane)
 
 
 def von_mises(stress: np.ndarray) -> np.ndarray:
-    """Von Mises stress of plane stresses xx, yy, xy (..., 3): (...) [Pa]."""
-    xx, yy, xy = np.moveaxis(stress, -1, 0)
-    return np.asarray(np.sqrt(xx**2 - xx * yy + yy**2 + 3.0 * xy**2))
+    """Von Mises stress of stresses as :func:`nodal_stress` has them: (...) [Pa]."""
+    none = np.zeros_like(stress[..., 0])
+    xx, yy, zz, xy, yz, xz = (
+        np.moveaxis(stress, -1, 0)
+        if stress.shape[-1] == 6
+        else (stress[..., 0], stress[..., 1], none, stress[..., 2], none, none)
+    )
+    normal = (xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2
+    return np.asarray(np.sqrt(0.5 * normal + 3.0 * (xy**2 + yz**2 + xz**2)))
 
 
 def write_period(
@@ -236,9 +264,9 @@ def write_period(
     Point fields: ``displacement`` [m], true to scale; ``contact state``: 1 on a closed pair of lip
     nodes, 0 on an open one, -1 away from the lips; ``contact force`` [N] on each node of a pair,
     and ``contact pressure`` [Pa], that force over the pair's area: smooth along the lips if the
-    contact stiffness is given per area. With a material: ``stress`` (xx, yy, xy) and ``von Mises
-    stress`` [Pa] of plane stress. At the tip and under the point load they grow without bound as
-    the mesh is refined.
+    contact stiffness is given per area. With a material: ``stress`` (xx, yy, xy; of a solid xx, yy,
+    zz, xy, yz, xz) and ``von Mises stress`` [Pa]. At the tip and under the point load they grow
+    without bound as the mesh is refined.
 
     Examples
     --------
@@ -260,6 +288,8 @@ def write_period(
         script = target.with_name(f"{target.stem}_paraview.py")
         words = {"script": script.name, "folder": str(target.parent.resolve()), "pvd": target.name}
         colours = {"field": field, "title": f"{field} [{unit}]", "end": fields.colour_end}
+        colours["mode"] = f"{fields.mesh.dimension}D"
+        colours["camera"] = CAMERAS[fields.mesh.dimension]
         colours["caption"] = f"displacement x {fields.magnification:.3g}"
         about = [(target, series), (script, STATE.format(**words, **colours))]
         frames = ((target.parent / name, _vtu(fields.grid(n))) for n, name in enumerate(names))
@@ -269,6 +299,8 @@ def write_period(
     return fields.magnification
 
 
+CAMERAS = {2: "view.ResetActiveCameraToNegativeZ()", 3: "view.ApplyIsometricView()"}
+"""How a plate and a solid are looked at."""
 STATE = """\
 # Shows one period of the vibration in ParaView:
 #     paraview --script={script}        or File > Load State
@@ -283,7 +315,7 @@ field = {field!r}
 paraview.simple._DisableFirstRenderCameraReset()
 series = PVDReader(registrationName={pvd!r}, FileName=os.path.join(folder, {pvd!r}))
 view = GetActiveViewOrCreate("RenderView")
-view.InteractionMode = "2D"
+view.InteractionMode = {mode!r}
 scene = GetAnimationScene()
 scene.UpdateAnimationUsingDataTimeSteps()
 scene.PlayMode = "Snap To TimeSteps"
@@ -304,7 +336,7 @@ caption = Text(registrationName="magnification", Text={caption!r})
 shown = Show(caption, view)
 shown.WindowLocation = "Lower Center"
 
-view.ResetActiveCameraToNegativeZ()
+{camera}
 view.ResetCamera(False)
 Render(view)
 scene.Play()

@@ -18,6 +18,7 @@ from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.draw.figure import COLOURS, Picture, Where, label_axis, upright
 from fenics_crack.errors import InputError
+from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.contact import ContactLaw, is_rigid
 from fenics_crack.model.nodes import Pairs
 from fenics_crack.table import readable
@@ -142,7 +143,8 @@ def draw_laws(
 def draw_contact_map(
     solution: PeriodicSolution, *, instants: int = 400, **where: Unpack[Where]
 ) -> Figure:
-    """Draw where along the crack and when in the period the lips touch, and how hard.
+    """Draw where along the crack and when in the period the lips touch, and how hard; of a solid
+    where on the crack, how hard at most, and for how much of the period.
 
     Colours show the contact pressure if contact is rigid or its stiffness given per area, else the
     force of each pair; grey is open. Several cracks are one above the other, with a line between
@@ -182,6 +184,17 @@ def draw_contact_map(
     if structure.pair_areas is not None and smooth:
         values, label, unit = values / structure.pair_areas, "contact pressure", "Pa"
     scale, unit = readable(float(values.max()), unit)
+    if points.shape[1] == 3:
+        from fenics_crack.draw.solid import draw_over_crack  # VTK
+
+        pictured = NodalMesh(structure.whole)
+        picture = Picture(2, columns=2, size=WIDE, **where)
+        closed = (values[:-1] > 0.0).mean(axis=0)
+        shown = {f"largest {label} [{unit}]": scale * values.max(axis=0)}
+        shown["share of the period closed"] = closed
+        for panel, (words, found) in zip(picture, shown.items(), strict=True):
+            draw_over_crack(panel, pictured, points, found, words)
+        return picture.saved()
     depth, ends = _along_cracks(structure.pairs)
     loads = time * solution.omega / (2.0 * np.pi)
     [panel] = picture = Picture(**where)
@@ -372,6 +385,8 @@ def _colour(
 
 DOUBTFUL = f"not stable, or estimated error above {100 * LARGE_ERROR:g} %"
 HATCHED = "#ffffff"
+WIDE = (9.0, 3.4)
+"""Size of a picture of two panels [inch]."""
 LOGARITHMIC = 30.0
 """Ratio of the values of a map from which its colours are logarithmic."""
 MISSING, OPEN = "#b5b5b5", "#e8e8e8"

@@ -27,6 +27,8 @@ TRIANGLES = {
 """Into which a cell is cut to be coloured, by its number of nodes, in VTK's order."""
 MOST_ARROWS = 40
 """Arrows of a load, at most."""
+SOLID = (5.5, 6.5)
+"""Size of the picture of a solid's mesh [inch]."""
 LONGEST = 0.12
 """Of the arrows and of the displacements of modes, relative to the size of the structure."""
 
@@ -60,6 +62,12 @@ def draw_mesh(structure: Structure, **where: Unpack[Where]) -> Figure:
     """
     mesh = NodalMesh(structure)
     load = mesh.field(mesh.structure.force)
+    if mesh.dimension == 3:
+        from fenics_crack.draw.solid import draw_parts  # VTK
+
+        [panel] = picture = Picture(size=SOLID, **where)
+        draw_parts(panel, mesh, load)
+        return picture.finished()
     ratio = float(np.clip(np.divide(*np.maximum(np.ptp(mesh.points, axis=0), 1e-300)), 0.4, 2.5))
     size = (min(7.0, 3.6 + 2.0 * ratio), min(6.8, 1.6 + 3.6 / ratio))
     [panel] = picture = Picture(size=size, **where)
@@ -145,7 +153,7 @@ def draw_modes(
         raise InputError("numbers", numbers, f"one or more of 1 to {every[-1]}")
     columns = min(columns, len(numbers))
     mesh = NodalMesh(modes.structure)
-    across, up = np.ptp(mesh.points, axis=0) + 2.0 * LONGEST * mesh.size
+    across, up = np.ptp(mesh.points, axis=0)[:2] + 2.0 * LONGEST * mesh.size
     row = 0.4 + 2.4 * float(np.clip(up / across, 0.3, 1.0))
     size = (2.7 * columns, row * -(-len(numbers) // columns))
     comm = mesh.structure.comm
@@ -158,9 +166,15 @@ def draw_modes(
 
 
 def _mode_shape(axes: Axes, mesh: NodalMesh, shape: np.ndarray) -> None:
-    """Draw a displacement (n_nodes, 2), magnified and coloured by its length."""
+    """Draw a displacement (n_nodes, d), magnified and coloured by its length."""
     amplitude = np.linalg.norm(shape, axis=1)
-    moved = mesh.points + LONGEST * mesh.size / amplitude.max() * shape
+    drawn = LONGEST * mesh.size / amplitude.max() * shape
+    if mesh.dimension == 3:
+        from fenics_crack.draw.solid import draw_shape  # VTK
+
+        draw_shape(axes, mesh, drawn)
+        return
+    moved = mesh.points + drawn
     triangles = mesh.cells[:, TRIANGLES[mesh.cells.shape[1]]].reshape(-1, 3)
     axes.tripcolor(*moved.T, triangles, amplitude, shading="gouraud", cmap="viridis")
     for edges, points, colour, width in (

@@ -13,12 +13,13 @@ from matplotlib.figure import Figure
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.arrivals.fit_order import TipTrack
 from fenics_crack.arrivals.harmonics import Candidates, TipFit
+from fenics_crack.arrivals.passages import PassageFit
 from fenics_crack.draw.figure import COLOURS, Picture, Where, distinct_colours, label_axis
 from fenics_crack.errors import check_count
 from fenics_crack.study.campbell import STATES, Campbell
-from fenics_crack.table import frequency_axis, speed_axis, with_unit
+from fenics_crack.table import RPM, TURN, frequency_axis, speed_axis, with_unit
 
-__all__ = ["draw_arrivals", "draw_campbell", "draw_tip_fit", "draw_tip_track"]
+__all__ = ["draw_arrivals", "draw_campbell", "draw_passages", "draw_tip_fit", "draw_tip_track"]
 
 
 def draw_campbell(
@@ -133,6 +134,12 @@ def draw_arrivals(
     >>> figure = fc.draw_arrivals(arrivals, path="arrivals.png")
     """
     [panel] = picture = Picture(**where)
+    _draw_displacements(panel, arrivals, in_rpm)
+    return picture.finished()
+
+
+def _draw_displacements(panel: Axes, arrivals: ArrivalTimes, in_rpm: bool) -> None:
+    """What each probe sees over the revolutions, of a run-up over the speed."""
     pace, *over = speed_axis(in_rpm)
     steady, turns = arrivals.steady, arrivals.first + np.arange(len(arrivals))
     place = turns if steady else pace * arrivals.speed
@@ -144,7 +151,6 @@ def draw_arrivals(
         panel.plot(place, column, marker, color=colour, ms=size, mew=0, alpha=0.8, label=label)
     panel.set_xlabel("revolution" if steady else with_unit(*over))
     label_axis(panel.yaxis, "tip displacement", "m")
-    return picture.finished()
 
 
 def draw_tip_fit(fit: TipFit, arrivals: ArrivalTimes, **where: Unpack[Where]) -> Figure:
@@ -176,7 +182,7 @@ def draw_tip_fit(fit: TipFit, arrivals: ArrivalTimes, **where: Unpack[Where]) ->
     turns = np.linspace(0.0, loads, 500)
     wave = fit.displacement(2.0 * np.pi * turns / fit.order)
     seen = np.isfinite(arrivals.time)
-    phase = (fit.order * arrivals.angle[seen] / (2.0 * np.pi)) % loads
+    phase = (fit.order * fit.phases(arrivals)[seen] / (2.0 * np.pi)) % loads
     upper.plot(
         phase, arrivals.displacement[seen], "o", color=COLOURS["blue"], ms=3.5, mew=0, alpha=0.4,
         label="arrivals",
@@ -247,3 +253,64 @@ def draw_tip_track(track: TipTrack, *, in_hertz: bool = False, **where: Unpack[W
     label_axis(panel.yaxis, "amplitude of the tip", "m")
     panel.set_ylim(bottom=0.0)
     return picture.finished()
+
+
+def draw_passages(
+    passages: Sequence[PassageFit], arrivals: ArrivalTimes, **where: Unpack[Where]
+) -> Figure:
+    """Draw a record over the speed, the resonances found in it, and the clearest of them closely:
+    what one probe sees of each passage without drift, and the fit.
+
+    Parameters
+    ----------
+    passages : sequence of PassageFit
+        The clearest one first, as :func:`find_passages` gives them.
+    arrivals : ArrivalTimes
+        In which they were found.
+    **where
+        ``axes``, two of them, ``path`` and ``title``, as of :func:`draw_waves`.
+
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
+    Raises
+    ------
+    InputError
+        The number of axes is wrong.
+
+    Examples
+    --------
+    >>> figure = fc.draw_passages(fc.find_passages(arrivals), arrivals, path="passages.png")
+    """
+    upper, lower = picture = Picture(2, size=(7.0, 7.0), **where)
+    _draw_displacements(upper, arrivals, in_rpm=True)
+    for number, fit in enumerate(passages):
+        upper.axvline(fit.speed / RPM, color=COLOURS["grey"], lw=0.7, ls="--", zorder=0)
+        upper.annotate(
+            f"{fit.order:g}", (fit.speed / RPM, 1.0), xycoords=("data", "axes fraction"),
+            textcoords="offset points", xytext=(0, 2 + 9 * (number % 2)), ha="center", fontsize=8,
+            color=COLOURS["grey"], annotation_clip=False,
+        )  # fmt: skip
+    if passages:
+        fit = passages[0]
+        _draw_passage(lower, fit, fit.compared(arrivals))
+    else:
+        lower.set_axis_off()
+    return picture.finished()
+
+
+def _draw_passage(
+    axes: Axes, fit: PassageFit, runs: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]
+) -> None:
+    """What the probe that sees most has seen of each passage, and the fit."""
+    probe = int(np.argmax(sum(np.sum(motion**2, axis=0) for _, _, motion in runs)))
+    for (speed, seen, motion), colour in zip(runs, cycle(COLOURS.values()), strict=False):
+        way = "up" if speed[-1] > speed[0] else "down"
+        axes.plot(speed / RPM, seen[:, probe], "o", color=colour, ms=3.0, mew=0, alpha=0.6)
+        axes.plot(speed / RPM, motion[:, probe], color=colour, lw=1.2, label=f"fit, {way}")
+    axes.set_xlabel("rotor speed [rpm]")
+    label_axis(
+        axes.yaxis, f"order {fit.order:g}, {fit.omega / TURN:.5g} Hz, probe {probe + 1}", "m"
+    )

@@ -246,10 +246,12 @@ def _between(start: float, stop: float, first: float, last: float, over: list[_H
 
 
 def _graded(length: float, first: float, last: float) -> tuple[int, float]:
-    """Elements growing geometrically from about ``first`` to about ``last`` along ``length``."""
+    """Elements growing geometrically from about ``first`` to about ``last``, or to half of a short
+    ``length``, along it."""
     if first >= last:
         return math.ceil(length / last), 1.0
-    if length <= 2.0 * last:
+    last = min(last, 0.5 * length)
+    if first >= last:
         return (1 if length <= first else 2), 1.0
     growth = (length - first) / (length - last)
     count = max(1, round(1.0 + math.log(last / first) / math.log(growth)))

@@ -4,6 +4,12 @@ Lengths found from a frequency are kept beside the compiled forms in the user's 
 a length [m] and what its frequency exceeds the one asked for by [rad/s]. Its name is a digest of
 the tables of the scene on which both depend. Whoever reads it checks it: nothing rests on the file
 but time.
+
+DOLFINx assembles the matrices, with sigma and t of :mod:`fenics_crack.fem.elasticity`,
+
+    u^T K v = t int sigma(u) : eps(v) dx,                     u^T M v = t rho int u . v dx.
+
+Clamped dofs are left out, so that no spurious mode stands for them.
 """
 
 from __future__ import annotations
@@ -14,21 +20,121 @@ import json
 import os
 from functools import cache
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError
-from fenics_crack.fem.assembly import assemble
+from fenics_crack.fem import compat
+from fenics_crack.fem.compat import ufl
+from fenics_crack.fem.elasticity import constants, rotation_of, stress, thickness
+from fenics_crack.fem.interface import pair_lips
+from fenics_crack.fem.loads import assemble_loads
+from fenics_crack.fem.matrix_files import read_structure
+from fenics_crack.fem.numbering import Dofs
+from fenics_crack.fem.plate import build_mesh
+from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
 from fenics_crack.model.modes import solve_modes
+from fenics_crack.model.nodes import Pairs
 from fenics_crack.model.structure import Structure
-from fenics_crack.parallel import on_root
+from fenics_crack.parallel import collect_garbage, on_root
 from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.tables import Damping
+from fenics_crack.stages import begin
 from fenics_crack.whole import write_whole
 
-__all__ = ["build_structure", "find_crack_length", "with_crack_length"]
+__all__ = ["assemble", "build_structure", "clearance_of", "find_crack_length", "with_crack_length"]
 
 FOUND_AGAIN = 1e-9
 """Relative difference of a frequency that is found again."""
+
+
+def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
+    """Mesh a scene whose crack length is known, and assemble its structure, or read its matrices
+    (collective).
+
+    Parameters and errors are those of :func:`fenics_crack.build_structure`.
+    """
+    collect_garbage(comm)  # of structures made before
+    if scene.structure is not None:
+        rule = None if scene.damping is None else _damping(scene.damping)
+        return read_structure(scene.structure, rule, comm)
+    begin("mesh")
+    plate = build_mesh(scene, comm)
+    begin("matrices")
+    if not plate.cracked and scene.mesh.layout == "file" and (scene.contact or scene.all_cracks):
+        allowed = "a mesh with curves named 'lower_lip' and 'upper_lip', as the scene has contact"
+        raise InputError("mesh.file", scene.mesh.file, allowed)
+    space = compat.function_space(plate.mesh, scene.mesh.order)
+    dofs = Dofs(plate, space, comm)
+    stiffness, mass = _matrices(scene, space)
+    if not all(np.isfinite(matrix.norm()) for matrix in (stiffness, mass)):
+        raise InputError("mesh", "cells of no area", "one whose cells all have an area")
+    gap, pairs = pair_lips(scene, plate, dofs)
+    force, watched = assemble_loads(scene, plate, dofs, mass)
+    structure = Structure(
+        dofs.free_block(mass),
+        dofs.free_block(stiffness),
+        gap,
+        force=force,
+        clearance=clearance_of(scene, pairs),
+        damping=_damping(scene.damping),
+        nodes=dofs.nodes(),
+        pairs=pairs,
+        watched=watched,
+    )
+    if scene.speed > 0.0:
+        begin("rotation")
+        structure = rotation_of(scene, space, dofs, structure).at(scene.speed)
+    return structure
+
+
+# --- matrices -------------------------------------------------------------------------------------
+
+
+def _matrices(scene: Scene, space: Any) -> tuple[Any, Any]:
+    """Stiffness and mass matrix of all dofs, clamped ones included."""
+    (density,), t = constants(space, scene.material.density), thickness(scene, space)
+    u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
+    stiffness = t * ufl.inner(stress(scene, space, u), ufl.sym(ufl.grad(v))) * ufl.dx
+    mass = t * density * ufl.inner(u, v) * ufl.dx
+    return compat.assembled_matrix(stiffness), compat.assembled_matrix(mass)
+
+
+def _damping(table: Damping) -> DampingRule:
+    """The damping that a scene's table describes."""
+    if table.ratio is not None:
+        return ModalDamping(table.ratio, None if table.modes == "all" else int(table.modes))
+    if table.ratios is not None and table.omegas is not None:
+        return RayleighDamping.from_ratios(table.ratios, table.omegas)
+    return RayleighDamping(table.mass or 0.0, table.stiffness or 0.0)
+
+
+# --- cracks ---------------------------------------------------------------------------------------
+
+
+def clearance_of(scene: Scene, pairs: Pairs) -> np.ndarray:
+    """Clearance of every pair, by its crack: (n_pairs,) [m].
+
+    Raises
+    ------
+    InputError
+        There are several tables, but not one for each crack of a mesh file.
+    """
+    given = np.array([crack.clearance for crack in scene.all_cracks.values()] or [0.0])
+    assert pairs.cracks is not None
+    if len(given) == 1:
+        return np.full(len(pairs.cracks), given[0])
+    cracks = int(pairs.cracks.max(initial=-1)) + 1
+    if len(given) != cracks:
+        allowed = (
+            f"[crack] alone, for all, or one table for each of the {cracks} cracks of the mesh "
+            "file: [crack] and then [[cracks]], from bottom to top"
+        )
+        raise InputError("cracks", f"{len(given)} tables with [crack]", allowed)
+    found: np.ndarray = given[pairs.cracks]
+    return found
 
 
 def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:

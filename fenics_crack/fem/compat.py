@@ -75,15 +75,16 @@ def gmsh_is_running() -> bool:
     return bool(getattr(gmsh, "isInitialized", lambda: False)())
 
 
-def model_to_mesh(model: Any, comm: MPI.Comm) -> tuple[Any, Any, Any]:
-    """Distribute the gmsh model of rank 0 as a plane mesh: (mesh, cell tags, facet tags)."""
+def model_to_mesh(model: Any, comm: MPI.Comm, dimension: int) -> tuple[Any, Any, Any]:
+    """Distribute the gmsh model of rank 0 as a mesh in a plane or in space: (mesh, cell tags, facet
+    tags)."""
     try:
         from dolfinx.io import gmshio
     except ImportError:  # 0.10
         from dolfinx.io import gmsh as gmshio
     if comm.allreduce(addresses_left() < THREAD, MPI.LOR):
         raise MemoryError("no room for a thread")
-    found = gmshio.model_to_mesh(model, comm, 0, gdim=2)
+    found = gmshio.model_to_mesh(model, comm, 0, gdim=dimension)
     if isinstance(found, tuple) and len(found) == 3:
         return found
     return found.mesh, found.cell_tags, found.facet_tags
@@ -108,12 +109,13 @@ def _quiet_compiler() -> Iterator[None]:
 
 
 @_quiet_compiler()
-def function_space(mesh: Any, order: int) -> Any:
-    """Continuous piecewise polynomials of the given order with two components."""
+def function_space(mesh: Any, order: int, *, vectors: bool = True) -> Any:
+    """Continuous piecewise polynomials of the given order: vectors, or numbers."""
     if _NEW:
-        element = ("Lagrange", order, (mesh.geometry.dim,))
-        return dolfinx.fem.functionspace(mesh, element, **_JIT)
-    element = ufl.VectorElement("Lagrange", mesh.ufl_cell(), order)
+        shape = ((mesh.geometry.dim,),) if vectors else ()
+        return dolfinx.fem.functionspace(mesh, ("Lagrange", order, *shape), **_JIT)
+    make = ufl.VectorElement if vectors else ufl.FiniteElement
+    element = make("Lagrange", mesh.ufl_cell(), order)
     return dolfinx.fem.FunctionSpace(mesh, element, **_JIT)
 
 
@@ -141,8 +143,8 @@ def basis_at(space: Any, order: int, point: np.ndarray) -> tuple[np.ndarray, np.
     Both are empty where no cell of this rank holds the point.
     """
     mesh = space.mesh
-    where = np.append(point, 0.0).astype(float)
     dimension = mesh.topology.dim
+    where = np.append(point, np.zeros(3 - dimension)).astype(float)
     if hasattr(dolfinx.geometry, "bb_tree"):
         tree = dolfinx.geometry.bb_tree(mesh, dimension, padding=1e-10)
         near = dolfinx.geometry.compute_collisions_points(tree, where)
@@ -155,8 +157,8 @@ def basis_at(space: Any, order: int, point: np.ndarray) -> tuple[np.ndarray, np.
     if not len(hits):
         return np.zeros(0, dtype=np.int32), np.zeros(0)
     cell = int(hits[0])
-    corners = mesh.geometry.x[geometry_dofmap(mesh)[cell], :2]
-    reference = mesh.geometry.cmap.pull_back(where[None, :2], corners)
+    corners = mesh.geometry.x[geometry_dofmap(mesh)[cell], :dimension]
+    reference = mesh.geometry.cmap.pull_back(where[None, :dimension], corners)
     element = basix.create_element(
         basix.ElementFamily.P,
         getattr(basix.CellType, mesh.topology.cell_type.name),

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
@@ -50,6 +51,22 @@ class Lip:
         """Distance of each corner from the beginning, along the lip [m]."""
         steps = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
         return np.concatenate([[0.0], np.cumsum(steps)])
+
+    @property
+    def watched(self) -> tuple[str, float]:
+        """What the pair that is watched is called, and its position: at the mouth, or in the middle
+        of a crack inside."""
+        return ("the mouth", 0.0) if self.has_mouth else ("the middle", 0.5 * self.position[-1])
+
+    def locate(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distance of points (n, 2) from the lip, and of the nearest place from its beginning [m]:
+        two arrays (n,)."""
+        starts, spans = self.points[:-1], np.diff(self.points, axis=0)
+        to, squares = points[:, None] - starts, np.sum(spans**2, axis=1)
+        share = np.clip(np.sum(to * spans, axis=2) / squares, 0.0, 1.0)
+        off = np.linalg.norm(to - share[:, :, None] * spans, axis=2)
+        edge, row = off.argmin(axis=1), np.arange(len(points))
+        return off[row, edge], (self.position[:-1] + share * np.sqrt(squares))[row, edge]
 
     def beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
         """Points below and above one that lies on the crack, and not at its tip; else None."""
@@ -129,17 +146,11 @@ def _chains(edges: list[tuple[int, int]], tips: set[int], positions: np.ndarray)
     return chains
 
 
-def along(lips: Sequence[Lip], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """On which crack points (n, 2) lie, and how far from its beginning [m]: two arrays (n,)."""
-    starts = np.concatenate([lip.points[:-1] for lip in lips])
-    spans = np.concatenate([np.diff(lip.points, axis=0) for lip in lips])
-    before = np.concatenate([lip.position[:-1] for lip in lips])
-    crack = np.repeat(np.arange(len(lips)), [len(lip.points) - 1 for lip in lips])
-    to, squares = points[:, None] - starts, np.sum(spans**2, axis=1)
-    share = np.clip(np.sum(to * spans, axis=2) / squares, 0.0, 1.0)
-    edge = np.linalg.norm(to - share[:, :, None] * spans, axis=2).argmin(axis=1)
-    along_edge = share[np.arange(len(points)), edge] * np.sqrt(squares[edge])
-    return crack[edge], before[edge] + along_edge
+def along(lips: Sequence[Any], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """On which crack points (n, dimension) lie, and their positions on it [m]: two arrays (n,)."""
+    off, positions = np.array([lip.locate(points) for lip in lips]).transpose(1, 0, 2)
+    crack = off.argmin(axis=0)
+    return crack, positions[crack, np.arange(len(points))]
 
 
 # --- what gmsh's plugin leaves --------------------------------------------------------------------

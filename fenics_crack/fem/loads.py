@@ -1,7 +1,8 @@
-"""Loads of a scene as nodal forces: at points, on edges, and the inertia of a plate that is shaken.
+"""Loads of a scene as nodal forces: at points, on edges, and the inertia of what is shaken.
 
 A force F at x does the work F . sum_i N_i(x) u_i, so node i gets N_i(x) F. On an edge E of a plate
-of thickness t, with outward normal n, a traction T or a pressure p, T = -p n, give it
+of thickness t, or a face of a solid with t = 1, with outward normal n, a traction T or a pressure
+p, T = -p n, give it
 
     f_i = t int_E N_i T ds.
 
@@ -25,6 +26,7 @@ import numpy as np
 from fenics_crack.errors import InputError
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
+from fenics_crack.fem.elasticity import thickness
 from fenics_crack.fem.numbering import Dofs, nodes_on
 from fenics_crack.fem.plate import PlateMesh
 from fenics_crack.parallel import gather_rows
@@ -85,11 +87,11 @@ def _unit(parts: Sequence[Vector]) -> list[Vector]:
     """The direction of a load: of the larger of its cosine and sine part, of its mean if there is
     neither."""
     mean, *moving = parts
-    x, y = max(moving, key=lambda part: math.hypot(*part))
-    if not (x or y):
-        x, y = mean
-    size = math.hypot(x, y)
-    return [(x / size, y / size)]
+    largest = max(moving, key=lambda part: math.hypot(*part))
+    if not any(largest):
+        largest = mean
+    size = math.hypot(*largest)
+    return [tuple(x / size for x in largest)]
 
 
 def _point_force(
@@ -115,10 +117,15 @@ def _point_force(
     mine = (numbers >= dofs.first_node) & (numbers < dofs.first_node + dofs.n_nodes)
     share = np.zeros(dofs.n_nodes)
     np.add.at(share, numbers[mine] - dofs.first_node, shares[mine])
-    force = np.array([np.outer(share, part).ravel()[dofs.free] for part in parts])
+    force = np.array([_at_nodes(dofs, share, part)[dofs.free] for part in parts])
     if any(map(any, parts)) and not np.any(gather_rows(dofs.comm, force.ravel())):
         raise InputError(key, tuple(point), "where the plate is free to move")
     return force
+
+
+def _at_nodes(dofs: Dofs, share: np.ndarray, vector: Vector) -> np.ndarray:
+    """Shares (n_nodes,) of a vector: (n_dofs,)."""
+    return np.outer(share, vector or np.zeros(dofs.dimension)).ravel()
 
 
 # --- loads on edges -------------------------------------------------------------------------------
@@ -130,18 +137,17 @@ def _edge_force(scene: Scene, plate: PlateMesh, dofs: Dofs, key: str, load: Load
     if load.edge not in edges:
         raise InputError(f"{key}.edge", load.edge, "one of " + ", ".join(map(repr, edges)))
     edge = ufl.ds(domain=plate.mesh, subdomain_data=plate.facet_tags)(plate.groups[load.edge])
-    test, thickness = ufl.TestFunction(dofs.space), scene.geometry.thickness
-    x = ufl.as_vector((1.0, 0.0))
-    along_x = thickness * compat.assembled_vector(ufl.inner(x, test) * edge)
+    test, t = ufl.TestFunction(dofs.space), thickness(scene, dofs.space)
+    x = ufl.as_vector(np.eye(dofs.dimension)[0].tolist())
+    along_x = compat.assembled_vector(t * ufl.inner(x, test) * edge)
     length = gather_rows(dofs.comm, along_x).sum()
     if not length > 0.0:
         raise InputError(f"{key}.edge", load.edge, "an edge of the plate: it lies inside")
-    weights = along_x.reshape(-1, 2)[:, 0]
-    force = np.array([np.outer(weights, part).ravel() for part in load.parts("traction")])
-    pressed = -thickness * compat.assembled_vector(
-        ufl.inner(ufl.FacetNormal(plate.mesh), test) * edge
-    )
-    force += np.array([part[0] * pressed for part in load.parts("pressure")])
+    weights = along_x.reshape(-1, dofs.dimension)[:, 0]
+    force = np.array([_at_nodes(dofs, weights, part) for part in load.parts("traction")])
+    normal = ufl.FacetNormal(plate.mesh)
+    pressed = -compat.assembled_vector(t * ufl.inner(normal, test) * edge)
+    force += np.array([sum(part) * pressed for part in load.parts("pressure")])
     found = np.asarray(force[:, dofs.free])
     loaded, moving = (np.any(gather_rows(dofs.comm, part.ravel())) for part in (force, found))
     if loaded and not moving:
@@ -152,10 +158,12 @@ def _edge_force(scene: Scene, plate: PlateMesh, dofs: Dofs, key: str, load: Load
 def _middle_of(plate: PlateMesh, dofs: Dofs, edge: str, force: np.ndarray) -> np.ndarray:
     """1 at the dof, in the direction of most of the load, of the node of an edge that is nearest
     to its middle: (n_local,)."""
-    by_dof = np.zeros((3, 2 * dofs.n_nodes))
+    by_dof = np.zeros((3, len(dofs.numbers)))
     by_dof[:, dofs.free] = force
-    sums = np.abs(dofs.comm.allgather(by_dof.reshape(3, -1, 2).sum(axis=1))).sum(axis=(0, 1))
-    direction = (1.0, 0.0) if sums[0] >= sums[1] else (0.0, 1.0)
+    sums = np.abs(dofs.comm.allgather(by_dof.reshape(3, -1, dofs.dimension).sum(axis=1))).sum(
+        axis=(0, 1)
+    )
+    direction = tuple(np.eye(dofs.dimension)[int(np.argmax(sums))].tolist())
     on_edge = nodes_on(plate, dofs.space, edge)
     own = on_edge[on_edge < dofs.n_nodes]
     every = gather_rows(dofs.comm, _points(dofs)[own])
@@ -186,12 +194,13 @@ def _farthest(plate: PlateMesh, dofs: Dofs, direction: Vector) -> np.ndarray:
 
 
 def _points(dofs: Dofs) -> np.ndarray:
-    """Positions of this rank's nodes: (n_nodes, 2) [m]."""
-    return np.asarray(dofs.space.tabulate_dof_coordinates()[: dofs.n_nodes, :2])
+    """Positions of this rank's nodes: (n_nodes, d) [m]."""
+    points = dofs.space.tabulate_dof_coordinates()[: dofs.n_nodes, : dofs.dimension]
+    return np.asarray(points)
 
 
 def _by_distance(points: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Points (n, 2) by their distance from a place; equal ones, to rounding, by position."""
+    """Points (n, d) by their distance from a place; equal ones, to rounding, by position."""
     distance = np.linalg.norm(points - place, axis=1)
     return points[np.lexsort([*points.T, np.round(distance / max(distance.max(), 1e-300), 9)])]
 
@@ -199,6 +208,6 @@ def _by_distance(points: np.ndarray, place: np.ndarray) -> np.ndarray:
 def _one_at(dofs: Dofs, nodes: np.ndarray, point: np.ndarray, direction: Vector) -> np.ndarray:
     """1 at the dof, in a direction, of one of this rank's nodes by its position: (n_local,)."""
     here = nodes[np.all(_points(dofs)[nodes] == point, axis=1)]
-    found = np.zeros((dofs.n_nodes, 2))
+    found = np.zeros((dofs.n_nodes, dofs.dimension))
     found[here[:1]] = direction
     return np.asarray(found.ravel()[dofs.free])

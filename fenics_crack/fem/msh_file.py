@@ -24,11 +24,14 @@ from fenics_crack.fem.mesh_checks import check_mesh
 from fenics_crack.mesher import gmsh
 from fenics_crack.outside import bytes_of, run_reader
 
-__all__ = ["Names", "Point", "read_file"]
+__all__ = [
+    "CRACK", "Group", "Names", "Point", "filled", "groups_of", "named_groups",
+    "points_in", "read_file", "tags_of",
+]  # fmt: skip
 
-Point = tuple[float, float]
+Point = tuple[float, ...]
 Names = tuple[dict[str, tuple[int, ...]], dict[str, Point]]
-"""Tags of the facets of each named curve, and positions of the named points [m]."""
+"""Tags of the facets of each named curve or surface, and positions of the named points [m]."""
 
 FARTHEST = 1e6
 """Largest coordinate of a node [m]."""
@@ -39,7 +42,7 @@ _EDGES = {2: 1, 3: 1, 9: 8, 10: 8, 21: 26, 36: 26}
 """gmsh's kinds of cells that DOLFINx reads, and of their edges, order by order; and of points."""
 _BEGINNING = re.compile(rb"\$MeshFormat[ \t]*\r?\n[ \t]*(2|2\.[0-2]|4|4\.[01])[ \t]+[01][ \t]+8\s")
 """Of a mesh file in gmsh's format 2 or 4, as text or in binary."""
-_CRACK = re.compile(r"crack([ _.-]?\d+)?$", re.IGNORECASE)
+CRACK = re.compile(r"crack([ _.-]?\d+)?$", re.IGNORECASE)
 """Names of curves along which the nodes exist twice."""
 
 
@@ -57,11 +60,7 @@ def read_file(path: Path) -> Names:
         if not condition:
             raise InputError("mesh.file", str(path), allowed)
 
-    require(os.path.isfile(path), "an existing gmsh mesh file")
-    found = _read_by_child(path)
-    if isinstance(found, str):
-        raise InputError("mesh.file", str(path), f"readable by gmsh ({found})")
-    numbers, positions, groups = found
+    numbers, positions, groups = groups_of(path)
     flat = len(positions) > 0 and np.ptp(positions[:, 2]) == 0.0
     require(
         flat and np.all(np.abs(positions) < FARTHEST),
@@ -103,17 +102,11 @@ def read_file(path: Path) -> Names:
     )
     try:
         _check(kind, cells, curves, numbers, positions[:, :2])
+        points = points_in(parts, numbers, positions[:, :2])
     except InputError as error:
         raise InputError("mesh.file", f"{path} ({error.value})", error.allowed) from None
-    points: dict[str, Point] = {}
-    for dimension, _, name, _, nodes in parts:
-        if dimension == 0 and name:
-            require(name != "load" or len(nodes) == 1, "a mesh with one point in the group 'load'")
-            places = np.unique(positions[np.searchsorted(numbers, nodes), :2], axis=0)
-            if len(places) == 1:
-                points[name] = (float(places[0, 0]), float(places[0, 1]))
-    tags, sets = _apart(curves)
-    _fill(
+    tags, sets = tags_of(curves)
+    filled(
         numbers,
         positions,
         [(2, 1, "plate", kind, cells.ravel())]
@@ -121,6 +114,36 @@ def read_file(path: Path) -> Names:
         + [group for group in parts if group[0] == 0],
     )
     return tags, points
+
+
+def groups_of(path: Path) -> tuple[np.ndarray, np.ndarray, list[Group]]:
+    """Numbers and positions of a file's nodes, and its groups.
+
+    Raises
+    ------
+    InputError
+        There is no such file, or gmsh cannot read it.
+    """
+    if not os.path.isfile(path):
+        raise InputError("mesh.file", str(path), "an existing gmsh mesh file")
+    found = _read_by_child(path)
+    if isinstance(found, str):
+        raise InputError("mesh.file", str(path), f"readable by gmsh ({found})")
+    return found
+
+
+def points_in(groups: list[Group], numbers: np.ndarray, positions: np.ndarray) -> dict[str, Point]:
+    """Positions of the named points among some groups, of as many numbers as are left."""
+    points: dict[str, Point] = {}
+    for dimension, _, name, _, nodes in groups:
+        if dimension != 0 or not name:
+            continue
+        if name == "load" and len(nodes) != 1:
+            raise InputError("mesh", f"{len(nodes)} points in the group 'load'", "one with one")
+        places = np.unique(positions[np.searchsorted(numbers, nodes)], axis=0)
+        if len(places) == 1:
+            points[name] = tuple(places[0].tolist())
+    return points
 
 
 def _check(
@@ -145,8 +168,8 @@ def _with_lips(
     positions: np.ndarray,
 ) -> dict[str, np.ndarray]:
     """The curves, those named ``crack`` replaced by the lips that are found along them."""
-    cracks = [edges for name, edges in curves.items() if _CRACK.match(name)]
-    curves = {name: edges for name, edges in curves.items() if not _CRACK.match(name)}
+    cracks = [edges for name, edges in curves.items() if CRACK.match(name)]
+    curves = {name: edges for name, edges in curves.items() if not CRACK.match(name)}
     if not cracks and not {"lower_lip", "upper_lip"} <= curves.keys():
         return curves
     corners = 3 if kind in _TRIANGLES else 4
@@ -164,7 +187,7 @@ def _with_lips(
     return curves
 
 
-def _apart(
+def tags_of(
     curves: dict[str, np.ndarray],
 ) -> tuple[dict[str, tuple[int, ...]], list[tuple[int, str, np.ndarray]]]:
     """Tags of each curve; and tag, name and edges of each combination of curves."""
@@ -199,15 +222,16 @@ def _have_different_nodes(cells: np.ndarray) -> bool:
     return not np.any(ordered[:, 1:] == ordered[:, :-1])
 
 
-_Group = tuple[int, int, str, int, np.ndarray]
+Group = tuple[int, int, str, int, np.ndarray]
 """Dimension, tag and name, and elements of one kind: gmsh's number of it and the nodes."""
 
 
-def _fill(numbers: np.ndarray, positions: np.ndarray, groups: list[_Group]) -> None:
+def filled(numbers: np.ndarray, positions: np.ndarray, groups: list[Group]) -> None:
     """Put nodes and the elements of physical groups into the current model."""
     model = gmsh.model
-    holder = model.addDiscreteEntity(2)
-    model.mesh.addNodes(2, holder, numbers, positions.ravel())
+    dimension = max(group[0] for group in groups)
+    holder = model.addDiscreteEntity(dimension)
+    model.mesh.addNodes(dimension, holder, numbers, positions.ravel())
     entities: dict[tuple[int, int], list[int]] = {}
     names = {}
     for dimension, tag, name, kind, nodes in groups:
@@ -220,7 +244,7 @@ def _fill(numbers: np.ndarray, positions: np.ndarray, groups: list[_Group]) -> N
         model.setPhysicalName(dimension, tag, names[dimension, tag])
 
 
-def _read_by_child(path: Path) -> tuple[np.ndarray, np.ndarray, list[_Group]] | str:
+def _read_by_child(path: Path) -> tuple[np.ndarray, np.ndarray, list[Group]] | str:
     """Numbers and positions of a file's nodes and its groups, or why it cannot be read."""
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "mesh.msh"
@@ -235,11 +259,15 @@ def _read_by_child(path: Path) -> tuple[np.ndarray, np.ndarray, list[_Group]] | 
         found = run_reader(Path(__file__).with_name("msh_reader.py"), copy, LONGEST_READING)
     if isinstance(found, str):
         return found.replace(str(copy), str(path))
+    return found["numbers"], found["positions"], named_groups(found)
+
+
+def named_groups(found: dict[str, np.ndarray]) -> list[Group]:
+    """Groups as :mod:`fenics_crack.fem.msh_reader` tells them."""
     parts = np.split(found["nodes"], np.cumsum(found["heads"][:, 3])[:-1])
-    groups = [
+    return [
         (dimension, tag, name, kind, nodes)
         for (dimension, tag, kind, _), name, nodes in zip(
             found["heads"].tolist(), found["names"].tolist(), parts, strict=False
         )
     ]
-    return found["numbers"], found["positions"], groups

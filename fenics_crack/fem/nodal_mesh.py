@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from fenics_crack.errors import InputError
+from fenics_crack.fem.crack_surface import FACETS
 from fenics_crack.fem.lips import cell_edges
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
@@ -19,8 +20,8 @@ class NodalMesh:
 
     Attributes
     ----------
-    points : (n_nodes, 2) [m]
-        Node positions.
+    points : (n_nodes, d) [m]
+        Node positions: d = 2 of a plate, 3 of a solid.
     cells : (n_cells, k) int
         Their nodes in VTK's order.
     vtk_type : int
@@ -45,10 +46,42 @@ class NodalMesh:
         self.vtk_type = nodes.vtk_type
 
     def field(self, rows: np.ndarray) -> np.ndarray:
-        """Nodal vectors (m, n_nodes, 2) of dof values (m, n_local); zero where clamped."""
+        """Nodal vectors (m, n_nodes, d) of dof values (m, n_local); zero where clamped."""
         comm = self.structure.comm
         whole = np.concatenate(comm.allgather(rows), axis=1)
         return np.where(self._dofs >= 0, whole[:, np.maximum(self._dofs, 0)], 0.0)
+
+    @property
+    def dimension(self) -> int:
+        """2 of a plate, 3 of a solid."""
+        return int(self.points.shape[1])
+
+    @cached_property
+    def boundary_facets(self) -> np.ndarray:
+        """Corners of the facets of a solid that belong to one cell only, in turn, anticlockwise as
+        they are seen from outside: (n, 3 or 4)."""
+        of_cell = FACETS[4 if self.cells.shape[1] == 10 else 8]
+        facets = self.cells[:, of_cell].reshape(-1, of_cell.shape[1])
+        _, first, uses = np.unique(
+            np.sort(facets, axis=1), axis=0, return_index=True, return_counts=True
+        )
+        own = np.sort(first[uses == 1])
+        facets, cells = facets[own], self.cells[own // len(of_cell)]
+        here = self.points[facets]
+        outwards = here.mean(axis=1) - self.points[cells[:, : of_cell.max() + 1]].mean(axis=1)
+        normals = np.cross(here[:, 1] - here[:, 0], here[:, 2] - here[:, 0])
+        inwards = (normals * outwards).sum(axis=1) < 0.0
+        facets[inwards] = facets[inwards, ::-1]
+        return np.asarray(facets)
+
+    @cached_property
+    def lip_facets(self) -> np.ndarray:
+        """Those of them that coincide with another one: the lips, by their places."""
+        from scipy.spatial import cKDTree
+
+        middle = self.points[self.boundary_facets].mean(axis=1)
+        pairs = cKDTree(middle).query_pairs(1e-6 * self.size, output_type="ndarray")
+        return np.unique(pairs)
 
     @cached_property
     def _edges_and_uses(self) -> tuple[np.ndarray, np.ndarray]:

@@ -22,15 +22,16 @@ class Dofs:
     def __init__(self, plate: PlateMesh, space: Any, comm: MPI.Comm) -> None:
         self.comm = comm
         self.space = space
+        self.dimension = space.mesh.geometry.dim
         self.n_nodes = space.dofmap.index_map.size_local
         self.first_node = space.dofmap.index_map.local_range[0]
         clamped = nodes_on(plate, space, "clamp")
-        free = np.ones((self.n_nodes, 2), dtype=bool)
+        free = np.ones((self.n_nodes, self.dimension), dtype=bool)
         free[clamped[clamped < self.n_nodes]] = False
         self.free = np.flatnonzero(free.ravel())
         """Owned free dofs, local numbers of the function space."""
         first = self.comm.exscan(len(self.free)) or 0
-        self.numbers = np.full(2 * self.n_nodes, -1)
+        self.numbers = np.full(free.size, -1)
         """Number in the structure of each owned dof of the space, -1 where clamped."""
         self.numbers[self.free] = first + np.arange(len(self.free))
 
@@ -40,7 +41,7 @@ class Dofs:
         What is left belongs to the caller's communicator: PETSc keeps what Python has let go for
         each communicator, and nobody could free it on that of a mesh which is gone.
         """
-        free = (2 * self.first_node + self.free).astype(PETSc.IntType)
+        free = (self.dimension * self.first_node + self.free).astype(PETSc.IntType)
         rows = PETSc.IS().createGeneral(free, comm=matrix.comm)
         block = matrix.createSubMatrix(rows, rows)
         found = PETSc.Mat().createAIJ(block.sizes, csr=block.getValuesCSR(), comm=self.comm)
@@ -53,8 +54,8 @@ class Dofs:
         cells, vtk_type = compat.vtk_cells(self.space)
         numbers = self.space.dofmap.index_map.local_to_global(cells.ravel().astype(np.int32))
         return Nodes(
-            points=self.space.tabulate_dof_coordinates()[: self.n_nodes, :2].copy(),
-            dofs=self.numbers.reshape(-1, 2),
+            points=self.space.tabulate_dof_coordinates()[: self.n_nodes, : self.dimension].copy(),
+            dofs=self.numbers.reshape(-1, self.dimension),
             cells=np.asarray(numbers).reshape(cells.shape),
             vtk_type=max(self.comm.allgather(vtk_type)),
         )

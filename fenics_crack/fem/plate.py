@@ -33,6 +33,7 @@ from mpi4py import MPI
 from fenics_crack.errors import InputError
 from fenics_crack.fem import compat
 from fenics_crack.fem.blocks import Interval, plate_blocks
+from fenics_crack.fem.crack_surface import CrackSurface
 from fenics_crack.fem.lips import Lip, find_lips
 from fenics_crack.mesher import gmsh, kept_interrupts
 from fenics_crack.model.memory import machine_memory
@@ -40,11 +41,13 @@ from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.whole import whole_file
 
-__all__ = ["PlateMesh", "build_mesh", "write_msh"]
+__all__ = ["Lips", "PlateMesh", "build_mesh", "write_msh"]
 
+Lips = tuple[Lip, ...] | tuple[CrackSurface, ...]
+"""Of a plate, or of a solid."""
 Groups = dict[str, tuple[int, ...]]
 """Tags of the facets of each named curve."""
-Points = dict[str, tuple[float, float]]
+Points = dict[str, tuple[float, ...]]
 """Positions of the named points [m]."""
 MAX_CELLS = 5_000_000
 """For a plate; a mesh file may have any number of cells."""
@@ -66,7 +69,7 @@ class PlateMesh:
         file all that it names. A facet in several curves has a tag of its own.
     points : dict of str to tuple of float
         Positions of the named points of a mesh file [m].
-    lips : tuple of Lip
+    lips : tuple of Lip or of CrackSurface
         One for each crack, in the order of the scene or, in a mesh file, from bottom to top.
     """
 
@@ -74,7 +77,7 @@ class PlateMesh:
     facet_tags: Any
     groups: Groups
     points: Points
-    lips: tuple[Lip, ...]
+    lips: Lips
 
     @property
     def cracked(self) -> bool:
@@ -88,7 +91,7 @@ class PlateMesh:
 
 
 def build_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> PlateMesh:
-    """Mesh the scene's plate, or read its mesh file (collective).
+    """Mesh the scene's plate or solid, or read its mesh file (collective).
 
     Raises
     ------
@@ -97,17 +100,28 @@ def build_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> PlateMesh:
     """
     with _gmsh_on_root(comm):
         groups, points, lips = on_root(comm, lambda: _model(scene))
-        mesh, _, facet_tags = compat.model_to_mesh(gmsh.model, comm)
+        mesh, _, facet_tags = compat.model_to_mesh(gmsh.model, comm, scene.dimension)
     return PlateMesh(mesh, facet_tags, groups, points, lips)
 
 
 def write_msh(scene: Scene, path: str | Path) -> None:
-    """Write the scene's mesh, with its named groups, to a gmsh file (format 4.1).
+    """Write the mesh of a scene, with its named groups, to a gmsh file (format 4.1).
+
+    Parameters
+    ----------
+    scene : Scene
+        With a plate.
+    path : path
+        The file.
 
     Raises
     ------
     InputError
         The file cannot be written.
+
+    Examples
+    --------
+    >>> fc.write_msh(scene, "plate.msh")
     """
     with _gmsh_on_root(MPI.COMM_SELF):
         _model(scene)
@@ -137,9 +151,15 @@ def _gmsh_on_root(comm: MPI.Comm) -> Iterator[None]:
                 gmsh.finalize()
 
 
-def _model(scene: Scene) -> tuple[Groups, Points, tuple[Lip, ...]]:
+def _model(scene: Scene) -> tuple[Groups, Points, Lips]:
     """Fill the current gmsh model with a mesh; return what is in it by its name, and the lips."""
     points: Points = {}
+    if scene.dimension == 3:
+        from fenics_crack.fem.solid import solid_model  # with what takes surfaces apart
+
+        (groups, points), lips = solid_model(scene)
+        gmsh.model.mesh.renumberNodes()
+        return groups, points, lips
     if scene.mesh.layout == "file":
         from fenics_crack.fem.msh_file import read_file  # with what checks meshes of others
 

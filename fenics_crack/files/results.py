@@ -184,7 +184,8 @@ def _unpack_modes(parts: Parts, structure: Structure, contact: Law = None) -> Mo
     from scipy.spatial import cKDTree  # takes a while, and is needed here alone
 
     omega, shapes, then = parts["omega"], parts["shapes"], parts["nodes"]
-    check_shapes(parts, {"shapes": (len(omega), len(then), 2), "nodes": (-1, 4)})
+    d = mesh.dimension
+    check_shapes(parts, {"shapes": (len(omega), len(then), d), "nodes": (-1, 2 * d)})
     distance, place = cKDTree(then).query(marks)
     same = len(then) == len(marks) and len(set(place)) == len(place)
     if not same or distance.max() > 1e-6 * mesh.size:
@@ -207,8 +208,8 @@ def _modes_of_dofs(parts: Parts, whole: Structure) -> Modes:
 
 
 def _marks(mesh: NodalMesh) -> np.ndarray:
-    """Position of each node and mean midpoint of its cells, which tells the lips apart: (n, 4)."""
-    sums, counts = np.zeros((len(mesh.points), 2)), np.zeros((len(mesh.points), 1))
+    """Position of each node, and mean midpoint of its cells, which tells lips apart: (n, 2 d)."""
+    sums, counts = np.zeros_like(mesh.points), np.zeros((len(mesh.points), 1))
     middles = mesh.points[mesh.cells].mean(axis=1)
     for nodes in mesh.cells.T:
         np.add.at(sums, nodes, middles)

@@ -243,7 +243,7 @@ def solve_forward(
         swept = replace(of, sweep=Sweep(over=over))
         digest = hashlib.sha256(scene_text(swept).encode()).hexdigest()[:8]
         path = folder / f"{name}_{digest}.h5"
-        return run_sweep(swept, path, comm, progress=progress, verdicts=False)
+        return run_sweep(swept, path, comm, progress=progress, verdicts=False, judged=False)
 
     count = FEW_NODES.get(sum(not isinstance(a.values[0], str) for a in table.unknown), 3)
 

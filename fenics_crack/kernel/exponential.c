@@ -105,24 +105,6 @@ static void stiffness_times(const exponentials *e, const double *x, double *foun
             found[j] = unit * found[j] + e->squares[i] * x[j];
 }
 
-/* found = x K. */
-static void times_stiffness(const exponentials *e, const double *x, double *found)
-{
-    const int m = e->modes, a = e->set->size;
-    if (!has_few_pairs(e)) {
-        multiply_matrices(m, m, m, x, e->stiffness, 0.0, found);
-        return;
-    }
-    multiply_matrices(m, m, a, x, e->set->pairs, 0.0, e->through);
-    multiply_matrices(m, a, m, e->through, e->set->pushed, 0.0, found);
-    const double unit = 1.0 / (e->unit * e->unit);
-    for (int i = 0; i < m; i++)
-        for (int j = 0; j < m; j++) {
-            const long at = (long)i * m + j;
-            found[at] = unit * found[at] + e->squares[j] * x[at];
-        }
-}
-
 /* The term behind the n-th: next = -(K before t / (n + 1) + C now) t / (n + 2). */
 WIDE static void next_term(const exponentials *e, int n, double time, const double *before,
                            const double *now, double *next)
@@ -168,15 +150,16 @@ WIDE static void short_series(exponentials *e, double time, double turn)
     }
 }
 
-/* upper = [D + b C; -b K] of right = [b; D]. */
+/* upper = [D + b C; -b K] of right = [b; D]: b K is K b, transposed, as b'' + b' C + b K = 0, too. */
 WIDE static void complete(exponentials *e)
 {
     const int m = e->modes;
     const long square = (long)m * m;
     memcpy(e->upper, e->right + square, bytes(square));
     add_damped(e, e->right, e->upper);
-    times_stiffness(e, e->right, e->upper + square);
-    for (long i = square; i < 2 * square; i++) e->upper[i] = -e->upper[i];
+    stiffness_times(e, e->right, e->other);
+    for (long i = 0; i < m; i++)
+        for (long j = 0; j < m; j++) e->upper[square + i * m + j] = -e->other[j * m + i];
 }
 
 /* K of a set; its largest sum of a row. */

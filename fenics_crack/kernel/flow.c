@@ -13,8 +13,8 @@
 /* Rows of a load: its mean, cosine and sine. ANSWERS: of complementarity problems that are kept. */
 enum { LOAD = 3, ANSWERS = 64 };
 
-/* Length of a piece and of a step of the search for events, times the largest frequency. */
-static const double REACH = 10.0, GRID = 0.5;
+/* Length of a step of the search for events, times the largest frequency. */
+static const double GRID = 0.5;
 /* When pairs that should have changed with the one before do so, as a part of a piece. */
 static const double BEHIND = 1e-12;
 
@@ -75,9 +75,19 @@ static void wave(flow *f, double omega, double now, double length, int by_time)
         }
 }
 
-/* Series of q of a piece, from a state. */
+/* Terms of a series over a length, times the largest frequency x, the next of which is rounding:
+ * x^n / n!. */
+static int terms_for(double x)
+{
+    double term = 1.0;
+    int n = 0;
+    while (n < TERMS && term > 1e-18) term *= x / ++n;
+    return n < 2 ? 2 : n;
+}
+
+/* Series of q of a piece, from a state; the last terms are zero. */
 WIDE static void expand(flow *f, const closed_set *a, const double *force, const double *gap,
-                        double length, const double *state)
+                        double length, int terms, const double *state)
 {
     const int m = f->of.modes, p = f->of.pairs, size = a->size;
     const double *restrict squares = f->of.squares, *restrict damping = f->of.damping;
@@ -85,7 +95,8 @@ WIDE static void expand(flow *f, const closed_set *a, const double *force, const
     double *restrict seen = f->seen, *restrict drag = f->drag;
     memcpy(f->series, state, bytes(m));
     for (int j = 0; j < m; j++) f->series[m + j] = length * state[m + j];
-    for (int n = 0; n + 2 < TERMS; n++) {
+    memset(f->series + (long)terms * m, 0, bytes((long)(TERMS - terms) * m));
+    for (int n = 0; n + 2 < terms; n++) {
         const double *restrict now = f->series + (long)n * m, *restrict rate = now + m;
         double *restrict next = f->series + (long)(n + 2) * m;
         const double *w = f->weights + n * LOAD, c = w[1], s = w[2];
@@ -233,7 +244,7 @@ static int finite_state(int count, const double *state)
 int flow_advance(flow *f, flow_motion *m)
 {
     const int p = f->of.pairs;
-    const double length = REACH / fastest(f, m->omega);
+    const double length = FLOW_REACH / fastest(f, m->omega);
     double sizes[TERMS];
     signed char *closed = f->closed;
     if (contact_at(f, m->omega, m->now, m->state, closed)) return FLOW_LOST;
@@ -244,7 +255,7 @@ int flow_advance(flow *f, flow_motion *m)
         const closed_set *a = closed_set_of(f->known, closed);
         if (!a) return FLOW_MEMORY;
         wave(f, m->omega, m->now, length, 0);
-        expand(f, a, f->of.force, f->of.gap, length, m->state);
+        expand(f, a, f->of.force, f->of.gap, length, TERMS, m->state);
         answer(f, a, f->of.gap);
         series_sizes(f->of.modes, f->series, sizes);
         double end = series_reach(sizes, fmin(1.0, left));
@@ -253,7 +264,7 @@ int flow_advance(flow *f, flow_motion *m)
         if (!(end > 0.0)) return FLOW_LOST;
         round_off(f, a, sizes, end);
         double when = end;
-        const int pair = next_event(f, GRID / REACH, end, &when);
+        const int pair = next_event(f, GRID / FLOW_REACH, end, &when);
         const int last = pair < 0 && end == left;
         sample(f, m, closed, length, when, last);
         state_at(f, length, when, m->state);
@@ -270,14 +281,16 @@ int flow_advance(flow *f, flow_motion *m)
 int flow_column(flow *f, const flow_track *track, const double *force, const double *gap,
                 int by_time, double *state)
 {
-    const double length = REACH / fastest(f, track->omega);
+    const double longest = FLOW_REACH / fastest(f, track->omega);
     double now = track->start, sizes[TERMS];
     for (int k = 0; k < track->intervals; k++) {
         const closed_set *a = closed_set_of(f->known, track->sets + (long)k * f->of.pairs);
         if (!a) return FLOW_MEMORY;
-        for (double left = track->lengths[k] / length; left > 0.0;) {
+        const double length = fmin(longest, track->lengths[k]);
+        const int terms = terms_for(length * fastest(f, track->omega));
+        for (double left = length > 0.0 ? track->lengths[k] / length : 0.0; left > 0.0;) {
             wave(f, track->omega, now, length, by_time);
-            expand(f, a, force, gap, length, state);
+            expand(f, a, force, gap, length, terms, state);
             series_sizes(f->of.modes, f->series, sizes);
             const double end = series_reach(sizes, fmin(1.0, left));
             if (!(end > 0.0)) return FLOW_LOST;

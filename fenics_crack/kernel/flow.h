@@ -28,6 +28,9 @@ typedef struct {
 
 typedef struct flow flow;
 
+/* Length of a piece of the series, at most, times the largest frequency. */
+enum { FLOW_REACH = 10 };
+
 /* All but the load is copied, which must stay. NULL without memory. */
 flow *new_flow(const flow_parts *given);
 void free_flow(flow *f);

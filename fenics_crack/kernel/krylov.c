@@ -69,11 +69,12 @@ static void solve_by_kept(const krylov *k, double *x)
 }
 
 /* What is left of a vector beside some orthonormal ones, whose shares it has (count): by Gram and
- * Schmidt twice. Its length. */
-static double orthogonalise(krylov *k, int count, const double *vectors, double *x, double *shares)
+ * Schmidt, so many times. Its length. */
+static double orthogonalise(krylov *k, int count, const double *vectors, int times, double *x,
+                            double *shares)
 {
     memset(shares, 0, count * sizeof(double));
-    for (int twice = 0; twice < 2; twice++) {
+    while (times--) {
         multiply(count, k->n, vectors, x, k->weights);
         for (int i = 0; i < count; i++) {
             shares[i] += k->weights[i];
@@ -141,6 +142,8 @@ void solve_by_products(krylov *k, equations *at, double *x, double tolerance)
 {
     const size_t n = k->n, row = k->most + 1;
     if (k->stages && (k->kept > KEPT * k->begins[1])) begin_anew(k);
+    /* Vectors lose their right angles by rounding over the square of the residual. */
+    const int times = tolerance > 1e-6 ? 1 : 2;
     double *vectors = k->vectors + k->kept * n;
     const double size = sqrt(dot(k->n, x, x));
     int count = 0;
@@ -153,7 +156,7 @@ void solve_by_products(krylov *k, equations *at, double *x, double tolerance)
         memcpy(k->next, last, n * sizeof(double));
         solve_by_kept(k, k->next);
         at->apply(at, k->next, next);
-        const double left = orthogonalise(k, count + 1, vectors, next, column);
+        const double left = orthogonalise(k, count + 1, vectors, times, next, column);
         memcpy(turned, column, (count + 1) * sizeof(double));
         turned[count + 1] = left;
         rotate(k, count, turned);

@@ -1,4 +1,4 @@
-"""Memory that structures of plane meshes need, estimated before it is spent.
+"""Memory that structures of plane meshes and their equations need, stated before it is spent.
 
 Nested dissection leaves O(n log n) numbers in the factor of the stiffness of a plane mesh with n
 dofs (George, SIAM Journal on Numerical Analysis 10, 1973, 345); the constant here is that of MUMPS
@@ -15,14 +15,19 @@ from pathlib import Path
 import numpy as np
 from petsc4py import PETSc
 
+from fenics_crack.errors import InputError
+from fenics_crack.kernel import kernel
 from fenics_crack.model.modes import krylov_vectors
 from fenics_crack.model.reduced import AT_A_TIME
 from fenics_crack.model.structure import Structure
 
-__all__ = ["addresses_left", "machine_memory", "reduction_memory", "whole_memory"]
+__all__ = ["addresses_left", "check_memory", "machine_memory", "reduction_memory", "whole_memory"]
 
 FACTOR = 60.0
 """Bytes of a factor over n log2 n."""
+MATRICES = 4
+"""Dense matrices of the size of the Jacobian that are held at a time, or stiffnesses of coupled
+pairs at all instants."""
 
 
 def machine_memory() -> float:
@@ -67,3 +72,23 @@ def _held(structure: Structure) -> float:
     """Most memory of all ranks until now [byte]."""
     own = 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return float(structure.comm.allreduce(own))
+
+
+def check_memory(structure: Structure, harmonics: int) -> None:
+    """Raise InputError where the dense Jacobian of the equations would not fit, or of coupled pairs
+    what they are at all instants, and the vectors of solutions."""
+    pairs = structure.n_pairs
+    unknowns, order = (2 * harmonics + 1) * pairs, 2
+    numbers = MATRICES * unknowns**2
+    if structure.light_lips:  # of an estimate too, with twice the harmonics
+        vectors = 2 * kernel.KRYLOV_MOST + 2  # those kept, and those of a solution
+        numbers, order = 2 * (2 * MATRICES * pairs + vectors) * unknowns, 1
+    memory = machine_memory()
+    if 8 * numbers > 0.8 * memory:
+        fits = int(harmonics * (0.1 * memory / numbers) ** (1.0 / order))
+        raise InputError(
+            "harmonics",
+            harmonics,
+            f"at most {fits} with {pairs} pairs: {unknowns} unknowns need "
+            f"{numbers * 8 / 2**30:.0f} GiB of this machine's {memory / 2**30:.0f}",
+        )

@@ -22,7 +22,7 @@ from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
 from fenics_crack.model.factor import Factor, factored_sum
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.rounding import EPSILON
+from fenics_crack.numerics.linearisation import EPSILON
 from fenics_crack.parallel import gather_rows
 from fenics_crack.stages import begin
 from fenics_crack.table import Tabular, counted
@@ -358,7 +358,8 @@ def _signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
     nor the numbering, which depends on the number of ranks.
     """
     first = structure.first_dof
-    keys = np.zeros((structure.n_local, 3))
+    width = 1 if structure.nodes is None else structure.nodes.points.shape[1] + 1
+    keys = np.zeros((structure.n_local, width))
     if structure.nodes is None or structure.whole is not structure:
         keys[:, 0] = np.arange(first, first + structure.n_local)
     else:
@@ -372,7 +373,7 @@ def _signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
         large = np.flatnonzero(np.abs(shapes[:, mode]) >= (1.0 - 1e-6) * peak)
         candidates = np.column_stack([keys[large].round(12), np.sign(shapes[large, mode])])
         every = gather_rows(structure.comm, candidates)
-        signs[mode] = every[np.lexsort(every[:, 2::-1].T)[0], 3]
+        signs[mode] = every[np.lexsort(every[:, -2::-1].T)[0], -1]
     return signs
 
 

@@ -17,9 +17,9 @@ from fenics_crack.hints import Hinted
 from fenics_crack.model.matrices import numbers, read_only
 from fenics_crack.parallel import gather_rows
 
-__all__ = ["Coordinates", "Nodes", "Pairs"]
+__all__ = ["AXES", "Coordinates", "Nodes", "Pairs"]
 
-COMPONENTS: dict[int | str, int] = {0: 0, 1: 1, "x": 0, "y": 1}
+AXES = "xyz"
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,10 +28,10 @@ class Nodes:
 
     Attributes
     ----------
-    points : (m, 2) [m]
-        Positions.
-    dofs : (m, 2) int
-        Number of the x and the y displacement in the structure; -1 where it is clamped.
+    points : (m, d) [m]
+        Positions: d = 2 in a plane, 3 in space.
+    dofs : (m, d) int
+        Number of the x, y (and z) displacement in the structure; -1 where it is clamped.
     cells : (n_cells, k) int
         This rank's cells in VTK's node order; nodes are numbered through all ranks.
     vtk_type : int
@@ -49,19 +49,23 @@ class Nodes:
 
     def find_dof(self, comm: MPI.Comm, point: Sequence[float], component: int | str) -> int:
         """Find a dof, as :meth:`Structure.find_dof` (collective)."""
-        if component not in list(COMPONENTS):
-            raise InputError("component", component, "0, 1, 'x' or 'y'")
+        d = self.points.shape[1]
+        known: list[int | str] = [*range(d), *AXES[:d]]
+        if component not in known:
+            words = ", ".join(map(repr, known[:-1]))
+            raise InputError("component", component, f"{words} or {known[-1]!r}")
         target = numbers(point)
-        if target.shape != (2,) or not np.all(np.isfinite(target)):
-            raise InputError("point", point, "[x, y], two finite numbers")
+        if target.shape != (d,) or not np.all(np.isfinite(target)):
+            words = f"[{', '.join(AXES[:d])}], {('two', 'three')[d - 2]} finite numbers"
+            raise InputError("point", point, words)
         points = gather_rows(comm, self.points)
         distance = np.linalg.norm(points - target, axis=1)
         found = np.flatnonzero(distance <= 1e-6 * np.ptp(points, axis=0).max())
         if len(found) != 1:
-            x, y = points[np.argmin(distance)]
-            nodes = f"{len(found)} found there; the nearest node is at ({x:g}, {y:g})"
+            nearest = _place(points[np.argmin(distance)])
+            nodes = f"{len(found)} found there; the nearest node is at {nearest}"
             raise InputError("point", tuple(target), f"at a node that exists once ({nodes})")
-        dof = int(gather_rows(comm, self.dofs)[found[0], COMPONENTS[component]])
+        dof = int(gather_rows(comm, self.dofs)[found[0], known.index(component) % d])
         if dof < 0:
             allowed = f"free in component {component!r}, not clamped"
             raise InputError("point", tuple(target), allowed)
@@ -70,7 +74,7 @@ class Nodes:
     def nearest(
         self, comm: MPI.Comm, key: str, point: Sequence[float]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Position of the node nearest to a point, and its dofs (2,), -1 where clamped
+        """Position of the node nearest to a point, and its dofs (d,), -1 where clamped
         (collective).
 
         Raises
@@ -82,8 +86,8 @@ class Nodes:
         points, dofs = gather_rows(comm, self.points), gather_rows(comm, self.dofs)
         distance, size = np.linalg.norm(points - point, axis=1), np.ptp(points, axis=0).max()
         place = int(np.argmin(distance))
-        (x, y), shown = points[place].round(12) + 0.0, tuple(map(float, point))
-        there = f"the nearest node is at ({x:g}, {y:g})"
+        shown = tuple(map(float, point))
+        there = f"the nearest node is at {_place(points[place])}"
         if distance[place] > 0.05 * size:
             raise InputError(key, shown, f"on the mesh ({there})")
         if np.count_nonzero(np.linalg.norm(points - points[place], axis=1) <= 1e-6 * size) > 1:
@@ -95,8 +99,13 @@ class Nodes:
     def dof_name(self, comm: MPI.Comm, dof: int) -> str:
         """Name a dof, as :meth:`Structure.dof_name` (collective)."""
         node, component = np.argwhere(gather_rows(comm, self.dofs) == dof)[0]
-        x, y = np.round(gather_rows(comm, self.points)[node], 12) + 0.0  # no -1e-19
-        return f"{'xy'[component]} displacement at ({x:.4g}, {y:.4g}) m"
+        place = _place(gather_rows(comm, self.points)[node], ".4g")
+        return f"{AXES[component]} displacement at {place} m"
+
+
+def _place(point: np.ndarray, digits: str = "g") -> str:
+    """A point in words: "(0.1, 0.1)"."""
+    return f"({', '.join(format(x, digits) for x in point.round(12) + 0.0)})"  # no -1e-19
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,14 +114,15 @@ class Pairs:
 
     Attributes
     ----------
-    points : (n_pairs, 2) [m] or None
+    points : (n_pairs, d) [m] or None
         Positions.
     areas : (n_pairs,) [m^2] or None
         Area of the lip that belongs to each pair.
     cracks : (n_pairs,) int or None
         Number of the crack, from 0.
     positions : (n_pairs,) [m] or None
-        Distance along the crack from its mouth, or from the left tip of a crack inside.
+        Distance along the crack from its mouth, or from the left tip of a crack inside; of a solid
+        from the front.
     places : dict of str to int
         A pair to watch on each crack, by its name: "the mouth"; of several cracks "the mouth of
         crack 1", "the middle of crack 2".
@@ -125,9 +135,9 @@ class Pairs:
     places: dict[str, int] = field(default_factory=dict)
 
     @classmethod
-    def none(cls) -> Pairs:
+    def none(cls, dimension: int) -> Pairs:
         """Those of a mesh without a crack."""
-        return cls(np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=int), np.zeros(0))
+        return cls(np.zeros((0, dimension)), np.zeros(0), np.zeros(0, dtype=int), np.zeros(0))
 
     def __post_init__(self) -> None:
         for name in ("points", "areas", "cracks", "positions"):
@@ -211,7 +221,7 @@ class Coordinates(Hinted):
 
     @property
     def pair_points(self) -> np.ndarray | None:
-        """Positions of the contact pairs where there is a mesh: (n_pairs, 2) [m]."""
+        """Positions of the contact pairs where there is a mesh: (n_pairs, d) [m]."""
         return self.pairs.points
 
     @property
@@ -311,9 +321,9 @@ class Coordinates(Hinted):
 
         Parameters
         ----------
-        point : (2,) [m]
+        point : (d,) [m]
             Position of the node, to 1e-6 of the structure's size.
-        component : 0, 1, "x" or "y"
+        component : 0, 1, 2, "x", "y" or "z"
             Direction.
 
         Raises

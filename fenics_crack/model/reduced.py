@@ -217,7 +217,7 @@ class ResidualFlexibility:
 
 class MasslessInterface(ReducedStructure):
     """Modes with mass, and what they leave out quasi-static: :class:`MasslessStructure`, and
-    :class:`fenics_crack.model.run_up.RunUpStructure`.
+    :class:`fenics_crack.model.rotation.RunUpStructure`.
 
     Attributes
     ----------

@@ -68,7 +68,11 @@ MODES = 50
 
 
 def reduce_structure(
-    structure: Structure, *, modes: int | None = None, method: str = "free_interface"
+    structure: Structure,
+    *,
+    modes: int | None = None,
+    method: str = "free_interface",
+    judged: bool = True,
 ) -> ReducedStructure:
     """Reduce a structure to a few coordinates (collective).
 
@@ -93,6 +97,8 @@ def reduce_structure(
         than 600 are; without damping, or with a matrix, 20.
     method : "massless", "free_interface", "craig_bampton" or "truncation"
         What stands in T beside the modes.
+    judged : bool
+        Keep what estimates the error of the reduction, too: twice the modes, or more static shapes.
 
     Returns
     -------
@@ -123,7 +129,7 @@ def reduce_structure(
         raise InputError("modes", modes, f"a whole number from 1 to n_dofs = {structure.n_dofs}")
 
     if method == "massless":
-        return _massless(structure, int(modes))
+        return _massless(structure, int(modes), judged=judged)
 
     damped = damped_modes(structure) if modal else None
     loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
@@ -144,6 +150,8 @@ def reduce_structure(
                 count = min(modes, n_tied_modes(structure))
                 tied = solve_modes(structure, count, lips="tied").shapes
                 extra = np.hstack([response, tied])
+            if not judged:
+                return _reduced(structure, kept, squares, extra, None)
             following = [extra, response, factor.solve(times(structure.mass, response).T).T]
             if rule is None and structure.damping_matrix is not None:
                 damping = times(structure.damping_matrix, np.hstack([kept, extra, response]))
@@ -152,11 +160,14 @@ def reduce_structure(
     return _reduced(structure, kept, squares, extra, reference)
 
 
-def _massless(structure: Structure, modes: int) -> MasslessStructure:
-    """Modes and the rest without mass; its reference has twice the modes, or ten more."""
+def _massless(structure: Structure, modes: int, *, judged: bool) -> MasslessStructure:
+    """Modes and the rest without mass; its reference, by which it is judged, has twice the modes,
+    or ten more."""
     more = min(modes + max(modes, 10), structure.n_dofs - structure.n_pairs)
     if more <= modes:  # else something is left for every pair, without which it has mass
         more = structure.n_dofs
+    counts = (more, modes) if judged else (modes,)
+    more = max(counts)
     loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
     sources = sparse.hstack([structure.gap, structure.force[loaded].T]).tocsr()
     begin("factor of the stiffness")
@@ -170,19 +181,20 @@ def _massless(structure: Structure, modes: int) -> MasslessStructure:
             raise InputError("modes", modes, allowed)
         static = {
             count: ResidualFlexibility(structure, shapes[:, :count], squares[:count], sources)
-            for count in (more, modes)
+            for count in counts
         }
         compliance = np.zeros((sources.shape[1],) * 2)
         if more < structure.n_dofs:
             compliance = static[more].compliance(factor)
-        static[modes].rows(_loaded_dofs(structure), factor)
+        for flexibility in static.values():
+            flexibility.rows(_loaded_dofs(structure), factor)
     seen = static[more].modal.T
     force = structure.sum_over_ranks(structure.force @ shapes)
     # The amplitudes of the load's parts are unknowns whose force is S times themselves.
     patterns = np.hstack([np.zeros((3, structure.n_pairs)), np.eye(3)[:, loaded]])
     own, reference = structure.damping, None
     modal = isinstance(own, ModalDamping)
-    for count in (more, modes):
+    for count in counts:
         # What fewer modes leave out is what more do, and the static part of those between.
         between = slice(count, more)
         left = compliance + (seen[between].T / squares[between]) @ seen[between]

@@ -3,7 +3,17 @@
     K(W) = K + W^2 K_1,        K_1 = K_g - M_y,        f_mean(W) = f_mean + W^2 f_c
 
 K_g is the geometric stiffness of the stresses that the centrifugal load f_c makes, M_y the spin
-softening, both for W = 1 rad/s (:mod:`fenics_crack.fem.rotation` assembles them).
+softening, both for W = 1 rad/s (:mod:`fenics_crack.fem.elasticity` assembles them).
+
+One small basis serves for all speeds of a run-up:
+
+    u = V q,        V^T (K + W^2 K_1) V = I + (W^2 - W_0^2) V^T K_1 V,        V^T M V diagonal
+
+V holds, of the structure at a few speeds of the range, the lowest modes with open lips and the
+static responses to forces on every pair and to the load: the free-interface bases of these speeds
+together. At these the small structure is as good as the reduced one; between them its error, that
+of a Ritz method, is of second order in what V lacks. At each speed its modes are those of a small
+dense matrix, and smooth to rounding: V is scaled so that the stiffness is near I.
 """
 
 from __future__ import annotations
@@ -12,16 +22,24 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy.linalg
+import scipy.sparse as sparse
+from mpi4py import MPI
 
 from fenics_crack.errors import InputError, check_number
 from fenics_crack.model.coupled import solve_complementarity
 from fenics_crack.model.damping import DampingRule
-from fenics_crack.model.factor import Factor, weighted_sum
-from fenics_crack.model.modes import ROUNDING
+from fenics_crack.model.factor import Factor, distributed, weighted_sum
+from fenics_crack.model.modes import ROUNDING, independent_part, times
+from fenics_crack.model.reduced import MasslessInterface
+from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.table import RPM
 
-__all__ = ["Rotation", "static_state", "too_fast"]
+__all__ = ["Rotation", "RunUpStructure", "run_up_structure", "static_state", "too_fast"]
+
+SPEEDS = 3
+"""Speeds of a range whose bases are put together."""
 
 
 @dataclass(frozen=True)
@@ -110,3 +128,172 @@ def static_state(
 def too_fast(speed: float) -> str:
     """Say what is allowed instead of a speed [rad/s] at which the plate is unstable."""
     return f"lower: the plate is unstable at {speed / RPM:.6g} rpm"
+
+
+@dataclass(frozen=True)
+class Ritz:
+    """A structure and what rotation adds to it, in a basis; the same on every rank.
+
+    Attributes
+    ----------
+    whole : Structure
+        What was reduced, at its own speed.
+    basis : (whole.n_local, n)
+        V.
+    speed : float
+        At which V^T K V = I [rad/s].
+    stiffness : (n, n)
+        V^T K_1 V.
+    squares_inverse : (n,)
+        V^T M V, which is diagonal.
+    force : (3, n)
+        V^T f at rest.
+    centrifugal : (n,)
+        V^T f_c.
+    mass, gap
+        The mass as a matrix of PETSc's, and V^T B.
+    modes : int
+        How many modes have mass.
+    """
+
+    whole: Structure
+    basis: np.ndarray
+    speed: float
+    stiffness: np.ndarray
+    squares_inverse: np.ndarray
+    force: np.ndarray
+    centrifugal: np.ndarray
+    mass: Any
+    gap: sparse.csr_matrix
+    modes: int
+
+
+class RunUpStructure(MasslessInterface):
+    """A rotating structure at one speed, in coordinates that do not depend on it.
+
+    Its lowest modes have mass; what they leave out is quasi-static, as in
+    :class:`fenics_crack.MasslessStructure`.
+
+    Attributes
+    ----------
+    speed : float
+        W [rad/s].
+    shapes, left : (n_dofs, n_modes), (n_dofs, n_dofs)
+        Phi, mass-normalised, and G = K^-1 - Phi Lambda^-1 Phi^T.
+    """
+
+    speed: float
+    _ritz: Ritz
+
+    def __init__(self, ritz: Ritz, speed: float) -> None:
+        stiffness = (speed**2 - ritz.speed**2) * ritz.stiffness
+        stiffness[np.diag_indices_from(stiffness)] += 1.0
+        force = ritz.force.copy()
+        force[0] += speed**2 * ritz.centrifugal
+        try:
+            factor = np.linalg.inv(np.linalg.cholesky(stiffness))
+        except np.linalg.LinAlgError:
+            raise InputError("speed", speed, too_fast(speed)) from None
+        # The largest eigenvalues, 1 / omega^2, are those that rounding leaves alone.
+        inverse, turned = np.linalg.eigh((factor * ritz.squares_inverse) @ factor.T)
+        inverse, turned = inverse[: -ritz.modes - 1 : -1], turned[:, : -ritz.modes - 1 : -1]
+        static = factor.T @ turned
+        damping = ritz.whole.original.damping
+        Structure.__init__(
+            self,
+            ritz.mass,
+            distributed(stiffness, MPI.COMM_SELF),
+            ritz.gap,
+            force=force,
+            clearance=ritz.whole.clearance,
+            damping=None if damping is None else damping.of_kept(len(force[0])),
+            nodes=ritz.whole.nodes,
+            pairs=ritz.whole.pairs,
+        )
+        omega = 1.0 / np.sqrt(inverse)
+        self._hold(basis=ritz.basis, omega=omega, reference=None, _whole=ritz.whole)
+        left = factor.T @ factor - static @ static.T
+        self._hold(speed=speed, shapes=static * omega, left=left, _ritz=ritz)
+
+    @property
+    def _size_words(self) -> str:
+        return f"{self.n_dofs} coordinates of {self.whole.n_dofs} dofs at {self.speed:g} rad/s"
+
+    def at_speed(self, speed: float) -> RunUpStructure:
+        """The same structure at another speed [rad/s].
+
+        Raises
+        ------
+        InputError
+            The speed is not positive, or so high that the plate is unstable.
+        """
+        check_number("speed", speed, 0.0, above=True)
+        found = RunUpStructure(self._ritz, float(speed))
+        added = self.clearance - found.clearance
+        return found.varied(damping=self.damping_factor, clearance=added)
+
+    def damped(self, damping: DampingRule | None) -> RunUpStructure:
+        """Return this structure with a modal or Rayleigh damping, or none."""
+        raise InputError("damping", damping, "that of the structure from which this one was made")
+
+
+def run_up_structure(structure: Structure, start: float, stop: float, modes: int) -> RunUpStructure:
+    """A rotating structure for all speeds between two, at its own speed (collective).
+
+    One ratio, or one for each of the lowest modes, damps the modes at each speed, those beyond with
+    the last one.
+
+    Parameters
+    ----------
+    structure : Structure
+        The whole one, with its rotation.
+    start, stop : float
+        Ends of the range [rad/s].
+    modes : int
+        How many modes of each speed are in the basis.
+
+    Returns
+    -------
+    RunUpStructure
+        For :func:`continue_parameter` over "speed".
+
+    Raises
+    ------
+    InputError
+        The structure does not rotate, its damping is a matrix, or a speed cannot be used.
+
+    Examples
+    --------
+    >>> rotor = fc.run_up_structure(fc.build_structure(blade), 100.0, 200.0, 4)
+    """
+    rotation = structure.rotation
+    if rotation is None:
+        raise InputError("structure", repr(structure), "one that rotates, of a scene's [rotation]")
+    if not isinstance(structure.damping, DampingRule | None):
+        raise InputError("damping", "a matrix", "modal or Rayleigh damping in a run-up")
+    basis: np.ndarray = np.zeros((structure.n_local, 0))
+    for speed in np.linspace(start, stop, SPEEDS):
+        part = reduce_structure(rotation.at(float(speed)), modes=modes, method="free_interface")
+        new = independent_part(structure, basis, part.basis)
+        basis = np.hstack([basis, new])
+    here = rotation.at(rotation.speed)
+
+    def projected(matrix: object) -> np.ndarray:
+        found = structure.sum_over_ranks(basis.T @ times(matrix, basis))
+        return np.asarray(0.5 * (found + found.T))
+
+    squares, shapes = scipy.linalg.eigh(projected(here.stiffness))
+    basis = basis @ (shapes / np.sqrt(squares))  # K = I at the structure's own speed
+    ritz = Ritz(
+        structure,
+        basis,
+        rotation.speed,
+        projected(rotation.stiffness),
+        1.0 / squares,
+        structure.sum_over_ranks(rotation.at_rest.force @ basis),
+        structure.sum_over_ranks(rotation.force @ basis),
+        distributed(sparse.diags(1.0 / squares), MPI.COMM_SELF),
+        sparse.csr_matrix(structure.apply_bt(basis.T)),
+        modes,
+    )
+    return RunUpStructure(ritz, rotation.speed)

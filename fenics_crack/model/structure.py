@@ -173,7 +173,7 @@ class Structure(Coordinates):
             stiffness=matrix,
             gap=sparse.csr_matrix((self.n_local, 0)),
             clearance=np.zeros(0),
-            pairs=Pairs.none(),
+            pairs=Pairs(),
         )
 
     def damped(self, damping: DampingRule | None) -> Self:

@@ -262,16 +262,29 @@ class Track:
         _check(outcome, len(self.lengths) - 1)
         return product
 
-    def column(self, force: np.ndarray, gap: np.ndarray, *, by_time: bool = False) -> np.ndarray:
-        """dz(end) / dp at a fixed start and duration, by a parameter of which the load's
-        derivatives are given: (3, n_modes), (3, n_pairs), with ``by_time`` divided by the time."""
-        state = np.zeros(self.flow.size)
+    def column(
+        self,
+        force: np.ndarray,
+        gap: np.ndarray,
+        *,
+        by_time: bool = False,
+        start: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """dz(end) / dp at a fixed duration, by a parameter of which the load's derivatives are
+        given: (3, n_modes), (3, n_pairs), with ``by_time`` divided by the time; and, unless the
+        start is fixed, dz(start) / dp."""
+        state = np.zeros(self.flow.size) if start is None else np.array(start, dtype=float)
         outcome = kernel.flow_column(
             self.flow.handle, self._known.at, doubles(_doubles(force)), doubles(_doubles(gap)),
             by_time, doubles(state),
         )  # fmt: skip
         _check(outcome, len(self.lengths) - 1)
         return state
+
+    def __matmul__(self, change: np.ndarray) -> np.ndarray:
+        """dz(end) of a change dz(start), without the matrix: (2 n_modes,)."""
+        flow = self.flow
+        return self.column(np.zeros_like(flow.force), np.zeros_like(flow.gap), start=change)
 
     def by_omega(self) -> np.ndarray:
         """dz(end) / d omega at a fixed start and duration: (2 n_modes,)."""

@@ -9,6 +9,9 @@ and the eigenvalues of M are its Floquet multipliers. A step of Newton's method 
 the *natural* test accepts it: the simplified step from there, with the same M, is shorter. It does
 not depend on how the state is measured.
 
+With many modes M is not formed: GMRES takes products with it, in the norm of the energy, each for
+the time of half a period followed. Damping leaves little of fast modes: some dozen are enough.
+
 A wave nearby, with states Z_i at N equal parts of the period, is judged by one such step of all of
 it, which needs no orbit. With F_i the state reached from Z_i less Z_{i+1}, M_i the derivatives,
 
@@ -20,8 +23,9 @@ Source: Deuflhard, Newton Methods for Nonlinear Problems, 2004, sections 2.1 and
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any
 
 import numpy as np
@@ -29,20 +33,28 @@ import scipy.linalg
 from scipy.linalg.lapack import dgeev
 
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples
+from fenics_crack.kernel import kernel
+from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples, Track
+from fenics_crack.numerics.newton import gmres
 from fenics_crack.table import Described, counted
 
 __all__ = [
-    "INSTANTS", "KNOWN", "PIECES", "OrbitCoefficients", "PeriodicOrbit", "Prediction",
-    "doubling_test", "eigenvalues", "find_orbit", "predict",
+    "FLOWS", "FORMED", "INSTANTS", "KNOWN", "PIECES", "OrbitCoefficients", "PeriodicOrbit",
+    "Prediction", "affordable", "doubling_test", "eigenvalues", "find_orbit", "predict",
 ]  # fmt: skip
 
 FLOWS, SHORTEST = 20, 1e-3
 """Periods followed before an orbit is given up, and how short a step may become."""
 PIECES = 20_000
 """Of the flow's series that a search may take: a second, with many pairs."""
-CLOSED = 1e-11
-"""Relative length of a step behind which an orbit is found."""
+CLOSED, NEARLY, HURRIED = 1e-11, 1e-8, 0.1
+"""Relative length of a step behind which an orbit is found: of one by factors of M, by products;
+and how short one by products may become."""
+FORMED = 240
+"""Numbers of a state up to which M is formed."""
+PRODUCTS, SHARP, BLUNT = 60, 1e-2, 0.25
+"""With M that a solution may take, its relative residual, and that of a step which is only
+compared."""
 ROUNDED = 1e3
 """Times that, below which steps are rounding."""
 KNOWN = 1e-6
@@ -64,13 +76,18 @@ class Prediction:
         ``|P^T d| / |P^T Z|``.
     states : (n, 2 n_modes)
         Z + d.
-    monodromy : (2 n_modes, 2 n_modes)
-        M over the period along the wave.
+    parts : (n,) of arrays or tracks
+        M_i.
     """
 
     error: float
     states: np.ndarray
-    monodromy: np.ndarray
+    parts: Sequence[np.ndarray | Track]
+
+    @property
+    def monodromy(self) -> np.ndarray:
+        """M over the period along the wave: (2 n_modes, 2 n_modes)."""
+        return _product(self.parts)
 
 
 @dataclass(frozen=True, repr=False)
@@ -220,6 +237,17 @@ class OrbitCoefficients:
     displacement: np.ndarray
 
 
+def affordable(
+    flow: ContactFlow, omega: float, subharmonic: int = 1, periods: int = FLOWS + PRODUCTS
+) -> bool:
+    """Whether a search does not take long at a frequency: M is formed, or so many periods have no
+    more pieces, but for events, than it may take. Large states of lips with mass, which bounce, are
+    not tried: from their waves Newton's method leads to no orbit."""
+    pieces = flow.fastest * 2.0 * np.pi * subharmonic / omega / kernel.FLOW_REACH
+    light = flow.structure.light_lips
+    return flow.size <= FORMED or (light and periods * pieces <= PIECES)
+
+
 def predict(
     flow: ContactFlow, omega: float, states: np.ndarray, *, subharmonic: int = 1
 ) -> Prediction:
@@ -231,19 +259,50 @@ def predict(
     ConvergenceError
         As :meth:`ContactFlow.advance`.
     """
-    moved, tangents = flow.steps(states, omega, 2.0 * np.pi * subharmonic / omega)
+    period = 2.0 * np.pi * subharmonic / omega
+    parts: Sequence[np.ndarray | Track]
+    if flow.size <= FORMED:
+        moved, parts = flow.steps(states, omega, period)
+    else:
+        part = period / len(states)
+        motions = [flow.advance(z, omega, part, start=i * part) for i, z in enumerate(states)]
+        moved, parts = np.array([one.state for one in motions]), [one.track for one in motions]
     excess = moved - np.roll(states, -1, axis=0)
-    whole, change = np.eye(flow.size), np.zeros(flow.size)
-    for tangent, missing in zip(tangents, excess, strict=True):
-        whole, change = tangent @ whole, tangent @ change + missing
+    change = np.zeros(flow.size)
+    for one, missing in zip(parts, excess, strict=True):
+        change = one @ change + missing
     changes = np.empty_like(states)
-    changes[0] = np.linalg.solve(np.eye(flow.size) - whole, change)
+    changes[0] = _inverse(flow, parts, flow.weights(omega / subharmonic))(change, SHARP)
     for i in range(len(states) - 1):
-        changes[i + 1] = tangents[i] @ changes[i] + excess[i]
+        changes[i + 1] = parts[i] @ changes[i] + excess[i]
     count = flow.size // 2
     size = float(np.linalg.norm(states[:, :count] @ flow.modes.pairs))
     error = float(np.linalg.norm(changes[:, :count] @ flow.modes.pairs)) / (size or 1.0)
-    return Prediction(error, states + changes, whole)
+    return Prediction(error, states + changes, parts)
+
+
+def _product(parts: Sequence[np.ndarray | Track]) -> np.ndarray:
+    """M of its parts, the first of them first."""
+    matrices = (one.tangent if isinstance(one, Track) else one for one in parts)
+    return reduce(lambda product, matrix: matrix @ product, matrices)
+
+
+def _inverse(
+    flow: ContactFlow, parts: Sequence[np.ndarray | Track], weights: np.ndarray
+) -> Callable[[np.ndarray, float], np.ndarray]:
+    """b to (I - M)^-1 b, exactly, or of large states to a relative residual in the norm of the
+    energy."""
+    if flow.size <= FORMED:
+        factors = scipy.linalg.lu_factor(np.eye(flow.size) - _product(parts))
+        return lambda right, sharp: scipy.linalg.lu_solve(factors, right)
+
+    def apply(change: np.ndarray) -> np.ndarray:
+        moved = change / weights
+        for one in parts:
+            moved = one @ moved
+        return change - weights * moved
+
+    return lambda right, sharp: gmres(apply, weights * right, sharp, PRODUCTS) / weights
 
 
 def find_orbit(
@@ -293,28 +352,28 @@ class _Search:
 
     def leads_to_orbit(self) -> bool:
         """Whether it ends with an orbit."""
-        share, factors = 1.0, None
+        share, inverse = 1.0, None
+        formed = self._flow.size <= FORMED
+        closed, shortest = (CLOSED, SHORTEST) if formed else (NEARLY, HURRIED)
         self.motion = self._follow(self.state)
         while self.flows < FLOWS:
-            if factors is None:
-                factors = scipy.linalg.lu_factor(
-                    np.eye(self._flow.size) - self.motion.track.tangent
-                )
-                step = scipy.linalg.lu_solve(factors, self.motion.state - self.state)
+            if inverse is None:
+                inverse = _inverse(self._flow, [self.motion.track], self._weights)
+                step = inverse(self.motion.state - self.state, SHARP)
             trial = self.state + share * step
             moved = self._follow(trial)
-            simplified = scipy.linalg.lu_solve(factors, moved.state - trial)
+            simplified = inverse(moved.state - trial, BLUNT)
             before, after = self.size(step), self.size(simplified)
             bent = self.size(simplified - (1.0 - share) * step) + sys.float_info.min
-            goal = CLOSED * self.size(trial)
+            goal = closed * self.size(trial)
             if not after <= (1.0 - 0.25 * share) * before:
                 if before <= ROUNDED * goal:
                     return True
                 share = min(0.5 * share, 0.5 * share**2 * before / bent)
-                if share < SHORTEST:
+                if share < shortest:
                     return False
                 continue
-            self.state, self.motion, factors = trial, moved, None
+            self.state, self.motion, inverse = trial, moved, None
             if after <= goal:
                 return True
             share = min(1.0, 0.5 * share**2 * before / bent)

@@ -2,7 +2,8 @@
 
 A system is linearised at a point, and the answer is a value: residual, solutions with the Jacobian,
 derivative by the parameter and orientation belong to that point and to no other, in whatever order
-they are asked for, and each is computed when it is first asked for.
+they are asked for, and each is computed when it is first asked for. What
+rounding leaves of a residual is known too.
 """
 
 from __future__ import annotations
@@ -14,13 +15,18 @@ import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
 
 __all__ = [
-    "DenseLinearisation",
-    "Linearisation",
-    "System",
-    "determinant_sign",
-    "factored",
-    "solve_factored",
-]
+    "EPSILON", "MAX_ROUNDING", "ROUNDING", "DenseLinearisation", "Linearisation", "System",
+    "determinant_sign", "factored", "least_residual", "solve_factored",
+]  # fmt: skip
+
+EPSILON, ROUNDING = float(np.finfo(float).eps), 1e-13
+MAX_ROUNDING = 1e-5
+"""|F| / |x| that rounding may leave at most; equations that ask for more are refused."""
+
+
+def least_residual(slope: float) -> float:
+    """What rounding leaves of |F| / |x| where F changes by at most so much times |x|."""
+    return max(ROUNDING, min(MAX_ROUNDING, EPSILON * slope))
 
 
 class Linearisation(ABC):

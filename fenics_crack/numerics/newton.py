@@ -1,12 +1,14 @@
-"""Newton's method by PETSc SNES, on systems that invert their own Jacobian.
+"""Newton's method by PETSc SNES, and linear systems whose matrix is not formed by GMRES of KSP.
 
 All solutions but those along a path are found this way; PETSc options with the prefix
-``crack_hb_`` reach it. One object serves a system for all attempts at its solution. Where the
-kernel has the equations, and no such option is given, the same steps are taken there.
+``crack_hb_`` reach it, and GMRES with ``crack_krylov_``. One object serves a system for all
+attempts at its solution. Where the kernel has the equations, and no such option is given, the same
+steps are taken there.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
@@ -14,16 +16,57 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenics_crack.errors import ConvergenceError
+from fenics_crack.kernel import kernel
 from fenics_crack.numerics.bordered import solve_at
-from fenics_crack.numerics.krylov import RESTART
 from fenics_crack.numerics.linearisation import Linearisation, System
 
-__all__ = ["DistributedSystem", "KernelNewton", "Newton", "newton_of"]
+__all__ = ["RESTART", "DistributedSystem", "KernelNewton", "Newton", "gmres", "newton_of"]
 
+SELF = PETSc.COMM_SELF
+RESTART: int = kernel.KRYLOV_MOST
+"""Vectors that GMRES keeps."""
 OPTIONS_PREFIX = "crack_hb_"
 FORCING = 1e-2
 """Relative residual of GMRES in the first steps; later ones are solved as sharply as pays
 (Eisenstat and Walker, SIAM Journal on Scientific Computing 17, 1996, 16)."""
+
+
+class _Operator:
+    """A linear map of arrays as PETSc calls it."""
+
+    def __init__(self, apply: Callable[[np.ndarray], np.ndarray], shape: tuple[int, ...]) -> None:
+        self._apply, self._shape = apply, shape
+
+    def mult(self, matrix: Any, source: Any, target: Any) -> None:
+        """The map of a vector."""
+        target.array_w[:] = self._apply(source.array_r.reshape(self._shape)).ravel()
+
+
+def gmres(
+    apply: Callable[[np.ndarray], np.ndarray],
+    right: np.ndarray,
+    tolerance: float,
+    most: int = RESTART,
+) -> np.ndarray:
+    """x with A x = r to |A x - r| <= tolerance |r|, for arrays of one shape, the same on all ranks;
+    or the best that ``most`` iterations find."""
+    matrix = PETSc.Mat().createPython((right.size,) * 2, _Operator(apply, right.shape), SELF)
+    matrix.setUp()
+    solver = PETSc.KSP().create(SELF)
+    solver.setOptionsPrefix("crack_krylov_")
+    solver.setOperators(matrix)
+    solver.setType("gmres")
+    solver.setGMRESRestart(RESTART)
+    solver.getPC().setType("none")
+    solver.setTolerances(rtol=tolerance, atol=0.0, max_it=most)
+    solver.setFromOptions()
+    source, target = matrix.createVecs()
+    source.array_w[:] = right.ravel()
+    solver.solve(source, target)
+    found: np.ndarray = target.array_r.reshape(right.shape).copy()
+    for item in (solver, matrix, source, target):
+        item.destroy()
+    return found
 
 
 class DistributedSystem(System, Protocol):

@@ -46,8 +46,7 @@ from fenics_crack.numerics.bordered import (
     step_along,
 )
 from fenics_crack.numerics.equations import equations_of
-from fenics_crack.numerics.linearisation import System
-from fenics_crack.numerics.rounding import EPSILON, ROUNDING
+from fenics_crack.numerics.linearisation import EPSILON, ROUNDING, System
 
 __all__ = [
     "SHARP",

@@ -8,11 +8,13 @@ from fenics_crack.errors import InputError
 from fenics_crack.scene.fields import named
 from fenics_crack.scene.tables import Crack, Geometry, Mesh
 
-__all__ = ["OF_PLATES", "check_cracks"]
+__all__ = ["OF_SHAPES", "check_cracks"]
 
 NEAREST = 1e-4
 """Least distance of cracks and tips from the edges and each other, relative to the side."""
-OF_PLATES = ("edge", "center", "height", "length", "first_frequency", "first_omega")
+OF_SHAPES = (
+    "edge", "center", "height", "length", "depth", "front", "first_frequency", "first_omega",
+)  # fmt: skip
 """Keys of a crack that a mesh file knows by itself."""
 
 
@@ -21,6 +23,7 @@ def check_cracks(cracks: dict[str, Crack], geometry: Geometry, mesh: Mesh) -> No
     for name, crack in cracks.items():
         with named(name):
             _check_one(crack, geometry, list(cracks))
+            _check_front(crack, geometry)
             if mesh.layout == "grid":
                 _check_grid(crack, geometry, mesh)
     if mesh.layout == "graded":
@@ -65,6 +68,18 @@ def _check_one(crack: Crack, geometry: Geometry, names: list[str]) -> None:
             "center",
             f"such that both tips are inside the plate: between 0 and {width:g}, {margin}",
         )
+
+
+def _check_front(crack: Crack, geometry: Geometry) -> None:
+    if geometry.dimension == 2:
+        crack.leave_out(("depth", "front"), "geometry.kind = 'plate'")
+    elif crack.depth is None:
+        crack.leave_out(("front",), "a crack through the thickness: there is no crack.depth")
+    else:
+        assert geometry.thickness
+        thickness = f"geometry.thickness = {geometry.thickness:g}"
+        allowed = f"less than {thickness}, by {NEAREST:g} of that; left out: through it"
+        crack.require(_inside(crack.depth, geometry.thickness), "depth", allowed)
 
 
 def _check_grid(crack: Crack, geometry: Geometry, mesh: Mesh) -> None:

@@ -10,6 +10,7 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from copy import copy
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from numbers import Integral, Real
 from typing import Any, ClassVar
@@ -25,11 +26,13 @@ __all__ = [
     "OR_ZERO",
     "SMALLEST",
     "Axis",
+    "Pair",
     "Table",
     "Vector",
     "at_least_one",
     "between",
     "choice",
+    "components",
     "hertz",
     "holds",
     "named",
@@ -42,7 +45,9 @@ __all__ = [
     "vector",
 ]
 
-Vector = tuple[float, float]
+Pair = tuple[float, float]
+Vector = tuple[float, ...]
+"""In a plane two numbers, in space three."""
 SMALLEST, LARGEST = 1e-30, 1e30
 """Magnitudes allowed in a scene: their products and squares neither overflow nor underflow."""
 SIZES = f"{SMALLEST:g} to {LARGEST:g}"
@@ -68,7 +73,7 @@ class Axis:
 
 
 class Point(Axis):
-    """A named point of the plate: its key is the name, its values are x and y [m]."""
+    """A named point: its key is the name, its values are x and y, of a solid z too [m]."""
 
 
 # --- how a value is read --------------------------------------------------------------------------
@@ -105,10 +110,17 @@ def _str(value: object) -> str:
     return value
 
 
-def _vector(value: object) -> Vector:
+def _pair(value: object) -> Pair:
     if not isinstance(value, list | tuple) or len(value) != 2:
         raise TypeError
     return _float(value[0]), _float(value[1])
+
+
+def _vector(value: object) -> Vector:
+    """In a plane or in space: of which of them a scene is, it says itself."""
+    if not isinstance(value, list | tuple) or len(value) not in (2, 3):
+        raise TypeError
+    return tuple(map(_float, value))
 
 
 def _float_or_str(value: object) -> float | str:
@@ -185,6 +197,7 @@ _READERS: dict[str, Callable[[object], Any]] = {
     "float": _float,
     "int": _int,
     "str": _str,
+    "Pair": _pair,
     "Vector": _vector,
     "float | str": _float_or_str,
     "float | tuple[float, ...]": _one_or_more,
@@ -241,9 +254,14 @@ def between(least: str, most: str, default: Any, unit: str = "") -> Any:
 
 
 def vector(letter: str, default: Any = None, unit: str = "") -> Any:
-    """Field of two numbers, which an error calls by a letter, and by x and y."""
-    allowed = f"[{letter}x, {letter}y], two finite numbers {OR_ZERO}"
-    return holds(allowed, default=default, unit=unit)
+    """Field of a vector, which an error calls by a letter, and by x and y."""
+    return holds(components(letter, 2), default=default, unit=unit, letter=letter)
+
+
+def components(letter: str, dimension: int) -> str:
+    """What a vector may hold, in words."""
+    names = ", ".join(letter + axis for axis in "xyz"[:dimension])
+    return f"[{names}], {('two', 'three')[dimension - 2]} finite numbers {OR_ZERO}"
 
 
 def at_least_one(default: Any = MISSING) -> Any:
@@ -315,6 +333,22 @@ class Table:
     _ADVICE: ClassVar[Mapping[str, str]] = {}
     """What to say of keys that people look for and the table does not have, "name", and of values
     that a key does not take, "edge = top"."""
+
+    def with_vectors(self, dimension: int) -> Any:
+        """The same in a plane or in space, its vectors of zeros as long as that asks for.
+
+        Raises
+        ------
+        InputError
+            Another vector is longer or shorter.
+        """
+        found = copy(self)
+        for key, item in self.keys().items():
+            letter, value = item.metadata.get("letter"), getattr(self, key)
+            if letter is not None and value is not None and len(value) != dimension:
+                self.require(not any(value), key, components(letter, dimension))
+                object.__setattr__(found, key, (0.0,) * dimension)
+        return found
 
     def __post_init__(self) -> None:
         for name, item in self.keys().items():

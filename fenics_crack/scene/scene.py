@@ -18,8 +18,8 @@ from typing import Any, get_args, get_origin, get_type_hints
 from fenics_crack.errors import InputError, reading
 from fenics_crack.hints import Hinted, converted, meant, near, written
 from fenics_crack.outside import text_of
-from fenics_crack.scene.cracks import OF_PLATES, check_cracks
-from fenics_crack.scene.fields import Axis, Table, named, radians
+from fenics_crack.scene.cracks import OF_SHAPES, check_cracks
+from fenics_crack.scene.fields import Axis, Table, components, named, radians
 from fenics_crack.scene.tables import (
     Base,
     Contact,
@@ -119,10 +119,9 @@ class Scene(Hinted):
             self.curve.require(self.speed == 0.0, "parameter", allowed)
         if self.structure is not None:
             _check_matrices(self, self.structure)
-        elif self.mesh.layout == "file":
-            _check_file(self)
         else:
-            _check_plate(self)
+            _check_dimension(self)
+            (_check_file if self.mesh.layout == "file" else _check_plate)(self)
         for name, key in (("sweep", "over"), ("identify", "unknown")):
             if (chosen := getattr(self, name)) is not None:
                 axes = _checked_axes(self, f"{name}.{key}", getattr(chosen, key))
@@ -176,6 +175,11 @@ class Scene(Hinted):
         return cls.from_mapping(tables, folder)
 
     @property
+    def dimension(self) -> int:
+        """3 for a solid, else 2."""
+        return 2 if self.geometry is None else self.geometry.dimension
+
+    @property
     def has_other_loads(self) -> bool:
         """Whether there is a load beside the force at ``excitation.point``."""
         return bool(self.loads) or self.base is not None or self.structure is not None
@@ -214,7 +218,7 @@ class Scene(Hinted):
     def point_names(self) -> tuple[str, ...]:
         """The points of ``[output.points]`` in each direction: "tip.ux", "tip.uy"."""
         points = () if self.output is None else self.output.points
-        return tuple(f"{point.key}.u{axis}" for point in points for axis in "xy")
+        return tuple(f"{point.key}.u{axis}" for point in points for axis in "xyz"[: self.dimension])
 
     def at_rest(self) -> Scene:
         """The scene without rotation, its load at the same frequency."""
@@ -313,7 +317,8 @@ def _in_short(scene: Scene) -> str:
     elif scene.mesh.layout == "file":
         parts = [f"mesh {scene.mesh.file!r}"]
     else:
-        parts = [f"plate of {scene.geometry.width:g} x {scene.geometry.height:g} m"]
+        sides = " x ".join(f"{side:g}" for side in scene.geometry.sides)
+        parts = [f"{scene.geometry.kind} of {sides} m"]
     for crack in scene.all_cracks.values():
         parts.append("crack" if crack.length is None else f"crack of {crack.length:g} m")
     if scene.contact is not None:
@@ -371,24 +376,52 @@ def _check_matrices(scene: Scene, structure: Structure) -> None:
         scene.contact.leave_out(("stiffness_per_area",), "[structure], which has no areas")
 
 
+def _check_dimension(scene: Scene) -> None:
+    """Raise InputError where a table is not one of a plate, or of a solid."""
+    geometry, mesh, dimension = scene.geometry, scene.mesh, scene.dimension
+    for name in _TABLES:
+        held = getattr(scene, name)
+        if name in _LISTS:
+            found: Any = []
+            for number, table in enumerate(held, 1):
+                with named(f"{name}.{number}"):
+                    found.append(table.with_vectors(dimension))
+            object.__setattr__(scene, name, tuple(found))
+        elif held is not None:
+            object.__setattr__(scene, name, held.with_vectors(dimension))
+    for point in () if scene.output is None else scene.output.points:
+        if len(point.values) != dimension:
+            key = f"output.points.{point.key}"
+            raise InputError(key, point.values, components("", dimension))
+    if dimension == 3:
+        reason = "2 with geometry.kind = 'solid': tetrahedra of order 1 are much too stiff"
+        mesh.require(mesh.order == 2, "order", reason)
+        allowed = "'graded' or 'file' with geometry.kind = 'solid'"
+        mesh.require(mesh.layout != "grid", "layout", allowed)
+    if dimension == 2 or mesh.layout != "file":
+        geometry.given("thickness", "given: a finite number > 0")
+
+
 def _check_plate(scene: Scene) -> None:
     geometry = scene.geometry
-    width, height = (geometry.given(key) for key in ("width", "height"))
-    geometry.require(
-        height / THINNEST <= width <= height * THINNEST,
-        "width",
-        f"within a factor {THINNEST:g} of geometry.height = {height:g}",
-    )
+    _, height = (geometry.given(key) for key in ("width", "height"))
+    for key in ("width", "thickness")[: scene.dimension - 1]:
+        geometry.require(
+            height / THINNEST <= getattr(geometry, key) <= height * THINNEST,
+            key,
+            f"within a factor {THINNEST:g} of geometry.height = {height:g}",
+        )
     if not scene.has_other_loads:
         scene.excitation.given("point", "given: [x, y] on the plate")
     if scene.excitation.point is None and (force := scene.excitation.force_given):
         scene.excitation.require(False, force, "left out without excitation.point")
     loads = {f"loads.{number}": load for number, load in enumerate(scene.loads, 1)}
     for name, load in ({"excitation": scene.excitation} | loads).items():
-        x, y = load.point or (0.0, 0.0)
+        sides = geometry.sides
+        within = [0.0 <= x <= side for x, side in zip(load.point or (), sides, strict=False)]
         with named(name):
-            where = f"on the plate: [0..{width:g}, 0..{height:g}]"
-            load.require(0.0 <= x <= width and 0.0 <= y <= height, "point", where)
+            where = ", ".join(f"0..{side:g}" for side in sides)
+            load.require(all(within), "point", f"on the {geometry.kind}: [{where}]")
     if scene.all_cracks:
         check_cracks(scene.all_cracks, geometry, scene.mesh)
         if scene.contact is None:
@@ -396,10 +429,11 @@ def _check_plate(scene: Scene) -> None:
 
 
 def _check_file(scene: Scene) -> None:
-    scene.geometry.leave_out(("width", "height"), "mesh.layout = 'file'")
+    of_file = ("width", "height", "thickness")[: scene.dimension]
+    scene.geometry.leave_out(of_file, "mesh.layout = 'file'")
     for name, crack in scene.all_cracks.items():
         with named(name):
-            crack.leave_out(OF_PLATES, "mesh.layout = 'file'")
+            crack.leave_out(OF_SHAPES, "mesh.layout = 'file'")
 
 
 # --- axes of keys ---------------------------------------------------------------------------------

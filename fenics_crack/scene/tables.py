@@ -15,6 +15,7 @@ from fenics_crack.errors import MAX_SAMPLES, InputError, check_two_ratios
 from fenics_crack.scene.fields import (
     OR_ZERO,
     Axis,
+    Pair,
     Point,
     Table,
     Vector,
@@ -64,16 +65,35 @@ LEAST_OF_AN_UNKNOWN = 4
 
 @dataclass(frozen=True)
 class Geometry(Table):
-    """Rectangle [0, width] x [0, height], clamped along y = 0; a mesh file has its own shape."""
+    """A plate [0, width] x [0, height] in plane stress, clamped along y = 0; or a solid, the box
+    [0, width] x [0, height] x [0, thickness], clamped at y = 0. A mesh file has its own shape."""
 
-    thickness: float = positive(unit="m")
+    kind: str = choice("plate", "solid", default="plate")
+    """Plane stress, or three dimensions."""
+    thickness: float | None = positive(None, unit="m")
+    """Of a plate, whatever its mesh, and of a box along z."""
     width: float | None = between("1e-6", "1e6", None, unit="m")
     height: float | None = between("1e-6", "1e6", None, unit="m")
+
+    @property
+    def dimension(self) -> int:
+        """2 for a plate, 3 for a solid."""
+        return 3 if self.kind == "solid" else 2
+
+    @property
+    def sides(self) -> Vector:
+        """Width, height and, of a solid, thickness [m], as far as they are given."""
+        sides = (self.width, self.height, self.thickness)[: self.dimension]
+        return tuple(side for side in sides if side is not None)
 
 
 @dataclass(frozen=True)
 class Crack(Table):
-    """Straight horizontal crack: a slit whose two lips share only its tip, or its two tips."""
+    """Straight horizontal crack: a slit whose two lips share only its tip, or its two tips.
+
+    Of a solid: in the plane y = height, through the thickness, or as deep as ``depth`` from the
+    face z = thickness.
+    """
 
     _ADVICE: ClassVar[Mapping[str, str]] = dict.fromkeys(
         ("edge = top", "edge = bottom"),
@@ -88,6 +108,10 @@ class Crack(Table):
     """y of the crack."""
     length: float | None = positive(None, unit="m")
     """Or let ``first_omega`` determine it."""
+    depth: float | None = positive(None, unit="m")
+    """Of a crack in a solid that does not go through it."""
+    front: str | None = choice("straight", "elliptical", default=None)
+    """Of such a crack: a rectangle, or half of an ellipse; a quarter of one at an edge."""
     first_omega: float | None = positive(None, unit="rad/s")
     """First natural frequency with the crack open, from which the length is found."""
     first_frequency: float | None = hertz("first_omega")
@@ -146,19 +170,19 @@ class Damping(Table):
     """How many of the lowest modes are damped."""
     mass: float | None = not_negative(None, unit="1/s")
     stiffness: float | None = not_negative(None, unit="s")
-    ratios: Vector | None = holds(
+    ratios: Pair | None = holds(
         "[xi_1, xi_2], two numbers from 0 to 1",
         lambda ratios: min(ratios) >= 0 and max(ratios) <= 1,
         None,
     )
     """Of critical damping, at two frequencies."""
-    omegas: Vector | None = holds(
+    omegas: Pair | None = holds(
         "[omega_1, omega_2], two different numbers > 0",
         lambda omegas: min(omegas) > 0 and omegas[0] != omegas[1],
         None,
         unit="rad/s",
     )
-    frequencies: Vector | None = hertz(
+    frequencies: Pair | None = hertz(
         "omegas",
         "[f_1, f_2], two different numbers > 0",
         lambda values: 0 < min(values) < max(values) <= 1e29,
@@ -288,12 +312,10 @@ class Load(Table):
         return tuple(f"{kind}_{part}" for part in ("mean", "cos", "sin"))
 
     def parts(self, kind: str) -> list[Vector]:
-        """Mean, cosine and sine part of the "force" or the "traction"; of the "pressure" (p, 0)."""
-        found = []
-        for name in self._names(kind):
-            value = getattr(self, name)
-            found.append(value if isinstance(value, tuple) else (value or 0.0, 0.0))
-        return found
+        """Mean, cosine and sine part of the "force" or the "traction"; of the "pressure" (p,);
+        without numbers where they are not given."""
+        values = [getattr(self, name) for name in self._names(kind)]
+        return [v if isinstance(v, tuple) else () if v is None else (v,) for v in values]
 
 
 @dataclass(frozen=True)
@@ -328,14 +350,15 @@ class Base(Table):
         factor, parts = 1.0, (self.acceleration_cos, self.acceleration_sin)
         if self.moves_by_displacement:
             factor, parts = -(omega**2), (self.displacement_cos, self.displacement_sin)
-        cosine, sine = (part or (0.0, 0.0) for part in parts)
-        return (factor * cosine[0], factor * cosine[1]), (factor * sine[0], factor * sine[1])
+        size = max(len(part) for part in parts if part is not None)
+        cosine, sine = (tuple(factor * value for value in part or (0.0,) * size) for part in parts)
+        return cosine, sine
 
     @property
     def direction(self) -> Vector:
-        """(1, 0) or (0, 1): the direction of the larger motion."""
+        """(1, 0), (0, 1) or, of a solid, (0, 0, 1): the direction of the largest motion."""
         along = np.abs(self.accelerations(1.0)).max(axis=0)
-        return (1.0, 0.0) if along[0] >= along[1] else (0.0, 1.0)
+        return tuple(np.eye(len(along))[int(np.argmax(along))].tolist())
 
 
 @dataclass(frozen=True)
@@ -343,7 +366,7 @@ class Rotation(Table):
     """The plate is a blade on a rotor, whose axis lies in its plane, parallel to the clamp.
 
     The radius is hub_radius + y. Vibration in the plane is then along x, parallel to the axis, and
-    along the radius: Coriolis forces stand normal to the plane.
+    along the radius: Coriolis forces stand normal to the plane. Those of a solid are left out.
     """
 
     hub_radius: float = not_negative(unit="m")
@@ -434,6 +457,9 @@ class Mesh(Table):
     one another, lips may get more. ``"file"``: any gmsh mesh of a plane region whose physical
     groups are named ``clamp``, ``lower_lip`` and ``upper_lip`` or ``crack`` (curves), ``load`` (a
     point) and, for the region itself, anything.
+
+    A solid is meshed by tetrahedra of order 2, ``"graded"`` towards the fronts of its cracks; a
+    file names surfaces, ``clamp`` and ``crack``, along which the nodes exist once.
     """
 
     layout: str = choice("grid", "graded", "file")
@@ -568,10 +594,12 @@ class Integration(Table):
     )
     """"events": exact from one switching instant to the next. Default: "exponential" where lips
     have no mass, else "central_difference"."""
-    periods: int = at_least_one(400)
+    periods: int = at_least_one(600)
     """Load periods at most."""
-    settle: float = positive(1e-3)
-    """Relative change of the gaps from one period to the next at which to stop."""
+    settle: float = positive(1e-4)
+    """Relative change of the gaps from one period to the next at which to stop. The motion is then
+    several times farther from the settled one, and the higher harmonics, mostly below a thousandth
+    of the first, show it most."""
     steps_per_period: int | None = at_least_one(None)
     """Default: 512; twice what is stable (central differences), 256 (events)."""
 
@@ -707,16 +735,19 @@ class TipTiming(Table):
     """Resolution of the computed arrivals; 0: none."""
     seed: int = holds("a whole number >= 0", lambda value: value >= 0, 0)
     """Of the noise."""
-    orders: tuple[float, ...] = holds(
+    angle_deviation: float = not_negative(0.0, unit="degrees")
+    """Standard deviation of the probes' angles, the same in every revolution."""
+    orders: tuple[float, ...] | None = holds(
         "a list of different whole numbers >= 1",
         lambda orders: (
             orders
             and all(order >= 1.0 and order % 1.0 == 0.0 for order in orders)
             and len(set(orders)) == len(orders)
         ),
-        tuple(map(float, range(1, 25))),
+        None,
     )
-    """Engine orders that may be in the arrivals."""
+    """Engine orders that may be in the arrivals; default: the load's, or 1 to 24 where it is not
+    known."""
     frequencies: tuple[float, ...] | None = holds(
         "two finite numbers > 0, the second one larger",
         lambda ends: len(ends) == 2 and 0.0 < ends[0] < ends[1],

@@ -20,8 +20,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError, check_count
-from fenics_crack.fem.assembly import assemble
-from fenics_crack.fem.build import with_crack_length
+from fenics_crack.fem.build import assemble, with_crack_length
 from fenics_crack.model.bilinear import KINDS, BilinearFrequencies
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import Modes, n_tied_modes, solve_modes, times

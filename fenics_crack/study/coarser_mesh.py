@@ -1,10 +1,9 @@
 """What the mesh contributes to an error, by a coarser one: elements r = 1.5 times as long, or what
 comes near it, and
 
-    e = |f - f_r| / (r^p - 1),    p = 1.6.
+    e = |f - f_r| / (r - 1),
 
-The exponent lies between the orders that the first frequency of a plate with a crack shows from
-half as fine to twice as fine, 2.4, and from there on, 1.1, near that of the tip, 1.
+as they converge with the order 1 at the tip of a crack (:mod:`refinement`).
 """
 
 from __future__ import annotations
@@ -27,12 +26,14 @@ from fenics_crack.study.verification import Verification
 from fenics_crack.table import frequency_axis
 
 __all__ = [
-    "COARSER", "ORDER", "coarser", "errors_of_natural", "expected", "finer_mesh",
+    "CLAMP", "COARSER", "TIP", "coarser", "errors_of_natural", "expected", "finer_mesh",
     "n_elements", "natural_name",
 ]  # fmt: skip
 
-COARSER, ORDER = 1.5, 1.6
-"""How much longer elements are made, and p."""
+COARSER = 2.0
+"""How much longer elements are made."""
+TIP, CLAMP = 1.0, 1.5
+"""Orders at the tip of a crack and at a clamp's ends."""
 
 
 def natural_name(scene: Scene, kind: str, mode: int) -> str:
@@ -67,7 +68,7 @@ def errors_of_natural(study: Study, natural: Mapping[str, np.ndarray]) -> Verifi
         if "tied" in natural:
             both["tied"] = tied_frequencies(twin.structure, count)
         stated.counts["mesh"] = counts
-        stated.parts["mesh"] = expected("mesh", counts, stated.values, named(both))
+        stated.parts["mesh"] = expected("mesh", counts, stated.values, named(both), scene.dimension)
     except REFUSALS as error:
         stated.unknown["mesh"] = str(error)
     return stated
@@ -85,21 +86,22 @@ def coarser(study: Study) -> tuple[Study, tuple[int, int]] | str:
     if coarse is None:
         return "a grid of half as many columns and rows has no lines along the crack"
     with within("a coarser mesh"):
-        twin = prepare(coarse, structure.comm, whole=structure.whole is structure)
+        whole = structure.whole is structure
+        twin = prepare(coarse, structure.comm, whole=whole, judged=False)
     counts = n_elements(structure), n_elements(twin.structure)
     return (twin, counts) if counts[1] < counts[0] else "a coarser one has as many elements"
 
 
 def expected(
-    cause: str, counts: tuple[int, int], own: Mapping[str, float], other: Mapping[str, float]
-) -> dict[str, GridConvergence]:
-    """The part of a cause, without a factor of safety."""
-    mesh = cause == "mesh"
-    sizes = [count ** (-0.5 if mesh else -1.0) for count in counts]
-    formal = ORDER if mesh else 1.0
+    cause: str, counts: tuple[int, int], own: Mapping[str, float], other: Mapping[str, float],
+    dimension: int,
+) -> dict[str, GridConvergence]:  # fmt: skip
+    """The part of a cause, of order 1 in the size of an element, of a mesh in a plane or in space,
+    or in one over the number of something, without a factor of safety."""
+    sizes = [count ** (-1.0 / dimension if cause == "mesh" else -1.0) for count in counts]
     return {
         name: replace(
-            grid_convergence(sizes, [value, other.get(name, 0.0)], formal=formal), factor=1.0
+            grid_convergence(sizes, [value, other.get(name, 0.0)], formal=1.0), factor=1.0
         )
         for name, value in own.items()
     }
@@ -109,17 +111,20 @@ def finer_mesh(scene: Scene, factor: float) -> Scene | None:
     """A scene whose elements are ``factor`` times as short; None where the scene makes no such
     mesh.
 
-    Elements along lips are counted up to the next whole number. A grid becomes finer by the next
-    whole factor, so that cracks stay on its lines; or coarser by 2, where that is possible.
+    Elements along lips are counted up to the next whole number, and all others follow them, so that
+    the mesh stays of one kind. A grid becomes finer by the next whole factor, so that cracks stay
+    on its lines; or coarser by 2, where that is possible.
     """
     mesh = scene.mesh
     if mesh is None or mesh.layout == "file":
         return None
     changes: dict[str, Any] = {}
+    lips = mesh.lip_elements
+    if lips is not None:
+        count = changes["mesh.lip_elements"] = math.ceil(factor * lips)
+        factor = factor if count == lips else count / lips
     if mesh.size is not None:
         changes["mesh.size"] = mesh.size / factor
-    if mesh.lip_elements is not None:
-        changes["mesh.lip_elements"] = math.ceil(factor * mesh.lip_elements)
     for key in ("columns", "rows"):
         count = getattr(mesh, key)
         if count is not None:

@@ -40,8 +40,8 @@ class KeyFigures:
 
     Attributes
     ----------
-    size : (2,) [m]
-        Width and height of the mesh.
+    size : (d,) [m]
+        Width, height and, of a solid, thickness of the mesh.
     elements : int or None
         Along each lip of the crack that has the fewest; None without a crack.
     omega_open, omega_tied : (at most 4,) [rad/s]
@@ -70,7 +70,7 @@ class KeyFigures:
         After the reduction.
     """
 
-    size: tuple[float, float]
+    size: tuple[float, ...]
     elements: int | None
     omega_open: np.ndarray
     omega_tied: np.ndarray
@@ -195,12 +195,11 @@ def _elements(scene: Scene, whole: Structure) -> int | None:
     return math.ceil(fewest / (1 if scene.mesh is None else scene.mesh.order))
 
 
-def _size(whole: Structure) -> tuple[float, float]:
-    """Width and height of the mesh [m] (collective)."""
+def _size(whole: Structure) -> tuple[float, ...]:
+    """Extents of the mesh [m] (collective)."""
     if whole.nodes is None:
         return np.nan, np.nan
-    width, height = np.ptp(gather_rows(whole.comm, whole.nodes.points), axis=0)
-    return float(width), float(height)
+    return tuple(np.ptp(gather_rows(whole.comm, whole.nodes.points), axis=0).tolist())
 
 
 def damping_ratios(whole: Structure, omega: np.ndarray) -> np.ndarray:

@@ -8,8 +8,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.errors import ConvergenceError, InputError
-from fenics_crack.fem.assembly import assemble
-from fenics_crack.fem.build import with_crack_length
+from fenics_crack.fem.build import assemble, with_crack_length
 from fenics_crack.hints import Hinted
 from fenics_crack.model.contact import (
     ContactLaw,
@@ -18,6 +17,7 @@ from fenics_crack.model.contact import (
     UnilateralPenalty,
 )
 from fenics_crack.model.memory import machine_memory, reduction_memory, whole_memory
+from fenics_crack.model.nodes import AXES
 from fenics_crack.model.reduction import MODES, reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import LOOKED_AT, Scene
@@ -97,7 +97,12 @@ class Study(Hinted):
 
 
 def prepare(
-    scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, whole: bool = False, like: Study | None = None
+    scene: Scene,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    *,
+    whole: bool = False,
+    like: Study | None = None,
+    judged: bool = True,
 ) -> Study:
     """Find a scene's crack length, build its structure, reduce it, and make its law (collective).
 
@@ -112,6 +117,8 @@ def prepare(
     like : Study, optional
         Of another scene, whose mesh and matrices are taken if the rotor's speed is all that
         differs.
+    judged : bool
+        Reduce with what estimates the error of the reduction (:func:`reduce_structure`).
 
     Returns
     -------
@@ -137,7 +144,7 @@ def prepare(
     if watched[0].name:
         structure = structure.watching(watched[0].dof)
     study = Study(scene, structure, law_of(scene, structure), watched)
-    return study if whole else reduced(study)
+    return study if whole else reduced(study, judged=judged)
 
 
 def _watched_dofs(scene: Scene, structure: Structure) -> tuple[Watched, ...]:
@@ -162,7 +169,7 @@ def _watched_dofs(scene: Scene, structure: Structure) -> tuple[Watched, ...]:
             raise InputError(key, point.values, "left out: the structure has no positions")
         place, dofs = structure.nodes.nearest(structure.comm, key, point.values)
         distance = float(np.linalg.norm(place - point.values).round(12))
-        for axis, dof in zip("xy", dofs, strict=True):
+        for axis, dof in zip(AXES, dofs, strict=False):
             if dof >= 0:
                 words = f"{axis} displacement of {point.key}"
                 found.append(Watched(f"{point.key}.u{axis}", words, int(dof), distance))
@@ -184,8 +191,9 @@ def _at_another_speed(scene: Scene, like: Study) -> Structure | None:
     return rotation.at(scene.speed)
 
 
-def reduced(study: Study) -> Study:
-    """A study, reduced as its scene says unless it has been reduced (collective).
+def reduced(study: Study, *, judged: bool = True) -> Study:
+    """A study, reduced as its scene says unless it has been reduced, with what judges the reduction
+    unless that is not needed (collective).
 
     Raises
     ------
@@ -201,7 +209,7 @@ def reduced(study: Study) -> Study:
         return study
     assert table.method is not None
     settled = scene.replace({f"reduction.{name}": value for name, value in asdict(table).items()})
-    structure = reduce_structure(whole, modes=table.modes, method=table.method)
+    structure = reduce_structure(whole, modes=table.modes, method=table.method, judged=judged)
     return replace(study, scene=settled, structure=structure)
 
 

@@ -30,11 +30,11 @@ from fenics_crack.errors import MAX_SAMPLES, ConvergenceError
 from fenics_crack.model.contact import is_unilateral
 from fenics_crack.scene.scene import Scene
 from fenics_crack.stages import within
-from fenics_crack.study.coarser_mesh import finer_mesh, n_elements
-from fenics_crack.study.grid_convergence import grid_convergence
-from fenics_crack.study.prepare import REFUSALS, Study, modes_of, prepare, reduction_of
+from fenics_crack.study.coarser_mesh import CLAMP, TIP, finer_mesh, n_elements
+from fenics_crack.study.grid_convergence import GridConvergence, grid_convergence
+from fenics_crack.study.prepare import REFUSALS, Study, modes_of, prepare, reduced, reduction_of
 from fenics_crack.study.run import Run, solve_prepared
-from fenics_crack.study.stated_errors import carried, numbers_of, resonance_of
+from fenics_crack.study.stated_errors import Numbers, numbers_of, resonance_of, shifted
 from fenics_crack.study.verification import CAUSES, Verification
 
 __all__ = ["verify"]
@@ -44,8 +44,8 @@ GRADED, GRID, COUNTS = (1.5, 2.0), (2.0, 3.0), (1, 2, 4)
 EVEN = 1.56
 """Elements along a lip after a refinement by 1.5, at most, relative to those before: with more, by
 rounding up, the mesh would be of another kind."""
-TIP, CLAMP = 1.0, 1.5
-"""Orders with a crack and without one."""
+STEPS = 2
+"""In which the shift of a resonance is made."""
 OWN = "the scene's own choice"
 
 
@@ -130,7 +130,7 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
                 for name in first
             }
     if "mesh" in parts:
-        parts["shift"] = carried(own, own.result, numbers, parts["mesh"])
+        parts["shift"] = _carried(own, numbers, parts["mesh"][numbers.resonance])
         counts["shift"] = counts["mesh"][:: len(counts["mesh"]) - 1]
     parts = {cause: parts[cause] for cause in CAUSES if cause in parts}
     settled, units = study.scene, numbers.units
@@ -168,7 +168,7 @@ class _Ways:
 
     ``counts`` are the numbers of what is varied, the scene's own first; None of a mesh, whose
     elements are counted when it is made. ``shared`` is the study of them all but for a mesh,
-    ``area`` that of the mesh [m^2].
+    ``volume`` that of the mesh, its area [m^2] where it is one in a plane.
     """
 
     finer: dict[str, Scene]
@@ -176,12 +176,15 @@ class _Ways:
     formal: float
     shared: Study | None = None
     highest: float = math.inf
-    area: float = 1.0
+    volume: float = 1.0
+    dimension: int = 2
 
     def size(self, count: int) -> float:
-        """The side of a square of the mean area of so many elements [m] (Celik and others, equation
-        1), or one over the number of something else."""
-        return 1.0 / count if self.shared is not None else math.sqrt(self.area / count)
+        """The side of a square or cube of the mean size of so many elements [m] (Celik and others,
+        equation 1), or one over the number of something else."""
+        if self.shared is not None:
+            return 1.0 / count
+        return float((self.volume / count) ** (1.0 / self.dimension))
 
 
 def _meshes(study: Study, own: Study) -> _Ways | str:
@@ -198,9 +201,16 @@ def _meshes(study: Study, own: Study) -> _Ways | str:
     if not scenes:
         return "mesh.file is one mesh; make finer ones and compare them by fc.grid_convergence"
     formal = TIP if study.structure.n_pairs else CLAMP
-    area = (scene.geometry.width or 1.0) * (scene.geometry.height or 1.0)
+    volume = math.prod(scene.geometry.sides)
     none = (None,) * (1 + len(scenes))
-    return _Ways(scenes, none, formal, highest=2.0 * scene.mesh.order, area=area)
+    return _Ways(
+        scenes,
+        none,
+        formal,
+        highest=2.0 * scene.mesh.order,
+        volume=volume,
+        dimension=scene.dimension,
+    )
 
 
 def _modes(study: Study, own: Study) -> _Ways | str:
@@ -265,9 +275,9 @@ def _finer_run(
     with within(name):
         try:
             if shared is not None:
-                varied = _varied(shared, scene)
+                varied = reduced(_varied(shared, scene), judged=False)
             else:
-                varied = prepare(scene, own.structure.comm)
+                varied = prepare(scene, own.structure.comm, judged=False)
                 moved = resonance_of(varied.structure, mode) / resonance_of(own.structure, mode)
                 omega *= moved
             run = solve_prepared(varied, initial, omega)
@@ -277,6 +287,33 @@ def _finer_run(
         except REFUSALS as error:
             failures.append(f"{name}: {error}")
     return None
+
+
+def _carried(
+    own: Run[PeriodicSolution], numbers: Numbers, resonance: GridConvergence
+) -> dict[str, GridConvergence]:
+    """What the shift of the resonance changes of each number: the most at any within its
+    uncertainty, as peaks may lie there, and where it is extrapolated to (collective)."""
+    at = numbers.values[numbers.resonance]
+    known, error = math.isfinite(resonance.extrapolated), resonance.uncertainty(-1) / at
+    softer = -1.0 if known and resonance.extrapolated > at else 1.0
+    shifts = [(1.0 + error * step / STEPS) ** softer for step in range(1, STEPS + 1)]
+    if known:
+        shifts.append(at / resonance.extrapolated)
+    moved = shifted(own, own.result, numbers.mode, shifts)
+    parts = {}
+    for name, value in numbers.values.items():
+        there = [values.get(name, 0.0) for values in moved]
+        parts[name] = GridConvergence(
+            (resonance.sizes[0], resonance.sizes[-1]),
+            (max(there, key=lambda one: abs(one - value)), value),
+            behaviour="carried",
+            order=resonance.order,
+            exponent=resonance.exponent,
+            factor=1.0,
+            extrapolated=there[-1] if known else math.nan,
+        )
+    return parts
 
 
 def _doubtful(name: str, run: Run[PeriodicSolution]) -> dict[str, str]:

@@ -6,6 +6,7 @@ remarks. A remark forbids nothing: it names a key, its value, and what is usual.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -118,10 +119,10 @@ def _plate(scene: Scene) -> Remarks:
         yield from _unless_usual(f"geometry.{name}", side, largest, f"a plate of {side:g} m")
     shortest = min((side for side, _ in given), default=np.inf)
     thickness = geometry.thickness
-    if thickness != 1.0:  # which is customary in plane problems
+    if thickness not in (None, 1.0):  # which is customary in plane problems
         usual = 0.0, min(shortest, LARGEST_SIDE)
         text = "thicker than the plate is wide or high"
-        yield from _unless_usual("geometry.thickness", thickness, usual, text)
+        yield from _unless_usual("geometry.thickness", thickness or 0.0, usual, text)
     for name, crack in scene.all_cracks.items():
         share = (crack.length or np.nan) / (geometry.width or np.nan)
         if share < 0.01 or share > 0.9:
@@ -340,7 +341,7 @@ def _response(scene: Scene, figures: KeyFigures) -> Remarks:
     load = scene.excitation
     if scene.has_other_loads:
         return
-    key = max(("force_sin", "force_cos"), key=lambda name: np.hypot(*getattr(load, name)))
+    key = max(("force_sin", "force_cos"), key=lambda name: math.hypot(*getattr(load, name)))
     force = list(getattr(load, key))
     if 0.0 < figures.displacement < 1e-12:
         text = (

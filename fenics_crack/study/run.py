@@ -13,10 +13,10 @@ from mpi4py import MPI
 
 from fenics_crack.balance.harmonic_balance import solve_harmonic_balance, solve_linear
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.balance.solver import Solver
+from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.balance.to_tolerance import FEWEST, FIRST_MODES, solve_to_tolerance
 from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.curves.peak import Peak
 from fenics_crack.errors import InputError
 from fenics_crack.files.results import Result, save, type_of, unpack
 from fenics_crack.files.store import Stored, read
@@ -25,7 +25,7 @@ from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes, solve_modes
 from fenics_crack.model.reduction import MODES
-from fenics_crack.model.run_up import run_up_structure
+from fenics_crack.model.rotation import run_up_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
@@ -90,7 +90,7 @@ class Run(Study, Generic[Found]):
         return f"Run({self.result!r}, {self.scene!r})"
 
     def __dir__(self) -> list[str]:
-        return sorted({*super().__dir__(), *dir(self.result)})
+        return sorted({*super().__dir__()} - {"peak"} | {*dir(self.result)})
 
     def __getattr__(self, name: str) -> Any:
         known = dir(self) if "result" in vars(self) else ()  # not while it is being copied
@@ -107,6 +107,20 @@ class Run(Study, Generic[Found]):
     def watched_name(self) -> str:
         """That dof in words."""
         return self.watched[0].words
+
+    def peak(self, dof: int | None = None) -> Peak:
+        """The largest response of a curve, as :meth:`ResponseCurve.peak` has it, with the
+        :attr:`errors` that are stated of the watched dof's (collective)."""
+        if not isinstance(self.result, ResponseCurve):
+            raise no_attribute(f"{type(self).__name__!r} object", "peak", dir(self))
+        found, stated = self.result.peak(dof), self.errors
+        if stated is None or not stated.parts or dof not in (None, self.watched_dof):
+            return found
+        of_amplitude, of_omega = (
+            stated.stated(name)[0]
+            for name in (self.watched[0].column("amplitude"), stated.resonance)
+        )
+        return replace(found, error=of_amplitude, omega_error=of_omega, without=stated.without)
 
     def motion(self) -> dict[str, np.ndarray]:
         """Motion of what is watched [m], by its words: coefficients of a solution (2H+1,), along a

@@ -8,24 +8,28 @@ as both converge like N^-1 (:mod:`refinement`). The mesh is made coarser (:mod:`
 
 A mesh moves the resonances before all else. Next to one a small shift changes an answer by much, on
 one side up and on the other down, so that differences may vanish by chance. The coarse mesh is
-therefore solved at w w_r / w_b, as far from its resonance w_r as the answer is from its own, w_b;
-and what the shift changes is the most by which the answer does up to the frequency w w_b / w_e, w_e
-being the extrapolated resonance. The mesh's part is the sum of both. All are errors that are
-expected, not bounds: ten scenes beside a mesh four times finer are in docs/error_report.md.
+therefore solved at w w_r / w_b, as far from its resonance w_r as the answer is from its own, w_b,
+and what the shift changes is solved for on the answer's mesh, at w w_b / w_e, w_e being the
+extrapolated resonance. Both have a sign and are added; but neither is known better than its order
+p, which lies between that of a tip and that of a clamp, 1 and 1.5:
+
+    e = max over p, q of |(f - f_r) / (r^p - 1) + f(w w_b / w_e(q)) - f|,
+
+so that what cancels leaves its uncertainty. The root of the sum of the squares of all causes is
+stated. These are errors that are expected, not bounds: scenes beside a mesh four times finer are in
+docs/error_report.md.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fenics_crack.balance.harmonic_balance import solve_linear
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.balance.solver import Solver
+from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.model.bilinear import KINDS, bilinear_frequencies
 from fenics_crack.model.modal import is_small
@@ -33,13 +37,20 @@ from fenics_crack.model.modes import Modes
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.quantities import OF_LIPS, OF_POINTS, QUANTITIES
-from fenics_crack.study.coarser_mesh import coarser, errors_of_natural, expected, natural_name
+from fenics_crack.study.coarser_mesh import (
+    CLAMP,
+    TIP,
+    coarser,
+    errors_of_natural,
+    expected,
+    natural_name,
+)
 from fenics_crack.study.grid_convergence import GridConvergence
 from fenics_crack.study.prepare import REFUSALS, Study, modes_of
 from fenics_crack.study.verification import Verification
 from fenics_crack.table import frequency_axis
 
-__all__ = ["Numbers", "carried", "errors_of", "numbers_of", "resonance_of", "stated_errors"]
+__all__ = ["Numbers", "errors_of", "numbers_of", "resonance_of", "shifted", "stated_errors"]
 
 ANSWER = ("amplitude", "ratio_2_1", "ratio_3_1", "mean_shift", "opening", "closed_share")
 """Quantities that are looked at where the scene does not choose."""
@@ -47,8 +58,8 @@ LOWEST = (1, 2, 3)
 """Modes whose natural frequencies with lips open are looked at."""
 TINY = 1e-9
 """A ratio that is none."""
-STEPS = 2
-"""In which a shift is made."""
+ORDERS = CLAMP, TIP
+"""Between which that of a mesh is, the one that corrects less first."""
 
 
 # --- the numbers of an answer ---------------------------------------------------------------------
@@ -138,13 +149,10 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
                 (stated.unknown if cause == "mesh" else stated.absent)[cause] = varied
                 continue
             counts, values = varied
-            stated.counts[cause], stated.parts[cause] = (
-                counts,
-                expected(cause, counts, own.values, values),
-            )
+            parts = expected(cause, counts, own.values, values, study.scene.dimension)
             if cause == "mesh" and not of_peak:
-                stated.counts["shift"] = counts
-                stated.parts["shift"] = carried(study, near, own, stated.parts["mesh"])
+                parts = _with_shift(study, near, own, parts)
+            stated.counts[cause], stated.parts[cause] = counts, parts
         except REFUSALS as error:
             stated.unknown[cause] = str(error)
     return stated
@@ -201,36 +209,37 @@ VARIED = {"modes": _more_modes, "harmonics": _more_harmonics, "mesh": _coarser_m
 """What is varied, and by whom."""
 
 
-def carried(
-    study: Study, near: PeriodicSolution, own: Numbers, mesh: Mapping[str, GridConvergence]
+def _with_shift(
+    study: Study, near: PeriodicSolution, own: Numbers, parts: Mapping[str, GridConvergence]
 ) -> dict[str, GridConvergence]:
-    """What the shift of the resonance changes of each number of a solution: the most at any within
-    its uncertainty, as peaks may lie there, and where it is extrapolated to (collective)."""
-    part, at = mesh[own.resonance], own.values[own.resonance]
-    last = part.values[-1] == at
-    known, error = math.isfinite(part.extrapolated), part.uncertainty(-1 if last else 0) / at
-    softer = -1.0 if known and part.extrapolated > at else 1.0
-    shifts = [(1.0 + step * error) ** softer for step in np.linspace(0.0, 1.0, STEPS + 1)[1:]]
-    if known:
-        shifts.append(at / part.extrapolated)
-    moved, found = [], near
-    for shift in shifts:
-        found = _solved(study, near.omega * shift, near.harmonics, found)
-        moved.append(numbers_of(study, found, own.mode).values)
-    parts = {}
-    for name, value in own.values.items():
-        there = [values.get(name, 0.0) for values in moved]
-        farthest = there[int(np.argmax(np.abs(np.subtract(there, value))))]
-        parts[name] = GridConvergence(
-            (part.sizes[0], part.sizes[-1]),
-            (farthest, value) if last else (value, farthest),
-            behaviour="carried",
-            order=part.order,
-            exponent=part.exponent,
-            factor=1.0,
-            extrapolated=there[-1] if known else math.nan,
-        )
-    return parts
+    """The mesh's parts of the numbers of a solution with what the shift of the resonance changes:
+    the most by any order of either."""
+    fine, coarse = parts[own.resonance].sizes
+    left = [1.0 / ((coarse / fine) ** order - 1.0) for order in ORDERS]
+    at, there = parts[own.resonance].values
+    moved = shifted(study, near, own.mode, [at / (at + share * (at - there)) for share in left])
+    found = {}
+    for name, part in parts.items():
+        value, other = part.values
+        errors = [
+            share * (value - other) + values.get(name, 0.0) - value
+            for share in left
+            for values in moved
+        ]
+        found[name] = replace(part, extrapolated=value + max(errors, key=abs))
+    return found
+
+
+def shifted(
+    study: Study, near: PeriodicSolution, mode: int, factors: Sequence[float]
+) -> list[dict[str, float]]:
+    """The numbers at other frequencies, each by a factor of a solution's, and sought from the one
+    before (collective)."""
+    found, moved = near, []
+    for factor in factors:
+        found = _solved(study, near.omega * factor, near.harmonics, found)
+        moved.append(numbers_of(study, found, mode).values)
+    return moved
 
 
 def _solved(

@@ -11,7 +11,8 @@ from mpi4py import MPI
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.arrivals.fit_frequency import fit_frequency
 from fenics_crack.arrivals.fit_order import TipTrack, fit_order, track_order
-from fenics_crack.arrivals.harmonics import TipFit
+from fenics_crack.arrivals.harmonics import ORDERS, TipFit
+from fenics_crack.arrivals.passages import PassageFit, find_passages
 from fenics_crack.arrivals.simulate import tip_timing
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import ResponseCurve
@@ -66,30 +67,44 @@ def arrivals_of(
     return arrivals, run
 
 
-def vibration_in(scene: Scene, arrivals: ArrivalTimes) -> TipFit | TipTrack:
+def vibration_in(
+    scene: Scene, arrivals: ArrivalTimes
+) -> TipFit | TipTrack | tuple[PassageFit, ...]:
     """What ``[tip_timing]`` asks to be sought in arrival times, measured or computed.
 
-    At constant speed one of its engine orders, or a frequency; in a run-up the known order.
+    At constant speed the load's engine order, or one of those that are given, or a frequency; in a
+    run-up the load's order, or where that is not known the resonances that are passed.
 
     Raises
     ------
     InputError
-        As :func:`fit_order`, :func:`fit_frequency` and :func:`track_order`.
+        As :func:`fit_order`, :func:`fit_frequency`, :func:`track_order` and :func:`find_passages`.
     """
     table = scene.given("tip_timing")
+    order = table.order or scene.excitation.order
+    deviation = np.radians(table.angle_deviation)
     if not arrivals.steady:
+        if order is None:
+            return find_passages(arrivals, table.orders or ORDERS)
         return track_order(
             arrivals,
-            engine_order(table, scene),
+            order,
             harmonics=table.fitted_harmonics,
             subharmonic=table.subharmonic,
             revolutions=table.fitted_revolutions,
+            angle_deviation=deviation,
         )
     if table.frequencies is not None:
         low, high = (2.0 * np.pi * end for end in table.frequencies)
-        return fit_frequency(arrivals, low, high, harmonics=table.fitted_harmonics)
+        return fit_frequency(
+            arrivals, low, high, harmonics=table.fitted_harmonics, angle_deviation=deviation
+        )
     return fit_order(
-        arrivals, table.orders, harmonics=table.fitted_harmonics, subharmonic=table.subharmonic
+        arrivals,
+        table.orders or ([order] if order else ORDERS),
+        harmonics=table.fitted_harmonics,
+        subharmonic=table.subharmonic,
+        angle_deviation=deviation,
     )
 
 

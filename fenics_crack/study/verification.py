@@ -154,12 +154,13 @@ class Verification(Tabular):
         return error / abs(value) if value else math.nan
 
     def stated(self, quantity: str) -> tuple[float, str]:
-        """The error of a quantity, relative to it, as the sum of all contributions; and the largest
+        """The error of a quantity, relative to it, by all causes (:meth:`total`); and the largest
         of them: "mesh", "modes", "harmonics", "samples". Not known: nan."""
         if quantity not in self.values or not self.parts:
             return math.nan, ""
         parts = self._parts(quantity)
-        return self.relative(quantity, sum(parts.values())), max(parts, key=lambda one: parts[one])
+        total = self.relative(quantity, self.total(quantity))
+        return total, max(parts, key=lambda one: parts[one])
 
     @property
     def resonance(self) -> str:

@@ -11,14 +11,13 @@ from mpi4py import MPI
 
 from fenics_crack.balance.harmonic_balance import solve_linear
 from fenics_crack.balance.indicators import indicators_of
-from fenics_crack.balance.memory import check_memory
-from fenics_crack.balance.neighbours import Neighbours
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.balance.solution import PeriodicSolution, solve_beside
 from fenics_crack.errors import InputError
-from fenics_crack.fem.assembly import clearance_of
+from fenics_crack.fem.build import clearance_of
 from fenics_crack.model.bilinear import BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.contact import is_rigid
+from fenics_crack.model.memory import check_memory
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
@@ -72,14 +71,21 @@ class Geometry:
         return self.structure.varied(load=load, clearance=of_cracks)
 
 
-def build(scene: Scene, comm: MPI.Comm, unit_loads: bool, last: Geometry | None = None) -> Geometry:
-    """The geometry of a case; the mesh of the last one serves another speed of the rotor
-    (collective)."""
+def build(
+    scene: Scene,
+    comm: MPI.Comm,
+    unit_loads: bool,
+    last: Geometry | None = None,
+    *,
+    judged: bool = True,
+) -> Geometry:
+    """The geometry of a case, with what judges its reduction if that is asked for; the mesh of the
+    last one serves another speed of the rotor (collective)."""
     scene = scene.replace({f"{name}.clearance": 0.0 for name in scene.all_cracks})
     if unit_loads:
         units = {"force_mean": (0.0, 0.0), "force_cos": (0.0, 1.0), "force_sin": (1.0, 0.0)}
         scene = scene.replace({f"excitation.{name}": value for name, value in units.items()})
-    study = prepare(scene, comm, like=None if last is None else last.study)
+    study = prepare(scene, comm, like=None if last is None else last.study, judged=judged)
     structure = study.structure
     if not is_small(structure):
         method = "off" if scene.reduction is None else scene.reduction.method
@@ -127,8 +133,9 @@ def all_failed(chunk: Chunk, reason: str) -> list[Found]:
     return [{"status": case if isinstance(case, str) else reason} for case in chunk.cases]
 
 
-def solve_chunk(geometry: Geometry, chunk: Chunk, verdicts: bool) -> list[Found]:
-    """Solve cases one after the other; with verdicts on their stability, if wanted."""
+def solve_chunk(geometry: Geometry, chunk: Chunk, *, verdicts: bool, judged: bool) -> list[Found]:
+    """Solve cases one after the other; with verdicts on their stability, if wanted, and with the
+    error of a reduction that has been judged."""
     cases, solved = Cases(geometry), []
     for case in chunk.cases:
         if isinstance(case, str):
@@ -145,6 +152,8 @@ def solve_chunk(geometry: Geometry, chunk: Chunk, verdicts: bool) -> list[Found]
         try:
             solution = cases.solve(case)
             measured = {name: v for name, v in solution.to_dict().items() if name in COLUMNS}
+            if not judged:
+                measured.pop("reduction_error")
             found |= measured | _seen(solution, case, geometry)
             if verdicts:
                 found |= cases.verdict(solution)
@@ -166,8 +175,8 @@ class Cases:
 
     def __init__(self, geometry: Geometry) -> None:
         self._geometry = geometry
-        self._neighbours = Neighbours()
         self._last: Scene | None = None
+        self._near: PeriodicSolution | None = None
 
     def solve(self, case: Scene) -> PeriodicSolution:
         """The solution of a case; one of :data:`REFUSALS` where there is none."""
@@ -180,10 +189,11 @@ class Cases:
         structure, law = self._structure, self._law
         if law is None:
             return solve_linear(structure, omega, harmonics=table.harmonics)
-        self._neighbours.tolerance = table.tolerance
         check_memory(structure, table.harmonics)
         problem = Problem(structure, omega, law, table.harmonics, table.samples)
-        return self._neighbours.solve(problem)
+        near, self._near = self._near, None
+        self._near = solve_beside(problem, near, table.tolerance)
+        return self._near
 
     def verdict(self, solution: PeriodicSolution) -> Found:
         """Verdict on a solution, modulus of its leading multiplier, and the reason where it is
@@ -229,7 +239,7 @@ def _load_row(solution: PeriodicSolution, case: Scene) -> dict[str, np.ndarray]:
     The direction is that of the larger of the sine and the cosine part, of the mean if there is
     neither. The load vector f of a force F at the point x gives the displacement: f . u = F . u(x).
     """
-    sizes = {name: float(np.hypot(*getattr(case.excitation, name))) for name in FORCES}
+    sizes = {name: float(np.linalg.norm(getattr(case.excitation, name))) for name in FORCES}
     name = max(("force_sin", "force_cos"), key=sizes.__getitem__)
     if sizes[name] == 0.0:
         name = "force_mean"

@@ -59,13 +59,15 @@ class Worker:
         Whether a structure that stays large ends the sweep.
     verdicts : bool
         Whether the stability of each case is judged.
+    judged : bool
+        Whether the reduction is.
     """
 
     def __init__(
-        self, group: MPI.Comm, *, unit_loads: bool, hopeless: bool, verdicts: bool
+        self, group: MPI.Comm, *, unit_loads: bool, hopeless: bool, verdicts: bool, judged: bool
     ) -> None:
         self._group, self._unit_loads = group, unit_loads
-        self._hopeless, self._verdicts = hopeless, verdicts
+        self._hopeless, self._verdicts, self._judged = hopeless, verdicts, judged
         self._number = -1
         self._built: Geometry | Exception | None = None
         """The geometry of that number, or why it cannot be built."""
@@ -105,7 +107,7 @@ class Worker:
             return
         known = self._built if scene.speed and isinstance(self._built, Geometry) else None
         try:
-            self._built = build(scene, self._group, self._unit_loads, known)
+            self._built = build(scene, self._group, self._unit_loads, known, judged=self._judged)
         except REFUSALS as error:
             self._built = error
         except Exception:
@@ -119,7 +121,7 @@ class Worker:
         built = self._built
         if isinstance(built, Geometry):
             try:
-                return solve_chunk(built, chunk, self._verdicts)
+                return solve_chunk(built, chunk, verdicts=self._verdicts, judged=self._judged)
             except Exception:
                 return _unforeseen()
         large = isinstance(built, InputError) and built.key == "reduction.method"

@@ -42,6 +42,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import InputError
 from fenics_crack.files.results import solution_from
 from fenics_crack.files.store import Stored, header
+from fenics_crack.model.nodes import AXES
 from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.quantities import OF_POINTS, QUANTITIES
@@ -81,6 +82,7 @@ def run_sweep(
     *,
     progress: bool = False,
     verdicts: bool = True,
+    judged: bool = True,
 ) -> SweepResult:
     """Solve all cases of a scene's sweep by harmonic balance (collective).
 
@@ -101,6 +103,9 @@ def run_sweep(
     verdicts : bool
         Judge the stability of each case. It takes a tenth to a third of the time where a geometry
         has many cases; without, the columns ``verdict`` and ``multiplier`` are empty.
+    judged : bool
+        Estimate the error of the reduction, which takes twice the modes; without, the column
+        ``reduction_error`` is empty.
 
     Returns
     -------
@@ -130,7 +135,7 @@ def run_sweep(
     how = on_root(comm, start)
     group = comm.Split(comm.rank // ranks, comm.rank)
     leaders = comm.Split(min(group.rank, 1), comm.rank)
-    worker = Worker(group, **how, verdicts=verdicts)
+    worker = Worker(group, **how, verdicts=verdicts, judged=judged)
     with StopRequest() as stop:
         if managers:
             managers[0].run(worker, leaders, stop)
@@ -345,7 +350,7 @@ class SweepResult(Tabular):
         seen = [
             (f"{point.key}.u{axis}.", f", {axis} displacement of {point.key}")
             for point in points
-            for axis in "xy"
+            for axis in AXES[: self.scene.dimension]
         ]
         found = {}
         for name in chosen:

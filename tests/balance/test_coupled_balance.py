@@ -14,6 +14,7 @@ from fenics_crack import integrate_exponential
 from fenics_crack.balance import contact_system
 from fenics_crack.balance.contact_system import ContactSystem
 from fenics_crack.balance.search import Search
+from fenics_crack.balance.solution import Solver
 from fenics_crack.numerics.fourier import resized
 
 RIGID = fc.UnilateralConstraint()
@@ -276,6 +277,20 @@ def test_every_start_finds_the_solution(
     assert solution.converged and true_error(solution, expected) < 1e-8
     if start != "_marched":
         assert "prevented: failed (0 iterations)" in solution.status
+
+
+def test_many_harmonics_come_from_the_orbit(
+    plate: fc.Structure, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """H = 80: near the exact orbit that is next to the solution with 20, which is the solution's
+    own; without it from 20, 40, and so on to the same solution."""
+    problem = fc.Problem(plate, 2000.0, RIGID, 80)
+    search, solution = Solver(problem).attempt(None, reported=False)
+    assert solution.converged and solution.judged.near is search.orbit is not None
+    monkeypatch.setattr("fenics_crack.balance.search.affordable", lambda *_: False)
+    search, other = Solver(problem).attempt(None, reported=False)
+    assert search.orbit is None and "from a marched motion: converged" in other.status
+    assert true_error(other, solution) < 1e-8
 
 
 def test_nothing_converges(plate: fc.Structure) -> None:

@@ -21,7 +21,7 @@ from fenics_crack import (
     build_structure,
     solve_modes,
 )
-from fenics_crack.balance.dynamic_stiffness import DEFLATION_BAND, DynamicStiffness
+from fenics_crack.balance.compliance import DEFLATION_BAND, DynamicStiffness
 from fenics_crack.model.modes import damped_modes, times
 from fenics_crack.parallel import gather_rows
 

@@ -8,7 +8,7 @@ import pytest
 from helpers import oscillator
 
 import fenics_crack as fc
-from fenics_crack.balance.nearby import recurring
+from fenics_crack.balance.orbits import recurring
 from fenics_crack.motion.flow import exact_flow
 
 OMEGA = {"one mass": 0.39681408867938706, "three masses": 2.165754283399089}

@@ -5,18 +5,16 @@ import io
 import json
 import re
 from collections.abc import Iterator
-from functools import partial
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers import DEMOS
+from helpers import DEMOS, few_frames
 from PIL import Image
 from surroundings import main
 
 from fenics_crack.cli import report as html
-from fenics_crack.draw import animation
 from fenics_crack.table import quantity
 from fenics_crack.version import VERSION
 
@@ -52,8 +50,7 @@ class Page(HTMLParser):
 @pytest.fixture(scope="module", autouse=True)
 def short_animations() -> Iterator[None]:
     """Of four frames instead of 36."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(animation, "animate_period", partial(animation.animate_period, frames=4))
+    with few_frames():
         yield
 
 

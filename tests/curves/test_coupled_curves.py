@@ -11,7 +11,7 @@ from helpers import chain, oscillator
 
 import fenics_crack as fc
 from fenics_crack.balance.family import FAMILIES
-from fenics_crack.balance.solver import Solver
+from fenics_crack.balance.solution import Solver
 from fenics_crack.numerics import path as paths
 from fenics_crack.numerics.bordered import point_on_path
 

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers import ROOT
+from helpers import DEMOS, ROOT
 from mpi4py import MPI
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene, run_sweep
-from fenics_crack.fem.lips import Lip
-from fenics_crack.fem.plate import write_msh
 
 WIDTH, HEIGHT, THICKNESS, DENSITY = 0.01, 0.4, 0.005, 7800.0
 STRIP: dict[str, Any] = {
@@ -252,7 +251,7 @@ def test_a_named_curve_of_a_mesh_file(tmp_path: Path) -> None:
     """The same loads on the same mesh, read from a file."""
     loads = [{"edge": "top", "pressure_cos": 2e5}, {"edge": "right", "traction_mean": [1.0, 2.0]}]
     plate = strip(loads=loads, mesh=PLAIN)
-    write_msh(plate, tmp_path / "strip.msh")
+    fc.write_msh(plate, tmp_path / "strip.msh")
     tables = STRIP | {"loads": loads, "geometry": {"thickness": THICKNESS}}
     tables["mesh"] = {"layout": "file", "file": str(tmp_path / "strip.msh"), "order": 2}
     read, made = (fc.build_structure(one) for one in (Scene.from_mapping(tables), plate))
@@ -353,8 +352,13 @@ def test_on_a_crack_that_slopes_or_lies_inside() -> None:
         else:
             with pytest.raises(InputError, match="two lips"):
                 fc.build_structure(scene)
-    lip = Lip(np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 1.0]]), has_mouth=True)
-    low, high = lip.beside((0.5, 0.5)) or ([], [])
-    assert low[0] > 0.5 > low[1] and high[0] < 0.5 < high[1]
-    assert lip.beside((0.0, 0.0)) and lip.beside((2.0, 1.0)) is None
-    assert lip.beside((0.5, 0.6)) is None
+    sloping = Scene.load(DEMOS / "inclined_crack.toml")
+    points = fc.build_structure(sloping).pair_points
+    assert points is not None
+    middle = 0.5 * (points[0] + points[1])
+    with pytest.raises(InputError, match="two lips") as caught:
+        fc.build_structure(sloping.replace({"excitation.point": middle.tolist()}))
+    places = re.findall(r"\[([-\d.e]+), ([-\d.e]+)\] on the", caught.value.allowed)
+    low, high = np.array(places, dtype=float)
+    across = np.array([points[0][1] - points[1][1], points[1][0] - points[0][0]])
+    assert (low - middle) @ across < 0.0 < (high - middle) @ across

@@ -14,9 +14,8 @@ from helpers import gmsh_model
 from mpi4py import MPI
 from test_mesh import file_plate
 
-from fenics_crack import InputError
+from fenics_crack import InputError, build_structure
 from fenics_crack.fem.mesh_checks import check_mesh
-from fenics_crack.fem.plate import build_mesh
 
 TRIANGLE, QUADRILATERAL, CURVED = 2, 3, 9
 Edges = list[tuple[int, int]]
@@ -59,7 +58,7 @@ def test_a_file_is_checked(tmp_path: Path) -> None:
                 group = model.addPhysicalGroup(dimension, [entity])
                 model.setPhysicalName(dimension, group, name)
             gmsh.write(str(path))
-        build_mesh(file_plate(path, contact=None, crack=None), MPI.COMM_SELF)
+        build_structure(file_plate(path, contact=None, crack=None), MPI.COMM_SELF)
 
     cells, places, clamp = grid()
     read(cells, places, clamp)

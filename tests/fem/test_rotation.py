@@ -18,7 +18,7 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
-from fenics_crack.fem.assembly import assemble
+from fenics_crack.fem.build import assemble
 from fenics_crack.model.modes import times
 from fenics_crack.model.rotation import static_state
 from fenics_crack.table import RPM

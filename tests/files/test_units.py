@@ -7,12 +7,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from helpers import chain
+from helpers import chain, evaluate
 from mpi4py import MPI
 
 import fenics_crack as fc
 from fenics_crack import Run
-from fenics_crack.numerics.fourier import evaluate
 
 COUNTS = {
     "branch", "complete", "converged", "harmonics", "iterations", "periods", "recorded_dofs",

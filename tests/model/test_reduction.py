@@ -13,8 +13,7 @@ from matplotlib.image import imread
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack.balance.compliance import dynamic_compliance
-from fenics_crack.balance.dynamic_stiffness import DynamicStiffness
+from fenics_crack.balance.compliance import DynamicStiffness, dynamic_compliance
 from fenics_crack.model import modes as model_modes
 from fenics_crack.model import reduction
 from fenics_crack.model.factor import Factor

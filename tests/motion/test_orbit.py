@@ -9,7 +9,7 @@ from motion.reference import ReferenceFlow
 
 import fenics_crack as fc
 from fenics_crack import PeriodicOrbit
-from fenics_crack.balance.nearby import orbit_next_to, predicted, wave_states
+from fenics_crack.balance.orbits import orbit_next_to, predicted, wave_states
 from fenics_crack.motion.flow import ContactFlow, flow_of
 from fenics_crack.motion.orbit import Prediction, find_orbit
 from fenics_crack.numerics.fourier import balanced, evaluate
@@ -105,6 +105,21 @@ def test_twice_the_period() -> None:
     once, later = orbit.gap_at(np.array([0.3, 0.3 + 0.5 * orbit.period]))
     assert abs(once[0] - later[0]) > 0.1
     assert orbit.gap_at(np.array([0.3 + orbit.period]))[0] == pytest.approx(once)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_by_products_as_by_factors(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same orbit and the same prediction where M is not formed; its products are M's."""
+    solution = fc.solve_harmonic_balance(light_chain(seed), 0.5, RIGID, harmonics=10)
+    expected, orbit = next_to(solution)
+    change = np.random.default_rng(seed).normal(size=orbit.flow.size)
+    assert relative(orbit.motion.track @ change, orbit.monodromy @ change) < 1e-12
+    monkeypatch.setattr("fenics_crack.motion.orbit.FORMED", 0)
+    found = predicted(orbit.flow, orbit.omega, solution.judged.states)
+    again = find_orbit(orbit.flow, orbit.omega, solution.judged.states[0])
+    assert found is not None and found.error == pytest.approx(expected.error, rel=0.05)
+    assert relative(found.monodromy, expected.monodromy) < 1e-10
+    assert again is not None and relative(again.state, orbit.state) < 1e-7
 
 
 def test_by_omega() -> None:

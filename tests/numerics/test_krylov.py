@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from helpers import relative
 
-from fenics_crack.numerics.krylov import gmres
+from fenics_crack.numerics.newton import gmres
 
 
 def system(size: int = 40, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:

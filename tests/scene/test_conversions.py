@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 from helpers import DEMOS
 
 from fenics_crack import InputError, Scene
-from fenics_crack.hints import converted
 
 
 @pytest.mark.parametrize(
@@ -23,11 +24,21 @@ from fenics_crack.hints import converted
     ],
 )  # fmt: skip
 def test_converted(text: str, unit: str, value: float | None) -> None:
-    """In the unit of the key, or nothing where that is not sure."""
-    assert converted(text, unit) == (None if value is None else pytest.approx(value, rel=1e-14))
+    """Asked in the unit of the key, or nothing where that is not sure."""
+    paired = unit in ("N", "m/s^2")  # components of a vector
+    with pytest.raises(InputError) as caught:
+        Scene.from_text(PLATE).replace({KEYS[unit]: [text, 0.0] if paired else text})
+    asked = re.findall(r"did you mean \[?([^],?]+).*\?$", caught.value.allowed)
+    assert [float(one) for one in asked] == pytest.approx([] if value is None else [value])
 
 
 PLATE = (DEMOS / "paper_plate.toml").read_text()
+KEYS = {
+    "m": "crack.length", "Pa": "material.young", "kg/m^3": "material.density",
+    "N": "excitation.force_sin", "Hz": "excitation.frequency", "": "damping.ratio",
+    "m/s^2": "base.acceleration_sin", "N/m": "contact.stiffness", "rad/s": "excitation.omega",
+}  # fmt: skip
+"""A key of each unit."""
 
 
 @pytest.mark.parametrize(

@@ -197,7 +197,7 @@ BAD: list[tuple[str, dict[str, Any]]] = [
     ("contact.law", {"contact.law": "glue"}),
     ("contact.pairs", {"contact.pairs": 1}),
     ("excitation.point", {"excitation.point": 0.1}),
-    ("excitation.point", {"excitation.point": [0.1, 0.1, 0.0]}),
+    ("excitation.point", {"excitation.point": (0.1, 0.1, 0.0)}),
     ("excitation.point", {"excitation.point": [0.1, math.nan]}),
     ("excitation.force_sin", {"excitation.force_sin": [100.0, "0"]}),
     ("excitation.force_cos", {"excitation.force_cos": [True, 0.0]}),

@@ -10,7 +10,7 @@ import fenics_crack as fc
 from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.numerics.bordered import PathPoint, solve_in_plane, tangent_of
 from fenics_crack.numerics.path import Crossing
-from fenics_crack.stability.shooting import orbits_near
+from fenics_crack.stability.floquet import orbits_near
 
 
 def orbits(omega: float = 1.0) -> FlowOrbits:

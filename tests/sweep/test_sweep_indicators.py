@@ -100,6 +100,18 @@ def test_without_verdicts(scene: fc.Scene, tmp_path: Path) -> None:
     np.testing.assert_array_equal(again["multiplier"], whole["multiplier"])
 
 
+def test_a_reduction_that_is_not_judged(scene: fc.Scene, tmp_path: Path) -> None:
+    """Its error is missing, and all else is the same."""
+    reduced = scene.replace({"reduction.method": None, "reduction.modes": 5})
+    judged, plain = (
+        run_sweep(reduced, tmp_path / f"{how}.h5", MPI.COMM_SELF, verdicts=False, judged=how)
+        for how in (True, False)
+    )
+    assert np.all(judged["reduction_error"] > 0.0) and np.all(np.isnan(plain["reduction_error"]))
+    for name in ("response", "ratio_2_1", "opening", "truncation_error", "omega_open_1"):
+        np.testing.assert_allclose(plain[name], judged[name], rtol=1e-6, err_msg=name)
+
+
 def test_names_words_and_units(scene: fc.Scene, tmp_path: Path) -> None:
     """What is drawn and printed, the columns of files, and units in the HDF5 file."""
     scene = scene.replace(

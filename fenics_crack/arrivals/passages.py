@@ -1,0 +1,620 @@
+"""Resonances that a rotor passes, from arrival times: frequency, damping and order of a transient.
+
+A mode of natural frequency w_n and damping zeta under engine order p, on a rotor whose angle is
+alpha(t) and whose speed is W = alpha', moves the tip by
+
+    u = Re a(t) exp(i p alpha),     a' = (-zeta w_n + i (w_n - p W)) a + zeta w_n F,
+
+where a is the envelope and F the amplitude that it would have in a resonance that lasts. Where the
+speed changes by the resonance's width in less time than the decay takes, 1 / (zeta w_n), the
+largest amplitude comes later, is lower, and rings; a fit of steady vibrations then shifts the
+frequency, up in a run-up and down in a run-down. With lambda = w_n (i - zeta) and the speed W_j
+constant from each arrival to the next, as the marks tell it,
+
+    a_k = exp(lambda t_k - i p alpha_k) (b + zeta w_n F sum_j<k D_j / (i p W_j - lambda)),
+
+D_j the change of exp(i p alpha - lambda t) from arrival j to j + 1 and b of the steady vibration
+where the passage begins. The displacement is linear in F and in a constant and a slope over the
+speed for each probe, which are its place and the blade's drift. Frequency and damping are found by
+Gauss-Newton from the best of a grid, the order by comparison, all passages of a resonance together;
+errors are those of :mod:`fenics_crack.arrivals.robust`. The envelope is the averaged one of Lewis
+(Transactions of the ASME 54, 1932, 253), who swept the first resonance.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from fenics_crack.arrivals.arrival_times import ArrivalTimes
+from fenics_crack.arrivals.fit_frequency import find_lines
+from fenics_crack.arrivals.harmonics import ALIKE, ORDERS, UNITS, TipFit, rounding, wanted
+from fenics_crack.arrivals.robust import reweighted
+from fenics_crack.errors import InputError, check_count, check_number
+from fenics_crack.table import RPM, TURN, Tabular, quantity
+
+__all__ = ["PassageFit", "find_passages", "fit_passage"]
+
+WIDTH = 0.035
+"""Of the speed, on both sides of a resonance, that is fitted."""
+FEWEST = 10
+"""Revolutions in a passage."""
+SHIFTS = np.linspace(-0.01, 0.01, 11)
+DAMPINGS = np.array([1.5e-3, 5e-3])
+"""Relative shifts of the frequency and damping ratios with which the fit begins."""
+REFINED = 4
+"""Orders whose fits are refined."""
+STRIDE = 2e-3, 0.5
+"""Longest steps of Gauss-Newton, relative."""
+DAMPED = 1e-5, WIDTH / 2.0
+"""Ends of the damping ratios; a wider resonance is not told from drift."""
+STEP = 1e-6
+"""Relative differences by frequency and damping."""
+SPACING, TYPICAL = 0.003, 0.004
+"""Relative distance of the speeds at which resonances are sought, and their damping there."""
+MEDIAN = 0.954
+"""Median of the difference of two normal numbers, in their standard deviations."""
+CLEAR = 60.0
+"""Difference of -2 log likelihood from which on a vibration is no chance: some 1e5 of them are
+tried, each of six numbers."""
+
+
+class _Run:
+    """A stretch of a record in which the speed is near a resonance: arrays (revolutions, probes).
+
+    Parameters
+    ----------
+    arrivals : ArrivalTimes
+        The record.
+    values : (revolutions, probes) [m]
+        Its displacements, without what has been found in them.
+    begin, end : int
+        First revolution, and the one after the last.
+    """
+
+    def __init__(self, arrivals: ArrivalTimes, values: np.ndarray, begin: int, end: int) -> None:
+        self.begin, self.end = begin, end
+        rows = slice(begin, end)
+        self.seen = np.isfinite(values[rows])
+        self.values = np.where(self.seen, values[rows], 0.0)
+        self.path, self.time = arrivals.nominal_angle[rows], arrivals.expected[rows]
+        self.angle = np.where(self.seen, arrivals.angle[rows], self.path)
+        self.speed = arrivals.speed[rows]
+        self.along = (self.speed - self.speed.mean()) / np.ptp(self.speed)
+        self.least = rounding(arrivals)
+
+    def waves(self, order: float, roots: np.ndarray, *, steady: bool = False) -> np.ndarray:
+        """a(t) exp(i p alpha) at the arrivals, of F = 1 and roots lambda (m,): (m, R, P)."""
+        time, path = (self.time - self.time[0, 0]).ravel(), order * self.path.ravel()
+        turning, roots = np.diff(path) / np.diff(time), roots[:, None]
+        if steady:
+            speed = np.interp(time, 0.5 * (time[1:] + time[:-1]), turning)
+            envelope = 1.0 / (1j * speed - roots)
+        else:
+            envelope = np.empty((len(roots), len(time)), dtype=complex)
+            envelope[:, :1] = 1.0 / (1j * turning[0] - roots)
+            # In parts, over which exp does not overflow.
+            parts = int(-roots.real.min() * time[-1] // 300.0) + 1
+            edges = np.linspace(0, len(turning), parts + 1).astype(int)
+            for begin, end in itertools.pairwise(edges):
+                here = slice(begin, end + 1)
+                ahead = 1j * (path[here] - path[begin]) - roots * (time[here] - time[begin])
+                wave = np.exp(ahead)
+                pushed = np.cumsum(np.diff(wave) / (1j * turning[begin:end] - roots), axis=1)
+                envelope[:, begin + 1 : end + 1] = (envelope[:, [begin]] + pushed) / wave[:, 1:]
+        found = -roots.real * envelope * np.exp(1j * order * self.angle.ravel())
+        return np.asarray(found.reshape(-1, *self.path.shape))
+
+    def without_drifts(self, waves: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Waves (m, R, P) times the roots of weights (R, P), and without what a constant and a
+        slope over the speed explain of them at each probe."""
+        root, tiny = np.sqrt(weights), np.finfo(float).tiny
+        total = np.maximum(weights.sum(axis=0), tiny)
+        along = self.along[:, None] - (weights * self.along[:, None]).sum(axis=0) / total
+        size = np.sqrt(np.maximum((weights * along**2).sum(axis=0), tiny))
+        found = root * waves
+        for column in (root / np.sqrt(total), root * along / size):
+            found = found - column * (column * found).sum(axis=-2, keepdims=True)
+        return np.asarray(found)
+
+
+class _Fit:
+    """Gauss-Newton of frequency, damping and what is linear, by turns with weights.
+
+    Parameters
+    ----------
+    runs : sequence of _Run
+        Fitted together, with forces and drifts of their own.
+    order : float
+        p.
+    root : complex
+        lambda to begin from [1/s].
+    steady : bool
+        Whether the vibration is taken to be steady at each speed.
+
+    Attributes
+    ----------
+    root : complex
+        lambda of the fit.
+    forces : (runs,) complex [m]
+        F.
+    noise : Noise
+        What is left.
+    """
+
+    def __init__(
+        self, runs: Sequence[_Run], order: float, root: complex, *, steady: bool = False
+    ) -> None:
+        self._runs, self.order, self._next, self._steady = runs, order, root, steady
+        self._around = root.imag * (1.0 - WIDTH), root.imag * (1.0 + WIDTH)
+        count = sum(int(run.seen.sum()) for run in runs)
+        unknowns = 2 + sum(2 + 2 * run.path.shape[1] for run in runs)
+        self.noise = reweighted(self._solve, count, unknowns, runs[0].least)
+
+    def _solve(self, weights: np.ndarray) -> np.ndarray:
+        """Residuals (n,) of the linear fit, after a step of frequency and damping."""
+        self.root = self._next
+        shifted = self.root + STEP * np.array([0.0, self.root, self.root.real])
+        forces, left, columns = [], [], []
+        for run, weight in zip(self._runs, self._spread(weights), strict=True):
+            wave = run.waves(self.order, shifted, steady=self._steady)
+            wave, [values] = (run.without_drifts(one, weight) for one in (wave, run.values[None]))
+            parts = np.stack([wave[0].real, -wave[0].imag], axis=-1)[run.seen]
+            found = np.linalg.solve(parts.T @ parts, parts.T @ values[run.seen])
+            forces.append(complex(*found))
+            left.append(values[run.seen] - parts @ found)
+            changes = (forces[-1] * (wave[1:] - wave[0]) / STEP).real
+            columns.append((changes[:, run.seen].T, parts))
+        self.forces, total = np.array(forces), np.concatenate(left)
+        changed, parts = (list(kind) for kind in zip(*columns, strict=True))
+        self._columns = np.column_stack([np.concatenate(changed), block_diag(*parts)])
+        step = np.linalg.lstsq(self._columns, total, rcond=None)[0]
+        omega = self.omega * (1.0 + float(np.clip(step[0], -STRIDE[0], STRIDE[0])))
+        damping = self.damping * np.exp(float(np.clip(step[1], -STRIDE[1], STRIDE[1])))
+        self._next = np.clip(omega, *self._around) * (1j - np.clip(damping, *DAMPED))
+        return np.asarray(total / np.sqrt(weights))
+
+    def _spread(self, values: np.ndarray) -> list[np.ndarray]:
+        """Values (n,) of the arrivals in each run, 0 where there is none: (R, P)."""
+        counts = np.cumsum([int(run.seen.sum()) for run in self._runs])[:-1]
+        found = [np.zeros(run.path.shape) for run in self._runs]
+        for one, run, part in zip(found, self._runs, np.split(values, counts), strict=True):
+            one[run.seen] = part
+        return found
+
+    @property
+    def omega(self) -> float:
+        """[rad/s]."""
+        return self.root.imag
+
+    @property
+    def damping(self) -> float:
+        """Ratio of critical damping."""
+        return -self.root.real / self.root.imag
+
+    @property
+    def _places(self) -> tuple[np.ndarray, np.ndarray]:
+        """Revolutions and probes of the arrivals: two (n,)."""
+        rows = [np.nonzero(run.seen) for run in self._runs]
+        turns = [run.begin + row for run, (row, _) in zip(self._runs, rows, strict=True)]
+        return np.concatenate(turns), np.concatenate([probe for _, probe in rows])
+
+    @property
+    def errors(self) -> np.ndarray:
+        """Standard errors of frequency [rad/s] and damping."""
+        columns = self._columns / np.sqrt(self.noise.weights)[:, None]
+        spread = self.noise.covariance(columns, *self._places)
+        return np.sqrt(np.diag(spread)[:2]) * [self.omega, self.damping]
+
+    @property
+    def whiteness(self) -> float:
+        """Probability of what is left to be so correlated by chance."""
+        return self.noise.whiteness(*self._places)
+
+    @property
+    def amplitude(self) -> float:
+        """Largest amplitude in the runs [m]."""
+        root = np.array([self.root])
+        waves = [run.waves(self.order, root) for run in self._runs]
+        sizes = [np.abs(force * wave) for force, wave in zip(self.forces, waves, strict=True)]
+        return float(max(size.max() for size in sizes))
+
+    @property
+    def weights(self) -> list[np.ndarray]:
+        """Of the arrivals of each run: (R, P)."""
+        return self._spread(self.noise.weights)
+
+    @property
+    def gain(self) -> float:
+        """Difference of -2 log likelihood from no vibration."""
+
+        def solve(weights: np.ndarray) -> np.ndarray:
+            parts = zip(self._runs, self._spread(weights), strict=True)
+            left = [run.without_drifts(run.values, weight)[run.seen] for run, weight in parts]
+            return np.asarray(np.concatenate(left) / np.sqrt(weights))
+
+        count, unknowns = len(self.noise.left), self.noise.unknowns - 2 - 2 * len(self._runs)
+        return reweighted(solve, count, unknowns, self._runs[0].least).cost - self.noise.cost
+
+
+@dataclass(frozen=True, repr=False)
+class PassageFit(Tabular):
+    """A resonance of one mode with an engine order, from all passages of it in a record.
+
+    Attributes
+    ----------
+    order : float
+        Periods of the load in a revolution, of the candidate that fits best.
+    omega, omega_error : float [rad/s]
+        Natural frequency and its standard error.
+    damping, damping_error : float
+        Ratio of critical damping, and its standard error.
+    amplitude : float [m]
+        Largest amplitude in the passages.
+    forces : (passages,) complex [m]
+        F of each passage, the amplitude in a resonance that lasts.
+    ends : (passages, 2) int
+        First revolution of each, and the one after its last, counted from 0.
+    omegas, omega_errors : (passages,) [rad/s]
+        Frequencies and errors of each passage by itself.
+    steady_omegas : (passages,) [rad/s]
+        What a fit of steady vibrations finds in each: too high in a run-up, too low in a run-down.
+    orders : (n,)
+        Candidates.
+    margins : (n,)
+        By how much each fits worse than the best: difference of -2 log likelihood.
+    scatter : float [m]
+        Standard deviation of a displacement about the fit.
+    whiteness : float
+        Probability that errors without correlation from revolution to revolution leave what is
+        left. The standard errors hold with the correlation that is seen.
+    asynchronous : tuple of TipFit
+        Vibrations of constant frequency, which follow no order, found in the record.
+    """
+
+    order: float
+    omega: float
+    omega_error: float
+    damping: float
+    damping_error: float
+    amplitude: float
+    forces: np.ndarray
+    ends: np.ndarray
+    omegas: np.ndarray
+    omega_errors: np.ndarray
+    steady_omegas: np.ndarray
+    orders: np.ndarray
+    margins: np.ndarray
+    scatter: float
+    whiteness: float
+    asynchronous: tuple[TipFit, ...] = ()
+
+    @property
+    def speed(self) -> float:
+        """Speed at which the order meets the frequency [rad/s]."""
+        return self.omega / self.order
+
+    @property
+    def margin(self) -> float:
+        """By how much the second best order fits worse; inf where only one was tried."""
+        return float(np.min(self.margins[self.orders != self.order], initial=np.inf))
+
+    @property
+    def ambiguous(self) -> tuple[float, ...]:
+        """Other orders that explain the arrivals as well: within three standard deviations."""
+        alike = (self.margins < ALIKE) & (self.orders != self.order)
+        return tuple(self.orders[alike].tolist())
+
+    @property
+    def apart(self) -> float:
+        """Relative difference of the passages' own frequencies, the largest from the least."""
+        return float(np.ptp(self.omegas)) / self.omega
+
+    @property
+    def disagree(self) -> bool:
+        """Tell whether passages by themselves differ by more than three of their errors."""
+        apart = np.abs(self.omegas[:, None] - self.omegas)
+        return bool(np.any(apart > 3.0 * np.hypot(self.omega_errors[:, None], self.omega_errors)))
+
+    @property
+    def steady_bias(self) -> float:
+        """Largest relative error that fits of steady vibrations make of the frequency."""
+        return float(np.abs(self.steady_omegas / self.omega - 1.0).max())
+
+    def compared(self, arrivals: ArrivalTimes) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Of each passage the speeds (R,) [rad/s], and the displacements (R, P) [m], seen without
+        drift (nan where none was seen) and of the fit."""
+        root, found = np.array([self.omega * (1j - self.damping)]), []
+        for (begin, end), force in zip(self.ends, self.forces, strict=True):
+            run = _Run(arrivals, arrivals.displacement, int(begin), int(end))
+            motion = (force * run.waves(self.order, root)[0]).real
+            left = run.without_drifts(run.values - motion, run.seen.astype(float))
+            found.append((run.speed, np.where(run.seen, left + motion, np.nan), motion))
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """Numbers by name."""
+        return {
+            "speed": self.speed,
+            "rpm": self.speed / RPM,
+            "order": self.order,
+            "margin": self.margin,
+            "frequency": self.omega / TURN,
+            "frequency_error": self.omega_error / TURN,
+            "damping": self.damping,
+            "damping_error": self.damping_error,
+            "amplitude": self.amplitude,
+            "passages": len(self.ends),
+            "apart": self.apart,
+            "steady_bias": self.steady_bias,
+            "whiteness": self.whiteness,
+        }
+
+    def _units(self) -> Mapping[str, str]:
+        return UNITS
+
+    def _title(self) -> str:
+        parts = [f"order {self.order:g}, {self.speed / RPM:.6g} rpm"]
+        error = self.omega_error / TURN
+        parts.append(f"{self.omega / TURN:.6g} ± {error:.2g} Hz")
+        parts.append(f"damping {self.damping:.3g} ± {self.damping_error:.2g}")
+        parts.append(quantity(self.amplitude, "m"))
+        if self.ambiguous:
+            parts.append(f"as well: {', '.join(f'{one:g}' for one in self.ambiguous)}")
+        return ", ".join(parts)
+
+
+# --- search ---------------------------------------------------------------------------------------
+
+
+def fit_passage(
+    arrivals: ArrivalTimes, speed: float, orders: Iterable[float] = range(1, 25)
+) -> PassageFit:
+    """Fit a mode to all passages of a resonance near a speed.
+
+    Parameters
+    ----------
+    arrivals : ArrivalTimes
+        Of run-ups and run-downs.
+    speed : float [rad/s]
+        About where the resonance is, to 1 %.
+    orders : iterable of float
+        Candidates: periods of the load in a revolution.
+
+    Returns
+    -------
+    PassageFit
+        Frequency, damping and order.
+
+    Raises
+    ------
+    InputError
+        A value cannot be used, or the rotor does not pass this speed.
+
+    Examples
+    --------
+    >>> fit = fc.fit_passage(record[1], 98.6, range(6, 10))
+    """
+    check_number("speed", speed, 0.0, above=True)
+    tried, _ = wanted(orders, 1, 1)
+    runs = _runs(arrivals, arrivals.displacement, speed)
+    if not runs:
+        ends = arrivals.speed.min(), arrivals.speed.max()
+        allowed = f"one that is passed in {FEWEST} revolutions or more, from {ends[0]:.6g} to "
+        raise InputError("speed", speed, f"{allowed}{ends[1]:.6g} rad/s")
+    return _Compared(runs, speed, tried).described()
+
+
+def find_passages(
+    arrivals: ArrivalTimes,
+    orders: Iterable[float] = range(1, 25),
+    *,
+    most: int = 8,
+    asynchronous: int = 0,
+) -> tuple[PassageFit, ...]:
+    """Find the resonances that a record passes, the clearest one first.
+
+    Along the speed, vibrations of any phase at each probe are fitted. Where they explain most, the
+    fit of :func:`fit_passage` finds the mode, which is subtracted before the next one is looked
+    for, until what is found could be chance; beside vibrations of constant frequency, if there are.
+
+    Parameters
+    ----------
+    arrivals : ArrivalTimes
+        Of run-ups and run-downs.
+    orders : iterable of float
+        Candidates: periods of the load in a revolution.
+    most : int
+        So many at most.
+    asynchronous : int
+        So many vibrations of constant frequency at most are looked for beside them. They pass
+        every order, and look like resonances of no damping there; drift may look like them.
+
+    Returns
+    -------
+    tuple of PassageFit
+        Empty where nothing stands out.
+
+    Raises
+    ------
+    InputError
+        A value cannot be used.
+
+    Examples
+    --------
+    >>> for fit in fc.find_passages(record[1], range(6, 10), most=2):
+    ...     print(fit)
+    """
+    tried, _ = wanted(orders, 1, 1)
+    check_count("most", most, 1)
+    check_count("asynchronous", asynchronous, 0)
+    values = np.array(arrivals.displacement)
+    found, left = _search(arrivals, values, tried, most)
+    constants = np.arange(values.shape[1]) * np.ones(values.shape, dtype=int)
+    ends = 0.5 * arrivals.mean_speed, arrivals.mean_speed * (max(tried.max(), ORDERS[-1]) + 1.0)
+    lines, left = find_lines(arrivals, left, constants, ends, most=asynchronous)
+    if lines:
+        for one in found:
+            one.add(arrivals, left, 1.0)
+        found, _ = _search(arrivals, left, tried, most)
+    return tuple(one.described(lines) for one in found)
+
+
+def _search(
+    arrivals: ArrivalTimes, values: np.ndarray, orders: np.ndarray, most: int
+) -> tuple[list[_Compared], np.ndarray]:
+    """Resonances in displacements (revolutions, probes), and what they leave."""
+    left, speeds = np.array(values), arrivals.speed
+    count = int(np.log(speeds.max() / speeds.min()) / SPACING)
+    centres = speeds.min() * np.exp(SPACING * (0.5 + np.arange(count)))
+    gains = np.array([_clearness(arrivals, left, centre) for centre in centres])
+    found: list[_Compared] = []
+    while len(found) < most and np.any(gains > CLEAR):
+        centre = centres[int(gains.argmax())]
+        new = _Compared(_runs(arrivals, left, centre), centre, orders)
+        gains[np.abs(centres / centre - 1.0) < 1.5 * SPACING] = 0.0
+        if not new.clear:
+            continue
+        found.append(new)
+        new.add(arrivals, left, -1.0)
+        near = (np.abs(centres / centre - 1.0) < 2.0 * WIDTH) & (gains > 0.0)
+        gains[near] = [_clearness(arrivals, left, one) for one in centres[near]]
+    for place, one in enumerate(found):  # each beside the others, once more
+        if any(0.0 < abs(other.speed / one.speed - 1.0) < WIDTH for other in found):
+            one.add(arrivals, left, 1.0)
+            found[place] = _Compared(_runs(arrivals, left, one.speed), one.speed, orders)
+            found[place].add(arrivals, left, -1.0)
+    return found, left
+
+
+def _runs(arrivals: ArrivalTimes, values: np.ndarray, speed: float) -> list[_Run]:
+    """Stretches in which the speed is near one, and on both sides of it."""
+    apart = arrivals.speed / speed - 1.0
+    near = np.flatnonzero(np.abs(apart) < WIDTH)
+    found = []
+    for rows in np.split(near, np.flatnonzero(np.diff(near) > FEWEST) + 1):
+        if len(rows) >= FEWEST and apart[rows].min() < 0.0 < apart[rows].max():
+            run = _Run(arrivals, values, int(rows[0]), int(rows[-1]) + 1)
+            found += [run] * bool(np.all(run.seen.sum(axis=0) >= FEWEST))
+    return found
+
+
+def _clearness(arrivals: ArrivalTimes, values: np.ndarray, speed: float) -> float:
+    """What a steady vibration of any phase at each probe takes off the sum of squares near a
+    speed, in units of the variance of differences from one revolution to the next."""
+    total = 0.0
+    for run in _runs(arrivals, values, speed):
+        wave = 1.0 / (TYPICAL + 1j * (run.speed / speed - 1.0))
+        parts = np.stack([wave.real, wave.imag])[..., None] * np.ones(run.path.shape)
+        parts = run.without_drifts(parts, run.seen.astype(float))
+        square = np.einsum("arp,brp->pab", parts, parts)
+        seen = np.einsum("arp,rp->pa", parts, run.values)
+        gain = float((seen * np.linalg.solve(square, seen[..., None])[..., 0]).sum())
+        changes = np.abs(np.diff(np.where(run.seen, run.values, np.nan), axis=0))
+        total += gain / max(float(np.nanmedian(changes)) / MEDIAN, run.least) ** 2
+    return total
+
+
+def _gains(
+    runs: Sequence[_Run], weights: Sequence[np.ndarray], order: float, roots: np.ndarray
+) -> np.ndarray:
+    """What the vibration of each root lambda (m,) takes off the sum of squares: (m,) [m^2]."""
+    gains = np.zeros(len(roots))
+    for run, weight in zip(runs, weights, strict=True):
+        waves = run.without_drifts(run.waves(order, roots), weight)
+        parts = np.stack([waves.real, waves.imag], axis=1).reshape(len(roots), 2, -1)
+        seen = parts @ (np.sqrt(weight) * run.values).ravel()
+        square = parts @ parts.transpose(0, 2, 1)
+        gains += (seen * np.linalg.solve(square, seen[..., None])[..., 0]).sum(axis=1)
+    return gains
+
+
+class _Compared:
+    """Fits of some orders to the passages of a resonance.
+
+    Parameters
+    ----------
+    runs : sequence of _Run
+        The passages.
+    speed : float [rad/s]
+        About where the resonance is.
+    orders : (n,)
+        Candidates.
+
+    Attributes
+    ----------
+    best : _Fit
+        The order that explains most.
+    clear : bool
+        Whether it is a resonance: no chance, and neither a line nor as wide as drift.
+    margins : dict of float to float
+        By how much each order fits worse, in -2 log likelihood.
+    """
+
+    def __init__(self, runs: Sequence[_Run], speed: float, orders: np.ndarray) -> None:
+        self._runs = runs
+        weights = [run.seen.astype(float) for run in runs]
+        self.margins: dict[float, float] = {}
+        tried = [(0.0, float(order), 0j) for order in orders]
+        # All without weights; then the better ones with those of the best fit.
+        for some, count in ((len(tried), 1), (2 * REFINED, REFINED)):
+            for place, (_, order, _) in enumerate(tried[:some]):
+                roots = np.ravel(order * speed * np.multiply.outer(1.0 + SHIFTS, 1j - DAMPINGS))
+                gains = _gains(runs, weights, order, roots)
+                tried[place] = float(gains.max()), order, roots[int(gains.argmax())]
+            tried.sort(key=lambda one: -one[0])
+            fits = [_Fit(runs, order, root) for _, order, root in tried[:count]]
+            self.best = min(fits, key=lambda fit: fit.noise.cost)
+            self.clear = self.best.gain > CLEAR
+            if not self.clear:
+                return
+            weights = self.best.weights
+        self.clear = 2.0 * DAMPED[0] < self.best.damping < 0.5 * DAMPED[1]
+        best, scale = tried[0][0], self.best.noise.scale
+        self.margins = {order: (best - gain) / scale**2 for gain, order, _ in tried}
+        self.margins |= {fit.order: fit.noise.cost - self.best.noise.cost for fit in fits}
+
+    @property
+    def speed(self) -> float:
+        """At which the order meets the frequency [rad/s]."""
+        return self.best.omega / self.best.order
+
+    def add(self, arrivals: ArrivalTimes, values: np.ndarray, factor: float) -> None:
+        """Add the vibration, times a factor, to displacements (revolutions, probes): that of each
+        passage up to halfway to the next."""
+        root, best = np.array([self.best.root]), self.best
+        halfway = [(one.end + after.begin) // 2 for one, after in itertools.pairwise(self._runs)]
+        ends = itertools.pairwise([0, *halfway, len(values)])
+        for (begin, end), force in zip(ends, best.forces, strict=True):
+            wave = _Run(arrivals, values, begin, end).waves(best.order, root)[0]
+            values[begin:end] += factor * (force * wave).real
+
+    def described(self, lines: tuple[TipFit, ...] = ()) -> PassageFit:
+        """The best fit in numbers, beside those of each run by itself."""
+        best, runs = self.best, self._runs
+        alone = [_Fit([run], best.order, best.root) for run in runs] if len(runs) > 1 else [best]
+        steady = [_Fit([run], best.order, best.root, steady=True) for run in runs]
+        errors, orders = best.errors, np.array(sorted(self.margins))
+        return PassageFit(
+            order=best.order,
+            omega=best.omega,
+            omega_error=float(errors[0]),
+            damping=best.damping,
+            damping_error=float(errors[1]),
+            amplitude=best.amplitude,
+            forces=best.forces,
+            ends=np.array([(run.begin, run.end) for run in runs]),
+            omegas=np.array([fit.omega for fit in alone]),
+            omega_errors=np.array([fit.errors[0] for fit in alone]),
+            steady_omegas=np.array([fit.omega for fit in steady]),
+            orders=orders,
+            margins=np.array([self.margins[order] for order in orders]),
+            scatter=float(np.sqrt(best.noise.variance)),
+            whiteness=best.whiteness,
+            asynchronous=lines,
+        )

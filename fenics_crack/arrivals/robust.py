@@ -1,0 +1,209 @@
+"""Errors of arrivals: Student's t instead of a normal distribution, and what follows from it.
+
+Some arrivals are wrong by far more than the others scatter. Residuals r then follow Student's t
+with nu degrees of freedom and a scale s, both fitted to them (Lange, Little and Taylor, Journal of
+the American Statistical Association 84, 1989, 881); nu is large where they are normal. The
+estimate is that of least squares with the weights
+
+    w = (nu + 1) / (nu + r^2 / s^2)
+
+by turns with the residuals that it leaves. Its covariance is that of an M-estimator (Huber, Robust
+Statistics, 1981), H^-1 M H^-1, with H = mean(psi') X^T X and psi = w r; M = X^T C X holds the
+correlation of psi between the probes of a revolution, whose marks they share, and between
+revolutions, as far as it is seen in the residuals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import gammaln, ndtr
+
+__all__ = ["Noise", "reweighted", "trend"]
+
+FREEDOMS = np.array([3.0, 5.0, 10.0, 30.0, 1e6])
+"""Degrees of freedom that are tried."""
+ROUNDS = 30
+SETTLED = 1e-3
+"""Change of the weights below which they are final."""
+EPSILON = 1e-12
+"""Columns are dependent below this share of the largest eigenvalue."""
+FLOOR = 0.1
+"""Of the variance by white errors, the least that correlation leaves."""
+SEEN = 3.0
+"""A correlation counts from so many of its standard deviations on."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What a fit leaves, as errors from Student's t.
+
+    Attributes
+    ----------
+    left : (n,)
+        Residuals.
+    weights : (n,)
+        Of the arrivals in the fit.
+    scale, freedom : float
+        s and nu.
+    unknowns : int
+        Of the fit.
+    """
+
+    left: np.ndarray
+    weights: np.ndarray
+    scale: float
+    freedom: float
+    unknowns: int
+
+    @property
+    def psi(self) -> np.ndarray:
+        """Weighted residuals: (n,)."""
+        return self.weights * self.left
+
+    @property
+    def slope(self) -> float:
+        """Mean of psi'."""
+        square = (self.left / self.scale) ** 2
+        change = (self.freedom + 1.0) * (self.freedom - square) / (self.freedom + square) ** 2
+        return float(np.mean(change))
+
+    @property
+    def variance(self) -> float:
+        """Variance of the errors of an estimate by as many normal errors as there are residuals."""
+        spare = len(self.left) - self.unknowns
+        return float(self.psi @ self.psi) / (spare * self.slope**2)
+
+    @property
+    def cost(self) -> float:
+        """-2 log likelihood."""
+        nu, square = self.freedom, (self.left / self.scale) ** 2
+        each = 2.0 * (gammaln(0.5 * nu) - gammaln(0.5 * nu + 0.5) + np.log(self.scale))
+        each += np.log(nu * np.pi)
+        return float(len(square) * each + (nu + 1.0) * np.log1p(square / nu).sum())
+
+    def whiteness(self, turn: np.ndarray, probe: np.ndarray) -> float:
+        """Probability that white errors are as correlated from revolution to revolution."""
+        chance = trend(self.psi, turn, probe)
+        return 2.0 * min(chance, 1.0 - chance)
+
+    def covariance(self, columns: np.ndarray, turn: np.ndarray, probe: np.ndarray) -> np.ndarray:
+        """Covariance (m, m) of the coefficients of columns (n, m), of arrivals in revolutions and
+        at probes (n,)."""
+        sizes = np.linalg.norm(columns, axis=0)
+        columns = columns / sizes
+        dense = _dense(columns, turn, probe)
+        rows, white = dense.sum(axis=1), columns.T @ columns
+        variance = float(self.psi @ self.psi) / (len(self.psi) - self.unknowns)
+        total = variance * white
+        lags = self._correlated(variance, turn, probe)
+        for lag, (own, other) in enumerate(lags):
+            ahead, behind = slice(lag, None), slice(len(rows) - lag)
+            at_one, all_of = (
+                part[ahead].reshape(-1, len(white)).T @ part[behind].reshape(-1, len(white))
+                for part in (dense, rows)
+            )
+            part = own * at_one + other * (all_of - at_one)
+            total += (1.0 - lag / len(lags)) * (part if lag == 0 else part + part.T)
+        # No direction is known much better than by white errors.
+        scale, turned = np.linalg.eigh(white)
+        root = turned * np.where(scale > EPSILON * scale[-1], scale, np.inf) ** -0.5
+        values, axes = np.linalg.eigh(root.T @ total @ root)
+        root = (root @ axes) / sizes[:, None]
+        return np.asarray((root * np.maximum(values, FLOOR * variance)) @ root.T / self.slope**2)
+
+    def _products(
+        self, lag: int, turn: np.ndarray, probe: np.ndarray
+    ) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Sums of products of psi in revolutions that are some apart, and how many: at the same
+        probe, and at two."""
+        found = []
+        for values in (self.psi, np.ones(len(turn))):
+            dense = _dense(values, turn, probe)
+            rows, end = dense.sum(axis=1), max(len(dense) - lag, 0)
+            own = float((dense[lag:] * dense[:end]).sum())
+            found.append((own, float(rows[lag:] @ rows[:end]) - own))
+        (own, other), (pairs, crossed) = found
+        return (own, pairs), (other, crossed)
+
+    def _correlated(
+        self, variance: float, turn: np.ndarray, probe: np.ndarray
+    ) -> list[tuple[float, float]]:
+        """Covariances of psi at a probe (of revolution 0 beyond its variance), and at two, of
+        revolutions 0, 1, ... apart, up to the first that are not seen."""
+        found: list[tuple[float, float]] = []
+        for lag in range(len(self.psi)):
+            seen = []
+            for total, count in self._products(lag, turn, probe):
+                deviation = variance * np.sqrt(count if lag else 2.0 * count)
+                seen.append(total / count if count and abs(total) > SEEN * deviation else 0.0)
+            if lag == 0:
+                seen[0] = 0.0
+            elif not any(seen):
+                break
+            found.append((seen[0], seen[1]))
+        return found
+
+
+def trend(values: np.ndarray, turn: np.ndarray, probe: np.ndarray) -> float:
+    """Probability that white values (n,) of revolutions and probes are as alike as these from each
+    revolution to the next, or more; nan where there is one revolution."""
+    dense, there = (_dense(part, turn, probe) for part in (values, np.ones(len(values))))
+    count = float((there[1:] * there[:-1]).sum())
+    square = float(values @ values) / len(values)
+    if not count or not square:
+        return np.nan
+    return float(ndtr(-float((dense[1:] * dense[:-1]).sum()) / (square * np.sqrt(count))))
+
+
+def _dense(values: np.ndarray, turn: np.ndarray, probe: np.ndarray) -> np.ndarray:
+    """Values (n, ...) by revolution and probe, 0 where there are none."""
+    turn = turn - turn.min()
+    found = np.zeros((int(turn.max()) + 1, int(probe.max()) + 1, *values.shape[1:]))
+    found[turn, probe] = values
+    return found
+
+
+def reweighted(
+    solve: Callable[[np.ndarray], np.ndarray], count: int, unknowns: int, least: float
+) -> Noise:
+    """Weights of arrivals, by turns with what a fit with these weights leaves.
+
+    Parameters
+    ----------
+    solve : callable
+        Residuals (n,) of a fit with weights (n,), or of its next step.
+    count, unknowns : int
+        Of the arrivals and of the coefficients.
+    least : float
+        The scale is no smaller: rounding.
+    """
+    weights, before, scale = np.ones(count), np.inf, 0.0
+    for _ in range(ROUNDS):
+        noise = _noise(solve(weights), unknowns, scale, least)
+        change = np.abs(noise.weights - weights).max(), np.abs(noise.left - before).max()
+        weights, before, scale = noise.weights, noise.left, noise.scale
+        if change[0] < SETTLED and change[1] < SETTLED * scale:
+            break
+    return noise
+
+
+def _noise(left: np.ndarray, unknowns: int, scale: float, least: float) -> Noise:
+    """Scale and degrees of freedom of residuals, by maximum likelihood."""
+    square, spare = left**2, max(len(left) - unknowns, 1)
+    # As many arrivals as unknowns may be met exactly: no tails are seen where few are to spare.
+    freedoms = FREEDOMS if spare > unknowns else FREEDOMS[-1:]
+    found = []
+    begin = scale or 1.5 * float(np.median(np.abs(left))) * np.sqrt(len(left) / spare)
+    for freedom in freedoms:
+        value = max(begin, least)
+        for _ in range(ROUNDS):
+            weights = (freedom + 1.0) / (freedom + square / value**2)
+            before, value = value, max(float(np.sqrt(weights @ square / spare)), least)
+            if abs(value - before) < SETTLED * value:
+                break
+        weights = (freedom + 1.0) / (freedom + square / value**2)
+        found.append(Noise(left, weights, value, float(freedom), unknowns))
+    return min(found, key=lambda noise: noise.cost)

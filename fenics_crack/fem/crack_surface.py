@@ -1,0 +1,376 @@
+"""Cracks in solids: surfaces of a mesh along which its nodes are doubled, but for the fronts.
+
+A rim of a crack's surface is a front where it lies inside the solid, else a mouth. All of its nodes
+that are not on a front exist twice afterwards; which of the two a cell has is told by walking from
+cell to cell around each of them, across facets that are not of the crack. A facet whose corners are
+all on fronts stays whole: its nodes exist once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sparse
+
+from fenics_crack.errors import InputError
+from fenics_crack.fem.lips import BESIDE, CLOSE, SAME
+
+__all__ = ["FACETS", "CrackSurface", "SolidCells", "split_surface"]
+
+STEEPEST = 0.1
+"""Cosine of the angle between a crack's normal and the mean one, which no facet must go below."""
+FACETS = {
+    4: np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]),
+    8: np.array(
+        [[0, 1, 2, 3], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]]
+    ),
+}
+"""Of a cell with so many corners, in turn."""
+ROOM = 2_000_000
+"""Distances that are computed at a time."""
+
+
+@dataclass(frozen=True)
+class CrackSurface:
+    """One crack in a solid.
+
+    Attributes
+    ----------
+    triangles : (n, 3, 3) [m]
+        Corners of its facets; of one with four corners of both halves.
+    front : (m, 2, 3) [m]
+        Ends of the edges of its front.
+    has_mouth : bool
+        Whether its rim reaches the surface of the solid.
+    """
+
+    triangles: np.ndarray
+    front: np.ndarray
+    has_mouth: bool
+
+    @property
+    def watched(self) -> tuple[str, float]:
+        """What the pair that is watched is called, and its position: the farthest from the
+        front."""
+        return "the mouth" if self.has_mouth else "the middle", np.inf
+
+    @property
+    def size(self) -> float:
+        """Largest extent [m]."""
+        return float(np.ptp(self.triangles.reshape(-1, 3), axis=0).max())
+
+    def locate(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distance of points (n, 3) from the surface and from the front [m]: two arrays (n,)."""
+        off, position = np.empty(len(points)), np.empty(len(points))
+        step = max(1, ROOM // max(len(self.triangles), len(self.front)))
+        for first in range(0, len(points), step):
+            some = slice(first, first + step)
+            off[some] = np.linalg.norm(_to_triangles(points[some], self.triangles), axis=2).min(1)
+            position[some] = _to_edges(points[some], self.front).min(axis=1)
+        return off, position
+
+    def beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
+        """Points below and above one that lies on the crack, and not at its front; else None."""
+        at = np.asarray(point, dtype=float)
+        (off,), (position,) = self.locate(at[None])
+        if off > SAME * self.size or position <= SAME * self.size:
+            return None
+        nearest = np.linalg.norm(_to_triangles(at[None], self.triangles)[0], axis=1).argmin()
+        normal = _normals(self.triangles[nearest][None])[0]
+        across = BESIDE * self.size * _upwards(normal) * normal / np.linalg.norm(normal)
+        return np.round(at - across, 9).tolist(), np.round(at + across, 9).tolist()
+
+
+def _to_edges(points: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Distances of points (n, 3) from edges (m, 2, 3): (n, m)."""
+    span = edges[:, 1] - edges[:, 0]
+    to = points[:, None] - edges[:, 0]
+    share = np.clip((to * span).sum(axis=2) / (span**2).sum(axis=1), 0.0, 1.0)
+    found: np.ndarray = np.linalg.norm(to - share[..., None] * span, axis=2)
+    return found
+
+
+def _to_triangles(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Vectors to points (n, 3) from the nearest points of triangles (m, 3, 3): (n, m, 3)."""
+    one, two = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    to = points[:, None] - triangles[:, 0]
+    a, b, c = (one**2).sum(1), (one * two).sum(1), (two**2).sum(1)
+    d, e = (to * one).sum(2), (to * two).sum(2)
+    u, v = (c * d - b * e) / (a * c - b**2), (a * e - b * d) / (a * c - b**2)
+    best = to - u[..., None] * one - v[..., None] * two
+    outside = (u < 0.0) | (v < 0.0) | (u + v > 1.0)
+    size = np.where(outside, np.inf, np.linalg.norm(best, axis=2))
+    for first, second in ((0, 1), (1, 2), (2, 0)):
+        start, span = triangles[:, first], triangles[:, second] - triangles[:, first]
+        away = points[:, None] - start
+        share = np.clip((away * span).sum(2) / (span**2).sum(1), 0.0, 1.0)
+        away = away - share[..., None] * span
+        nearer = np.linalg.norm(away, axis=2) < size
+        best[nearer], size[nearer] = away[nearer], np.linalg.norm(away, axis=2)[nearer]
+    return best
+
+
+def _normals(triangles: np.ndarray) -> np.ndarray:
+    """Twice the areas, as vectors: (n, 3)."""
+    found: np.ndarray = np.cross(
+        triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    )
+    return found
+
+
+def _upwards(normal: np.ndarray) -> float:
+    """1 where a normal points up: along y, or else along x, or else along z; otherwise -1."""
+    for axis in (1, 0, 2):
+        if abs(normal[axis]) > CLOSE * np.abs(normal).max():
+            return float(np.sign(normal[axis]))
+    return 1.0
+
+
+@dataclass(frozen=True)
+class SolidCells:
+    """Cells of one kind.
+
+    Attributes
+    ----------
+    nodes : (n_cells, k) int
+        In gmsh's order: the corners first.
+    facets : (n_facets, n) int
+        Corners of the facets of a cell, by their places in a row of ``nodes``.
+    supports : tuple of tuple of int
+        Of each node of a cell the corners between which it lies.
+    """
+
+    nodes: np.ndarray
+    facets: np.ndarray
+    supports: tuple[tuple[int, ...], ...]
+
+    @property
+    def n_corners(self) -> int:
+        """Of a cell."""
+        return int(self.facets.max()) + 1
+
+    def all_facets(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Corners of the facets of all cells, sorted, so that equal ones follow each other; the
+        cell of each, and the places of its corners in ``nodes``."""
+        corners = self.nodes[:, self.facets].reshape(-1, self.facets.shape[1])
+        inside = np.argsort(corners, axis=1)
+        places = np.take_along_axis(np.tile(self.facets, (len(self.nodes), 1)), inside, axis=1)
+        corners = np.take_along_axis(corners, inside, axis=1)
+        order = np.lexsort(corners.T[::-1])
+        return corners[order], order // len(self.facets), places[order]
+
+
+def split_surface(
+    cells: SolidCells, surface: np.ndarray, places: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[CrackSurface]]:
+    """Double the nodes along cracks.
+
+    Parameters
+    ----------
+    cells : SolidCells
+        Their nodes are rows of ``places``.
+    surface : (m, k) int
+        Facets of all cracks: their nodes, the corners first.
+    places : (n_nodes, 3) [m]
+        Of all nodes.
+
+    Returns
+    -------
+    nodes : (n_cells, k) int
+        The cells, those above a crack with nodes of their own, from ``n_nodes`` on.
+    twins : (n_new,) int
+        The nodes of which the new ones are copies.
+    lips : (m', 2, k) int
+        Facets of the lower lip, and those of the upper one in the same places.
+    cracks : list of CrackSurface
+        From bottom to top.
+
+    Raises
+    ------
+    InputError
+        A surface is not made of facets between two cells, turns by a right angle, or cuts the
+        solid in a way that does not tell its two sides.
+    """
+    n_corners = cells.facets.shape[1]
+    corners = np.sort(surface[:, :n_corners], axis=1)
+    facets, owner, at = cells.all_facets()
+    same = np.all(facets[1:] == facets[:-1], axis=1)
+    on_crack = np.isin(np.arange(len(places)), corners)
+    of_crack = on_crack[facets].all(axis=1)
+    of_crack[of_crack] = _rows_in(facets[of_crack], corners)
+    inside = np.flatnonzero(same & of_crack[:-1])
+    _require(
+        len(inside) == len(surface),
+        f"{len(surface) - len(inside)} of {len(surface)} facets",
+        "a surface inside the solid, whose facets have a cell on either side, and each node once",
+    )
+    alone = np.ones(len(facets), dtype=bool)
+    alone[1:] &= ~same
+    alone[:-1] &= ~same
+    outer = facets[alone & (on_crack[facets].sum(axis=1) > 1)]
+    fronts, mouths = _rim(surface[:, :n_corners], outer)
+    part = _parts(surface[:, :n_corners])
+    ups = _orientation(places[_triangles(surface[:, :n_corners])[0]], part)
+
+    is_split = np.zeros(len(places), dtype=bool)
+    is_split[corners] = True
+    is_split[fronts] = False
+    _require(is_split.any(), "all of its nodes on the front", "meshed more finely")
+    label = _stars(facets, owner, at, same & ~of_crack[:-1], cells, is_split)
+
+    # Which side of the crack the cells at its facets are on, and with them the stars.
+    side = np.zeros(label.max() + 1, dtype=int)
+    ordered = np.lexsort(corners.T[::-1])  # as the facets are
+    up = ups[part[ordered]]
+    for beside in (inside, inside + 1):
+        cell = owner[beside]
+        away = places[cells.nodes[cell, : cells.n_corners]].mean(1) - places[facets[beside]].mean(1)
+        above = np.where((away * up).sum(axis=1) > 0.0, 1, -1)
+        own = cell[:, None] * cells.n_corners + at[beside]
+        wanted = is_split[facets[beside]]
+        stars, signs = label[own[wanted]], np.repeat(above[:, None], n_corners, axis=1)[wanted]
+        _require(
+            np.all((side[stars] == 0) | (side[stars] == signs)),
+            "both sides of a node that it doubles connected around it",
+            "a surface that ends at its front or at the surface of the solid",
+        )
+        side[stars] = signs
+    touching = is_split[cells.nodes[:, : cells.n_corners]]
+    _require(
+        np.all(side[label.reshape(touching.shape)[touching]]),
+        "a node with three sides or more",
+        "cracks that neither branch nor cross",
+    )
+    is_upper = touching & (side[label.reshape(touching.shape)] > 0)
+    nodes, new = _renumbered(cells, is_split, is_upper, surface, len(places))
+    lips = _lips(surface, n_corners, is_split, new)
+    cracks = [
+        _crack(surface[part == number, :n_corners], fronts, mouths, places)
+        for number in range(part.max() + 1)
+    ]
+    cracks.sort(key=lambda crack: tuple(crack.triangles.mean(axis=(0, 1))[[1, 0, 2]]))
+    return nodes, np.flatnonzero(new >= 0), lips, cracks
+
+
+def _require(condition: object, found: str, allowed: str) -> None:
+    if not condition:
+        raise InputError("crack", found, allowed)
+
+
+def _rows_in(rows: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Which rows are among others, all of them sorted along the second axis."""
+    both = np.concatenate([others, rows])
+    _, which = np.unique(both, axis=0, return_inverse=True)
+    found: np.ndarray = np.isin(which.ravel()[len(others) :], which.ravel()[: len(others)])
+    return found
+
+
+def _edges(polygons: np.ndarray) -> np.ndarray:
+    """Edges of polygons (n, k), their ends sorted: (n k, 2)."""
+    ends = np.stack([polygons, np.roll(polygons, -1, axis=1)], axis=2)
+    return np.sort(ends.reshape(-1, 2), axis=1)
+
+
+def _rim(surface: np.ndarray, boundary: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Edges of the fronts (n, 2), and nodes of the mouths."""
+    edges, uses = np.unique(_edges(surface), axis=0, return_counts=True)
+    _require(np.all(uses <= 2), "more than two facets at an edge", "cracks that do not branch")
+    rim = edges[uses == 1]
+    if boundary.shape[1] == 4:  # sorted corners are not in turn: take every two of them
+        pairs = [boundary[:, [i, j]] for i in range(4) for j in range(i + 1, 4)]
+        outside = _rows_in(rim, np.concatenate(pairs))
+    else:
+        outside = _rows_in(rim, _edges(boundary))
+    return rim[~outside], np.unique(rim[outside])
+
+
+def _parts(surface: np.ndarray) -> np.ndarray:
+    """The crack of each facet: those that share a node are of one."""
+    from scipy.sparse.csgraph import connected_components  # takes a while, for solids alone
+
+    count, k = surface.shape
+    rows = np.repeat(np.arange(count), k)
+    touches = sparse.csr_matrix((np.ones(count * k), (rows, surface.ravel())))
+    found: np.ndarray = connected_components(touches @ touches.T)[1]
+    return found
+
+
+def _triangles(surface: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Facets as triangles: of each the first half, and the other half of those with four
+    corners."""
+    return surface[:, :3], surface[:, [0, 2, 3]] if surface.shape[1] == 4 else surface[:0, :3]
+
+
+def _orientation(triangles: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """The direction in which each crack's normal points out of its lower lip: (n_cracks, 3)."""
+    normals, found = _normals(triangles), []
+    for number in range(part.max() + 1):
+        own = normals[part == number]
+        mean = np.linalg.eigh(own.T @ own)[1][:, -1]
+        flat = np.abs(own @ mean) >= STEEPEST * np.linalg.norm(own, axis=1)
+        _require(np.all(flat), "a normal that turns by a right angle", "flatter")
+        found.append(_upwards(mean) * mean)
+    return np.array(found)
+
+
+def _stars(
+    facets: np.ndarray,
+    owner: np.ndarray,
+    at: np.ndarray,
+    passable: np.ndarray,
+    cells: SolidCells,
+    is_split: np.ndarray,
+) -> np.ndarray:
+    """Corners of cells at one node that are connected across facets with it: a number for each
+    corner of each cell (n_cells n_corners,)."""
+    from scipy.sparse.csgraph import connected_components
+
+    first = np.flatnonzero(passable & is_split[facets[:-1]].any(axis=1))
+    wanted = is_split[facets[first]]
+    one, other = (owner[i][:, None] * cells.n_corners + at[i] for i in (first, first + 1))
+    size = len(cells.nodes) * cells.n_corners
+    links = np.ones(int(wanted.sum()), dtype=np.int8), (one[wanted], other[wanted])
+    found: np.ndarray = connected_components(sparse.coo_matrix(links, (size, size)))[1]
+    return found
+
+
+def _renumbered(
+    cells: SolidCells, is_split: np.ndarray, is_upper: np.ndarray, surface: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The cells with new nodes above the cracks, and the new number of each node, -1 where it
+    exists once.
+
+    A node between corners is doubled with any of them.
+    """
+    on_crack = np.zeros(count, dtype=bool)
+    on_crack[surface] = True
+    columns = []
+    for node, support in enumerate(cells.supports):
+        corners = list(support)
+        doubled = on_crack[cells.nodes[:, node]] & is_split[cells.nodes[:, corners]].any(axis=1)
+        columns.append(doubled & is_upper[:, corners].any(axis=1))
+    above = np.column_stack(columns)
+    new = np.full(count, -1)
+    doubled = np.unique(cells.nodes[above])
+    new[doubled] = count + np.arange(len(doubled))
+    return np.where(above, new[cells.nodes], cells.nodes), new
+
+
+def _lips(surface: np.ndarray, n_corners: int, is_split: np.ndarray, new: np.ndarray) -> np.ndarray:
+    """Facets of the lower and of the upper lip: (m, 2, k)."""
+    open_ones = surface[is_split[surface[:, :n_corners]].any(axis=1)]
+    upper = np.where(new[open_ones] >= 0, new[open_ones], open_ones)
+    return np.stack([open_ones, upper], axis=1)
+
+
+def _crack(
+    surface: np.ndarray, fronts: np.ndarray, mouths: np.ndarray, places: np.ndarray
+) -> CrackSurface:
+    """One crack, by the corners of its facets."""
+    own = np.unique(surface)
+    front = fronts[np.isin(fronts, own).all(axis=1)]
+    _require(len(front), "a surface without a front", "one that does not cut the solid in two")
+    triangles = np.concatenate(_triangles(surface))
+    return CrackSurface(places[triangles], places[front], bool(np.isin(mouths, own).any()))

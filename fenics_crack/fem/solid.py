@@ -1,0 +1,321 @@
+"""Meshes of solids: boxes with cracks, made by gmsh, and mesh files of any solid.
+
+Both come as nodes, cells and named surfaces; cracks are among these, with nodes that exist once.
+They are split here (:mod:`fenics_crack.fem.crack_surface`), and what is left is a gmsh model whose
+groups are those of a plate: ``clamp``, ``lower_lip``, ``upper_lip``, and all others that have a
+name.
+
+The elements of a box are ``mesh.size`` long and, at a distance d from the front of a crack,
+
+    h(d) = h_0 + max(r - 1, 1/3) d,    r = grading^(1 / (lip_elements - 1)),
+
+h_0 such that ``lip_elements`` elements in a row, each r times as long as the one before, reach from
+the front to the mouth.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from fenics_crack.errors import InputError
+from fenics_crack.fem.blocks import GROWTH
+from fenics_crack.fem.crack_surface import FACETS, CrackSurface, SolidCells, split_surface
+from fenics_crack.fem.msh_file import (
+    CRACK,
+    Group,
+    Names,
+    filled,
+    groups_of,
+    named_groups,
+    points_in,
+    tags_of,
+)
+from fenics_crack.fem.msh_reader import groups
+from fenics_crack.mesher import gmsh
+from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.tables import Crack
+
+__all__ = ["solid_model"]
+
+KINDS = {4: 2, 11: 9, 5: 3, 12: 10}
+"""gmsh's kinds of tetrahedra and hexahedra of first and second order, and of their facets."""
+SERENDIPITY = {17: "20", 29: "20"}
+"""Kinds that are refused, and how many nodes they have."""
+FRONT = 60
+"""Points on each front from which distances are measured while meshing."""
+
+
+def solid_model(scene: Scene) -> tuple[Names, tuple[CrackSurface, ...]]:
+    """Fill the current gmsh model with the mesh of a scene's solid; its named surfaces and points,
+    and its cracks.
+
+    Raises
+    ------
+    InputError
+        The mesh file is not one of a solid, or is damaged; a crack's surface cannot be split.
+    """
+    if scene.mesh.layout == "file":
+        path = str(scene.mesh.file)
+        try:
+            return _filled(groups_of(Path(path)))
+        except InputError as error:
+            if error.key in ("mesh.file", "lips"):
+                raise
+            raise InputError("mesh.file", f"{path} ({error.value})", error.allowed) from None
+    _draw(scene)
+    numbers, positions, _ = gmsh.model.mesh.getNodes()
+    named = named_groups(groups())
+    gmsh.model.remove()
+    gmsh.model.add("fenics_crack")
+    return _filled((numbers, positions.reshape(-1, 3), named))
+
+
+def _filled(
+    given: tuple[np.ndarray, np.ndarray, list[Group]],
+) -> tuple[Names, tuple[CrackSurface, ...]]:
+    """Split the cracks of a mesh and put it into the current model."""
+    numbers, positions, named = given
+    kinds = {kind for dimension, _, _, kind, _ in named if dimension == 3}
+    for kind in kinds & SERENDIPITY.keys():
+        allowed = (
+            "one of tetrahedra, or of hexahedra with 27 nodes: the load of a unit pressure is "
+            "negative at corners of these"
+        )
+        raise InputError("mesh", f"hexahedra with {SERENDIPITY[kind]} nodes", allowed)
+    if len(kinds) != 1 or not kinds <= KINDS.keys():
+        allowed = "one whose physical volumes hold one kind of cells, tetrahedra or hexahedra"
+        raise InputError("mesh", f"{len(kinds)} kinds of cells", allowed)
+    kind = kinds.pop()
+    numbers, first = np.unique(numbers, return_index=True)
+    positions = positions[first]
+    raw = np.concatenate([nodes for dimension, *_, nodes in named if dimension == 3])
+    used, nodes = np.unique(raw, return_inverse=True)
+    if not np.isin(used, numbers).all():
+        raise InputError("mesh", "cells with nodes that do not exist", "a whole file")
+    places = positions[np.searchsorted(numbers, used)]
+    nodes = nodes.reshape(-1, gmsh.model.mesh.getElementProperties(kind)[3])
+    nodes = nodes[np.sort(np.unique(np.sort(nodes, axis=1), axis=0, return_index=True)[1])]
+    cells = _cells(kind, nodes)
+    surfaces = _surfaces(named, KINDS[kind], used)
+    if "clamp" not in surfaces:
+        raise InputError("mesh", "no clamp", "with a physical surface named 'clamp'")
+    _check_cells(kind, nodes, places)
+    lips: tuple[CrackSurface, ...] = ()
+    cracks = [name for name in surfaces if CRACK.match(name)]
+    if cracks:
+        surface = np.concatenate([surfaces.pop(name) for name in cracks])
+        nodes, twins, both, found = split_surface(cells, surface, places)
+        places, lips = np.concatenate([places, places[twins]]), tuple(found)
+        surfaces = _moved(surfaces, cells, nodes, twins)
+        surfaces |= {"lower_lip": both[:, 0], "upper_lip": both[:, 1]}
+    _check_held(nodes, surfaces["clamp"], places)
+    points = points_in(named, numbers, positions)
+    tags, sets = tags_of(surfaces)
+    filled(
+        np.arange(1, len(places) + 1), places,
+        [(3, 1, "solid", kind, nodes.ravel() + 1)]
+        + [(2, tag, name, KINDS[kind], rows.ravel() + 1) for tag, name, rows in sets],
+    )  # fmt: skip
+    return (tags, points), lips
+
+
+def _surfaces(named: list[Group], kind: int, used: np.ndarray) -> dict[str, np.ndarray]:
+    """Facets in each named surface, by the places of their nodes among those that are used."""
+    found: dict[str, np.ndarray] = {}
+    for dimension, _, name, own, nodes in named:
+        if dimension != 2 or not name:
+            continue
+        if own != kind or not np.isin(nodes, used).all():
+            allowed = "one whose physical surfaces hold facets of its cells"
+            raise InputError("mesh", f"a surface {name!r} of other cells", allowed)
+        size = gmsh.model.mesh.getElementProperties(kind)[3]
+        rows = np.searchsorted(used, nodes).reshape(-1, size)
+        found[name] = np.concatenate([found.get(name, rows[:0]), rows])
+    return found
+
+
+def _cells(kind: int, nodes: np.ndarray) -> SolidCells:
+    """Cells with what gmsh says of their kind."""
+    _, _, _, count, local, corners = gmsh.model.mesh.getElementProperties(kind)
+    at = np.reshape(local, (count, 3))
+    supports: list[tuple[int, ...]] = [(corner,) for corner in range(corners)]
+    for node in range(corners, count):
+        # The corners of the smallest face, edge or cell in whose middle it is.
+        low, high = at[:corners].min(axis=0), at[:corners].max(axis=0)
+        if corners == 4:
+            shares = np.append(1.0 - at[node].sum(), at[node])[[0, 1, 2, 3]]
+            supports.append(tuple(np.flatnonzero(shares > 1e-9).tolist()))
+        else:
+            at_side = np.isclose(at[node], low) | np.isclose(at[node], high)
+            same = np.isclose(at[:corners], at[node])[:, at_side].all(axis=1)
+            supports.append(tuple(np.flatnonzero(same).tolist()))
+    return SolidCells(nodes, FACETS[corners], tuple(supports))
+
+
+def _moved(
+    surfaces: dict[str, np.ndarray], cells: SolidCells, nodes: np.ndarray, twins: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Facets with the nodes that their cells have once cracks are split: beside a mouth those above
+    the crack have new ones."""
+    facets, owner, _ = cells.all_facets()
+    weights = (int(cells.nodes.max()) + 1) ** np.arange(3)[::-1]
+    keys, width = facets[:, :3] @ weights, cells.facets.shape[1]  # three corners are enough
+    found = {}
+    for name, rows in surfaces.items():
+        rows = rows.copy()
+        beside = np.flatnonzero(np.isin(rows, twins).any(axis=1))
+        wanted = np.sort(rows[beside, :width], axis=1)[:, :3] @ weights
+        cell = owner[np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)]
+        at = np.argmax(cells.nodes[cell][:, None, :] == rows[beside][:, :, None], axis=2)
+        rows[beside] = np.take_along_axis(nodes[cell], at, axis=1)
+        found[name] = rows
+    return found
+
+
+def _check_cells(kind: int, nodes: np.ndarray, places: np.ndarray) -> None:
+    """Raise InputError where a cell is folded or has no volume."""
+    _, _, _, count, local, _ = gmsh.model.mesh.getElementProperties(kind)
+    _, gradients, _ = gmsh.model.mesh.getBasisFunctions(kind, local, "GradLagrange")
+    here = places[nodes]
+    signs = np.array(
+        [
+            np.linalg.det(np.einsum("cnx,ns->cxs", here, gradient))
+            for gradient in np.reshape(gradients, (-1, count, 3))
+        ]
+    )
+    size = np.ptp(here, axis=1).max(axis=1) ** 3
+    wrong = (np.abs(signs) <= 1e-9 * size).any(axis=0) | (signs.min(axis=0) * signs.max(axis=0) < 0)
+    if np.any(wrong):
+        x, y, z = here[np.argmax(wrong)].mean(axis=0)
+        found = f"a folded cell, or one of no volume, at ({x:g}, {y:g}, {z:g})"
+        raise InputError("mesh", found, "one of cells that are convex and have a volume")
+
+
+def _check_held(nodes: np.ndarray, clamp: np.ndarray, places: np.ndarray) -> None:
+    """Raise InputError where a part of the solid has no clamp."""
+    import scipy.sparse as sparse
+    from scipy.sparse.csgraph import connected_components
+
+    ones = np.ones(nodes.size - len(nodes), dtype=np.int8)
+    ends = nodes[:, :-1].ravel(), nodes[:, 1:].ravel()
+    size = len(places)
+    part = connected_components(sparse.coo_matrix((ones, ends), (size, size)), directed=False)[1]
+    loose = ~np.isin(part[nodes[:, 0]], part[clamp])
+    if np.any(loose):
+        x, y, z = places[nodes[loose]].mean(axis=(0, 1))
+        found = f"a part without a clamp at ({x:g}, {y:g}, {z:g})"
+        raise InputError("mesh", found, "one whose parts each have a facet in 'clamp'")
+
+
+# --- a box ----------------------------------------------------------------------------------------
+
+
+def _draw(scene: Scene) -> None:
+    """Mesh the box of a scene, with its cracks as surfaces inside, and name its faces."""
+    width, height, thickness = scene.geometry.sides
+    occ = gmsh.model.occ
+    box = [(3, occ.addBox(0.0, 0.0, 0.0, width, height, thickness))]
+    cracks = list(scene.all_cracks.values())
+    faces = []
+    for crack in cracks:
+        face = _face(crack, width, thickness)
+        faces += occ.intersect(face, box, removeObject=True, removeTool=False)[0]
+    if faces:
+        occ.fragment(box, faces)
+    occ.synchronize()
+    named: dict[str, list[int]] = {"clamp": [], "crack": []}
+    sides = [
+        ("left", 0, 0.0), ("right", 0, width), ("clamp", 1, 0.0), ("top", 1, height),
+        ("back", 2, 0.0), ("front", 2, thickness),
+    ]  # fmt: skip
+    near = 1e-6 * max(width, height, thickness)
+    for _, tag in gmsh.model.getEntities(2):
+        middle = occ.getCenterOfMass(2, tag)
+        at = [name for name, axis, place in sides if abs(middle[axis] - place) < near]
+        named.setdefault(at[0] if at else "crack", []).append(tag)
+    for number, (name, tags) in enumerate(named.items(), 2):
+        if tags:
+            gmsh.model.addPhysicalGroup(2, tags, number)
+            gmsh.model.setPhysicalName(2, number, name)
+    gmsh.model.addPhysicalGroup(3, [tag for _, tag in gmsh.model.getEntities(3)], 1)
+    gmsh.model.setPhysicalName(3, 1, "solid")
+    size = _size_of(scene, width, thickness)
+    for option in ("MeshSizeFromPoints", "MeshSizeExtendFromBoundary", "MeshSizeFromCurvature"):
+        gmsh.option.setNumber(f"Mesh.{option}", 0)
+    gmsh.model.mesh.setSizeCallback(lambda dimension, tag, x, y, z, *_: size(x, y, z))
+    gmsh.model.mesh.generate(3)
+    gmsh.model.mesh.removeSizeCallback()
+
+
+def _ellipse(crack: Crack, width: float) -> tuple[float, float]:
+    """Middle and half of the extent along x of the whole ellipse or rectangle of which a crack is
+    a part."""
+    first, last = crack.span(width)
+    if crack.edge is None:
+        return 0.5 * (first + last), 0.5 * (last - first)
+    return (0.0 if crack.edge == "left" else width), last - first
+
+
+def _face(crack: Crack, width: float, thickness: float) -> list[tuple[int, int]]:
+    """A surface in a crack's plane whose part inside the box is the crack."""
+    occ, middle, half = gmsh.model.occ, *_ellipse(crack, width)
+    depth, height = crack.depth or 2.0 * thickness, crack.height
+    assert height
+    if crack.front == "elliptical":
+        turned = depth > half
+        face = [(2, occ.addDisk(0.0, 0.0, 0.0, max(half, depth), min(half, depth)))]
+        if turned:
+            occ.rotate(face, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.5 * math.pi)
+    else:
+        face = [(2, occ.addRectangle(-half, -depth, 0.0, 2.0 * half, 2.0 * depth))]
+    occ.rotate(face, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.5 * math.pi)
+    occ.translate(face, middle, height, thickness)
+    return face
+
+
+def _size_of(
+    scene: Scene, width: float, thickness: float
+) -> Callable[[float, float, float], float]:
+    """Length of elements at a place."""
+    mesh = scene.mesh
+    size, points, sizes = mesh.size, [], []
+    assert size
+    for crack in scene.all_cracks.values():
+        assert mesh.lip_elements and crack.height
+        middle, half = _ellipse(crack, width)
+        reach = min(half, crack.depth or half)
+        growth = mesh.grading ** (1.0 / max(mesh.lip_elements - 1, 1))
+        shortest = reach / float((growth ** np.arange(mesh.lip_elements)).sum())
+        front = _front(crack, middle, half, thickness)
+        points.append(front)
+        sizes.append(np.tile([shortest, max(growth - 1.0, GROWTH)], (len(front), 1)))
+    if not points:
+        return lambda x, y, z: size
+    places, (shortest, growth) = np.concatenate(points), np.concatenate(sizes).T
+
+    def at(x: float, y: float, z: float) -> float:
+        distance = np.sqrt(((places - (x, y, z)) ** 2).sum(axis=1))
+        return float(min(size, (shortest + growth * distance).min()))
+
+    return at
+
+
+def _front(crack: Crack, middle: float, half: float, thickness: float) -> np.ndarray:
+    """Points along the front of a crack, and of what goes on outside: (n, 3)."""
+    share = np.linspace(0.0, 1.0, FRONT)
+    if crack.front == "elliptical":
+        assert crack.depth
+        turn = np.pi * share
+        x, z = middle + half * np.cos(turn), thickness - crack.depth * np.sin(turn)
+    else:
+        depth = crack.depth or thickness
+        ends = [middle + sign * half * np.ones(FRONT) for sign in (-1.0, 1.0)]
+        x, z = np.concatenate(ends), np.tile(thickness - depth * share, 2)
+        if crack.depth is not None:
+            x = np.append(x, middle + half * (2.0 * share - 1.0))
+            z = np.append(z, np.full(FRONT, thickness - depth))
+    return np.column_stack([x, np.full(len(x), crack.height), z])

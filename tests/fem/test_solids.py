@@ -1,0 +1,377 @@
+"""Solids: what splits them, what their pairs measure, and frequencies beside other models."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gmsh
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+import fenics_crack as fc
+from fenics_crack import InputError, Scene
+from fenics_crack.fem.crack_surface import FACETS, SolidCells, split_surface
+from fenics_crack.fem.nodal_mesh import NodalMesh
+from fenics_crack.fem.plate import build_mesh
+from fenics_crack.parallel import gather_rows
+
+WIDTH, HEIGHT, THICKNESS = 0.03, 0.09, 0.006
+TEXT = f"""
+geometry = {{ kind = "solid", width = {WIDTH}, height = {HEIGHT}, thickness = {THICKNESS} }}
+material = {{ young = 2.1e11, poisson = 0.3, density = 7850.0 }}
+damping = {{ ratio = 0.002 }}
+excitation = {{ point = [0.0, {HEIGHT}, 0.003], force_cos = [0.0, 0.0, 1.0], frequency = 560.0 }}
+contact = {{ law = "unilateral" }}
+mesh = {{ layout = "graded", order = 2, size = 0.012, lip_elements = 2, error = false }}
+"""
+ELLIPSE = {"center": 0.015, "height": 0.03, "length": 0.016, "depth": 0.003, "front": "elliptical"}
+CORNER = {"edge": "left", "height": 0.03, "length": 0.01, "depth": 0.004, "front": "elliptical"}
+PART_THROUGH = {"edge": "right", "height": 0.04, "length": 0.01, "depth": 0.003}
+THROUGH = {"edge": "left", "height": 0.03, "length": 0.01}
+AREAS = {
+    "ellipse": (ELLIPSE, 0.5 * math.pi * 0.008 * 0.003),
+    "corner": (CORNER, 0.25 * math.pi * 0.01 * 0.004),
+    "part-through": (PART_THROUGH, 0.01 * 0.003),
+    "through": (THROUGH, 0.01 * THICKNESS),
+}
+"""Cracks, and their areas [m^2]."""
+
+
+def solid(crack: dict[str, Any] | None = None, **changes: Any) -> Scene:
+    """A small one."""
+    scene = Scene.from_text(TEXT)
+    if crack is not None:
+        scene = scene.replace({f"crack.{key}": value for key, value in crack.items()})
+    return scene.replace(changes) if changes else scene
+
+
+def frequencies(scene: Scene, count: int = 4) -> np.ndarray:
+    """With open lips [Hz]."""
+    found: np.ndarray = fc.solve_modes(fc.build_structure(scene), count).omega / (2.0 * math.pi)
+    return found
+
+
+# --- cracks ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module", params=AREAS)
+def cracked(request: pytest.FixtureRequest) -> tuple[fc.Structure, float, dict[str, Any]]:
+    """The structure of each crack, and its area."""
+    crack, area = AREAS[request.param]
+    elements = {"mesh.lip_elements": 5 if crack is THROUGH else 2}  # room beside the front
+    return fc.build_structure(solid(crack, **elements)), area, crack
+
+
+def test_lips_are_those_of_the_crack(cracked: tuple[fc.Structure, float, dict[str, Any]]) -> None:
+    """They lie in its plane, have its area but for a polygon's in an ellipse, and the pairs that
+    of all patches but those of the front."""
+    structure, area, crack = cracked
+    mesh = NodalMesh(structure)
+    lips = mesh.points[mesh.boundary_facets[mesh.lip_facets]]
+    normals = np.cross(lips[:, 1] - lips[:, 0], lips[:, 2] - lips[:, 0])
+    assert lips[..., 1] == pytest.approx(crack["height"], abs=1e-12)
+    both = 0.5 * np.linalg.norm(normals, axis=1).sum()
+    assert 0.75 * area < 0.5 * both <= area * (1.0 + 1e-12)
+    assert normals[:, 1].sum() == pytest.approx(0.0, abs=1e-12 * both)  # they look at each other
+    assert structure.pair_areas is not None
+    assert 0.0 < structure.pair_areas.min()
+    assert structure.pair_areas.sum() < 0.5 * both
+    assert list(structure.watched_pairs) == ["the mouth"]
+
+
+def test_pairs_measure_the_gap(cracked: tuple[fc.Structure, float, dict[str, Any]]) -> None:
+    """None where the motion is continuous, a translation or a strain; d where what lies above the
+    crack moves down by d: of a patch that does not reach the front exactly, as it is a mean."""
+    structure, _, crack = cracked
+    assert structure.nodes is not None
+    nodes, components = np.nonzero(structure.nodes.dofs >= 0)
+    rows = structure.nodes.dofs[nodes, components]
+    points = structure.nodes.points[nodes]
+    strain = np.array([[1.0, 0.2, 0.1], [0.3, -0.5, 0.4], [0.2, 0.7, 0.6]])
+    continuous = np.zeros((2, structure.n_dofs))
+    continuous[0, rows] = components == 1
+    continuous[1, rows] = ((points - points.mean(axis=0)) @ strain)[
+        np.arange(len(rows)), components
+    ]
+    clamped = structure.apply_bt(continuous)
+    assert clamped[0] == pytest.approx(0.0, abs=1e-12)
+    assert clamped[1] == pytest.approx(0.0, abs=1e-12)
+    mesh = NodalMesh(structure)
+    middles = mesh.points[mesh.cells[:, :4]].mean(axis=1)
+    above = np.zeros(len(mesh.points), dtype=bool)
+    above[mesh.cells[middles[:, 1] > crack["height"]]] = True
+    below = np.zeros(len(mesh.points), dtype=bool)
+    below[mesh.cells[middles[:, 1] < crack["height"]]] = True
+    on_lips = np.unique(mesh.boundary_facets[mesh.lip_facets])
+    upper = np.isin(np.arange(len(above)), on_lips) & above & ~below
+    # Nodes in the middle of edges between two corners of a lip belong to it, too.
+    upper |= above & ~below & np.isclose(mesh.points[:, 1], crack["height"], atol=1e-12)
+    closing = np.zeros((1, structure.n_dofs))
+    closing[0, structure.nodes.dofs[upper, 1]] = -1e-6
+    gap = structure.apply_bt(closing)[0]
+    assert np.all((gap > 0.1e-6) & (gap < 1.1e-6))  # towards the front it vanishes by a parabola
+    if crack is THROUGH:
+        assert gap[structure.first_watched] == pytest.approx(1e-6, rel=1e-9)
+
+
+def test_cells_around_a_crack_keep_their_side() -> None:
+    """Two layers of cubes, cut into tetrahedra by gmsh, with a crack between them that ends in the
+    middle: the cells that get new nodes are those above, and what was one surface are two."""
+    mesh = build_mesh(solid(THROUGH), MPI.COMM_SELF)
+    lower, upper = (mesh.facets(name) for name in ("lower_lip", "upper_lip"))
+    assert len(lower) == len(upper) > 0
+    assert not np.intersect1d(lower, upper).size
+    mesh.mesh.topology.create_connectivity(2, 3)
+    cells = mesh.mesh.topology.connectivity(2, 3)
+    mesh.mesh.topology.create_connectivity(3, 0)
+    for facets, sign in ((lower, -1.0), (upper, 1.0)):
+        for facet in facets:
+            (cell,) = cells.links(int(facet))
+            nodes = mesh.mesh.geometry.x[_cell_nodes(mesh.mesh, int(cell))]
+            assert sign * (nodes[:4, 1].mean() - 0.03) > 0.0
+
+
+def _cell_nodes(mesh: Any, cell: int) -> np.ndarray:
+    dofmap = mesh.geometry.dofmap
+    found = dofmap[cell] if isinstance(dofmap, np.ndarray) else dofmap.links(cell)
+    return np.asarray(found)
+
+
+CUBES = np.array([[0, 1, 3, 2, 4, 5, 7, 6], [4, 5, 7, 6, 8, 9, 11, 10]])
+"""Two, one above the other: nodes i + 2 j + 4 k."""
+
+
+def test_a_surface_without_a_front_is_refused() -> None:
+    """It would cut the solid in two."""
+    places = np.array(
+        [[i, k, j] for k in range(3) for j in range(2) for i in range(2)], dtype=float
+    )
+    cells = SolidCells(CUBES, FACETS[8], tuple((i,) for i in range(8)))
+    with pytest.raises(InputError, match="front"):
+        split_surface(cells, np.array([[4, 5, 7, 6]]), places)
+
+
+def test_a_surface_on_the_outside_is_refused() -> None:
+    """A crack lies between two cells."""
+    places = np.array(
+        [[i, k, j] for k in range(3) for j in range(2) for i in range(2)], dtype=float
+    )
+    cells = SolidCells(CUBES, FACETS[8], tuple((i,) for i in range(8)))
+    with pytest.raises(InputError, match="inside the solid"):
+        split_surface(cells, np.array([[0, 1, 3, 2]]), places)
+
+
+# --- frequencies ----------------------------------------------------------------------------------
+
+
+def test_slender_beams_bend_as_the_theory_says() -> None:
+    """Both first bending frequencies of 0.2 m of a square bar: Euler and Bernoulli's 1.8751^2
+    sqrt(E I / rho A L^4), less 0.1 % for shear and rotary inertia (Timoshenko: 0.9985)."""
+    side, length = 0.01, 0.2
+    changes = {"geometry.width": side, "geometry.height": length, "geometry.thickness": side}
+    changes |= {"mesh.size": 0.01, "material.poisson": 0.0, "contact": None}
+    found = frequencies(solid(**changes, **{"excitation.point": [0.0, length, 0.0]}), 2)
+    theory = (
+        1.8751041**2 / (2.0 * math.pi) * math.sqrt(2.1e11 * side**2 / (12.0 * 7850.0)) / length**2
+    )
+    assert found == pytest.approx(theory, rel=3e-3)
+    assert np.all(found < theory)
+
+
+def test_in_its_plane_a_solid_is_a_plate() -> None:
+    """Without lateral contraction the through crack of a solid has the frequencies in its plane of
+    the same plate in plane stress, the nearer the finer the mesh."""
+    plate = solid(THROUGH).replace(
+        {
+            "geometry.kind": "plate", "excitation.point": [0.0, HEIGHT],
+            "excitation.force_cos": [1.0, 0.0], "material.poisson": 0.0,
+            "mesh.size": 0.003, "mesh.lip_elements": 8,
+        }
+    )  # fmt: skip
+    exact = frequencies(plate, 1)[0]
+    errors = []
+    for size, lips in ((0.012, 2), (0.006, 4)):
+        scene = solid(
+            THROUGH, **{"material.poisson": 0.0, "mesh.size": size, "mesh.lip_elements": lips}
+        )
+        modes = fc.solve_modes(fc.build_structure(scene), 4)
+        shapes = NodalMesh(modes.structure).field(modes.shapes.T)
+        sizes = np.linalg.norm(shapes, axis=1)
+        in_plane = np.flatnonzero(sizes[:, 0] > sizes[:, 2])[0]
+        errors.append(modes.omega[in_plane] / (2.0 * math.pi) / exact - 1.0)
+    assert 0.0 < errors[1] < 0.6 * errors[0]
+    assert errors[1] < 6e-3
+
+
+def test_tied_lips_are_a_solid_without_a_crack() -> None:
+    """But for what slides: between the frequency with open lips and that of the whole."""
+    structure = fc.build_structure(solid(ELLIPSE))
+    found = fc.bilinear_frequencies(structure)
+    whole = 2.0 * math.pi * frequencies(solid(contact=None), 1)[0]
+    assert found.omega_open[0] < found.omega_bilinear[0] < found.omega_tied[0]
+    assert found.omega_tied[0] == pytest.approx(whole, rel=2e-3)
+
+
+def test_rotating_solids_are_rotating_plates_in_their_plane() -> None:
+    """The frequency in the plane rises with the speed as that of the plate does."""
+    spinning = {"rotation.hub_radius": 0.3, "rotation.speed": 1500.0, "material.poisson": 0.0}
+    plate = solid().replace(
+        spinning
+        | {
+            "geometry.kind": "plate", "excitation.point": [0.0, HEIGHT], "contact": None,
+            "excitation.force_cos": [1.0, 0.0],
+        }
+    )  # fmt: skip
+    squares = []
+    for speed in (0.0, 1500.0):
+        flat = frequencies(plate.replace({"rotation.speed": speed}), 1)[0]
+        modes = fc.solve_modes(
+            fc.build_structure(solid(**spinning | {"rotation.speed": speed, "contact": None})), 3
+        )
+        shapes = NodalMesh(modes.structure).field(modes.structure.expand(modes.shapes.T))
+        sizes = np.linalg.norm(shapes, axis=1)
+        own = modes.omega[np.flatnonzero(sizes[:, 0] > sizes[:, 2])[0]] / (2.0 * math.pi)
+        squares.append((flat**2, own**2))
+    rise = np.subtract(*squares[::-1])
+    assert rise[1] == pytest.approx(rise[0], rel=0.02)
+    assert rise[0] > 0.0
+
+
+# --- solutions ------------------------------------------------------------------------------------
+
+
+def test_a_breathing_crack_in_bending() -> None:
+    """A semi-ellipse at 0.9 of the bilinear frequency: the second harmonic of the plate of 30 x 90
+    x 6 mm is 0.00288 of the first (the prototype, on another mesh), and the orbit is stable."""
+    scene = solid(ELLIPSE, **{"mesh.size": 0.008, "mesh.lip_elements": 3})
+    structure = fc.build_structure(scene)
+    omega = 0.9 * fc.bilinear_frequencies(structure).omega_bilinear[0]
+    reduced = fc.reduce_structure(structure, modes=20, method="massless")
+    solution = fc.solve_harmonic_balance(reduced, omega, fc.UnilateralConstraint(), tolerance=1e-2)
+    assert solution.indicators().ratio_2_1 == pytest.approx(0.00288, rel=0.08)
+    assert fc.floquet(reduced, solution).verdict == "stable"
+
+
+# --- files ----------------------------------------------------------------------------------------
+
+
+def write_box(path: Path, order: int, *, crack: bool = True, name: str = "crack") -> None:
+    """A mesh of gmsh's of the box with the through crack, as a surface whose nodes exist once."""
+    gmsh.initialize(readConfigFiles=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.model.add("box")
+        occ = gmsh.model.occ
+        box = [(3, occ.addBox(0.0, 0.0, 0.0, WIDTH, HEIGHT, THICKNESS))]
+        face = occ.addRectangle(0.0, 0.0, 0.0, 0.01, THICKNESS)
+        occ.rotate([(2, face)], 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.5 * math.pi)
+        occ.translate([(2, face)], 0.0, 0.03, 0.0)
+        occ.fragment(box, [(2, face)])
+        occ.synchronize()
+        for _, tag in gmsh.model.getEntities(2):
+            x, y, z = occ.getCenterOfMass(2, tag)
+            if abs(y) < 1e-9:
+                gmsh.model.setPhysicalName(2, gmsh.model.addPhysicalGroup(2, [tag]), "clamp")
+            elif crack and abs(y - 0.03) < 1e-9 and abs(x - 0.005) < 1e-6 and 0 < z < THICKNESS:
+                gmsh.model.setPhysicalName(2, gmsh.model.addPhysicalGroup(2, [tag]), name)
+        gmsh.model.addPhysicalGroup(3, [1])
+        gmsh.option.setNumber("Mesh.MeshSizeMax", 0.006)
+        gmsh.model.mesh.generate(3)
+        gmsh.model.mesh.setOrder(order)
+        gmsh.write(str(path))
+    finally:
+        gmsh.finalize()
+
+
+def of_file(path: Path) -> Scene:
+    """The scene of a mesh file."""
+    removed = {f"geometry.{key}": None for key in ("width", "height", "thickness")}
+    mesh = {"mesh.layout": "file", "mesh.file": str(path), "mesh.size": None}
+    return solid(**removed | mesh | {"mesh.lip_elements": None})
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_mesh_files_are_split_at_their_crack(tmp_path: Path, order: int) -> None:
+    """Cells of first and second order; the frequencies are those of the box that is built in."""
+    write_box(tmp_path / "box.msh", order)
+    scene = of_file(tmp_path / "box.msh")
+    structure = fc.build_structure(scene)
+    assert structure.n_pairs > 5
+    fine = frequencies(solid(THROUGH, **{"mesh.size": 0.006, "mesh.lip_elements": 4}), 3)
+    assert frequencies(scene, 3) == pytest.approx(fine, rel=0.015)
+
+
+def test_files_without_what_is_needed(tmp_path: Path) -> None:
+    """What lacks is named: a crack where there is contact; and one that cuts nothing."""
+    path = tmp_path / "box.msh"
+    write_box(path, 1, crack=False)
+    with pytest.raises(InputError, match="contact"):
+        fc.build_structure(of_file(path))
+    text = path.read_text().replace('"clamp"', '"held"')
+    path.write_text(text)
+    with pytest.raises(InputError, match="clamp"):
+        fc.build_structure(of_file(path))
+
+
+# --- what is refused ------------------------------------------------------------------------------
+
+FREE = {"mesh.size": None, "mesh.lip_elements": None}
+BAD = [
+    ("mesh.order", {"mesh.order": 1}),
+    ("mesh.layout", {"mesh.layout": "grid", "mesh.columns": 3, "mesh.rows": 3} | FREE),
+    ("excitation.point", {"excitation.point": [0.0, 0.09]}),
+    ("excitation.point", {"excitation.point": [0.0, 0.09, 0.007]}),
+    ("excitation.force_cos", {"excitation.force_cos": [1.0, 0.0]}),
+    ("crack.depth", {"crack.depth": 0.006}),
+    ("crack.front", {"crack.depth": None, "crack.front": "elliptical"}),
+    ("geometry.kind", {"geometry.kind": "shell"}),
+    ("geometry.thickness", {"geometry.thickness": None}),
+    ("output.points.tip", {"output.points": {"tip": [0.0, 0.09]}}),
+]
+
+
+@pytest.mark.parametrize(("key", "changes"), BAD, ids=[f"{k}-{i}" for i, (k, _) in enumerate(BAD)])
+def test_bad_input_is_named(key: str, changes: dict[str, Any]) -> None:
+    with pytest.raises(InputError) as caught:
+        solid(ELLIPSE, **changes)
+    assert caught.value.key == key
+
+
+def test_plates_have_no_depth() -> None:
+    """Nor a third direction."""
+    plate = {"geometry.kind": "plate", "excitation.point": [0.0, 0.09]}
+    with pytest.raises(InputError, match=r"depth"):
+        solid(ELLIPSE, **plate | {"excitation.force_cos": [1.0, 0.0]})
+    with pytest.raises(InputError, match=r"excitation.force_cos"):
+        solid(THROUGH, **plate)
+
+
+def test_loads_on_a_crack_there_are_two_lips() -> None:
+    with pytest.raises(InputError, match="upper one"):
+        fc.build_structure(solid(THROUGH, **{"excitation.point": [0.005, 0.03, 0.003]}))
+
+
+# --- ranks ----------------------------------------------------------------------------------------
+
+
+def on_ranks_of(text: str, comm: MPI.Comm) -> tuple[list[float], list[float]]:
+    """Frequencies [rad/s] and sorted areas of the pairs, on all ranks."""
+    structure = fc.build_structure(Scene.from_text(text), comm)
+    assert structure.pair_areas is not None
+    omega = fc.solve_modes(structure, 3).omega
+    rows = gather_rows(comm, structure.gap.toarray())
+    return omega.tolist(), [*structure.pair_areas.tolist(), float(np.linalg.norm(rows))]
+
+
+def test_two_ranks_build_the_same_solid(on_ranks: Callable[..., Any]) -> None:
+    text = solid(ELLIPSE).as_toml()
+    (omega, pairs) = on_ranks(on_ranks_of, text)
+    alone = fc.build_structure(Scene.from_text(text), MPI.COMM_SELF)
+    assert alone.pair_areas is not None
+    assert omega == pytest.approx(fc.solve_modes(alone, 3).omega.tolist(), rel=1e-8)
+    own = [*alone.pair_areas.tolist(), float(np.linalg.norm(alone.gap.toarray()))]
+    assert pairs == pytest.approx(own, rel=1e-10)
