@@ -27,6 +27,7 @@ first mode.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -128,19 +129,25 @@ def _by_clamp(modes: Modes) -> np.ndarray:
     """Relative changes of natural frequencies by a soft clamp, over that of the first: (n,); all
     alike, as of a slender beam, where no node is clamped or it is not known which are."""
     nodes = modes.structure.nodes
-    clamped = np.zeros((0, 2)) if nodes is None else nodes.points[(nodes.dofs < 0).all(axis=1)]
-    if nodes is None or len(clamped) < 2:
+    if nodes is None:
         return np.ones(len(modes.omega))
-    rigid = np.zeros((modes.structure.n_local, 3))
+    clamped = nodes.points[(nodes.dofs < 0).all(axis=1)]
+    if len(clamped) < 2:
+        return np.ones(len(modes.omega))
+    axes = range(nodes.points.shape[1])
+    turns = list(itertools.combinations(axes, 2))
     off = nodes.points - clamped.mean(axis=0)
-    turned = np.stack([-off[:, 1], off[:, 0]], axis=1)
-    for component in (0, 1):
-        free = nodes.dofs[:, component] >= 0
-        dofs = nodes.dofs[free, component]
-        rigid[dofs, component], rigid[dofs, 2] = 1.0, turned[free, component]
-    forces = rigid.T @ times(modes.structure.mass, modes.shapes)
+    moved = np.zeros((*nodes.dofs.shape, len(axes) + len(turns)))
+    moved[:, axes, axes] = 1.0
+    for place, (first, second) in enumerate(turns, len(axes)):
+        moved[:, first, place], moved[:, second, place] = -off[:, second], off[:, first]
+    rigid = np.zeros((modes.structure.n_local, moved.shape[2]))
+    free = nodes.dofs >= 0
+    rigid[nodes.dofs[free]] = moved[free]
+    squares = (rigid.T @ times(modes.structure.mass, modes.shapes)) ** 2
     gyration = np.sum(np.var(clamped, axis=0))
-    taken = modes.omega**2 * (forces[2] ** 2 + gyration * np.sum(forces[:2] ** 2, axis=0))
+    pushed, turned = squares[: len(axes)].sum(axis=0), squares[len(axes) :].sum(axis=0)
+    taken = modes.omega**2 * (turned + gyration * pushed)
     return np.asarray(taken / taken[0])
 
 
