@@ -20,7 +20,7 @@ import fenics_crack.scene.scene
 from fenics_crack.cli.command_line import parser
 from fenics_crack.scene import tables
 
-NEWCOMER = ("first_hour", "program", "cluster")
+NEWCOMER = ("first_hour", "program", "cluster", "solids")
 """Pages whose lines for the shell are run one after the other."""
 SHELL = re.compile(r"```sh\n(.*?)```", re.S)
 PAGES = [
