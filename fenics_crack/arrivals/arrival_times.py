@@ -22,7 +22,7 @@ UNITS = {"angle": "rad", "mark": "s", "next_mark": "s", "arrival": "s", "displac
 UNITS |= {"speed": "rad/s", "tip_radius": "m"}
 COLUMNS = ("revolution", "angle [rad]", "mark [s]", "next_mark [s]", "arrival [s]")
 """What a CSV file must have."""
-STEADY = 1e-3
+STEADY = 1e-2
 MOST_PASSAGES = 10**7
 RADIUS = "tip_radius [m]"
 """What it may have."""
@@ -100,8 +100,15 @@ class ArrivalTimes(Tabular):
         return np.asarray(2.0 * np.pi / np.diff(self.marks))
 
     @property
+    def mean_speed(self) -> float:
+        """Speed over the revolutions from which there are arrivals [rad/s]."""
+        turns = np.flatnonzero(np.isfinite(self.time).any(axis=1))
+        begin, end = int(turns[0]), int(turns[-1]) + 1
+        return float(2.0 * np.pi * (end - begin) / (self.marks[end] - self.marks[begin]))
+
+    @property
     def steady(self) -> bool:
-        """Tell whether the speed varies by less than 0.1 %; else these are arrivals of a run-up."""
+        """Tell whether the speed varies by less than 1 %; else these are arrivals of a run-up."""
         speed = self.speed
         return bool(np.ptp(speed) <= STEADY * speed.mean())
 
@@ -131,6 +138,14 @@ class ArrivalTimes(Tabular):
     def displacement(self) -> np.ndarray:
         """Tangential displacement u at the arrivals: (revolutions, probes) [m]."""
         return np.asarray(self.tip_radius * (self.nominal_angle - self.angle))
+
+    def zeroed(self, begin: int, end: int) -> Self:
+        """The same with the probes where the mean tip of the revolutions begin to end - 1, counted
+        from 0, stands: displacements are those from there, as of quiet revolutions."""
+        check_count("begin", begin, 0)
+        check_count("end", end, begin + 1)
+        quiet = np.nanmedian(self.displacement[begin:end], axis=0)
+        return replace(self, probes=self.probes - quiet / self.tip_radius)
 
     def between(self, begin: int, end: int) -> Self:
         """The same with the arrivals of the revolutions begin to end - 1, counted from 0, alone."""

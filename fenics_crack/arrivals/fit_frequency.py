@@ -4,44 +4,61 @@ At a frequency that is no multiple of the speed each revolution sees another poi
 so few probes suffice; but a probe alone samples once per revolution, and orders p, p + 1, p + 2,
 ... and their mirror images 1 - p, 2 - p, ... look the same to it. Probes at other angles see the
 aliases with other phases: two suffice (Lacaze, arXiv:1711.06135), though not two opposite each
-other, which see every second alias alike. The scan fits a constant and K harmonics at each order of
-a fine grid (Lomb and Scargle's periodogram with a floating mean: Zechmeister and Kürster, Astronomy
-and Astrophysics 496, 2009, 577). Its sums over the revolutions,
+other, which see every second alias alike. The vibration is one in time,
 
-    sum_n u_nj exp(-2 pi i n p),
+    u = c_j + sum_k a_k cos(k w t) + b_k sin(k w t)
 
-repeat with p + 1 and are FFTs, one for each probe. Gauss-Newton then fits order and harmonics of
-the best minima to the arrivals as they are.
+so the speed may vary. Its constant is that of all probes, but for errors of their angles; or each
+probe's own, which then holds all that follows the speed. The scan is a periodogram of what the
+constants leave, summed over the harmonics (Lomb, Astrophysics and Space Science 39, 1976, 447), at
+unevenly spaced times by the FFT (Greengard and Lee, SIAM Review 46, 2004, 443). Gauss-Newton then
+fits frequency, harmonics and constants to its best peaks (Zechmeister and Kürster, Astronomy and
+Astrophysics 496, 2009, 577), and the best of them with the weights of
+:mod:`fenics_crack.arrivals.robust`.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import chdtrc
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
-from fenics_crack.arrivals.harmonics import LinearFit, TipFit, compared, fit_harmonics, rounding
+from fenics_crack.arrivals.harmonics import ALIKE, LARGER, Candidates, TipFit, condition, rounding
+from fenics_crack.arrivals.robust import Noise, reweighted
 from fenics_crack.errors import InputError, check_count, check_number
+from fenics_crack.numerics.fourier import waves
+from fenics_crack.table import TURN
 
-__all__ = ["fit_frequency"]
+__all__ = ["find_lines", "fit_frequency"]
 
-FINER = 8
-"""Orders tried within the resolution, 1 / revolutions."""
-MOST_ORDERS = 10**6
-SCANNED = 2**17
-"""Orders solved together."""
-MINIMA = 40
-"""Minima of the scan that are refined."""
+FINER = 4
+"""Frequencies tried within the resolution, 1 / duration."""
+MOST_FREQUENCIES = 10**6
+PEAKS = 40
+"""Peaks of the scan that are refined, as far as they are not too low."""
+LOWEST = 0.5
+"""Height of a peak, over that of the highest."""
 APART = 2.0
-"""Minima nearer to a lower one, in units of the resolution, are its side lobes."""
+"""Peaks nearer to a higher one, in units of the resolution, are its side lobes."""
 CHANCE = 1e-5
-"""Probability of a vibration in the noise of one probe, above which there is none."""
-UNVARIED = 1e-6
-"""Largest variation of the speed."""
+"""Probability of a vibration in the noise, above which there is none."""
+SPREAD = 8
+"""Neighbours on each side to which the FFT's grid gets a time: eleven digits."""
+ROUNDS, SETTLED = 8, 1e-6
+"""Steps of Gauss-Newton from a peak, and the relative gain of one that is worth it."""
 
 
-def fit_frequency(arrivals: ArrivalTimes, low: float, high: float, *, harmonics: int = 1) -> TipFit:
-    """Find a vibration of any frequency, at constant speed, by least squares.
+def fit_frequency(
+    arrivals: ArrivalTimes,
+    low: float,
+    high: float,
+    *,
+    harmonics: int = 1,
+    angle_deviation: float = 0.0,
+) -> TipFit:
+    """Find a vibration of any frequency by least squares.
 
     Of frequencies that fit alike, within errors, the one with the smallest vibration is taken and
     the others are reported, as by :func:`fit_order`. Give no more harmonics than needed: with two,
@@ -50,22 +67,24 @@ def fit_frequency(arrivals: ArrivalTimes, low: float, high: float, *, harmonics:
     Parameters
     ----------
     arrivals : ArrivalTimes
-        At constant speed, to 1e-6.
+        The speed may vary.
     low, high : float [rad/s]
         Where the frequency of the load is sought.
     harmonics : int
         K.
+    angle_deviation : float [rad]
+        Standard deviation of the probes' angles, the same in every revolution.
 
     Returns
     -------
     TipFit
-        Its order is any number, with a standard error.
+        Its order is any number, frequency over mean speed, with a standard error.
 
     Raises
     ------
     InputError
-        A value cannot be used, the speed varies, there are too few arrivals, or those of a probe
-        alone do not vary: a vibration of a whole order looks like none to it.
+        A value cannot be used, there are too few arrivals, or those of a probe alone do not vary:
+        a vibration of a whole order looks like none to it.
 
     Examples
     --------
@@ -74,130 +93,265 @@ def fit_frequency(arrivals: ArrivalTimes, low: float, high: float, *, harmonics:
     check_number("low", low, 0.0, above=True)
     check_number("high", high, low, above=True)
     check_count("harmonics", harmonics, 1)
-    speeds = arrivals.speed
-    if np.ptp(speeds) > UNVARIED * speeds.mean():
-        found = f"{speeds.min():.6g} to {speeds.max():.6g} rad/s"
-        raise InputError("speed", found, "constant; fit_order and track_order allow a run-up")
-    speed = float(2.0 * np.pi * len(arrivals) / (arrivals.marks[-1] - arrivals.marks[0]))
-    seen = np.isfinite(arrivals.time)
-    angle, values = arrivals.angle[seen], arrivals.displacement[seen]
-    unknowns = 2 * harmonics + 2
-    if len(values) <= unknowns:
-        raise InputError("arrivals", f"{len(values)} arrivals", f"more than {unknowns}")
-
-    finest = 2 ** int(np.ceil(np.log2(FINER * len(arrivals))))
-    begin, end = np.ceil(low / speed * finest), np.floor(high / speed * finest) + 1.0
-    if not 0.0 < end - begin <= MOST_ORDERS:
-        allowed = f"between {1.0 / finest:.3g} and {MOST_ORDERS / finest:.3g} times the speed"
-        raise InputError("high - low", high - low, allowed)
-    grid = np.arange(begin, end)
-    pieces = np.array_split(grid.astype(int), -(-len(grid) // SCANNED))
-    scanned = np.concatenate([_scan(arrivals, one, finest, harmonics) for one in pieces])
-    if len(arrivals.probes) == 1:
-        _check_varies(arrivals, values, float(scanned.min()), unknowns)
-    starts = _minima(scanned)
-    multiples = np.arange(1.0, harmonics + 1.0)
-    bounds = (low / speed, high / speed)
-    radius = arrivals.tip_radius
-    refined = [
-        _refine(angle, values, grid[one] / finest, multiples, radius, bounds) for one in starts
-    ]
-    order, sums = np.array(refined).T
-    order = _distinct(order, sums, APART / len(arrivals))
-
-    def variance_of(fit: LinearFit, _: float = 0.0) -> float:
-        return max(fit.total / (len(values) - unknowns), rounding(arrivals) ** 2)
-
-    tried, best, fit, _ = compared(arrivals, order, multiples, variance_of, hidden_too=True)
-    variance = variance_of(fit)
-    covariance = variance * np.linalg.pinv(fit.jacobian.T @ fit.jacobian)
-    return TipFit(
-        order=float(order[best]),
-        order_error=float(np.sqrt(covariance[-1, -1])),
-        speed=speed,
-        multiples=multiples,
-        coefficients=fit.coefficients,
-        covariance=covariance[:-1, :-1],
-        scatter=float(np.sqrt(variance)),
-        misfit=np.nan,
-        candidates=tried,
-    )
-
-
-def _check_varies(arrivals: ArrivalTimes, values: np.ndarray, least: float, unknowns: int) -> None:
-    """Raise InputError where the displacements at one probe (n,) vary no more than their scatter
-    does about the best fit of the scan, which leaves ``least``: chi-square of the harmonics, once
-    for each independent frequency (Scargle, Astrophysical Journal 263, 1982, 835)."""
-    variance = max(least / (len(values) - unknowns), rounding(arrivals) ** 2)
-    explained = float(((values - values.mean()) ** 2).sum()) - least
-    by_chance = 0.5 * len(values) * float(chdtrc(unknowns - 2, max(explained / variance, 0.0)))
-    if by_chance > CHANCE:
+    check_number("angle_deviation", angle_deviation, 0.0)
+    unknowns, count = 2 * harmonics + 2, int(np.isfinite(arrivals.time).sum())
+    if count <= unknowns:
+        raise InputError("arrivals", f"{count} arrivals", f"more than {unknowns}")
+    shape = arrivals.time.shape
+    constants = np.arange(shape[1]) * bool(angle_deviation) * np.ones(shape, dtype=int)
+    sought = _Sought(arrivals, arrivals.displacement, constants, harmonics, angle_deviation)
+    fit, chance = sought.best(low, high)
+    if len(arrivals.probes) == 1 and chance > CHANCE:
         found = f"one at {np.degrees(arrivals.probes[0]):g} degrees, whose arrivals do not vary"
         allowed = "two or more: to one a vibration of a whole order is no vibration"
         raise InputError("probes", found, allowed)
+    return fit
 
 
-def _scan(arrivals: ArrivalTimes, grid: np.ndarray, finest: int, harmonics: int) -> np.ndarray:
-    """Sums of squares that fits at the orders grid / finest leave, up to a constant: (n,) [m^2].
-
-    The angles are the nominal ones here; what the vibration moves them is refined later.
-    """
-    seen = np.isfinite(arrivals.time)
-    shifted = np.where(seen, arrivals.displacement - np.nanmean(arrivals.displacement), 0.0)
-    sums = [np.fft.fft(part, finest, axis=0) for part in (seen.astype(float), shifted)]
-    start = 2.0 * np.pi * arrivals.first + arrivals.probes
-
-    def at(what: np.ndarray, multiple: int) -> np.ndarray:
-        """sum over all arrivals of what exp(-i multiple p alpha): (n,)."""
-        phase = np.multiply.outer(multiple * grid / finest, start)
-        found: np.ndarray = (what[multiple * grid % finest] * np.exp(-1j * phase)).sum(axis=1)
-        return found
-
-    # Of exp(i a p alpha), a = -K ... K: a Hermitian Toeplitz matrix at each order.
-    size = 2 * harmonics + 1
-    ones, moments = (
-        np.stack([at(sums[kind], multiple) for multiple in range(count)])
-        for kind, count in enumerate((size, harmonics + 1))
-    )
-    ones, moments = (np.concatenate([part[:0:-1].conj(), part]) for part in (ones, moments))
-    place = np.arange(size)
-    matrix = ones[size - 1 + place[:, None] - place].transpose(2, 0, 1)
-    matrix = matrix + 1e-10 * seen.sum() * np.eye(size)
-    found = np.linalg.solve(matrix, moments.T[..., None])[..., 0]
-    return np.asarray(float((shifted**2).sum()) - (moments.conj() * found.T).sum(axis=0).real)
-
-
-def _minima(sums: np.ndarray) -> np.ndarray:
-    """Places of the lowest minima of a scan, its ends included."""
-    padded = np.concatenate([[np.inf], sums, [np.inf]])
-    places = np.flatnonzero((sums <= padded[:-2]) & (sums <= padded[2:]))
-    return places[np.argsort(sums[places])[:MINIMA]]
-
-
-def _refine(
-    angle: np.ndarray,
+def find_lines(
+    arrivals: ArrivalTimes,
     values: np.ndarray,
-    order: float,
-    multiples: np.ndarray,
-    radius: float,
-    bounds: tuple[float, float],
-) -> tuple[float, float]:
-    """The order near one at which a fit leaves least, and the sum of squares that it leaves."""
-    best, least = order, np.inf
-    for _ in range(50):
-        fit = fit_harmonics(angle, values, order, multiples, radius)
-        if fit.total >= least:
+    constants: np.ndarray,
+    ends: tuple[float, float],
+    *,
+    most: int = 3,
+) -> tuple[tuple[TipFit, ...], np.ndarray]:
+    """Vibrations of constant frequency that are no chance, beside constants that hold all that
+    follows the speed; and displacements without these vibrations.
+
+    Parameters
+    ----------
+    arrivals : ArrivalTimes
+        The speed may vary.
+    values : (revolutions, probes) [m]
+        Displacements in which they are sought, one after the other.
+    constants : (revolutions, probes) int
+        Which displacements have the same constant.
+    ends : (float, float) [rad/s]
+        Least and largest of their frequencies.
+    most : int
+        So many at most.
+    """
+    found: list[TipFit] = []
+    left, count = np.array(values), len(np.unique(constants[np.isfinite(values)]))
+    while len(found) < most and np.isfinite(left).sum() > 2 * (count + 3):
+        fit, chance = _Sought(arrivals, left, constants, 1, np.inf).best(*ends)
+        if chance > CHANCE:
             break
-        best, least = order, fit.total
-        step = np.linalg.lstsq(fit.jacobian, fit.left, rcond=None)[0][-1]
-        order = float(np.clip(order + step, *bounds))
-    return best, least
+        found.append(fit)
+        left -= fit.displacement(fit.phases(arrivals)) - fit.coefficients[0]
+    return tuple(found), left
 
 
-def _distinct(order: np.ndarray, sums: np.ndarray, apart: float) -> np.ndarray:
-    """Orders without those that are less than a distance from one with a lower sum; increasing."""
-    kept: list[int] = []
-    for one in np.argsort(sums):
-        if all(abs(order[one] - order[other]) >= apart for other in kept):
-            kept.append(int(one))
-    return np.sort(order[kept])
+class _Sought:
+    """Least squares of a vibration in time, and a constant for each probe.
+
+    Parameters
+    ----------
+    arrivals : ArrivalTimes
+        Of which times and probes are taken.
+    values : (revolutions, probes) [m]
+        Displacements; nan where there is none.
+    constants : (revolutions, probes) int
+        Which of them have the same constant.
+    harmonics : int
+        K.
+    deviation : float [rad]
+        Standard deviation of the constants, as angles; inf: they are free.
+    """
+
+    omega: float
+    found: np.ndarray
+    columns: np.ndarray
+    noise: Noise
+
+    def __init__(
+        self,
+        arrivals: ArrivalTimes,
+        values: np.ndarray,
+        constants: np.ndarray,
+        harmonics: int,
+        deviation: float,
+    ) -> None:
+        seen = np.isfinite(values)
+        self._places = np.nonzero(seen)
+        self._arrivals, self._values = arrivals, values[seen]
+        self._time = arrivals.time[seen] - arrivals.marks[0]
+        self._expected = arrivals.expected[seen] - arrivals.marks[0]
+        self._multiples = np.arange(1.0, harmonics + 1.0)
+        turn, _ = self._places
+        self._span = float(arrivals.marks[turn.max() + 1] - arrivals.marks[turn.min()])
+        self._own = (constants[seen][:, None] == np.unique(constants[seen])).astype(float)
+        self._unknowns = 2 * harmonics + 1 + self._own.shape[1]
+        self._least, self._spread = rounding(arrivals), deviation * arrivals.tip_radius
+        self._stiffness = 0.0
+        self._stiffen(float(np.std(self._without(self._values, np.ones(len(turn))))))
+        self._none = reweighted(
+            lambda weights: self._without(self._values, weights),
+            len(turn), self._own.shape[1], self._least,
+        )  # fmt: skip
+
+    def _stiffen(self, scatter: float) -> None:
+        """How stiffly the probes' constants are held together, for a scatter [m]."""
+        if self._own.shape[1] > 1:
+            self._stiffness = (scatter / self._spread) ** 2
+
+    def _without(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Values (n,) or (n, m) without the constants that are fitted to them."""
+        weighted, count = weights[:, None] * self._own, self._own.shape[1]
+        square = self._own.T @ weighted + self._stiffness * (np.eye(count) - 1.0 / count)
+        return np.asarray(values - self._own @ np.linalg.solve(square, weighted.T @ values))
+
+    def _fitted(
+        self, omega: float, weights: np.ndarray, values: np.ndarray, time: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Coefficients a1, b1, ..., what they leave (n,), and the columns (n, 2K+1), the last one
+        by the frequency."""
+        raw, root = waves(omega * time, self._multiples)[:, 1:], np.sqrt(weights)[:, None]
+        both = self._without(np.column_stack([raw, values]), weights)
+        columns, left = both[:, :-1], both[:, -1]
+        found = np.linalg.lstsq(root * columns, root[:, 0] * left, rcond=1e-10)[0]
+        turned = raw[:, 0::2] * found[1::2] - raw[:, 1::2] * found[0::2]
+        slope = self._without(time * (turned @ self._multiples), weights)
+        return found, left - columns @ found, np.column_stack([columns, slope])
+
+    def _moved(
+        self, omega: float, weights: np.ndarray, left: np.ndarray, columns: np.ndarray
+    ) -> float:
+        """The frequency after a step of Gauss and Newton."""
+        root = np.sqrt(weights)
+        step = np.linalg.lstsq(root[:, None] * columns, root * left, rcond=1e-10)[0][-1]
+        return omega + float(np.clip(step, -np.pi / self._span, np.pi / self._span))
+
+    def best(self, low: float, high: float) -> tuple[TipFit, float]:
+        """The vibration that explains most, or as much with the smallest amplitude; and the
+        probability that noise has one as large."""
+        tried: list[tuple[bool, float, float]] = []
+        weights = self._none.weights
+        for omega in self._peaks(low, high):
+            best = True, np.inf, float(omega)
+            for _ in range(ROUNDS):
+                _, left, columns = self._fitted(omega, weights, self._values, self._time)
+                held, least = self._held(columns), float(weights @ left**2)
+                if held > best[0] or least >= (1.0 - SETTLED) * best[1]:
+                    break
+                best = held, least, float(omega)
+                omega = float(np.clip(self._moved(omega, weights, left, columns), low, high))
+            tried.append(best)
+        kept: list[float] = []
+        for _, _, omega in sorted(tried):
+            if all(abs(omega - other) >= APART * TURN / self._span for other in kept):
+                kept.append(omega)
+        self._bounds, self.omega = (low, high), kept[0]
+        self._settle()
+        candidates, self.omega = self._compared(np.sort([self.omega, *kept[1:]]))
+        self._settle()
+        gain = max(self._none.cost - self.noise.cost, 0.0)
+        cells = max((high - low) * self._span / TURN, 1.0)
+        chance = min(cells * float(chdtrc(2 * len(self._multiples) + 1, gain)), 1.0)
+        return self._described(candidates), 1.0 if self._held(self.columns) else chance
+
+    def _held(self, columns: np.ndarray) -> bool:
+        """Whether the constants hold half of some vibration or more: to them it is none."""
+        values = np.linalg.svd(columns[:, :-1], compute_uv=False)
+        return bool(values[-1] ** 2 < 0.25 * len(columns))
+
+    def _peaks(self, low: float, high: float) -> np.ndarray:
+        """Frequencies at which a periodogram is highest [rad/s]."""
+        step = TURN / (FINER * self._span)
+        begin, end = int(np.ceil(low / step)), int(np.floor(high / step)) + 1
+        count = len(self._multiples) * end
+        if not 0 < end - begin or count > MOST_FREQUENCIES:
+            allowed = f"between {step:.3g} and {MOST_FREQUENCIES * step:.3g} rad/s"
+            raise InputError("high - low", high - low, allowed)
+        values, places = self._none.psi, np.arange(begin, end)
+        sums = np.abs(_spectrum(step * self._time, values, count)) ** 2
+        power = np.sum([sums[int(multiple) * places] for multiple in self._multiples], axis=0)
+        padded = np.concatenate([[-np.inf], power, [-np.inf]])
+        peaks = np.flatnonzero((power >= padded[:-2]) & (power >= padded[2:]))
+        peaks = peaks[np.argsort(-power[peaks])[:PEAKS]]
+        if power[peaks[0]] < np.log(len(places)) * float(values @ values):
+            peaks = peaks[:1]  # as high as in noise: exponentially distributed
+        return np.asarray(step * places[peaks[power[peaks] > LOWEST * power[peaks[0]]]])
+
+    def _settle(self) -> None:
+        """Fit frequency, harmonics and constants by turns with weights."""
+        following = self.omega
+
+        def solve(weights: np.ndarray) -> np.ndarray:
+            nonlocal following
+            self.omega = following
+            self.found, left, columns = self._fitted(self.omega, weights, self._values, self._time)
+            self.columns = columns
+            following = float(
+                np.clip(self._moved(self.omega, weights, left, columns), *self._bounds)
+            )
+            return left
+
+        self.noise = reweighted(solve, len(self._values), self._unknowns, self._least)
+        self._stiffen(self.noise.scale)
+
+    def _compared(self, omegas: np.ndarray) -> tuple[Candidates, float]:
+        """What frequencies explain, with the weights of the best; and the one to be taken."""
+        weights, limit = self.noise.weights, ALIKE * self.noise.scale**2
+        fits = [self._fitted(omega, weights, self._values, self._time) for omega in omegas]
+        sums = np.array([weights @ left**2 for _, left, _ in fits])
+        sizes = np.array([np.linalg.norm(found) for found, _, _ in fits])
+        conditions = np.array([condition(columns[:, :-1]) for _, _, columns in fits])
+        alike = sums - sums.min() < limit
+        hidden = np.array([self._held(columns) for _, _, columns in fits])
+        known = alike & ~hidden if np.any(alike & ~hidden) else alike
+        small = known & (sizes <= LARGER * sizes[known].min())
+        best = int(np.argmin(np.where(small, sums, np.inf)))
+        # That arrivals are not where they were expected tells aliases apart, too little to rely on.
+        wave = waves(omegas[best] * self._expected, self._multiples)[:, 1:] @ fits[best][0]
+        lefts = [self._fitted(omega, weights, wave, self._expected)[1] for omega in omegas]
+        alike |= np.array([weights @ left**2 for left in lefts]) < limit
+        residuals = np.sqrt(sums / len(self._values))
+        orders = omegas / self._arrivals.mean_speed
+        return Candidates(orders, residuals, conditions, alike, hidden), float(omegas[best])
+
+    def _described(self, candidates: Candidates) -> TipFit:
+        """The fit in numbers; its order stands in the place of its candidate."""
+        speed, count = self._arrivals.mean_speed, 2 * len(self._multiples) + 1
+        order = self.omega / speed
+        orders = candidates.orders.copy()
+        orders[np.abs(orders - order).argmin()] = order
+        spread = self.noise.covariance(self.columns, *self._places)
+        covariance = np.zeros((count, count))
+        covariance[1:, 1:] = spread[:-1, :-1]
+        covariance[0, 0] = self.noise.variance / len(self._values)
+        wave = waves(self.omega * self._time, self._multiples)[:, 1:] @ self.found
+        weights = self.noise.weights
+        mean = float(weights @ (self._values - wave) / weights.sum())
+        return TipFit(
+            order=order,
+            order_error=float(np.sqrt(spread[-1, -1])) / speed,
+            speed=speed,
+            multiples=self._multiples,
+            coefficients=np.append(mean, self.found),
+            covariance=covariance,
+            scatter=float(np.sqrt(self.noise.variance)),
+            misfit=np.nan,
+            spare=len(self._values) - self._unknowns,
+            candidates=replace(candidates, orders=orders),
+        )
+
+
+def _spectrum(phase: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
+    """sum_n values_n exp(-i m phase_n) for m = 0, ..., count - 1, of phases (n,) [rad]: each value
+    is spread over its neighbours on a grid by a Gaussian, whose transform is taken out again."""
+    modes = 2 * (count // 2 + 1)
+    middle, size = modes // 2, 2 * modes
+    width = np.pi * SPREAD / (modes**2 * 3.0)  # of Greengard and Lee, twice as fine a grid
+    turned = values * np.exp(-1j * middle * phase)
+    place = np.floor(phase * size / TURN).astype(int)
+    grid = np.zeros(size, dtype=complex)
+    for shift in range(1 - SPREAD, SPREAD + 1):
+        near = place + shift
+        share = turned * np.exp(-((phase - TURN * near / size) ** 2) / (4.0 * width))
+        grid += np.bincount(near % size, share.real, size)
+        grid += 1j * np.bincount(near % size, share.imag, size)
+    order = np.arange(modes) - middle
+    found = np.fft.fft(grid)[order] / size
+    return np.asarray(found * np.sqrt(np.pi / width) * np.exp(order**2 * width))[:count]

@@ -16,61 +16,80 @@ vibration, and not where the tip was expected.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.special import fdtrc
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
+from fenics_crack.arrivals.fit_frequency import find_lines
 from fenics_crack.arrivals.harmonics import (
-    LinearFit,
+    ALIKE,
+    LARGER,
+    MISFIT,
+    ORDERS,
+    Candidates,
     TipFit,
-    compared,
-    nominal_condition,
+    condition,
     refuse,
     rounding,
     strengths,
     wanted,
 )
-from fenics_crack.errors import InputError, check_count
+from fenics_crack.arrivals.robust import reweighted, trend
+from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.numerics.fourier import waves
-from fenics_crack.table import UNITS, Tabular, counted, with_frequency
+from fenics_crack.table import TURN, UNITS, Tabular, counted, with_frequency
 
 __all__ = ["TipTrack", "fit_order", "track_order"]
 
 SIGNIFICANT = 0.01
 """Below this probability what is left between the probes' means is no chance."""
+OTHERS = 3
+"""Harmonics beyond those kept that may be folded onto them."""
+WIDEST = 1e6
+"""Of their deviation over the errors, beyond which nothing is told of them."""
+LONGEST = 24
+"""Revolutions after which a probe sees the same again, at most."""
 
 
 def fit_order(
     arrivals: ArrivalTimes,
-    orders: Iterable[float] = range(1, 25),
+    orders: Iterable[float] = ORDERS,
     *,
     harmonics: int = 1,
     subharmonic: int = 1,
+    angle_deviation: float = 0.0,
 ) -> TipFit:
-    """Find the engine order of a vibration, and its harmonics, by linear least squares.
+    """Find the engine order of a vibration, and its harmonics, by least squares.
 
-    Each candidate is fitted. All whose sum of squares is less than 9 variances above the least one
-    are alike: the one with the smallest vibration is taken (within 20 %, the one that leaves
-    least), and the others are reported. So are those whose columns are dependent at these probes,
-    as hidden (:class:`Candidates`). The variance is that of the residuals; where the means of the
-    probes are off by more than their scatter explains (F test), it is that of the means, so that
-    harmonics left out do not pass for information.
+    What a probe sees alike in every revolution is its mean, found beside vibrations that follow no
+    order (``asynchronous`` of the fit), with errors of Student's t, so that single wrong arrivals
+    have no weight. Each candidate is fitted to the means. All whose sum of squares is less than 9
+    variances above the least one are alike: the one with the smallest vibration is taken (within
+    20 %, the one that leaves least), and the others are reported. So are those whose columns are
+    dependent at these probes, as hidden (:class:`Candidates`). The variance of a mean is that of
+    the residuals and of the probe's angle; where the means are off by more (F test), it is that of
+    the means, so that harmonics left out do not pass for information.
 
     Parameters
     ----------
     arrivals : ArrivalTimes
         Measured or simulated; of steady vibration. :func:`track_order` is for run-ups.
     orders : iterable of float
-        Candidates: periods of the load in a revolution. Those that a Campbell diagram allows are
-        told apart most easily.
+        Candidates: periods of the load in a revolution, whole numbers or fractions of small ones.
+        Those that a Campbell diagram allows are told apart most easily.
     harmonics : int
         K; 2 or more show a breathing crack by :meth:`TipFit.ratio`.
     subharmonic : int
         2: the response has twice the load's period, and harmonics 1/2, 1, ..., K/2 of the load.
+    angle_deviation : float [rad]
+        Standard deviation of the probes' angles, the same in every revolution.
 
     Returns
     -------
@@ -87,55 +106,193 @@ def fit_order(
     >>> fit = fc.fit_order(arrivals, range(1, 13))
     """
     tried, multiples = wanted(orders, harmonics, subharmonic)
-    seen = np.isfinite(arrivals.time)
-    turn, probe = np.nonzero(seen)
-    same = probe + len(arrivals.probes) * ((arrivals.first + turn) % subharmonic)
-
-    def variance_of(fit: LinearFit, order: float) -> tuple[float, float]:
-        """Variance and misfit; with a whole order probes see the same points in every turn."""
-        found, chance = _variance(fit, same if order % 1.0 == 0.0 else None)
-        return max(found, rounding(arrivals) ** 2), chance
-
-    found = compared(arrivals, tried, multiples, lambda *least: variance_of(*least)[0])
-    candidates, best, fit, least = found
-    variance, misfit = variance_of(*least)
-    columns = fit.jacobian[:, :-1]
-    known = variance if np.isfinite(variance) else np.nan
+    check_number("angle_deviation", angle_deviation, 0.0)
+    means = _Means(arrivals, _period(tried, multiples), float(tried.max()), angle_deviation)
+    unknowns = 2 * len(multiples) + 1
+    fits = [means.fit(order, multiples) for order in tried]
+    hidden = np.array([fit is None for fit in fits])
+    if np.all(hidden):
+        refuse(arrivals, unknowns)
+    sums = np.array([np.inf if fit is None else fit[1] for fit in fits])
+    lowest, misfit = means.judged(float(sums.min()), unknowns)
+    alike = sums - sums.min() < ALIKE * lowest
+    sizes = np.array([np.inf if fit is None else np.linalg.norm(fit[0][1:]) for fit in fits])
+    small = alike & (sizes <= LARGER * sizes[alike].min())
+    best = int(np.argmin(np.where(small, sums, np.inf)))
+    chosen = fits[best]
+    assert chosen is not None
+    # That arrivals are not at the probes' angles tells aliases apart, too little to rely on.
+    wave = waves(tried[best] * means.nominal, multiples) @ chosen[0]
+    alike |= np.array([means.unexplained(wave, one, multiples) for one in tried]) < ALIKE * lowest
+    known = lowest if np.isfinite(lowest) else np.nan
+    if means.within > 0 and len(means.values) > unknowns + 1:
+        chosen = means.beside_others(tried[best], multiples)
+        known = max(means.judged(chosen[1], unknowns)[0], 1.0)
+    residuals = np.array([means.residual(order, multiples) for order in tried])
+    conditions = [condition(waves(order * means.nominal, multiples)) for order in tried]
     return TipFit(
         order=float(tried[best]),
         order_error=0.0,
-        speed=_mean_speed(arrivals, seen),
+        speed=arrivals.mean_speed,
         multiples=multiples,
-        coefficients=fit.coefficients,
-        covariance=known * np.linalg.inv(columns.T @ columns),
-        scatter=float(np.sqrt(known)),
+        coefficients=chosen[0],
+        covariance=known * chosen[2],
+        scatter=means.scatter * float(np.sqrt(lowest if np.isfinite(lowest) else np.nan)),
         misfit=misfit,
-        candidates=candidates,
+        candidates=Candidates(tried, residuals, np.array(conditions), alike, hidden),
+        spare=len(means.values) - unknowns,
+        asynchronous=means.lines,
     )
 
 
-def _mean_speed(arrivals: ArrivalTimes, seen: np.ndarray) -> float:
-    """Speed over the revolutions from which there are arrivals [rad/s]."""
-    turns = np.flatnonzero(seen.any(axis=1))
-    begin, end = turns[0], turns[-1] + 1
-    return float(2.0 * np.pi * (end - begin) / (arrivals.marks[end] - arrivals.marks[begin]))
+def _period(orders: np.ndarray, multiples: np.ndarray) -> int:
+    """Revolutions after which each probe sees the same again."""
+    products = np.multiply.outer(orders, multiples).ravel()
+    parts = [Fraction(product).limit_denominator(LONGEST) for product in products.tolist()]
+    period = math.lcm(*(part.denominator for part in parts))
+    if period > LONGEST or np.any(np.abs([float(part) for part in parts] - products) > 1e-9):
+        allowed = f"whole numbers, or fractions that repeat within {LONGEST} revolutions"
+        raise InputError("orders", orders.tolist(), f"{allowed}; fit_frequency finds others")
+    return period
 
 
-def _variance(fit: LinearFit, group: np.ndarray | None) -> tuple[float, float]:
-    """Variance of a displacement [m^2], inf where no arrival is to spare, and the probability of
-    the misfit between groups of arrivals that see the same point of the period, if there are."""
-    left, unknowns = fit.left, len(fit.coefficients)
-    plain = fit.total / (len(left) - unknowns) if len(left) > unknowns else np.inf
-    if group is None:
-        return plain, np.nan
-    _, where, sizes = np.unique(group, return_inverse=True, return_counts=True)
-    between, within = len(sizes) - unknowns, len(left) - len(sizes)
-    if between < 1 or within < 1:
-        return plain, np.nan
-    means = np.bincount(where, left) / sizes
-    pure, lack = float(np.sum((left - means[where]) ** 2)), float(sizes @ means**2) / between
-    chance = float(fdtrc(between, within, lack / pure * within)) if pure > 0.0 else 0.0
-    return (lack if chance < SIGNIFICANT else plain), chance
+class _Means:
+    """What each probe sees alike, every so many revolutions: its means, with their covariance.
+
+    Parameters
+    ----------
+    arrivals : ArrivalTimes
+        Of steady vibration.
+    period : int
+        After so many revolutions a probe sees the same again.
+    order : float
+        The largest of the candidates; up to it vibrations that follow none are sought.
+    angle_deviation : float [rad]
+        Of the probes.
+
+    Attributes
+    ----------
+    values : (g,) [m]
+        Means.
+    nominal, angle : (g,) [rad]
+        Rotor's angles where they are expected, and where they are.
+    scatter : float [m]
+        Of a displacement about its mean; 1 where it is not known.
+    lines : tuple of TipFit
+        Vibrations beside them.
+    """
+
+    def __init__(
+        self, arrivals: ArrivalTimes, period: int, order: float, angle_deviation: float
+    ) -> None:
+        count, probes = arrivals.time.shape
+        row = (arrivals.first + np.arange(count)) % period
+        constants = row[:, None] * probes + np.arange(probes)
+        ends = arrivals.mean_speed * 0.5, arrivals.mean_speed * (max(order, ORDERS[-1]) + 1.0)
+        self.lines, left = find_lines(arrivals, arrivals.displacement, constants, ends)
+        seen = np.isfinite(left)
+        turn, probe = np.nonzero(seen)
+        groups, where = np.unique(constants[seen], return_inverse=True)
+        self._data, self._where = left[seen], where
+        self.nominal = arrivals.probes[groups % probes] + TURN * (groups // probes)
+        self.within = len(where) - len(groups)
+
+        def solve(weights: np.ndarray) -> np.ndarray:
+            self._share = np.bincount(where, weights)
+            self.values = np.bincount(where, weights * self._data) / self._share
+            return self._data - self.values[where]
+
+        noise = reweighted(solve, len(where), len(groups), rounding(arrivals))
+        own = np.eye(len(groups))[where]
+        self.scatter, covariance = 1.0, np.diag(1.0 / np.bincount(where))
+        if self.within > 0:
+            self.scatter = max(float(np.sqrt(noise.variance)), rounding(arrivals))
+            covariance = noise.covariance(own, turn, probe)
+            covariance += np.eye(len(groups)) * rounding(arrivals) ** 2
+            place = groups % probes
+            spread = (arrivals.tip_radius * angle_deviation) ** 2
+            covariance += spread * (place[:, None] == place)
+        self.angle = self.nominal - self.values / arrivals.tip_radius
+        self._radius, self._root = arrivals.tip_radius, np.linalg.cholesky(covariance)
+
+    def beside_others(
+        self, order: float, multiples: np.ndarray
+    ) -> tuple[np.ndarray, float, np.ndarray]:
+        """As :meth:`fit`, beside the next harmonics, which are left out, as normal numbers of the
+        variance that makes the means most likely (restricted likelihood): so far as they are seen,
+        the errors hold what is folded from them onto the harmonics kept."""
+        kept, found, least = self._root, self.fit(order, multiples), np.inf
+        assert found is not None
+        others = multiples[-1] + multiples[0] * np.arange(1.0, OTHERS + 1.0)
+        columns = waves(order * self.angle, others)[:, 1:]
+        columns = solve_triangular(kept, columns, lower=True)
+        largest = float(np.abs(found[0][1:]).max())
+        for size in largest * np.array([0.0, *2.0 ** -np.arange(8.0)]):
+            wide = size * np.linalg.norm(columns)
+            if wide > WIDEST:
+                continue
+            square = np.eye(len(columns)) + size**2 * columns @ columns.T
+            self._root = kept @ np.linalg.cholesky(square)
+            tried = self.fit(order, multiples)
+            if tried is None:
+                continue
+            logs = 2.0 * np.log(np.diag(self._root)).sum() - np.linalg.slogdet(tried[2])[1]
+            if (cost := tried[1] + logs) < least:
+                found, least = tried, cost
+        self._root = kept
+        return found
+
+    def fit(
+        self, order: float, multiples: np.ndarray
+    ) -> tuple[np.ndarray, float, np.ndarray] | None:
+        """Coefficients, the sum of squares that they leave, in variances, and their covariance;
+        None where the probes cannot measure this order, or the tip would move backwards."""
+        columns = waves(order * self.angle, multiples)
+        planned = waves(order * self.nominal, multiples)
+        if np.isinf(condition(planned)) or np.isinf(condition(columns)):
+            return None
+        slope = np.ones(len(columns))
+        # An arrival that is late by e leaves R W e (1 + u' / R): it is elsewhere, too.
+        for _ in range(2):
+            whitened, values = (
+                solve_triangular(self._root, (part.T / slope).T, lower=True)
+                for part in (columns, self.values)
+            )
+            found = np.linalg.lstsq(whitened, values, rcond=None)[0]
+            turned = columns[:, 1::2] * found[2::2] - columns[:, 2::2] * found[1::2]
+            slope = 1.0 + order * turned @ multiples / self._radius
+            if np.any(slope <= 0.0):
+                return None
+        left = values - whitened @ found
+        return found, float(left @ left), np.linalg.inv(whitened.T @ whitened)
+
+    def judged(self, least: float, unknowns: int) -> tuple[float, float]:
+        """The variance in units of the one that is expected, inf where none is to spare, and the
+        probability of a misfit, nan where it is not known."""
+        between = len(self.values) - unknowns
+        if self.within < 1:
+            return (least / between if between else np.inf), np.nan
+        if between < 1:
+            return 1.0, np.nan
+        chance = float(fdtrc(between, self.within, least / between))
+        pooled = (self.within + least) / (self.within + between)
+        return (least / between if chance < SIGNIFICANT else pooled), chance
+
+    def unexplained(self, wave: np.ndarray, order: float, multiples: np.ndarray) -> float:
+        """What an order leaves of a wave at the nominal angles, in variances."""
+        columns, values = (
+            solve_triangular(self._root, part, lower=True)
+            for part in (waves(order * self.nominal, multiples), wave)
+        )
+        left = values - columns @ np.linalg.lstsq(columns, values, rcond=1e-10)[0]
+        return float(left @ left)
+
+    def residual(self, order: float, multiples: np.ndarray) -> float:
+        """Root mean square of what an order leaves of the arrivals [m]."""
+        columns = waves(order * self.angle, multiples)
+        found = np.linalg.lstsq(columns, self.values, rcond=1e-10)[0]
+        left = self._data - (columns @ found)[self._where]
+        return float(np.sqrt(np.mean(left**2)))
 
 
 # --- run-ups --------------------------------------------------------------------------------------
@@ -158,6 +315,10 @@ class TipTrack(Tabular):
     amplitudes, amplitude_errors : (n, K) [m]
         And standard errors; nan where too many arrivals are missing, and errors of fits without
         an arrival to spare.
+    misfit : float
+        Probability that what is left is as alike from revolution to revolution by chance. If it is
+        tiny, harmonics are missing, and what is left out is folded onto those that are kept. nan
+        where there are no more probes than unknowns, which fit anything.
     """
 
     order: float
@@ -166,6 +327,17 @@ class TipTrack(Tabular):
     coefficients: np.ndarray
     amplitudes: np.ndarray
     amplitude_errors: np.ndarray
+    misfit: float
+
+    @property
+    def does_not_fit(self) -> bool:
+        """Tell whether the misfit is below 0.001: harmonics are missing."""
+        return self.misfit < MISFIT
+
+    @property
+    def in_doubt(self) -> bool:
+        """Tell whether it does not fit, or has as many unknowns as there are probes."""
+        return self.does_not_fit or bool(np.isnan(self.misfit))
 
     @property
     def omega(self) -> np.ndarray:
@@ -186,7 +358,8 @@ class TipTrack(Tabular):
 
     def _title(self) -> str:
         speeds = f"{self.speed[0]:.6g} to {self.speed[-1]:.6g} rad/s"
-        return f"order {self.order:g}, {speeds}, {counted(len(self.speed), 'point')}"
+        doubt = ", DOES NOT FIT" * self.does_not_fit
+        return f"order {self.order:g}, {speeds}, {counted(len(self.speed), 'point')}{doubt}"
 
 
 def track_order(
@@ -196,15 +369,18 @@ def track_order(
     harmonics: int = 1,
     subharmonic: int = 1,
     revolutions: int = 1,
+    angle_deviation: float = 0.0,
 ) -> TipTrack:
     """Fit the harmonics of a known engine order to each few revolutions of a run-up.
 
     The fit of :func:`fit_order` with one candidate, to ``revolutions`` revolutions at a time.
-    A vibration of twice the load's period and an odd order needs two or more.
+    A vibration of twice the load's period and an odd order needs two or more. A harmonic that is
+    left out looks like some mixture of those kept; what remains of it shows as a misfit, and the
+    standard errors then follow from what the means of the probes leave.
 
     Parameters
     ----------
-    arrivals, harmonics, subharmonic
+    arrivals, harmonics, subharmonic, angle_deviation
         As of :func:`fit_order`.
     order : float
         Periods of the load in a revolution.
@@ -227,10 +403,12 @@ def track_order(
     """
     _, multiples = wanted([order], harmonics, subharmonic)
     check_count("revolutions", revolutions, 1)
+    check_number("angle_deviation", angle_deviation, 0.0)
     groups, unknowns = len(arrivals) // revolutions, 2 * len(multiples) + 1
     if not groups:
         raise InputError("revolutions", revolutions, f"at most {len(arrivals)}, what there is")
-    if np.isinf(nominal_condition(arrivals.nominal_angle[:revolutions].ravel(), order, multiples)):
+    planned = waves(order * arrivals.nominal_angle[:revolutions].ravel(), multiples)
+    if np.isinf(condition(planned)):
         refuse(arrivals, unknowns)
     shape = (groups, revolutions * len(arrivals.probes))
     angle, nominal, values = (
@@ -247,9 +425,21 @@ def track_order(
     inverse = np.linalg.pinv(columns)
     found = np.where(enough[:, None], (inverse @ values[..., None])[..., 0], np.nan)
     left = values - (columns @ found[..., None])[..., 0]
+    left = np.where(seen & enough[:, None], left, 0.0)
+    split = groups, revolutions, len(arrivals.probes)
+    turn, probe = np.nonzero(seen.reshape(-1, split[2]))
+    flat = left.reshape(-1, split[2])[turn, probe]
+    own = split[2] * (subharmonic if revolutions > 1 else 1) - unknowns
+    misfit = trend(flat, turn, probe) if own > 0 else np.nan
     with np.errstate(divide="ignore", invalid="ignore"):
         variance = np.where(count > unknowns, (left**2).sum(axis=1) / (count - unknowns), np.nan)
+        if misfit < MISFIT:
+            sizes = np.maximum(seen.reshape(split).sum(axis=1), 1)
+            lack = (left.reshape(split).sum(axis=1) ** 2 / sizes).sum(axis=1) / own
+            variance = np.maximum(variance, lack)
     covariance = variance[:, None, None] * (inverse @ inverse.transpose(0, 2, 1))
+    each = inverse.reshape(groups, unknowns, *split[1:]).sum(axis=2)
+    covariance += (arrivals.tip_radius * angle_deviation) ** 2 * (each @ each.transpose(0, 2, 1))
     times = arrivals.marks[: groups * revolutions + 1 : revolutions]
     speed = 2.0 * np.pi * revolutions / np.diff(times)
-    return TipTrack(order, speed, multiples, found, *strengths(found, covariance))
+    return TipTrack(order, speed, multiples, found, *strengths(found, covariance), misfit)

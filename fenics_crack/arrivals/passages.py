@@ -32,7 +32,8 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
-from fenics_crack.arrivals.harmonics import ALIKE, UNITS, rounding, wanted
+from fenics_crack.arrivals.fit_frequency import find_lines
+from fenics_crack.arrivals.harmonics import ALIKE, ORDERS, UNITS, TipFit, rounding, wanted
 from fenics_crack.arrivals.robust import reweighted
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.table import RPM, TURN, Tabular, quantity
@@ -272,6 +273,8 @@ class PassageFit(Tabular):
     whiteness : float
         Probability that errors without correlation from revolution to revolution leave what is
         left. The standard errors hold with the correlation that is seen.
+    asynchronous : tuple of TipFit
+        Vibrations of constant frequency, which follow no order, found in the record.
     """
 
     order: float
@@ -289,6 +292,7 @@ class PassageFit(Tabular):
     margins: np.ndarray
     scatter: float
     whiteness: float
+    asynchronous: tuple[TipFit, ...] = ()
 
     @property
     def speed(self) -> float:
@@ -407,13 +411,17 @@ def fit_passage(
 
 
 def find_passages(
-    arrivals: ArrivalTimes, orders: Iterable[float] = range(1, 25), *, most: int = 8
+    arrivals: ArrivalTimes,
+    orders: Iterable[float] = range(1, 25),
+    *,
+    most: int = 8,
+    asynchronous: int = 0,
 ) -> tuple[PassageFit, ...]:
     """Find the resonances that a record passes, the clearest one first.
 
     Along the speed, vibrations of any phase at each probe are fitted. Where they explain most, the
     fit of :func:`fit_passage` finds the mode, which is subtracted before the next one is looked
-    for, until what is found could be chance.
+    for, until what is found could be chance; beside vibrations of constant frequency, if there are.
 
     Parameters
     ----------
@@ -423,6 +431,9 @@ def find_passages(
         Candidates: periods of the load in a revolution.
     most : int
         So many at most.
+    asynchronous : int
+        So many vibrations of constant frequency at most are looked for beside them. They pass
+        every order, and look like resonances of no damping there; drift may look like them.
 
     Returns
     -------
@@ -441,14 +452,31 @@ def find_passages(
     """
     tried, _ = wanted(orders, 1, 1)
     check_count("most", most, 1)
-    left, speeds = np.array(arrivals.displacement), arrivals.speed
+    check_count("asynchronous", asynchronous, 0)
+    values = np.array(arrivals.displacement)
+    found, left = _search(arrivals, values, tried, most)
+    constants = np.arange(values.shape[1]) * np.ones(values.shape, dtype=int)
+    ends = 0.5 * arrivals.mean_speed, arrivals.mean_speed * (max(tried.max(), ORDERS[-1]) + 1.0)
+    lines, left = find_lines(arrivals, left, constants, ends, most=asynchronous)
+    if lines:
+        for one in found:
+            one.add(arrivals, left, 1.0)
+        found, _ = _search(arrivals, left, tried, most)
+    return tuple(one.described(lines) for one in found)
+
+
+def _search(
+    arrivals: ArrivalTimes, values: np.ndarray, orders: np.ndarray, most: int
+) -> tuple[list[_Compared], np.ndarray]:
+    """Resonances in displacements (revolutions, probes), and what they leave."""
+    left, speeds = np.array(values), arrivals.speed
     count = int(np.log(speeds.max() / speeds.min()) / SPACING)
     centres = speeds.min() * np.exp(SPACING * (0.5 + np.arange(count)))
     gains = np.array([_clearness(arrivals, left, centre) for centre in centres])
     found: list[_Compared] = []
     while len(found) < most and np.any(gains > CLEAR):
         centre = centres[int(gains.argmax())]
-        new = _Compared(_runs(arrivals, left, centre), centre, tried)
+        new = _Compared(_runs(arrivals, left, centre), centre, orders)
         gains[np.abs(centres / centre - 1.0) < 1.5 * SPACING] = 0.0
         if not new.clear:
             continue
@@ -459,9 +487,9 @@ def find_passages(
     for place, one in enumerate(found):  # each beside the others, once more
         if any(0.0 < abs(other.speed / one.speed - 1.0) < WIDTH for other in found):
             one.add(arrivals, left, 1.0)
-            found[place] = _Compared(_runs(arrivals, left, one.speed), one.speed, tried)
+            found[place] = _Compared(_runs(arrivals, left, one.speed), one.speed, orders)
             found[place].add(arrivals, left, -1.0)
-    return tuple(one.described() for one in found)
+    return found, left
 
 
 def _runs(arrivals: ArrivalTimes, values: np.ndarray, speed: float) -> list[_Run]:
@@ -566,7 +594,7 @@ class _Compared:
             wave = _Run(arrivals, values, begin, end).waves(best.order, root)[0]
             values[begin:end] += factor * (force * wave).real
 
-    def described(self) -> PassageFit:
+    def described(self, lines: tuple[TipFit, ...] = ()) -> PassageFit:
         """The best fit in numbers, beside those of each run by itself."""
         best, runs = self.best, self._runs
         alone = [_Fit([run], best.order, best.root) for run in runs] if len(runs) > 1 else [best]
@@ -588,4 +616,5 @@ class _Compared:
             margins=np.array([self.margins[order] for order in orders]),
             scatter=float(np.sqrt(best.noise.variance)),
             whiteness=best.whiteness,
+            asynchronous=lines,
         )

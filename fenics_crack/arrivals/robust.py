@@ -21,13 +21,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaln, ndtr
 
-__all__ = ["Noise", "reweighted"]
+__all__ = ["Noise", "reweighted", "trend"]
 
 FREEDOMS = np.array([3.0, 5.0, 10.0, 30.0, 1e6])
 """Degrees of freedom that are tried."""
 ROUNDS = 30
 SETTLED = 1e-3
 """Change of the weights below which they are final."""
+EPSILON = 1e-12
+"""Columns are dependent below this share of the largest eigenvalue."""
+FLOOR = 0.1
+"""Of the variance by white errors, the least that correlation leaves."""
 SEEN = 3.0
 """A correlation counts from so many of its standard deviations on."""
 
@@ -80,60 +84,86 @@ class Noise:
         each += np.log(nu * np.pi)
         return float(len(square) * each + (nu + 1.0) * np.log1p(square / nu).sum())
 
-    def correlations(self, turn: np.ndarray, probe: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Covariances of psi at a probe, and of two probes, of revolutions 0, 1, ... apart, up to
-        the first that is not seen."""
-        dense = np.zeros((int(turn.max()) + 1, int(probe.max()) + 1))
-        there = dense.copy()
-        dense[turn, probe], there[turn, probe] = self.psi, 1.0
-        square = float(self.psi @ self.psi) / (len(self.psi) - self.unknowns)
-        own, others = [square], []
-        rows, counts = dense.sum(axis=1), there.sum(axis=1)
-        for lag in range(len(dense)):
-            end = len(dense) - lag
-            same = float((dense[lag:] * dense[:end]).sum())
-            pairs = float((there[lag:] * there[:end]).sum())
-            cross = float(rows[lag:] @ rows[:end]) - same
-            crossed = max(float(counts[lag:] @ counts[:end]) - pairs, 1.0)
-            deviation = square / np.sqrt(0.5 * crossed if lag == 0 else crossed)
-            seen = abs(cross / crossed) > SEEN * deviation
-            if lag and abs(same / max(pairs, 1.0)) > SEEN * square / np.sqrt(max(pairs, 1.0)):
-                own.append(same / pairs)
-                seen = True
-            elif lag:
-                own.append(0.0)
-            others.append(cross / crossed if seen else 0.0)
-            if lag and not seen:
-                break
-        return np.array(own), np.array(others)
-
     def whiteness(self, turn: np.ndarray, probe: np.ndarray) -> float:
         """Probability that white errors are as correlated from revolution to revolution."""
-        dense = np.full((int(turn.max()) + 1, int(probe.max()) + 1), np.nan)
-        dense[turn, probe] = self.psi
-        pairs = dense[1:] * dense[:-1]
-        count = int(np.isfinite(pairs).sum())
-        if not count:
-            return np.nan
-        score = float(np.nansum(pairs)) / float(self.psi @ self.psi) * len(self.psi)
-        return float(2.0 * ndtr(-abs(score) / np.sqrt(count)))
+        chance = trend(self.psi, turn, probe)
+        return 2.0 * min(chance, 1.0 - chance)
 
     def covariance(self, columns: np.ndarray, turn: np.ndarray, probe: np.ndarray) -> np.ndarray:
-        """Covariance (m, m) of the coefficients of columns (n, m)."""
-        own, others = self.correlations(turn, probe)
-        shape = int(turn.max()) + 1, int(probe.max()) + 1, columns.shape[1]
-        dense = np.zeros(shape)
-        dense[turn, probe] = columns
-        rows = dense.sum(axis=1)
-        total = np.zeros(2 * shape[2:])
-        for lag, (mine, other) in enumerate(zip(own, others, strict=True)):
-            end = len(rows) - lag
-            part = other * (rows[lag:].T @ rows[:end])
-            flat = dense[lag:].reshape(-1, shape[2]), dense[:end].reshape(-1, shape[2])
-            part += (mine - other) * (flat[0].T @ flat[1])
-            total += part if lag == 0 else part + part.T
-        inverse = np.linalg.pinv(columns.T @ columns, hermitian=True) / self.slope
-        return np.asarray(inverse @ total @ inverse)
+        """Covariance (m, m) of the coefficients of columns (n, m), of arrivals in revolutions and
+        at probes (n,)."""
+        sizes = np.linalg.norm(columns, axis=0)
+        columns = columns / sizes
+        dense = _dense(columns, turn, probe)
+        rows, white = dense.sum(axis=1), columns.T @ columns
+        variance = float(self.psi @ self.psi) / (len(self.psi) - self.unknowns)
+        total = variance * white
+        lags = self._correlated(variance, turn, probe)
+        for lag, (own, other) in enumerate(lags):
+            ahead, behind = slice(lag, None), slice(len(rows) - lag)
+            at_one, all_of = (
+                part[ahead].reshape(-1, len(white)).T @ part[behind].reshape(-1, len(white))
+                for part in (dense, rows)
+            )
+            part = own * at_one + other * (all_of - at_one)
+            total += (1.0 - lag / len(lags)) * (part if lag == 0 else part + part.T)
+        # No direction is known much better than by white errors.
+        scale, turned = np.linalg.eigh(white)
+        root = turned * np.where(scale > EPSILON * scale[-1], scale, np.inf) ** -0.5
+        values, axes = np.linalg.eigh(root.T @ total @ root)
+        root = (root @ axes) / sizes[:, None]
+        return np.asarray((root * np.maximum(values, FLOOR * variance)) @ root.T / self.slope**2)
+
+    def _products(
+        self, lag: int, turn: np.ndarray, probe: np.ndarray
+    ) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Sums of products of psi in revolutions that are some apart, and how many: at the same
+        probe, and at two."""
+        found = []
+        for values in (self.psi, np.ones(len(turn))):
+            dense = _dense(values, turn, probe)
+            rows, end = dense.sum(axis=1), max(len(dense) - lag, 0)
+            own = float((dense[lag:] * dense[:end]).sum())
+            found.append((own, float(rows[lag:] @ rows[:end]) - own))
+        (own, other), (pairs, crossed) = found
+        return (own, pairs), (other, crossed)
+
+    def _correlated(
+        self, variance: float, turn: np.ndarray, probe: np.ndarray
+    ) -> list[tuple[float, float]]:
+        """Covariances of psi at a probe (of revolution 0 beyond its variance), and at two, of
+        revolutions 0, 1, ... apart, up to the first that are not seen."""
+        found: list[tuple[float, float]] = []
+        for lag in range(len(self.psi)):
+            seen = []
+            for total, count in self._products(lag, turn, probe):
+                deviation = variance * np.sqrt(count if lag else 2.0 * count)
+                seen.append(total / count if count and abs(total) > SEEN * deviation else 0.0)
+            if lag == 0:
+                seen[0] = 0.0
+            elif not any(seen):
+                break
+            found.append((seen[0], seen[1]))
+        return found
+
+
+def trend(values: np.ndarray, turn: np.ndarray, probe: np.ndarray) -> float:
+    """Probability that white values (n,) of revolutions and probes are as alike as these from each
+    revolution to the next, or more; nan where there is one revolution."""
+    dense, there = (_dense(part, turn, probe) for part in (values, np.ones(len(values))))
+    count = float((there[1:] * there[:-1]).sum())
+    square = float(values @ values) / len(values)
+    if not count or not square:
+        return np.nan
+    return float(ndtr(-float((dense[1:] * dense[:-1]).sum()) / (square * np.sqrt(count))))
+
+
+def _dense(values: np.ndarray, turn: np.ndarray, probe: np.ndarray) -> np.ndarray:
+    """Values (n, ...) by revolution and probe, 0 where there are none."""
+    turn = turn - turn.min()
+    found = np.zeros((int(turn.max()) + 1, int(probe.max()) + 1, *values.shape[1:]))
+    found[turn, probe] = values
+    return found
 
 
 def reweighted(

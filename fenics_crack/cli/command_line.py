@@ -243,7 +243,7 @@ def path(text: str) -> Path:
 
 SOLVED = "scene --set --output"
 COMMANDS = {
-    "new": ("write a commented scene to start from", "file --blade --timing --identify"),
+    "new": ("write a commented scene to start from", "file --blade --timing --identify --solid"),
     "check": ("mesh and assemble a scene without solving it", "scene --set"),
     "modes": ("natural frequencies and mode shapes, crack open", f"{SOLVED} --count"),
     "campbell": (
@@ -294,6 +294,7 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "--blade": ("of a plate on a rotor: engine order, centrifugal load", {"action": "store_true"}),
     "--timing": ("of one with probes that its tip passes", {"action": "store_true"}),
     "--identify": ("of one whose crack is looked for, by a CSV file", {"action": "store_true"}),
+    "--solid": ("of a blade in three dimensions", {"action": "store_true"}),
     "scene": (
         "the scene, a TOML file; of timing also a measured record, a CSV file",
         {"type": path},

@@ -41,8 +41,11 @@ def new(given: Namespace, _: None, console: Console) -> None:
     """Write a commented scene to start from."""
     path: Path = given.file
     kinds = [kind for kind in template.KINDS if vars(given)[kind]]
+    if given.solid and kinds:
+        raise InputError("--solid", f"with --{kinds[0]}", "asked for alone: the others are plates")
     rows = path.with_name(f"{path.stem}_measured.csv")
-    files = {path: template.scene(path.name, rows.name, kinds)}
+    text = template.scene(path.name, rows.name, kinds)
+    files = {path: template.solid(path.name) if given.solid else text}
     if "identify" in kinds:
         files[rows] = template.measured()
 
@@ -70,7 +73,7 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
     with console.stage("natural frequencies"):
         figures = find_key_figures(study)
     rows: dict[str, object] = {
-        **({} if whole.nodes is None else {"width x height [m]": _size(figures)}),
+        **({} if whole.nodes is None else {_extents(figures): _size(figures)}),
         "degrees of freedom": whole.n_dofs,
         **_frequencies(study.scene, figures),
         **_errors_by_mesh(study, figures),
@@ -106,8 +109,13 @@ def draw_scene(scene: Scene, folder: Path, structure: Structure | None = None) -
     return [file]
 
 
+def _extents(figures: KeyFigures) -> str:
+    """What the sizes of the mesh are called."""
+    return " x ".join(("width", "height", "thickness")[: len(figures.size)]) + " [m]"
+
+
 def _size(figures: KeyFigures) -> str:
-    return "{:g} x {:g}".format(*figures.size)
+    return " x ".join(f"{extent:g}" for extent in figures.size)
 
 
 def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:
@@ -118,7 +126,7 @@ def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:
     lips = {words: natural[np.isfinite(natural)] for words, natural in lips.items()}
     lips = {words: natural for words, natural in lips.items() if len(natural)}
     rows: dict[str, object] = {}
-    if figures.elements is not None:
+    if figures.elements is not None and scene.dimension == 2:
         rows["modes"] = "in the plate's plane: no bending across it (flap), no torsion"
     for words, natural in lips.items():
         rows[f"first natural frequency{words} [Hz]"] = float(natural[0]) / TURN

@@ -10,7 +10,7 @@ import re
 from collections.abc import Collection
 from importlib import resources
 
-__all__ = ["KINDS", "lines_of", "measured", "scene"]
+__all__ = ["KINDS", "lines_of", "measured", "scene", "solid"]
 
 KINDS = ("blade", "timing", "identify")
 """What ``new`` writes besides a plate."""
@@ -26,6 +26,11 @@ def scene(name: str, rows: str, kinds: Collection[str]) -> str:
     )
     whole = "\n".join([*map(_without_mark, lines), ""])
     return whole.replace("SCENE", name).replace("MEASURED", rows)
+
+
+def solid(name: str) -> str:
+    """The scene of a solid, written under a name."""
+    return _template("new_solid.toml").replace("SCENE", name)
 
 
 def measured() -> str:
@@ -47,8 +52,8 @@ def lines_of(table: str) -> str:
     raise KeyError(table)
 
 
-def _template() -> str:
-    return resources.files("fenics_crack.cli").joinpath("new_scene.toml").read_text("utf-8")
+def _template(name: str = "new_scene.toml") -> str:
+    return resources.files("fenics_crack.cli").joinpath(name).read_text("utf-8")
 
 
 def _without_mark(line: str) -> str:

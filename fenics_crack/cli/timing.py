@@ -24,12 +24,14 @@ from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import TipTiming
 from fenics_crack.study.timing import arrivals_of, vibration_in
-from fenics_crack.table import RPM, Table, counted, speed_axis
+from fenics_crack.table import RPM, TURN, Table, counted, quantity, speed_axis
 
 __all__ = ["timing"]
 
 KEYS = ("tip_radius", "orders", "probes")
 """Of [tip_timing], with a record in place of a scene."""
+MISSING = "harmonics are missing (tip_timing.fitted_harmonics), and folded onto those kept"
+UNTESTED = "as many unknowns as probes: neither the order nor the harmonics kept are tested"
 SHOWN_ORDERS = 6
 """Of those that are as good, and of those that cannot be measured."""
 
@@ -154,21 +156,29 @@ def _account_of_track(track: TipTrack, scene: Scene, warnings: list[str]) -> Acc
     columns = ["multiple, where it is largest", *(table.columns[n] for n in kept)]
     largest = Table([*columns, "amplitude [m]", "amplitude_error [m]"], rows)
     shown = in_one_unit(largest, scene)
-    return Account("timing", table, shown=shown, warnings=warnings)
+    doubts = [UNTESTED] if np.isnan(track.misfit) else []
+    if track.does_not_fit:
+        doubts.append(f"the fit leaves what is alike from revolution to revolution: {MISSING}")
+    return Account("timing", table, shown=shown, warnings=[*warnings, *doubts])
 
 
 def _account_of_fit(fit: TipFit, scene: Scene, warnings: list[str]) -> Account:
     """A fit, the ratio that tells of a crack, and warnings of what the probes cannot tell."""
     notes, warnings, table = [], [*warnings], fit.table()
+    for line in fit.asynchronous:
+        size, error = line.amplitudes[0], line.amplitude_errors[0]
+        of = f"{line.omega / TURN:.6g} Hz, {quantity(size, 'm')} ± {quantity(error, 'm')}"
+        notes.append(f"beside it a vibration that follows no order: {of}")
     if np.any(np.isclose(fit.multiples, 2.0)):
         ratio, error = fit.ratio()
         notes.append(f"second harmonic over first: {ratio:.4g} ± {error:.2g}")
     if fit.does_not_fit:
         warnings.append(
-            "the fit leaves more between the probes than their scatter: harmonics are missing "
-            "(tip_timing.fitted_harmonics), the order is not among tip_timing.orders, or the "
-            "vibration follows no order (tip_timing.frequencies)"
+            f"the fit leaves more between the probes than their scatter: {MISSING}, probes are "
+            "out of place (tip_timing.angle_deviation), or the order is not among tip_timing.orders"
         )
+    if fit.spare < 1:
+        warnings.append(UNTESTED)
     for orders, what in (
         (fit.ambiguous, "orders that explain the arrivals as well"),
         (fit.hidden, "orders that these probes cannot measure"),

@@ -182,7 +182,7 @@ def draw_tip_fit(fit: TipFit, arrivals: ArrivalTimes, **where: Unpack[Where]) ->
     turns = np.linspace(0.0, loads, 500)
     wave = fit.displacement(2.0 * np.pi * turns / fit.order)
     seen = np.isfinite(arrivals.time)
-    phase = (fit.order * arrivals.angle[seen] / (2.0 * np.pi)) % loads
+    phase = (fit.order * fit.phases(arrivals)[seen] / (2.0 * np.pi)) % loads
     upper.plot(
         phase, arrivals.displacement[seen], "o", color=COLOURS["blue"], ms=3.5, mew=0, alpha=0.4,
         label="arrivals",

@@ -28,13 +28,12 @@ from mpi4py import MPI
 from fenics_crack.errors import InputError
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
-from fenics_crack.fem.elasticity import constants, stress, thickness
+from fenics_crack.fem.elasticity import constants, rotation_of, stress, thickness
 from fenics_crack.fem.interface import pair_lips
 from fenics_crack.fem.loads import assemble_loads
 from fenics_crack.fem.matrix_files import read_structure
 from fenics_crack.fem.numbering import Dofs
 from fenics_crack.fem.plate import build_mesh
-from fenics_crack.fem.rotation import rotation_of
 from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.nodes import Pairs

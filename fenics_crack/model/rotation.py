@@ -3,7 +3,7 @@
     K(W) = K + W^2 K_1,        K_1 = K_g - M_y,        f_mean(W) = f_mean + W^2 f_c
 
 K_g is the geometric stiffness of the stresses that the centrifugal load f_c makes, M_y the spin
-softening, both for W = 1 rad/s (:mod:`fenics_crack.fem.rotation` assembles them).
+softening, both for W = 1 rad/s (:mod:`fenics_crack.fem.elasticity` assembles them).
 
 One small basis serves for all speeds of a run-up:
 

@@ -82,6 +82,7 @@ def vibration_in(
     """
     table = scene.given("tip_timing")
     order = table.order or scene.excitation.order
+    deviation = np.radians(table.angle_deviation)
     if not arrivals.steady:
         if order is None:
             return find_passages(arrivals, table.orders or ORDERS)
@@ -91,15 +92,19 @@ def vibration_in(
             harmonics=table.fitted_harmonics,
             subharmonic=table.subharmonic,
             revolutions=table.fitted_revolutions,
+            angle_deviation=deviation,
         )
     if table.frequencies is not None:
         low, high = (2.0 * np.pi * end for end in table.frequencies)
-        return fit_frequency(arrivals, low, high, harmonics=table.fitted_harmonics)
+        return fit_frequency(
+            arrivals, low, high, harmonics=table.fitted_harmonics, angle_deviation=deviation
+        )
     return fit_order(
         arrivals,
         table.orders or ([order] if order else ORDERS),
         harmonics=table.fitted_harmonics,
         subharmonic=table.subharmonic,
+        angle_deviation=deviation,
     )
 
 

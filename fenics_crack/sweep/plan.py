@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -109,11 +109,11 @@ class Plan:
                 bounds[case.structure.gap] = found[-1][0]
                 continue
             pairs = case.contact and case.contact.pairs
-            cracks = tuple((c.edge, c.center, c.height, c.length) for c in case.all_cracks.values())
-            key = case.mesh, pairs, cracks, case.geometry.width, case.geometry.height
+            cracks = tuple(replace(crack, clearance=0.0) for crack in case.all_cracks.values())
+            key = case.mesh, pairs, cracks, case.geometry
             if key not in bounds:
                 bounds[key] = _most_pairs(case)
-            found.append((bounds[key], cracks[0][-1] or 0.0 if cracks else 0.0))
+            found.append((bounds[key], cracks[0].length or 0.0 if cracks else 0.0))
         if not bounds:
             reason = self.case((0,) * len(self.shape))
             raise InputError("sweep.over", reason, "values of which a combination can be used")
@@ -136,9 +136,9 @@ class Plan:
 
 
 def _most_pairs(scene: Scene) -> int:
-    """Upper bound of the contact pairs of a scene; only a mesh file is read."""
+    """Upper bound of the contact pairs of a scene; the mesh is made of a solid alone, or read."""
     mesh, mouth = scene.mesh, scene.contact is not None and scene.contact.pairs == "mouth"
-    if mesh.layout == "file":
+    if mesh.layout == "file" or scene.dimension == 3:
         try:
             plate = build_mesh(scene, MPI.COMM_SELF)
         except InputError:

@@ -96,11 +96,10 @@ def test_a_breathing_crack_has_a_second_harmonic(
         fit.ratio(4)
     value, error = fc.fit_order(measured(sine, **how), [6], harmonics=3).ratio()
     assert value < 4.0 * error < 0.01
-    # Without its second harmonic the fit is known not to fit, and its errors are larger.
+    # Without its second harmonic the fit is known not to fit, and its errors hold what is folded.
     short = fc.fit_order(arrivals, [6], harmonics=1)
     assert short.misfit < 1e-6 and "DOES NOT FIT" in repr(short)
     assert abs(short.amplitudes[0] - true[0]) < 3.0 * short.amplitude_errors[0]
-    assert short.amplitude_errors[0] > 5.0 * fit.amplitude_errors[0]
 
 
 def test_twice_the_loads_period() -> None:
@@ -116,7 +115,10 @@ def test_twice_the_loads_period() -> None:
     assert np.allclose(fit.multiples, [0.5, 1.0, 1.5, 2.0])
     assert np.abs(fit.coefficients - wave[:9]).max() < 0.02 * np.abs(wave).max()
     assert fit.ratio(0.5)[0] == pytest.approx(amplitudes(wave)[0] / amplitudes(wave)[1], rel=0.02)
-    assert fc.fit_order(arrivals, [3], harmonics=2).scatter > 20.0 * fit.scatter
+    # Where that is not known, what repeats in two revolutions follows no order.
+    half = fc.fit_order(arrivals, [3], harmonics=2).asynchronous[0]
+    assert half.omega == pytest.approx(0.5 * orbit.omega, rel=1e-4)
+    assert half.amplitudes[0] == pytest.approx(amplitudes(wave)[0], rel=0.01)
 
 
 # --- what probes cannot tell ----------------------------------------------------------------------
@@ -253,6 +255,84 @@ def test_scan_finds_harmonics_too(breathing: fc.PeriodicSolution) -> None:
     assert abs(fit.ratio()[0] - true[1] / true[0]) < 4.0 * fit.ratio()[1] < 0.02
 
 
+# --- a laboratory's errors ------------------------------------------------------------------------
+
+
+def test_outliers_wander_and_errors_of_probes_and_marks(sine: fc.PeriodicSolution) -> None:
+    """A frequency at a speed that wanders by 0.5 %, marks with errors of 5 ns, 1 % of arrivals
+    wrong; and an order beside it whose interval knows of the probes' errors."""
+    rng, speed, turns, deviation = np.random.default_rng(3), 193.7, 200, np.radians(0.01)
+    probes = np.radians([0.0, 17.0, 41.0, 86.0, 140.0, 205.0, 288.0])
+    fits = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        grid = np.linspace(-8.0, 2.0 * np.pi * (turns + 2), 40_000)
+        pace = speed * (1.0 + 2.5e-3 * np.sin(grid / 31.0 + seed))
+        time = np.concatenate([[0.0], np.cumsum(np.diff(grid) / (0.5 * (pace[1:] + pace[:-1])))])
+        errors = deviation * rng.standard_normal(len(probes))
+        targets = 2.0 * np.pi * np.arange(turns)[:, None] + probes + errors
+        angle = targets
+        for _ in range(6):
+            moved = 1e-3 * np.cos(6.0 * angle) + 2e-4 * np.cos(
+                1000.0 * np.interp(angle, grid, time)
+            )
+            angle = targets - moved / RADIUS
+        seen = np.interp(angle, grid, time) + 2e-8 * rng.standard_normal(angle.shape)
+        seen[rng.random(seen.shape) < 0.01] += 3e-5
+        marks = np.interp(2.0 * np.pi * np.arange(turns + 1), grid, time)
+        marks += 5e-9 * rng.standard_normal(len(marks))
+        arrivals = fc.ArrivalTimes(seen, marks, probes, RADIUS)
+        assert arrivals.steady
+        fits.append(fc.fit_order(arrivals, angle_deviation=deviation))
+        assert fits[-1].order == 6 and not fits[-1].in_doubt
+        line, *others = fits[-1].asynchronous  # others: the order seen at where that moves the tip
+        assert all(other.amplitudes[0] < 3e-6 for other in others)
+        assert abs(line.omega - 1000.0) < 4.0 * line.order_error * line.speed < 0.05
+        assert line.amplitudes[0] == pytest.approx(2e-4, rel=0.02)
+        assert "beside 1000" in repr(fits[-1])
+    alone = fc.fit_frequency(arrivals, 900.0, 1100.0, angle_deviation=1.0)
+    assert alone.omega == pytest.approx(1000.0, rel=1e-4)
+    scores = [(fit.amplitudes[0] - 1e-3) / fit.amplitude_errors[0] for fit in fits]
+    assert 0.4 < np.std(scores) < 1.8 and np.abs(scores).max() < 3.5
+    # Without the probes' errors the fit is known not to fit, or its errors follow from the misfit.
+    blind = fc.fit_order(arrivals, [6])
+    assert blind.does_not_fit and blind.amplitude_errors[0] > 1e-5
+
+
+def test_a_run_up_whose_fifth_harmonic_is_folded() -> None:
+    """Seven probes and two harmonics: 50 um of the fifth look like a second one; that is told, and
+    with enough harmonics it is not there. With three harmonics nothing is tested."""
+    rng, turns = np.random.default_rng(1), 400
+    probes = np.radians([0.0, 20.0, 41.0, 63.0, 88.0, 117.0, 150.0])
+
+    def time(angle: np.ndarray) -> np.ndarray:
+        return 0.01 * angle * (1.0 - 2e-5 * angle)
+
+    marks = time(2.0 * np.pi * np.arange(turns + 1))
+    targets = 2.0 * np.pi * np.arange(turns)[:, None] + probes
+    size = 5e-5 / (1.0 + ((np.arange(turns) - 200.0) / 30.0) ** 2)[:, None]
+
+    def record(fifth: float) -> fc.ArrivalTimes:
+        moved = 1e-4 * np.cos(10.0 * targets) + fifth * size * np.cos(50.0 * targets)
+        moved += 2e-6 * rng.standard_normal(targets.shape)
+        angle = targets - moved / RADIUS
+        return fc.ArrivalTimes(time(angle), marks, probes, RADIUS)
+
+    folded = fc.track_order(record(1.0), 10, harmonics=2, revolutions=5)
+    assert folded.amplitudes[:, 1].max() > 1e-5  # where there is none
+    assert folded.does_not_fit and "DOES NOT FIT" in repr(folded)
+    without = fc.track_order(record(0.0), 10, harmonics=2, revolutions=5)
+    assert without.amplitudes[:, 1].max() < 1e-5 and not without.in_doubt
+    assert fc.track_order(record(0.0), 10, harmonics=3).in_doubt
+
+
+def test_zero_from_quiet_revolutions(sine: fc.PeriodicSolution) -> None:
+    """Probes that are out of place are where the quiet tip stands."""
+    arrivals = measured(sine, 1e-6, order=6)
+    moved = replace(arrivals, probes=arrivals.probes + [0.0, 1e-3, -1e-3, 2e-3]).zeroed(0, 50)
+    assert np.abs(np.nanmean(moved.displacement, axis=0)).max() < 1e-6
+
+
 # --- shown, and refused ---------------------------------------------------------------------------
 
 
@@ -294,9 +374,6 @@ def test_bad_input(sine: fc.PeriodicSolution) -> None:
     for low, high, words in ((0.0, 1.0, "low"), (2.0, 1.0, "high"), (1.0, 1e12, "high - low")):
         with pytest.raises(fc.InputError, match=f"^{words}"):
             fc.fit_frequency(arrivals, low, high)
-    faster = replace(arrivals, marks=arrivals.marks**1.01)
-    with pytest.raises(fc.InputError, match=r"^speed = .*constant"):
-        fc.fit_frequency(faster, 1.0, 1000.0)
     with pytest.raises(fc.InputError, match="arrivals"):
         fc.fit_frequency(arrivals.between(0, 1), 1.0, 1000.0)
     with pytest.raises(fc.InputError, match="begin"):

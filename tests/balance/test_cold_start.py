@@ -83,18 +83,17 @@ def test_many_pairs_climb_from_few_harmonics() -> None:
             assert found.converged and found.iterations < 60
 
 
-@pytest.mark.parametrize("stiffness", [1e12, 1e14])
+@pytest.mark.parametrize(("stiffness", "omega"), [(1e12, 2000.0), (1e14, 1500.0)])
 def test_contact_stiffer_than_rounding_resolves(
-    stiffness: float, breathing_plate: fc.Structure
+    stiffness: float, omega: float, breathing_plate: fc.Structure
 ) -> None:
     """k R up to 1e8: solved to what rounding allows, and the report says how far that is."""
     reduced = fc.reduce_structure(breathing_plate)
     law = fc.UnilateralPenalty(stiffness)
-    for omega in (1500.0, 2000.0):
-        solution = fc.solve_harmonic_balance(reduced, omega, law, harmonics=10)
-        assert solution.converged and solution.iterations < 500
-        assert solution.report.residual < 1e-21 * stiffness
-        assert solution.report.penetration < 1e9 / stiffness
+    solution = fc.solve_harmonic_balance(reduced, omega, law, harmonics=10)
+    assert solution.converged and solution.iterations < 500
+    assert solution.report.residual < 1e-21 * stiffness
+    assert solution.report.penetration < 1e9 / stiffness
 
 
 def test_stiffness_beyond_all_rounding_is_refused() -> None:

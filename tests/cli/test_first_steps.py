@@ -6,7 +6,9 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
+from helpers import few_frames
 from surroundings import main
 
 import fenics_crack as fc
@@ -61,6 +63,29 @@ def test_every_command_runs_on_what_new_wrote(
     assert main(["identify", "plain.toml", "plain_measured.csv", *coarse, "--quiet"]) == 0
     *_, row = capsys.readouterr().out.splitlines()
     assert float(row.split()[1]) == pytest.approx(0.025, rel=0.05)
+
+
+def test_commands_run_on_the_solid_that_new_wrote(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The commands of a plate, with pictures and a report; its first mode is the flap."""
+    assert main(["new", "own.toml", "--solid", "--blade"]) == 2
+    assert "--solid = 'with --blade'" in capsys.readouterr().err
+    assert main(["new", "own.toml", "--solid", "--quiet"]) == 0
+    few = ["sweep.over={'crack.depth' = [0.002, 0.003]}", "curve.stop=604.0", "mesh.size=0.015"]
+    few += ["mesh.lip_elements=2", "reduction.modes=6", "mesh.error=true"]
+    words = sets(*few, "integration.periods=3", "integration.settle=10.0")
+    for command in ("check", "modes", "solve", "curve", "integrate", "sweep"):
+        assert main([command, "own.toml", *words, "--quiet"]) == 0, command
+    results = [f"output/own/{name}.h5" for name in ("modes", "solution")]
+    with few_frames():
+        for result in results:
+            assert main(["plot", result, "--quiet"]) == 0, result
+        assert main(["report", *results, "--quiet"]) == 0
+    rows = np.genfromtxt("output/own/modes.csv", delimiter=",", names=True)
+    assert rows[rows.dtype.names[2]][0] == pytest.approx(616.0, rel=0.03)  # Hz, on a coarse mesh
+    drawn = {path.name for path in Path("output/own").glob("*.*")}
+    assert {"modes.png", "solution_contact_map.png", "solution_breathing_crack.gif"} <= drawn
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,18 @@
+"""The generated records of ``benchmarks/tip_records.py``, a few of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import tip_records
+
+
+@pytest.mark.parametrize("number", [2, 6, 9])
+def test_orders_and_lines_of_generated_records(number: int) -> None:
+    """Each order right or declared, each vibration of no order found, most intervals hold."""
+    row, count = tip_records.ROWS[number], tip_records.Count()
+    rng = np.random.default_rng([7, number])
+    for _ in range(12):
+        tip_records.judge(row, tip_records.draw(row, rng), count)
+    assert count.order + count.declared == 12 and count.found == 12
+    assert count.covered >= 9 and count.also >= 9 and count.unwarned <= 1
