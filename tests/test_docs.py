@@ -28,7 +28,9 @@ PAGES = [
     *sorted((ROOT / "docs" / "verification").glob("*.md")),
     *sorted((ROOT / "docs" / "decisions").glob("*.md")), ROOT / "benchmarks" / "README.md",
 ]  # fmt: skip
-NOTEBOOKS = ("cracked_blade.md", "find_the_crack.md", "gallery.md", "matrices.md")
+NOTEBOOKS = (
+    "cracked_blade.md", "find_the_crack.md", "gallery.md", "matrices.md", "measured_beams.md",
+)  # fmt: skip
 """Pages whose blocks are one program."""
 BY_PAGE = {
     page: re.findall(r"```python\n(.*?)```", page.read_text(), re.S)

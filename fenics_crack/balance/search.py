@@ -8,8 +8,8 @@ fewer      instead of the linear one, with many unknowns or pairs that are seen 
            from that with half of those, and so on
 marched    a motion after 40, 160 and 520 periods of exponential steps in time: with it pairs begin
            that are seen through a static compliance, where their law is piecewise linear. Many
-           harmonics come from a solution with few: from the exact orbit next to it, which is near
-           whatever their number, or by twice as many again and again
+           harmonics come from a solution with few: twice as many from itself, more from the exact
+           orbit next to it, which is near whatever their number, or step by step
 path       where a path of solutions has the problem, followed by arc-length through its folds,
            from where the solution is unique and close to the linear one: in the contact stiffness,
            or in the softness in series with pairs that are seen through a static compliance
@@ -273,14 +273,21 @@ class Search:
             at = self._nearly(system, self._slow_gaps(system, lowest), 1.0)
             if at is None:
                 return
-            self.orbit = _orbit_next_to(lowest, at)
-            system = with_harmonics(more[-1])
-            if self.orbit is not None:
-                known = self.orbit.coefficients(problem.harmonics)
-                yield from self._near(system, system.slow(known.gap, known.force), 1.0)
-            yield from self._climb(with_harmonics, more, 1.0, at)
+            climb = self._climb(with_harmonics, more, 1.0, at)
+            orbit = self._next_to_orbit(with_harmonics(more[-1]), lowest, at)
+            for way in (orbit, climb) if len(more) > 1 else (climb, orbit):
+                yield from way
 
         return "from a marched motion", guesses()
+
+    def _next_to_orbit(
+        self, system: ContactSystem, lowest: Problem, at: ContactPoint
+    ) -> Iterator[np.ndarray]:
+        """The slow gap of the exact orbit next to a solution with few harmonics."""
+        self.orbit = _orbit_next_to(lowest, at)
+        if self.orbit is not None:
+            known = self.orbit.coefficients(system.integrals.harmonics)
+            yield from self._near(system, system.slow(known.gap, known.force), 1.0)
 
     def _slow_gaps(self, system: ContactSystem, problem: Problem) -> Iterator[np.ndarray]:
         """Of a motion that is marched."""

@@ -185,11 +185,9 @@ def identification(given: Namespace, inputs: Inputs, console: Console) -> None:
     before = _content(folder / "identify")
     on_root(console.comm, write)
     console.table(found.table())
-    ratio = found.log_bayes_factor
-    told = "" if np.isnan(ratio) else f": log Bayes factor {ratio:.3g}, crack over no crack"
-    console.note(f"{found.verdict}{told}")
+    console.note(f"{found.verdict}: {found.reason}")
     console.note(*(f"remark: {remark}" for remark in found.remarks))
-    console.note(f"next to measure: {worth}")
+    console.note(*(f"next to measure: {advice}" for advice in found.advice))
     console.note(f"{folder / 'identify.h5'}, .json; posterior.png, fit.csv, where_to_measure.csv")
     _note_replaced(folder / "identify", before, console)
     console.warn(*found.warnings)

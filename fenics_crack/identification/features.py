@@ -1,6 +1,7 @@
 """What is interpolated: natural frequencies and harmonics of a sweep, made smooth.
 
-Smooth in the unknowns are the logarithms of natural frequencies, and harmonics as complex numbers,
+Smooth in the unknowns are the logarithms of natural frequencies without the crack, what it adds to
+them, over its length where that is unknown, and harmonics as complex numbers,
 a - i b of a cos + b sin. The amplitudes alone have kinks where they vanish, and both have poles,
 which move with the crack, where k times the load's frequency W meets a natural frequency w_j of the
 breathing crack with a damping ratio z. So of the k-th harmonic it is
@@ -27,28 +28,29 @@ from fenics_crack.identification.measurements import Measurement, check_point
 from fenics_crack.sweep.file import CONVERGED, ORDERS
 from fenics_crack.sweep.result import SweepResult
 
-__all__ = ["Feature", "Part"]
+__all__ = ["Feature", "Part", "poles", "scales"]
 
-LIPS = {"uncracked": ("open",), "bilinear": ("open", "tied"), "resonance": ("open", "tied")}
+LIPS = {"bilinear": ("open", "tied"), "resonance": ("open", "tied")}
 """Of what natural frequencies are made."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """Knowledge of a sweep, with its words chosen."""
+    """Knowledge of a sweep, with its words chosen; and of that without the crack, if there is."""
 
     sweep: SweepResult
     keys: tuple[str, ...]
     cube: Cube
     index: tuple[Any, ...]
+    bare: Part | None = None
 
     @classmethod
-    def of(cls, sweep: SweepResult, chosen: Sequence[int | None]) -> Part:
+    def of(cls, sweep: SweepResult, chosen: Sequence[int | None], bare: Part | None = None) -> Part:
         """Take a sweep, and the number of the word chosen on each axis, None on one of numbers."""
         numbers = [a for a, at in zip(sweep.axes, chosen, strict=False) if at is None]
         index = tuple(slice(None) if at is None else at for at in chosen)
         cube = Cube(tuple(np.array(axis.values, dtype=float) for axis in numbers))
-        return cls(sweep, tuple(axis.key for axis in numbers), cube, index)
+        return cls(sweep, tuple(axis.key for axis in numbers), cube, index, bare)
 
     def column(self, name: str) -> np.ndarray:
         """A column at all nodes and load frequencies: (n, n_loads)."""
@@ -56,7 +58,15 @@ class Part:
         return np.asarray(values.reshape(-1, values.shape[-1]), dtype=float)
 
     def natural(self, lips: str, mode: int) -> np.ndarray:
-        """A natural frequency at all nodes [Hz]: (n,); of an uncracked plate the same for all."""
+        """A natural frequency at all nodes [Hz]: (n,); without the crack ("uncracked") the same
+        for all cracks, and that with lips tied where it cannot be taken out."""
+        if lips == "uncracked":
+            if self.bare is None:
+                return self.natural("tied", mode)
+            values = self.bare.natural("tied", mode)
+            pairs = zip(self.keys, self.cube.shape, strict=True)
+            shape = [count if key in self.bare.keys else 1 for key, count in pairs]
+            return np.broadcast_to(values.reshape(shape), self.cube.shape).ravel()
         column = self.column(f"omega_{lips}_{mode}") / (2.0 * np.pi)
         known = np.isfinite(column)
         best = np.max(np.where(known, column, -np.inf), axis=1)
@@ -81,17 +91,18 @@ class Part:
 
     @cached_property
     def basis(self) -> np.ndarray:
-        """Root of s, and the bilinear frequencies [Hz], which :meth:`Feature.scale` needs, at all
-        nodes: (n, 1 + modes); 1 for s without a crack, nan where there is no frequency."""
+        """Root of s, the bilinear frequencies [Hz], which :func:`scales` needs, and those
+        without the crack, at all nodes: (n, 1 + 2 modes); 1 for s without a crack, nan where there
+        is no frequency."""
         modes = range(1, FEW_MODES + 1)
-        tied, opened = (
+        tied, opened, bare = (
             np.stack([self.natural(lips, mode) for mode in modes], axis=1)
-            for lips in ("tied", "open")
+            for lips in ("tied", "open", "uncracked")
         )
         with np.errstate(invalid="ignore", divide="ignore"):
             split = np.nan_to_num((tied - opened) / tied, posinf=0.0, neginf=0.0).sum(axis=1)
             found = 2.0 * tied * opened / (tied + opened)
-        return np.column_stack([np.where(split > 1e-9, np.sqrt(np.abs(split)), 1.0), found])
+        return np.column_stack([np.where(split > 1e-9, np.sqrt(np.abs(split)), 1.0), found, bare])
 
 
 @dataclass(frozen=True)
@@ -127,13 +138,39 @@ class Feature:
             return np.log(part.natural(self.lips, self.mode)).astype(complex)
         return part.harmonic(self.point, self.frequency, self.order)
 
-    def scale(self, damping: np.ndarray, basis: np.ndarray) -> np.ndarray:
-        """Factor that makes the values smooth, at m places: (m,); of ratios of damping
-        (m, 1) and what :attr:`Part.basis` has there (m, 1 + modes)."""
-        if self.lips:
-            return np.ones(len(basis))
-        r = self.order * self.frequency / basis[:, 1:]
-        power = 0 if self.order == 1 else 1 + self.order % 2
-        return np.asarray(
-            np.nanprod(1.0 - r**2 + 2j * damping * r, axis=1) / basis[:, 0] ** (2 * power)
-        )
+    @property
+    def power(self) -> int:
+        """n of s^n, to which a harmonic is proportional."""
+        return 1 + self.order % 2 if self.order > 1 else 0
+
+    @property
+    def natural(self) -> bool:
+        """Tell whether it is a natural frequency."""
+        return bool(self.lips)
+
+    @property
+    def of_crack(self) -> bool:
+        """Tell whether it is a natural frequency that the crack changes."""
+        return self.lips in ("open", "tied")
+
+
+def poles(
+    features: Sequence[Feature], damping: np.ndarray, basis: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """r of each mode, and 1 - r^2 + 2 i z r, at m places: (m, f, modes); of ratios of damping
+    (m, 1), and what :attr:`Part.basis` has there (m, 1 + 2 modes); 0 and 1 of natural frequencies
+    and where there is no mode."""
+    own = basis[:, 1 : 1 + FEW_MODES]
+    loads = np.array([feature.order * feature.frequency for feature in features])
+    r = loads[:, None] / np.where(np.isfinite(own), own, np.inf)[:, None, :]
+    return r, 1.0 - r**2 + 2j * damping[..., None] * r
+
+
+def scales(
+    features: Sequence[Feature], damping: np.ndarray, basis: np.ndarray, length: np.ndarray
+) -> np.ndarray:
+    """Factors that make the values smooth: (m, f), of the same and of lengths of the crack (m,)."""
+    powers = np.array([feature.power for feature in features])
+    changed = np.array([feature.of_crack for feature in features])
+    found = poles(features, damping, basis)[1].prod(axis=2) / basis[:, :1] ** (2 * powers)
+    return np.where(changed, 1.0 / length[:, None], found)

@@ -3,7 +3,8 @@
 Four sweeps over the unknowns, each in a file from which a killed run goes on, are all that is
 solved: of the scene; of a finer mesh with more harmonics at a few of the same values, which
 corrects the first one; and both of the plate without its crack. A :class:`Model` interpolates
-between what they have solved.
+between what they have solved. What else is not known has a prior, and moves the predictions by
+first-order changes (:mod:`fenics_crack.identification.nuisance`).
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from fenics_crack.files.store import scene_text
 from fenics_crack.identification.features import Part
 from fenics_crack.identification.measurements import Measurements, has_uncracked
 from fenics_crack.identification.model import Model
+from fenics_crack.identification.nuisance import NO_CRACK, Whole, whole_plate
 from fenics_crack.identification.posterior import Likelihood, Posterior, explore
 from fenics_crack.identification.result import Identification
 from fenics_crack.parallel import on_root
@@ -40,6 +42,8 @@ __all__ = ["Forward", "identify", "infer", "remarks_on", "solve_forward"]
 FEW_NODES = {1: 5, 2: 4}
 """Values of each unknown that the finer sweep takes, by the number of unknowns; of more, 3."""
 FREQUENCY = "excitation.frequency"
+ASKED = ("sweep", "curve", "integration", "identify", "tip_timing")
+"""Tables that do not matter to a sweep of the forward model."""
 
 
 def identify(
@@ -106,7 +110,9 @@ def identify(
         measurements = on_root(comm, lambda: Measurements.from_csv(path))
     measurements.check(scene)
     loads = [row.frequency for row in measurements.rows if not row.natural]
-    forward = solve_forward(scene, loads, Path(folder), comm, progress=progress)
+    whole = _whole(scene, comm)
+    whole.check(measurements)
+    forward = solve_forward(scene, loads, Path(folder), comm, whole=whole, progress=progress)
     begin("inference")
     return infer(forward, measurements)
 
@@ -120,46 +126,25 @@ def infer(forward: Forward, measurements: Measurements) -> Identification:
         A measurement is not one of the model.
     """
     measurements.check(forward.scene)
-    bare = forward.uncracked
-    branches = {
-        name: explore(_likelihood(model, bare, measurements))
-        for name, model in forward.cracked.items()
-    }
-    uncracked = np.nan
-    if bare:
-        plain = (_likelihood(model, bare, measurements) for model in bare.values())
-        uncracked = Posterior({str(k): explore(one) for k, one in enumerate(plain)}).log_evidence
+    branches, plain = (
+        {name: explore(_likelihood(model, measurements)) for name, model in models.items()}
+        for models in (forward.cracked, forward.uncracked)
+    )
     remarks = remarks_on(forward.scene, measurements)
-    return Identification(forward.scene, measurements, Posterior(branches), uncracked, remarks)
+    return Identification(
+        forward.scene,
+        measurements,
+        Posterior(branches),
+        Posterior(plain) if plain else None,
+        remarks,
+    )
 
 
-def _likelihood(model: Model, bare: Mapping[str, Model], measurements: Measurements) -> Likelihood:
-    """Likelihood of measurements, frequencies being relative to the uncracked plate where known."""
-    calibration = _calibration(bare, measurements)
-    rows = [row for row in measurements.rows if row.quantity != "frequency_uncracked"]
-    values = np.array([row.value for row in rows])
-    deviations = np.array([row.deviation for row in rows])
-    for place, row in enumerate(rows):
-        if row.natural and row.mode in calibration:
-            factor, relative = calibration[row.mode]
-            deviations[place] = factor * np.hypot(row.deviation, row.value * relative)
-            values[place] = factor * row.value
+def _likelihood(model: Model, measurements: Measurements) -> Likelihood:
+    """Likelihood of measurements by a model."""
+    rows = measurements.rows
+    values, deviations = np.array([(row.value, row.deviation) for row in rows]).T
     return Likelihood(values, deviations, model.quantities(rows))
-
-
-def _calibration(
-    bare: Mapping[str, Model], measurements: Measurements
-) -> dict[int, tuple[float, float]]:
-    """Calibration by modes: the model's frequency without a crack over the measured one, and the
-    relative standard deviation of that."""
-    rows = [row for row in measurements.rows if row.quantity == "frequency_uncracked"]
-    if not rows:
-        return {}
-    model = next(iter(bare.values()))
-    middle = 0.5 * (model.cube.low + model.cube.high)
-    predicted = model.quantities(rows)(middle[None]).values[0]
-    pairs = zip(rows, predicted, strict=True)
-    return {row.mode: (value / row.value, row.deviation / row.value) for row, value in pairs}
 
 
 def remarks_on(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
@@ -206,12 +191,22 @@ class Forward:
     uncracked: dict[str, Model]
 
 
+def _whole(scene: Scene, comm: MPI.Comm) -> Whole:
+    """The plate of a scene without its crack, on every rank (collective)."""
+    table = scene.identify
+    assert table is not None
+    plain = scene.replace(dict.fromkeys(ASKED))
+    begin("plate without its crack")
+    return on_root(comm, lambda: whole_plate(plain, table))
+
+
 def solve_forward(
     scene: Scene,
     frequencies: Sequence[float],
     folder: Path,
     comm: MPI.Comm = MPI.COMM_WORLD,
     *,
+    whole: Whole | None = None,
     progress: bool = False,
 ) -> Forward:
     """Solve, or read, what the forward model is interpolated from (collective).
@@ -226,6 +221,8 @@ def solve_forward(
         Where the files of the sweeps are; their names depend on the scene and the frequencies.
     comm : MPI.Comm
         The ranks over which the cases are spread.
+    whole : Whole, optional
+        The plate without its crack, if it is known already.
     progress : bool
         Show bars.
 
@@ -234,11 +231,11 @@ def solve_forward(
     InputError
         As :func:`run_sweep`.
     """
+    whole = whole or _whole(scene, comm)
     table = scene.identify
     assert table is not None
     loads = tuple(sorted({float(one) for one in (*frequencies, *table.frequencies)}))
-    asked = ("sweep", "curve", "integration", "identify", "tip_timing")
-    plain = scene.replace(dict.fromkeys(asked))
+    plain = scene.replace(dict.fromkeys(ASKED))
     fine = _finer(plain, table.finer)
 
     def run(name: str, of: Scene, axes: Sequence[Axis]) -> SweepResult:
@@ -248,18 +245,21 @@ def solve_forward(
         path = folder / f"{name}_{digest}.h5"
         return run_sweep(swept, path, comm, progress=progress, verdicts=False, judged=False)
 
-    def models(name: str, gone: Sequence[str], axes: Sequence[Axis]) -> dict[str, Model]:
-        without = dict.fromkeys(gone)
-        sweeps = [run(name, plain.replace(without), axes)]
-        if fine is not None:
-            sweeps.append(run(f"{name}_finer", fine.replace(without), _thinned(axes)))
-        return _models(scene, sweeps)
+    count = FEW_NODES.get(sum(not isinstance(a.values[0], str) for a in table.unknown), 3)
 
-    cracked = models("forward", (), table.unknown)
+    def sweeps(name: str, gone: Sequence[str], axes: Sequence[Axis]) -> list[SweepResult]:
+        without = dict.fromkeys(gone)
+        found = [run(name, plain.replace(without), axes)]
+        if fine is not None:
+            found.append(run(f"{name}_finer", fine.replace(without), _thinned(axes, count)))
+        return found
+
+    cracked = sweeps("forward", (), table.unknown)
     if not has_uncracked(scene):
-        return Forward(scene, cracked, {})
+        return Forward(scene, _models(scene, whole, cracked), {})
     others = [axis for axis in table.unknown if not axis.key.startswith(("crack.", "contact."))]
-    return Forward(scene, cracked, models("uncracked", ("crack", "cracks", "contact"), others))
+    bare = sweeps("uncracked", NO_CRACK, others)
+    return Forward(scene, _models(scene, whole, cracked, bare), _models(scene, whole, bare))
 
 
 def _finer(scene: Scene, factor: float) -> Scene | None:
@@ -276,26 +276,31 @@ def _finer(scene: Scene, factor: float) -> Scene | None:
     return (finer or scene).replace(changes)
 
 
-def _thinned(axes: Sequence[Axis]) -> tuple[Axis, ...]:
+def _thinned(axes: Sequence[Axis], count: int) -> tuple[Axis, ...]:
     """Some of the values of each unknown, its ends among them; all words."""
-    numbers = [axis for axis in axes if not isinstance(axis.values[0], str)]
-    count = FEW_NODES.get(len(numbers), 3)
     found = []
     for axis in axes:
         places = np.unique(np.linspace(0, len(axis.values) - 1, count).round().astype(int))
-        few = tuple(axis.values[at] for at in places) if axis in numbers else axis.values
-        found.append(Axis(axis.key, few))
+        few = tuple(axis.values[at] for at in places)
+        found.append(axis if isinstance(axis.values[0], str) else Axis(axis.key, few))
     return tuple(found)
 
 
-def _models(scene: Scene, sweeps: Sequence[SweepResult]) -> dict[str, Model]:
-    """Models of a sweep, and of a finer one if there is, by the words that tell them apart."""
+def _models(
+    scene: Scene, whole: Whole, sweeps: Sequence[SweepResult], bare: Sequence[SweepResult] = ()
+) -> dict[str, Model]:
+    """Models of a sweep, and of a finer one if there is, by the words that tell them apart; and
+    the sweeps of the plate without its crack, if there are."""
     axes = sweeps[0].axes[:-1]
     words = [range(len(a.values)) if isinstance(a.values[0], str) else (None,) for a in axes]
     found = {}
     for chosen in itertools.product(*words):
+        places = dict(zip((axis.key for axis in axes), chosen, strict=True))
         picked = [(axis, at) for axis, at in zip(axes, chosen, strict=True) if at is not None]
         fixed = {axis.key: axis.values[at] for axis, at in picked}
-        coarse, *finer = (Part.of(sweep, chosen) for sweep in sweeps)
-        found[", ".join(map(str, fixed.values()))] = Model(scene, coarse, *finer, fixed=fixed)
+        without = [Part.of(one, [places[axis.key] for axis in one.axes[:-1]]) for one in bare]
+        parts = (
+            Part.of(sweep, chosen, under) for sweep, under in itertools.zip_longest(sweeps, without)
+        )
+        found[", ".join(map(str, fixed.values()))] = Model(scene, whole, *parts, fixed=fixed)
     return found

@@ -34,6 +34,20 @@ FREQUENCIES = (
 measured as a resonance; and of the plate before it had a crack."""
 AT_A_LOAD = ("harmonic_1", "harmonic_2", "harmonic_3", "ratio_2_1", "ratio_3_1", "displacement")
 """Quantities of a point under a harmonic load; displacements are those that probes see."""
+IN_WORDS = {
+    "frequency_open": "with the crack held open",
+    "frequency_tied": "with the crack held closed",
+    "frequency_bilinear": "by the bilinear formula",
+    "frequency_resonance": "at the resonance of the breathing crack",
+    "frequency_uncracked": "before there was a crack",
+    "harmonic_1": "first harmonic",
+    "harmonic_2": "second harmonic",
+    "harmonic_3": "third harmonic",
+    "ratio_2_1": "second harmonic over the first",
+    "ratio_3_1": "third harmonic over the first",
+    "displacement": "displacement",
+}
+"""The quantities in words: of natural frequencies when they are measured."""
 NEEDED = ("quantity", "value", "deviation")
 OPTIONAL = ("mode", "frequency", "point", "phase")
 FEWEST = 4
@@ -125,6 +139,19 @@ class Measurement:
         when = "" if math.isnan(self.phase) else f" and {self.phase:.3g} rad"
         return f"{self.quantity} at {self.frequency:g} Hz{when}{where}"
 
+    @property
+    def words(self) -> str:
+        """What it is, in a sentence: "natural frequency 2 with the crack held open"."""
+        if self.natural:
+            return f"natural frequency {self.mode} {IN_WORDS[self.quantity]}"
+        when = (
+            ""
+            if math.isnan(self.phase)
+            else f", {self.phase:.3g} rad after the load's period began"
+        )
+        where = self.point or "the point under the load"
+        return f"{IN_WORDS[self.quantity]} of {where} at {self.frequency:g} Hz{when}"
+
 
 @dataclass(frozen=True, repr=False)
 class Measurements(Tabular):
@@ -142,8 +169,12 @@ class Measurements(Tabular):
         object.__setattr__(self, "rows", tuple(self.rows))
         if not self.rows or not all(isinstance(row, Measurement) for row in self.rows):
             raise InputError("measurements", list(self.rows), "one Measurement or more")
-        if all(row.quantity == "frequency_uncracked" for row in self.rows):
-            raise InputError("measurements", "frequency_uncracked", "also some of the plate as is")
+        names = [row.name for row in self.rows if row.quantity != "displacement"]
+        twice = [name for name in names if names.count(name) > 1]
+        if twice:
+            found = [row.value for row in self.rows if row.name == twice[0]]
+            allowed = "one value, the mean, with the standard deviation of that"
+            raise InputError(f"measurements, {twice[0]}", found, allowed)
 
     @classmethod
     def from_arrays(
@@ -278,7 +309,9 @@ class Measurements(Tabular):
         return cls(tuple(rows))
 
     def check(self, scene: Scene) -> None:
-        """Raise InputError for what is none of a scene."""
+        """Raise InputError for what is none of a scene, or tells nothing of its crack."""
+        if all(row.quantity == "frequency_uncracked" for row in self.rows):
+            raise InputError("measurements", "frequency_uncracked", "also some of the plate as is")
         for row in self.rows:
             check_point(scene, row.point)
             if row.quantity == "frequency_uncracked" and not has_uncracked(scene):

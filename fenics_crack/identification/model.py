@@ -2,7 +2,8 @@
 
 Errors of predictions are not independent. One sweep makes all of them, so they are taken as a
 covariance: of the interpolation from what each node differs by from the others, all quantities at
-once; of the mesh from what a finer one changes, half of it alike in all quantities.
+once; of the mesh from what a finer one changes, half of it alike in all quantities; of what else is
+not as the scene says from its prior (:mod:`fenics_crack.identification.nuisance`).
 """
 
 from __future__ import annotations
@@ -15,9 +16,10 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.errors import FEW_MODES
-from fenics_crack.identification.features import Feature, Part
+from fenics_crack.identification.features import Feature, Part, scales
 from fenics_crack.identification.interpolation import Interpolation
 from fenics_crack.identification.measurements import Measurement
+from fenics_crack.identification.nuisance import Whole, act_as, relative_changes
 from fenics_crack.identification.probes import Passages
 from fenics_crack.scene.scene import Scene
 
@@ -41,6 +43,8 @@ class Model:
     ----------
     scene : Scene
         For its damping, and its table ``[identify]``.
+    whole : Whole
+        The plate without its crack.
     coarse, finer : Part
         The sweep, and that of the finer mesh, or None.
     fixed : mapping of str to object
@@ -48,10 +52,17 @@ class Model:
     """
 
     def __init__(
-        self, scene: Scene, coarse: Part, finer: Part | None = None, *, fixed: Mapping[str, Any]
+        self,
+        scene: Scene,
+        whole: Whole,
+        coarse: Part,
+        finer: Part | None = None,
+        *,
+        fixed: Mapping[str, Any],
     ) -> None:
         assert scene.identify is not None
-        self.table, self._damping = scene.identify, scene.damping
+        self.table, self._damping, self.whole = scene.identify, scene.damping, whole
+        self.scene = scene
         self.coarse, self.finer = coarse, finer
         self.fixed, self.keys, self.cube = dict(fixed), coarse.keys, coarse.cube
 
@@ -70,10 +81,25 @@ class Model:
             ratio = self._damping.ratios if self._damping.ratio is None else self._damping.ratio
         return np.full((len(x), 1), DEFAULT_RATIO if ratio is None else np.mean(ratio))
 
+    def length(self, x: np.ndarray) -> np.ndarray:
+        """Length of the crack over the longest, at values (m, d) of the unknowns: (m,); 1 where it
+        is not unknown."""
+        if "crack.length" not in self.keys:
+            return np.ones(len(x))
+        place = self.keys.index("crack.length")
+        return np.asarray(x[:, place] / self.cube.high[place])
+
+    def act_as(self, x: np.ndarray) -> np.ndarray:
+        """How far a crack may be from the one that acts like it, at values (m, d) of the unknowns:
+        standard deviations (m, d)."""
+        return act_as(x, self.keys, self.scene)
+
     def candidates(self) -> tuple[Measurement, ...]:
         """List what might be measured: natural frequencies, ratios of harmonics at the points and
         load frequencies of the sweep."""
         kinds = [f"frequency_{lips}" for lips in ("open", "tied", "resonance")]
+        if self.coarse.bare is not None:
+            kinds.append("frequency_uncracked")
         rows = [Measurement(k, 1.0, 1.0, mode=mode + 1) for k in kinds for mode in range(FEW_MODES)]
         sweep, ratios = self.coarse.sweep, ("ratio_2_1", "ratio_3_1")
         seen = ["", *sweep.scene.point_names]
@@ -118,11 +144,18 @@ class Quantities:
     ) -> None:
         self.model, self.rows = model, (*rows, *more)
         of_rows = [Feature.of(row) for row in self.rows]
-        self._features = tuple(dict.fromkeys(one for found in of_rows for one in found))
+        every = [one for found in of_rows for one in found]
+        every += [Feature("uncracked", one.mode) for one in every if one.of_crack]
+        self._features = tuple(dict.fromkeys(every))
         at = {feature: place for place, feature in enumerate(self._features)}
         self._places = [[at[feature] for feature in found] for found in of_rows]
+        plain = [(at[one], at[Feature("uncracked", one.mode)]) for one in at if one.of_crack]
+        self._own, self._plain = (
+            (list(places) for places in zip(*plain, strict=True)) if plain else ([], [])
+        )
         self._passages = Passages.among(rows, more)
         self._alike = _alike(self._features)
+        self._is_plain = np.array([one.lips == "uncracked" for one in self._features])
         self._basis = Interpolation(model.cube, model.coarse.basis)
         self._coarse = Interpolation(model.cube, self._smooth(model.coarse))
         known = self._coarse.known
@@ -136,57 +169,71 @@ class Quantities:
             self._correction = Interpolation(fine.cube, difference)
             known = known & self._correction.known
         of_features = known.reshape(-1, 2).all(axis=1)
+        of_features[self._own] &= of_features[self._plain]
         self._known = np.array([bool(of_features[places].all()) for places in self._places])
 
     def _smooth(self, part: Part) -> np.ndarray:
         """The smooth forms of all features at the nodes of a sweep: (n, 2f), real and imaginary
         parts, one beside the other."""
         values = np.stack([feature.values(part) for feature in self._features], axis=1)
-        return _pairs(values * self._scales(part.cube.nodes))
+        values[:, self._own] -= values[:, self._plain]
+        return _pairs(values * self._scales(part.cube.nodes, self._basis_at(part.cube.nodes)))
 
-    def _scales(self, x: np.ndarray) -> np.ndarray:
+    def _scales(self, x: np.ndarray, basis: np.ndarray) -> np.ndarray:
         """Factors that have made features smooth: (m, f), for both sweeps from the coarse one."""
-        basis = np.where(self._basis.known, self._basis.at(x), np.nan)
-        damping = self.model.damping(x)
-        return np.stack([feature.scale(damping, basis) for feature in self._features], axis=1)
+        return scales(self._features, self.model.damping(x), basis, self.model.length(x))
+
+    def _basis_at(self, x: np.ndarray) -> np.ndarray:
+        """What :attr:`Part.basis` has, at values (m, d) of the unknowns: (m, 1 + 2 modes)."""
+        return np.where(self._basis.known, self._basis.at(x), np.nan)
 
     def __call__(self, x: np.ndarray) -> Prediction:
         """Predictions at some values (m, d) of the unknowns."""
         smooth, left, scatter = self._of_features(x)
-        scales = self._scales(x)
-        waves = (smooth[:, ::2] + 1j * smooth[:, 1::2]) / scales
-        values, turns, rest = self._of_numbers(x, waves, scales)
-        free = [np.zeros((*values.shape, 0))]
+        damping, basis = self.model.damping(x), self._basis_at(x)
+        scale = self._scales(x, basis)
+        waves = (smooth[:, ::2] + 1j * smooth[:, 1::2]) / scale
+        changes = relative_changes(
+            self._features, damping, basis, self.model.scene, self.model.whole
+        )
+        changes = changes * np.where(self._is_plain, 1.0, waves * scale)[..., None]
+        waves[:, self._own] += waves[:, self._plain]
+        values, turns, rest = self._of_numbers(damping, waves, scale)
+        free, beyond = [np.zeros((*values.shape, 0))], []
         unsure = sum(np.sum(errors**2, axis=1) for errors in scatter)
-        unsure = (unsure[:, ::2] + unsure[:, 1::2]) / np.abs(scales) ** 2
+        unsure = (unsure[:, ::2] + unsure[:, 1::2]) / np.abs(scale) ** 2
         for passages in self._passages:
             at = self._places[passages.rows[0]]
             found = passages.aligned(waves[:, at])
             values[:, passages.rows] = found.values
             # What harmonics above the last one may be: as much as that may be.
-            last = (np.abs(waves[:, at[-1]]) ** 2 + unsure[:, at[-1]]) * found.size**2
-            rest[:, passages.rows] = last[:, None]
-            turns[:, np.array(passages.rows)[:, None], at] = found.turns / scales[:, None, at]
+            last = np.sqrt(np.abs(waves[:, at[-1]]) ** 2 + unsure[:, at[-1]]) * found.size
+            beyond.append(np.zeros((*values.shape, 4)))
+            beyond[-1][:, passages.rows] = last[:, None, None] * passages.beyond(len(at))
+            turns[:, np.array(passages.rows)[:, None], at] = found.turns / scale[:, None, at]
             moved = np.zeros((*values.shape, found.free.shape[2]))
             moved[:, passages.rows] = found.free
             free.append(moved)
         turns[:, ~self._known] = 0.0
-        errors = self._errors(smooth, left, scatter, _pairs(turns.conj()))
+        slopes = _pairs(turns.conj())
+        errors = self._errors(smooth, left, scatter, slopes)
+        unknown = slopes @ _pairs(changes.transpose(0, 2, 1)).transpose(0, 2, 1)
+        errors = np.concatenate([errors, unknown, *beyond], axis=2)
         total = errors @ errors.transpose(0, 2, 1) + rest[:, :, None] * np.eye(len(self.rows))
         values = np.where(self._known, values, np.nan)
         return Prediction(values, total, np.concatenate(free, axis=2), self._known)
 
     def _of_numbers(
-        self, x: np.ndarray, waves: np.ndarray, scales: np.ndarray
+        self, damping: np.ndarray, waves: np.ndarray, scale: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Values (m, q) of all measurements but displacements, their slopes t (m, q, f) by the
         smooth forms S, ds = Re sum t dS, and variances of what no feature tells (m, q)."""
-        natural = np.array([bool(feature.lips) for feature in self._features])
+        natural = np.array([feature.natural for feature in self._features])
         with np.errstate(divide="ignore", invalid="ignore"):
             sizes = np.where(natural, np.exp(np.where(natural, waves.real, 0.0)), np.abs(waves))
-            turned = np.where(np.abs(waves) > 0.0, np.conj(waves) / np.abs(waves), 1.0) / scales
-        turned = np.where(natural, sizes, turned)
-        values, rest = np.zeros((2, len(x), len(self.rows)))
+            turned = np.where(np.abs(waves) > 0.0, np.conj(waves) / np.abs(waves), 1.0) / scale
+        turned = np.where(natural, sizes / scale, turned)
+        values, rest = np.zeros((2, len(waves), len(self.rows)))
         turns = np.zeros((*values.shape, len(self._features)), dtype=complex)
         for place, (row, at) in enumerate(zip(self.rows, self._places, strict=True)):
             if row.quantity == "displacement":
@@ -195,8 +242,10 @@ class Quantities:
             turns[:, place, at] = weights * turned[:, at]
             if row.quantity == "frequency_resonance":
                 split = sizes[:, at[1]] - sizes[:, at[0]]
-                shift = values[:, place] * self.model.damping(x)[:, 0] ** 2
+                shift = values[:, place] * damping[:, 0] ** 2
                 rest[:, place] = (OFF.get(row.mode, OFTEN_OFF) * split) ** 2 + shift**2
+        for own, plain in zip(self._own, self._plain, strict=True):
+            turns[:, :, plain] += turns[:, :, own] * scale[:, None, own]
         return values, turns, rest
 
     def _of_features(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
@@ -225,7 +274,7 @@ class Quantities:
         found.append(apart * of_mesh @ self._alike)
         uneven = self.model.table.harmonic_deviation
         if uneven:
-            upper = np.repeat([feature.order > 1 for feature in self._features], 2)
+            upper = np.repeat([max(feature.order - 1, 0) for feature in self._features], 2)
             turned = np.stack([-smooth[:, 1::2], smooth[:, ::2]], axis=2).reshape(smooth.shape)
             each = np.kron(np.eye(len(self._features)), np.ones((2, 1)))
             for part in (smooth, turned):

@@ -8,13 +8,16 @@ have a covariance T(x):
 As det V is no less than that of diag(e^2), both terms are squares, and least squares find its
 maxima.
 
-The prior is uniform between the bounds. Regions hold a share of the posterior's mass, the densest
+The prior is uniform between the bounds. A crack differs from the straight and sharp one that acts
+like it: L is spread on the grid by what is known of that (:func:`fenics_crack.identification.
+nuisance.act_as`). Regions hold a share of the posterior's mass, the densest
 parts first; the integral of L over the prior is a hypothesis' evidence (D. J. C. MacKay,
 Information Theory, Inference, and Learning Algorithms, 2003, chapter 28).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -36,12 +39,16 @@ __all__ = [
     "trapezoid",
 ]
 
-LOOK = {0: 1, 1: 200, 2: 45, 3: 17}
+LOOK = {1: 200, 2: 45, 3: 17}
 """Values of each unknown of the first grid, by the number of unknowns; of more, 9."""
-CLOSER = {1: 101, 2: 41, 3: 15}
+CLOSER = {1: 101, 2: 31, 3: 13}
 """Further ones around each optimum; of more, 7."""
 STARTS = 8
 """Of least squares, at most."""
+STEP = 1e-6
+"""Of an unknown, over its range, for derivatives."""
+FTOL = 1e-5
+"""Relative change of log L with which least squares end: of no weight for a probability."""
 WIDTHS = 5.0
 """Standard deviations around an optimum that are looked at closer."""
 WORSE = 8.0
@@ -50,6 +57,10 @@ DEEP = 300.0
 """Difference of log L beyond which places matter to no probability."""
 AT_ONCE = 500
 """Places at which a likelihood is computed together."""
+NARROW = 0.1
+"""Of the distance of points: less than that nothing is spread by."""
+LEAST = -1e4
+"""Difference of log L, where there is nothing."""
 VAGUE = 10.0
 """Standard deviation, over the measured value, where the model knows nothing."""
 
@@ -110,7 +121,7 @@ class Branch:
     axes : tuple of arrays
         The grid, denser around the optima.
     height : array
-        log L on the grid.
+        log L on the grid, spread.
     weight : array
         Parts of the prior that the points of the grid stand for; their sum is 1.
     """
@@ -126,6 +137,13 @@ class Branch:
         """log of the integral of L over the prior."""
         return float(logsumexp(self.height, b=self.weight))
 
+    def at(self, x: np.ndarray) -> float:
+        """log L, spread, at some values (d,) of the unknowns, between those on the grid."""
+        if not self.axes:
+            return float(self.height)
+        within = np.clip(x, [axis[0] for axis in self.axes], [axis[-1] for axis in self.axes])
+        return float(RegularGridInterpolator(self.axes, self.height)(within)[0])
+
 
 def explore(likelihood: Likelihood) -> Branch:
     """Find the optima of a likelihood, and its values on a grid that is denser around them."""
@@ -133,17 +151,22 @@ def explore(likelihood: Likelihood) -> Branch:
     d = len(cube.axes)
     if d == 0:
         height = likelihood(np.zeros((1, 0)))
-        return Branch(likelihood, [], (), height.reshape(()), np.ones(()))
+        only = Optimum(np.zeros(0), float(height[0]), np.zeros((0, 0)))
+        return Branch(likelihood, [only], (), height.reshape(()), np.ones(()))
     first = [np.linspace(axis[0], axis[-1], LOOK.get(d, 9)) for axis in cube.axes]
     height = _heights(likelihood, _points(first)).reshape([len(axis) for axis in first])
     optima = _optima(likelihood, first, height, cube.low, cube.high)
+    act_as = likelihood.quantities.model.act_as
+    few = optima[:3]
+    reaches = [WIDTHS * np.sqrt(np.diag(one.covariance)) for one in few]
+    wider = [WIDTHS * act_as(one.x[None])[0] for one in few]
     axes = []
     for place, (axis, low, high) in enumerate(zip(first, cube.low, cube.high, strict=True)):
         pieces = [axis]
-        for optimum in optima[:3]:
-            reach = WIDTHS * np.sqrt(optimum.covariance[place, place])
-            piece = optimum.x[place] + reach * np.linspace(-1.0, 1.0, CLOSER.get(d, 7))
-            pieces.append(piece[(piece > low) & (piece < high)])
+        for optimum, near, far in zip(few, reaches, wider, strict=True):
+            for reach in (near[place], math.hypot(near[place], far[place])):
+                piece = optimum.x[place] + reach * np.linspace(-1.0, 1.0, CLOSER.get(d, 7))
+                pieces.append(piece[(piece > low) & (piece < high)])
         axes.append(np.unique(np.concatenate(pieces)))
     weights = [trapezoid(axis) for axis in axes]
     weight = np.ones(())
@@ -153,12 +176,31 @@ def explore(likelihood: Likelihood) -> Branch:
     # Where all of the first grid around is far below the best, what it has is near enough.
     around = maximum_filter(height, size=3, mode="nearest")
     near = RegularGridInterpolator(first, around)(points) > optima[0].height - DEEP
-    for optimum in optima[:3]:
-        reach = WIDTHS * np.sqrt(np.diag(optimum.covariance))
+    for optimum, reach in zip(few, reaches, strict=True):
         near |= np.all(np.abs(points - optimum.x) < reach, axis=1)
     closer = RegularGridInterpolator(first, height)(points)
     closer[near] = _heights(likelihood, points[near])
-    return Branch(likelihood, optima, tuple(axes), closer.reshape(weight.shape), weight)
+    closer = _spread(closer.reshape(weight.shape), axes, weights, act_as(points))
+    return Branch(likelihood, optima, tuple(axes), closer, weight)
+
+
+def _spread(
+    height: np.ndarray, axes: list[np.ndarray], weights: list[np.ndarray], widths: np.ndarray
+) -> np.ndarray:
+    """log L on a grid with each point spread along the axes by standard deviations (n, d)."""
+    most = height.max()
+    found = np.exp(height - most)
+    for place, (axis, weight) in enumerate(zip(axes, weights, strict=True)):
+        width = np.moveaxis(widths[:, place].reshape(height.shape), place, -1)
+        if not width.any():
+            continue
+        width = np.maximum(width, np.gradient(axis) * NARROW)[..., None]
+        shares = weight * np.exp(-0.5 * ((axis - axis[:, None]) / width) ** 2)
+        shares /= shares.sum(axis=-1, keepdims=True)
+        masses = np.moveaxis(found, place, -1) * weight
+        found = np.moveaxis(np.einsum("...j,...ji->...i", masses, shares) / weight, -1, place)
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.maximum(np.log(found), LEAST) + most)
 
 
 def _points(axes: list[np.ndarray]) -> np.ndarray:
@@ -197,8 +239,13 @@ def _optima(
         def residuals(unit: np.ndarray) -> np.ndarray:
             return likelihood.residuals((low + span * unit)[None])[0]
 
+        def slopes(unit: np.ndarray) -> np.ndarray:
+            steps = np.diag(np.where(unit < 0.5, STEP, -STEP))
+            rows = likelihood.residuals(low + span * np.vstack([unit, unit + steps]))
+            return np.asarray((rows[1:] - rows[0]).T / np.diag(steps))
+
         unit = np.clip((start - low) / span, 1e-6, 1.0 - 1e-6)
-        fit = least_squares(residuals, unit, bounds=(0.0, 1.0), x_scale=0.1)
+        fit = least_squares(residuals, unit, slopes, bounds=(0.0, 1.0), x_scale=0.1, ftol=FTOL)
         information = fit.jac.T @ fit.jac + 12.0 * np.eye(len(span))
         covariance = np.linalg.inv(information) * np.outer(span, span)
         found.append(Optimum(low + span * fit.x, -float(fit.cost), covariance))
@@ -267,8 +314,9 @@ class Posterior:
         return float(low), float(high)
 
     def parts(self, share: float, least: float) -> list[tuple[str, np.ndarray, float]]:
-        """The separate parts of the region that holds a share of the mass: words, where L is
-        largest there (d,), and mass; those with less than ``least`` are left out."""
+        """The separate parts of the region that holds a share of the mass: words, the middle (d,),
+        and mass, largest first; those with less than ``least`` are left out. The middle is the mean
+        or, of a bent part that does not hold it, the nearest point that is."""
         level = self.level(share)
         found = []
         for name, branch in self.branches.items():
@@ -276,13 +324,16 @@ class Posterior:
             numbers, count = label(within, structure=np.ones((3,) * within.ndim))
             for number in range(1, count + 1):
                 own = numbers == number
-                mass = float(self.mass[name][own].sum())
-                if mass >= least:
-                    at = np.unravel_index(
-                        np.argmax(np.where(own, branch.height, -np.inf)), own.shape
-                    )
-                    x = np.array([a[k] for a, k in zip(branch.axes, at, strict=True)])
-                    found.append((name, x, mass))
+                masses = self.mass[name][own]
+                if masses.sum() >= least:
+                    places = np.argwhere(own)
+                    columns = [axis[at] for axis, at in zip(branch.axes, places.T, strict=True)]
+                    points = np.stack(columns, axis=1) if columns else np.zeros((1, 0))
+                    x = masses @ points / masses.sum()
+                    if branch.at(x) < level:
+                        width = np.ptp(points, axis=0) + np.finfo(float).tiny
+                        x = points[np.argmin(np.sum(((points - x) / width) ** 2, axis=1))]
+                    found.append((name, x, float(masses.sum())))
         return sorted(found, key=lambda part: -part[2])
 
     def spread(self, place: int) -> float:

@@ -90,6 +90,12 @@ class Passages:
             found.append(cls(places, mine, [rows[place] for place in places[len(mine) :]]))
         return found
 
+    def beyond(self, last: int) -> np.ndarray:
+        """Displacements by the parts of the two harmonics above the last, together of size 1 at
+        any phase: (n, 4)."""
+        angles = np.multiply.outer(self._phases, [last + 1, last + 2])
+        return np.hstack([np.cos(angles), np.sin(angles)]) / np.sqrt(2.0)
+
     def aligned(self, waves: np.ndarray) -> Aligned:
         """The displacements of harmonics U_k: (m, K) [m]."""
         orders = np.arange(1, waves.shape[1] + 1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from fenics_crack.errors import InputError
 from fenics_crack.files.store import write
 from fenics_crack.identification.measurements import Measurement, Measurements
 from fenics_crack.identification.posterior import Branch, Posterior
-from fenics_crack.identification.where_to_measure import Worth, worth_of
+from fenics_crack.identification.where_to_measure import Worth, left_with, worth_of
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import key_in_words, unit_of, value_in_words
 from fenics_crack.table import Table, Tabular
@@ -26,8 +27,12 @@ __all__ = ["SHARE", "Identification"]
 
 SHARE = 0.95
 """Probability of the regions and intervals that are stated."""
+EXPLAINS = 1.0 - SHARE
+"""Probability of more misfit by chance from which a plate without a crack explains what is seen."""
 STRONG = 3.0
 """Logarithm of the ratio of evidences, 20 to 1, from which a hypothesis is preferred."""
+BASELINE = 1e-3
+"""Relative standard deviation with which frequencies are measured that are advised."""
 LEAST_PART = 0.03
 """Probability of a part of the region that is mentioned."""
 
@@ -44,8 +49,8 @@ class Identification(Tabular):
         What was measured.
     posterior : Posterior
         The probability of the unknowns, on a grid.
-    uncracked : float
-        log of the evidence of the plate without its crack; nan where this was not considered.
+    plain : Posterior, optional
+        That of the plate without its crack; None where there is no such plate.
     remarks : tuple of str
         What these measurements cannot tell.
     """
@@ -53,19 +58,29 @@ class Identification(Tabular):
     scene: Scene
     measurements: Measurements
     posterior: Posterior
-    uncracked: float
+    plain: Posterior | None
     remarks: tuple[str, ...]
 
     @property
     def unknown(self) -> tuple[str, ...]:
         """The unknowns that are numbers."""
-        return self._branch.likelihood.quantities.model.keys
+        return self._at[0].likelihood.quantities.model.keys
+
+    @cached_property
+    def _parts(self) -> list[tuple[str, np.ndarray, float]]:
+        return self.posterior.parts(SHARE, LEAST_PART)
+
+    @cached_property
+    def _at(self) -> tuple[Branch, np.ndarray]:
+        """The branch and the unknowns of the estimate."""
+        name, x = self._parts[0][:2] if self._parts else self.posterior.best
+        return self.posterior.branches[name], x
 
     @property
     def estimate(self) -> dict[str, Any]:
-        """The unknowns at which the likelihood is largest, words too."""
-        x = self.posterior.best[1]
-        model = self._branch.likelihood.quantities.model
+        """The unknowns in the middle of where they most probably are, words too."""
+        branch, x = self._at
+        model = branch.likelihood.quantities.model
         return model.fixed | dict(zip(self.unknown, x.tolist(), strict=True))
 
     @property
@@ -77,32 +92,75 @@ class Identification(Tabular):
     @property
     def log_bayes_factor(self) -> float:
         """log of the evidence of a crack over that of none; nan where none was not considered."""
-        return self.posterior.log_evidence - self.uncracked
+        bare = np.nan if self.plain is None else self.plain.log_evidence
+        return self.posterior.log_evidence - bare
 
     @property
     def verdict(self) -> str:
-        """The word "crack" or "no crack" where one is 20 times as likely as the other, else
-        "undecided"; "crack" where no crack was not considered."""
-        ratio = self.log_bayes_factor
-        if np.isnan(ratio) or ratio > STRONG:
-            return "crack"
-        return "no crack" if ratio < -STRONG else "undecided"
+        """The word "crack" or "no crack" where one is 20 times as likely as the other, else, and
+        where :attr:`reason` says why, "cannot be told"."""
+        return self._judged[0]
+
+    @property
+    def reason(self) -> str:
+        """Reason for the verdict, in words."""
+        return self._judged[1]
+
+    @cached_property
+    def _judged(self) -> tuple[str, str]:
+        ratio, open_question = self.log_bayes_factor, "cannot be told"
+        if self.plain is None:
+            return open_question, "there is no plate without a crack to compare with"
+        fits, healthy = self.misfit[1], misfit_of(self.plain)[1]
+        told = f"log Bayes factor {ratio:.3g}, crack over no crack"
+        if max(fits, healthy) < MISFIT:
+            why = "neither a crack of this kind nor a plate without one explains the measurements"
+            return open_question, f"{why} ({told})"
+        if ratio > STRONG and healthy >= EXPLAINS:
+            why = "a plate without a crack explains the measurements, as little as is known of it"
+            return open_question, f"{why} ({told})"
+        verdict = "crack" if ratio > STRONG else "no crack" if ratio < -STRONG else open_question
+        return verdict, told
 
     @property
     def misfit(self) -> tuple[float, float]:
-        """chi^2 at the estimate, and the probability of more, by chance, with as many measurements
-        (of displacements three fewer, for what is not known of the load)."""
-        likelihood, x = self._branch.likelihood, self.posterior.best[1][None]
-        total = float(np.sum(likelihood.residuals(x)[0, :-1] ** 2))
-        count = len(likelihood.values) - likelihood.quantities(x).free.shape[2]
-        return total, float(chdtrc(max(count, 1), total))
+        """chi^2 where the likelihood is largest, and the probability of more, by chance, with as
+        many measurements (of displacements three fewer, for what is not known of the load)."""
+        return misfit_of(self.posterior)
+
+    @property
+    def advice(self) -> list[str]:
+        """What to measure next, in words: the frequencies of the plate before it had a crack where
+        they are missing, and what else tells most."""
+        branch, x = self._at
+        likelihood = branch.likelihood
+        model, rows = likelihood.quantities.model, self.measurements.rows
+        now = left_with(likelihood, x, ())
+        measured = {row.mode for row in rows if row.natural} or {1, 2}
+        known = {row.mode for row in rows if row.quantity == "frequency_uncracked"}
+        found = []
+        if model.coarse.bare is not None and (missing := sorted(measured - known)):
+            more = [
+                Measurement("frequency_uncracked", hertz, BASELINE * hertz, mode=mode)
+                for mode, hertz in enumerate(model.whole.frequencies.tolist(), 1)
+                if mode in missing
+            ]
+            modes = ", ".join(map(str, missing))
+            what = f"natural frequencies {modes} before there was a crack (frequency_uncracked)"
+            left = left_with(likelihood, x, more)
+            found.append(f"{what}, to {BASELINE:.1%}: {_gained(now, left)}")
+        worth = self.where_to_measure()
+        if worth.measurements:
+            left = {key: float(values[0]) for key, values in worth.deviations.items()}
+            found.append(f"{worth.measurements[0].words}: {_gained(worth.now, left)}")
+        return found
 
     @property
     def alternatives(self) -> list[tuple[dict[str, Any], float]]:
         """The separate cracks that explain the measurements, best first, with probabilities; more
         than one: they cannot be told apart."""
         found = []
-        for name, x, mass in self.posterior.parts(SHARE, LEAST_PART):
+        for name, x, mass in self._parts:
             model = self.posterior.branches[name].likelihood.quantities.model
             values = model.fixed | dict(zip(self.unknown, x.tolist(), strict=True))
             found.append((values, mass))
@@ -117,15 +175,14 @@ class Identification(Tabular):
         InputError
             An unknown is missing.
         """
-        for name, branch in self.posterior.branches.items():
+        for branch in self.posterior.branches.values():
             model = branch.likelihood.quantities.model
             missing = [key for key in (*model.keys, *model.fixed) if key not in values]
             if missing:
                 raise InputError("values", dict(values), f"with {', '.join(missing)}")
             if all(values[key] == word for key, word in model.fixed.items()):
-                x = np.array([[float(values[key]) for key in model.keys]])
-                height = float(self.posterior.branches[name].likelihood(x)[0])
-                return height >= self.posterior.level(share)
+                x = np.array([float(values[key]) for key in model.keys])
+                return branch.at(x) >= self.posterior.level(share)
         return False
 
     def where_to_measure(
@@ -152,7 +209,8 @@ class Identification(Tabular):
             A measurement is not one of the forward model.
         """
         deviations = frequency_deviation, harmonic_deviation
-        return worth_of(self._branch.likelihood, self.posterior.best[1], measurements, deviations)
+        branch, x = self._at
+        return worth_of(branch.likelihood, x, measurements, deviations)
 
     def save(self, folder: str | Path) -> None:
         """Write ``identify.h5``, the posterior on its grid, and ``identify.json`` (collective).
@@ -173,10 +231,6 @@ class Identification(Tabular):
         text = json.dumps(self.summary(), indent=1, ensure_ascii=False)
         write_whole(Path(folder) / "identify.json", text + "\n")
 
-    @property
-    def _branch(self) -> Branch:
-        return self.posterior.branches[self.posterior.best[0]]
-
     # --- shown ------------------------------------------------------------------------------------
 
     def summary(self) -> dict[str, Any]:
@@ -185,6 +239,7 @@ class Identification(Tabular):
         total, chance = self.misfit
         return {
             "verdict": self.verdict,
+            "reason": self.reason,
             "log_bayes_factor": None if np.isnan(ratio) else ratio,
             "estimate": self.estimate,
             "intervals": {key: list(ends) for key, ends in self.intervals.items()},
@@ -194,6 +249,7 @@ class Identification(Tabular):
             "chi_square": total,
             "probability_of_misfit": chance,
             "remarks": list(self.remarks),
+            "advice": self.advice,
             "measurements": self.fit_table().rows,
         }
 
@@ -212,8 +268,9 @@ class Identification(Tabular):
     def fit_table(self) -> Table:
         """Each measurement with what the estimate predicts, both standard deviations, and the
         difference in units of both together."""
-        likelihood, x = self._branch.likelihood, self.posterior.best[1][None]
-        found = likelihood.quantities(x)
+        branch, x = self._at
+        likelihood = branch.likelihood
+        found = likelihood.quantities(x[None])
         predicted, spread = found.values[0], found.deviations[0]
         residuals = (likelihood.values - predicted) / np.hypot(likelihood.deviations, spread)
         columns = (likelihood.values, likelihood.deviations, predicted, spread, residuals)
@@ -236,11 +293,11 @@ class Identification(Tabular):
             found.append(f"these cracks cannot be told apart: {'; '.join(told)}")
         total, chance = self.misfit
         if chance < MISFIT:
-            count = len(self._branch.likelihood.values)
+            count = len(self.measurements)
             found.append(
                 f"no crack of this kind explains the measurements: chi^2 = {total:.3g} of {count}"
             )
-        cube = self._branch.likelihood.quantities.model.cube
+        cube = self._at[0].likelihood.quantities.model.cube
         bounds = zip(self.unknown, self.posterior.best[1], cube.low, cube.high, strict=True)
         for key, value, low, high in bounds:
             margin = 1e-3 * (high - low)
@@ -259,3 +316,22 @@ class Identification(Tabular):
         if len(self.alternatives) > 1:
             parts.append("NOT THE ONLY ONE")
         return ", ".join(parts)
+
+
+def misfit_of(posterior: Posterior) -> tuple[float, float]:
+    """chi^2 where a likelihood is largest, and the probability of more by chance."""
+    name, x = posterior.best
+    likelihood = posterior.branches[name].likelihood
+    total = float(np.sum(likelihood.residuals(x[None])[0, :-1] ** 2))
+    count = len(likelihood.values) - likelihood.quantities(x[None]).free.shape[2]
+    return total, float(chdtrc(max(count, 1), total))
+
+
+def _gained(now: Mapping[str, float], after: Mapping[str, float]) -> str:
+    """What measuring brings, in words: "crack length to 0.2 mm in place of 1 mm"."""
+    told = (
+        f"{key_in_words(key)} to {value_in_words(key, after[key])} in place of "
+        f"{value_in_words(key, now[key])}"
+        for key in now
+    )
+    return ", ".join(told)

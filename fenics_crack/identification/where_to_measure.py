@@ -30,10 +30,12 @@ from fenics_crack.identification.posterior import Likelihood, scaled_covariance
 from fenics_crack.scene.words import unit_of
 from fenics_crack.table import Tabular
 
-__all__ = ["Worth", "worth_of"]
+__all__ = ["Worth", "left_with", "worth_of"]
 
 PROBES = 24
 """Phases of the load's period at which one more probe is considered."""
+PRIOR = 12.0
+"""Information of a uniform prior on an unknown, over its range: one over its variance."""
 STEP = 1e-3
 """Of an unknown, over its range, for derivatives."""
 
@@ -100,7 +102,8 @@ def worth_of(
     rows = tuple(measurements or ())
     if measurements is None:
         rows = (*model.candidates(), *_more_probes(made))
-    quantities, count = model.quantities(made, rows), len(made)
+    count = len(made)
+    quantities = model.quantities(made, rows)
     predicted = quantities(x[None])
     values = predicted.values[0]
     noise = np.array([row.deviation for row in rows])
@@ -118,13 +121,14 @@ def worth_of(
     # What is new in one more measurement, given those that were made.
     mine, mixed = covariance[:count, :count], covariance[:count, count:]
     weights = np.linalg.solve(mine, np.hstack([slopes[:count], mixed]))
-    information = slopes[:count].T @ weights[:, : len(x)] + 12.0 * np.eye(len(x))
+    information = slopes[:count].T @ weights[:, : len(x)] + PRIOR * np.eye(len(x))
     left = np.diag(covariance)[count:] - np.sum(mixed * weights[:, len(x) :], axis=0)
     new = (slopes[count:] - mixed.T @ weights[:, : len(x)]) / np.sqrt(left)[:, None]
     before = np.linalg.inv(information)
     moved = new @ before
     gained = np.sum(moved * new, axis=1)
-    after = np.sqrt(np.diag(before) - moved**2 / (1.0 + gained)[:, None]) * span
+    other = (model.act_as(x[None])[0] / span) ** 2
+    after = np.sqrt(np.diag(before) - moved**2 / (1.0 + gained)[:, None] + other) * span
     best = [int(at) for at in np.argsort(-gained, kind="stable") if fit[at]]
     return Worth(
         tuple(
@@ -133,8 +137,25 @@ def worth_of(
         ),
         0.5 * np.log1p(gained[best]),
         {key: after[best, place] for place, key in enumerate(model.keys)},
-        dict(zip(model.keys, (np.sqrt(np.diag(before)) * span).tolist(), strict=True)),
+        dict(zip(model.keys, (np.sqrt(np.diag(before) + other) * span).tolist(), strict=True)),
     )
+
+
+def left_with(
+    likelihood: Likelihood, x: np.ndarray, more: Sequence[Measurement]
+) -> dict[str, float]:
+    """Standard deviation of each unknown, with some measurements more, all of them."""
+    model = likelihood.quantities.model
+    quantities = model.quantities(likelihood.quantities.rows, more)
+    predicted = quantities(x[None])
+    every = np.concatenate([likelihood.deviations, [row.deviation for row in more]])
+    covariance = scaled_covariance(predicted, np.nan_to_num(predicted.values[0]), every)[0]
+    span = model.cube.high - model.cube.low
+    slopes = _slopes(quantities, x, span, model.cube.low, model.cube.high) / every[:, None]
+    slopes = np.nan_to_num(slopes)
+    information = slopes.T @ np.linalg.solve(covariance, slopes) + PRIOR * np.eye(len(x))
+    left = np.hypot(np.sqrt(np.diag(np.linalg.inv(information))) * span, model.act_as(x[None])[0])
+    return dict(zip(model.keys, left.tolist(), strict=True))
 
 
 def _more_probes(made: Sequence[Measurement]) -> list[Measurement]:

@@ -658,9 +658,36 @@ class Identify(Table):
     finer: float = between("1", "4", 2.0)
     """How much finer the mesh is, and how many more harmonics there are, in the few cases that
     correct the model and tell its error; 1: neither."""
-    harmonic_deviation: float = between("0", "1", 0.15)
-    """Least standard deviation of computed harmonics of the crack, over their values: contact on a
-    coarse mesh makes them uneven, and all of them together too large or too small."""
+    harmonic_deviation: float = between("0", "1", 0.05)
+    """Least standard deviation of the computed second harmonic of the crack, over its value, and of
+    the k-th k - 1 times as much: contact on a coarse mesh makes them uneven, and all of them
+    together too large or too small."""
+    young_deviation: float = between("0", "1", 0.03)
+    """Standard deviations of what the scene says, over its value, and of the model: Young's
+    modulus. That of structural steel: JCSS, Probabilistic Model Code, part 3.2, 2001."""
+    density_deviation: float = between("0", "1", 0.01)
+    """Density: the same, part 2.1."""
+    thickness_deviation: float = between("0", "1", 0.01)
+    """Thickness, of which amplitudes tell: 0.2 mm of 10 mm (ISO 2768-1, medium) at most."""
+    clamp_deviation: float = between("0", "1", 0.01)
+    """What a soft clamp may take from the first natural frequency, over that. A beam that grows out
+    of an elastic body as thick as itself is as if longer by 0.44 of its depth (W. J. O'Donnell,
+    Journal of Applied Mechanics 27, 1960, 461), and loses 6 % if 15 times as long as deep: jaws
+    are some times stiffer."""
+    damping_deviation: float = between("0", "10", 0.3)
+    """Ratio of damping: of joints and air, it differs by so much between assemblies."""
+    angle_deviation: float = between("0", "45", 5.0, unit="degrees")
+    """Angle of a crack with the horizontal, which moves what its tip weakens from its mouth."""
+    model_deviation: float = between("0", "1", 0.01)
+    """Each natural frequency, the same with the crack and without it: models of spacecraft are to
+    meet measured ones to 5 % (NASA-STD-5002), and the ratio of the first two of a plain beam is
+    2 % off (docs/measured_beams.md)."""
+    crack_deviation: float = between("0", "1", 0.15)
+    """What a crack changes: two compliances in wide use, of the same crack from 0.1 to 0.3 of the
+    depth, differ by 25 to 29 % (W. M. Ostachowicz and M. Krawczuk, Journal of Sound and Vibration
+    150, 1991, 191; P. F. Rizos, N. Aspragathos and A. D. Dimarogonas, 138, 1990, 381); half of
+    that. A slot changes more than a crack (P. Cawley and R. Ray, Journal of Vibration and
+    Acoustics 110, 1988, 366)."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -84,6 +84,9 @@ class Linear:
 
     rows: tuple[Any, ...] = ()
 
+    def act_as(self, x: np.ndarray) -> np.ndarray:
+        return np.zeros_like(x)
+
     def quantities(self, rows: Any, more: Any = ()) -> Any:
         places = [*range(len(self.matrix)), *range(len(more))]
         return Linear(self.matrix[places], self.offset[places], self.cube)
@@ -254,6 +257,16 @@ def test_measurements_from_a_file(tmp_path: Path) -> None:
     assert str(found.rows) == str(fc.Measurements.from_csv(path).rows)  # nan is not equal to nan
     arrays = fc.Measurements.from_arrays("frequency_bilinear", [841.1], 0.8, mode=[1])
     assert str(arrays.rows[0]) == str(found.rows[0])
+
+
+def test_one_value_of_each() -> None:
+    """Two of the same are refused, by name, with both values."""
+    one = fc.Measurement("frequency_open", 841.0, 0.8, 1)
+    other = fc.Measurement("frequency_open", 850.0, 0.8, 1)
+    with pytest.raises(fc.InputError) as error:
+        fc.Measurements((one, other))
+    told = "measurements, frequency_open of mode 1 = [841.0, 850.0]: must be one value, the mean"
+    assert told in str(error.value)
 
 
 def test_files_that_are_no_tables(tmp_path: Path) -> None:

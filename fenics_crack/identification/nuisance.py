@@ -1,0 +1,215 @@
+"""What else is not as the scene says: the material, the clamp, damping, and the model itself.
+
+Each has a prior, a normal distribution about what the scene says, whose width is in ``[identify]``
+with its source. To first order a standard deviation of it changes the natural frequency of mode j
+by a relative a_j, the size of harmonics by a relative b, and through their poles
+(:mod:`fenics_crack.identification.features`) the harmonics by
+
+    d ln U_k = b - sum_j (2 r^2 - 2 i z r) / (1 - r^2 + 2 i z r) a_j,      r = k W / w_j.
+
+Nothing is solved again for it. These changes are directions in which predictions may be wrong
+together: of the plate with its crack, of the same plate without it, and of its frequencies before
+it had one, which is how these take away what is not known of the plate.
+
+A crack that is inclined, wider, or softer than the model's acts like a straight and sharp one that
+is elsewhere, and longer or shorter: it is this that measurements tell of. What is stated of the
+real one is less sure by that (:func:`act_as`).
+
+Young's modulus and density change the part e of w_j^2 that is elastic, not what rotation adds. A
+clamp that is as soft everywhere, with a radius of gyration q about its middle, takes from w_j^2
+
+    w_j^4 (m^2 + q^2 (m_x^2 + m_y^2)) times its softness to turning,      m = R^T M phi_j
+
+(Rayleigh's quotient, from the moment w_j^2 m and the forces of the clamp, which are those of the
+mode's inertia in rigid motions R about its middle). Its softness is told by what it takes from the
+first mode.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+
+from fenics_crack.errors import FEW_MODES, InputError
+from fenics_crack.identification.features import Feature, poles
+from fenics_crack.identification.measurements import Measurements, has_uncracked
+from fenics_crack.model.modes import Modes, solve_modes, times
+from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.tables import Identify
+from fenics_crack.study.prepare import prepare
+
+__all__ = ["NO_CRACK", "Whole", "act_as", "relative_changes", "whole_plate"]
+
+NO_CRACK = ("crack", "cracks", "contact")
+"""Tables that a scene without a crack does without."""
+STIFFENING = 0.05
+"""Relative standard deviation of what rotation adds to the square of a natural frequency: beams and
+plates differ by so much in it."""
+TOGETHER = 0.9
+"""Part of the variance of what a crack changes that all modes have together: a compliance."""
+POWER = 2.0
+"""Of a crack's length, like which it changes natural frequencies."""
+CENTROID = 2.0 / 3.0
+"""Of an edge crack's length: the middle of what it weakens, which grows like its length."""
+FACTORS = {"rad/s": 2.0 * np.pi, "kHz": 1e-3, "mHz": 1e3}
+"""What numbers in other units are multiples of."""
+NEAR = 0.3
+"""Of the logarithm of such a multiple: no crack halves a frequency or doubles it."""
+
+
+@dataclass(frozen=True)
+class Whole:
+    """The plate without its crack: natural frequencies, and how they change with what is not known.
+
+    Attributes
+    ----------
+    frequencies : (n,) [Hz]
+        With lips tied where a crack cannot be taken out.
+    changes : (n, s)
+        Relative changes by a standard deviation of each.
+    sizes : (s,)
+        Likewise of the size of harmonics.
+    """
+
+    frequencies: np.ndarray
+    changes: np.ndarray
+    sizes: np.ndarray
+
+    def check(self, measurements: Measurements) -> None:
+        """Raise InputError for natural frequencies that are all in another unit than Hz."""
+        rows = [row for row in measurements.rows if row.natural and row.value > 0.0]
+        rows = [row for row in rows if row.mode <= len(self.frequencies)]
+        ratios = np.log([row.value / self.frequencies[row.mode - 1] for row in rows])
+        for unit, factor in FACTORS.items():
+            if rows and np.all(np.abs(ratios - np.log(factor)) < NEAR):
+                modes = "" if len(rows) > 1 else ", or of another mode"
+                allowed = (
+                    f"in Hz; of this plate it is about {self.frequencies[rows[0].mode - 1]:.4g} "
+                    f"Hz, so that this seems to be in {unit}{modes}"
+                )
+                raise InputError(f"measurements.value, {rows[0].name}", rows[0].value, allowed)
+
+
+def whole_plate(scene: Scene, table: Identify) -> Whole:
+    """Find the modes of a scene's plate without its crack, on this rank alone."""
+    given = scene.replace(dict.fromkeys(NO_CRACK)) if has_uncracked(scene) else scene
+    modes = _modes(given)
+    count = len(modes.omega)
+    elastic = np.ones(count)
+    if scene.speed > 0.0:
+        still = _modes(given.at_rest()).omega[:count]
+        elastic = np.clip(still / modes.omega, 0.0, 1.0) ** 2
+    own = np.hypot(table.model_deviation, 0.5 * STIFFENING * (1.0 - elastic))
+    unknown = {axis.key for axis in table.unknown}
+    widths = {
+        "material.young": table.young_deviation,
+        "material.density": table.density_deviation,
+        "geometry.thickness": table.thickness_deviation,
+    }
+    young, density, thickness = (0.0 if k in unknown else w for k, w in widths.items())
+    shared = [0.5 * young * elastic, -0.5 * density * elastic, np.zeros(count)]
+    shared.append(-table.clamp_deviation * _by_clamp(modes))
+    sizes = np.zeros(4 + count)
+    sizes[[0, 2]] = -young, -thickness
+    changes = np.column_stack([*shared, np.diag(own)])
+    return Whole(modes.omega / (2.0 * np.pi), changes, sizes)
+
+
+def _modes(scene: Scene) -> Modes:
+    structure = prepare(scene, MPI.COMM_SELF, whole=True).structure
+    few = min(FEW_MODES, structure.n_dofs - structure.n_pairs)
+    return solve_modes(structure, few, lips="tied" if structure.n_pairs else "open")
+
+
+def _by_clamp(modes: Modes) -> np.ndarray:
+    """Relative changes of natural frequencies by a soft clamp, over that of the first: (n,); all
+    alike, as of a slender beam, where no node is clamped or it is not known which are."""
+    nodes = modes.structure.nodes
+    if nodes is None:
+        return np.ones(len(modes.omega))
+    clamped = nodes.points[(nodes.dofs < 0).all(axis=1)]
+    if len(clamped) < 2:
+        return np.ones(len(modes.omega))
+    axes = range(nodes.points.shape[1])
+    turns = list(itertools.combinations(axes, 2))
+    off = nodes.points - clamped.mean(axis=0)
+    moved = np.zeros((*nodes.dofs.shape, len(axes) + len(turns)))
+    moved[:, axes, axes] = 1.0
+    for place, (first, second) in enumerate(turns, len(axes)):
+        moved[:, first, place], moved[:, second, place] = -off[:, second], off[:, first]
+    rigid = np.zeros((modes.structure.n_local, moved.shape[2]))
+    free = nodes.dofs >= 0
+    rigid[nodes.dofs[free]] = moved[free]
+    squares = (rigid.T @ times(modes.structure.mass, modes.shapes)) ** 2
+    gyration = np.sum(np.var(clamped, axis=0))
+    pushed, turned = squares[: len(axes)].sum(axis=0), squares[len(axes) :].sum(axis=0)
+    taken = modes.omega**2 * (turned + gyration * pushed)
+    return np.asarray(taken / taken[0])
+
+
+def relative_changes(
+    features: Sequence[Feature], damping: np.ndarray, basis: np.ndarray, scene: Scene, whole: Whole
+) -> np.ndarray:
+    """Relative changes of features by a standard deviation of each unknown, (m, f, s): of natural
+    frequencies without the crack, of what it adds to their logarithms, and of harmonics.
+
+    Parameters
+    ----------
+    features : sequence of Feature
+    damping : (m, 1)
+        Ratios.
+    basis : (m, 1 + 2 n)
+        What :attr:`Part.basis` has there.
+    scene : Scene
+        With the widths of the priors.
+    whole : Whole
+        The plate without a crack.
+    """
+    table, count = scene.identify, whole.frequencies.size
+    assert table is not None
+    natural, cracked = (
+        np.array([getattr(feature, name) for feature in features])[:, None]
+        for name in ("natural", "of_crack")
+    )
+    modes = np.array([feature.mode for feature in features])[:, None]
+    shape = len(basis), len(modes), count
+    by_mode = np.broadcast_to(natural & (modes == 1 + np.arange(count)), shape)
+    by_crack, by_damping = by_mode * cracked, np.zeros((*shape[:2], 1))
+    if not natural.all():
+        with np.errstate(invalid="ignore"):
+            bilinear, plain = np.split(np.log(basis[:, 1:]), 2, axis=1)
+        shifts = np.nan_to_num(bilinear - plain)[:, None, :count]
+        r, pole = poles(features, damping, basis)
+        turned = 2j * damping[..., None] * r / pole
+        slopes = (turned - 2.0 * r**2 / pole)[..., :count]
+        by_mode = np.where(natural, by_mode, slopes)
+        by_crack = np.where(natural, by_crack, slopes * shifts)
+        by_damping = -turned.sum(axis=2)[..., None]
+    own = table.crack_deviation * np.sqrt(1.0 - TOGETHER)
+    known = any(axis.key == "damping.ratio" for axis in table.unknown)
+    columns = [
+        (by_mode * ~cracked) @ whole.changes + ~natural * whole.sizes,
+        own * by_crack,
+        (0.0 if known else table.damping_deviation) * by_damping,
+    ]
+    return np.concatenate(columns, axis=2)
+
+
+def act_as(x: np.ndarray, keys: Sequence[str], scene: Scene) -> np.ndarray:
+    """How far a crack may be from the straight and sharp one that acts like it, at values (m, d) of
+    the unknowns: standard deviations (m, d)."""
+    table, found = scene.identify, np.zeros_like(x)
+    assert table is not None
+    length = np.full(len(x), getattr(scene.crack, "length", None) or 0.0)
+    if "crack.length" in keys:
+        place = keys.index("crack.length")
+        length = x[:, place]
+        found[:, place] = table.crack_deviation * np.sqrt(TOGETHER) / POWER * length
+    if "crack.height" in keys:
+        tilt = CENTROID * np.tan(np.radians(table.angle_deviation))
+        found[:, keys.index("crack.height")] = tilt * length
+    return found
