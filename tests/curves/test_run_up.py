@@ -124,7 +124,9 @@ def test_verdicts_are_those_of_single_solutions(run_up: Run[fc.ResponseCurve]) -
         assert curve.amplitude(run_up.watched_dof)[index] == pytest.approx(expected, rel=1e-4)
         assert curve.verdicts[index] == one.result.stability.verdict == "stable"
         largest = abs(one.result.stability.multipliers[0])
-        assert abs(curve.multipliers[index]) == pytest.approx(largest, rel=1e-5)
+        # Interpolated between orbits; at the peak a pair becomes real, which is a square root.
+        allowed = 3e-3 if index == peak else 1e-5
+        assert abs(curve.multipliers[index]) == pytest.approx(largest, rel=allowed)
 
 
 def test_run_up_in_a_file(run_up: Run[fc.ResponseCurve], tmp_path: Path) -> None:

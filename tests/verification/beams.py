@@ -170,9 +170,10 @@ def open_crack_in_a_beam() -> list[Row]:
     because of shear. Fits of the spring differ among themselves by 0.2 %.
 
     Where beam theory does not hold: an edge crack off the middle line also couples bending to
-    extension, which the spring leaves out. In mode 3 of the deep beam, with its crack half through,
-    this makes 1 % (not judged, and 3 % at 0.6): its end then moves along the beam, too, by 17 % of
-    its motion across.
+    extension, which the spring leaves out. In mode 3 of the deep beam this makes 0.4 % with a crack
+    of 0.4 of its depth (the same on meshes two and four times finer; 0.5 % allowed) and 1 % with
+    one half through (not judged, and 3 % at 0.6): its end then moves along the beam, too, by 17 %
+    of its motion across.
     """
     rows = []
     for beam in (THIN, THICK):
@@ -185,9 +186,10 @@ def open_crack_in_a_beam() -> list[Row]:
         for share in SHARES:
             found, theory = beam.plate_ratios(share), beam.beam_ratios(share)
             for mode in range(3):
-                coupled = beam is THICK and mode == 2 and share >= 0.5
+                coupled = beam is THICK and mode == 2 and share >= 0.4
+                allowed = 3e-3 if not coupled else 5e-3 if share < 0.5 else None
                 name = f"{beam.name}: a / h = {share:g}, mode {mode + 1}"
-                rows += [Row(name, found[mode], theory[mode], None if coupled else 3e-3)]
+                rows += [Row(name, found[mode], theory[mode], allowed)]
     return rows
 
 
