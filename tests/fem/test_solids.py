@@ -305,6 +305,58 @@ def test_mesh_files_are_split_at_their_crack(tmp_path: Path, order: int) -> None
     assert frequencies(scene, 3) == pytest.approx(fine, rel=0.015)
 
 
+def write_hexahedra(path: Path, *, incomplete: bool = False) -> None:
+    """The same box of four extruded blocks, the crack between the left ones; with 20 nodes each,
+    or with 8."""
+    gmsh.initialize(readConfigFiles=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.option.setNumber("Mesh.SecondOrderIncomplete", int(incomplete))
+        gmsh.model.add("blocks")
+        geo, xs, ys = gmsh.model.geo, (0.0, 0.01, WIDTH), (0.0, 0.03, HEIGHT)
+        at = {(i, j): geo.addPoint(x, y, 0.0) for i, x in enumerate(xs) for j, y in enumerate(ys)}
+        rows = {(i, j): geo.addLine(at[i, j], at[i + 1, j]) for i in (0, 1) for j in range(3)}
+        columns = {(i, j): geo.addLine(at[i, j], at[i, j + 1]) for i in range(3) for j in (0, 1)}
+        for (i, _), curve in rows.items():
+            geo.mesh.setTransfiniteCurve(curve, 5 + i)
+        for (_, j), curve in columns.items():
+            geo.mesh.setTransfiniteCurve(curve, 7 + 6 * j)
+        groups: dict[str, list[int]] = {"solid": [], "clamp": [], "crack": []}
+        for i, j in np.ndindex(2, 2):
+            sides = [rows[i, j], columns[i + 1, j], -rows[i, j + 1], -columns[i, j]]
+            face = geo.addPlaneSurface([geo.addCurveLoop(sides)])
+            geo.mesh.setTransfiniteSurface(face)
+            geo.mesh.setRecombine(2, face)
+            made = geo.extrude([(2, face)], 0.0, 0.0, THICKNESS, numElements=[2], recombine=True)
+            groups["solid"].append(made[1][1])
+            groups["clamp"] += [made[2][1]] * (j == 0)
+            groups["crack"] += [made[4][1]] * (i == j == 0)
+        geo.synchronize()
+        for name, tags in groups.items():
+            dimension = 3 if name == "solid" else 2
+            tag = gmsh.model.addPhysicalGroup(dimension, tags)
+            gmsh.model.setPhysicalName(dimension, tag, name)
+        gmsh.model.mesh.generate(3)
+        gmsh.model.mesh.removeDuplicateNodes()
+        gmsh.model.mesh.setOrder(2 if incomplete else 1)
+        gmsh.write(str(path))
+    finally:
+        gmsh.finalize()
+
+
+def test_hexahedra(tmp_path: Path) -> None:
+    """They give the frequencies of tetrahedra; those with 20 nodes are refused, with the reason."""
+    write_hexahedra(tmp_path / "box.msh")
+    structure = fc.build_structure(of_file(tmp_path / "box.msh"))
+    assert structure.n_pairs == 12  # four rows of three, those of the front left out
+    fine = frequencies(solid(THROUGH, **{"mesh.size": 0.006, "mesh.lip_elements": 4}), 3)
+    found = fc.solve_modes(structure, 3).omega / (2.0 * math.pi)
+    assert found == pytest.approx(fine, rel=0.01)
+    write_hexahedra(tmp_path / "20.msh", incomplete=True)
+    with pytest.raises(InputError, match=r"20 nodes.*negative at corners"):
+        fc.build_structure(of_file(tmp_path / "20.msh"))
+
+
 def test_files_without_what_is_needed(tmp_path: Path) -> None:
     """What lacks is named: a crack where there is contact; and one that cuts nothing."""
     path = tmp_path / "box.msh"
