@@ -30,7 +30,7 @@ def test_every_input_ends_well(part: str, count: int, base: Path, tmp_path: Path
     found = [*fuzzing.attempts(part, range(count), 1, base, tmp_path)]
     assert not [one for one in found if one.wrong]
     counts = Counter(one.outcome for one in found)
-    assert len(found) == count and min(counts["done"], counts["refused"]) > 4
+    assert len(found) == count and min(counts["done"], counts["refused"]) > 2
 
 
 @pytest.mark.slow
