@@ -44,8 +44,10 @@ def new(given: Namespace, _: None, console: Console) -> None:
     if given.solid and kinds:
         raise InputError("--solid", f"with --{kinds[0]}", "asked for alone: the others are plates")
     rows = path.with_name(f"{path.stem}_measured.csv")
-    text = template.scene(path.name, rows.name, kinds)
-    files = {path: template.solid(path.name) if given.solid else text}
+    if given.solid:
+        files = {path: template.solid(path.name)}
+    else:
+        files = {path: template.scene(path.name, rows.name, kinds)}
     if "identify" in kinds:
         files[rows] = template.measured()
 

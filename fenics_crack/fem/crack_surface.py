@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sparse
 
 from fenics_crack.errors import InputError
-from fenics_crack.fem.lips import BESIDE, CLOSE, SAME
+from fenics_crack.fem.lips import BESIDE, CLOSE, SAME, rows_in
 
 __all__ = ["FACETS", "CrackSurface", "SolidCells", "split_surface"]
 
@@ -151,6 +152,7 @@ class SolidCells:
         """Of a cell."""
         return int(self.facets.max()) + 1
 
+    @cached_property
     def all_facets(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Corners of the facets of all cells, sorted, so that equal ones follow each other; the
         cell of each, and the places of its corners in ``nodes``."""
@@ -195,11 +197,11 @@ def split_surface(
     """
     n_corners = cells.facets.shape[1]
     corners = np.sort(surface[:, :n_corners], axis=1)
-    facets, owner, at = cells.all_facets()
+    facets, owner, at = cells.all_facets
     same = np.all(facets[1:] == facets[:-1], axis=1)
     on_crack = np.isin(np.arange(len(places)), corners)
     of_crack = on_crack[facets].all(axis=1)
-    of_crack[of_crack] = _rows_in(facets[of_crack], corners)
+    of_crack[of_crack] = rows_in(facets[of_crack], corners)
     inside = np.flatnonzero(same & of_crack[:-1])
     _require(
         len(inside) == len(surface),
@@ -259,14 +261,6 @@ def _require(condition: object, found: str, allowed: str) -> None:
         raise InputError("crack", found, allowed)
 
 
-def _rows_in(rows: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Which rows are among others, all of them sorted along the second axis."""
-    both = np.concatenate([others, rows])
-    _, which = np.unique(both, axis=0, return_inverse=True)
-    found: np.ndarray = np.isin(which.ravel()[len(others) :], which.ravel()[: len(others)])
-    return found
-
-
 def _edges(polygons: np.ndarray) -> np.ndarray:
     """Edges of polygons (n, k), their ends sorted: (n k, 2)."""
     ends = np.stack([polygons, np.roll(polygons, -1, axis=1)], axis=2)
@@ -280,9 +274,9 @@ def _rim(surface: np.ndarray, boundary: np.ndarray) -> tuple[np.ndarray, np.ndar
     rim = edges[uses == 1]
     if boundary.shape[1] == 4:  # sorted corners are not in turn: take every two of them
         pairs = [boundary[:, [i, j]] for i in range(4) for j in range(i + 1, 4)]
-        outside = _rows_in(rim, np.concatenate(pairs))
+        outside = rows_in(rim, np.concatenate(pairs))
     else:
-        outside = _rows_in(rim, _edges(boundary))
+        outside = rows_in(rim, _edges(boundary))
     return rim[~outside], np.unique(rim[outside])
 
 

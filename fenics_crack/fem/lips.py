@@ -18,7 +18,7 @@ import scipy.sparse as sparse
 
 from fenics_crack.errors import InputError
 
-__all__ = ["Lip", "along", "cell_edges", "check_mouths", "find_lips", "split_crack"]
+__all__ = ["Lip", "along", "cell_edges", "check_mouths", "find_lips", "rows_in", "split_crack"]
 
 PLUGIN = (
     "Plugin(Crack) of gmsh, run after meshing with Dimension = 1, PhysicalGroup = the tag of the "
@@ -257,7 +257,7 @@ def check_mouths(
     shared = np.intersect1d(lower[:, :2], upper[:, :2])
     lips = np.sort(np.concatenate([lower, upper])[:, :2], axis=1)
     sides = np.sort(edges[:, :2], axis=1)
-    outer = sides[~_rows_in(sides, lips)]
+    outer = sides[~rows_in(sides, lips)]
     closed = np.intersect1d(shared, outer)
     if len(closed):
         place = "({:g}, {:g})".format(*positions[closed[0]])
@@ -265,8 +265,9 @@ def check_mouths(
         raise InputError("lips", f"a mouth at {place} that is closed", allowed)
 
 
-def _rows_in(rows: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Find the rows of pairs of nodes that are among others."""
-    largest = 1 + max(int(rows.max(initial=0)), int(others.max(initial=0)))
-    found: np.ndarray = np.isin(rows @ [largest, 1], others @ [largest, 1])
+def rows_in(rows: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Which rows of nodes, in ascending order, are among others: (n,) bool."""
+    _, which = np.unique(np.concatenate([others, rows]), axis=0, return_inverse=True)
+    kinds = which.ravel()
+    found: np.ndarray = np.isin(kinds[len(others) :], kinds[: len(others)])
     return found

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from fenics_crack.errors import InputError
 from fenics_crack.mesher import gmsh
 
-__all__ = ["check_mesh"]
+__all__ = ["check_mesh", "parts_of"]
 
 TOLERANCE = 1e-9
 """Of a determinant relative to its largest value or to the square of the cell's size, and of an
@@ -57,15 +57,14 @@ def check_mesh(
     cells = cells[:, :corners]
     boundary, owners = _unfolded_boundary(cells, signs, places)
     _check_angles(cells, places)
-    n_parts, part = _parts(cells, places, clamp, lips)
+    n_parts, part = parts_of(cells, places, clamp, lips)
     _check_boundary(boundary, places, lips)
     if n_parts > 1:
         _check_layers(boundary, part[owners], cells, part, places)
 
 
 def _refusal(found: str, place: np.ndarray, allowed: str) -> InputError:
-    x, y = place
-    return InputError("mesh", f"{found} at ({x:g}, {y:g})", allowed)
+    return InputError("mesh", f"{found} at ({', '.join(f'{x:g}' for x in place)})", allowed)
 
 
 def _signs(kind: int, cells: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -135,10 +134,10 @@ def _check_angles(cells: np.ndarray, places: np.ndarray) -> None:
         raise _refusal("cells that overlap", places[worst], allowed)
 
 
-def _parts(
+def parts_of(
     cells: np.ndarray, places: np.ndarray, clamp: np.ndarray, lips: np.ndarray
 ) -> tuple[int, np.ndarray]:
-    """Number of parts that share no node, all of them clamped, and the part of each
+    """Number of parts of a mesh that share no node, all of them clamped, and the part of each
     cell."""
     ones = np.ones(cells.size - len(cells), dtype=np.int8)
     ends = cells[:, :-1].ravel(), cells[:, 1:].ravel()
@@ -150,8 +149,9 @@ def _parts(
         place = places[cells[loose]].mean(axis=(0, 1))
         held = len(lips) and np.any(np.isin(part[cells[loose, 0]], part[lips[:, 0]]))
         found = "a part held by contact alone" if held else "a part without a clamp"
+        side = "an edge" if places.shape[1] == 2 else "a facet"
         allowed = (
-            "one whose parts each have an edge in 'clamp', or share nodes with one that has: "
+            f"one whose parts each have {side} in 'clamp', or share nodes with one that has: "
             "nothing else holds them"
         )
         raise _refusal(found, place, allowed)

@@ -77,11 +77,7 @@ class NodalMesh:
     @cached_property
     def lip_facets(self) -> np.ndarray:
         """Those of them that coincide with another one: the lips, by their places."""
-        from scipy.spatial import cKDTree
-
-        middle = self.points[self.boundary_facets].mean(axis=1)
-        pairs = cKDTree(middle).query_pairs(1e-6 * self.size, output_type="ndarray")
-        return np.unique(pairs)
+        return self._coinciding(self.boundary_facets)
 
     @cached_property
     def _edges_and_uses(self) -> tuple[np.ndarray, np.ndarray]:
@@ -104,8 +100,11 @@ class NodalMesh:
     @cached_property
     def lips(self) -> np.ndarray:
         """Edges of the boundary that coincide with another one: the lips, likewise."""
+        return np.asarray(self.boundary[self._coinciding(self.boundary[:, [0, -1]])])
+
+    def _coinciding(self, sides: np.ndarray) -> np.ndarray:
+        """Places of the sides of cells, by their corners (n, k), that lie on another one."""
         from scipy.spatial import cKDTree  # takes a while, for some pictures
 
-        middle = self.points[self.boundary[:, [0, -1]]].mean(axis=1)
-        pairs = cKDTree(middle).query_pairs(1e-6 * self.size, output_type="ndarray")
-        return np.asarray(self.boundary[np.unique(pairs)])
+        middle = self.points[sides].mean(axis=1)
+        return np.unique(cKDTree(middle).query_pairs(1e-6 * self.size, output_type="ndarray"))

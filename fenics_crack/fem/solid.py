@@ -24,6 +24,7 @@ import numpy as np
 from fenics_crack.errors import InputError
 from fenics_crack.fem.blocks import GROWTH
 from fenics_crack.fem.crack_surface import FACETS, CrackSurface, SolidCells, split_surface
+from fenics_crack.fem.mesh_checks import parts_of
 from fenics_crack.fem.msh_file import (
     CRACK,
     Group,
@@ -112,7 +113,8 @@ def _filled(
         places, lips = np.concatenate([places, places[twins]]), tuple(found)
         surfaces = _moved(surfaces, cells, nodes, twins)
         surfaces |= {"lower_lip": both[:, 0], "upper_lip": both[:, 1]}
-    _check_held(nodes, surfaces["clamp"], places)
+    sides = [surfaces[name] for name in ("lower_lip", "upper_lip") if name in surfaces]
+    parts_of(nodes, places, surfaces["clamp"], np.concatenate([*sides, surfaces["clamp"][:0]]))
     points = points_in(named, numbers, positions)
     tags, sets = tags_of(surfaces)
     filled(
@@ -161,7 +163,7 @@ def _moved(
 ) -> dict[str, np.ndarray]:
     """Facets with the nodes that their cells have once cracks are split: beside a mouth those above
     the crack have new ones."""
-    facets, owner, _ = cells.all_facets()
+    facets, owner, _ = cells.all_facets
     weights = (int(cells.nodes.max()) + 1) ** np.arange(3)[::-1]
     keys, width = facets[:, :3] @ weights, cells.facets.shape[1]  # three corners are enough
     found = {}
@@ -193,22 +195,6 @@ def _check_cells(kind: int, nodes: np.ndarray, places: np.ndarray) -> None:
         x, y, z = here[np.argmax(wrong)].mean(axis=0)
         found = f"a folded cell, or one of no volume, at ({x:g}, {y:g}, {z:g})"
         raise InputError("mesh", found, "one of cells that are convex and have a volume")
-
-
-def _check_held(nodes: np.ndarray, clamp: np.ndarray, places: np.ndarray) -> None:
-    """Raise InputError where a part of the solid has no clamp."""
-    import scipy.sparse as sparse
-    from scipy.sparse.csgraph import connected_components
-
-    ones = np.ones(nodes.size - len(nodes), dtype=np.int8)
-    ends = nodes[:, :-1].ravel(), nodes[:, 1:].ravel()
-    size = len(places)
-    part = connected_components(sparse.coo_matrix((ones, ends), (size, size)), directed=False)[1]
-    loose = ~np.isin(part[nodes[:, 0]], part[clamp])
-    if np.any(loose):
-        x, y, z = places[nodes[loose]].mean(axis=(0, 1))
-        found = f"a part without a clamp at ({x:g}, {y:g}, {z:g})"
-        raise InputError("mesh", found, "one whose parts each have a facet in 'clamp'")
 
 
 # --- a box ----------------------------------------------------------------------------------------
