@@ -681,9 +681,10 @@ class Identify(Table):
         "a list of finite numbers > 0", lambda values: min(values, default=1.0) > 0, ()
     )
     """Further load frequencies at which measuring is considered [Hz]."""
-    finer: float = between("1", "4", 2.0)
+    finer: float = between("0.25", "4", 0.5)
     """How much finer the mesh is, and how many more harmonics there are, in the few cases that
-    correct the model and tell its error; 1: neither."""
+    correct the model and tell its error; 1: neither. Below 1 these few have the scene's own mesh,
+    and the others one that is coarser: 0.5 has elements twice as long."""
     harmonic_deviation: float = between("0", "1", 0.05)
     """Least standard deviation of the computed second harmonic of the crack, over its value, and of
     the k-th k - 1 times as much: contact on a coarse mesh makes them uneven, and all of them
