@@ -409,6 +409,9 @@ def _check_matrices(scene: Scene, structure: Structure) -> None:
 def _check_dimension(scene: Scene) -> None:
     """Raise InputError where a table is not one of a plate, or of a solid."""
     geometry, mesh, dimension = scene.geometry, scene.mesh, scene.dimension
+    if dimension == 2 and scene.rotation is not None:
+        scene.rotation.leave_out(("axis", "center"), "a plate: its axis is parallel to x")
+        scene.rotation.given("hub_radius")
     for name in _TABLES:
         held = getattr(scene, name)
         if name in _LISTS:
