@@ -222,10 +222,11 @@ def _assembled(scene: Scene, dofs: Dofs, tip: Tip, kind: int, field: np.ndarray)
     inside = ufl.And(ufl.gt(xi, 0.0), ufl.lt(xi, 1.0))
     falling = ufl.conditional(inside, slope, 0.0) / r * to
     test = ufl.TestFunction(space)
-    betti = ufl.inner(stress(scene, space, test), ufl.outer(singular, falling))
-    betti -= ufl.inner(stress(scene, space, singular), ufl.outer(test, falling))
+    strained, own, at_nodes = (ufl.sym(ufl.grad(one)) for one in (test, singular, moved))
+    betti = ufl.inner(stress(scene, space, strained), ufl.outer(singular, falling))
+    betti -= ufl.inner(stress(scene, space, own), ufl.outer(test, falling))
     form = 0.5 * young * betti * ufl.dx(metadata={"quadrature_degree": DEGREE})
-    form -= 0.5 * young * ufl.inner(stress(scene, space, moved), ufl.sym(ufl.grad(test))) * ufl.dx
+    form -= 0.5 * young * ufl.inner(stress(scene, space, at_nodes), strained) * ufl.dx
     return compat.assembled_vector(form)[dofs.free]
 
 
