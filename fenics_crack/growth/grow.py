@@ -152,12 +152,12 @@ def grow(
 ) -> Growth:
     r"""Let the edge crack of a plate grow under its vibration (collective).
 
-    By the table ``[growth]`` of the scene: from ``crack.length`` to ``growth.length``,
+    By the table ``[growth]`` of the scene: from ``crack.length`` to ``growth.until``,
 
     .. math:: N = \int \frac{da}{C (\Delta K_{eff} / (1 - R)^{1 - \gamma})^m}.
 
     Few lengths are solved; between them ln delta K is a spline, refined until the cycles are known
-    to ``growth.tolerance``. Ranks share the lengths.
+    to ``growth.life_tolerance``. Ranks share the lengths.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ def grow(
 
     Examples
     --------
-    >>> keys = {"length": 0.055, "rate": 1e-11, "exponent": 3.0, "tolerance": 0.5}
+    >>> keys = {"until": 0.055, "rate": 1e-11, "exponent": 3.0}
     >>> growing = scene.replace({f"growth.{key}": value for key, value in keys.items()})
     >>> fc.grow(growing).life  # doctest: +SKIP
     """
@@ -236,9 +236,9 @@ def _checked(scene: Scene) -> Scene:
         raise InputError("crack", "several tips", allowed)
     width = scene.geometry.width
     assert width is not None and crack.length is not None
-    if not crack.length < law.length < width:
+    if not crack.length < law.until < width:
         allowed = f"between crack.length = {crack.length:g} and geometry.width = {width:g}"
-        raise InputError("growth.length", law.length, allowed)
+        raise InputError("growth.until", law.until, allowed)
     return scene
 
 

@@ -93,7 +93,7 @@ def solve_lengths(
     progress: bool = False,
 ) -> tuple[LengthPath, float]:
     """Solve a scene at lengths from its crack's to its growth's, until the cycles are known to
-    ``growth.tolerance`` (collective).
+    ``growth.life_tolerance`` (collective).
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def solve_lengths(
         Ctrl-C has stopped it, or too few lengths were solved.
     """
     assert scene.crack is not None and scene.crack.length is not None and scene.growth is not None
-    start, stop = scene.crack.length, scene.growth.length
+    start, stop = scene.crack.length, scene.growth.until
     wanted, missed = np.linspace(start, stop, FIRST), np.inf
     errors: dict[float, float] = {}
     path = LengthPath(np.zeros(0), dict.fromkeys((*LOGARITHMIC, *LINEAR), np.zeros(0)))
@@ -137,7 +137,9 @@ def solve_lengths(
         own = np.array([errors[at] for at in path.lengths[:-1]])
         shares = share_of_error(path, own)
         missed = float(shares.sum())
-        left = (shares > scene.growth.tolerance / len(shares)) & (missed > scene.growth.tolerance)
+        left = (shares > scene.growth.life_tolerance / len(shares)) & (
+            missed > scene.growth.life_tolerance
+        )
         wanted = (0.5 * (path.lengths[1:] + path.lengths[:-1]))[left | (own > ROUGH)]
         wanted = wanted[~np.isin(wanted, [at for at, _ in path.failed])]
         if not len(wanted):

@@ -671,8 +671,8 @@ class Growth(Table):
 
     R = max(K_min, 0) / K_max (Paris and Erdogan 1963; Walker 1970)."""
 
-    length: float = positive(unit="m")
-    """At which it ends, from ``crack.length`` on."""
+    until: float = positive(unit="m")
+    """Length at which it ends, from ``crack.length`` on."""
     rate: float = positive(unit="m")
     """In a cycle, at an effective range of 1 MPa m^0.5 with R = 0."""
     exponent: float = positive()
@@ -689,7 +689,7 @@ class Growth(Table):
     """Relative standard deviation of the rate."""
     exponent_deviation: float = not_negative(0.0)
     """Standard deviation of the exponent, the rate at 1 MPa m^0.5 being the same."""
-    tolerance: float = between("1e-6", "1", 0.01)
+    life_tolerance: float = between("1e-6", "1", 0.01)
     """Of the number of cycles, by interpolation between the lengths that are solved."""
 
 

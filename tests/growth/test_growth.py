@@ -30,7 +30,7 @@ STRIP: dict[str, Any] = {
     "loads": [{"edge": "top", "traction_mean": [0.0, 3 * STRESS], "traction_sin": [0.0, STRESS]}],
     "contact": {"law": "unilateral"},
     "mesh": {"layout": "graded", "order": 2, "size": 0.02, "lip_elements": 10, "grading": 20.0},
-    "growth": {"length": 0.035, "rate": 1e-11, "exponent": 2.0},
+    "growth": {"until": 0.035, "rate": 1e-11, "exponent": 2.0},
 }
 """Pulled slowly, and never closed: R = 1/2."""
 
@@ -45,7 +45,7 @@ def edge_crack(length: float) -> float:
 def plate(**growth: Any) -> fc.Scene:
     """The plate that ``new`` writes, with 40 harmonics; its crack grows from 35 to 43 mm."""
     exact = {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 40}
-    keys = {"length": 0.043, "rate": 6.9e-12, "exponent": 3.0} | growth
+    keys = {"until": 0.043, "rate": 6.9e-12, "exponent": 3.0} | growth
     return fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(
         exact | {"crack.length": 0.035} | {f"growth.{key}": value for key, value in keys.items()}
     )
@@ -71,7 +71,7 @@ def test_full_reversal_takes_the_open_half() -> None:
     """Closure by the lips: with m = 2 four times the cycles of lips that would pass each other."""
     swing = [{"edge": "top", "traction_sin": [0.0, STRESS]}]
     scene = fc.Scene.from_mapping(STRIP | {"loads": swing})
-    found = fc.grow(scene.replace({"growth.length": 0.03, "mesh.lip_elements": 8}))
+    found = fc.grow(scene.replace({"growth.until": 0.03, "mesh.lip_elements": 8}))
     passing = 2.0 * STRESS / 1e6
     exact = quad(lambda a: 1.0 / (1e-11 * (passing * edge_crack(a)) ** 2), 0.02, 0.03)[0]
     assert found.life == pytest.approx(4.0 * exact, rel=0.02)
@@ -121,7 +121,7 @@ def test_brute_force_agrees(driven: fc.Growth) -> None:
 
 def test_resonance_that_moves() -> None:
     """The load follows the largest response: at each length that of a curve by itself."""
-    found = fc.grow(plate(drive="resonance", length=0.04), comm=MPI.COMM_SELF)
+    found = fc.grow(plate(drive="resonance", until=0.04), comm=MPI.COMM_SELF)
     assert np.all(np.diff(found.omega) < 0.0)
     assert found.omega == pytest.approx(found.omega_bilinear, rel=2e-3)
     scene = plate().replace(
@@ -149,7 +149,7 @@ def test_a_sweep_at_resonance() -> None:
 
 def test_uncertainty_of_the_life() -> None:
     """Constants and errors together, and each by itself."""
-    scene = plate(length=0.036, rate_deviation=0.3, exponent_deviation=0.1, tolerance=0.5)
+    scene = plate(until=0.036, rate_deviation=0.3, exponent_deviation=0.1, life_tolerance=0.5)
     found = fc.grow(scene, comm=MPI.COMM_SELF)
     assert found.errors["rate"] == 0.3
     strength = np.log(found.effective / 1e6)
@@ -210,10 +210,10 @@ def test_ranks_share_the_lengths(mpirun: Any, driven: fc.Growth) -> None:
     ("changes", "told"),
     [
         ({"growth": None}, "growth = None: .*given for this command"),
-        ({"growth.length": 0.03}, "growth.length = 0.03.*between crack.length = 0.035"),
-        ({"growth.length": 0.2}, "growth.length = 0.2.*and geometry.width = 0.1"),
+        ({"growth.until": 0.03}, "growth.until = 0.03.*between crack.length = 0.035"),
+        ({"growth.until": 0.2}, "growth.until = 0.2.*and geometry.width = 0.1"),
         (
-            {"crack.edge": None, "crack.center": 0.05, "growth.length": 0.05},
+            {"crack.edge": None, "crack.center": 0.05, "growth.until": 0.05},
             "crack = .*from an edge",
         ),
         ({"crack": None, "contact": None}, "left out without a crack"),
@@ -228,7 +228,7 @@ def test_refused_by_name(changes: dict[str, Any], told: str) -> None:
 
 def test_solids_are_refused() -> None:
     """By name."""
-    keys = {"growth.length": 0.05, "growth.rate": 1e-11, "growth.exponent": 3.0}
+    keys = {"growth.until": 0.05, "growth.rate": 1e-11, "growth.exponent": 3.0}
     solid = fc.Scene.load(ROOT / "demos" / "solid_blade.toml").replace(keys)
     with pytest.raises(fc.InputError, match="stress intensities are of plates"):
         fc.grow(solid, comm=MPI.COMM_SELF)
@@ -244,7 +244,7 @@ def test_resonance_needs_damping() -> None:
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Writes its files and says how long the plate lives, and what is in doubt."""
     scene = tmp_path / "plate.toml"
-    scene.write_text(plate(length=0.037, tolerance=0.5, rate_deviation=0.2).as_toml())
+    scene.write_text(plate(until=0.037, life_tolerance=0.5, rate_deviation=0.2).as_toml())
     folder = tmp_path / "grown"
     assert main(["grow", str(scene), "--output", str(folder)]) == 0
     told = capsys.readouterr()
