@@ -59,7 +59,7 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     collect_garbage(comm)  # of structures made before
     if scene.structure is not None:
         rule = None if scene.damping is None else _damping(scene.damping)
-        return read_structure(scene.structure, rule, comm)
+        return read_structure(scene, rule, comm)
     begin("mesh")
     plate = build_mesh(scene, comm)
     begin("matrices")

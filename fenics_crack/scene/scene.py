@@ -176,7 +176,9 @@ class Scene(Hinted):
 
     @property
     def dimension(self) -> int:
-        """3 for a solid, else 2."""
+        """3 for a solid, and for a model of another program; else 2."""
+        if self.structure is not None:
+            return 2 if self.structure.model is None else 3
         return 2 if self.geometry is None else self.geometry.dimension
 
     @property
@@ -365,20 +367,28 @@ def _check_matrices(scene: Scene, structure: Structure) -> None:
             raise InputError(name, "a table", "left out with [structure]")
     if structure.damping is not None and scene.damping is not None:
         raise InputError("damping", "a table", "left out with structure.damping")
-    force = scene.excitation.force_given or "point"
-    given = scene.excitation.force_given or scene.excitation.point is not None
-    scene.excitation.require(not given, force, "left out with [structure], which has files")
+    if structure.model is None:
+        force = scene.excitation.force_given or "point"
+        given = scene.excitation.force_given or scene.excitation.point is not None
+        allowed = "left out with [structure], which has files, or has no model with the places"
+        scene.excitation.require(not given, force, allowed)
+    _check_vectors(scene)
+    if scene.excitation.point is None:
+        files = (structure.force_sin, structure.force_cos, structure.force_mean)
+        allowed = "given: where the force acts; or a file structure.force_sin, _cos or _mean"
+        scene.excitation.require(any(files) and not scene.excitation.force_given, "point", allowed)
     if structure.gap is not None and scene.contact is None:
         raise InputError("contact", None, "given with structure.gap: a table")
     if scene.contact is not None:
         allowed = "'all' with [structure]"
         scene.contact.require(scene.contact.pairs == "all", "pairs", allowed)
-        scene.contact.leave_out(("stiffness_per_area",), "[structure], which has no areas")
+        if structure.model is None or structure.gap is not None:
+            scene.contact.leave_out(("stiffness_per_area",), "[structure], which has no areas")
 
 
-def _check_dimension(scene: Scene) -> None:
-    """Raise InputError where a table is not one of a plate, or of a solid."""
-    geometry, mesh, dimension = scene.geometry, scene.mesh, scene.dimension
+def _check_vectors(scene: Scene) -> None:
+    """Give all tables vectors of the plane or of space; InputError where they are not."""
+    dimension = scene.dimension
     for name in _TABLES:
         held = getattr(scene, name)
         if name in _LISTS:
@@ -393,6 +403,12 @@ def _check_dimension(scene: Scene) -> None:
         if len(point.values) != dimension:
             key = f"output.points.{point.key}"
             raise InputError(key, point.values, components("", dimension))
+
+
+def _check_dimension(scene: Scene) -> None:
+    """Raise InputError where a table is not one of a plate, or of a solid."""
+    _check_vectors(scene)
+    geometry, mesh, dimension = scene.geometry, scene.mesh, scene.dimension
     if dimension == 3:
         reason = "2 with geometry.kind = 'solid': tetrahedra of order 1 are much too stiff"
         mesh.require(mesh.order == 2, "order", reason)

@@ -495,24 +495,34 @@ class Mesh(Table):
 
 @dataclass(frozen=True)
 class Structure(Table):
-    """Matrices from elsewhere, in Matrix Market files beside the scene, instead of a plate.
+    """Matrices from elsewhere, in files beside the scene, instead of a plate.
 
     M u'' + C u' + K u + B lambda(g) = f(t), g = B^T u - g0. The tables [geometry], [material],
-    [mesh], [crack] and [base] and the force of [excitation] are then left out.
+    [mesh], [crack] and [base] are then left out. Matrices are in Matrix Market files, or in those
+    of CalculiX (.sti, .mas), Abaqus (.mtx) or Nastran (.pch); columns in Matrix Market files. With
+    the model that they are of, the load may act at excitation.point, and where there is contact
+    without a file of the gaps, the pairs are found.
     """
 
-    mass: str = path("the path of a Matrix Market file: (n, n)", MISSING)
+    mass: str = path("the path of a file: (n, n)", MISSING)
     """[kg]"""
-    stiffness: str = path("the path of a Matrix Market file: (n, n)", MISSING)
+    stiffness: str = path("the path of a file: (n, n)", MISSING)
     """[N/m]"""
-    gap: str | None = path("the path of a Matrix Market file: (n, n_pairs)")
-    """B, which makes the gaps of the contact pairs of the displacements; left out: no pairs."""
-    damping: str | None = path("the path of a Matrix Market file: (n, n)")
+    model: str | None = path("the path of the input file of the program that made the matrices")
+    """Nodes and elements: of CalculiX or Abaqus (.inp), Nastran (.bdf, .dat, .nas), or a table of
+    node, x, y, z [m] between commas."""
+    dofs: str | None = path("the path of a file: node and direction of each row")
+    """For Matrix Market files with a model: "12.3" or "7 12 UZ" on each line; of CalculiX the .dof
+    beside the stiffness where it is left out."""
+    gap: str | None = path("the path of a file: (n, n_pairs)")
+    """B, which makes the gaps of the contact pairs of the displacements; left out: none, or those
+    of the model."""
+    damping: str | None = path("the path of a file: (n, n)")
     """C [N s/m]; or the table [damping]."""
     force_sin: str | None = path("the path of a Matrix Market file: (n, 1)")
     force_cos: str | None = path("the path of a Matrix Market file: (n, 1)")
     force_mean: str | None = path("the path of a Matrix Market file: (n, 1)")
-    """[N]"""
+    """[N]; or the force of [excitation] at its point."""
     clearance: float | str = path(
         f"a finite number {OR_ZERO}, or the path of a Matrix Market file: (n_pairs, 1)", 0.0, "m"
     )
@@ -520,8 +530,8 @@ class Structure(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        loads = (self.force_sin, self.force_cos, self.force_mean)
-        self.require(any(loads), "force_sin", "given, or force_cos or force_mean: what moves it")
+        moved = any((self.force_sin, self.force_cos, self.force_mean, self.model))
+        self.require(moved, "force_sin", "given, or force_cos or force_mean: what moves it")
 
 
 @dataclass(frozen=True)
