@@ -25,7 +25,7 @@ import numpy as np
 import fenics_crack as fc
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "verification"))
-from inp import natural, solid_lines, stored_matrices
+from inp import mesh_lines, natural, stored_matrices
 
 SCENE = """
 geometry = { kind = "solid", width = 0.02, height = 0.3, thickness = 0.02 }
@@ -49,7 +49,7 @@ def timed(function: Callable[[], Any]) -> tuple[Any, float]:
 def row(size: float, lips: int) -> list[object]:
     """One mesh."""
     scene = fc.Scene.from_text(SCENE).replace({"mesh.size": size, "mesh.lip_elements": lips})
-    lines = solid_lines(fc.build_structure(scene), scene)
+    lines = mesh_lines(fc.build_structure(scene), scene, "C3D10")
     theirs = natural(lines, 6)
     with stored_matrices(lines, scene) as read:
         structure, reading = timed(lambda: fc.build_structure(read))

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import MISSING, dataclass
+from itertools import zip_longest
 from typing import Any, ClassVar
 
 import numpy as np
@@ -273,7 +274,8 @@ class Excitation(Table):
 @dataclass(frozen=True)
 class Load(Table):
     """A further load at the excitation's frequency: at a point a force, on an edge a pressure or a
-    traction; q(t) = mean + cos cos(omega t) + sin sin(omega t).
+    traction;
+    q(t) = mean + cos cos(omega t - phase) + sin sin(omega t - phase).
 
     An edge is "top", "left" or "right" of a plate, or a curve that a mesh file names. A pressure
     pushes towards the plate.
@@ -290,6 +292,8 @@ class Load(Table):
     traction_sin: Vector | None = vector("t", unit="Pa")
     traction_cos: Vector | None = vector("t", unit="Pa")
     traction_mean: Vector | None = vector("t", unit="Pa")
+    phase: float = number(0.0, unit="degrees")
+    """By which its cosine and sine lag."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -315,7 +319,12 @@ class Load(Table):
         """Mean, cosine and sine part of the "force" or the "traction"; of the "pressure" (p,);
         without numbers where they are not given."""
         values = [getattr(self, name) for name in self._names(kind)]
-        return [v if isinstance(v, tuple) else () if v is None else (v,) for v in values]
+        mean, cosine, sine = (
+            v if isinstance(v, tuple) else () if v is None else (v,) for v in values
+        )
+        c, s = math.cos(math.radians(self.phase)), math.sin(math.radians(self.phase))
+        both = list(zip_longest(cosine, sine, fillvalue=0.0))
+        return [mean, tuple(c * a - s * b for a, b in both), tuple(s * a + c * b for a, b in both)]
 
 
 @dataclass(frozen=True)
@@ -366,11 +375,16 @@ class Rotation(Table):
     """The plate is a blade on a rotor, whose axis lies in its plane, parallel to the clamp.
 
     The radius is hub_radius + y. Vibration in the plane is then along x, parallel to the axis, and
-    along the radius: Coriolis forces stand normal to the plane. Those of a solid are left out.
+    along the radius: Coriolis forces stand normal to the plane. Those of a solid are left out; its
+    axis may have any direction, through (0, -hub_radius, 0) or another point.
     """
 
-    hub_radius: float = not_negative(unit="m")
+    hub_radius: float | None = not_negative(None, unit="m")
     """Radius of the clamp: the axis is at y = -hub_radius."""
+    axis: Vector | None = vector("a")
+    """Direction of a solid's axis; left out: x."""
+    center: Vector | None = vector("", unit="m")
+    """Of a solid, instead of hub_radius: a point of the axis."""
     speed: float = holds(
         "a finite number >= 0 (0, or 1e-6 to 1e9)",
         lambda w: w == 0 or 1e-6 <= w <= 1e9,
@@ -390,6 +404,18 @@ class Rotation(Table):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.given("speed", "given [rad/s], or rotation.rpm: a finite number >= 0")
+        if self.center is None:
+            self.given("hub_radius", "given: a finite number >= 0")
+        else:
+            self.leave_out(("hub_radius",), "center")
+        self.require(self.axis is None or any(self.axis), "axis", "a vector that is not zero")
+
+    @property
+    def place(self) -> tuple[np.ndarray, np.ndarray]:
+        """A point of the axis in space [m], and its direction, of length 1."""
+        axis = np.array(self.axis or (1.0, 0.0, 0.0))
+        point = self.center or (0.0, -(self.hub_radius or 0.0), 0.0)
+        return np.array(point), axis / np.linalg.norm(axis)
 
 
 @dataclass(frozen=True)
@@ -665,9 +691,10 @@ class Identify(Table):
         "a list of finite numbers > 0", lambda values: min(values, default=1.0) > 0, ()
     )
     """Further load frequencies at which measuring is considered [Hz]."""
-    finer: float = between("1", "4", 2.0)
+    finer: float = between("0.25", "4", 0.5)
     """How much finer the mesh is, and how many more harmonics there are, in the few cases that
-    correct the model and tell its error; 1: neither."""
+    correct the model and tell its error; 1: neither. Below 1 these few have the scene's own mesh,
+    and the others one that is coarser: 0.5 has elements twice as long."""
     harmonic_deviation: float = between("0", "1", 0.05)
     """Least standard deviation of the computed second harmonic of the crack, over its value, and of
     the k-th k - 1 times as much: contact on a coarse mesh makes them uneven, and all of them

@@ -138,7 +138,7 @@ def _plate(scene: Scene) -> Remarks:
 
 def _rotor(scene: Scene) -> Remarks:
     table = scene.rotation
-    if table is None:
+    if table is None or table.hub_radius is None:
         return
     hub, tip = table.hub_radius, table.hub_radius + (scene.geometry.height or 0.0)
     key = "rotation.hub_radius"
@@ -160,7 +160,7 @@ def _probes(scene: Scene) -> Remarks:
         yield Remark("tip_timing.probes", list(table.probes), text)
     height = None if scene.structure else scene.geometry.height
     usual, text = (0.0, LARGEST_SIDE), "farther from the axis than a blade's tip"
-    if rotation is not None and height is not None:
+    if rotation is not None and rotation.hub_radius is not None and height is not None:
         hub = rotation.hub_radius
         usual = hub, hub + 2.0 * height
         text = f"the plate is {hub:g} to {hub + height:g} m from the axis"
