@@ -20,6 +20,7 @@ from fenics_crack.hints import Hinted, converted, meant, near, written
 from fenics_crack.outside import text_of
 from fenics_crack.scene.cracks import OF_SHAPES, check_cracks
 from fenics_crack.scene.fields import Axis, Table, components, named, radians
+from fenics_crack.scene.quantities import OF_TIPS
 from fenics_crack.scene.tables import (
     Base,
     Contact,
@@ -122,6 +123,8 @@ class Scene(Hinted):
         else:
             _check_dimension(self)
             (_check_file if self.mesh.layout == "file" else _check_plate)(self)
+        if self.tip_quantities:
+            self.check_tips("output.quantities", self.tip_quantities)
         for name, key in (("sweep", "over"), ("identify", "unknown")):
             if (chosen := getattr(self, name)) is not None:
                 axes = _checked_axes(self, f"{name}.{key}", getattr(chosen, key))
@@ -193,6 +196,27 @@ class Scene(Hinted):
         return getattr(self, name)
 
     @property
+    def has_tips(self) -> bool:
+        """Whether the scene is a plate with a crack, of which stress intensities are known."""
+        try:
+            self.check_tips("crack")
+        except InputError:
+            return False
+        return True
+
+    def check_tips(self, key: str, value: object = None) -> None:
+        """Raise InputError, of a key and its value, where there are no tips (:attr:`has_tips`)."""
+        allowed = ""
+        if self.structure is not None:
+            allowed = "left out with [structure]: stress intensities take the mesh of a plate"
+        elif self.dimension == 3:
+            allowed = "left out with geometry.kind = 'solid': stress intensities are of plates"
+        elif not self.all_cracks and self.contact is None:
+            allowed = "left out without a crack, which has a stress intensity"
+        if allowed:
+            raise InputError(key, value, allowed)
+
+    @property
     def speed(self) -> float:
         """Of the rotor [rad/s]; 0 where there is none."""
         return 0.0 if self.rotation is None else self.rotation.speed
@@ -221,6 +245,12 @@ class Scene(Hinted):
         """The points of ``[output.points]`` in each direction: "tip.ux", "tip.uy"."""
         points = () if self.output is None else self.output.points
         return tuple(f"{point.key}.u{axis}" for point in points for axis in "xyz"[: self.dimension])
+
+    @property
+    def tip_quantities(self) -> tuple[str, ...]:
+        """The stress intensities that are asked for in ``output.quantities``."""
+        chosen = (self.output.quantities if self.output is not None else None) or ()
+        return tuple(name for name in chosen if name in OF_TIPS)
 
     def at_rest(self) -> Scene:
         """The scene without rotation, its load at the same frequency."""
