@@ -59,7 +59,7 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     collect_garbage(comm)  # of structures made before
     if scene.structure is not None:
         rule = None if scene.damping is None else _damping(scene.damping)
-        return read_structure(scene.structure, rule, comm)
+        return read_structure(scene, rule, comm)
     begin("mesh")
     plate = build_mesh(scene, comm)
     begin("matrices")
@@ -97,7 +97,8 @@ def _matrices(scene: Scene, space: Any) -> tuple[Any, Any]:
     """Stiffness and mass matrix of all dofs, clamped ones included."""
     (density,), t = constants(space, scene.material.density), thickness(scene, space)
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
-    stiffness = t * ufl.inner(stress(scene, space, u), ufl.sym(ufl.grad(v))) * ufl.dx
+    strain = ufl.sym(ufl.grad(u))
+    stiffness = t * ufl.inner(stress(scene, space, strain), ufl.sym(ufl.grad(v))) * ufl.dx
     mass = t * density * ufl.inner(u, v) * ufl.dx
     return compat.assembled_matrix(stiffness), compat.assembled_matrix(mass)
 
