@@ -44,7 +44,7 @@ from fenics_crack.scene.tables import (
 )
 from fenics_crack.table import RPM, frequency_axis
 
-__all__ = ["LOOKED_AT", "Scene", "known_keys", "unit_of"]
+__all__ = ["LOOKED_AT", "Scene", "check_scene", "known_keys", "unit_of"]
 
 LOOKED_AT = ("curve", "integration", "sweep", "identify", "tip_timing", "output")
 """Tables that say what is looked at, and change nothing of it."""
@@ -577,6 +577,12 @@ def _changed_list(
     with named(f"{name}.{number}"):
         new = _changed(name, old, change)
     return (*tables[: number - 1], new, *tables[number:])
+
+
+def check_scene(scene: Any) -> None:
+    """Raise InputError unless it is a scene: a path to one is not."""
+    if not isinstance(scene, Scene):
+        raise InputError("scene", scene, "a Scene, as fc.Scene.load(path) returns")
 
 
 def _meant(name: str) -> list[str]:
