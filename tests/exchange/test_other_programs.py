@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import scipy.io
 import scipy.sparse as sparse
+from helpers import csr
 from mpi4py import MPI
 from surroundings import main
 
@@ -282,10 +283,9 @@ def test_pairs_of_a_solid_are_its_own(crack: str) -> None:
         Scene.from_text(SOLID).replace({f"crack.{key}": value for key, value in keys.items()}),
         MPI.COMM_SELF,
     )
-    starts, columns, values = own.stiffness.getValuesCSR()
     assert own.nodes is not None and own.pair_points is not None and own.pair_areas is not None
     points, dofs = own.nodes.points, own.nodes.dofs
-    stiffness = sparse.csr_matrix((values, columns, starts))
+    stiffness = csr(own.stiffness)
     model = Model(np.arange(len(points)), points, {24: own.nodes.cells})
     gap, pairs = find_pairs(model, dofs, stiffness, turns=False)
     assert pairs.points is not None and pairs.areas is not None
