@@ -30,7 +30,7 @@ from fenics_crack.identification.posterior import Likelihood, Posterior, explore
 from fenics_crack.identification.result import Identification
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.fields import Axis
-from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.scene import Scene, check_scene
 from fenics_crack.scene.tables import Identify, Sweep
 from fenics_crack.stages import begin
 from fenics_crack.study.coarser_mesh import finer_mesh
@@ -97,6 +97,7 @@ def identify(
     --------
     >>> found = fc.identify(scene, "measured.csv", {"crack.length": [0.02, 0.04]})  # doctest: +SKIP
     """
+    check_scene(scene)
     if unknown is not None:
         table = scene.identify or Identify.from_mapping({"unknown": unknown})
         changed = replace(table, unknown=Identify.checked("unknown", unknown))
