@@ -186,6 +186,8 @@ def identification(given: Namespace, inputs: Inputs, console: Console) -> None:
     on_root(console.comm, write)
     console.table(found.table())
     console.note(f"{found.verdict}: {found.reason}")
+    if found.mesh is not None:
+        console.note(f"nearest mesh: {found.mesh}")
     console.note(*(f"remark: {remark}" for remark in found.remarks))
     console.note(*(f"next to measure: {advice}" for advice in found.advice))
     console.note(f"{folder / 'identify.h5'}, .json; posterior.png, fit.csv, where_to_measure.csv")
@@ -232,7 +234,7 @@ def _for_paraview(run: Computed, folder: Path, console: Console, *, show: bool) 
         from fenics_crack.draw.animation import show_period
 
         show_period(found, material=material)
-    if found.structure.whole.nodes is None:
+    if found.structure.whole.meshed is None:
         console.note("no mesh: what would be drawn on one is left out")
         return []
     if isinstance(found, Modes):

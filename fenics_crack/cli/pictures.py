@@ -74,7 +74,7 @@ def _file_in(folder: Path, files: list[Path]) -> File:
 
 
 def _modes(run: Run[Modes], file: File) -> None:
-    if run.structure.whole.nodes is not None:
+    if run.structure.whole.meshed is not None:
         draw_modes(run.result, path=file("modes.png"))
 
 
@@ -93,7 +93,7 @@ def _solution(run: Run[PeriodicSolution], file: File) -> None:
     _waves(run, time, motion, gap, found.omega, path=file("solution_waves.png"), title=title)
     draw_spectrum(found, dof, path=file("solution_spectrum.png"), title=title)
     draw_orbits(found, dof, path=file("solution_orbits.png"), title=title)
-    if found.structure.whole.nodes is not None:
+    if found.structure.whole.meshed is not None:
         from fenics_crack.draw.animation import animate_period  # VTK
 
         if found.gap_coefficients.shape[1] > 1:

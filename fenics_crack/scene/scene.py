@@ -8,6 +8,7 @@ the key, the value and what is allowed, before anything is computed.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import re
 import tomllib
 from collections.abc import Callable, Mapping
@@ -19,7 +20,7 @@ from fenics_crack.errors import InputError, reading
 from fenics_crack.hints import Hinted, converted, meant, near, written
 from fenics_crack.outside import text_of
 from fenics_crack.scene.cracks import OF_SHAPES, check_cracks
-from fenics_crack.scene.fields import Axis, Table, components, named, radians
+from fenics_crack.scene.fields import Axis, MeshFile, Table, components, named, radians
 from fenics_crack.scene.quantities import OF_TIPS
 from fenics_crack.scene.tables import (
     Base,
@@ -45,7 +46,7 @@ from fenics_crack.scene.tables import (
 )
 from fenics_crack.table import RPM, frequency_axis
 
-__all__ = ["LOOKED_AT", "Scene", "known_keys", "unit_of"]
+__all__ = ["LOOKED_AT", "Scene", "check_scene", "known_keys", "unit_of"]
 
 LOOKED_AT = ("curve", "integration", "sweep", "growth", "identify", "tip_timing", "output")
 """Tables that say what is looked at, and change nothing of it."""
@@ -127,10 +128,14 @@ class Scene(Hinted):
             (_check_file if self.mesh.layout == "file" else _check_plate)(self)
         if self.tip_quantities:
             self.check_tips("output.quantities", self.tip_quantities)
-        for name, key in (("sweep", "over"), ("identify", "unknown")):
+        for name, key in _AXES:
             if (chosen := getattr(self, name)) is not None:
                 axes = _checked_axes(self, f"{name}.{key}", getattr(chosen, key))
                 object.__setattr__(self, name, dataclasses.replace(chosen, **{key: axes}))
+        if self.identify is not None and (self.mesh is None or self.mesh.layout != "file"):
+            allowed = "left out without mesh.layout = 'file'"
+            self.identify.require(not self.identify.meshes, "meshes", allowed)
+            self.identify.leave_out(("uncracked",), "a mesh that is not a file")
 
     def __repr__(self) -> str:
         return f"Scene({_in_short(self)})"
@@ -181,7 +186,9 @@ class Scene(Hinted):
 
     @property
     def dimension(self) -> int:
-        """3 for a solid, else 2."""
+        """3 for a solid, and for a model of another program; else 2."""
+        if self.structure is not None:
+            return 2 if self.structure.model is None else 3
         return 2 if self.geometry is None else self.geometry.dimension
 
     @property
@@ -280,12 +287,22 @@ class Scene(Hinted):
 
     @property
     def files(self) -> list[tuple[str, str]]:
-        """The keys that name files, mesh or matrices, of the scene and its sweep, and the files."""
+        """The keys that name files, mesh or matrices, of the scene, its sweep and what is unknown,
+        and the files."""
         found = [(key, value) for key, value in self._paths().items()]
-        for axis in self.sweep.over if self.sweep is not None else ():
+        for axis in itertools.chain(*self._axes().values()):
             if axis.key in _PATHS:
                 found += [(axis.key, value) for value in axis.values if isinstance(value, str)]
-        return found
+        return found + [("identify.meshes", one.key) for one in self._meshes]
+
+    @property
+    def _meshes(self) -> tuple[MeshFile, ...]:
+        return () if self.identify is None else self.identify.meshes
+
+    def _axes(self) -> dict[str, tuple[Axis, ...]]:
+        """Keys that hold axes, and the axes."""
+        given = ((f"{name}.{key}", getattr(self, name), key) for name, key in _AXES)
+        return {name: getattr(table, key) for name, table, key in given if table is not None}
 
     def _paths(self) -> dict[str, str]:
         """Keys that name files, and the files."""
@@ -298,13 +315,16 @@ class Scene(Hinted):
         if not self.files:
             return self
         changes: dict[str, object] = {key: change(path) for key, path in self._paths().items()}
-        if self.sweep is not None:
-            changes["sweep.over"] = tuple(
+        for name, axes in self._axes().items():
+            changes[name] = tuple(
                 Axis(axis.key, tuple(change(v) if isinstance(v, str) else v for v in axis.values))
                 if axis.key in _PATHS
                 else axis
-                for axis in self.sweep.over
+                for axis in axes
             )
+        if self._meshes:
+            moved = (dataclasses.replace(one, key=change(one.key)) for one in self._meshes)
+            changes["identify.meshes"] = tuple(moved)
         return self.replace(changes)
 
     def replace(self, values: Mapping[str, object]) -> Scene:
@@ -397,23 +417,28 @@ def _check_matrices(scene: Scene, structure: Structure) -> None:
             raise InputError(name, "a table", "left out with [structure]")
     if structure.damping is not None and scene.damping is not None:
         raise InputError("damping", "a table", "left out with structure.damping")
-    force = scene.excitation.force_given or "point"
-    given = scene.excitation.force_given or scene.excitation.point is not None
-    scene.excitation.require(not given, force, "left out with [structure], which has files")
+    if structure.model is None:
+        force = scene.excitation.force_given or "point"
+        given = scene.excitation.force_given or scene.excitation.point is not None
+        allowed = "left out with [structure], which has files, or has no model with the places"
+        scene.excitation.require(not given, force, allowed)
+    _check_vectors(scene)
+    if scene.excitation.point is None:
+        files = (structure.force_sin, structure.force_cos, structure.force_mean)
+        allowed = "given: where the force acts; or a file structure.force_sin, _cos or _mean"
+        scene.excitation.require(any(files) and not scene.excitation.force_given, "point", allowed)
     if structure.gap is not None and scene.contact is None:
         raise InputError("contact", None, "given with structure.gap: a table")
     if scene.contact is not None:
         allowed = "'all' with [structure]"
         scene.contact.require(scene.contact.pairs == "all", "pairs", allowed)
-        scene.contact.leave_out(("stiffness_per_area",), "[structure], which has no areas")
+        if structure.model is None or structure.gap is not None:
+            scene.contact.leave_out(("stiffness_per_area",), "[structure], which has no areas")
 
 
-def _check_dimension(scene: Scene) -> None:
-    """Raise InputError where a table is not one of a plate, or of a solid."""
-    geometry, mesh, dimension = scene.geometry, scene.mesh, scene.dimension
-    if dimension == 2 and scene.rotation is not None:
-        scene.rotation.leave_out(("axis", "center"), "a plate: its axis is parallel to x")
-        scene.rotation.given("hub_radius")
+def _check_vectors(scene: Scene) -> None:
+    """Give all tables vectors of the plane or of space; InputError where they are not."""
+    dimension = scene.dimension
     for name in _TABLES:
         held = getattr(scene, name)
         if name in _LISTS:
@@ -428,6 +453,15 @@ def _check_dimension(scene: Scene) -> None:
         if len(point.values) != dimension:
             key = f"output.points.{point.key}"
             raise InputError(key, point.values, components("", dimension))
+
+
+def _check_dimension(scene: Scene) -> None:
+    """Raise InputError where a table is not one of a plate, or of a solid."""
+    geometry, mesh, dimension = scene.geometry, scene.mesh, scene.dimension
+    if dimension == 2 and scene.rotation is not None:
+        scene.rotation.leave_out(("axis", "center"), "a plate: its axis is parallel to x")
+        scene.rotation.given("hub_radius")
+    _check_vectors(scene)
     if dimension == 3:
         reason = "2 with geometry.kind = 'solid': tetrahedra of order 1 are much too stiff"
         mesh.require(mesh.order == 2, "order", reason)
@@ -565,6 +599,12 @@ def _changed_list(
     return (*tables[: number - 1], new, *tables[number:])
 
 
+def check_scene(scene: Any) -> None:
+    """Raise InputError unless it is a scene: a path to one is not."""
+    if not isinstance(scene, Scene):
+        raise InputError("scene", scene, "a Scene, as fc.Scene.load(path) returns")
+
+
 def _meant(name: str) -> list[str]:
     """The keys and tables of a scene that a misspelt name may stand for."""
     table, _, key = name.partition(".")
@@ -594,4 +634,6 @@ _PATHS = tuple(
     if "path" in item.metadata
 )
 """Keys that hold the path of a file."""
+_AXES = ("sweep", "over"), ("identify", "unknown")
+"""Tables and their keys that hold axes."""
 _SWEPT = tuple(name for name in _TABLES if name not in LOOKED_AT)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Mapping
@@ -16,6 +17,7 @@ from fenics_crack.errors import MAX_SAMPLES, InputError, check_two_ratios
 from fenics_crack.scene.fields import (
     OR_ZERO,
     Axis,
+    MeshFile,
     Pair,
     Point,
     Table,
@@ -522,24 +524,34 @@ class Mesh(Table):
 
 @dataclass(frozen=True)
 class Structure(Table):
-    """Matrices from elsewhere, in Matrix Market files beside the scene, instead of a plate.
+    """Matrices from elsewhere, in files beside the scene, instead of a plate.
 
     M u'' + C u' + K u + B lambda(g) = f(t), g = B^T u - g0. The tables [geometry], [material],
-    [mesh], [crack] and [base] and the force of [excitation] are then left out.
+    [mesh], [crack] and [base] are then left out. Matrices are in Matrix Market files, or in those
+    of CalculiX (.sti, .mas), Abaqus (.mtx) or Nastran (.pch); columns in Matrix Market files. With
+    the model that they are of, the load may act at excitation.point, and where there is contact
+    without a file of the gaps, the pairs are found.
     """
 
-    mass: str = path("the path of a Matrix Market file: (n, n)", MISSING)
+    mass: str = path("the path of a file: (n, n)", MISSING)
     """[kg]"""
-    stiffness: str = path("the path of a Matrix Market file: (n, n)", MISSING)
+    stiffness: str = path("the path of a file: (n, n)", MISSING)
     """[N/m]"""
-    gap: str | None = path("the path of a Matrix Market file: (n, n_pairs)")
-    """B, which makes the gaps of the contact pairs of the displacements; left out: no pairs."""
-    damping: str | None = path("the path of a Matrix Market file: (n, n)")
+    model: str | None = path("the path of the input file of the program that made the matrices")
+    """Nodes and elements: of CalculiX or Abaqus (.inp), Nastran (.bdf, .dat, .nas), or a table of
+    node, x, y, z [m] between commas."""
+    dofs: str | None = path("the path of a file: node and direction of each row")
+    """For Matrix Market files with a model: "12.3" or "7 12 UZ" on each line; of CalculiX the .dof
+    beside the stiffness where it is left out."""
+    gap: str | None = path("the path of a file: (n, n_pairs)")
+    """B, which makes the gaps of the contact pairs of the displacements; left out: none, or those
+    of the model."""
+    damping: str | None = path("the path of a file: (n, n)")
     """C [N s/m]; or the table [damping]."""
     force_sin: str | None = path("the path of a Matrix Market file: (n, 1)")
     force_cos: str | None = path("the path of a Matrix Market file: (n, 1)")
     force_mean: str | None = path("the path of a Matrix Market file: (n, 1)")
-    """[N]"""
+    """[N]; or the force of [excitation] at its point."""
     clearance: float | str = path(
         f"a finite number {OR_ZERO}, or the path of a Matrix Market file: (n_pairs, 1)", 0.0, "m"
     )
@@ -547,8 +559,8 @@ class Structure(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        loads = (self.force_sin, self.force_cos, self.force_mean)
-        self.require(any(loads), "force_sin", "given, or force_cos or force_mean: what moves it")
+        moved = any((self.force_sin, self.force_cos, self.force_mean, self.model))
+        self.require(moved, "force_sin", "given, or force_cos or force_mean: what moves it")
 
 
 @dataclass(frozen=True)
@@ -702,15 +714,31 @@ class Identify(Table):
         [identify.unknown]
         "crack.length" = { start = 0.003, stop = 0.045, count = 8 }
         "crack.height" = { start = 0.02, stop = 0.2, count = 10 }
+
+    or, with meshes of one's own::
+
+        [identify.meshes]
+        "blade_05.msh" = { "crack.length" = 0.005 }
+        "blade_10.msh" = { "crack.length" = 0.010 }
+        "blade_15.msh" = { "crack.length" = 0.015 }
+        "blade_20.msh" = { "crack.length" = 0.020 }
     """
 
     unknown: tuple[Axis, ...] = holds(
-        "a table of keys of the scene and the values between which they are looked for",
-        lambda value: value,
+        "a table of keys of the scene and the values between which they are looked for", default=()
     )
     """Keys with at least 4 numbers in ascending order, at which the forward model is solved, or
     start, stop, count and ``spacing = "logarithmic"``; or words: ``"crack.edge" = ["left",
-    "right"]``."""
+    "right"]``. May be left out with ``meshes``."""
+    meshes: tuple[MeshFile, ...] = holds(
+        'a table of .msh files and their numbers, "blade_05.msh" = { "crack.length" = 0.005 }',
+        default=(),
+    )
+    """Meshes of the structure with its crack, for ``mesh.layout = "file"``, and what is unknown of
+    each: keys of the crack, or words of one's own for other numbers; at least 4 values of each, and
+    a mesh for every combination."""
+    uncracked: str | None = path("the path of a .msh file")
+    """Mesh of the same structure without its crack, where it is read from a file."""
     frequencies: tuple[float, ...] = holds(
         "a list of finite numbers > 0", lambda values: min(values, default=1.0) > 0, ()
     )
@@ -752,6 +780,10 @@ class Identify(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if not self.unknown and not self.meshes:
+            allowed = f"given: {self.keys()['unknown'].metadata['allowed']}"
+            raise InputError("identify.unknown", None, allowed)
+        self._check_meshes()
         for axis in self.unknown:
             words = [isinstance(value, str) for value in axis.values]
             if not all(words):
@@ -760,6 +792,54 @@ class Identify(Table):
                 if not fine:
                     allowed = f"words, or {LEAST_OF_AN_UNKNOWN} or more numbers in ascending order"
                     raise InputError(f'identify.unknown."{axis.key}"', axis.values, allowed)
+
+    def _check_meshes(self) -> None:
+        """Raise InputError unless there is one mesh for every combination of enough numbers."""
+        metres = [key for key, item in Crack.keys().items() if item.metadata["unit"] == "m"]
+        named = {*map(Crack.name_of, metres)} - {axis.key for axis in self.unknown}
+        for one in self.meshes:
+            key, names = f'identify.meshes."{one.key}"', [name for name, _ in one.values]
+            if not names or set(names) != {name for name, _ in self.meshes[0].values}:
+                raise InputError(key, names, "the same numbers as of the others, one or more")
+            for name in names:
+                if not (name in named or name.isidentifier()):
+                    allowed = f"a word, or one of {', '.join(sorted(named))}"
+                    raise InputError(key, name, allowed)
+        for axis in self.mesh_axes:
+            if len(axis.values) < LEAST_OF_AN_UNKNOWN:
+                allowed = f"{LEAST_OF_AN_UNKNOWN} or more different ones"
+                raise InputError(f"identify.meshes, {axis.key}", axis.values, allowed)
+        there = [tuple(dict(one.values)[a.key] for a in self.mesh_axes) for one in self.meshes]
+        every = itertools.product(*(axis.values for axis in self.mesh_axes))
+        for wanted in every if there else ():
+            if (count := there.count(wanted)) != 1:
+                pairs = zip(self.mesh_axes, wanted, strict=True)
+                of = ", ".join(f"{axis.key} = {value:g}" for axis, value in pairs)
+                allowed = "one mesh for every combination of its numbers"
+                raise InputError("identify.meshes", f"{count or 'no'} files of {of}", allowed)
+
+    @property
+    def mesh_axes(self) -> tuple[Axis, ...]:
+        """The numbers of the meshes, in ascending order, by their names."""
+        names = [name for name, _ in self.meshes[0].values] if self.meshes else []
+        values = {name: {dict(one.values)[name] for one in self.meshes} for name in names}
+        return tuple(Axis(name, tuple(sorted(found))) for name, found in values.items())
+
+    @property
+    def mesh_files(self) -> tuple[str, ...]:
+        """The meshes by their numbers, those of the last name fastest."""
+        names = [axis.key for axis in self.mesh_axes]
+        ordered = sorted(self.meshes, key=lambda one: [dict(one.values)[name] for name in names])
+        return tuple(one.key for one in ordered)
+
+    def nearest_mesh(self, values: Mapping[str, Any]) -> str | None:
+        """The mesh whose numbers are nearest to some values, over their ranges, if there is one."""
+
+        def distance(one: MeshFile) -> float:
+            spans = {axis.key: axis.values[-1] - axis.values[0] for axis in self.mesh_axes}
+            return sum(((value - values[name]) / spans[name]) ** 2 for name, value in one.values)
+
+        return min(self.meshes, key=distance).key if self.meshes else None
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from fenics_crack.fem.lips import SAME
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
@@ -247,7 +248,7 @@ def _of_one_direction(vectors: Sequence[Any]) -> bool:
 
 
 def _between_nodes(scene: Scene, structure: Structure) -> Remarks:
-    """A load that acts far from all nodes, for its elements."""
+    """A load that acts far from all nodes, for its elements; of a model from elsewhere at all."""
     if structure.nodes is None:
         return
     nodes, comm = structure.nodes, structure.comm
@@ -258,11 +259,16 @@ def _between_nodes(scene: Scene, structure: Structure) -> Remarks:
             continue
         distance = np.linalg.norm(points - point, axis=1)
         nearest = int(np.argmin(distance))
+        place = ", ".join(f"{x:.6g}" for x in points[nearest].round(12) + 0.0)
+        if scene.structure is not None:
+            if distance[nearest] > SAME * np.ptp(points, axis=0).max():
+                text = f"no node is there: the force acts on the nearest one, at ({place})"
+                yield Remark(f"{name}.point", list(point), text)
+            continue
         corners = points[cells[np.any(cells == nearest, axis=1)]]
         if distance[nearest] > np.ptp(corners, axis=1).max(axis=1).min() / 2.0:
-            x, y = points[nearest].round(12) + 0.0
             text = (
-                f"more than half an element from the nearest node, at ({x:.6g}, {y:.6g}): the "
+                f"more than half an element from the nearest node, at ({place}): the "
                 "force acts on all nodes of its element; a smaller mesh.size brings one nearer"
             )
             yield Remark(f"{name}.point", list(point), text)

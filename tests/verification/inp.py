@@ -5,12 +5,15 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
 import fenics_crack as fc
+from fenics_crack.scene.tables import Structure
 
 CORNERS = {"CPE6": 6, "CPE8": 8, "CPS8": 8, "C3D8": 4, "C3D10": 10}
 """Nodes of a cell that an element of CalculiX takes, in VTK's order, which is its own."""
@@ -121,12 +124,28 @@ def contact_lines(structure: fc.Structure, scene: fc.Scene) -> list[str]:
 def run(lines: list[str]) -> str:
     """What CalculiX writes into its .dat file."""
     with TemporaryDirectory() as folder:
-        path = Path(folder) / "plate.inp"
-        path.write_text("\n".join(lines) + "\n")
-        command = [str(shutil.which("ccx")), "-i", "plate"]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stdout[-2000:]
-        return path.with_suffix(".dat").read_text()
+        return _run_in(Path(folder), lines)
+
+
+def _run_in(folder: Path, lines: list[str]) -> str:
+    (folder / "plate.inp").write_text("\n".join(lines) + "\n")
+    command = [str(shutil.which("ccx")), "-i", "plate"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-2000:]
+    return (folder / "plate.dat").read_text()
+
+
+@contextmanager
+def stored_matrices(lines: list[str], scene: fc.Scene) -> Iterator[fc.Scene]:
+    """The scene of a model by the matrices that CalculiX writes, with load, damping and contact of
+    another; the files are there as long as it is used."""
+    with TemporaryDirectory() as name:
+        step = ["*STEP", "*FREQUENCY, SOLVER=MATRIXSTORAGE", "1", "*END STEP"]
+        _run_in(Path(name), [*lines, *step])
+        yield fc.Scene(
+            structure=Structure(*(f"{name}/plate.{end}" for end in ("mas", "sti", "inp"))),
+            contact=scene.contact, damping=scene.damping, excitation=scene.excitation,
+        )  # fmt: skip
 
 
 def natural(lines: list[str], count: int, loads: list[str] | None = None) -> np.ndarray:
