@@ -173,8 +173,7 @@ def test_solid_blade(tmp_path: Path) -> None:
 
 
 def test_growth(tmp_path: Path) -> None:
-    """On few lengths: at the resonance that moves a plate lives for far fewer cycles, and there is a
-    picture of each."""
+    """On few lengths: at the resonance that moves a plate lives for far fewer cycles."""
     coarse = {
         "growth.until": 0.0365,
         "growth.life_tolerance": 0.5,

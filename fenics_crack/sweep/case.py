@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -226,12 +226,14 @@ class Cases:
         if not ratio > 0.0:
             raise InputError("damping", None, "a ratio, or Rayleigh's, with sweep.at_resonance")
         near = self.solve(case.replace({"excitation.omega": omega}))
-        how = near.harmonics, case.harmonic_balance.samples
+        assert self._law is not None
+        problem = Problem(
+            self._structure, omega, self._law, near.harmonics, case.harmonic_balance.samples
+        )
 
         def smallness(omega: float) -> float:
             nonlocal near
-            problem = Problem(self._structure, float(omega), self._law, *how)
-            near = Solver(problem).solve(near, reported=False)
+            near = Solver(replace(problem, omega=float(omega))).solve(near, reported=False)
             moved = near.displacement_coefficients[1:, : self._structure.n_modes]
             return float(1.0 / np.sum(moved**2))
 
