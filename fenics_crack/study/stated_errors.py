@@ -30,7 +30,7 @@ bounds: scenes beside a mesh four times finer are in docs/error_report.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -157,7 +157,8 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
         return stated
     near = _solved(study, found.omega, found.harmonics, found)
     own = numbers_of(study, near, numbers.mode)
-    varied = _more_modes, _more_harmonics, partial(_coarser_mesh, of_peak=of_peak)
+    mesh = partial(_coarser_mesh, of_peak=of_peak)
+    varied: list[Callable[..., Varied]] = [_more_modes, _more_harmonics, mesh]
     for cause, other in zip(VARIED, varied, strict=True):
         try:
             made = other(study, near, own)
