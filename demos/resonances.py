@@ -28,6 +28,7 @@ HARMONICS = {"paper_plate": 20, "breathing_plate": 7}
 SWEEP = np.linspace(1500.0, 5000.0, 36)  # rad/s
 PERIODS = 80  # of the load at each frequency of the sweep
 LINEAR = 800  # frequencies of the responses without contact
+CHECKED = 20  # parts of a curve, at which its errors are asked for
 
 
 def main(output: Path = Path("output/resonances"), *, again: bool = False) -> fc.ResponseCurve:
@@ -89,11 +90,11 @@ def follow(
         progress=sys.stderr.isatty(),
     )
     seconds = time.perf_counter() - started
-    errors = [curve.solution(i).report.total for i in range(0, len(curve), len(curve) // 20)]
+    errors = [curve.solution(i).report.total for i in range(0, len(curve), len(curve) // CHECKED)]
     known = [error for error in errors if error < 1.0]
     print(
         f"{name}: {len(curve)} points, {len(curve.bifurcations)} bifurcations, {seconds:.1f} s; "
-        f"estimated error at every 20th part of it: unknown at {len(errors) - len(known)} of "
+        f"estimated error at {CHECKED} parts of it: unknown at {len(errors) - len(known)} of "
         f"{len(errors)}"
         + (f", median {np.median(known):.2%}, largest {max(known):.0%}" if known else "")
     )

@@ -45,6 +45,7 @@ from fenics_crack.draw.plot import draw_waves as draw_waves
 from fenics_crack.draw.plot_curve import draw_content as draw_content
 from fenics_crack.draw.plot_curve import draw_curve as draw_curve
 from fenics_crack.draw.plot_curve import draw_multipliers as draw_multipliers
+from fenics_crack.draw.plot_growth import draw_stress_intensity as draw_stress_intensity
 from fenics_crack.draw.plot_mesh import draw_mesh as draw_mesh
 from fenics_crack.draw.plot_mesh import draw_modes as draw_modes
 from fenics_crack.draw.plot_motion import draw_orbits as draw_orbits
@@ -103,6 +104,8 @@ from fenics_crack.study.run import integrate as integrate
 from fenics_crack.study.run import load_run as load_run
 from fenics_crack.study.run import modes as modes
 from fenics_crack.study.run import solve as solve
+from fenics_crack.study.stress_intensity import StressIntensity as StressIntensity
+from fenics_crack.study.stress_intensity import stress_intensity as stress_intensity
 from fenics_crack.study.verification import Verification as Verification
 from fenics_crack.sweep.result import SweepResult as SweepResult
 from fenics_crack.sweep.result import run_sweep as run_sweep

@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 import pytest
 import scipy.linalg
+import scipy.sparse as sparse
 from surroundings import DEMOS as DEMOS
 from surroundings import MPI_ENVIRONMENT as MPI_ENVIRONMENT
 from surroundings import ROOT as ROOT
@@ -33,6 +34,12 @@ BILINEAR_ORBITS = {
 """oscillator(), kc = 1: for each W the mean, |X1| to |X3|, and the extremes, event-driven."""
 DAMPINGS = ("modal", "rayleigh", "matrix", "few modes", "none")
 """Kinds of damping of a chain."""
+
+
+def csr(matrix: Any) -> sparse.csr_matrix:
+    """A matrix of PETSc's on one rank."""
+    starts, columns, values = matrix.getValuesCSR()
+    return sparse.csr_matrix((values, columns, starts), matrix.size)
 
 
 @contextmanager

@@ -77,15 +77,19 @@ def test_is_not_called_stable(number: int) -> None:
 
 
 CURVES = {
-    736: "two masses: at a fold the orbits of both sides are as near as the wave's own error",
-    742: "18 rigid pairs, 0.16 %: three pairs of multipliers leave the circle between two nodes",
+    (74, 736): "two masses: at a fold the orbits of both sides are as near as the wave's own error",
+    (
+        74,
+        742,
+    ): "18 rigid pairs, 0.16 %: three pairs of multipliers leave the circle between two nodes",
+    (75, 261): "all unstable: Newton's method leads from no wave of 5 harmonics to its orbit",
 }
 
 
-@pytest.mark.parametrize("number", CURVES)
-def test_points_of_a_curve_have_the_verdict_of_their_own_orbits(number: int) -> None:
+@pytest.mark.parametrize(("seed", "number"), CURVES)
+def test_points_of_a_curve_have_the_verdict_of_their_own_orbits(seed: int, number: int) -> None:
     """Which each of them has by itself, and the reference confirms for each third."""
-    case = campaign.draw(74, number, None, campaign.family_of(74, number))
+    case = campaign.draw(seed, number, None, campaign.family_of(seed, number))
     curve = campaign.followed(case, 0.1 if case.family == "few" else 0.03)
     alone = [fc.floquet(case.structure, one).verdict for one in curve.solutions]
     both = [
@@ -93,7 +97,8 @@ def test_points_of_a_curve_have_the_verdict_of_their_own_orbits(number: int) -> 
         for place, verdicts in enumerate(zip(curve.verdicts, alone, strict=True))
         if "undecided" not in verdicts
     ]
-    assert {curve.verdicts[place] for place in both} == {"stable", "unstable"}
+    expected = {"unstable"} if number == 261 else {"stable", "unstable"}
+    assert {curve.verdicts[place] for place in both} == expected
     assert len(both) > 0.8 * len(curve)
     for place in both:
         assert curve.verdicts[place] == alone[place], place

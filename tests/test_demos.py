@@ -113,6 +113,7 @@ def test_resonances(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(demo, "FOLDER", tmp_path)
     monkeypatch.setattr(demo, "RANGE", (2350.0, 3000.0))
     monkeypatch.setattr(demo, "LINEAR", 100)
+    monkeypatch.setattr(demo, "CHECKED", 4)
     monkeypatch.setattr(demo, "HARMONICS", {"paper_plate": 20, "breathing_plate": 3})
     monkeypatch.setattr(demo, "SWEEP", np.array([2360.0, 2400.0, 2440.0]))
     curve = demo.main(tmp_path)

@@ -284,29 +284,44 @@ class _HomotopyPoint(DenseLinearisation):
 
 
 class Homotopy:
-    """p (z(T) - a) - (z - a) = 0 in the unknowns x of some orbits, a being their start.
+    """p (z(T) - a) - (z - a) = 0 in the unknowns x of some orbits, from their starts a.
 
     Attributes
     ----------
     left : int
-        Switching instants that may still be passed.
+        Switching instants that may still be passed, from all starts together.
     """
 
-    def __init__(self, orbits: FlowOrbits, most: int) -> None:
-        self._orbits, self.shape, self.left = orbits, orbits.shape, most
+    def __init__(self, orbits: FlowOrbits) -> None:
+        self._orbits, self.shape = orbits, orbits.shape
+        self._start, self._at = orbits.start, 1.0
+        self.left = int(min(1.0, (FEW / orbits.flow.size) ** 2) * SWITCHES)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> _HomotopyPoint:
         """The equations at a point; raises as :meth:`FlowOrbits.linearise`, and where all switching
         instants have been passed."""
-        at = self._orbits.linearise(unknown, 1.0)
-        self.left -= at.events + 1
-        if self.left < 0:
+        if self.left <= 0:
             raise ConvergenceError("orbits: the homotopy takes too long")
-        return _HomotopyPoint(at, parameter, self._orbits.start)
+        at = self._orbits.linearise(unknown, self._at)
+        self.left -= at.events + 1
+        return _HomotopyPoint(at, parameter, self._start)
 
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
         """Inner product."""
         return float(first @ second)
+
+    def end(self, start: np.ndarray, parameter: float) -> np.ndarray | None:
+        """Where the path from a start leads, with the orbits' own parameter; None where it is lost,
+        or that takes too long."""
+        self._start, self._at = start, parameter
+        options = PathOptions(
+            STEP, max_step=STEP, max_steps=SWITCHES, span=(0.0, 2.0), min_cosine=0.5
+        )
+        try:
+            met = Path(self, point_on_path(self, start, 0.0), options, [Target(1.0)]).run()
+        except (ConvergenceError, np.linalg.LinAlgError):
+            return None
+        return None if met is None else met.unknown
 
 
 def wave_states(flow: ContactFlow, displacement: np.ndarray, base_omega: float) -> np.ndarray:
@@ -351,21 +366,17 @@ def orbit_next_to(
 
 def _by_homotopy(orbits: FlowOrbits) -> PeriodicOrbit | None:
     """The orbit to which the path from the start of some leads; None where that takes too long."""
-    share = min(1.0, (FEW / orbits.flow.size) ** 2)
-    homotopy = Homotopy(orbits, int(share * SWITCHES))
-    options = PathOptions(STEP, max_step=STEP, max_steps=SWITCHES, span=(0.0, 2.0), min_cosine=0.5)
     try:
         # M - I may be singular where the motion closes: next to a resonance without damping.
         closed = solve_in_plane(orbits, orbits.start, 1.0, None, tolerance=CLOSED, iterations=1)
-        if closed is not None:
-            return orbits.orbit(closed)
-        start = point_on_path(homotopy, orbits.start, 0.0)
-        met = Path(homotopy, start, options, [Target(1.0)]).run()
     except (ConvergenceError, np.linalg.LinAlgError):
         return None
-    if met is None:
+    if closed is not None:
+        return orbits.orbit(closed)
+    end = Homotopy(orbits).end(orbits.start, 1.0)
+    if end is None:
         return None
-    state = orbits.state(met.unknown)
+    state = orbits.state(end)
     return find_orbit(orbits.flow, orbits.omega, state, subharmonic=orbits.subharmonic)
 
 

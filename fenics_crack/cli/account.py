@@ -263,7 +263,7 @@ def readable_rows(table: Table) -> Table:
 
 def _readable(name: str, value: Any, unit: str) -> tuple[str, Any]:
     known = isinstance(value, float) and np.isfinite(value)
-    if known and unit in ("m", "N"):
+    if known and unit in ("m", "N", "Pa m^0.5"):
         return name, quantity(value, unit) if abs(value) > ROUNDING else f"0 {unit}"
     if known and unit.startswith("of "):
         return name, f"{100.0 * value:.2g} % {unit}"

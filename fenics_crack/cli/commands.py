@@ -232,7 +232,7 @@ def _for_paraview(run: Computed, folder: Path, console: Console, *, show: bool) 
         from fenics_crack.draw.animation import show_period
 
         show_period(found, material=material)
-    if found.structure.whole.nodes is None:
+    if found.structure.whole.meshed is None:
         console.note("no mesh: what would be drawn on one is left out")
         return []
     if isinstance(found, Modes):

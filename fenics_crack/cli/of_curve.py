@@ -15,9 +15,10 @@ from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, kind_in_words, 
 from fenics_crack.curves.peak import top_and_damping
 from fenics_crack.model.bilinear import BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.rotation import RunUpStructure
-from fenics_crack.scene.quantities import OF_LIPS, OF_POINTS, QUANTITIES
+from fenics_crack.scene.quantities import OF_LIPS, OF_POINTS, OF_TIPS, QUANTITIES
 from fenics_crack.study.key_figures import highest_omega
 from fenics_crack.study.run import Run
+from fenics_crack.study.tips import along_curve
 from fenics_crack.table import UNITS, Table, counted, quantity, ranging, with_frequency, with_unit
 
 __all__ = ["account_of_curve", "curve_points", "few_special_points", "special_points"]
@@ -232,6 +233,9 @@ def _along(run: Run[ResponseCurve], curve: ResponseCurve) -> dict[str, np.ndarra
             found[with_unit(watched.column(name), unit)] = getattr(indicators, name)
     for name, (_, unit) in OF_LIPS.items():
         found[with_unit(name, unit)] = getattr(seen[0], name)
+    if run.scene.tip_quantities:
+        at_tips = along_curve(run, curve)
+        found |= {with_unit(name, unit): at_tips[name] for name, (_, unit) in OF_TIPS.items()}
     near = _natural_along(run, np.asarray(seen[0].omega)).nearest(seen[0].omega)
     return found | {with_unit(name, unit): value for name, _, unit, value in with_hertz(near)}
 

@@ -24,6 +24,7 @@ from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw.figure import Picture, distinct_colours
 from fenics_crack.draw.plot import Wave, draw_contact_map, draw_map, draw_response, draw_waves
 from fenics_crack.draw.plot_curve import draw_content, draw_curve, draw_multipliers
+from fenics_crack.draw.plot_growth import draw_stress_intensity
 from fenics_crack.draw.plot_mesh import draw_modes
 from fenics_crack.draw.plot_motion import draw_orbits, draw_spectra, draw_spectrum
 from fenics_crack.draw.plot_study import draw_verification
@@ -35,6 +36,7 @@ from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.words import WHOLE, differences, key_in_words, unit_of, value_in_words
 from fenics_crack.study.prepare import prepare
 from fenics_crack.study.run import Run
+from fenics_crack.study.stress_intensity import stress_intensity
 from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.file import KIND as SWEEP
 from fenics_crack.sweep.result import SweepResult
@@ -72,7 +74,7 @@ def _file_in(folder: Path, files: list[Path]) -> File:
 
 
 def _modes(run: Run[Modes], file: File) -> None:
-    if run.structure.whole.nodes is not None:
+    if run.structure.whole.meshed is not None:
         draw_modes(run.result, path=file("modes.png"))
 
 
@@ -91,13 +93,14 @@ def _solution(run: Run[PeriodicSolution], file: File) -> None:
     _waves(run, time, motion, gap, found.omega, path=file("solution_waves.png"), title=title)
     draw_spectrum(found, dof, path=file("solution_spectrum.png"), title=title)
     draw_orbits(found, dof, path=file("solution_orbits.png"), title=title)
-    if found.structure.whole.nodes is not None:
+    if found.structure.whole.meshed is not None:
         from fenics_crack.draw.animation import animate_period  # VTK
 
         if found.gap_coefficients.shape[1] > 1:
             heading = "Where and when the crack is closed"
             draw_contact_map(found, path=file("solution_contact_map.png"), title=heading)
         animate_period(found, file("solution_breathing_crack.gif"), material=run.scene.material)
+    _tips(run, file)
 
 
 def _history(run: Run[TimeHistory], file: File) -> None:
@@ -105,6 +108,18 @@ def _history(run: Run[TimeHistory], file: File) -> None:
     title = f"The last periods of {found.periods}, {frequency_in_words(run.scene, omega)}"
     motion, time = found.displacement([run.watched_dof])[:, 0], found.time - found.time[0]
     _waves(run, time, motion, found.gap, omega, path=file("integration_waves.png"), title=title)
+    _tips(run, file)
+
+
+def _tips(run: Run[Any], file: File) -> None:
+    """Draw the stress intensity at the tips of a plate's cracks."""
+    if run.scene.has_tips:
+        found = stress_intensity(run)
+        of_time = isinstance(run.result, TimeHistory)
+        name = f"{'integration' if of_time else 'solution'}_tips.png"
+        factor, unit = readable(float(found.effective.max()), "Pa m^0.5")
+        title = f"Stress intensity, range while open {factor * found.effective.max():.4g} {unit}"
+        draw_stress_intensity(found, path=file(name), title=title)
 
 
 def _waves(

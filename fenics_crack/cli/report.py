@@ -50,6 +50,7 @@ CAPTIONS = {
     "solution_orbits": "The motion in the phase plane; thick where the lips touch.",
     "solution_contact_map": "Where along the crack and when in the period the lips touch.",
     "solution_breathing_crack": "One period, slowed down and magnified as stated above the plate.",
+    "solution_tips": "What opens the tips of the crack, over the period.",
     "curve": "Response. Dashed: unstable; dotted: undecided; faint: large estimated error.",
     "curve_content": "Amplitudes of the lowest harmonics.",
     "curve_multipliers": "The orbit is stable where the largest multiplier is below 1.",

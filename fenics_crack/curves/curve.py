@@ -241,22 +241,31 @@ class _Waves(Tabular):
             rows = structure.values_at(np.eye(structure.n_dofs), new).T  # u = T q
             seen = np.zeros((len(new), *self.unknowns.shape[:2]))
             sizes = np.zeros((len(new), len(self.omega)))
-            moved = None
-            if self.static_above is not None:
-                moved = rows @ all_modes(structure).moved_at_once(self.static_above)
-            for index, at in self._linearised():
-                assert isinstance(at.system.compliance, ModalCompliance)
-                waves = at.system.compliance.seen_through(rows, at.force)
+            for index, waves, motion, gap, force in self.seen_through(rows):
                 seen[:, index, : len(waves)] = waves.T
-                motion = evaluate(waves, 1.0, PHASES)
-                gap, force = at.in_time(evaluate(at.unknown, 1.0, PHASES))
                 self._lips[index] = contact_extremes(gap, force, structure.pairs.cracks)
-                if moved is not None:
-                    # What answers at once follows the forces as they are, with their kinks.
-                    motion -= (force - evaluate(at.force, 1.0, PHASES)) @ moved.T
                 sizes[:, index] = np.ptp(motion, axis=0) / 2.0
             self._seen.update(zip(new, zip(seen, sizes, strict=True), strict=True))
         return [self._seen[dof] for dof in dofs]
+
+    def seen_through(
+        self, rows: np.ndarray
+    ) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+        """Products of rows (m, n_dofs) with the motion at every point, not in order: its number,
+        their coefficients (2H+1, m), and over 256 instants the products (256, m), the gaps [m] and
+        the contact forces [N] (256, n_pairs)."""
+        moved = None
+        if self.static_above is not None:
+            moved = rows @ all_modes(self.structure).moved_at_once(self.static_above)
+        for index, at in self._linearised():
+            assert isinstance(at.system.compliance, ModalCompliance)
+            waves = at.system.compliance.seen_through(rows, at.force)
+            motion = evaluate(waves, 1.0, PHASES)
+            gap, force = at.in_time(evaluate(at.unknown, 1.0, PHASES))
+            if moved is not None:
+                # What answers at once follows the forces as they are, with their kinks.
+                motion -= (force - evaluate(at.force, 1.0, PHASES)) @ moved.T
+            yield index, waves, motion, gap, force
 
 
 @dataclass(frozen=True, repr=False)

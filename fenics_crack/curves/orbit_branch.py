@@ -30,7 +30,7 @@ Source: Seydel, Practical Bifurcation and Stability Analysis, chapters 4, 5 and 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
@@ -40,7 +40,7 @@ import scipy.optimize
 from scipy.interpolate import barycentric_interpolate
 from scipy.linalg.lapack import dgeqrf, dorgqr
 
-from fenics_crack.balance.orbits import FlowOrbits, OrbitPoint
+from fenics_crack.balance.orbits import FlowOrbits, Homotopy, OrbitPoint
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.orbit import KNOWN, eigenvalues
 from fenics_crack.numerics.bordered import PathPoint, Tangent, solve_in_plane, tangent_of
@@ -165,6 +165,7 @@ class OrbitBranch:
     ) -> None:
         self.system, self._parameters, self._motions = system, parameters, motions
         self._known: dict[int, np.ndarray] = {}
+        self._homotopy = Homotopy(system)
         self._turn = _to_turns(parameters)
         self._halved: set[tuple[float, float]] = set()
         self.nodes: list[Node] = []
@@ -264,15 +265,10 @@ class OrbitBranch:
         """The orbit next to a point, with those of some nodes known; with ``across`` also in the
         plane across the curve."""
         motion, parameter = self.motion(place), float(self._parameters[place])
-        starts = [motion]
-        known = [one for one in beside if one.away >= 0.0 and abs(one.place - place) <= EVERY]
-        if known:
-            near = min(known, key=lambda one: (abs(one.place - place), one.away))
-            starts.insert(0, motion + near.unknown - self.motion(round(near.place)))
         planes: list[Callable[[int], Tangent | None] | None] = [None, self._chord]
         if across and self._turn[place] <= 2:
             del planes[0]
-        for start in starts:
+        for start in self._starts(place, beside):
             for plane in planes if across else planes[:1]:
                 found = self._solved(start, parameter, plane and plane(place))
                 if found is None:
@@ -281,6 +277,21 @@ class OrbitBranch:
                 if away <= ALIKE:
                     return self._node(place, found, self._ahead(place), away)
         return None
+
+    def _starts(self, place: int, beside: list[Node]) -> Iterator[np.ndarray]:
+        """Where the orbit next to a point is sought: from its motion and what had to be added to
+        that of the nearest node, from its motion, and, where no node is near, from where the
+        homotopy leads."""
+        motion = self.motion(place)
+        known = [one for one in beside if one.away >= 0.0 and abs(one.place - place) <= EVERY]
+        if known:
+            near = min(known, key=lambda one: (abs(one.place - place), one.away))
+            yield motion + near.unknown - self.motion(round(near.place))
+        yield motion
+        if not known:
+            end = self._homotopy.end(motion, float(self._parameters[place]))
+            if end is not None:
+                yield end
 
     def between(self, first: Node, last: Node, share: float) -> Node | None:
         """A node at a part of the segment between two others; None where none is found."""

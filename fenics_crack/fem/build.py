@@ -39,7 +39,7 @@ from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.nodes import Pairs
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import collect_garbage, on_root
-from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.scene import Scene, check_scene
 from fenics_crack.scene.tables import Damping
 from fenics_crack.stages import begin
 from fenics_crack.whole import write_whole
@@ -59,7 +59,7 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     collect_garbage(comm)  # of structures made before
     if scene.structure is not None:
         rule = None if scene.damping is None else _damping(scene.damping)
-        return read_structure(scene.structure, rule, comm)
+        return read_structure(scene, rule, comm)
     begin("mesh")
     plate = build_mesh(scene, comm)
     begin("matrices")
@@ -97,7 +97,8 @@ def _matrices(scene: Scene, space: Any) -> tuple[Any, Any]:
     """Stiffness and mass matrix of all dofs, clamped ones included."""
     (density,), t = constants(space, scene.material.density), thickness(scene, space)
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
-    stiffness = t * ufl.inner(stress(scene, space, u), ufl.sym(ufl.grad(v))) * ufl.dx
+    strain = ufl.sym(ufl.grad(u))
+    stiffness = t * ufl.inner(stress(scene, space, strain), ufl.sym(ufl.grad(v))) * ufl.dx
     mass = t * density * ufl.inner(u, v) * ufl.dx
     return compat.assembled_matrix(stiffness), compat.assembled_matrix(mass)
 
@@ -169,6 +170,7 @@ def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
 
 def with_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
     """Return the scene with the length found from ``crack.first_omega``, if that is given."""
+    check_scene(scene)
     if scene.crack is None or scene.crack.first_omega is None:
         return scene
     return _with_length(scene, find_crack_length(scene, comm))

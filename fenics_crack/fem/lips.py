@@ -18,7 +18,9 @@ import scipy.sparse as sparse
 
 from fenics_crack.errors import InputError
 
-__all__ = ["Lip", "along", "cell_edges", "check_mouths", "find_lips", "rows_in", "split_crack"]
+__all__ = [
+    "SAME", "Lip", "along", "cell_edges", "check_mouths", "find_lips", "rows_in", "split_crack",
+]  # fmt: skip
 
 PLUGIN = (
     "Plugin(Crack) of gmsh, run after meshing with Dimension = 1, PhysicalGroup = the tag of the "

@@ -33,7 +33,7 @@ class NodalMesh:
     """
 
     def __init__(self, structure: Structure) -> None:
-        if structure.nodes is None:
+        if structure.nodes is None or structure.meshed is None:
             raise InputError("structure", "made from matrices", "made from a mesh")
         whole = structure.whole
         nodes, comm = structure.nodes, whole.comm
@@ -60,7 +60,7 @@ class NodalMesh:
     def boundary_facets(self) -> np.ndarray:
         """Corners of the facets of a solid that belong to one cell only, in turn, anticlockwise as
         they are seen from outside: (n, 3 or 4)."""
-        of_cell = FACETS[4 if self.cells.shape[1] == 10 else 8]
+        of_cell = FACETS[4 if self.cells.shape[1] in (4, 10) else 8]
         facets = self.cells[:, of_cell].reshape(-1, of_cell.shape[1])
         _, first, uses = np.unique(
             np.sort(facets, axis=1), axis=0, return_index=True, return_counts=True

@@ -159,7 +159,7 @@ def _motion(result: Result, watched: Mapping[str, np.ndarray]) -> Parts:
 def _pack_modes(modes: Modes) -> Parts:
     """Datasets of the modes; those of a structure without a mesh by its dofs (collective)."""
     whole = modes.structure.whole
-    if whole.nodes is None:
+    if whole.meshed is None:
         by_dof = gather_rows(whole.comm, modes.structure.expand(modes.shapes.T).T)
         return {"omega": modes.omega, "shapes": by_dof.T}
     mesh = NodalMesh(modes.structure)
@@ -176,7 +176,7 @@ def _unpack_modes(parts: Parts, structure: Structure, contact: Law = None) -> Mo
         The structure has other nodes, or another number of dofs.
     """
     check_shapes(parts, {"omega": (len(parts["shapes"]),)})
-    if structure.whole.nodes is None:
+    if structure.whole.meshed is None:
         return _modes_of_dofs(parts, structure.whole)
     mesh, whole = NodalMesh(structure), structure.whole
     assert whole.nodes is not None

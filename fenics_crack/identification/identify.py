@@ -1,8 +1,8 @@
 """From measurements to the crack: one call.
 
 Four sweeps over the unknowns, each in a file from which a killed run goes on, are all that is
-solved: of the scene; of a finer mesh with more harmonics at a few of the same values, which
-corrects the first one; and both of the plate without its crack. A :class:`Model` interpolates
+solved: of the scene, or of a coarser mesh; of a finer one at a few of the same values, which
+corrects the first; and both of the plate without its crack. A :class:`Model` interpolates
 between what they have solved. What else is not known has a prior, and moves the predictions by
 first-order changes (:mod:`fenics_crack.identification.nuisance`).
 """
@@ -30,7 +30,7 @@ from fenics_crack.identification.posterior import Likelihood, Posterior, explore
 from fenics_crack.identification.result import Identification
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.fields import Axis
-from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.scene import Scene, check_scene
 from fenics_crack.scene.tables import Identify, Sweep
 from fenics_crack.stages import begin
 from fenics_crack.study.coarser_mesh import finer_mesh
@@ -97,6 +97,7 @@ def identify(
     --------
     >>> found = fc.identify(scene, "measured.csv", {"crack.length": [0.02, 0.04]})  # doctest: +SKIP
     """
+    check_scene(scene)
     if unknown is not None:
         table = scene.identify or Identify.from_mapping({"unknown": unknown})
         changed = replace(table, unknown=Identify.checked("unknown", unknown))
@@ -236,7 +237,7 @@ def solve_forward(
     assert table is not None
     loads = tuple(sorted({float(one) for one in (*frequencies, *table.frequencies)}))
     plain = scene.replace(dict.fromkeys(ASKED))
-    fine = _finer(plain, table.finer)
+    coarse, fine = _meshes(plain, table.finer)
 
     def run(name: str, of: Scene, axes: Sequence[Axis]) -> SweepResult:
         over = (*axes, Axis(FREQUENCY, loads or (of.excitation.omega / (2.0 * math.pi),)))
@@ -249,7 +250,7 @@ def solve_forward(
 
     def sweeps(name: str, gone: Sequence[str], axes: Sequence[Axis]) -> list[SweepResult]:
         without = dict.fromkeys(gone)
-        found = [run(name, plain.replace(without), axes)]
+        found = [run(name, coarse.replace(without), axes)]
         if fine is not None:
             found.append(run(f"{name}_finer", fine.replace(without), _thinned(axes, count)))
         return found
@@ -262,18 +263,16 @@ def solve_forward(
     return Forward(scene, _models(scene, whole, cracked, bare), _models(scene, whole, bare))
 
 
-def _finer(scene: Scene, factor: float) -> Scene | None:
-    """A scene with a finer mesh and more harmonics; None where nothing is to be finer."""
-    if factor == 1.0:
-        return None
+def _meshes(scene: Scene, factor: float) -> tuple[Scene, Scene | None]:
+    """The scene of all cases, and that of a few on a finer mesh; None where there is no such."""
     changes: dict[str, Any] = {}
-    if scene.harmonic_balance.tolerance is None:
+    if scene.harmonic_balance.tolerance is None and factor > 1.0:
         harmonics = min(100, math.ceil(factor * scene.harmonic_balance.harmonics))
         changes = {"harmonic_balance.harmonics": harmonics, "harmonic_balance.samples": None}
-    finer = finer_mesh(scene, factor)
-    if finer is None and not changes:
-        return None
-    return (finer or scene).replace(changes)
+    other = None if factor == 1.0 else finer_mesh(scene, factor)
+    if other is None and not changes:
+        return scene, None
+    return (scene, (other or scene).replace(changes)) if factor > 1.0 else (other or scene, scene)
 
 
 def _thinned(axes: Sequence[Axis], count: int) -> tuple[Axis, ...]:

@@ -162,7 +162,8 @@ class Quantities:
         # An error of the first order leaves d / (f - 1) where a mesh finer by f changes d, one of
         # high order nothing: half of the former is added, and may be wrong.
         self._correction: Interpolation | None = None
-        self._left = 0.5 / max(model.table.finer - 1.0, 0.1)
+        finer = model.table.finer
+        self._left = 0.5 / max(finer - 1.0, 1.0 / finer - 1.0, 0.1)
         if model.finer is not None:
             fine = model.finer
             difference = self._smooth(fine) - self._coarse.at(fine.cube.nodes)

@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtrc
 
 from fenics_crack.arrivals.harmonics import MISFIT
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import write
 from fenics_crack.identification.measurements import Measurement, Measurements
 from fenics_crack.identification.posterior import Branch, Posterior
-from fenics_crack.identification.where_to_measure import Worth, left_with, worth_of
+from fenics_crack.identification.verdict import log_bayes_factor, misfit_of, verdict_of
+from fenics_crack.identification.where_to_measure import Worth, advice, worth_of
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import key_in_words, unit_of, value_in_words
 from fenics_crack.table import Table, Tabular
@@ -27,12 +27,6 @@ __all__ = ["SHARE", "Identification"]
 
 SHARE = 0.95
 """Probability of the regions and intervals that are stated."""
-EXPLAINS = 1.0 - SHARE
-"""Probability of more misfit by chance from which a plate without a crack explains what is seen."""
-STRONG = 3.0
-"""Logarithm of the ratio of evidences, 20 to 1, from which a hypothesis is preferred."""
-BASELINE = 1e-3
-"""Relative standard deviation with which frequencies are measured that are advised."""
 LEAST_PART = 0.03
 """Probability of a part of the region that is mentioned."""
 
@@ -92,8 +86,7 @@ class Identification(Tabular):
     @property
     def log_bayes_factor(self) -> float:
         """log of the evidence of a crack over that of none; nan where none was not considered."""
-        bare = np.nan if self.plain is None else self.plain.log_evidence
-        return self.posterior.log_evidence - bare
+        return log_bayes_factor(self.posterior, self.plain)
 
     @property
     def verdict(self) -> str:
@@ -108,19 +101,7 @@ class Identification(Tabular):
 
     @cached_property
     def _judged(self) -> tuple[str, str]:
-        ratio, open_question = self.log_bayes_factor, "cannot be told"
-        if self.plain is None:
-            return open_question, "there is no plate without a crack to compare with"
-        fits, healthy = self.misfit[1], misfit_of(self.plain)[1]
-        told = f"log Bayes factor {ratio:.3g}, crack over no crack"
-        if max(fits, healthy) < MISFIT:
-            why = "neither a crack of this kind nor a plate without one explains the measurements"
-            return open_question, f"{why} ({told})"
-        if ratio > STRONG and healthy >= EXPLAINS:
-            why = "a plate without a crack explains the measurements, as little as is known of it"
-            return open_question, f"{why} ({told})"
-        verdict = "crack" if ratio > STRONG else "no crack" if ratio < -STRONG else open_question
-        return verdict, told
+        return verdict_of(self.posterior, self.plain)
 
     @property
     def misfit(self) -> tuple[float, float]:
@@ -133,27 +114,7 @@ class Identification(Tabular):
         """What to measure next, in words: the frequencies of the plate before it had a crack where
         they are missing, and what else tells most."""
         branch, x = self._at
-        likelihood = branch.likelihood
-        model, rows = likelihood.quantities.model, self.measurements.rows
-        now = left_with(likelihood, x, ())
-        measured = {row.mode for row in rows if row.natural} or {1, 2}
-        known = {row.mode for row in rows if row.quantity == "frequency_uncracked"}
-        found = []
-        if model.coarse.bare is not None and (missing := sorted(measured - known)):
-            more = [
-                Measurement("frequency_uncracked", hertz, BASELINE * hertz, mode=mode)
-                for mode, hertz in enumerate(model.whole.frequencies.tolist(), 1)
-                if mode in missing
-            ]
-            modes = ", ".join(map(str, missing))
-            what = f"natural frequencies {modes} before there was a crack (frequency_uncracked)"
-            left = left_with(likelihood, x, more)
-            found.append(f"{what}, to {BASELINE:.1%}: {_gained(now, left)}")
-        worth = self.where_to_measure()
-        if worth.measurements:
-            left = {key: float(values[0]) for key, values in worth.deviations.items()}
-            found.append(f"{worth.measurements[0].words}: {_gained(worth.now, left)}")
-        return found
+        return advice(branch.likelihood, x, self.where_to_measure())
 
     @property
     def alternatives(self) -> list[tuple[dict[str, Any], float]]:
@@ -316,22 +277,3 @@ class Identification(Tabular):
         if len(self.alternatives) > 1:
             parts.append("NOT THE ONLY ONE")
         return ", ".join(parts)
-
-
-def misfit_of(posterior: Posterior) -> tuple[float, float]:
-    """chi^2 where a likelihood is largest, and the probability of more by chance."""
-    name, x = posterior.best
-    likelihood = posterior.branches[name].likelihood
-    total = float(np.sum(likelihood.residuals(x[None])[0, :-1] ** 2))
-    count = len(likelihood.values) - likelihood.quantities(x[None]).free.shape[2]
-    return total, float(chdtrc(max(count, 1), total))
-
-
-def _gained(now: Mapping[str, float], after: Mapping[str, float]) -> str:
-    """What measuring brings, in words: "crack length to 0.2 mm in place of 1 mm"."""
-    told = (
-        f"{key_in_words(key)} to {value_in_words(key, after[key])} in place of "
-        f"{value_in_words(key, now[key])}"
-        for key in now
-    )
-    return ", ".join(told)

@@ -27,10 +27,13 @@ from fenics_crack.errors import check_number
 from fenics_crack.identification.measurements import Measurement
 from fenics_crack.identification.model import Quantities
 from fenics_crack.identification.posterior import Likelihood, scaled_covariance
-from fenics_crack.scene.words import unit_of
+from fenics_crack.scene.words import key_in_words, unit_of, value_in_words
 from fenics_crack.table import Tabular
 
-__all__ = ["Worth", "left_with", "worth_of"]
+__all__ = ["Worth", "advice", "worth_of"]
+
+BASELINE = 1e-3
+"""Relative standard deviation with which frequencies are measured that are advised."""
 
 PROBES = 24
 """Phases of the load's period at which one more probe is considered."""
@@ -141,7 +144,40 @@ def worth_of(
     )
 
 
-def left_with(
+def advice(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> list[str]:
+    """What to measure next, in words: the frequencies of the plate before it had a crack where they
+    are missing, and what else tells most."""
+    model, rows = likelihood.quantities.model, likelihood.quantities.rows
+    measured = {row.mode for row in rows if row.natural} or {1, 2}
+    known = {row.mode for row in rows if row.quantity == "frequency_uncracked"}
+    found = []
+    if model.coarse.bare is not None and (missing := sorted(measured - known)):
+        more = [
+            Measurement("frequency_uncracked", hertz, BASELINE * hertz, mode=mode)
+            for mode, hertz in enumerate(model.whole.frequencies.tolist(), 1)
+            if mode in missing
+        ]
+        modes = ", ".join(map(str, missing))
+        what = f"natural frequencies {modes} before there was a crack (frequency_uncracked)"
+        left = _left_with(likelihood, x, more)
+        found.append(f"{what}, to {BASELINE:.1%}: {_gained(_left_with(likelihood, x, ()), left)}")
+    if worth.measurements:
+        left = {key: float(values[0]) for key, values in worth.deviations.items()}
+        found.append(f"{worth.measurements[0].words}: {_gained(worth.now, left)}")
+    return found
+
+
+def _gained(now: Mapping[str, float], after: Mapping[str, float]) -> str:
+    """What measuring brings, in words: "crack length to 0.2 mm in place of 1 mm"."""
+    told = (
+        f"{key_in_words(key)} to {value_in_words(key, after[key])} in place of "
+        f"{value_in_words(key, now[key])}"
+        for key in now
+    )
+    return ", ".join(told)
+
+
+def _left_with(
     likelihood: Likelihood, x: np.ndarray, more: Sequence[Measurement]
 ) -> dict[str, float]:
     """Standard deviation of each unknown, with some measurements more, all of them."""

@@ -35,7 +35,7 @@ class Nodes:
     cells : (n_cells, k) int
         This rank's cells in VTK's node order; nodes are numbered through all ranks.
     vtk_type : int
-        VTK's number of the cell type.
+        VTK's number of the cell type; 0: no cells of one kind.
     """
 
     points: np.ndarray
@@ -198,6 +198,11 @@ class Coordinates(Hinted):
     @property
     def _size_words(self) -> str:
         return f"{self.n_dofs} dofs"
+
+    @property
+    def meshed(self) -> Nodes | None:
+        """The nodes, where they carry every dof and have cells to be drawn."""
+        return self.nodes if self.nodes is not None and self.nodes.vtk_type else None
 
     @property
     def n_dofs(self) -> int:

@@ -1,13 +1,14 @@
 """A structure that rotates: what its rotation adds to matrices and load, at any speed.
 
-    K(W) = K + W^2 K_1,        K_1 = K_g - M_y,        f_mean(W) = f_mean + W^2 f_c
+    K(W) = K + W^2 (K_1 + K_2) + W^4 K_3,     K_1 = K_g - M_y,     f_mean(W) = f_mean + K(W) u_s(W)
 
 K_g is the geometric stiffness of the stresses that the centrifugal load f_c makes, M_y the spin
-softening, both for W = 1 rad/s (:mod:`fenics_crack.fem.elasticity` assembles them).
+softening, K_2 and K_3 what comes with the displaced shape, (K + W^2 K_1) u_s = W^2 f_c; all of them
+for W = 1 rad/s (:mod:`fenics_crack.fem.elasticity` assembles them).
 
 One small basis serves for all speeds of a run-up:
 
-    u = V q,        V^T (K + W^2 K_1) V = I + (W^2 - W_0^2) V^T K_1 V,        V^T M V diagonal
+    u = V q,        V^T K(W_0) V = I,        V^T M V diagonal
 
 V holds, of the structure at a few speeds of the range, the lowest modes with open lips and the
 static responses to forces on every pair and to the load: the free-interface bases of these speeds
@@ -52,6 +53,8 @@ class Rotation:
         The structure without it: K and its own load.
     stiffness : PETSc.Mat
         K_1 = K_g - M_y: (n, n) [kg].
+    displaced : tuple of PETSc.Mat
+        K_2 [kg] and K_3 [kg s^2].
     force : (n_local,) [kg m]
         f_c.
     speed : float
@@ -60,6 +63,7 @@ class Rotation:
 
     at_rest: Structure
     stiffness: Any
+    displaced: tuple[Any, Any]
     force: np.ndarray
     speed: float
 
@@ -75,12 +79,19 @@ class Rotation:
         check_number("speed", speed, 0.0)
         if speed == 0.0:
             return self.at_rest
-        stiffness = weighted_sum(self.at_rest.stiffness, speed**2, self.stiffness)
+        square, (second, third) = speed**2, self.displaced
+        still = weighted_sum(self.at_rest.stiffness, square, self.stiffness)
+        displaced = weighted_sum(second, square, third)
+        stiffness = weighted_sum(still, square, displaced)
+        displaced.destroy()
         with Factor(stiffness) as factor:
             if factor.negative_pivots or factor.null_pivots:
                 raise InputError("rotation.speed", speed, too_fast(speed))
+        with Factor(still, definite=True) as factor:
+            moved = factor.solve(square * self.force[None]).T
+        still.destroy()
         force = self.at_rest.force.copy()
-        force[0] += speed**2 * self.force
+        force[0] += times(stiffness, moved)[:, 0]
         found = self.at_rest._changed(stiffness=stiffness, force=force)
         found._hold(rotation=replace(self, speed=speed))
         return found
@@ -140,10 +151,8 @@ class Ritz:
         What was reduced, at its own speed.
     basis : (whole.n_local, n)
         V.
-    speed : float
-        At which V^T K V = I [rad/s].
-    stiffness : (n, n)
-        V^T K_1 V.
+    at_rest, stiffness : (n, n), (3, n, n)
+        V^T K V, and V^T K_i V of K_1, K_2, K_3.
     squares_inverse : (n,)
         V^T M V, which is diagonal.
     force : (3, n)
@@ -158,7 +167,7 @@ class Ritz:
 
     whole: Structure
     basis: np.ndarray
-    speed: float
+    at_rest: np.ndarray
     stiffness: np.ndarray
     squares_inverse: np.ndarray
     force: np.ndarray
@@ -186,10 +195,11 @@ class RunUpStructure(MasslessInterface):
     _ritz: Ritz
 
     def __init__(self, ritz: Ritz, speed: float) -> None:
-        stiffness = (speed**2 - ritz.speed**2) * ritz.stiffness
-        stiffness[np.diag_indices_from(stiffness)] += 1.0
+        first, second, third = speed**2 * ritz.stiffness
+        stiffness = ritz.at_rest + first + second + speed**2 * third
+        moved = np.linalg.solve(ritz.at_rest + first, speed**2 * ritz.centrifugal)
         force = ritz.force.copy()
-        force[0] += speed**2 * ritz.centrifugal
+        force[0] += stiffness @ moved
         try:
             factor = np.linalg.inv(np.linalg.cholesky(stiffness))
         except np.linalg.LinAlgError:
@@ -284,11 +294,14 @@ def run_up_structure(structure: Structure, start: float, stop: float, modes: int
 
     squares, shapes = scipy.linalg.eigh(projected(here.stiffness))
     basis = basis @ (shapes / np.sqrt(squares))  # K = I at the structure's own speed
+    square = rotation.speed**2
+    added = np.array([projected(part) for part in (rotation.stiffness, *rotation.displaced)])
+    at_rest = np.eye(len(squares)) - square * (added[0] + added[1] + square * added[2])
     ritz = Ritz(
         structure,
         basis,
-        rotation.speed,
-        projected(rotation.stiffness),
+        at_rest,
+        added,
         1.0 / squares,
         structure.sum_over_ranks(rotation.at_rest.force @ basis),
         structure.sum_over_ranks(rotation.force @ basis),

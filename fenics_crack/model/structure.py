@@ -176,6 +176,10 @@ class Structure(Coordinates):
             pairs=Pairs(),
         )
 
+    def placed(self, nodes: Nodes, pairs: Pairs) -> Structure:
+        """Return this structure with the places of its nodes and pairs."""
+        return self._changed(nodes=nodes, pairs=pairs)
+
     def damped(self, damping: DampingRule | None) -> Self:
         """Return this structure with another modal or Rayleigh damping, or none.
 

@@ -6,7 +6,7 @@ are drawn in. :class:`fenics_crack.Indicators` defines each by its equation.
 
 from __future__ import annotations
 
-__all__ = ["OF_FREQUENCIES", "OF_LIPS", "OF_POINTS", "QUANTITIES", "SHORT"]
+__all__ = ["OF_FREQUENCIES", "OF_LIPS", "OF_POINTS", "OF_TIPS", "QUANTITIES", "SHORT"]
 
 OF_POINTS: dict[str, tuple[str, str]] = {
     "amplitude": ("half peak-to-peak", "m"),
@@ -39,7 +39,15 @@ OF_FREQUENCIES: dict[str, tuple[str, str]] = {
     "over_bilinear": ("load frequency over the bilinear one", "1"),
 }
 """Of the mode whose bilinear frequency is nearest to the load's."""
-QUANTITIES = OF_POINTS | OF_LIPS | OF_FREQUENCIES
+OF_TIPS: dict[str, tuple[str, str]] = {
+    "K_max": ("largest stress intensity K_I", "Pa m^0.5"),
+    "K_min": ("smallest K_I", "Pa m^0.5"),
+    "delta_K": ("range of K_I", "Pa m^0.5"),
+    "delta_K_effective": ("range of K_I while the tip is open", "Pa m^0.5"),
+    "K_II_max": ("largest stress intensity K_II, of either sign", "Pa m^0.5"),
+}
+"""Of the tip whose effective range is the largest; known of plates, where a scene asks for them."""
+QUANTITIES = OF_POINTS | OF_LIPS | OF_FREQUENCIES | OF_TIPS
 """All of them."""
 SHORT = (
     "amplitude", "ratio_2_1", "ratio_3_1", "ratio_half_1", "ratio_largest", "mean_shift", "opening",

@@ -20,6 +20,7 @@ from fenics_crack.hints import Hinted, converted, meant, near, written
 from fenics_crack.outside import text_of
 from fenics_crack.scene.cracks import OF_SHAPES, check_cracks
 from fenics_crack.scene.fields import Axis, Table, components, named, radians
+from fenics_crack.scene.quantities import OF_TIPS
 from fenics_crack.scene.tables import (
     Base,
     Contact,
@@ -43,7 +44,7 @@ from fenics_crack.scene.tables import (
 )
 from fenics_crack.table import RPM, frequency_axis
 
-__all__ = ["LOOKED_AT", "Scene", "known_keys", "unit_of"]
+__all__ = ["LOOKED_AT", "Scene", "check_scene", "known_keys", "unit_of"]
 
 LOOKED_AT = ("curve", "integration", "sweep", "identify", "tip_timing", "output")
 """Tables that say what is looked at, and change nothing of it."""
@@ -122,6 +123,8 @@ class Scene(Hinted):
         else:
             _check_dimension(self)
             (_check_file if self.mesh.layout == "file" else _check_plate)(self)
+        if self.tip_quantities:
+            self.check_tips("output.quantities", self.tip_quantities)
         for name, key in (("sweep", "over"), ("identify", "unknown")):
             if (chosen := getattr(self, name)) is not None:
                 axes = _checked_axes(self, f"{name}.{key}", getattr(chosen, key))
@@ -176,7 +179,9 @@ class Scene(Hinted):
 
     @property
     def dimension(self) -> int:
-        """3 for a solid, else 2."""
+        """3 for a solid, and for a model of another program; else 2."""
+        if self.structure is not None:
+            return 2 if self.structure.model is None else 3
         return 2 if self.geometry is None else self.geometry.dimension
 
     @property
@@ -189,6 +194,27 @@ class Scene(Hinted):
         if getattr(self, name) is None:
             raise InputError(name, None, "given for this command: a table")
         return getattr(self, name)
+
+    @property
+    def has_tips(self) -> bool:
+        """Whether the scene is a plate with a crack, of which stress intensities are known."""
+        try:
+            self.check_tips("crack")
+        except InputError:
+            return False
+        return True
+
+    def check_tips(self, key: str, value: object = None) -> None:
+        """Raise InputError, of a key and its value, where there are no tips (:attr:`has_tips`)."""
+        allowed = ""
+        if self.structure is not None:
+            allowed = "left out with [structure]: stress intensities take the mesh of a plate"
+        elif self.dimension == 3:
+            allowed = "left out with geometry.kind = 'solid': stress intensities are of plates"
+        elif not self.all_cracks and self.contact is None:
+            allowed = "left out without a crack, which has a stress intensity"
+        if allowed:
+            raise InputError(key, value, allowed)
 
     @property
     def speed(self) -> float:
@@ -219,6 +245,12 @@ class Scene(Hinted):
         """The points of ``[output.points]`` in each direction: "tip.ux", "tip.uy"."""
         points = () if self.output is None else self.output.points
         return tuple(f"{point.key}.u{axis}" for point in points for axis in "xyz"[: self.dimension])
+
+    @property
+    def tip_quantities(self) -> tuple[str, ...]:
+        """The stress intensities that are asked for in ``output.quantities``."""
+        chosen = (self.output.quantities if self.output is not None else None) or ()
+        return tuple(name for name in chosen if name in OF_TIPS)
 
     def at_rest(self) -> Scene:
         """The scene without rotation, its load at the same frequency."""
@@ -365,20 +397,28 @@ def _check_matrices(scene: Scene, structure: Structure) -> None:
             raise InputError(name, "a table", "left out with [structure]")
     if structure.damping is not None and scene.damping is not None:
         raise InputError("damping", "a table", "left out with structure.damping")
-    force = scene.excitation.force_given or "point"
-    given = scene.excitation.force_given or scene.excitation.point is not None
-    scene.excitation.require(not given, force, "left out with [structure], which has files")
+    if structure.model is None:
+        force = scene.excitation.force_given or "point"
+        given = scene.excitation.force_given or scene.excitation.point is not None
+        allowed = "left out with [structure], which has files, or has no model with the places"
+        scene.excitation.require(not given, force, allowed)
+    _check_vectors(scene)
+    if scene.excitation.point is None:
+        files = (structure.force_sin, structure.force_cos, structure.force_mean)
+        allowed = "given: where the force acts; or a file structure.force_sin, _cos or _mean"
+        scene.excitation.require(any(files) and not scene.excitation.force_given, "point", allowed)
     if structure.gap is not None and scene.contact is None:
         raise InputError("contact", None, "given with structure.gap: a table")
     if scene.contact is not None:
         allowed = "'all' with [structure]"
         scene.contact.require(scene.contact.pairs == "all", "pairs", allowed)
-        scene.contact.leave_out(("stiffness_per_area",), "[structure], which has no areas")
+        if structure.model is None or structure.gap is not None:
+            scene.contact.leave_out(("stiffness_per_area",), "[structure], which has no areas")
 
 
-def _check_dimension(scene: Scene) -> None:
-    """Raise InputError where a table is not one of a plate, or of a solid."""
-    geometry, mesh, dimension = scene.geometry, scene.mesh, scene.dimension
+def _check_vectors(scene: Scene) -> None:
+    """Give all tables vectors of the plane or of space; InputError where they are not."""
+    dimension = scene.dimension
     for name in _TABLES:
         held = getattr(scene, name)
         if name in _LISTS:
@@ -393,6 +433,15 @@ def _check_dimension(scene: Scene) -> None:
         if len(point.values) != dimension:
             key = f"output.points.{point.key}"
             raise InputError(key, point.values, components("", dimension))
+
+
+def _check_dimension(scene: Scene) -> None:
+    """Raise InputError where a table is not one of a plate, or of a solid."""
+    geometry, mesh, dimension = scene.geometry, scene.mesh, scene.dimension
+    if dimension == 2 and scene.rotation is not None:
+        scene.rotation.leave_out(("axis", "center"), "a plate: its axis is parallel to x")
+        scene.rotation.given("hub_radius")
+    _check_vectors(scene)
     if dimension == 3:
         reason = "2 with geometry.kind = 'solid': tetrahedra of order 1 are much too stiff"
         mesh.require(mesh.order == 2, "order", reason)
@@ -528,6 +577,12 @@ def _changed_list(
     with named(f"{name}.{number}"):
         new = _changed(name, old, change)
     return (*tables[: number - 1], new, *tables[number:])
+
+
+def check_scene(scene: Any) -> None:
+    """Raise InputError unless it is a scene: a path to one is not."""
+    if not isinstance(scene, Scene):
+        raise InputError("scene", scene, "a Scene, as fc.Scene.load(path) returns")
 
 
 def _meant(name: str) -> list[str]:

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import MISSING, dataclass
+from itertools import zip_longest
 from typing import Any, ClassVar
 
 import numpy as np
@@ -273,7 +274,8 @@ class Excitation(Table):
 @dataclass(frozen=True)
 class Load(Table):
     """A further load at the excitation's frequency: at a point a force, on an edge a pressure or a
-    traction; q(t) = mean + cos cos(omega t) + sin sin(omega t).
+    traction;
+    q(t) = mean + cos cos(omega t - phase) + sin sin(omega t - phase).
 
     An edge is "top", "left" or "right" of a plate, or a curve that a mesh file names. A pressure
     pushes towards the plate.
@@ -290,6 +292,8 @@ class Load(Table):
     traction_sin: Vector | None = vector("t", unit="Pa")
     traction_cos: Vector | None = vector("t", unit="Pa")
     traction_mean: Vector | None = vector("t", unit="Pa")
+    phase: float = number(0.0, unit="degrees")
+    """By which its cosine and sine lag."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -315,7 +319,12 @@ class Load(Table):
         """Mean, cosine and sine part of the "force" or the "traction"; of the "pressure" (p,);
         without numbers where they are not given."""
         values = [getattr(self, name) for name in self._names(kind)]
-        return [v if isinstance(v, tuple) else () if v is None else (v,) for v in values]
+        mean, cosine, sine = (
+            v if isinstance(v, tuple) else () if v is None else (v,) for v in values
+        )
+        c, s = math.cos(math.radians(self.phase)), math.sin(math.radians(self.phase))
+        both = list(zip_longest(cosine, sine, fillvalue=0.0))
+        return [mean, tuple(c * a - s * b for a, b in both), tuple(s * a + c * b for a, b in both)]
 
 
 @dataclass(frozen=True)
@@ -366,11 +375,16 @@ class Rotation(Table):
     """The plate is a blade on a rotor, whose axis lies in its plane, parallel to the clamp.
 
     The radius is hub_radius + y. Vibration in the plane is then along x, parallel to the axis, and
-    along the radius: Coriolis forces stand normal to the plane. Those of a solid are left out.
+    along the radius: Coriolis forces stand normal to the plane. Those of a solid are left out; its
+    axis may have any direction, through (0, -hub_radius, 0) or another point.
     """
 
-    hub_radius: float = not_negative(unit="m")
+    hub_radius: float | None = not_negative(None, unit="m")
     """Radius of the clamp: the axis is at y = -hub_radius."""
+    axis: Vector | None = vector("a")
+    """Direction of a solid's axis; left out: x."""
+    center: Vector | None = vector("", unit="m")
+    """Of a solid, instead of hub_radius: a point of the axis."""
     speed: float = holds(
         "a finite number >= 0 (0, or 1e-6 to 1e9)",
         lambda w: w == 0 or 1e-6 <= w <= 1e9,
@@ -390,6 +404,18 @@ class Rotation(Table):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.given("speed", "given [rad/s], or rotation.rpm: a finite number >= 0")
+        if self.center is None:
+            self.given("hub_radius", "given: a finite number >= 0")
+        else:
+            self.leave_out(("hub_radius",), "center")
+        self.require(self.axis is None or any(self.axis), "axis", "a vector that is not zero")
+
+    @property
+    def place(self) -> tuple[np.ndarray, np.ndarray]:
+        """A point of the axis in space [m], and its direction, of length 1."""
+        axis = np.array(self.axis or (1.0, 0.0, 0.0))
+        point = self.center or (0.0, -(self.hub_radius or 0.0), 0.0)
+        return np.array(point), axis / np.linalg.norm(axis)
 
 
 @dataclass(frozen=True)
@@ -495,24 +521,34 @@ class Mesh(Table):
 
 @dataclass(frozen=True)
 class Structure(Table):
-    """Matrices from elsewhere, in Matrix Market files beside the scene, instead of a plate.
+    """Matrices from elsewhere, in files beside the scene, instead of a plate.
 
     M u'' + C u' + K u + B lambda(g) = f(t), g = B^T u - g0. The tables [geometry], [material],
-    [mesh], [crack] and [base] and the force of [excitation] are then left out.
+    [mesh], [crack] and [base] are then left out. Matrices are in Matrix Market files, or in those
+    of CalculiX (.sti, .mas), Abaqus (.mtx) or Nastran (.pch); columns in Matrix Market files. With
+    the model that they are of, the load may act at excitation.point, and where there is contact
+    without a file of the gaps, the pairs are found.
     """
 
-    mass: str = path("the path of a Matrix Market file: (n, n)", MISSING)
+    mass: str = path("the path of a file: (n, n)", MISSING)
     """[kg]"""
-    stiffness: str = path("the path of a Matrix Market file: (n, n)", MISSING)
+    stiffness: str = path("the path of a file: (n, n)", MISSING)
     """[N/m]"""
-    gap: str | None = path("the path of a Matrix Market file: (n, n_pairs)")
-    """B, which makes the gaps of the contact pairs of the displacements; left out: no pairs."""
-    damping: str | None = path("the path of a Matrix Market file: (n, n)")
+    model: str | None = path("the path of the input file of the program that made the matrices")
+    """Nodes and elements: of CalculiX or Abaqus (.inp), Nastran (.bdf, .dat, .nas), or a table of
+    node, x, y, z [m] between commas."""
+    dofs: str | None = path("the path of a file: node and direction of each row")
+    """For Matrix Market files with a model: "12.3" or "7 12 UZ" on each line; of CalculiX the .dof
+    beside the stiffness where it is left out."""
+    gap: str | None = path("the path of a file: (n, n_pairs)")
+    """B, which makes the gaps of the contact pairs of the displacements; left out: none, or those
+    of the model."""
+    damping: str | None = path("the path of a file: (n, n)")
     """C [N s/m]; or the table [damping]."""
     force_sin: str | None = path("the path of a Matrix Market file: (n, 1)")
     force_cos: str | None = path("the path of a Matrix Market file: (n, 1)")
     force_mean: str | None = path("the path of a Matrix Market file: (n, 1)")
-    """[N]"""
+    """[N]; or the force of [excitation] at its point."""
     clearance: float | str = path(
         f"a finite number {OR_ZERO}, or the path of a Matrix Market file: (n_pairs, 1)", 0.0, "m"
     )
@@ -520,8 +556,8 @@ class Structure(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        loads = (self.force_sin, self.force_cos, self.force_mean)
-        self.require(any(loads), "force_sin", "given, or force_cos or force_mean: what moves it")
+        moved = any((self.force_sin, self.force_cos, self.force_mean, self.model))
+        self.require(moved, "force_sin", "given, or force_cos or force_mean: what moves it")
 
 
 @dataclass(frozen=True)
@@ -655,9 +691,10 @@ class Identify(Table):
         "a list of finite numbers > 0", lambda values: min(values, default=1.0) > 0, ()
     )
     """Further load frequencies at which measuring is considered [Hz]."""
-    finer: float = between("1", "4", 2.0)
+    finer: float = between("0.25", "4", 0.5)
     """How much finer the mesh is, and how many more harmonics there are, in the few cases that
-    correct the model and tell its error; 1: neither."""
+    correct the model and tell its error; 1: neither. Below 1 these few have the scene's own mesh,
+    and the others one that is coarser: 0.5 has elements twice as long."""
     harmonic_deviation: float = between("0", "1", 0.05)
     """Least standard deviation of the computed second harmonic of the crack, over its value, and of
     the k-th k - 1 times as much: contact on a coarse mesh makes them uneven, and all of them

@@ -26,7 +26,7 @@ from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import Modes, n_tied_modes, solve_modes, times
 from fenics_crack.model.rotation import static_state
 from fenics_crack.model.structure import Structure
-from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.scene import Scene, check_scene
 from fenics_crack.study.key_figures import damping_ratios
 from fenics_crack.table import RPM, UNITS, Tabular, counted, with_frequency
 
@@ -187,6 +187,7 @@ def campbell(
     --------
     >>> diagram = fc.campbell(blade, [0.0, 150.0, 300.0], count=2)
     """
+    check_scene(scene)
     if scene.rotation is None:
         raise InputError("rotation", None, "given: a table with hub_radius")
     check_count("count", count, 1)

@@ -50,7 +50,7 @@ class KeyFigures:
     damping : (at most 4,)
         Ratios of critical damping of the open modes.
     stiffening : float
-        S = d(w_1^2) / d(W^2) = phi_1^T K_1 phi_1 of the first open mode under rotation; 0 without.
+        S = (w_1^2 - w_1(0)^2) / W^2 of the first open mode under rotation; 0 without.
     own_stiffness : (n_pairs,) [N/m]
         1 / (B^T K^-1 B)_jj: of the lips themselves, pair by pair.
     stiffness_ratio : (n_pairs,) or None
@@ -179,10 +179,12 @@ def _static(factor: Factor, modes: Modes, forces: np.ndarray) -> np.ndarray:
 
 
 def _stiffening(whole: Structure, shape: np.ndarray) -> float:
-    """phi^T K_1 phi of a mass-normalised mode (n_local,)."""
+    """phi^T (K(W) - K(0)) phi / W^2 of a mass-normalised mode (n_local,)."""
     if whole.rotation is None:
         return 0.0
-    return float(whole.sum_over_ranks(shape @ times(whole.rotation.stiffness, shape[:, None]))[0])
+    parts = (whole.stiffness, 1.0), (whole.rotation.at_rest.stiffness, -1.0)
+    added = sum(sign * times(matrix, shape[:, None])[:, 0] for matrix, sign in parts)
+    return float(whole.sum_over_ranks(shape @ added)) / whole.rotation.speed**2
 
 
 def _elements(scene: Scene, whole: Structure) -> int | None:

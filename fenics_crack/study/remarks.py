@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from fenics_crack.fem.lips import SAME
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
@@ -137,7 +138,7 @@ def _plate(scene: Scene) -> Remarks:
 
 def _rotor(scene: Scene) -> Remarks:
     table = scene.rotation
-    if table is None:
+    if table is None or table.hub_radius is None:
         return
     hub, tip = table.hub_radius, table.hub_radius + (scene.geometry.height or 0.0)
     key = "rotation.hub_radius"
@@ -159,7 +160,7 @@ def _probes(scene: Scene) -> Remarks:
         yield Remark("tip_timing.probes", list(table.probes), text)
     height = None if scene.structure else scene.geometry.height
     usual, text = (0.0, LARGEST_SIDE), "farther from the axis than a blade's tip"
-    if rotation is not None and height is not None:
+    if rotation is not None and rotation.hub_radius is not None and height is not None:
         hub = rotation.hub_radius
         usual = hub, hub + 2.0 * height
         text = f"the plate is {hub:g} to {hub + height:g} m from the axis"
@@ -247,7 +248,7 @@ def _of_one_direction(vectors: Sequence[Any]) -> bool:
 
 
 def _between_nodes(scene: Scene, structure: Structure) -> Remarks:
-    """A load that acts far from all nodes, for its elements."""
+    """A load that acts far from all nodes, for its elements; of a model from elsewhere at all."""
     if structure.nodes is None:
         return
     nodes, comm = structure.nodes, structure.comm
@@ -258,11 +259,16 @@ def _between_nodes(scene: Scene, structure: Structure) -> Remarks:
             continue
         distance = np.linalg.norm(points - point, axis=1)
         nearest = int(np.argmin(distance))
+        place = ", ".join(f"{x:.6g}" for x in points[nearest].round(12) + 0.0)
+        if scene.structure is not None:
+            if distance[nearest] > SAME * np.ptp(points, axis=0).max():
+                text = f"no node is there: the force acts on the nearest one, at ({place})"
+                yield Remark(f"{name}.point", list(point), text)
+            continue
         corners = points[cells[np.any(cells == nearest, axis=1)]]
         if distance[nearest] > np.ptp(corners, axis=1).max(axis=1).min() / 2.0:
-            x, y = points[nearest].round(12) + 0.0
             text = (
-                f"more than half an element from the nearest node, at ({x:.6g}, {y:.6g}): the "
+                f"more than half an element from the nearest node, at ({place}): the "
                 "force acts on all nodes of its element; a smaller mesh.size brings one nearer"
             )
             yield Remark(f"{name}.point", list(point), text)

@@ -28,7 +28,7 @@ from fenics_crack.model.reduction import MODES
 from fenics_crack.model.rotation import run_up_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import on_root
-from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.scene import Scene, check_scene
 from fenics_crack.scene.tables import Integration
 from fenics_crack.stability.floquet import floquet
 from fenics_crack.stages import begin
@@ -312,6 +312,7 @@ def curve(
     """
     from fenics_crack.curves.follow import continue_frequency, continue_parameter
 
+    check_scene(scene)
     table, balance = scene.curve, scene.harmonic_balance
     if table is None:
         raise InputError("curve", None, "given for this command: a table with start and stop")
@@ -393,6 +394,7 @@ def integrate(
     --------
     >>> fc.integrate(scene.replace({"integration.periods": 5})).result.settled
     """
+    check_scene(scene)
     table = scene.integration or Integration()
     if comm.size > 1 and scene.reduction is not None and scene.reduction.method == "off":
         raise InputError("reduction.method", "off", "a reduction, or one rank, for this command")

@@ -24,6 +24,7 @@ from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.stability.floquet import floquet
 from fenics_crack.study.prepare import REFUSALS, Study, law_of, prepare
+from fenics_crack.study.tips import numbers_of_motion, tip_rows
 from fenics_crack.sweep.file import AT_POINTS, COLUMNS, OPEN, PHASES, of_load
 from fenics_crack.sweep.plan import FORCES, Chunk
 from fenics_crack.table import with_frequency
@@ -91,6 +92,8 @@ def build(
         method = "off" if scene.reduction is None else scene.reduction.method
         allowed = f"one that leaves fewer than {structure.n_dofs} coordinates"
         raise InputError("reduction.method", method, allowed)
+    if scene.tip_quantities:
+        tip_rows(study)  # with all ranks of the group, for its cases
     lengths = [crack.length for crack in study.scene.all_cracks.values()]
     named = [watched for watched in study.watched if watched.name]
     rows = np.zeros((0, structure.n_dofs))
@@ -155,6 +158,9 @@ def solve_chunk(geometry: Geometry, chunk: Chunk, *, verdicts: bool, judged: boo
             if not judged:
                 measured.pop("reduction_error")
             found |= measured | _seen(solution, case, geometry)
+            if case.tip_quantities:
+                at_tips = numbers_of_motion(geometry.study, solution)
+                found |= {name: at_tips[name] for name in case.tip_quantities}
             if verdicts:
                 found |= cases.verdict(solution)
                 if reason := found.pop("reason", ""):

@@ -116,12 +116,18 @@ BLANKS: dict[str, Any] = {"f": np.nan, "i": 0, "S": b""}
 
 
 def columns_of(scene: Scene) -> dict[str, tuple[str, str]]:
-    """The :data:`COLUMNS` of a scene's sweep and those of its points, "tip.ux.ratio_2_1"."""
-    return COLUMNS | {
-        f"{point}.{name}": (unit, "f8")
-        for point in scene.point_names
-        for name, unit in (AT_POINTS | PHASES).items()
-    }
+    """The :data:`COLUMNS` of a scene's sweep, those of its points, "tip.ux.ratio_2_1", and the
+    stress intensities that it asks for."""
+    at_tips = {name: (QUANTITIES[name][1], "f8") for name in scene.tip_quantities}
+    return (
+        COLUMNS
+        | at_tips
+        | {
+            f"{point}.{name}": (unit, "f8")
+            for point in scene.point_names
+            for name, unit in (AT_POINTS | PHASES).items()
+        }
+    )
 
 
 def shape_of(scene: Scene) -> tuple[int, ...]:

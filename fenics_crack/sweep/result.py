@@ -46,7 +46,7 @@ from fenics_crack.model.nodes import AXES
 from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.quantities import OF_POINTS, QUANTITIES
-from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.scene import Scene, check_scene
 from fenics_crack.scene.words import unit_of
 from fenics_crack.study.prepare import law_of
 from fenics_crack.sweep.case import build
@@ -123,6 +123,7 @@ def run_sweep(
     >>> swept = scene.replace({"sweep.over": {"excitation.omega": [1900.0, 2000.0]}})
     >>> table = fc.run_sweep(swept, "sweep.h5").to_dict()
     """
+    check_scene(scene)
     ranks = _ranks_of_a_case(scene, comm)
     managers: list[Manager] = []
 

@@ -10,13 +10,17 @@ from typing import Any
 import gmsh
 import numpy as np
 import pytest
+import scipy.sparse as sparse
+from helpers import csr
 from mpi4py import MPI
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
 from fenics_crack.fem.crack_surface import FACETS, SolidCells, split_surface
+from fenics_crack.fem.found_pairs import coincident
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.fem.plate import build_mesh
+from fenics_crack.fem.solid import _cells
 from fenics_crack.parallel import gather_rows
 
 WIDTH, HEIGHT, THICKNESS = 0.03, 0.09, 0.006
@@ -81,6 +85,30 @@ def test_lips_are_those_of_the_crack(cracked: tuple[fc.Structure, float, dict[st
     assert 0.0 < structure.pair_areas.min()
     assert structure.pair_areas.sum() < 0.5 * both
     assert list(structure.watched_pairs) == ["the mouth"]
+
+
+def test_areas_of_patches_are_those_of_their_facets(
+    cracked: tuple[fc.Structure, float, dict[str, Any]],
+) -> None:
+    """A third of each triangle around: those of the pairs are the structure's, and with those at
+    the front they are the crack's area."""
+    structure, area, crack = cracked
+    mesh = NodalMesh(structure)
+    facets = mesh.boundary_facets[mesh.lip_facets]
+    corners = mesh.points[facets]
+    sizes = np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    shares: dict[tuple[float, ...], float] = {}
+    for places, size in zip(corners.round(9), 0.5 * sizes, strict=True):
+        for place in places:
+            shares[tuple(place)] = shares.get(tuple(place), 0.0) + size / 6.0  # of both lips
+    assert structure.pair_points is not None and structure.pair_areas is not None
+    own = [shares[tuple(point)] for point in structure.pair_points.round(9)]
+    assert structure.pair_areas == pytest.approx(own, rel=1e-12)
+    assert len(shares) > len(own)
+    if "front" not in crack:
+        assert sum(shares.values()) == pytest.approx(area, rel=1e-12)
 
 
 def test_pairs_measure_the_gap(cracked: tuple[fc.Structure, float, dict[str, Any]]) -> None:
@@ -163,6 +191,99 @@ def test_a_surface_on_the_outside_is_refused() -> None:
     cells = SolidCells(CUBES, FACETS[8], tuple((i,) for i in range(8)))
     with pytest.raises(InputError, match="inside the solid"):
         split_surface(cells, np.array([[0, 1, 3, 2]]), places)
+
+
+def draw_surface(curved: bool, inside: bool, order: int) -> list[int]:
+    """Mesh a cube of 1 m with a crack, plane or a part of a cylinder, from the side x = 0 to its
+    middle, or an inner disk; the groups of its cells, its crack, and its mouth, if it has one."""
+    occ = gmsh.model.occ
+    box = [(3, occ.addBox(0.0, 0.0, 0.0, 1.0, 1.0, 1.0))]
+    if inside:
+        face = [(2, occ.addDisk(0.5, 0.5, 0.5, 0.3, 0.2))]
+    else:
+        end = (0.4, math.hypot(0.4, 0.5)) if curved else (0.5, 0.5)
+        ends = occ.addPoint(0.0, 0.5, 0.0), occ.addPoint(*end, 0.0)
+        arc = (ends[0], occ.addPoint(0.4, 0.0, 0.0), ends[1])
+        line = occ.addCircleArc(*arc) if curved else occ.addLine(*ends)
+        face = [one for one in occ.extrude([(1, line)], 0.0, 0.0, 1.0) if one[0] == 2]
+    made = occ.fragment(box, face)[1][1]
+    occ.synchronize()
+    crack, mouth = [tag for _, tag in made], []
+    for _, tag in gmsh.model.getEntities(1):
+        low, high = np.reshape(gmsh.model.getBoundingBox(1, tag), (2, 3))
+        outer = any(low[i] > at - 1e-6 and high[i] < at + 1e-6 for i in range(3) for at in (0, 1))
+        if outer and tag in np.concatenate([gmsh.model.getAdjacencies(2, one)[1] for one in crack]):
+            mouth.append(tag)
+    groups = [
+        gmsh.model.addPhysicalGroup(3, [tag for _, tag in gmsh.model.getEntities(3)]),
+        gmsh.model.addPhysicalGroup(2, crack),
+    ]
+    if mouth:
+        groups.append(gmsh.model.addPhysicalGroup(1, mouth))
+    gmsh.option.setNumber("Mesh.MeshSizeMax", 0.13)
+    gmsh.model.mesh.generate(3)
+    gmsh.model.mesh.setOrder(order)
+    return groups
+
+
+def cells_of_model() -> tuple[np.ndarray, np.ndarray]:
+    """Nodes of the tetrahedra of the current model, by their places in the other array: positions
+    of all nodes."""
+    numbers, positions, _ = gmsh.model.mesh.getNodes()
+    order = np.argsort(numbers)
+    places = positions.reshape(-1, 3)[order]
+    ((kind,), _, (nodes,)) = gmsh.model.mesh.getElements(3)
+    size = gmsh.model.mesh.getElementProperties(kind)[3]
+    return np.searchsorted(numbers[order], nodes).reshape(-1, size), places
+
+
+def sharing(cells: np.ndarray, places: np.ndarray) -> set[tuple[tuple[float, ...], frozenset[int]]]:
+    """Of each node its position and the cells that have it."""
+    rows = np.argsort(cells.ravel(), kind="stable")
+    nodes, starts = np.unique(cells.ravel()[rows], return_index=True)
+    groups = np.split(rows // cells.shape[1], starts[1:])
+    return {
+        (tuple(places[node].round(9)), frozenset(group.tolist()))
+        for node, group in zip(nodes, groups, strict=True)
+    }
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("shape", ["plane", "curved", "inside"])
+def test_cracks_are_split_as_by_gmsh(shape: str, order: int) -> None:
+    """Its plugin gives every cell nodes that it shares with the same cells. The surface of what is
+    left has Euler's number of a ball: V - E + F = 2, and of a ball with a hole inside: 4."""
+    gmsh.initialize(readConfigFiles=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.model.add("cube")
+        _, crack, *mouth = draw_surface(shape == "curved", shape == "inside", order)
+        cells, places = cells_of_model()
+        numbers = np.sort(gmsh.model.mesh.getNodes()[0])
+        facets = []
+        for tag in gmsh.model.getEntitiesForPhysicalGroup(2, crack):
+            _, _, (nodes,) = gmsh.model.mesh.getElements(2, tag)
+            facets.append(np.searchsorted(numbers, nodes).reshape(-1, 3 * order))
+        kind = gmsh.model.mesh.getElements(3)[0][0]
+        solid_cells = _cells(kind, cells)
+        nodes, twins, _, found = split_surface(solid_cells, np.concatenate(facets), places)
+        own = sharing(nodes, np.concatenate([places, places[twins]]))
+        for name, value in [("Dimension", 2), ("PhysicalGroup", crack)]:
+            gmsh.plugin.setNumber("Crack", name, value)
+        gmsh.plugin.setNumber("Crack", "OpenBoundaryPhysicalGroup", mouth[0] if mouth else 0)
+        gmsh.plugin.run("Crack")
+        assert own == sharing(*cells_of_model())
+    finally:
+        gmsh.finalize()
+    assert len(twins) > 5 and found[0].has_mouth == (shape != "inside")
+    corners = nodes[:, FACETS[4]].reshape(-1, 3)
+    _, first, uses = np.unique(
+        np.sort(corners, axis=1), axis=0, return_index=True, return_counts=True
+    )
+    outer = corners[first[uses == 1]]
+    edges = np.unique(np.sort(outer[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
+    euler = len(np.unique(outer)) - len(edges) + len(outer)
+    assert euler == (4 if shape == "inside" else 2)
 
 
 # --- frequencies ----------------------------------------------------------------------------------
@@ -303,6 +424,25 @@ def test_mesh_files_are_split_at_their_crack(tmp_path: Path, order: int) -> None
     assert structure.n_pairs > 5
     fine = frequencies(solid(THROUGH, **{"mesh.size": 0.006, "mesh.lip_elements": 4}), 3)
     assert frequencies(scene, 3) == pytest.approx(fine, rel=0.015)
+
+
+def test_lips_tied_in_every_direction_are_no_crack(tmp_path: Path) -> None:
+    """The patch test: with all nodes of both lips at one, the solid is the one that was not split,
+    to 1e-9."""
+    for name, crack in (("cracked", True), ("whole", False)):
+        write_box(tmp_path / f"{name}.msh", 2, crack=crack)
+    cracked = fc.build_structure(of_file(tmp_path / "cracked.msh"))
+    whole = fc.build_structure(of_file(tmp_path / "whole.msh").replace({"contact": None}))
+    assert cracked.nodes is not None
+    dofs, twins = cracked.nodes.dofs, coincident(cracked.nodes.points)
+    assert cracked.n_dofs == whole.n_dofs + 3 * len(twins)
+    kept = np.arange(cracked.n_dofs)
+    kept[dofs[twins[:, 1]]] = dofs[twins[:, 0]]
+    _, columns = np.unique(kept, return_inverse=True)
+    tie = sparse.csr_matrix((np.ones(len(kept)), (np.arange(len(kept)), columns.ravel())))
+    tied = [tie.T @ csr(matrix) @ tie for matrix in (cracked.mass, cracked.stiffness)]
+    found = fc.solve_modes(fc.Structure.from_matrices(*tied, None), 6).omega
+    assert found == pytest.approx(fc.solve_modes(whole, 6).omega, rel=1e-9)
 
 
 def write_hexahedra(path: Path, *, incomplete: bool = False) -> None:

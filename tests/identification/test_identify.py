@@ -235,6 +235,25 @@ def test_remark_on_the_size_of_the_load(scene: fc.Scene) -> None:
         assert remarks_on(changed, fc.Measurements((replace(row, quantity="harmonic_1"),))) == ()
 
 
+def test_coarser_mesh_for_most(scene: fc.Scene, tmp_path: Path) -> None:
+    """With finer = 0.5, the default, the few have the scene's mesh and all others a coarser one;
+    what that changes is corrected."""
+    truth = {"crack.length": 0.022}
+    rows = natural_of(measured(scene, truth, 3))
+    lengths = {"crack.length": [0.008, 0.014, 0.02, 0.026, 0.032]}
+    found = {
+        finer: fc.identify(
+            scene.replace(EXACT | {"identify.finer": finer}), rows, lengths, folder=tmp_path / name
+        )
+        for name, finer in (("half", 0.5), ("none", 1.0))
+    }
+    sizes = [SweepResult.load(path).scene.mesh.size for path in sorted(tmp_path.glob("half/f*.h5"))]
+    assert sorted(sizes) == [0.03, 0.06] and scene.identify is not None
+    assert type(scene.identify)(scene.identify.unknown).finer == 0.5
+    off = [abs(one.estimate["crack.length"] - 0.022) for one in found.values()]
+    assert found[0.5].contains(truth) and off[0] < off[1]
+
+
 def test_frequencies_do_not_tell_the_edge(scene: fc.Scene, folder: Path) -> None:
     """It is said; and with the edge unknown both cracks are reported."""
     rows = measured(scene, {"crack.length": 0.02, "crack.height": 0.08}, 5)

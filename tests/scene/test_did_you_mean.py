@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from test_scene import GOOD, changed
 
+import fenics_crack as fc
 from fenics_crack import InputError, Scene
 
 
@@ -63,3 +64,13 @@ def test_in_a_change(key: str, question: str) -> None:
     with pytest.raises(InputError) as caught:
         Scene.from_mapping(GOOD).replace({key: 1.0})
     assert caught.value.key == key and question in caught.value.allowed
+
+
+@pytest.mark.parametrize(
+    "verb", ["solve", "modes", "curve", "integrate", "verify", "run_sweep", "campbell", "identify"]
+)
+def test_a_path_is_not_its_scene(verb: str) -> None:
+    """A natural first guess: it is said how a scene is loaded."""
+    more = {"campbell": [[0.0, 1.0]], "identify": ["measured.csv"]}.get(verb, [])
+    with pytest.raises(InputError, match=r"^scene = 'plate\.toml': .*fc\.Scene\.load\(path\)"):
+        getattr(fc, verb)("plate.toml", *more)

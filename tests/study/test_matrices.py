@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.io
 import scipy.sparse as sparse
-from helpers import DEMOS, relative
+from helpers import DEMOS, csr, relative
 from mpi4py import MPI
 from surroundings import main
 
@@ -34,8 +34,7 @@ def scene(plate: Scene, tmp_path: Path) -> Scene:
     parts = {"gap": whole.gap, "force": sparse.csr_matrix(force[:, None])}
     parts["clearance"] = sparse.csr_matrix(whole.clearance[:, None])
     for name in ("mass", "stiffness"):
-        starts, columns, values = getattr(whole, name).getValuesCSR()
-        parts[name] = sparse.csr_matrix((values, columns, starts))
+        parts[name] = csr(getattr(whole, name))
     for name, part in parts.items():
         scipy.io.mmwrite(tmp_path / f"{name}.mtx", part, precision=17)
     text = """

@@ -57,7 +57,7 @@ def test_second_order_with_contact_that_begins_within_steps(damping: str) -> Non
     """A chain with three pairs against the exact flow, every kind of damping."""
     structure, law = chain(damping), fc.UnilateralPenalty(4.0)
     exact = fc.integrate_events(structure, 0.8, law, periods=2, steps_per_period=64)
-    counts = (64, 128, 256, 512, 1024)
+    counts = (64, 128, 256, 512)
     for radius in (1.0, 0.8):
         errors = []
         for steps in counts:
@@ -66,7 +66,7 @@ def test_second_order_with_contact_that_begins_within_steps(damping: str) -> Non
             )
             errors.append(relative(history.gap[:: steps // 64], exact.gap))
         assert log_slope(counts, errors) == pytest.approx(-2.0, abs=0.1)
-        assert errors[-1] < 1e-3
+        assert errors[-1] < 4e-3
 
 
 @pytest.mark.verification
@@ -101,14 +101,14 @@ def test_smoothed_law_is_that_of_central_differences(soft_plate: fc.Structure) -
     law = fc.SmoothedPenalty(1e9, 1e8)
     options = {"periods": 3, "record_periods": 1, "initial": None}
     errors = []
-    for steps in (512, 1024, 2048):
+    for steps in (256, 512, 1024):
         one, two = (
             scheme(soft_plate, 2000.0, law, steps_per_period=steps, **options)  # type: ignore[operator]
             for scheme in SCHEMES
         )
         errors.append(relative(two.gap, one.gap))
         assert np.array_equal(two.contact_force, law.force(two.gap))
-    assert errors[-1] < 2e-3 and log_slope([512, 1024, 2048], errors) < -1.5
+    assert errors[-1] < 8e-3 and log_slope([256, 512, 1024], errors) < -1.5
 
 
 # --- stability and energy -------------------------------------------------------------------------
@@ -121,10 +121,10 @@ def test_smoothed_law_is_that_of_central_differences(soft_plate: fc.Structure) -
     ids=["penalty", "smoothed", "constraint"],
 )
 def test_long_steps_are_stable(paper_structure: fc.Structure, law: Any, radius: float) -> None:
-    """The paper's own data, steps 50 times longer than explicit ones may be, 100 periods."""
+    """The paper's own data, steps 50 times longer than explicit ones may be, 30 periods."""
     least = fc.stable_steps_per_period(paper_structure, 2000.0, law)
     history = fc.integrate_implicit(
-        paper_structure, 2000.0, law, periods=100, steps_per_period=least // 50,
+        paper_structure, 2000.0, law, periods=30, steps_per_period=least // 50,
         spectral_radius=radius,
     )  # fmt: skip
     assert np.abs(history.gap).max() < 1e-5
@@ -265,17 +265,19 @@ def test_order_without_penetration(damping: str) -> None:
     assert log_slope(counts, errors) < -1.8 and errors[-1] < 5e-4
 
 
-@both_schemes
+@pytest.mark.parametrize(("scheme", "start"), zip(SCHEMES, (None, 5), strict=True))
 def test_paper_plate_without_penetration(
-    scheme: Callable[..., fc.TimeHistory], soft_plate: fc.Structure
+    scheme: Callable[..., fc.TimeHistory], start: int | None, soft_plate: fc.Structure
 ) -> None:
-    """Settles from rest on the harmonic balance of the same constraint; the mean force is its."""
+    """Settles, from rest or from few harmonics, on the harmonic balance of the same constraint; the
+    mean force is its."""
+    solution = fc.solve_harmonic_balance(soft_plate, 2000.0, RIGID, harmonics=40)
+    few = start and fc.solve_harmonic_balance(soft_plate, 2000.0, RIGID, harmonics=start)
     history = scheme(
         soft_plate, 2000.0, RIGID, periods=200, steps_per_period=512, settle=1e-6,
-        record_periods=1,
+        record_periods=1, initial=few,
     )  # fmt: skip
-    solution = fc.solve_harmonic_balance(soft_plate, 2000.0, RIGID, harmonics=40)
-    assert history.settled < 1e-6
+    assert history.settled < 1e-6 and history.periods > 5
     assert relative(history.gap, solution.gap(history.time)) < 5e-3
     force = solution.contact_force(history.time).mean()
     assert history.contact_force.mean() == pytest.approx(force, rel=1e-3)
@@ -290,17 +292,17 @@ def test_limit_of_stiff_penalty_in_lasting_contact(scheme: Callable[..., fc.Time
         np.eye(2), stiffness, [1.0, 0.0], force_mean=[3.0, 0.0], force_sin=[0.0, 0.5],
         damping=0.2 * stiffness,
     )  # fmt: skip
-    steps = 4000
+    steps, stiffnesses = 1000, (1e2, 3e2, 1e3)
     rigid = scheme(structure, 0.6, RIGID, periods=4, steps_per_period=steps)
     assert np.abs(rigid.gap).max() < 1e-12
     errors, forces = [], []
-    for k in (1e2, 1e3, 1e4):
+    for k in stiffnesses:
         soft = scheme(structure, 0.6, fc.UnilateralPenalty(k), periods=4, steps_per_period=steps)
         last = slice(3 * steps, None)
         errors.append(relative(soft.displacement([1])[last], rigid.displacement([1])[last]))
         forces.append(relative(soft.contact_force[last], rigid.contact_force[last]))
-    assert log_slope([1e2, 1e3, 1e4], errors) == pytest.approx(-1.0, abs=0.1)
-    assert errors[-1] < 1e-3 and forces[-1] < 2e-3
+    assert log_slope(stiffnesses, errors) == pytest.approx(-1.0, abs=0.1)
+    assert errors[-1] < 1e-2 and forces[-1] < 2e-2
 
 
 # --- reduced structures, runs that go on, ranks, arguments ----------------------------------------
@@ -325,7 +327,7 @@ def test_reduced_structure(wide_plate: fc.Structure, method: str, law: Any) -> N
 @pytest.mark.parametrize("law", [fc.UnilateralPenalty(4.0), RIGID], ids=["penalty", "constraint"])
 def test_a_run_goes_on_from_another(law: Any) -> None:
     """Two periods and two more are four, to the scheme's order."""
-    structure, errors, counts = chain("modal"), [], (200, 400, 800)
+    structure, errors, counts = chain("modal"), [], (100, 200, 400)
     for steps in counts:
         options = {"steps_per_period": steps, "record_periods": 1}
         whole = fc.integrate_implicit(structure, 0.8, law, periods=4, **options)  # type: ignore[arg-type]
@@ -361,7 +363,7 @@ def test_no_pairs() -> None:
 def motion(scene: fc.Scene, comm: MPI.Comm) -> np.ndarray:
     """Gaps with both laws, and without penetration by central differences (collective)."""
     plate = fc.build_structure(scene, comm)
-    options = {"periods": 3, "steps_per_period": 300}
+    options = {"periods": 2, "steps_per_period": 240}
     histories = [
         fc.integrate_implicit(plate, 2000.0, LAW, **options),  # type: ignore[arg-type]
         fc.integrate_implicit(plate, 2000.0, RIGID, **options),  # type: ignore[arg-type]

@@ -1,18 +1,21 @@
-"""Plates as input files of CalculiX, run, and its tables read."""
+"""Plates and solids as input files of CalculiX, run, and its tables read."""
 
 from __future__ import annotations
 
 import re
 import shutil
 import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
 import fenics_crack as fc
+from fenics_crack.scene.tables import Structure
 
-CORNERS = {"CPE6": 6, "CPE8": 8, "CPS8": 8, "C3D8": 4}
+CORNERS = {"CPE6": 6, "CPE8": 8, "CPS8": 8, "C3D8": 4, "C3D10": 10}
 """Nodes of a cell that an element of CalculiX takes, in VTK's order, which is its own."""
 
 
@@ -26,22 +29,24 @@ def calculix() -> str | None:
 
 
 def mesh_lines(structure: fc.Structure, scene: fc.Scene, element: str) -> list[str]:
-    """Nodes, elements, material and clamp of a plate.
+    """Nodes, elements, material and clamp of a plate, or of a solid of C3D10.
 
     The nodes of the lips are double, as ours are. Nodes and dofs count from 1. Numbers
-    may have 20 characters. All but CPS8 are in plane strain: they get E (1 + 2 nu) / (1 + nu)^2 and
-    nu / (1 + nu), with which plane strain is plane stress with E and nu. C3D8 is a layer of bricks
-    of the plate's thickness between two planes; the nodes of the second have the numbers of the
-    first, increased by the number of nodes.
+    may have 20 characters. Of plates all but CPS8 are in plane strain: they get E (1 + 2 nu) /
+    (1 + nu)^2 and nu / (1 + nu), with which plane strain is plane stress with E and nu. C3D8 is a
+    layer of bricks of the plate's thickness between two planes; the nodes of the second have the
+    numbers of the first, increased by the number of nodes.
     """
     assert structure.nodes is not None
     points, dofs = structure.nodes.points, structure.nodes.dofs
-    solid, thickness = element == "C3D8", scene.geometry.thickness
-    cells = _counterclockwise(points, structure.nodes.cells[:, : CORNERS[element]])
+    solid, layer = points.shape[1] == 3, element == "C3D8"
+    thickness = scene.geometry.thickness
+    cells = structure.nodes.cells[:, : CORNERS[element]]
+    cells = cells if solid else _counterclockwise(points, cells)
     used = np.unique(cells)
     clamped = np.argwhere(dofs < 0)
     lines = ["*NODE, NSET=FRONT", *_nodes(points, used, 0, 0.0)]
-    if solid:
+    if layer:
         cells = np.hstack([cells, cells + len(points)])
         lines += ["*NODE, NSET=BACK", *_nodes(points, used, len(points), thickness)]
     lines += [f"*ELEMENT, TYPE={element}, ELSET=PLATE"]
@@ -49,18 +54,18 @@ def mesh_lines(structure: fc.Structure, scene: fc.Scene, element: str) -> list[s
         f"{i + 1}, " + ", ".join(str(node + 1) for node in cell) for i, cell in enumerate(cells)
     ]
     young, poisson = scene.material.young, scene.material.poisson
-    if element != "CPS8":
+    if not solid and element != "CPS8":
         young, poisson = young * (1 + 2 * poisson) / (1 + poisson) ** 2, poisson / (1 + poisson)
     lines += ["*MATERIAL, NAME=M", "*ELASTIC", f"{young:.13e}, {poisson:.13e}"]
     lines += ["*DENSITY", f"{scene.material.density:.13e}"]
     if scene.damping.stiffness:
         lines += [f"*DAMPING, ALPHA=0.0, BETA={scene.damping.stiffness:.13e}"]
     lines += ["*SOLID SECTION, ELSET=PLATE, MATERIAL=M"]
-    lines += [] if solid else [f"{thickness:.13e}"]
+    lines += [] if solid or layer else [f"{thickness:.13e}"]
     lines += ["*BOUNDARY"]
-    for shift in (0, len(points)) if solid else (0,):
+    for shift in (0, len(points)) if layer else (0,):
         lines += [f"{node + 1 + shift}, {axis + 1}" for node, axis in clamped if node in used]
-    return lines + (["FRONT, 3", "BACK, 3"] if solid else [])
+    return lines + (["FRONT, 3", "BACK, 3"] if layer else [])
 
 
 def _counterclockwise(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
@@ -74,7 +79,11 @@ def _counterclockwise(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
 
 
 def _nodes(points: np.ndarray, used: np.ndarray, shift: int, z: float) -> list[str]:
-    return [f"{i + 1 + shift}, {points[i, 0]:.13e}, {points[i, 1]:.13e}, {z:.13e}" for i in used]
+    places = np.column_stack([points, np.full(len(points), z)])[used, :3].tolist()
+    return [
+        f"{i + 1 + shift}, " + ", ".join(f"{x:.13e}" for x in place)
+        for i, place in zip(used, places, strict=True)
+    ]
 
 
 def ties(structure: fc.Structure) -> list[str]:
@@ -115,17 +124,36 @@ def contact_lines(structure: fc.Structure, scene: fc.Scene) -> list[str]:
 def run(lines: list[str]) -> str:
     """What CalculiX writes into its .dat file."""
     with TemporaryDirectory() as folder:
-        path = Path(folder) / "plate.inp"
-        path.write_text("\n".join(lines) + "\n")
-        command = [str(shutil.which("ccx")), "-i", "plate"]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stdout[-2000:]
-        return path.with_suffix(".dat").read_text()
+        return _run_in(Path(folder), lines)
 
 
-def natural(lines: list[str], count: int) -> np.ndarray:
-    """Natural angular frequencies [rad/s] of a model."""
-    table = run([*lines, "*STEP", "*FREQUENCY", str(count), "*END STEP"])
+def _run_in(folder: Path, lines: list[str]) -> str:
+    (folder / "plate.inp").write_text("\n".join(lines) + "\n")
+    command = [str(shutil.which("ccx")), "-i", "plate"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-2000:]
+    return (folder / "plate.dat").read_text()
+
+
+@contextmanager
+def stored_matrices(lines: list[str], scene: fc.Scene) -> Iterator[fc.Scene]:
+    """The scene of a model by the matrices that CalculiX writes, with load, damping and contact of
+    another; the files are there as long as it is used."""
+    with TemporaryDirectory() as name:
+        step = ["*STEP", "*FREQUENCY, SOLVER=MATRIXSTORAGE", "1", "*END STEP"]
+        _run_in(Path(name), [*lines, *step])
+        yield fc.Scene(
+            structure=Structure(*(f"{name}/plate.{end}" for end in ("mas", "sti", "inp"))),
+            contact=scene.contact, damping=scene.damping, excitation=scene.excitation,
+        )  # fmt: skip
+
+
+def natural(lines: list[str], count: int, loads: list[str] | None = None) -> np.ndarray:
+    """Natural angular frequencies [rad/s] of a model, about the state that loads make of it."""
+    if loads:
+        lines = [*lines, "*STEP, NLGEOM", "*STATIC", *loads, "*END STEP"]
+    step = "*STEP, PERTURBATION" if loads else "*STEP"
+    table = run([*lines, step, "*FREQUENCY", str(count), "*END STEP"])
     return np.array([float(row[2]) for row in _numbers(table) if len(row) == 5][:count])
 
 

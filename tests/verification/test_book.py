@@ -3,6 +3,7 @@
 import beams  # each enters its cases
 import calculix
 import elements
+import fronts
 import impacts
 import oscillators
 import plates
@@ -12,7 +13,7 @@ import uncertainties
 from book import CASES, PAGES, differences, index
 
 pytestmark = pytest.mark.verification
-FILES = (oscillators, impacts, plates, beams, elements, calculix, programs, uncertainties)
+FILES = (oscillators, impacts, plates, beams, elements, fronts, calculix, programs, uncertainties)
 
 
 @pytest.mark.parametrize("name", CASES)

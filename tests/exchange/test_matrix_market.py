@@ -13,7 +13,7 @@ import pytest
 import scipy.io
 import scipy.sparse as sparse
 
-from fenics_crack.model.matrix_market import matrix_market_shape, read_matrix_market
+from fenics_crack.exchange.matrix_market import matrix_market_shape, read_matrix_market
 
 RANDOM = sparse.random(30, 30, 0.1, random_state=1).tocsr()
 KINDS = {"general": RANDOM, "symmetric": RANDOM + RANDOM.T, "skew-symmetric": RANDOM - RANDOM.T}

@@ -1,0 +1,1 @@
+"""Matrices and models as other programs write them."""

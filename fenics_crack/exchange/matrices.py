@@ -1,0 +1,208 @@
+"""Matrices whose rows have a node and a direction, as programs write them.
+
+==================  ==============================================================================
+.sti, .mas          CalculiX, ``*FREQUENCY, SOLVER=MATRIXSTORAGE``: row, column, value of one
+                    triangle; node and direction of each row in the .dof beside it
+.mtx                Abaqus, ``*MATRIX OUTPUT, FORMAT=MATRIX INPUT``: node, direction, node,
+                    direction, value of one triangle; or Matrix Market, as any other ending
+.pch                Nastran, ``PARAM,EXTOUT,DMIGPCH``: matrices KAAX, MAAX, BAAX of one triangle
+==================  ==============================================================================
+
+Rows of a Matrix Market file get their nodes from a file of their own: that of CalculiX, or what
+Ansys' ``HBMAT`` writes beside the matrix that ``*EXPORT`` writes.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse as sparse
+
+from fenics_crack.exchange.lines import numbered_lines, rows_of
+from fenics_crack.exchange.matrix_market import read_matrix_market
+
+__all__ = ["LabelledMatrix", "read_labels", "read_matrix"]
+
+CLAMPED = 1e36
+"""What Abaqus writes on the diagonal of a dof that is held."""
+DIRECTIONS = {"UX": 1, "UY": 2, "UZ": 3, "ROTX": 4, "ROTY": 5, "ROTZ": 6}
+"""Of Ansys."""
+_LABEL = re.compile(r"\s*(?:\d+\s+)?(\d+)[\s.,]+(\d|[A-Z]+)")
+"""Node and direction of a row: "12.3", or with its number "7 12 UZ"."""
+
+
+@dataclass(frozen=True)
+class LabelledMatrix:
+    """A square matrix, and what its rows are.
+
+    Attributes
+    ----------
+    matrix : (n, n)
+        Both triangles.
+    labels : (n, 2) int or None
+        Node and direction of each row, 1 to 3 along x, y, z; None: they are not known.
+    """
+
+    matrix: sparse.csr_matrix
+    labels: np.ndarray | None
+
+    def at(self, labels: np.ndarray) -> sparse.csr_matrix:
+        """The matrix with rows as labelled, zero where it has none.
+
+        Raises
+        ------
+        ValueError
+            It has a row that is not among them.
+        """
+        if self.labels is None or np.array_equal(self.labels, labels):
+            return self.matrix
+        places = {tuple(label): row for row, label in enumerate(labels.tolist())}
+        rows = [places.get(tuple(label), -1) for label in self.labels.tolist()]
+        if -1 in rows:
+            node, direction = self.labels[rows.index(-1)]
+            raise ValueError(f"node {node}, direction {direction} is no row of the stiffness")
+        entries, at = self.matrix.tocoo(), np.array(rows)
+        places_of = at[entries.row], at[entries.col]
+        return sparse.csr_matrix((entries.data, places_of), (len(labels), len(labels)))
+
+
+def read_matrix(
+    path: Path, kind: str, labels: Path | None = None, rows: int | None = None
+) -> LabelledMatrix:
+    """Read a matrix of any of the formats above.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    kind : str
+        "K", "M" or "B": what to take of a file that holds stiffness, mass and damping.
+    labels : Path, optional
+        The file with node and direction of each row.
+    rows : int, optional
+        How many it has, where that is known and the file does not name them.
+
+    Raises
+    ------
+    OSError, ValueError
+        A file cannot be read, or contradicts itself: with its line.
+    """
+    ending = path.suffix.lower()
+    if ending in (".sti", ".mas"):
+        return _of_calculix(path, labels or path.with_suffix(".dof"))
+    if ending == ".pch":
+        return _of_nastran(path, kind)
+    if ending == ".mtx" and _begins_as_abaqus(path):
+        return _of_abaqus(path)
+    return _of_matrix_market(path, labels, rows)
+
+
+def read_labels(path: Path) -> np.ndarray:
+    """Node and direction of each row: (n, 2); lines before the first of them are a heading.
+
+    Raises
+    ------
+    OSError, ValueError
+        As :func:`read_matrix`.
+    """
+    found: list[tuple[int, int]] = []
+    for number, line in numbered_lines(path, "#"):
+        match = _LABEL.fullmatch(line.rstrip())
+        direction = 0 if match is None else DIRECTIONS.get(match[2], 0)
+        if match is not None and match[2].isdigit():
+            direction = int(match[2])
+        if match is not None and direction:
+            found.append((int(match[1]), direction))
+        elif found:
+            raise ValueError(f"{path.name}, line {number}: {line[:80]!r} names no dof of a node")
+    if not found or len(set(found)) < len(found):
+        raise ValueError(f"{path.name}: {'a row twice' if found else 'no dof of a node'}")
+    return np.array(found)
+
+
+def _symmetric(
+    values: np.ndarray, rows: np.ndarray, columns: np.ndarray, n: int
+) -> sparse.csr_matrix:
+    """A matrix of one triangle, n x n."""
+    off = rows != columns
+    at = np.append(rows, columns[off]), np.append(columns, rows[off])
+    return sparse.csr_matrix((np.append(values, values[off]), at), (n, n))
+
+
+def _between_labels(ends: np.ndarray, values: np.ndarray, *, whole: bool) -> LabelledMatrix:
+    """A matrix of entries between two labels (m, 2, 2), of both triangles or of one."""
+    labels, places = np.unique(ends.reshape(-1, 2), axis=0, return_inverse=True)
+    rows, columns = places.reshape(-1, 2).T
+    n = len(labels)
+    if whole:
+        return LabelledMatrix(sparse.csr_matrix((values, (rows, columns)), (n, n)), labels)
+    return LabelledMatrix(_symmetric(values, rows, columns, n), labels)
+
+
+def _of_calculix(path: Path, labels: Path) -> LabelledMatrix:
+    rows = read_labels(labels)
+    entries, n = rows_of(path, 3, "#"), len(rows)
+    at = entries[:, :2]
+    wrong = np.any((at < 1) | (at > n) | (at % 1 != 0), axis=1)
+    if np.any(wrong):
+        line = int(np.argmax(wrong)) + 1
+        raise ValueError(f"line {line}: {at[line - 1].tolist()} is outside of {n} rows")
+    one, other = (at - 1).astype(int).T
+    missing = np.setdiff1d(np.arange(n), one[one == other])
+    if len(missing):
+        raise ValueError(f"it ends early: row {missing[0] + 1} of {n} has no diagonal")
+    return LabelledMatrix(_symmetric(entries[:, 2], one, other, n), rows)
+
+
+def _begins_as_abaqus(path: Path) -> bool:
+    """Whether the first line that says something has five numbers between commas."""
+    return next((line for _, line in numbered_lines(path, "*")), "").count(",") == 4
+
+
+def _of_abaqus(path: Path) -> LabelledMatrix:
+    entries = rows_of(path, 5, "*", ",")
+    found = _between_labels(
+        entries[:, :4].astype(int).reshape(-1, 2, 2), entries[:, 4], whole=False
+    )
+    assert found.labels is not None
+    free = np.flatnonzero(found.matrix.diagonal() < CLAMPED)
+    return LabelledMatrix(found.matrix[free][:, free], found.labels[free])
+
+
+def _of_nastran(path: Path, kind: str) -> LabelledMatrix:
+    ends: list[tuple[int, int, int, int]] = []
+    values: list[float] = []
+    own, column, form = False, (0, 0), 6
+    for number, line in numbered_lines(path, "$"):
+        try:
+            if line.startswith("DMIG "):
+                own = re.match(f"{kind}[A-Z]", line[8:16].upper()) is not None
+                if own and line[16:24].strip() == "0":
+                    form, stored = int(line[24:32]), int(line[32:40])
+                    if form not in (1, 6) or stored not in (1, 2):
+                        raise ValueError
+            elif line.startswith("DMIG*"):
+                own = re.match(f"{kind}[A-Z]", line[8:24].upper()) is not None
+                column = int(line[24:40]), int(line[40:56])
+            elif line.startswith("*"):
+                if own:
+                    ends.append((int(line[8:24]), int(line[24:40]), *column))
+                    values.append(float(line[40:56].upper().replace("D", "E")))
+            elif own:
+                raise ValueError
+        except ValueError:
+            wanted = "a real square matrix DMIG in fields of 16 characters"
+            raise ValueError(f"line {number}: {line[:80]!r} is not of {wanted}") from None
+    if not ends:
+        raise ValueError(f"it has no matrix DMIG whose name begins with {kind}")
+    at = np.array(ends).reshape(-1, 2, 2)
+    return _between_labels(at, np.array(values), whole=form == 1)
+
+
+def _of_matrix_market(path: Path, labels: Path | None, rows: int | None) -> LabelledMatrix:
+    named = None if labels is None else read_labels(labels)
+    matrix = sparse.csr_matrix(read_matrix_market(path, rows if named is None else len(named)))
+    return LabelledMatrix(matrix, named)

@@ -1,0 +1,179 @@
+"""Nodes and cells of the input files of other programs: CalculiX, Abaqus and Nastran, or a table.
+
+Only what has a place is read: nodes, and the solid elements between them, with nodes in VTK's
+order. What makes nodes in another way than by their coordinates is refused by its name.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fenics_crack.exchange.lines import numbered_lines, rows_of
+
+__all__ = ["Model", "read_model"]
+
+VTK = {4: 10, 6: 13, 8: 12, 10: 24, 15: 26, 20: 25}
+"""VTK's number of solid cells by their nodes: tetrahedra, wedges and hexahedra."""
+MAKERS = ("NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY", "SYSTEM", "TRANSFORM", "NMAP")
+"""Keywords of CalculiX and Abaqus that make nodes and cells, or turn them."""
+TOPS_LAST = {
+    15: [*range(9), 12, 13, 14, 9, 10, 11],
+    20: [*range(12), 16, 17, 18, 19, 12, 13, 14, 15],
+}
+"""VTK's order of Nastran's nodes, whose upright edges come before those at the top."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """Nodes and cells.
+
+    Attributes
+    ----------
+    labels : (n,) int
+        Numbers of the nodes, in ascending order.
+    points : (n, 3)
+        Their positions.
+    cells : dict of int to (m, k) int
+        By VTK's number of their kind: places of their nodes in ``labels``, in VTK's order.
+    """
+
+    labels: np.ndarray
+    points: np.ndarray
+    cells: dict[int, np.ndarray]
+
+
+def read_model(path: Path) -> Model:
+    """Read nodes and cells: .inp of CalculiX or Abaqus, .bdf, .dat or .nas of Nastran; of another
+    ending rows of node, x, y, z between commas.
+
+    Raises
+    ------
+    OSError, ValueError
+        The file cannot be read, or contradicts itself: with its line.
+    """
+    nodes: dict[int, tuple[float, ...]] = {}
+    cells: dict[int, list[list[int]]] = {}
+    READERS.get(path.suffix.lower(), _table)(path, nodes, cells)
+    if not nodes:
+        raise ValueError("it has no nodes")
+    labels = np.array(sorted(nodes))
+    points = np.array([nodes[label] for label in labels.tolist()])
+    made = {}
+    for kind, rows in cells.items():
+        wanted = np.array(rows)
+        places = np.minimum(np.searchsorted(labels, wanted), len(labels) - 1)
+        if np.any(labels[places] != wanted):
+            missing = wanted[labels[places] != wanted][0]
+            raise ValueError(f"an element has node {missing}, which it does not have")
+        made[kind] = places
+    return Model(labels, points, made)
+
+
+Nodes = dict[int, tuple[float, ...]]
+Cells = dict[int, list[list[int]]]
+
+
+def _put(nodes: Nodes, number: int, label: int, place: tuple[float, ...]) -> None:
+    if len(place) != 3 or nodes.setdefault(label, place) != place:
+        found = "two places" if len(place) == 3 else f"{len(place)} coordinates"
+        raise ValueError(f"line {number}: {found} of node {label}")
+
+
+def _table(path: Path, nodes: Nodes, cells: Cells) -> None:
+    for number, (label, *place) in enumerate(rows_of(path, 4, "#", ",").tolist(), 1):
+        _put(nodes, number, int(label), tuple(place))
+
+
+# --- CalculiX and Abaqus --------------------------------------------------------------------------
+
+
+def _of_abaqus(path: Path, nodes: Nodes, cells: Cells) -> None:
+    keyword, count, row = "", 0, list[int]()
+    for number, line in numbered_lines(path, "**"):
+        try:
+            if line.startswith("*"):
+                keyword, *options = (word.strip().upper() for word in line[1:].split(","))
+                given = dict(option.partition("=")[::2] for option in options)
+                if keyword in MAKERS or (keyword in ("NODE", "ELEMENT") and "INPUT" in given):
+                    raise NotImplementedError
+                if keyword == "INCLUDE":
+                    name = line.partition("=")[2].strip().strip('"')
+                    _of_abaqus(path.parent / name, nodes, cells)
+                kind = given.get("TYPE", "").strip() if keyword == "ELEMENT" else ""
+                match, row = re.match(r"C3D(\d+)", kind), []
+                count = int(match[1]) if match is not None else 0
+            elif keyword == "NODE":
+                label, *place = line.strip().rstrip(",").split(",")
+                spatial = (*map(float, place), 0.0)[:3]  # of a plane model z is left out
+                _put(nodes, number, int(label), spatial)
+            elif keyword == "ELEMENT" and count in VTK:
+                row += map(int, line.strip().rstrip(",").split(","))
+                if len(row) > count:
+                    cells.setdefault(VTK[count], []).append(row[1:])
+                    row = []
+        except NotImplementedError:
+            allowed = "nodes and elements must be written out, each with its numbers"
+            raise ValueError(f"{path.name}, line {number}: *{keyword}: {allowed}") from None
+        except ValueError as error:
+            reason = str(error) if "line" in str(error) else f"{line[:80]!r} of *{keyword}"
+            raise ValueError(f"{path.name}, line {number}: {reason}") from None
+
+
+# --- Nastran --------------------------------------------------------------------------------------
+
+
+def _of_nastran(path: Path, nodes: Nodes, cells: Cells) -> None:
+    for number, card in _cards(path):
+        name, *fields = card
+        try:
+            if name == "GRID":
+                if fields[1] not in ("", "0") or (fields[5:6] or [""])[0] not in ("", "0"):
+                    raise ValueError
+                place = tuple(_number(field) for field in (*fields[2:5], "", "")[:3])
+                _put(nodes, number, int(fields[0]), place)
+            elif name in ("CTETRA", "CPENTA", "CHEXA"):
+                own = [int(field) for field in fields[2:] if field]
+                order = TOPS_LAST.get(len(own), range(len(own)))
+                cells.setdefault(VTK[len(own)], []).append([own[place] for place in order])
+        except (ValueError, KeyError, IndexError):
+            allowed = "a GRID in the basic coordinate system" if name == "GRID" else "a solid"
+            raise ValueError(f"line {number}: {card} is not {allowed}") from None
+
+
+def _number(field: str) -> float:
+    """A real, in which the E of the exponent may be left out: "1.5-3"."""
+    return float(re.sub(r"(?<=[\d.])([+-]\d+)$", r"E\1", field.upper().replace("D", "E")) or 0.0)
+
+
+def _cards(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Entries of bulk data with the number of their first line: names, and fields of 8 or 16
+    characters or between commas, those of continuations too."""
+    first, card = 0, list[str]()
+    for number, line in numbered_lines(path, "$"):
+        line = line.expandtabs(8)
+        if "," in line:
+            name, *fields = line.split(",")
+            fields = fields[:8]
+        else:
+            width = 16 if "*" in line[:8] else 8
+            name, body = line[:8], line[8:72].ljust(64)
+            fields = [body[at : at + width] for at in range(0, 64, width)]
+        own = [field.strip() for field in fields]
+        if name.strip() and name.strip()[0] not in "+*":
+            if card:
+                yield first, card
+            first, card = number, [name.strip(" *").upper()]
+        if card:
+            card += own
+    if card:
+        yield first, card
+
+
+READERS: dict[str, Callable[[Path, Nodes, Cells], None]] = {
+    ".inp": _of_abaqus, ".bdf": _of_nastran, ".dat": _of_nastran, ".nas": _of_nastran,
+}  # fmt: skip

@@ -1,0 +1,161 @@
+"""Stress intensity factors over a motion: what makes a crack grow."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.errors import InputError
+from fenics_crack.scene.quantities import OF_TIPS
+from fenics_crack.study.run import Run
+from fenics_crack.study.stated_errors import errors_of
+from fenics_crack.study.tips import numbers_at_tips, tip_rows
+from fenics_crack.study.verification import Verification
+from fenics_crack.table import Tabular
+from fenics_crack.time.march import TimeHistory
+
+__all__ = ["StressIntensity", "stress_intensity"]
+
+
+@dataclass(frozen=True, repr=False)
+class StressIntensity(Tabular):
+    """K_I and K_II at the tips of a plate's cracks over a motion.
+
+    Attributes
+    ----------
+    time : (n,) [s]
+        Over one period of a solution, or the record of a motion in time.
+    tips : tuple of str
+        Which tips: "the tip", "the left tip", "the tip of crack 2".
+    points, ahead : (n_tips, 2) [m], (n_tips, 2)
+        Where they are, and where the cracks run straight on.
+    one, two : (n, n_tips) [Pa m^1/2]
+        K_I, positive where the lips part, and K_II, positive where the lip on the left of who looks
+        ahead moves ahead.
+    """
+
+    time: np.ndarray
+    tips: tuple[str, ...]
+    points: np.ndarray
+    ahead: np.ndarray
+    one: np.ndarray
+    two: np.ndarray
+    _run: Run[Any] = field(compare=False)
+
+    @property
+    def numbers(self) -> Mapping[str, np.ndarray]:
+        """Each tip's K_max, K_min, delta_K, delta_K_effective and K_II_max: (n_tips,) [Pa m^1/2].
+
+        The effective range is that while the tip is open, max(K_I, 0) - max(min K_I, 0).
+        """
+        return numbers_at_tips(np.stack([self.one, self.two], axis=-1))
+
+    @property
+    def largest(self) -> np.ndarray:
+        """Largest K_I of each tip: (n_tips,) [Pa m^1/2]."""
+        return self.numbers["K_max"]
+
+    @property
+    def smallest(self) -> np.ndarray:
+        """Smallest K_I of each tip: (n_tips,) [Pa m^1/2]."""
+        return self.numbers["K_min"]
+
+    @property
+    def effective(self) -> np.ndarray:
+        """Range of K_I of each tip while it is open: (n_tips,) [Pa m^1/2]."""
+        return self.numbers["delta_K_effective"]
+
+    @property
+    def leading(self) -> int:
+        """The tip whose effective range is the largest."""
+        return int(np.argmax(self.effective))
+
+    @property
+    def turn(self) -> np.ndarray:
+        """Angle by which each crack would turn at its largest K_I, to the left, where the hoop
+        stress is largest: (n_tips,) [rad].
+
+        K_I sin(theta) + K_II (3 cos(theta) - 1) = 0 (Erdogan, Sih, Journal of Basic Engineering 85,
+        1963, 519); nan where K_I is never positive.
+        """
+        place = self.one.argmax(axis=0)[None]
+        one = np.take_along_axis(self.one, place, axis=0)[0]
+        two = np.take_along_axis(self.two, place, axis=0)[0]
+        found = -2.0 * np.arctan(2.0 * two / (one + np.sqrt(one**2 + 8.0 * two**2)))
+        return np.where(one > 0.0, found, np.nan)
+
+    @cached_property
+    def errors(self) -> Verification | None:
+        """What modes, harmonics and the mesh contribute to the error of the leading tip's numbers,
+        by one other run for each; None of motions in time. Computed when first asked for
+        (collective)."""
+        scene = self._run.scene.replace({"output.quantities": tuple(OF_TIPS)})
+        return errors_of(replace(self._run, scene=scene, stated=None), self._run.result)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Columns, a row for every instant: K_I and K_II of each tip."""
+        found = {"time": self.time.tolist()}
+        for tip, one, two in zip(self.tips, self.one.T, self.two.T, strict=True):
+            found |= {f"K_I, {tip}": one.tolist(), f"K_II, {tip}": two.tolist()}
+        return found
+
+    def _units(self) -> Mapping[str, str]:
+        return {name: "s" if name == "time" else "Pa m^0.5" for name in self.to_dict()}
+
+    def _title(self) -> str:
+        shown = self.numbers, self.leading
+        parts = [f"{name} = {shown[0][name][shown[1]]:.4g}" for name in OF_TIPS]
+        return f"{', '.join(parts)} Pa m^0.5 at {self.tips[self.leading]}"
+
+
+def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressIntensity:
+    r"""Find stress intensities at the tips of a plate's cracks over a motion (collective).
+
+    K_I and K_II of the displacement at each instant, by the interaction integral over a domain
+    around the tip, with the inertia in it and the contact on the lips. Where a structure is reduced
+    the modes' statics are not summed up but solved for: with q_r the amplitudes of the modes,
+
+    .. math:: K = K_{\mathrm{static}}(f, \lambda) + \sum_r K_r (q_r - q_{r,\mathrm{static}}).
+
+    Parameters
+    ----------
+    run : Run
+        What :func:`fenics_crack.solve` or :func:`fenics_crack.integrate` returns, of a plate with a
+        crack.
+
+    Returns
+    -------
+    StressIntensity
+        Over a period of a solution (1024 instants or more), or the record of a motion in time.
+
+    Raises
+    ------
+    InputError
+        It is neither of them, of a solid or of matrices, or without a crack.
+
+    Examples
+    --------
+    >>> found = fc.stress_intensity(fc.solve(scene))
+    >>> found.largest, found.effective, found.turn
+    """
+    known = isinstance(run, Run) and isinstance(run.result, PeriodicSolution | TimeHistory)
+    if not known:
+        allowed = "what fc.solve(scene) or fc.integrate(scene) returns"
+        raise InputError("run", repr(run), allowed)
+    run.scene.check_tips("run", repr(run))
+    rows = tip_rows(run)
+    time, found = rows.of_motion(run.result)
+    return StressIntensity(
+        time,
+        tuple(tip.name for tip in rows.tips),
+        np.array([tip.point for tip in rows.tips]),
+        np.array([tip.ahead for tip in rows.tips]),
+        found[..., 0],
+        found[..., 1],
+        run,
+    )

@@ -1,0 +1,143 @@
+"""Stress intensity at the tips of a study's cracks, as rows that motions are multiplied by."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.errors import InputError
+from fenics_crack.fem.tip_integral import Tip, tip_functionals
+from fenics_crack.model.reduced import AT_A_TIME
+from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.fourier import evaluate
+from fenics_crack.scene.scene import Scene
+from fenics_crack.study.prepare import Study
+from fenics_crack.time.march import TimeHistory
+
+__all__ = ["TipRows", "along_curve", "numbers_at_tips", "numbers_of_motion", "tip_rows"]
+
+
+@dataclass(frozen=True)
+class TipRows:
+    """What the coordinates of a structure and its contact forces are multiplied by for K_I and K_II
+    of one tip after the other.
+
+    Of a reduced structure the rows are those of all that its coordinates expand to, static
+    responses to load and contact among them: K converges as the load's and the pairs' statics do
+    and not as a sum over modes.
+
+    Attributes
+    ----------
+    tips : tuple of Tip
+    of_coordinates : (2 n_tips, n_local) [Pa m^1/2 / m]
+    of_forces : (2 n_tips, n_pairs) [Pa m^1/2 / N]
+    """
+
+    tips: tuple[Tip, ...]
+    of_coordinates: np.ndarray
+    of_forces: np.ndarray
+
+    def in_time(self, seen: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """K_I and K_II (n, n_tips, 2) [Pa m^1/2] from the products of ``of_coordinates`` with a
+        motion (n, 2 n_tips), and its contact forces (n, n_pairs)."""
+        return np.asarray(seen + force @ self.of_forces.T).reshape(len(seen), -1, 2)
+
+    def of_motion(self, motion: PeriodicSolution | TimeHistory) -> tuple[np.ndarray, np.ndarray]:
+        """Instants (n,) [s], and K_I and K_II then (n, n_tips, 2) (collective)."""
+        structure, rows = motion.structure, self.of_coordinates
+        if isinstance(motion, TimeHistory):
+            left_out = np.delete(rows, motion.recorded_dofs - structure.first_dof, axis=1)
+            if any(structure.comm.allgather(bool(np.any(left_out)))):
+                allowed = "None, to record all displacements, of which these are made"
+                raise InputError("dofs", "some", allowed)
+            own = rows[:, motion.recorded_dofs - structure.first_dof]
+            seen = structure.sum_over_ranks(motion.recorded @ own.T)
+            return motion.time, self.in_time(seen, motion.contact_force)
+        time = motion.instants()
+        if motion.residual is None:
+            waves = structure.sum_over_ranks(motion.displacement_coefficients @ rows.T)
+            seen = evaluate(waves, motion.base_omega, time)
+        else:
+            seen = structure.sum_over_ranks(motion.coordinates(time) @ rows.T)
+        return time, self.in_time(seen, motion.contact_force(time))
+
+
+def tip_rows(study: Study) -> TipRows:
+    """The rows of a study's structure; made once for it and all that share its matrices
+    (collective).
+
+    Raises
+    ------
+    InputError
+        The scene is no plate, or has no crack with tips.
+    """
+    study.scene.check_tips("output.quantities")
+    found: TipRows = study.structure.once(_OfScene(study.scene))
+    return found
+
+
+@dataclass(frozen=True)
+class _OfScene:
+    """The rows of a structure of a scene; equal for scenes of the same plate."""
+
+    scene: Scene
+
+    def __call__(self, structure: Structure) -> TipRows:
+        tips, columns, forces = tip_functionals(self.scene, structure.whole)
+        if not tips:
+            raise InputError("crack", "a crack without a tip", "one that ends in the plate")
+        if structure is not structure.whole:
+            units = np.eye(structure.n_dofs)
+            blocks = [units[n : n + AT_A_TIME] for n in range(0, len(units), AT_A_TIME)]
+            products = np.vstack([structure.expand(block) @ columns.T for block in blocks])
+            columns = structure.whole.sum_over_ranks(products).T
+        return TipRows(tuple(tips), columns, forces)
+
+    def _plate(self) -> tuple[object, ...]:
+        scene = self.scene
+        pairs = None if scene.contact is None else scene.contact.pairs
+        return scene.geometry, scene.crack, scene.cracks, scene.material, scene.mesh, pairs
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _OfScene) and self._plate() == other._plate()
+
+    def __hash__(self) -> int:
+        return hash(self._plate())
+
+
+def numbers_at_tips(found: np.ndarray) -> Mapping[str, np.ndarray]:
+    """The quantities of each tip by their names, each (n_tips,), from K_I and K_II in time
+    (n, n_tips, 2)."""
+    one, two = found[..., 0], found[..., 1]
+    largest, smallest = one.max(axis=0), one.min(axis=0)
+    return {
+        "K_max": largest,
+        "K_min": smallest,
+        "delta_K": largest - smallest,
+        "delta_K_effective": np.maximum(largest, 0.0) - np.maximum(smallest, 0.0),
+        "K_II_max": np.abs(two).max(axis=0),
+    }
+
+
+def _of_leading(numbers: Mapping[str, np.ndarray]) -> dict[str, float]:
+    """Those of the tip whose effective range is the largest."""
+    leading = int(np.argmax(numbers["delta_K_effective"]))
+    return {name: float(values[leading]) for name, values in numbers.items()}
+
+
+def numbers_of_motion(study: Study, motion: PeriodicSolution | TimeHistory) -> dict[str, float]:
+    """The quantities of a solution or a march, of its leading tip (collective)."""
+    return _of_leading(numbers_at_tips(tip_rows(study).of_motion(motion)[1]))
+
+
+def along_curve(study: Study, curve: ResponseCurve) -> dict[str, np.ndarray]:
+    """The quantities at every point of a curve, each (n,) (collective)."""
+    rows = tip_rows(study)
+    found: list[dict[str, float]] = [{} for _ in range(len(curve))]
+    for index, _, seen, _, force in curve.seen_through(rows.of_coordinates):
+        found[index] = _of_leading(numbers_at_tips(rows.in_time(seen, force)))
+    return {name: np.array([one[name] for one in found]) for name in found[0]}

@@ -1,0 +1,436 @@
+"""Matrices and models of other programs: what each writes, read; and the pairs that are found.
+
+tests/exchange/plate/ was made by CalculiX 2.20 (calculix_plate.py beside it). The other formats are
+written here, as their manuals say: *MATRIX OUTPUT of Abaqus (FORMAT=MATRIX INPUT), DMIG and bulk
+data of the MSC Nastran Quick Reference Guide, HBMAT of Ansys.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.io
+import scipy.sparse as sparse
+from helpers import csr
+from mpi4py import MPI
+from surroundings import main
+
+import fenics_crack as fc
+from fenics_crack import InputError, Scene
+from fenics_crack.exchange.matrices import read_matrix
+from fenics_crack.exchange.models import Model, read_model
+from fenics_crack.fem.found_pairs import find_pairs
+
+FOLDER = Path(__file__).with_name("plate")
+TEXT = """
+[structure]
+mass = "plate.mas"
+stiffness = "plate.sti"
+model = "plate.inp"
+[damping]
+ratio = 0.05
+[excitation]
+frequency = 9000.0
+point = [0.0, 0.02, 0.0]
+force_sin = [0.0, 100.0, 0.0]
+[contact]
+law = "unilateral"
+[harmonic_balance]
+harmonics = 10
+[reduction]
+modes = 10
+"""
+
+
+def calculix_frequencies() -> np.ndarray:
+    """As they stand in the file [Hz]."""
+    rows = re.findall(r"^ +\d+ +\S+ +\S+ +(\S+) +\S+$", (FOLDER / "plate.dat").read_text(), re.M)
+    return np.array(rows[:6], dtype=float)
+
+
+def frequencies(structure: fc.Structure) -> np.ndarray:
+    """With open lips [Hz]."""
+    found: np.ndarray = fc.solve_modes(structure, 6).omega / (2.0 * np.pi)
+    return found
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Of the files of CalculiX, to be changed."""
+    shutil.copytree(FOLDER, tmp_path, dirs_exist_ok=True)
+    (tmp_path / "scene.toml").write_text(TEXT)
+    return tmp_path
+
+
+@pytest.fixture
+def scene(folder: Path) -> Scene:
+    """Of CalculiX's plate."""
+    return Scene.load(folder / "scene.toml")
+
+
+def test_calculix_finds_the_same_frequencies(scene: Scene) -> None:
+    """To the digits that it prints."""
+    structure = fc.build_structure(scene)
+    assert frequencies(structure) == pytest.approx(calculix_frequencies(), rel=1e-6)
+
+
+def test_pairs_are_found_without_a_word(scene: Scene) -> None:
+    """The two corners of the mouth: half of the crack's area that is theirs, less the front's; the
+    gap grows where the upper lip's nodes, 19 and 20, move down."""
+    structure = fc.build_structure(scene)
+    assert structure.pair_points == pytest.approx(np.array([[0.0, 0.01, 0.0], [0.0, 0.01, 0.005]]))
+    assert structure.pair_areas == pytest.approx([0.25 * 0.01 * 0.005] * 2)
+    assert list(structure.watched_pairs) == ["the mouth"]
+    assert structure.nodes is not None
+    moved = np.zeros((2, structure.n_dofs))
+    moved[0, structure.nodes.dofs[[18, 19], 1]] = -1e-6
+    moved[1, structure.nodes.dofs[[3, 12], 1]] = 1e-6
+    # psi falls by a line from 1 at the mouth to 0 at the front, so does the motion: 2 / 3.
+    assert structure.apply_bt(moved) == pytest.approx(np.full((2, 2), 2e-6 / 3.0))
+    (dof,) = np.flatnonzero(structure.force[2])
+    assert structure.dof_name(int(dof)) == "y displacement at (0, 0.02, 0) m"
+
+
+def test_from_matrices_to_a_verdict(scene: Scene) -> None:
+    """The crack breathes: the solution is an orbit that is stable."""
+    run = fc.solve(scene)
+    assert run.result.converged and run.result.indicators().ratio_2_1 > 0.01
+    assert run.result.stability is not None and run.result.stability.verdict == "stable"
+
+
+def test_from_the_shell(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Modes are drawn on the model's bricks; a load beside its nodes gets a remark."""
+    words = [str(folder / "scene.toml"), "--set", "excitation.point=[0.001,0.02,0.0]"]
+    assert main(["check", *words]) == 0
+    assert "no node is there: the force acts on the nearest one" in capsys.readouterr().err
+    assert main(["modes", *words, "--output", str(folder)]) == 0
+    assert main(["plot", str(folder / "modes.h5")]) == 0
+    assert (folder / "modes.png").exists()
+
+
+# --- the same plate in other formats --------------------------------------------------------------
+
+
+def plate_matrices() -> dict[str, Any]:
+    """Stiffness and mass, and node and direction of their rows."""
+    found = {kind: read_matrix(FOLDER / f"plate.{end}", kind) for kind, end in ENDINGS.items()}
+    return {kind: one.matrix for kind, one in found.items()} | {"labels": found["K"].labels}
+
+
+ENDINGS = {"K": "sti", "M": "mas"}
+
+
+def triangle(matrix: Any) -> list[tuple[int, int, float]]:
+    """Entries on the diagonal and below."""
+    lower = sparse.tril(matrix).tocoo()
+    return list(zip(lower.row.tolist(), lower.col.tolist(), lower.data.tolist(), strict=True))
+
+
+def write_abaqus(folder: Path) -> dict[str, str]:
+    """Both triangles would be twice too stiff; what is held has 1e36 on the diagonal."""
+    given = plate_matrices()
+    labels = given["labels"].tolist()
+    for kind, name in (("K", "plate_STIF1.mtx"), ("M", "plate_MASS1.mtx")):
+        lines = ["** ASSEMBLED MATRIX"] + [
+            ",".join(map(str, [*labels[i], *labels[j], value]))
+            for i, j, value in triangle(given[kind])
+        ]
+        held = [f"{n},{d}, {n},{d}, 1.0e36" for n in (1, 2, 3, 10, 11, 12) for d in (1, 2, 3)]
+        (folder / name).write_text("\n".join(lines + (held if kind == "K" else [])) + "\n")
+    return {"stiffness": "plate_STIF1.mtx", "mass": "plate_MASS1.mtx", "model": "plate.inp"}
+
+
+def write_nastran(folder: Path) -> dict[str, str]:
+    """One punch file with both matrices, and the bulk data in all three kinds of fields."""
+    given = plate_matrices()
+    labels = given["labels"].tolist()
+    lines = []
+    for name, kind in (("KAAX", "K"), ("MAAX", "M")):
+        lines.append(f"DMIG    {name:8}{0:8}{6:8}{2:8}{0:8}{'':8}{len(labels):8}")
+        columns: dict[int, list[str]] = {}
+        for i, j, value in triangle(given[kind]):
+            number = f"{value:16.9E}".replace("E", "D")
+            columns.setdefault(i, []).append(
+                f"*       {labels[j][0]:16}{labels[j][1]:16}{number:>16}"
+            )
+        for i, rows in columns.items():
+            lines += [f"DMIG*   {name:16}{labels[i][0]:16}{labels[i][1]:16}", *rows]
+    lines += [f"DMIG    VAX     {0:8}{9:8}{2:8}{0:8}{'':8}{1:8}", f"DMIG*   {'VAX':16}{1:16}{0:16}"]
+    (folder / "plate.pch").write_text("\n".join(lines) + "\n")
+    model = read_model(FOLDER / "plate.inp")
+    bulk = ["BEGIN BULK", "$ a comment"]
+    for number, (label, (x, y, z)) in enumerate(zip(model.labels, model.points, strict=True)):
+        if number % 3 == 0:
+            bulk.append(f"GRID,{label},,{x:.3f},{y:.3f},{z:.3f}")
+        elif number % 3 == 1:
+            bulk.append(f"GRID    {label:8}{'':8}{x:8.3f}{y:8.3f}{1e3 * z:6.3f}-3")
+        else:
+            bulk += [f"GRID*   {label:16}{'':16}{x:16.9f}{y:16.9f}", f"*       {z:16.9f}"]
+    for number, cell in enumerate(model.labels[model.cells[12]], 1):
+        first, last = ("".join(f"{n:8}" for n in part) for part in (cell[:6], cell[6:]))
+        bulk += [f"CHEXA   {number:8}{1:8}{first}+", f"+       {last}"]
+    (folder / "plate.bdf").write_text("\n".join([*bulk, "ENDDATA"]) + "\n")
+    return {"stiffness": "plate.pch", "mass": "plate.pch", "model": "plate.bdf"}
+
+
+def write_ansys(folder: Path) -> dict[str, str]:
+    """Matrix Market files, what HBMAT says of their rows, and a table of the nodes alone."""
+    given = plate_matrices()
+    for kind in "KM":
+        scipy.io.mmwrite(folder / f"{kind}.mtx", given[kind], symmetry="symmetric", precision=17)
+    rows = [f"{i:8} {n:8} U{'XYZ'[d - 1]}" for i, (n, d) in enumerate(given["labels"], 1)]
+    (folder / "plate.mapping").write_text("\n".join(["  Matrix Eqn    Node   DOF", *rows]) + "\n")
+    model = read_model(FOLDER / "plate.inp")
+    table = np.column_stack([model.labels, model.points])
+    np.savetxt(folder / "nodes.csv", table, fmt="%.6g", delimiter=",")
+    return {
+        "stiffness": "K.mtx", "mass": "M.mtx", "dofs": "plate.mapping", "model": "nodes.csv",
+    }  # fmt: skip
+
+
+WRITERS = {"Abaqus": write_abaqus, "Nastran": write_nastran, "Ansys": write_ansys}
+
+
+@pytest.mark.parametrize("program", WRITERS)
+def test_every_format_is_the_same_plate(program: str, folder: Path, scene: Scene) -> None:
+    """Frequencies and pairs; of nodes without cells as many, each by itself."""
+    files = WRITERS[program](folder)
+    other = scene.replace({f"structure.{key}": str(folder / name) for key, name in files.items()})
+    structure, own = fc.build_structure(other), fc.build_structure(scene)
+    assert frequencies(structure) == pytest.approx(frequencies(own), rel=1e-8)
+    assert structure.pair_points == pytest.approx(own.pair_points)
+    moved = np.zeros((1, structure.n_dofs))
+    assert structure.nodes is not None
+    moved[0, structure.nodes.dofs[[-2, -1], 1]] = -1e-6
+    expected = 1e-6 if program == "Ansys" else 2e-6 / 3.0
+    assert structure.apply_bt(moved) == pytest.approx(np.full((1, 2), expected))
+    assert (structure.pair_areas is None) == (program == "Ansys")
+
+
+def test_modes_of_a_model_without_cells_are_kept(folder: Path, scene: Scene) -> None:
+    """By their dofs: there is nothing to draw them on."""
+    files = write_ansys(folder)
+    other = scene.replace({f"structure.{key}": str(folder / name) for key, name in files.items()})
+    run = fc.modes(other, 3, MPI.COMM_SELF)
+    fc.save(run.result, folder / "modes.h5", run.scene)
+    again = fc.load_run(folder / "modes.h5", MPI.COMM_SELF).result
+    np.testing.assert_array_equal(again.shapes, run.result.shapes)
+
+
+def test_rows_of_other_files_follow_the_nodes(folder: Path, scene: Scene) -> None:
+    """Rows whose nodes are mixed are put in order, and with them those of a load's file."""
+    given = plate_matrices()
+    mixed = np.random.default_rng(1).permutation(len(given["labels"]))
+    for kind in "KM":
+        scipy.io.mmwrite(folder / f"{kind}.mtx", given[kind][mixed][:, mixed], precision=17)
+    rows = [f"{node}.{direction}" for node, direction in given["labels"][mixed]]
+    (folder / "rows.dof").write_text("\n".join(rows))
+    load = np.array([[row == "7.2"] for row in rows], dtype=float)  # node 7: (0, 0.02, 0)
+    scipy.io.mmwrite(folder / "force.mtx", sparse.csr_matrix(100.0 * load))
+    files = {"stiffness": "K.mtx", "mass": "M.mtx", "dofs": "rows.dof", "force_sin": "force.mtx"}
+    other = scene.replace(
+        {f"structure.{key}": str(folder / name) for key, name in files.items()}
+        | {"excitation.point": None, "excitation.force_sin": [0.0, 0.0, 0.0]}
+    )
+    structure, own = fc.build_structure(other), fc.build_structure(scene)
+    assert frequencies(structure) == pytest.approx(frequencies(own), rel=1e-9)
+    assert structure.dof_name(structure.most_loaded()) == own.dof_name(own.most_loaded())
+
+
+def on_ranks_of(text: str, folder: str, comm: MPI.Comm) -> tuple[list[float], float, str]:
+    """Frequencies, the sum of B's squares, and what is loaded."""
+    structure = fc.build_structure(Scene.from_text(text, folder=Path(folder)), comm)
+    omega = fc.solve_modes(structure, 3).omega
+    square = comm.allreduce(float(structure.gap.multiply(structure.gap).sum()))
+    return omega.tolist(), square, structure.dof_name(structure.watched_dof)
+
+
+def test_two_ranks_share_the_matrices(on_ranks: Callable[..., Any]) -> None:
+    """Whole nodes on each."""
+    omega, square, name = on_ranks(on_ranks_of, TEXT, str(FOLDER))
+    expected = on_ranks_of(TEXT, str(FOLDER), MPI.COMM_SELF)
+    assert omega == pytest.approx(expected[0], rel=1e-9)
+    assert (square, name) == (pytest.approx(expected[1]), expected[2])
+
+
+SOLID = """
+geometry = { kind = "solid", width = 0.03, height = 0.09, thickness = 0.006 }
+material = { young = 2.1e11, poisson = 0.3, density = 7850.0 }
+damping = { ratio = 0.002 }
+excitation = { point = [0.0, 0.09, 0.003], force_cos = [0.0, 0.0, 1.0], frequency = 560.0 }
+contact = { law = "unilateral" }
+mesh = { layout = "graded", order = 2, size = 0.012, lip_elements = 2, error = false }
+"""
+CRACKS = {
+    "through": {"edge": "left", "length": 0.01},
+    "ellipse": {"center": 0.015, "length": 0.016, "depth": 0.003, "front": "elliptical"},
+    "corner": {"edge": "left", "length": 0.01, "depth": 0.004, "front": "elliptical"},
+}
+
+
+@pytest.mark.parametrize("crack", CRACKS)
+def test_pairs_of_a_solid_are_its_own(crack: str) -> None:
+    """Built by this program and found from its nodes, cells and stiffness: the same patches; pairs
+    of nodes hold the lips together as these do."""
+    keys = {"height": 0.03} | CRACKS[crack]
+    own = fc.build_structure(
+        Scene.from_text(SOLID).replace({f"crack.{key}": value for key, value in keys.items()}),
+        MPI.COMM_SELF,
+    )
+    assert own.nodes is not None and own.pair_points is not None and own.pair_areas is not None
+    points, dofs = own.nodes.points, own.nodes.dofs
+    stiffness = csr(own.stiffness)
+    model = Model(np.arange(len(points)), points, {24: own.nodes.cells})
+    gap, pairs = find_pairs(model, dofs, stiffness, turns=False)
+    assert pairs.points is not None and pairs.areas is not None
+    here, there = (np.lexsort(found.round(9).T) for found in (pairs.points, own.pair_points))
+    assert abs(gap[:, here] - own.gap[:, there]).max() < 1e-12
+    assert pairs.areas[here] == pytest.approx(own.pair_areas[there], rel=1e-12)
+    assert pairs.positions is not None
+    assert pairs.positions[pairs.places["the mouth"]] == pytest.approx(pairs.positions.max())
+    nodes, _ = find_pairs(Model(model.labels, points, {}), dofs, stiffness, turns=False)
+    assert nodes.shape[1] > 2 * gap.shape[1]
+    tied = [
+        fc.solve_modes(fc.Structure.from_matrices(own.mass, own.stiffness, b), 3, lips="tied").omega
+        for b in (gap, nodes)
+    ]
+    assert tied[1] == pytest.approx(tied[0], rel=1e-3)
+    assert np.all(tied[1] >= tied[0])
+
+
+# --- cells of every kind --------------------------------------------------------------------------
+
+TURN = np.linalg.qr(np.array([[1.0, 0.3, -0.2], [0.1, 1.0, 0.4], [0.2, -0.5, 1.0]]))[0]
+HEXAHEDRON = [
+    (0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7),
+]  # fmt: skip
+WEDGE = [(0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5)]
+SQUARE, TRIANGLE = [(0, 0), (2, 0), (2, 1), (0, 1)], [(0, 0), (2, 0), (0, 1)]
+"""Edges of cells as the manuals of Abaqus and VTK number the nodes in their middles, and bases."""
+
+
+@pytest.mark.parametrize("kind", [12, 25, 13, 26])
+def test_lips_of_bricks_and_wedges(kind: int) -> None:
+    """One above the other, apart, and turned: the areas are the lips', and no motion as a rigid
+    body closes the gap but that of one of them, which does as a whole."""
+    base, edges = (SQUARE, HEXAHEDRON) if kind in (12, 25) else (TRIANGLE, WEDGE)
+    corners = [(x, y, z) for z in (0.0, 1.0) for x, y in base]
+    lower = np.array(corners)
+    if kind in (25, 26):
+        lower = np.concatenate([lower, [(lower[i] + lower[j]) / 2.0 for i, j in edges]])
+    n = len(lower)
+    points = np.concatenate([lower, lower + (0.0, 0.0, 1.0)]) @ TURN.T
+    cells = np.arange(2 * n).reshape(2, n)
+    dofs = np.arange(6 * n).reshape(-1, 3)
+    joined = sparse.csr_matrix(np.kron(np.eye(2), np.ones((3 * n, 3 * n))))
+    model = Model(np.arange(2 * n), points, {kind: cells})
+    gap, pairs = find_pairs(model, dofs, joined, turns=False)
+    area = 2.0 if kind in (12, 25) else 1.0
+    assert pairs.areas is not None and len(pairs.areas) == len(base)
+    assert pairs.areas.sum() == pytest.approx(area, rel=1e-13)
+    along, across = TURN[:, 0], TURN[:, 2]
+    both = [np.tile(direction, 2 * n) for direction in (along, across)]
+    down = np.where(np.arange(2 * n)[:, None] >= n, -across, 0.0).ravel()
+    motions = np.array([*both, down])
+    expected = np.outer([0.0, 0.0, 1.0], np.ones(len(base)))
+    assert (gap.T @ motions.T).T == pytest.approx(expected, abs=1e-13)
+    nodes, _ = find_pairs(Model(np.arange(2 * n), points, {}), dofs, joined, turns=False)
+    assert (nodes.T @ down) == pytest.approx(1.0, abs=1e-13)
+
+
+def test_cracks_that_cross_are_refused() -> None:
+    """Three nodes in one place."""
+    points = np.array([[0.0, 0.0, 0.0]] * 3 + [[1.0, 0.0, 0.0]])
+    dofs = np.arange(12).reshape(-1, 3)
+    with pytest.raises(InputError, match="more than two nodes at"):
+        find_pairs(
+            Model(np.arange(4), points, {}), dofs, sparse.identity(12, format="csr"), turns=False
+        )
+
+
+# --- what is refused ------------------------------------------------------------------------------
+
+BAD: list[tuple[str, str, str, str]] = [
+    ("plate.sti", "\n3 3 ", "\n3 x ", r"structure.stiffness.*plate.sti.*line \d+: '3 x"),
+    ("plate.sti", "\n1 2 ", "\n1 99 ", r"structure.stiffness.*line 2: .*outside of 42 rows"),
+    ("plate.mas", "\n42 42 ", "\n41 42 ", "structure.mass.*row 42 of 42 has no diagonal"),
+    ("plate.dof", "4.2", "4.2.7", r"structure.mass.*plate.dof, line \d+: '4.2.7' names no dof"),
+    ("plate.inp", "\n3, 0.02", "\n3, zero", r"structure.model.*plate.inp, line 4: '3, zero"),
+    ("plate.inp", "\n3, 0.02", "\n2, 0.02", "structure.model.*line 4: two places of node 2"),
+    ("plate.inp", "*ELEMENT", "*NGEN\n1,2\n*ELEMENT", r"line 22: \*NGEN: nodes and elements must"),
+    ("plate.inp", "1, 1, 2,", "1, 77, 2,", "structure.model.*node 77, which it does not have"),
+    ("plate.inp", "19, 0, 0.01, 0\n", "19, 0, 0.011, 0\n", ""),
+    ("plate.inp", "\n*NODE", "\n*NOTE", "structure.model.*it has no nodes"),
+]
+
+
+@pytest.mark.parametrize(("file", "old", "new", "words"), BAD, ids=range(len(BAD)))
+def test_bad_files_are_named(
+    folder: Path, scene: Scene, file: str, old: str, new: str, words: str
+) -> None:
+    """By the key, the file and, where there is one, the line."""
+    text = "\n" + (folder / file).read_text()
+    assert old in text
+    (folder / file).write_text(text.replace(old, new, 1).removeprefix("\n"))
+    if not words:  # one node fewer in two places
+        assert fc.build_structure(scene).n_pairs == 1
+        return
+    with pytest.raises(InputError) as caught:
+        fc.build_structure(scene)
+    assert re.search(words, str(caught.value))
+
+
+KEYS: list[tuple[dict[str, Any], str]] = [
+    ({"excitation.point": None}, "excitation.point"),
+    ({"excitation.point": [0.0, 0.02]}, "excitation.point"),
+    ({"excitation.point": [0.0, 0.0, 0.0]}, "excitation.point"),
+    ({"excitation.point": [0.0, 0.01, 0.0]}, "excitation.point"),
+    ({"excitation.point": [0.0, 0.3, 0.0]}, "excitation.point"),
+    ({"structure.model": None}, "structure.force_sin"),
+    ({"structure.model": "plate.dat"}, "structure.model"),
+    ({"structure.dofs": "plate.inp"}, "structure.mass"),
+]
+
+
+@pytest.mark.parametrize(("changes", "key"), KEYS, ids=range(len(KEYS)))
+def test_bad_keys_are_named(folder: Path, scene: Scene, changes: dict[str, Any], key: str) -> None:
+    moved = {k: str(folder / v) if isinstance(v, str) else v for k, v in changes.items()}
+    with pytest.raises(InputError) as caught:
+        fc.build_structure(scene.replace(moved))
+    assert caught.value.key == key
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("       6       2", "       6       4", "line 623: .*not of a real square matrix DMIG"),
+        ("DMIG*   MAAX", "DMIG*   NAAX", "mass.*no matrix DMIG whose name begins with M"),
+        ("D+", "X+", r"line 62\d: .*not of a real square matrix"),
+    ],
+    ids=range(3),
+)
+def test_bad_punch_files_are_named(
+    folder: Path, scene: Scene, old: str, new: str, words: str
+) -> None:
+    files = write_nastran(folder)
+    path = folder / "plate.pch"
+    path.write_text(path.read_text().replace(old, new))
+    other = scene.replace({f"structure.{key}": str(folder / name) for key, name in files.items()})
+    with pytest.raises(InputError, match=words):
+        fc.build_structure(other)
+
+
+def test_a_model_without_a_crack_is_told(folder: Path, scene: Scene) -> None:
+    """Where there is contact; without it, it is what it is."""
+    path = folder / "plate.inp"
+    path.write_text(path.read_text().replace("19, 0, 0.01", "19, 0, 0.012").replace(
+        "20, 0, 0.01", "20, 0, 0.012"))  # fmt: skip
+    with pytest.raises(InputError, match="two nodes at each place of a crack's lips"):
+        fc.build_structure(scene)
+    assert fc.build_structure(scene.replace({"contact": None})).n_pairs == 0

@@ -1,0 +1,324 @@
+"""Stress intensity factors beside handbooks, statics and other meshes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gmsh
+import numpy as np
+import pytest
+from helpers import DEMOS, ROOT, gmsh_model
+from mpi4py import MPI
+
+import fenics_crack as fc
+from fenics_crack.fem import tip_integral
+from fenics_crack.model.rotation import static_state
+from fenics_crack.study.tips import along_curve, numbers_of_motion, tip_rows
+
+STRIP: dict[str, Any] = {
+    "geometry": {"width": 0.1, "height": 0.4, "thickness": 0.01},
+    "crack": {"edge": "left", "height": 0.2, "length": 0.03},
+    "material": {"young": 2e11, "poisson": 0.3, "density": 7800.0},
+    "damping": {"ratio": 0.01, "modes": 5},
+    "excitation": {"omega": 1.0},
+    "contact": {"law": "unilateral"},
+    "mesh": {"layout": "graded", "order": 2, "size": 0.02, "lip_elements": 8, "grading": 12.0},
+}
+"""0.1 x 0.4 m, clamped below."""
+STRESS = 1e6
+TENSION = {"loads": [{"edge": "top", "traction_mean": [0.0, STRESS], "traction_sin": [0.0, 1.0]}]}
+SWING = {"loads": [{"edge": "top", "traction_sin": [0.0, STRESS]}]}
+
+
+def strip(load: dict[str, Any] = TENSION, **changes: Any) -> fc.Scene:
+    """The strip under a load, with some keys changed, whose dots are written as two underscores."""
+    keys = {key.replace("__", "."): value for key, value in changes.items()}
+    return fc.Scene.from_mapping(STRIP | load).replace(keys)
+
+
+def of(scene: fc.Scene) -> Any:
+    """Stress intensity of its vibration."""
+    return fc.stress_intensity(fc.solve(scene, MPI.COMM_SELF))
+
+
+# --- handbooks: Tada, Paris, Irwin, The Stress Analysis of Cracks Handbook, 2000 ------------------
+
+
+def edge_in_tension(x: float) -> float:
+    """F of an edge crack, K = F sigma sqrt(pi a), x = a/W: better than 0.5 % (2.11)."""
+    root = math.sqrt(2.0 / (math.pi * x) * math.tan(math.pi * x / 2.0))
+    shape = 0.752 + 2.02 * x + 0.37 * (1.0 - math.sin(math.pi * x / 2.0)) ** 3
+    return root * shape / math.cos(math.pi * x / 2.0)
+
+
+def edge_in_bending(x: float) -> float:
+    """The same in pure bending, sigma = 6 M / (t W^2): 0.2 % up to x = 0.6 (2.13, by Brown and
+    Srawley)."""
+    return 1.122 - 1.40 * x + 7.33 * x**2 - 13.08 * x**3 + 14.0 * x**4
+
+
+def centre_in_tension(x: float) -> float:
+    """The same of a crack 2 a in the middle, x = 2 a / W: better than 0.1 % (2.2)."""
+    return (1.0 - 0.025 * x**2 + 0.06 * x**4) / math.sqrt(math.cos(math.pi * x / 2.0))
+
+
+@pytest.mark.parametrize("length", [0.01, 0.03, 0.05])
+def test_edge_crack_in_tension(length: float) -> None:
+    """Within 1 %, and without K_II."""
+    found = of(strip(crack__length=length))
+    exact = STRESS * math.sqrt(math.pi * length) * edge_in_tension(length / 0.1)
+    assert found.one.mean() == pytest.approx(exact, rel=0.01)
+    assert np.abs(found.two).max() < 1e-3 * exact
+
+
+def test_edge_crack_in_bending() -> None:
+    """A moment of two forces at the corners, far away."""
+    couple = {
+        "loads": [
+            {"point": [x, 0.4], "force_mean": [0.0, side * 1e4], "force_sin": [0.0, side * 1e-2]}
+            for x, side in ((0.0, 1.0), (0.1, -1.0))
+        ]
+    }
+    exact = 6.0 * 1e4 * 0.1 / (0.01 * 0.1**2) * math.sqrt(math.pi * 0.03) * edge_in_bending(0.3)
+    assert of(strip(couple)).one.mean() == pytest.approx(exact, rel=0.01)
+
+
+def test_crack_in_the_middle() -> None:
+    """Both tips."""
+    inside = strip(crack__edge=None, crack__center=0.05, crack__length=0.04)
+    found = of(inside)
+    assert found.tips == ("the right tip", "the left tip")
+    assert found.points == pytest.approx(np.array([[0.07, 0.2], [0.03, 0.2]]))
+    exact = STRESS * math.sqrt(math.pi * 0.02) * centre_in_tension(0.4)
+    assert found.one.mean(axis=0) == pytest.approx([exact, exact], rel=0.01)
+
+
+def test_right_edge_mirrors_the_left() -> None:
+    """K_I is the same, K_II the opposite."""
+    shear = {"loads": [{"edge": "top", "traction_mean": [1e4, 1e6], "traction_sin": [0.0, 1.0]}]}
+    left = of(strip(shear))
+    mirrored = {"loads": [{**shear["loads"][0], "traction_mean": [-1e4, 1e6]}]}
+    right = of(strip(mirrored, crack__edge="right"))
+    assert right.one.mean() == pytest.approx(left.one.mean(), rel=1e-6)
+    assert right.two.mean() == pytest.approx(-left.two.mean(), rel=1e-6)
+    assert left.two.mean() > 1e3
+
+
+@pytest.fixture
+def inclined(tmp_path: Path) -> fc.Scene:
+    """A large plate with a small crack at 45 degrees in its middle, as a mesh file."""
+    half, width, height = 0.01 / math.sqrt(2.0), 0.4, 1.2
+    with gmsh_model() as model:
+        geo = model.geo
+        places = [(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)]
+        corners = [geo.addPoint(*place, 0.0, 0.05) for place in places]
+        sides = [geo.addLine(corners[n - 4], corners[n - 3]) for n in range(4)]
+        surface = geo.addPlaneSurface([geo.addCurveLoop(sides)])
+        tips = [geo.addPoint(width / 2 + to, height / 2 + to, 0.0, 3e-4) for to in (-half, half)]
+        crack = geo.addLine(*tips)
+        geo.synchronize()
+        model.mesh.embed(1, [crack], 2, surface)
+        groups = {"plate": (2, surface), "clamp": (1, sides[0]), "top": (1, sides[2])}
+        for tag, (name, (dimension, part)) in enumerate((groups | {"crack": (1, crack)}).items()):
+            model.addPhysicalGroup(dimension, [part], tag + 1)
+            model.setPhysicalName(dimension, tag + 1, name)
+        model.mesh.generate(2)
+        gmsh.plugin.setNumber("Crack", "Dimension", 1)
+        gmsh.plugin.setNumber("Crack", "PhysicalGroup", 4)
+        gmsh.plugin.run("Crack")
+        gmsh.write(str(tmp_path / "plate.msh"))
+    tables = {name: STRIP[name] for name in ("material", "damping", "excitation", "contact")}
+    tables |= {"geometry": {"thickness": 0.01}, "crack": {}}
+    tables["mesh"] = {"layout": "file", "file": str(tmp_path / "plate.msh"), "order": 2}
+    return fc.Scene.from_mapping(tables | TENSION)
+
+
+def test_inclined_crack_in_a_large_plate(inclined: fc.Scene) -> None:
+    """K_I = sigma sqrt(pi a) sin^2 b, K_II = sigma sqrt(pi a) sin b cos b, b = 45 degrees to the
+    load; and the angle at which it would turn is Erdogan and Sih's for K_I = K_II, 53 degrees."""
+    found = of(inclined)
+    exact = 0.5 * STRESS * math.sqrt(math.pi * 0.01)
+    assert found.one.mean(axis=0) == pytest.approx([exact, exact], rel=0.01)
+    assert np.abs(found.two.mean(axis=0)) == pytest.approx([exact, exact], rel=0.01)
+    assert np.degrees(np.abs(found.turn)) == pytest.approx([53.13, 53.13], abs=0.5)
+    turned = np.degrees(np.arctan2(*found.ahead.T[::-1]) + found.turn)
+    # Both turn to grow across the load, which pulls along y.
+    across = np.abs(np.sin(np.radians(turned)))
+    assert np.all(across < 0.2)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_order_of_convergence(order: int) -> None:
+    """Three meshes: one, as of every number that a sharp tip changes; extrapolated to 0.5 %."""
+    found = [
+        of(strip(mesh__order=order, mesh__lip_elements=n, mesh__size=0.16 / n, mesh__grading=4.0))
+        .one.mean() for n in (4, 8, 16)
+    ]  # fmt: skip
+    rate = math.log2((found[1] - found[0]) / (found[2] - found[1]))
+    assert rate == pytest.approx(1.0, abs=0.25)
+    exact = STRESS * math.sqrt(math.pi * 0.03) * edge_in_tension(0.3)
+    assert 2.0 * found[2] - found[1] == pytest.approx(exact, rel=0.005)
+
+
+# --- statics, dynamics and contact ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("law", [{}, {"contact.law": "penalty", "contact.stiffness": 1e9}])
+def test_slow_loading_is_statics(law: dict[str, Any]) -> None:
+    """A preloaded strip that opens and closes, at all instants: within 0.5 % of the largest."""
+    force = {"excitation": {"omega": 1.0, "point": [0.1, 0.4], "force_sin": [1e4, 0.0]}}
+    scene = fc.Scene.from_mapping(STRIP | force).replace(
+        {"excitation.force_mean": [3e3, 0.0], "mesh.lip_elements": 4, "contact.law": "unilateral"}
+    )
+    run = fc.solve(scene.replace({"harmonic_balance.harmonics": 40}), MPI.COMM_SELF)
+    found = fc.stress_intensity(run)
+    whole = run.structure.whole
+    study = fc.prepare(scene, MPI.COMM_SELF, whole=True)
+    rows = tip_rows(study)
+    instants = np.arange(0, len(found.time), 37)
+    waves = [np.ones_like(found.time), np.cos(found.time), np.sin(found.time)]
+    exact = []
+    for place in instants:
+        load = sum(wave[place] * part for wave, part in zip(waves, whole.force, strict=True))
+        moved, pushed = static_state(whole, load, whole.clearance)
+        exact.append(rows.in_time(moved[None] @ rows.of_coordinates.T, pushed[None])[0, 0])
+    error = np.abs(np.column_stack([found.one, found.two])[instants] - exact).max(axis=0)
+    largest = np.abs(exact).max(axis=0)
+    assert np.all(error < 0.005 * largest)
+    assert found.smallest[0] < 0.01 * largest[0] < 0.5 * found.largest[0]
+
+
+def test_closed_crack_has_none() -> None:
+    """Under pressure K_I vanishes, where it would be negative if the lips passed each other."""
+    pressed = {"loads": [{"edge": "top", "pressure_mean": 1e6, "pressure_sin": 1.0}]}
+    passing = STRESS * math.sqrt(math.pi * 0.03) * edge_in_tension(0.3)
+    for order in (1, 2):
+        found = of(strip(pressed, mesh__order=order, mesh__lip_elements=4))
+        assert np.abs(found.one).max() < 2e-3 * passing
+        assert found.effective[0] < 2e-3 * passing
+
+
+def test_full_reversal_opens_for_one_half() -> None:
+    """Slow and without preload the effective range is half of that of lips that pass each other;
+    with a preload it is its closed form, mean and amplitude together."""
+    scene = strip(SWING, mesh__lip_elements=4)
+    run = fc.solve(scene, MPI.COMM_SELF)
+    linear = fc.solve_linear(run.structure, 1.0)
+    passing = np.ptp(tip_rows(run).of_motion(linear)[1][:, 0, 0])
+    assert fc.stress_intensity(run).effective[0] == pytest.approx(0.5 * passing, rel=0.01)
+    for mean in (-0.4, 0.3, 1.2):
+        load = {"edge": "top", "traction_sin": [0.0, STRESS], "traction_mean": [0.0, mean * STRESS]}
+        closed_form = 0.5 * passing * (min(mean + 1.0, 2.0))
+        found = of(strip({"loads": [load]}, mesh__lip_elements=4))
+        assert found.effective[0] == pytest.approx(closed_form, rel=0.01)
+
+
+@pytest.mark.parametrize("omega", [2000.0, 9000.0])
+def test_few_modes_are_enough(omega: float) -> None:
+    """Below and above the first resonance, beside the whole structure: their statics are whole."""
+    force = {"excitation": {"omega": omega, "point": [0.1, 0.4], "force_sin": [1e4, 0.0]}}
+    scene = fc.Scene.from_mapping(STRIP | force).replace({"mesh.lip_elements": 4})
+    whole = fc.prepare(scene, MPI.COMM_SELF, whole=True)
+    found = {}
+    for modes in (5, 15, None):
+        study = whole
+        if modes is not None:
+            study = fc.prepare(scene.replace({"reduction.modes": modes}), MPI.COMM_SELF)
+        linear = fc.solve_linear(study.structure, omega, harmonics=1)
+        found[modes] = tip_rows(study).of_motion(linear)[1][:, 0]
+    size = np.abs(found[None]).max()
+    assert np.abs(found[5] - found[None]).max() < 0.01 * size
+    assert np.abs(found[15] - found[None]).max() < 1e-3 * size
+
+
+def test_inertia_within_the_domain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A domain of half the size gives the same at a high frequency, where inertia bends the field
+    around the tip."""
+    force = {"excitation": {"omega": 6e4, "point": [0.1, 0.4], "force_sin": [1e4, 0.0]}}
+    scene = fc.Scene.from_mapping(STRIP | force)
+    found = []
+    for reach in (0.8, 0.4):
+        monkeypatch.setattr(tip_integral, "REACH", reach)
+        study = fc.prepare(scene.replace({"reduction.modes": 40}), MPI.COMM_SELF)
+        linear = fc.solve_linear(study.structure, 6e4, harmonics=1)
+        found.append(tip_rows(study).of_motion(linear)[1][:, 0])
+    assert np.abs(found[1] - found[0]).max() < 0.005 * np.abs(found[0]).max()
+
+
+def test_march_and_solution_agree() -> None:
+    """The record of a settled motion in time has the same extremes as the solution."""
+    scene = fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(
+        {"damping.ratio": 0.03, "integration.periods": 300, "harmonic_balance.tolerance": 1e-3}
+    )
+    march = fc.stress_intensity(fc.integrate(scene, MPI.COMM_SELF))
+    found = of(scene)
+    assert march.effective == pytest.approx(found.effective, rel=3e-3)
+    assert march.largest == pytest.approx(found.largest, rel=3e-3)
+
+
+def test_errors_are_stated() -> None:
+    """By modes, harmonics and mesh: at least the third, at most three times, of the true one."""
+    scene = fc.Scene.load(ROOT / "benchmarks" / "plate.toml")
+    found = of(scene.replace({"excitation.frequency": 400.0}))
+    finer = of(scene.replace(
+        {"excitation.frequency": 400.0, "mesh.lip_elements": 16, "mesh.size": 0.005}
+    ))  # fmt: skip
+    true = abs(finer.largest[0] / found.largest[0] - 1.0)
+    stated, cause = found.errors.stated("K_max")
+    assert cause == "mesh" and true / 3.0 < stated < 3.0 * true
+
+
+def test_along_a_curve() -> None:
+    """Columns of a curve are those of its solutions."""
+    names = ("amplitude", "K_max", "delta_K_effective")
+    scene = fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(
+        {"curve.start": 780.0, "curve.stop": 800.0, "curve.stability": False,
+         "output.quantities": names}
+    )  # fmt: skip
+    run = fc.curve(scene, MPI.COMM_SELF)
+    along = along_curve(run, run.result)
+    place = len(run.result) // 2
+    alone = numbers_of_motion(run, run.result.solution(place))
+    for name in names[1:]:
+        assert along[name][place] == pytest.approx(alone[name], rel=1e-3)
+
+
+# --- refusals, ranks ------------------------------------------------------------------------------
+
+
+def test_refused_by_name() -> None:
+    """Solids, matrices, curves and plates without a crack."""
+    scene = fc.Scene.load(ROOT / "benchmarks" / "plate.toml")
+    bare = scene.replace({"crack": None, "contact": None})
+    with pytest.raises(fc.InputError, match="left out without a crack"):
+        of(bare)
+    with pytest.raises(fc.InputError, match=r"output.quantities.*left out without a crack"):
+        bare.replace({"output.quantities": ["K_max"]})
+    with pytest.raises(fc.InputError, match=r"run = .*fc.solve"):
+        fc.stress_intensity(3.0)  # type: ignore[arg-type]
+    solid = fc.Scene.load(DEMOS / "solid_blade.toml")
+    with pytest.raises(fc.InputError, match="stress intensities are of plates"):
+        solid.replace({"output.quantities": ["K_max"]})
+
+
+def numbers_on(scene: fc.Scene, comm: MPI.Comm) -> np.ndarray:
+    """Largest K_I and K_II of all ranks together."""
+    found = fc.stress_intensity(fc.solve(scene, comm))
+    return np.array([found.largest, found.numbers["K_II_max"]])
+
+
+def test_same_on_two_ranks(on_ranks: Callable[..., Any]) -> None:
+    """A mesh that is spread over ranks has the same."""
+    scene = strip(SWING, mesh__lip_elements=4)
+    alone = of(scene)
+    assert on_ranks(numbers_on, scene)[0] == pytest.approx(alone.largest, rel=1e-6)
+
+
+def test_file_paths_are_left() -> None:
+    """The demo's mesh of one's own has tips, too."""
+    scene = fc.Scene.load(Path(DEMOS) / "inclined_crack.toml")
+    found = of(scene)
+    assert found.tips == ("the tip",) and found.largest[0] > 0.0
