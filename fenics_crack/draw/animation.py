@@ -24,6 +24,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
+from vtkmodules.vtkInteractionWidgets import vtkSliderRepresentation2D, vtkSliderWidget
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.draw.figure import COLOURS, label_axis
@@ -247,8 +248,6 @@ def _with_slider(plotter: Any, solution: PeriodicSolution, fields: PeriodFields)
     VTK must format no number here: newer versions parse the format by a regular expression, which
     crashes if DOLFINx was loaded first, because each brings its own part of libstdc++.
     """
-    from vtkmodules.vtkInteractionWidgets import vtkSliderRepresentation2D, vtkSliderWidget
-
     plate = _Plate(plotter, fields)
     figure = Figure(facecolor="white")
     _draw_bar(figure, (0.1, 0.05, 0.2, 0.87), plate.colours)
