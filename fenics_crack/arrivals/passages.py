@@ -34,7 +34,7 @@ from scipy.linalg import block_diag
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.arrivals.fit_frequency import find_lines
 from fenics_crack.arrivals.harmonics import ALIKE, ORDERS, UNITS, TipFit, rounding, wanted
-from fenics_crack.arrivals.robust import reweighted
+from fenics_crack.arrivals.robust import FREEDOMS, reweighted
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.table import RPM, TURN, Tabular, quantity
 
@@ -59,6 +59,8 @@ SPACING, TYPICAL = 0.003, 0.004
 """Relative distance of the speeds at which resonances are sought, and their damping there."""
 MEDIAN = 0.954
 """Median of the difference of two normal numbers, in their standard deviations."""
+TURNS = 3
+"""Of weights, there, without which single wrong arrivals look like resonances."""
 CLEAR = 60.0
 """Difference of -2 log likelihood from which on a vibration is no chance: some 1e5 of them are
 tried, each of six numbers."""
@@ -103,8 +105,9 @@ class _Run:
             edges = np.linspace(0, len(turning), parts + 1).astype(int)
             for begin, end in itertools.pairwise(edges):
                 here = slice(begin, end + 1)
-                ahead = 1j * (path[here] - path[begin]) - roots * (time[here] - time[begin])
-                wave = np.exp(ahead)
+                passed = time[here] - time[begin]
+                phase = path[here] - path[begin] - roots.imag * passed
+                wave = np.exp(-roots.real * passed) * (np.cos(phase) + 1j * np.sin(phase))
                 pushed = np.cumsum(np.diff(wave) / (1j * turning[begin:end] - roots), axis=1)
                 envelope[:, begin + 1 : end + 1] = (envelope[:, [begin]] + pushed) / wave[:, 1:]
         found = -roots.real * envelope * np.exp(1j * order * self.angle.ravel())
@@ -476,8 +479,10 @@ def _search(
     found: list[_Compared] = []
     while len(found) < most and np.any(gains > CLEAR):
         centre = centres[int(gains.argmax())]
-        new = _Compared(_runs(arrivals, left, centre), centre, orders)
         gains[np.abs(centres / centre - 1.0) < 1.5 * SPACING] = 0.0
+        if _clearness(arrivals, left, centre, TURNS) < CLEAR:
+            continue
+        new = _Compared(_runs(arrivals, left, centre), centre, orders)
         if not new.clear:
             continue
         found.append(new)
@@ -504,19 +509,27 @@ def _runs(arrivals: ArrivalTimes, values: np.ndarray, speed: float) -> list[_Run
     return found
 
 
-def _clearness(arrivals: ArrivalTimes, values: np.ndarray, speed: float) -> float:
+def _clearness(arrivals: ArrivalTimes, values: np.ndarray, speed: float, turns: int = 1) -> float:
     """What a steady vibration of any phase at each probe takes off the sum of squares near a
-    speed, in units of the variance of differences from one revolution to the next."""
+    speed, in units of the variance of differences from one revolution to the next; from the second
+    turn on with the weights that arrivals have in Student's t by what is left of them."""
     total = 0.0
     for run in _runs(arrivals, values, speed):
-        wave = 1.0 / (TYPICAL + 1j * (run.speed / speed - 1.0))
-        parts = np.stack([wave.real, wave.imag])[..., None] * np.ones(run.path.shape)
-        parts = run.without_drifts(parts, run.seen.astype(float))
-        square = np.einsum("arp,brp->pab", parts, parts)
-        seen = np.einsum("arp,rp->pa", parts, run.values)
-        gain = float((seen * np.linalg.solve(square, seen[..., None])[..., 0]).sum())
         changes = np.abs(np.diff(np.where(run.seen, run.values, np.nan), axis=0))
-        total += gain / max(float(np.nanmedian(changes)) / MEDIAN, run.least) ** 2
+        scale = max(float(np.nanmedian(changes)) / MEDIAN, run.least)
+        wave = 1.0 / (TYPICAL + 1j * (run.speed / speed - 1.0))
+        given = [part[:, None] * run.seen for part in (wave.real, wave.imag)]
+        weights = run.seen.astype(float)
+        for _ in range(turns):
+            *parts, left = run.without_drifts(np.stack([*given, run.values]), weights)
+            square = np.einsum("arp,brp->pab", parts, parts)
+            seen = np.einsum("arp,rp->pa", parts, left)
+            found = np.linalg.solve(square, seen[..., None])[..., 0]
+            gain = float((seen * found).sum())
+            left = left - np.einsum("arp,pa->rp", parts, found)
+            square = left[run.seen] ** 2 / weights[run.seen]
+            weights[run.seen] = (FREEDOMS[0] + 1.0) / (FREEDOMS[0] + square / scale**2)
+        total += gain / scale**2
     return total
 
 

@@ -358,7 +358,10 @@ class Parser(argparse.ArgumentParser):
         if re.search(r"unrecognized arguments: [\w.]+=", message):
             message += "; each key takes its own --set: --set KEY=VALUE --set KEY=VALUE"
         elif wrong and wrong[2]:
-            message += f"; {meant(near(wrong[2].partition('=')[0], options_of(*COMMANDS)))}"
+            option = wrong[2].partition("=")[0]
+            takers = [name for name in COMMANDS if option in options_of(name)]
+            message += f"; {meant([] if takers else near(option, options_of(*COMMANDS)))}"
+            message += f"of {', '.join(takers)} alone" if takers else ""
         elif wrong:
             others = [
                 name

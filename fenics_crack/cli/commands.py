@@ -186,6 +186,8 @@ def identification(given: Namespace, inputs: Inputs, console: Console) -> None:
     on_root(console.comm, write)
     console.table(found.table())
     console.note(f"{found.verdict}: {found.reason}")
+    if found.mesh is not None:
+        console.note(f"nearest mesh: {found.mesh}")
     console.note(*(f"remark: {remark}" for remark in found.remarks))
     console.note(*(f"next to measure: {advice}" for advice in found.advice))
     console.note(f"{folder / 'identify.h5'}, .json; posterior.png, fit.csv, where_to_measure.csv")

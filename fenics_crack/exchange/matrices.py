@@ -120,7 +120,7 @@ def read_labels(path: Path) -> np.ndarray:
             raise ValueError(f"{path.name}, line {number}: {line[:80]!r} names no dof of a node")
     if not found or len(set(found)) < len(found):
         raise ValueError(f"{path.name}: {'a row twice' if found else 'no dof of a node'}")
-    return np.array(found)
+    return np.array(found, dtype=np.int64)
 
 
 def _symmetric(
@@ -165,7 +165,7 @@ def _begins_as_abaqus(path: Path) -> bool:
 def _of_abaqus(path: Path) -> LabelledMatrix:
     entries = rows_of(path, 5, "*", ",")
     found = _between_labels(
-        entries[:, :4].astype(int).reshape(-1, 2, 2), entries[:, 4], whole=False
+        entries[:, :4].astype(np.int64).reshape(-1, 2, 2), entries[:, 4], whole=False
     )
     assert found.labels is not None
     free = np.flatnonzero(found.matrix.diagonal() < CLAMPED)
@@ -198,7 +198,7 @@ def _of_nastran(path: Path, kind: str) -> LabelledMatrix:
             raise ValueError(f"line {number}: {line[:80]!r} is not of {wanted}") from None
     if not ends:
         raise ValueError(f"it has no matrix DMIG whose name begins with {kind}")
-    at = np.array(ends).reshape(-1, 2, 2)
+    at = np.array(ends, dtype=np.int64).reshape(-1, 2, 2)
     return _between_labels(at, np.array(values), whole=form == 1)
 
 

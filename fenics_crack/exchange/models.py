@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from fenics_crack.exchange.lines import numbered_lines, rows_of
+from fenics_crack.scene.fields import LARGEST
 
 __all__ = ["Model", "read_model"]
 
@@ -61,11 +62,11 @@ def read_model(path: Path) -> Model:
     READERS.get(path.suffix.lower(), _table)(path, nodes, cells)
     if not nodes:
         raise ValueError("it has no nodes")
-    labels = np.array(sorted(nodes))
+    labels = np.array(sorted(nodes), dtype=np.int64)
     points = np.array([nodes[label] for label in labels.tolist()])
     made = {}
     for kind, rows in cells.items():
-        wanted = np.array(rows)
+        wanted = np.array(rows, dtype=np.int64)
         places = np.minimum(np.searchsorted(labels, wanted), len(labels) - 1)
         if np.any(labels[places] != wanted):
             missing = wanted[labels[places] != wanted][0]
@@ -79,9 +80,10 @@ Cells = dict[int, list[list[int]]]
 
 
 def _put(nodes: Nodes, number: int, label: int, place: tuple[float, ...]) -> None:
-    if len(place) != 3 or nodes.setdefault(label, place) != place:
-        found = "two places" if len(place) == 3 else f"{len(place)} coordinates"
-        raise ValueError(f"line {number}: {found} of node {label}")
+    if not all(abs(x) <= LARGEST for x in place):
+        raise ValueError(f"line {number}: a coordinate of node {label} is no number to {LARGEST:g}")
+    if nodes.setdefault(label, place) != place:
+        raise ValueError(f"line {number}: two places of node {label}")
 
 
 def _table(path: Path, nodes: Nodes, cells: Cells) -> None:
@@ -109,7 +111,7 @@ def _of_abaqus(path: Path, nodes: Nodes, cells: Cells) -> None:
                 count = int(match[1]) if match is not None else 0
             elif keyword == "NODE":
                 label, *place = line.strip().rstrip(",").split(",")
-                spatial = (*map(float, place), 0.0)[:3]  # of a plane model z is left out
+                spatial = (*map(float, place), 0.0, 0.0)[:3]  # zeros may be left out
                 _put(nodes, number, int(label), spatial)
             elif keyword == "ELEMENT" and count in VTK:
                 row += map(int, line.strip().rstrip(",").split(","))

@@ -1,7 +1,7 @@
 """What is interpolated: natural frequencies and harmonics of a sweep, made smooth.
 
 Smooth in the unknowns are the logarithms of natural frequencies without the crack, what it adds to
-them, over its length where that is unknown, and harmonics as complex numbers,
+them, over its size where that is unknown, and harmonics as complex numbers,
 a - i b of a cos + b sin. The amplitudes alone have kinks where they vanish, and both have poles,
 which move with the crack, where k times the load's frequency W meets a natural frequency w_j of the
 breathing crack with a damping ratio z. So of the k-th harmonic it is
@@ -25,11 +25,14 @@ import numpy as np
 from fenics_crack.errors import FEW_MODES, InputError
 from fenics_crack.identification.interpolation import Cube
 from fenics_crack.identification.measurements import Measurement, check_point
+from fenics_crack.scene.fields import Axis
 from fenics_crack.sweep.file import CONVERGED, ORDERS
 from fenics_crack.sweep.result import SweepResult
 
-__all__ = ["Feature", "Part", "poles", "scales"]
+__all__ = ["MESH", "Feature", "Part", "poles", "scales"]
 
+MESH = "mesh.file"
+"""The axis of meshes with numbers."""
 LIPS = {"bilinear": ("open", "tied"), "resonance": ("open", "tied")}
 """Of what natural frequencies are made."""
 
@@ -45,9 +48,19 @@ class Part:
     bare: Part | None = None
 
     @classmethod
-    def of(cls, sweep: SweepResult, chosen: Sequence[int | None], bare: Part | None = None) -> Part:
-        """Take a sweep, and the number of the word chosen on each axis, None on one of numbers."""
-        numbers = [a for a, at in zip(sweep.axes, chosen, strict=False) if at is None]
+    def of(
+        cls,
+        sweep: SweepResult,
+        meshes: Sequence[Axis],
+        chosen: Sequence[int | None],
+        bare: Part | None = None,
+    ) -> Part:
+        """Take a sweep, the numbers of its meshes if it has some, and the number of the word chosen
+        on each axis, None on one of numbers, or of such meshes."""
+        numbers: list[Axis] = []
+        for axis, at in zip(sweep.axes, chosen, strict=False):
+            if at is None:
+                numbers += meshes if axis.key == MESH else [axis]
         index = tuple(slice(None) if at is None else at for at in chosen)
         cube = Cube(tuple(np.array(axis.values, dtype=float) for axis in numbers))
         return cls(sweep, tuple(axis.key for axis in numbers), cube, index, bare)
@@ -167,10 +180,10 @@ def poles(
 
 
 def scales(
-    features: Sequence[Feature], damping: np.ndarray, basis: np.ndarray, length: np.ndarray
+    features: Sequence[Feature], damping: np.ndarray, basis: np.ndarray, size: np.ndarray
 ) -> np.ndarray:
-    """Factors that make the values smooth: (m, f), of the same and of lengths of the crack (m,)."""
+    """Factors that make the values smooth: (m, f), of the same and of sizes of the crack (m,)."""
     powers = np.array([feature.power for feature in features])
     changed = np.array([feature.of_crack for feature in features])
     found = poles(features, damping, basis)[1].prod(axis=2) / basis[:, :1] ** (2 * powers)
-    return np.where(changed, 1.0 / length[:, None], found)
+    return np.where(changed, 1.0 / size[:, None], found)

@@ -22,10 +22,10 @@ from mpi4py import MPI
 
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import scene_text
-from fenics_crack.identification.features import Part
-from fenics_crack.identification.measurements import Measurements, has_uncracked
+from fenics_crack.identification.features import MESH, Part
+from fenics_crack.identification.measurements import Measurements, without_crack
 from fenics_crack.identification.model import Model
-from fenics_crack.identification.nuisance import NO_CRACK, Whole, whole_plate
+from fenics_crack.identification.nuisance import Whole, whole_plate
 from fenics_crack.identification.posterior import Likelihood, Posterior, explore
 from fenics_crack.identification.result import Identification
 from fenics_crack.parallel import on_root
@@ -104,7 +104,8 @@ def identify(
         scene = replace(scene, identify=changed)
     if scene.identify is None:
         raise InputError("identify", None, "given: a table with what is unknown")
-    if all(isinstance(axis.values[0], str) for axis in scene.identify.unknown):
+    words = all(isinstance(axis.values[0], str) for axis in scene.identify.unknown)
+    if words and not scene.identify.meshes:
         raise InputError("identify.unknown", "words alone", "also a key that holds a number")
     if not isinstance(measurements, Measurements):
         path = measurements
@@ -196,7 +197,7 @@ def _whole(scene: Scene, comm: MPI.Comm) -> Whole:
     """The plate of a scene without its crack, on every rank (collective)."""
     table = scene.identify
     assert table is not None
-    plain = scene.replace(dict.fromkeys(ASKED))
+    plain = scene.replace(dict.fromkeys(ASKED) | (without_crack(scene) or {}))
     begin("plate without its crack")
     return on_root(comm, lambda: whole_plate(plain, table))
 
@@ -248,18 +249,19 @@ def solve_forward(
 
     count = FEW_NODES.get(sum(not isinstance(a.values[0], str) for a in table.unknown), 3)
 
-    def sweeps(name: str, gone: Sequence[str], axes: Sequence[Axis]) -> list[SweepResult]:
-        without = dict.fromkeys(gone)
-        found = [run(name, coarse.replace(without), axes)]
+    def sweeps(name: str, changes: dict[str, Any], axes: Sequence[Axis]) -> list[SweepResult]:
+        found = [run(name, coarse.replace(changes), axes)]
         if fine is not None:
-            found.append(run(f"{name}_finer", fine.replace(without), _thinned(axes, count)))
+            found.append(run(f"{name}_finer", fine.replace(changes), _thinned(axes, count)))
         return found
 
-    cracked = sweeps("forward", (), table.unknown)
-    if not has_uncracked(scene):
+    meshes = [Axis(MESH, table.mesh_files)] if table.meshes else []
+    cracked = sweeps("forward", {}, [*meshes, *table.unknown])
+    changes = without_crack(scene)
+    if changes is None:
         return Forward(scene, _models(scene, whole, cracked), {})
     others = [axis for axis in table.unknown if not axis.key.startswith(("crack.", "contact."))]
-    bare = sweeps("uncracked", NO_CRACK, others)
+    bare = sweeps("uncracked", changes, others)
     return Forward(scene, _models(scene, whole, cracked, bare), _models(scene, whole, bare))
 
 
@@ -290,16 +292,23 @@ def _models(
 ) -> dict[str, Model]:
     """Models of a sweep, and of a finer one if there is, by the words that tell them apart; and
     the sweeps of the plate without its crack, if there are."""
-    axes = sweeps[0].axes[:-1]
-    words = [range(len(a.values)) if isinstance(a.values[0], str) else (None,) for a in axes]
+    assert scene.identify is not None
+    axes, meshes = sweeps[0].axes[:-1], scene.identify.mesh_axes
+    words = [
+        range(len(a.values))
+        if isinstance(a.values[0], str) and not (meshes and a.key == MESH)
+        else (None,)
+        for a in axes
+    ]
     found = {}
     for chosen in itertools.product(*words):
         places = dict(zip((axis.key for axis in axes), chosen, strict=True))
         picked = [(axis, at) for axis, at in zip(axes, chosen, strict=True) if at is not None]
         fixed = {axis.key: axis.values[at] for axis, at in picked}
-        without = [Part.of(one, [places[axis.key] for axis in one.axes[:-1]]) for one in bare]
+        without = [Part.of(one, (), [places[axis.key] for axis in one.axes[:-1]]) for one in bare]
         parts = (
-            Part.of(sweep, chosen, under) for sweep, under in itertools.zip_longest(sweeps, without)
+            Part.of(sweep, meshes, chosen, under)
+            for sweep, under in itertools.zip_longest(sweeps, without)
         )
         found[", ".join(map(str, fixed.values()))] = Model(scene, whole, *parts, fixed=fixed)
     return found

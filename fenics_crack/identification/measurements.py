@@ -20,7 +20,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.table import Tabular, counted
 
 __all__ = [
-    "AT_A_LOAD", "FREQUENCIES", "Measurement", "Measurements", "check_point", "has_uncracked",
+    "AT_A_LOAD", "FREQUENCIES", "Measurement", "Measurements", "check_point", "without_crack",
 ]  # fmt: skip
 
 FREQUENCIES = (
@@ -314,7 +314,7 @@ class Measurements(Tabular):
             raise InputError("measurements", "frequency_uncracked", "also some of the plate as is")
         for row in self.rows:
             check_point(scene, row.point)
-            if row.quantity == "frequency_uncracked" and not has_uncracked(scene):
+            if row.quantity == "frequency_uncracked" and without_crack(scene) is None:
                 allowed = "left out where the crack cannot be taken out of the scene"
                 raise InputError("measurements.quantity", row.quantity, allowed)
 
@@ -350,9 +350,13 @@ def check_point(scene: Scene, point: str) -> None:
         raise InputError("measurements.point", point, allowed)
 
 
-def has_uncracked(scene: Scene) -> bool:
-    """Tell whether the crack can be taken out of a scene."""
-    return scene.structure is None and scene.mesh.layout != "file" and len(scene.all_cracks) == 1
+def without_crack(scene: Scene) -> dict[str, Any] | None:
+    """What is to be changed in a scene to take its crack out; None where that cannot be done."""
+    changes: dict[str, Any] = dict.fromkeys(("crack", "cracks", "contact"))
+    if scene.identify is not None and scene.identify.uncracked is not None:
+        return changes | {"mesh.file": scene.identify.uncracked}
+    own = scene.structure is None and scene.mesh.layout != "file" and len(scene.all_cracks) == 1
+    return changes if own else None
 
 
 def _is_one(value: Any) -> bool:

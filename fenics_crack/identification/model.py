@@ -19,7 +19,7 @@ from fenics_crack.errors import FEW_MODES
 from fenics_crack.identification.features import Feature, Part, scales
 from fenics_crack.identification.interpolation import Interpolation
 from fenics_crack.identification.measurements import Measurement
-from fenics_crack.identification.nuisance import Whole, act_as, relative_changes
+from fenics_crack.identification.nuisance import OF_SIZE, Whole, act_as, relative_changes
 from fenics_crack.identification.probes import Passages
 from fenics_crack.scene.scene import Scene
 
@@ -81,13 +81,11 @@ class Model:
             ratio = self._damping.ratios if self._damping.ratio is None else self._damping.ratio
         return np.full((len(x), 1), DEFAULT_RATIO if ratio is None else np.mean(ratio))
 
-    def length(self, x: np.ndarray) -> np.ndarray:
-        """Length of the crack over the longest, at values (m, d) of the unknowns: (m,); 1 where it
-        is not unknown."""
-        if "crack.length" not in self.keys:
-            return np.ones(len(x))
-        place = self.keys.index("crack.length")
-        return np.asarray(x[:, place] / self.cube.high[place])
+    def size(self, x: np.ndarray) -> np.ndarray:
+        """Length of the crack over the longest, times the same of its depth, at values (m, d) of
+        the unknowns: (m,); 1 of what is not unknown."""
+        places = [place for place, key in enumerate(self.keys) if key in OF_SIZE]
+        return np.asarray(np.prod(x[:, places] / self.cube.high[places], axis=1))
 
     def act_as(self, x: np.ndarray) -> np.ndarray:
         """How far a crack may be from the one that acts like it, at values (m, d) of the unknowns:
@@ -182,7 +180,7 @@ class Quantities:
 
     def _scales(self, x: np.ndarray, basis: np.ndarray) -> np.ndarray:
         """Factors that have made features smooth: (m, f), for both sweeps from the coarse one."""
-        return scales(self._features, self.model.damping(x), basis, self.model.length(x))
+        return scales(self._features, self.model.damping(x), basis, self.model.size(x))
 
     def _basis_at(self, x: np.ndarray) -> np.ndarray:
         """What :attr:`Part.basis` has, at values (m, d) of the unknowns: (m, 1 + 2 modes)."""

@@ -36,16 +36,14 @@ from mpi4py import MPI
 
 from fenics_crack.errors import FEW_MODES, InputError
 from fenics_crack.identification.features import Feature, poles
-from fenics_crack.identification.measurements import Measurements, has_uncracked
+from fenics_crack.identification.measurements import Measurements
 from fenics_crack.model.modes import Modes, solve_modes, times
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Identify
 from fenics_crack.study.prepare import prepare
 
-__all__ = ["NO_CRACK", "Whole", "act_as", "relative_changes", "whole_plate"]
+__all__ = ["OF_SIZE", "Whole", "act_as", "relative_changes", "whole_plate"]
 
-NO_CRACK = ("crack", "cracks", "contact")
-"""Tables that a scene without a crack does without."""
 STIFFENING = 0.05
 """Relative standard deviation of what rotation adds to the square of a natural frequency: beams and
 plates differ by so much in it."""
@@ -55,6 +53,8 @@ POWER = 2.0
 """Of a crack's length, like which it changes natural frequencies."""
 CENTROID = 2.0 / 3.0
 """Of an edge crack's length: the middle of what it weakens, which grows like its length."""
+OF_SIZE = ("crack.length", "crack.depth")
+"""Keys of a crack's size."""
 FACTORS = {"rad/s": 2.0 * np.pi, "kHz": 1e-3, "mHz": 1e3}
 """What numbers in other units are multiples of."""
 NEAR = 0.3
@@ -95,13 +95,12 @@ class Whole:
 
 
 def whole_plate(scene: Scene, table: Identify) -> Whole:
-    """Find the modes of a scene's plate without its crack, on this rank alone."""
-    given = scene.replace(dict.fromkeys(NO_CRACK)) if has_uncracked(scene) else scene
-    modes = _modes(given)
+    """Find the modes of a plate without a crack, lips tied if it has some, on this rank alone."""
+    modes = _modes(scene)
     count = len(modes.omega)
     elastic = np.ones(count)
     if scene.speed > 0.0:
-        still = _modes(given.at_rest()).omega[:count]
+        still = _modes(scene.at_rest()).omega[:count]
         elastic = np.clip(still / modes.omega, 0.0, 1.0) ** 2
     own = np.hypot(table.model_deviation, 0.5 * STIFFENING * (1.0 - elastic))
     unknown = {axis.key for axis in table.unknown}
@@ -202,14 +201,16 @@ def relative_changes(
 def act_as(x: np.ndarray, keys: Sequence[str], scene: Scene) -> np.ndarray:
     """How far a crack may be from the straight and sharp one that acts like it, at values (m, d) of
     the unknowns: standard deviations (m, d)."""
-    table, found = scene.identify, np.zeros_like(x)
+    table, found, into = scene.identify, np.zeros_like(x), np.zeros(len(x))
     assert table is not None
-    length = np.full(len(x), getattr(scene.crack, "length", None) or 0.0)
-    if "crack.length" in keys:
-        place = keys.index("crack.length")
-        length = x[:, place]
-        found[:, place] = table.crack_deviation * np.sqrt(TOGETHER) / POWER * length
+    for key in OF_SIZE:  # that of a part-through crack is its depth
+        size = np.full(len(x), getattr(scene.crack, key.removeprefix("crack."), None) or 0.0)
+        if key in keys:
+            size = x[:, keys.index(key)]
+            own = table.crack_deviation * np.sqrt(TOGETHER) / POWER * size
+            found[:, keys.index(key)] = own
+        into = np.where(size > 0.0, size, into)
     if "crack.height" in keys:
         tilt = CENTROID * np.tan(np.radians(table.angle_deviation))
-        found[:, keys.index("crack.height")] = tilt * length
+        found[:, keys.index("crack.height")] = tilt * into
     return found

@@ -78,6 +78,12 @@ class Identification(Tabular):
         return model.fixed | dict(zip(self.unknown, x.tolist(), strict=True))
 
     @property
+    def mesh(self) -> str | None:
+        """Of meshes with numbers the file whose are nearest to the estimate."""
+        assert self.scene.identify is not None
+        return self.scene.identify.nearest_mesh(self.estimate)
+
+    @property
     def intervals(self) -> dict[str, tuple[float, float]]:
         """Bounds of each unknown with a probability of 95 %."""
         found = self.posterior.interval
@@ -203,6 +209,7 @@ class Identification(Tabular):
             "reason": self.reason,
             "log_bayes_factor": None if np.isnan(ratio) else ratio,
             "estimate": self.estimate,
+            "mesh": self.mesh,
             "intervals": {key: list(ends) for key, ends in self.intervals.items()},
             "alternatives": [
                 {"values": values, "probability": mass} for values, mass in self.alternatives

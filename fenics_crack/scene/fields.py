@@ -26,6 +26,7 @@ __all__ = [
     "OR_ZERO",
     "SMALLEST",
     "Axis",
+    "MeshFile",
     "Pair",
     "Table",
     "Vector",
@@ -71,9 +72,23 @@ class Axis:
     key: str
     values: tuple[Any, ...]
 
+    def as_toml(self) -> str:
+        """As a line of a file."""
+        return f"{_as_toml(self.key)} = {_as_toml(self.values)}"
+
 
 class Point(Axis):
     """A named point: its key is the name, its values are x and y, of a solid z too [m]."""
+
+
+class MeshFile(Axis):
+    """A mesh with the numbers that it has: its key is the file, its values are names and numbers,
+    ``("crack.length", 0.005)``."""
+
+    def as_toml(self) -> str:
+        """As a line of a file."""
+        told = ", ".join(f"{_as_toml(name)} = {_as_toml(value)}" for name, value in self.values)
+        return f"{_as_toml(self.key)} = {{ {told} }}"
 
 
 # --- how a value is read --------------------------------------------------------------------------
@@ -153,6 +168,18 @@ def _points(value: object) -> tuple[Point, ...]:
     return tuple(Point(str(name), _vector(given)) for name, given in value.items())
 
 
+def _mesh_files(value: object) -> tuple[MeshFile, ...]:
+    """Meshes of a mapping from files to their numbers by names."""
+    if isinstance(value, tuple) and all(isinstance(one, MeshFile) for one in value):
+        return value
+    if not isinstance(value, Mapping) or not all(isinstance(of, Mapping) for of in value.values()):
+        raise TypeError
+    return tuple(
+        MeshFile(_str(file), tuple((_str(name), _float(number)) for name, number in of.items()))
+        for file, of in value.items()
+    )
+
+
 def _list(value: object) -> list[object]:
     if not isinstance(value, list | tuple):
         raise TypeError
@@ -203,6 +230,7 @@ _READERS: dict[str, Callable[[object], Any]] = {
     "float | tuple[float, ...]": _one_or_more,
     "int | str": lambda value: value if value == "all" else _int(value),
     "tuple[Axis, ...]": _axes,
+    "tuple[MeshFile, ...]": _mesh_files,
     "tuple[Point, ...]": _points,
     "tuple[float, ...]": lambda value: tuple(map(_float, _list(value))),
     "tuple[str, ...]": _words,
@@ -423,8 +451,7 @@ class Table:
         for name, item in self.keys().items():
             value = getattr(self, name)
             if isinstance(value, tuple) and value and isinstance(value[0], Axis):
-                after = ["", f"[{self.name_of(name)}]"]
-                after += [f"{_as_toml(a.key)} = {_as_toml(a.values)}" for a in value]
+                after += ["", f"[{self.name_of(name)}]", *(axis.as_toml() for axis in value)]
             elif value != item.default and name not in found:
                 lines.append(f"{name} = {_as_toml(value)}")
         return "\n".join([*lines, *after, ""])

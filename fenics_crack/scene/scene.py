@@ -8,6 +8,7 @@ the key, the value and what is allowed, before anything is computed.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import re
 import tomllib
 from collections.abc import Callable, Mapping
@@ -19,7 +20,7 @@ from fenics_crack.errors import InputError, reading
 from fenics_crack.hints import Hinted, converted, meant, near, written
 from fenics_crack.outside import text_of
 from fenics_crack.scene.cracks import OF_SHAPES, check_cracks
-from fenics_crack.scene.fields import Axis, Table, components, named, radians
+from fenics_crack.scene.fields import Axis, MeshFile, Table, components, named, radians
 from fenics_crack.scene.quantities import OF_TIPS
 from fenics_crack.scene.tables import (
     Base,
@@ -125,10 +126,14 @@ class Scene(Hinted):
             (_check_file if self.mesh.layout == "file" else _check_plate)(self)
         if self.tip_quantities:
             self.check_tips("output.quantities", self.tip_quantities)
-        for name, key in (("sweep", "over"), ("identify", "unknown")):
+        for name, key in _AXES:
             if (chosen := getattr(self, name)) is not None:
                 axes = _checked_axes(self, f"{name}.{key}", getattr(chosen, key))
                 object.__setattr__(self, name, dataclasses.replace(chosen, **{key: axes}))
+        if self.identify is not None and (self.mesh is None or self.mesh.layout != "file"):
+            allowed = "left out without mesh.layout = 'file'"
+            self.identify.require(not self.identify.meshes, "meshes", allowed)
+            self.identify.leave_out(("uncracked",), "a mesh that is not a file")
 
     def __repr__(self) -> str:
         return f"Scene({_in_short(self)})"
@@ -280,12 +285,22 @@ class Scene(Hinted):
 
     @property
     def files(self) -> list[tuple[str, str]]:
-        """The keys that name files, mesh or matrices, of the scene and its sweep, and the files."""
+        """The keys that name files, mesh or matrices, of the scene, its sweep and what is unknown,
+        and the files."""
         found = [(key, value) for key, value in self._paths().items()]
-        for axis in self.sweep.over if self.sweep is not None else ():
+        for axis in itertools.chain(*self._axes().values()):
             if axis.key in _PATHS:
                 found += [(axis.key, value) for value in axis.values if isinstance(value, str)]
-        return found
+        return found + [("identify.meshes", one.key) for one in self._meshes]
+
+    @property
+    def _meshes(self) -> tuple[MeshFile, ...]:
+        return () if self.identify is None else self.identify.meshes
+
+    def _axes(self) -> dict[str, tuple[Axis, ...]]:
+        """Keys that hold axes, and the axes."""
+        given = ((f"{name}.{key}", getattr(self, name), key) for name, key in _AXES)
+        return {name: getattr(table, key) for name, table, key in given if table is not None}
 
     def _paths(self) -> dict[str, str]:
         """Keys that name files, and the files."""
@@ -298,13 +313,16 @@ class Scene(Hinted):
         if not self.files:
             return self
         changes: dict[str, object] = {key: change(path) for key, path in self._paths().items()}
-        if self.sweep is not None:
-            changes["sweep.over"] = tuple(
+        for name, axes in self._axes().items():
+            changes[name] = tuple(
                 Axis(axis.key, tuple(change(v) if isinstance(v, str) else v for v in axis.values))
                 if axis.key in _PATHS
                 else axis
-                for axis in self.sweep.over
+                for axis in axes
             )
+        if self._meshes:
+            moved = (dataclasses.replace(one, key=change(one.key)) for one in self._meshes)
+            changes["identify.meshes"] = tuple(moved)
         return self.replace(changes)
 
     def replace(self, values: Mapping[str, object]) -> Scene:
@@ -614,4 +632,6 @@ _PATHS = tuple(
     if "path" in item.metadata
 )
 """Keys that hold the path of a file."""
+_AXES = ("sweep", "over"), ("identify", "unknown")
+"""Tables and their keys that hold axes."""
 _SWEPT = tuple(name for name in _TABLES if name not in LOOKED_AT)

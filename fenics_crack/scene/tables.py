@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Mapping
@@ -16,6 +17,7 @@ from fenics_crack.errors import MAX_SAMPLES, InputError, check_two_ratios
 from fenics_crack.scene.fields import (
     OR_ZERO,
     Axis,
+    MeshFile,
     Pair,
     Point,
     Table,
@@ -678,15 +680,31 @@ class Identify(Table):
         [identify.unknown]
         "crack.length" = { start = 0.003, stop = 0.045, count = 8 }
         "crack.height" = { start = 0.02, stop = 0.2, count = 10 }
+
+    or, with meshes of one's own::
+
+        [identify.meshes]
+        "blade_05.msh" = { "crack.length" = 0.005 }
+        "blade_10.msh" = { "crack.length" = 0.010 }
+        "blade_15.msh" = { "crack.length" = 0.015 }
+        "blade_20.msh" = { "crack.length" = 0.020 }
     """
 
     unknown: tuple[Axis, ...] = holds(
-        "a table of keys of the scene and the values between which they are looked for",
-        lambda value: value,
+        "a table of keys of the scene and the values between which they are looked for", default=()
     )
     """Keys with at least 4 numbers in ascending order, at which the forward model is solved, or
     start, stop, count and ``spacing = "logarithmic"``; or words: ``"crack.edge" = ["left",
-    "right"]``."""
+    "right"]``. May be left out with ``meshes``."""
+    meshes: tuple[MeshFile, ...] = holds(
+        'a table of .msh files and their numbers, "blade_05.msh" = { "crack.length" = 0.005 }',
+        default=(),
+    )
+    """Meshes of the structure with its crack, for ``mesh.layout = "file"``, and what is unknown of
+    each: keys of the crack, or words of one's own for other numbers; at least 4 values of each, and
+    a mesh for every combination."""
+    uncracked: str | None = path("the path of a .msh file")
+    """Mesh of the same structure without its crack, where it is read from a file."""
     frequencies: tuple[float, ...] = holds(
         "a list of finite numbers > 0", lambda values: min(values, default=1.0) > 0, ()
     )
@@ -728,6 +746,10 @@ class Identify(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if not self.unknown and not self.meshes:
+            allowed = f"given: {self.keys()['unknown'].metadata['allowed']}"
+            raise InputError("identify.unknown", None, allowed)
+        self._check_meshes()
         for axis in self.unknown:
             words = [isinstance(value, str) for value in axis.values]
             if not all(words):
@@ -736,6 +758,54 @@ class Identify(Table):
                 if not fine:
                     allowed = f"words, or {LEAST_OF_AN_UNKNOWN} or more numbers in ascending order"
                     raise InputError(f'identify.unknown."{axis.key}"', axis.values, allowed)
+
+    def _check_meshes(self) -> None:
+        """Raise InputError unless there is one mesh for every combination of enough numbers."""
+        metres = [key for key, item in Crack.keys().items() if item.metadata["unit"] == "m"]
+        named = {*map(Crack.name_of, metres)} - {axis.key for axis in self.unknown}
+        for one in self.meshes:
+            key, names = f'identify.meshes."{one.key}"', [name for name, _ in one.values]
+            if not names or set(names) != {name for name, _ in self.meshes[0].values}:
+                raise InputError(key, names, "the same numbers as of the others, one or more")
+            for name in names:
+                if not (name in named or name.isidentifier()):
+                    allowed = f"a word, or one of {', '.join(sorted(named))}"
+                    raise InputError(key, name, allowed)
+        for axis in self.mesh_axes:
+            if len(axis.values) < LEAST_OF_AN_UNKNOWN:
+                allowed = f"{LEAST_OF_AN_UNKNOWN} or more different ones"
+                raise InputError(f"identify.meshes, {axis.key}", axis.values, allowed)
+        there = [tuple(dict(one.values)[a.key] for a in self.mesh_axes) for one in self.meshes]
+        every = itertools.product(*(axis.values for axis in self.mesh_axes))
+        for wanted in every if there else ():
+            if (count := there.count(wanted)) != 1:
+                pairs = zip(self.mesh_axes, wanted, strict=True)
+                of = ", ".join(f"{axis.key} = {value:g}" for axis, value in pairs)
+                allowed = "one mesh for every combination of its numbers"
+                raise InputError("identify.meshes", f"{count or 'no'} files of {of}", allowed)
+
+    @property
+    def mesh_axes(self) -> tuple[Axis, ...]:
+        """The numbers of the meshes, in ascending order, by their names."""
+        names = [name for name, _ in self.meshes[0].values] if self.meshes else []
+        values = {name: {dict(one.values)[name] for one in self.meshes} for name in names}
+        return tuple(Axis(name, tuple(sorted(found))) for name, found in values.items())
+
+    @property
+    def mesh_files(self) -> tuple[str, ...]:
+        """The meshes by their numbers, those of the last name fastest."""
+        names = [axis.key for axis in self.mesh_axes]
+        ordered = sorted(self.meshes, key=lambda one: [dict(one.values)[name] for name in names])
+        return tuple(one.key for one in ordered)
+
+    def nearest_mesh(self, values: Mapping[str, Any]) -> str | None:
+        """The mesh whose numbers are nearest to some values, over their ranges, if there is one."""
+
+        def distance(one: MeshFile) -> float:
+            spans = {axis.key: axis.values[-1] - axis.values[0] for axis in self.mesh_axes}
+            return sum(((value - values[name]) / spans[name]) ** 2 for name, value in one.values)
+
+        return min(self.meshes, key=distance).key if self.meshes else None
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import scipy.io
 import scipy.sparse as sparse
-from helpers import csr
+from helpers import DEMOS, csr
 from mpi4py import MPI
 from surroundings import main
 
@@ -310,6 +310,7 @@ TURN = np.linalg.qr(np.array([[1.0, 0.3, -0.2], [0.1, 1.0, 0.4], [0.2, -0.5, 1.0
 HEXAHEDRON = [
     (0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7),
 ]  # fmt: skip
+TETRAHEDRON = [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)]
 WEDGE = [(0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5)]
 SQUARE, TRIANGLE = [(0, 0), (2, 0), (2, 1), (0, 1)], [(0, 0), (2, 0), (0, 1)]
 """Edges of cells as the manuals of Abaqus and VTK number the nodes in their middles, and bases."""
@@ -337,11 +338,87 @@ def test_lips_of_bricks_and_wedges(kind: int) -> None:
     along, across = TURN[:, 0], TURN[:, 2]
     both = [np.tile(direction, 2 * n) for direction in (along, across)]
     down = np.where(np.arange(2 * n)[:, None] >= n, -across, 0.0).ravel()
-    motions = np.array([*both, down])
-    expected = np.outer([0.0, 0.0, 1.0], np.ones(len(base)))
+    leaning = down * np.repeat(points @ along, 3)  # further down the farther along
+    motions = np.array([*both, down, leaning])
+    ends = np.array([point[0] for point in base], dtype=float)
+    means = {(0.0, 2.0, 2.0, 0.0): [2 / 3, 4 / 3, 4 / 3, 2 / 3], (0.0, 2.0, 0.0): [0.5, 1.0, 0.5]}
+    expected = np.outer([0.0, 0.0, 1.0, 0.0], np.ones(len(base)))
+    corners_at = points[len(base) : 2 * len(base)] @ along
+    order = np.argmin(np.abs(corners_at - (pairs.points @ along)[:, None]), axis=1)
+    expected[3] = np.array(means[tuple(ends)])[order]
     assert (gap.T @ motions.T).T == pytest.approx(expected, abs=1e-13)
     nodes, _ = find_pairs(Model(np.arange(2 * n), points, {}), dofs, joined, turns=False)
     assert (nodes.T @ down) == pytest.approx(1.0, abs=1e-13)
+
+
+CARDS = {  # gmsh's corners; edges in the order of Nastran's nodes in their middles; VTK's edges
+    "CTETRA": ([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], TETRAHEDRON, TETRAHEDRON),
+    "CPENTA": (
+        [(x, y, z) for z in (0, 1) for x, y in TRIANGLE],
+        [*WEDGE[:3], *WEDGE[6:], *WEDGE[3:6]], WEDGE,
+    ),
+    "CHEXA": (
+        [(x, y, z) for z in (0, 1) for x, y in SQUARE],
+        [*HEXAHEDRON[:4], *HEXAHEDRON[8:], *HEXAHEDRON[4:8]], HEXAHEDRON,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("card", CARDS)
+def test_nodes_of_nastran_in_the_order_of_vtk(card: str, tmp_path: Path) -> None:
+    """Edges around the bottom, upright, around the top there; and the upright ones last."""
+    corners, theirs, wanted = CARDS[card]
+    at = np.array(corners, dtype=float)
+    at = np.concatenate([at, [(at[i] + at[j]) / 2.0 for i, j in theirs]])
+    lines = [f"GRID,{n},,{x},{y},{z}" for n, (x, y, z) in enumerate(at, 1)]
+    fields = [card, "1", "1", *map(str, range(1, len(at) + 1))]
+    rows = [fields[:9], *([""] + fields[k : k + 8] for k in range(9, len(fields), 8))]
+    (tmp_path / "one.bdf").write_text("\n".join([*lines, *map(",".join, rows)]) + "\n")
+    model = read_model(tmp_path / "one.bdf")
+    ((cell,),) = model.cells.values()
+    found = model.points[cell]
+    n = len(corners)
+    np.testing.assert_allclose(found[:n], corners)
+    np.testing.assert_allclose(found[n:], [(found[i] + found[j]) / 2.0 for i, j in wanted])
+
+
+def test_abaqus_goes_on_in_the_next_line_and_file(tmp_path: Path) -> None:
+    """Twenty nodes on two lines, in a file that another one includes; a node of a plane model; and
+    what is no solid is left out."""
+    at = np.array([(x, y, z) for z in (0, 1) for x, y in SQUARE], dtype=float)
+    at = np.concatenate([at, [(at[i] + at[j]) / 2.0 for i, j in HEXAHEDRON]])
+    nodes = [f"{n}, {x}, {y}, {z}" for n, (x, y, z) in enumerate(at, 1)]
+    cell = ", ".join(map(str, range(16))) + ",\n16, 17, 18, 19, 20"
+    (tmp_path / "cells.inc").write_text(
+        f"*Element, type=C3D20R\n{cell}\n*Element, type=S4\n1,1,2,3,4\n"
+    )
+    text = [
+        "*Heading",
+        " text, of any kind",
+        "** a comment",
+        "*Node, nset=ALL",
+        *nodes,
+        "30, 1., 2.",
+    ]
+    (tmp_path / "all.inp").write_text("\n".join([*text, "*Include, input=cells.inc"]) + "\n")
+    model = read_model(tmp_path / "all.inp")
+    assert list(model.cells) == [25]
+    np.testing.assert_array_equal(model.cells[25], [range(20)])
+    np.testing.assert_array_equal(model.points[-1], [1.0, 2.0, 0.0])
+
+
+@pytest.mark.parametrize("name", ["breathing_plate", "inclined_crack"])
+def test_pairs_of_a_plane_model_are_the_plates(name: str) -> None:
+    """Of nodes: the plate's own B, whatever the direction of its crack."""
+    own = fc.build_structure(Scene.load(DEMOS / f"{name}.toml"), MPI.COMM_SELF)
+    assert own.nodes is not None and own.pair_points is not None
+    points, dofs = (np.pad(x, ((0, 0), (0, 1)), constant_values=fill) for x, fill in (
+        (own.nodes.points, 0.0), (own.nodes.dofs, -1)))  # fmt: skip
+    model = Model(np.arange(len(points)), points, {})
+    gap, pairs = find_pairs(model, dofs, csr(own.stiffness), turns=False)
+    assert pairs.points is not None and pairs.areas is None
+    here, there = (np.lexsort(found[:, :2].round(9).T) for found in (pairs.points, own.pair_points))
+    assert abs(gap[:, here] - own.gap[:, there]).max() < 1e-9
 
 
 def test_cracks_that_cross_are_refused() -> None:
@@ -363,6 +440,8 @@ BAD: list[tuple[str, str, str, str]] = [
     ("plate.dof", "4.2", "4.2.7", r"structure.mass.*plate.dof, line \d+: '4.2.7' names no dof"),
     ("plate.inp", "\n3, 0.02", "\n3, zero", r"structure.model.*plate.inp, line 4: '3, zero"),
     ("plate.inp", "\n3, 0.02", "\n2, 0.02", "structure.model.*line 4: two places of node 2"),
+    ("plate.inp", "\n3, 0.02", "\n3, nan", "structure.model.*line 4: a coordinate of node 3"),
+    ("plate.dof", "4.2", "99999999999999999999.2", "structure.mass.*too large"),
     ("plate.inp", "*ELEMENT", "*NGEN\n1,2\n*ELEMENT", r"line 22: \*NGEN: nodes and elements must"),
     ("plate.inp", "1, 1, 2,", "1, 77, 2,", "structure.model.*node 77, which it does not have"),
     ("plate.inp", "19, 0, 0.01, 0\n", "19, 0, 0.011, 0\n", ""),

@@ -1,0 +1,193 @@
+"""Cracks looked for among meshes of one's own, of which each has its numbers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import gmsh
+import numpy as np
+import pytest
+from mpi4py import MPI
+from surroundings import main
+
+import fenics_crack as fc
+
+LENGTHS, HEIGHTS = (0.01, 0.018, 0.026, 0.034), (0.04, 0.07, 0.1, 0.13)
+PLATE = """
+geometry = { width = 0.1, height = 0.2, thickness = 0.01 }
+crack = { edge = "left", height = 0.1, length = 0.02 }
+material = { young = 2.1e11, poisson = 0.3, density = 7800.0 }
+damping = { ratio = 0.01, modes = 6 }
+excitation = { point = [0.1, 0.2], force_sin = [100.0, 30.0], frequency = 700.0 }
+contact = { stiffness_per_area = 1e14 }
+harmonic_balance = { harmonics = 5 }
+mesh = { layout = "graded", order = 2, size = 0.04, lip_elements = 2 }
+"""
+OF_FILES = {
+    "geometry.width": None, "geometry.height": None, "crack.edge": None, "crack.height": None,
+    "crack.length": None, "mesh.layout": "file", "mesh.size": None, "mesh.lip_elements": None,
+}  # fmt: skip
+
+
+def written(folder: Path, scene: fc.Scene) -> str:
+    """The tables of a scene of meshes, written by the program in a folder, for all lengths and
+    heights, and of one without a crack."""
+    lines = ["[identify]", 'uncracked = "whole.msh"', "[identify.meshes]"]
+    for length in LENGTHS:
+        for height in HEIGHTS:
+            changes = {"crack.length": length, "crack.height": height}
+            name = f"{1e3 * length:.0f}_{1e3 * height:.0f}.msh"
+            fc.write_msh(scene.replace(changes), folder / name)
+            numbers = f'"crack.height" = {height}, "crack.length" = {length}'
+            lines.append(f'"{name}" = {{ {numbers} }}')
+    fc.write_msh(scene.replace({"crack": None, "contact": None}), folder / "whole.msh")
+    own = scene.replace(OF_FILES | {"mesh.file": "10_40.msh"})
+    # The files in any order, and the numbers, too.
+    return own.as_toml() + "\n".join([*lines[:3], *lines[:2:-1]]) + "\n"
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scene of meshes with their numbers, in a folder with these."""
+    folder = tmp_path_factory.mktemp("meshes")
+    (folder / "own.toml").write_text(written(folder, fc.Scene.from_text(PLATE)))
+    return folder / "own.toml"
+
+
+@pytest.fixture(scope="module")
+def rows() -> fc.Measurements:
+    """Frequencies of a crack of 22 mm at 80 mm, and before, on a finer mesh."""
+    changes = {"mesh.size": 0.02, "mesh.lip_elements": 4, "crack.length": 0.022,
+               "crack.height": 0.08}  # fmt: skip
+    plate = fc.prepare(fc.Scene.from_text(PLATE).replace(changes), MPI.COMM_SELF)
+    hertz = fc.bilinear_frequencies(plate.structure).omega_bilinear[:5] / (2.0 * np.pi)
+    modes = [1, 2, 3, 4, 5]
+    return fc.Measurements.from_arrays("frequency_bilinear", hertz, 1e-3 * hertz, mode=modes)
+
+
+def test_as_the_program_s_own_meshes(own: Path, rows: fc.Measurements, tmp_path: Path) -> None:
+    """From the same meshes in files the same crack is found as from those that the program makes;
+    the nearest of them is named, and paths are those of the scene's folder."""
+    unknown = {"crack.height": list(HEIGHTS), "crack.length": list(LENGTHS)}
+    made = fc.Scene.from_text(PLATE).replace({"identify.unknown": unknown, "identify.finer": 1.0})
+    expected = fc.identify(made, rows, folder=tmp_path / "made")
+    scene = fc.Scene.load(own)
+    found = fc.identify(scene, rows, folder=own.parent / "sweeps")
+    assert found.unknown == expected.unknown == ("crack.height", "crack.length")
+    for key, value in expected.estimate.items():
+        assert found.estimate[key] == pytest.approx(value, rel=1e-3)
+    assert found.log_bayes_factor == pytest.approx(expected.log_bayes_factor, rel=1e-3)
+    assert found.verdict == "crack" and found.mesh is not None and expected.mesh is None
+    assert found.contains({"crack.length": 0.022, "crack.height": 0.08})
+    assert Path(found.mesh) in {own.parent / f"{name}.msh" for name in ("18_70", "26_70")}
+    assert fc.Scene.from_text(scene.as_toml()) == scene
+
+
+def test_command_names_the_mesh(
+    own: Path, rows: fc.Measurements, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also without a mesh of no crack, to which there is then nothing to compare."""
+    rows.to_csv(tmp_path / "m.csv")
+    alone = own.with_name("alone.toml")
+    alone.write_text(own.read_text().replace('uncracked = "whole.msh"', ""))
+    words = ["identify", str(alone), str(tmp_path / "m.csv")]
+    words += ["--output", str(own.parent / "sweeps")]
+    assert main(words) == 0
+    told = capsys.readouterr().err
+    assert "cannot be told: there is no plate without a crack" in told
+    assert f"nearest mesh: {own.parent}" in told
+    before = replace(rows.rows[0], quantity="frequency_uncracked")
+    (rows + fc.Measurements((before,))).to_csv(tmp_path / "m.csv")
+    assert main(words) == 2
+    assert "left out where the crack cannot be taken out" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"26_70.msh" = ', '# "26_70.msh" = ', r"'no files of crack.height = 0.07, crack.length = "
+         r"0.026': must be one mesh for every combination"),
+        ('0.13, "crack.length" = 0.034', '0.13, "crack.length" = 0.035',
+         "'no files of crack.height = 0.04, crack.length = 0.035'"),
+        ('{ "crack.height" = 0.04, "crack.length" = 0.01 }', '{ "crack.height" = 0.04 }',
+         r'identify.meshes."10_40.msh" = .*the same numbers as of the others'),
+        ('"crack.length" =', '"crack.lenght" =', r"crack.lenght'?: must be a word, or one of"),
+        ('"10_40.msh" = { "crack.height" = 0.04, "crack.length" = 0.01 }', '"10_40.msh" = 0.04',
+         "identify.meshes = .*a table of .msh files and their numbers"),
+        ("[identify.meshes]", '[identify.unknown]\n"crack.length" = [1.0, 2.0, 3.0, 4.0]\n'
+         "[identify.meshes]", "crack.length'?: must be a word, or one of crack.center"),
+        ('layout = "file"', 'layout = "graded"\nsize = 0.04', "left out"),
+    ],
+)  # fmt: skip
+def test_meshes_that_cannot_be_used(own: Path, old: str, new: str, message: str) -> None:
+    """Are refused by name, before anything is solved."""
+    text = own.read_text()
+    assert old in text
+    changed = text.replace(old, new)
+    with pytest.raises(fc.InputError, match=message):
+        fc.Scene.from_text(changed, folder=own.parent)
+
+
+def write_box(path: Path, length: float) -> None:
+    """A blade of 30 x 90 x 6 mm with a crack through it, if it has one, 30 mm from its clamp."""
+    gmsh.initialize(readConfigFiles=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        occ, model = gmsh.model.occ, gmsh.model
+        box = [(3, occ.addBox(0.0, 0.0, 0.0, 0.03, 0.09, 0.006))]
+        if length:
+            face = occ.addRectangle(0.0, 0.0, 0.0, length, 0.006)
+            occ.rotate([(2, face)], 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.5 * np.pi)
+            occ.translate([(2, face)], 0.0, 0.03, 0.0)
+            occ.fragment(box, [(2, face)])
+        occ.synchronize()
+        for _, tag in model.getEntities(2):
+            x, y, z = occ.getCenterOfMass(2, tag)
+            inside = abs(y - 0.03) < 1e-9 and 0.0 < x < length and 0.0 < z < 0.006
+            if abs(y) < 1e-9 or inside:
+                name = "crack" if inside else "clamp"
+                model.setPhysicalName(2, model.addPhysicalGroup(2, [tag]), name)
+        model.addPhysicalGroup(3, [1])
+        gmsh.option.setNumber("Mesh.MeshSizeMax", 0.008)
+        model.mesh.generate(3)
+        gmsh.write(str(path))
+    finally:
+        gmsh.finalize()
+
+
+def test_numbers_of_one_s_own_in_space(tmp_path: Path) -> None:
+    """Solids, and a number that is no key of a crack; what is unknown beside it, too."""
+    solid = """
+geometry = { kind = "solid" }
+material = { young = 2.1e11, poisson = 0.3, density = 7800.0 }
+damping = { ratio = 0.01, modes = 6 }
+excitation = { point = [0.03, 0.09, 0.006], force_sin = [0.0, 0.0, 1.0], frequency = 400.0 }
+contact = { law = "unilateral" }
+mesh = { layout = "file", order = 2, file = "4.msh" }
+harmonic_balance = { harmonics = 1 }
+[identify]
+uncracked = "0.msh"
+[identify.unknown]
+"material.young" = [1.9e11, 2.0e11, 2.1e11, 2.2e11]
+[identify.meshes]
+"4.msh" = { notch = 4.0 }
+"8.msh" = { notch = 8.0 }
+"12.msh" = { notch = 12.0 }
+"16.msh" = { notch = 16.0 }
+"""
+    for notch in (0, 4, 8, 10, 12, 16):
+        write_box(tmp_path / f"{notch}.msh", 1e-3 * notch)
+    scene = fc.Scene.from_text(solid, folder=tmp_path)
+    rows = ()
+    for name, quantity in (("10.msh", "frequency_open"), ("0.msh", "frequency_uncracked")):
+        changes = {"mesh.file": str(tmp_path / name), "contact": None, "identify": None}
+        modes = fc.solve_modes(fc.build_structure(scene.replace(changes)), 4)
+        hertz = modes.omega / (2.0 * np.pi)
+        rows += fc.Measurements.from_arrays(quantity, hertz, 1e-3 * hertz, mode=[1, 2, 3, 4]).rows
+    rows = fc.Measurements(rows)
+    found = fc.identify(scene, rows, folder=tmp_path / "sweeps")
+    assert found.unknown == ("notch", "material.young")
+    low, high = found.intervals["notch"]
+    assert low < 10.0 < high < 16.0 and found.verdict == "crack"
+    assert "notch = " in str(found) and found.mesh in {f"{tmp_path}/8.msh", f"{tmp_path}/12.msh"}
