@@ -73,7 +73,7 @@ VARIED = ("modes", "harmonics", "mesh")
 """The causes."""
 ORDERS = CLAMP, TIP
 """Between which that of a mesh is, the one that corrects less first."""
-ALIKE = 0.1
+UNSURE = 0.1
 """Share of the smaller of two parts of one order that is not known, so that something is left where
 they cancel."""
 
@@ -243,7 +243,7 @@ def _coarser_mesh(study: Study, near: PeriodicSolution, own: Numbers, of_peak: b
         ]
         error = math.hypot(
             max(abs(shape + shift) for shape, shift in both),
-            ALIKE * max(min(abs(shape), abs(shift)) for shape, shift in both),
+            UNSURE * max(min(abs(shape), abs(shift)) for shape, shift in both),
             between.get(name, value) - value,
         )
         at = own.values.get(name, 0.0)
