@@ -134,7 +134,11 @@ def _symmetric(
 
 def _between_labels(ends: np.ndarray, values: np.ndarray, *, whole: bool) -> LabelledMatrix:
     """A matrix of entries between two labels (m, 2, 2), of both triangles or of one."""
-    labels, places = np.unique(ends.reshape(-1, 2), axis=0, return_inverse=True)
+    (nodes, node), (ways, way) = (
+        np.unique(ends[..., part].ravel(), return_inverse=True) for part in range(2)
+    )
+    keys, places = np.unique(node * len(ways) + way, return_inverse=True)  # quicker than of rows
+    labels = np.column_stack([nodes[keys // len(ways)], ways[keys % len(ways)]])
     rows, columns = places.reshape(-1, 2).T
     n = len(labels)
     if whole:
