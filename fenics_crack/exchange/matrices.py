@@ -209,4 +209,6 @@ def _of_nastran(path: Path, kind: str) -> LabelledMatrix:
 def _of_matrix_market(path: Path, labels: Path | None, rows: int | None) -> LabelledMatrix:
     named = None if labels is None else read_labels(labels)
     matrix = sparse.csr_matrix(read_matrix_market(path, rows if named is None else len(named)))
+    if named is not None and matrix.shape[1] != len(named):
+        raise ValueError(f"of shape {matrix.shape}, for {len(named)} rows that are named")
     return LabelledMatrix(matrix, named)

@@ -241,6 +241,16 @@ def test_modes_of_a_model_without_cells_are_kept(folder: Path, scene: Scene) -> 
     np.testing.assert_array_equal(again.shapes, run.result.shapes)
 
 
+def test_matrices_that_do_not_fit_their_rows(folder: Path, scene: Scene) -> None:
+    """Not square, and with other rows than the file of their nodes names."""
+    files = write_market(folder)
+    other = scene.replace({f"structure.{key}": str(folder / name) for key, name in files.items()})
+    for rows, columns in ((42, 41), (41, 41)):
+        scipy.io.mmwrite(folder / "M.mtx", sparse.eye(rows, columns))
+        with pytest.raises(InputError, match=r"structure\.mass"):
+            fc.build_structure(other)
+
+
 def test_rows_of_other_files_follow_the_nodes(folder: Path, scene: Scene) -> None:
     """Rows whose nodes are mixed are put in order, and with them those of a load's file."""
     given = plate_matrices()
@@ -289,18 +299,19 @@ CRACKS = {
     "through": {"edge": "left", "length": 0.01},
     "ellipse": {"center": 0.015, "length": 0.016, "depth": 0.003, "front": "elliptical"},
     "corner": {"edge": "left", "length": 0.01, "depth": 0.004, "front": "elliptical"},
+    "two": {"edge": "left", "length": 0.01},
 }
+SECOND = {"edge": "right", "height": 0.06, "length": 0.01}
+"""Crack of two."""
 
 
 @pytest.mark.parametrize("crack", CRACKS)
 def test_pairs_of_a_solid_are_its_own(crack: str) -> None:
     """Built by this program and found from its nodes, cells and stiffness: the same patches; pairs
     of nodes hold the lips together as these do."""
-    keys = {"height": 0.03} | CRACKS[crack]
-    own = fc.build_structure(
-        Scene.from_text(SOLID).replace({f"crack.{key}": value for key, value in keys.items()}),
-        MPI.COMM_SELF,
-    )
+    keys = {f"crack.{key}": x for key, x in ({"height": 0.03} | CRACKS[crack]).items()}
+    keys |= {f"cracks.1.{key}": x for key, x in SECOND.items() if crack == "two"}
+    own = fc.build_structure(Scene.from_text(SOLID).replace(keys), MPI.COMM_SELF)
     assert own.nodes is not None and own.pair_points is not None and own.pair_areas is not None
     points, dofs = own.nodes.points, own.nodes.dofs
     stiffness = csr(own.stiffness)
@@ -310,8 +321,12 @@ def test_pairs_of_a_solid_are_its_own(crack: str) -> None:
     here, there = (np.lexsort(found.round(9).T) for found in (pairs.points, own.pair_points))
     assert abs(gap[:, here] - own.gap[:, there]).max() < 1e-12
     assert pairs.areas[here] == pytest.approx(own.pair_areas[there], rel=1e-12)
-    assert pairs.positions is not None
-    assert pairs.positions[pairs.places["the mouth"]] == pytest.approx(pairs.positions.max())
+    assert pairs.cracks is not None and own.pairs.cracks is not None
+    np.testing.assert_array_equal(pairs.cracks[here], own.pairs.cracks[there])
+    assert pairs.positions is not None and pairs.places.keys() - own.watched_pairs.keys() == set()
+    for place in pairs.places.values():
+        here = pairs.cracks == pairs.cracks[place]
+        assert pairs.positions[place] == pytest.approx(pairs.positions[here].max())
     nodes, _ = find_pairs(Model(model.labels, points, {}), dofs, stiffness, turns=False)
     assert nodes.shape[1] > 2 * gap.shape[1]
     tied = [
