@@ -23,12 +23,13 @@ from itertools import pairwise
 
 import numpy as np
 
+from fenics_crack.balance.error_report import MANY
 from fenics_crack.balance.family import FrequencyFamily
 from fenics_crack.balance.orbits import FlowOrbits, orbit_next_to
 from fenics_crack.balance.problem import Problem
 from fenics_crack.curves.beginnings import first_aside, odd_rows
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
-from fenics_crack.curves.orbit_branch import ALIKE, STRAIGHT, TOLERANCE
+from fenics_crack.curves.orbit_branch import ALIKE, TOLERANCE
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit
@@ -39,16 +40,15 @@ from fenics_crack.numerics.bordered import (
     point_on_path,
     solve_in_plane,
 )
-from fenics_crack.numerics.path import Path, PathOptions
+from fenics_crack.numerics.path import STRAIGHT, Path, PathOptions
 
 __all__ = ["DoubledStart", "next_to_doubled_orbits"]
 
 NEAREST, SAME = 6, 1e-3
 """Points of the curve from which the orbit of the doubling is sought, and how well its multiplier
 is known."""
-MOST, MOST_UNKNOWNS = 30, 700
-"""Orbits along the branch, and unknowns of the equations that are tried next to them: more would
-take a second each time."""
+MOST = 30
+"""Orbits along the branch."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def _ladder(problem: Problem) -> list[int]:
     """Numbers of harmonics with which the branch is looked for."""
     counts = [problem.harmonics]
     pairs = problem.structure.n_pairs
-    while problem.samples is None and 4 * counts[-1] * pairs <= MOST_UNKNOWNS:
+    while problem.samples is None and 4 * counts[-1] * pairs <= MANY:
         counts.append(2 * counts[-1])
     return counts
 

@@ -44,6 +44,7 @@ from fenics_crack.balance.orbits import FlowOrbits, Homotopy, OrbitPoint
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.orbit import KNOWN, eigenvalues
 from fenics_crack.numerics.bordered import PathPoint, Tangent, solve_in_plane, tangent_of
+from fenics_crack.numerics.path import SHARP, STRAIGHT
 
 __all__ = ["KINDS", "Crossing", "Node", "OrbitBranch", "blended", "cubic"]
 
@@ -53,8 +54,8 @@ EVERY = 8
 NARROWEST, ALONE = 1.0 / 8.0, 1.0 / 32.0
 """Segments that are not halved any more, in points of the curve, and those that are not smooth or
 where several numbers change."""
-TOLERANCE, SHARP = 1e-8, 1e-12
-"""|F| / |x| of nodes, and to what part of a segment bifurcations are located; |F| / |x| there."""
+TOLERANCE = 1e-8
+"""|F| / |x| of nodes, and to what part of a segment bifurcations are located."""
 ITERATIONS, PATIENCE, SHRINKING = 30, 3, 0.1
 """Newton steps to an orbit, how many may together fail to halve the residual, and by how much one
 has to shrink it that another one with the same derivative may follow."""
@@ -62,8 +63,6 @@ ALIKE = 0.5
 """Farthest orbit from the motion of its point; whether it is the point's own is asked later."""
 REACH = 5e-3
 """Farthest orbit from the parameter of its point, of the whole."""
-STRAIGHT = 0.9
-"""Cosine of the angle between a chord and the tangents at its ends."""
 LEADING = 8
 """Multipliers that are kept."""
 RESOLVED = 0.02
