@@ -41,7 +41,8 @@ def _account(found: Growth) -> Account:
     shown = Table(table.columns, [table.rows[place] for place in places])
     hours = found.time[-1] / 3600.0
     first, last = (quantity(float(found.length[end]), "m") for end in (0, -1))
-    fact = f"from {first} to {last} in {found.life:.4g} cycles ({hours:.4g} h): {ENDS[found.end]}"
+    way = f"from {first} to {last} in {found.life:.4g} cycles ({hours:.4g} h)"
+    fact = f"{way if count > 1 else first}: {ENDS[found.end]}"
     causes = [f"{name} {error:.2g}" for name, error in found.errors.items() if error > 0.0]
     known = f"the cycles are known within a factor of {found.factor:.3g}"
     known += f", standard deviations of their logarithm: {', '.join(causes)}" if causes else ""

@@ -1,4 +1,5 @@
-"""Nodes and cells of the input files of other programs: CalculiX, Abaqus and Nastran, or a table.
+"""Nodes and cells of the input files of other programs: CalculiX, Abaqus, Nastran and Ansys, or a
+table.
 
 Only what has a place is read: nodes, and the solid elements between them, with nodes in VTK's
 order. What makes nodes in another way than by their coordinates is refused by its name.
@@ -49,8 +50,8 @@ class Model:
 
 
 def read_model(path: Path) -> Model:
-    """Read nodes and cells: .inp of CalculiX or Abaqus, .bdf, .dat or .nas of Nastran; of another
-    ending rows of node, x, y, z between commas.
+    """Read nodes and cells: .inp of CalculiX or Abaqus, .bdf, .dat or .nas of Nastran, .cdb of
+    Ansys; of another ending rows of node, x, y, z between commas.
 
     Raises
     ------
@@ -176,6 +177,52 @@ def _cards(path: Path) -> Iterator[tuple[int, list[str]]]:
         yield first, card
 
 
+# --- Ansys ----------------------------------------------------------------------------------------
+
+
+def _of_ansys(path: Path, nodes: Nodes, cells: Cells) -> None:
+    """Blocks NBLOCK and EBLOCK, as CDWRITE writes them: rows of so many fields of so many
+    characters, as the line below their names says."""
+    block, count, row = "", 0, list[int]()
+    whole, real, n_whole = 0, 0, 0
+    for number, line in numbered_lines(path, "!"):
+        word = line.strip().upper()
+        try:
+            if word.startswith(("NBLOCK", "EBLOCK")):
+                if word.startswith("EBLOCK") and "SOLID" not in word:
+                    raise ValueError
+                block, row = word[:6], []
+            elif block and line.lstrip().startswith("("):
+                sizes = [int(size) for size in re.findall(r"\d+", line)]
+                n_whole, whole, real = sizes[0], sizes[1], sizes[3] if len(sizes) > 3 else 0
+            elif word.startswith(("N,", "-1")):
+                if row:
+                    raise ValueError  # of a cell that goes on
+                block = ""
+            elif block == "NBLOCK":
+                begins = n_whole * whole
+                fields = [line[at : at + real] for at in range(begins, len(line), real)]
+                place = [float(field) for field in fields if field.strip()]
+                if any(place[3:]):
+                    raise ValueError  # turned
+                _put(nodes, number, int(line[:whole]), (*place, 0.0, 0.0, 0.0)[:3])
+            elif block == "EBLOCK":
+                own = [int(line[at : at + whole]) for at in range(0, len(line), whole)]
+                if not row:
+                    count, own = own[8], own[11:]
+                row += own
+                if len(row) >= count:
+                    if len(set(row)) < count:
+                        raise ValueError  # a brick with nodes in the same place
+                    cells.setdefault(VTK[count], []).append(row[:count])
+                    row = []
+        except (ValueError, KeyError, IndexError) as error:
+            allowed = "a node without angles, or a whole tetrahedron or brick, of CDWRITE's blocks"
+            reason = str(error) if "line" in str(error) else f"line {number}: not {allowed}"
+            raise ValueError(reason) from None
+
+
 READERS: dict[str, Callable[[Path, Nodes, Cells], None]] = {
     ".inp": _of_abaqus, ".bdf": _of_nastran, ".dat": _of_nastran, ".nas": _of_nastran,
+    ".cdb": _of_ansys,
 }  # fmt: skip

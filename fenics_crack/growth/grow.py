@@ -49,7 +49,7 @@ class Growth(Tabular):
     scene : Scene
         With the length of the crack at the beginning.
     length, cycles, time : (n,) [m], [-], [s]
-        Of the crack, the cycles until then, and how long they take.
+        Of the crack, the cycles until then, and how long they take; one row where it does not grow.
     omega, omega_open, omega_bilinear : (n,) [rad/s]
         Of the load, and natural frequencies with lips open and of the breathing crack, of the mode
         that is nearest to the load.
@@ -181,7 +181,7 @@ def grow(
     InputError
         The scene has no such crack or table, or its crack does not become longer.
     ConvergenceError
-        A length cannot be solved, or the crack does not grow at all.
+        A length cannot be solved.
 
     Examples
     --------
@@ -205,7 +205,7 @@ def grow(
     vibration = on_root(comm, lambda: _error_at(scene, path, half))
     strength = np.log(path.at("delta_K_effective", length) / MEGA)
     over = np.diff(cycles)
-    mean = abs(float(np.sum(0.5 * (strength[1:] + strength[:-1]) * over) / over.sum()))
+    mean = abs(float(np.average(strength, weights=_shares(over))))
     errors = {
         "rate": law.rate_deviation,
         "exponent": law.exponent_deviation * mean,
@@ -221,6 +221,12 @@ def grow(
         seen["K_II_max"], _rate(path, law, length), end, path.lengths, errors,
         tuple(_remarks(path, seen, length, vibration)),
     )  # fmt: skip
+
+
+def _shares(steps: np.ndarray) -> np.ndarray:
+    """Of points in steps between them, by the trapezoidal rule, not all zero: (n + 1,)."""
+    found = 0.5 * (np.append(steps, 0.0) + np.append(0.0, steps))
+    return found if np.any(found) else np.ones_like(found)
 
 
 def _checked(scene: Scene) -> Scene:
@@ -259,7 +265,7 @@ def _integrated(path: LengthPath, law: Law) -> tuple[np.ndarray, np.ndarray, str
     end = "reached"
     if len(over):
         end = "arrested" if arrested[over[0]] else "broken"
-        length = length[: max(int(over[0]), 1) + 1]
+        length = length[: int(over[0]) + 1]
     half = 0.5 * np.diff(length)[:, None]
     places = length[:-1, None] + half * (1.0 + NODES)
     steps = np.sum(half * WEIGHTS / _rate(path, law, places.ravel()).reshape(places.shape), axis=1)

@@ -118,8 +118,7 @@ def solve_lengths(
     """
     assert scene.crack is not None and scene.crack.length is not None and scene.growth is not None
     start, stop = scene.crack.length, scene.growth.until
-    wanted, missed = np.linspace(start, stop, FIRST), np.inf
-    errors: dict[float, float] = {}
+    wanted, missed, own = np.linspace(start, stop, FIRST), np.inf, np.zeros(0)
     path = LengthPath(np.zeros(0), dict.fromkeys((*LOGARITHMIC, *LINEAR), np.zeros(0)))
     for number in range(1, ROUNDS + 1):
         file = None if folder is None else folder / f"growth_{number}.h5"
@@ -132,9 +131,8 @@ def solve_lengths(
                 at, why = path.failed[0]
                 raise ConvergenceError(f"growth, a crack of {at:.4g} m: {why}")
             few = {name: values[::2] for name, values in path.columns.items()}
-            before = LengthPath(path.lengths[::2], few)
-        errors |= _missed(before, path)
-        own = np.array([errors[at] for at in path.lengths[:-1]])
+            before, own = LengthPath(path.lengths[::2], few), np.zeros(FIRST // 2)
+        own = _missed(before, path, own)
         shares = share_of_error(path, own)
         missed = float(shares.sum())
         left = (shares > scene.growth.life_tolerance / len(shares)) & (
@@ -160,13 +158,18 @@ def _swept(scene: Scene, lengths: np.ndarray) -> Scene:
     )
 
 
-def _missed(before: LengthPath, path: LengthPath) -> dict[float, float]:
-    """Error of the spline's ln delta K on both sides of each length that is new, by what the spline
-    before missed there, by the beginnings of these intervals."""
-    found: dict[float, float] = {}
-    new = np.setdiff1d(path.lengths, before.lengths)
-    here, there = (one.at("delta_K_effective", new) for one in (path, before))
-    for place, error in zip(new, np.abs(np.log(here / there)) / REDUCED, strict=True):
-        at = int(np.searchsorted(path.lengths, place))
-        found |= dict.fromkeys(path.lengths[at - 1 : at + 1].tolist(), float(error))
-    return found
+def _missed(before: LengthPath, path: LengthPath, missed: np.ndarray) -> np.ndarray:
+    """Error of the spline's ln delta K on each interval between lengths: of those that are new, by
+    what the spline before missed at their ends; of the others what it was, or how far both splines
+    are apart in their middle, if that is more: a resonance that passes within shows around it, too.
+    (k - 1,)"""
+
+    def apart(lengths: np.ndarray) -> np.ndarray:
+        here, there = (one.at("delta_K_effective", lengths) for one in (path, before))
+        return np.abs(np.log(here / there))
+
+    at_ends, new = apart(path.lengths) / REDUCED, ~np.isin(path.lengths, before.lengths)
+    middle = 0.5 * (path.lengths[1:] + path.lengths[:-1])
+    known = missed[np.searchsorted(before.lengths, middle) - 1]
+    old = np.maximum(known, apart(middle))
+    return np.where(new[1:] | new[:-1], np.maximum(at_ends[1:], at_ends[:-1]), old)

@@ -538,8 +538,8 @@ class Structure(Table):
     stiffness: str = path("the path of a file: (n, n)", MISSING)
     """[N/m]"""
     model: str | None = path("the path of the input file of the program that made the matrices")
-    """Nodes and elements: of CalculiX or Abaqus (.inp), Nastran (.bdf, .dat, .nas), or a table of
-    node, x, y, z [m] between commas."""
+    """Nodes and elements: of CalculiX or Abaqus (.inp), Nastran (.bdf, .dat, .nas), Ansys (.cdb),
+    or a table of node, x, y, z [m] between commas."""
     dofs: str | None = path("the path of a file: node and direction of each row")
     """For Matrix Market files with a model: "12.3" or "7 12 UZ" on each line; of CalculiX the .dof
     beside the stiffness where it is left out."""

@@ -86,7 +86,8 @@ def test_threshold_and_toughness() -> None:
     assert broken.end == "broken" and broken.length[-1] == pytest.approx(0.03, rel=0.02)
     assert broken.largest[-1] == pytest.approx(largest, rel=0.02)
     stopped = fc.grow(coarse.replace({"growth.threshold": 1e8}), comm=MPI.COMM_SELF)
-    assert stopped.end == "arrested" and len(stopped.length) == 2
+    assert stopped.end == "arrested" and stopped.length.tolist() == [0.02]
+    assert stopped.life == 0.0 and math.isfinite(stopped.factor)
 
 
 @pytest.fixture(scope="module")
@@ -259,3 +260,14 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert main(["grow", str(scene), "--set", "growth=none", "--output", str(folder)]) == 2
     told = capsys.readouterr().err
     assert "growth = None: must be given for this command" in told and "[growth]" in told
+
+
+def test_a_resonance_between_two_lengths_is_seen() -> None:
+    """Lengths 5 mm apart on both sides of it miss each other's spline by little."""
+    law = {"until": 0.05, "rate": 1e-11, "exponent": 3.0}
+    keys = {f"growth.{key}": value for key, value in law.items()}
+    scene = fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(keys)
+    found = fc.grow(scene, comm=MPI.COMM_SELF)
+    at = scene.replace({"crack.length": 0.042})
+    alone = fc.stress_intensity(fc.solve(at, MPI.COMM_SELF)).effective[0]
+    assert np.interp(0.042, found.length, found.effective) == pytest.approx(alone, rel=0.05)
