@@ -17,6 +17,7 @@ other cracks, and ``--only arrivals`` one kind of measurement.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -86,6 +87,7 @@ KINDS = {
 }
 """With what the names of the quantities begin."""
 BEFORE = "frequency_uncracked"
+SIZES = {"crack.length": WIDTH, "crack.height": HEIGHT}
 Rows = list[fc.Measurement]
 
 
@@ -167,20 +169,19 @@ def before(rows: Rows) -> Rows:
 
 
 class Score:
-    """How well some cracks are found."""
+    """How well some cracks are found: keys, and the sizes over which they are counted."""
 
-    def __init__(self) -> None:
-        self.held = self.seen = 0
+    def __init__(self, sizes: Mapping[str, float]) -> None:
+        self.sizes, self.held, self.seen = sizes, 0, 0
         self.off: list[list[float]] = []
         self.wide: list[list[float]] = []
 
     def add(self, found: fc.Identification, crack: np.ndarray) -> None:
         """Count one."""
-        keys = ("crack.length", "crack.height")
+        sizes, keys = self.sizes, list(self.sizes)
         truth = dict(zip(keys, crack.tolist(), strict=True))
         self.held += found.contains(truth)
         self.seen += found.verdict == "crack"
-        sizes = dict(zip(keys, (WIDTH, HEIGHT), strict=True))
         self.off.append([abs(found.estimate[key] - truth[key]) / sizes[key] for key in keys])
         ends = found.intervals
         self.wide.append([(ends[key][1] - ends[key][0]) / sizes[key] for key in keys])
@@ -203,7 +204,7 @@ def cracked(forward: Forward, scene: fc.Scene, seed: int, kinds: list[str]) -> N
     bare = {name: before(exact(another(scene, name))) for name in others}
     for kind in kinds:
         for known in (True, False):
-            rng, score = np.random.default_rng(1000 + seed), Score()
+            rng, score = np.random.default_rng(1000 + seed), Score(SIZES)
             for rows, name, crack in zip(measured, plates, cracks, strict=True):
                 more = bare[name] if known else []
                 some = noisy([*rows, *more], (*KINDS[kind], BEFORE), rng)
