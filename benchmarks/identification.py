@@ -11,8 +11,8 @@ cracks at random places, from 10 to 40 % of the width, and each of the plates wi
 measured 20 times. Twenty of the cracks, in a plate that is as the scene says, are inclined by 10
 degrees, too, up and down by turns (``--only inclined``). Prints how many are held by the stated
 regions, how large these are, and how often a crack is claimed, with the natural frequencies of the
-plate before it had a crack and without. Under mpirun the sweeps of the forward model are spread over the ranks; ``--seed 1`` takes
-other cracks, and ``--only arrivals`` one kind of measurement.
+plate before it had a crack and without. Under mpirun the sweeps of the forward model are spread
+over the ranks; ``--seed 1`` takes other cracks, and ``--only arrivals`` one kind of measurement.
 """
 
 from __future__ import annotations
