@@ -45,6 +45,7 @@ from fenics_crack.draw.plot import draw_waves as draw_waves
 from fenics_crack.draw.plot_curve import draw_content as draw_content
 from fenics_crack.draw.plot_curve import draw_curve as draw_curve
 from fenics_crack.draw.plot_curve import draw_multipliers as draw_multipliers
+from fenics_crack.draw.plot_growth import draw_growth as draw_growth
 from fenics_crack.draw.plot_growth import draw_stress_intensity as draw_stress_intensity
 from fenics_crack.draw.plot_mesh import draw_mesh as draw_mesh
 from fenics_crack.draw.plot_mesh import draw_modes as draw_modes
@@ -65,6 +66,8 @@ from fenics_crack.fem.build import find_crack_length as find_crack_length
 from fenics_crack.fem.plate import write_msh as write_msh
 from fenics_crack.files.results import load as load
 from fenics_crack.files.results import save as save
+from fenics_crack.growth.grow import Growth as Growth
+from fenics_crack.growth.grow import grow as grow
 from fenics_crack.identification.identify import identify as identify
 from fenics_crack.identification.measurements import Measurement as Measurement
 from fenics_crack.identification.measurements import Measurements as Measurements

@@ -22,9 +22,9 @@ LISTS = {
     "SWEPT": "geometry, material, damping, excitation, mesh, contact, crack, cracks, loads, base, "
     "rotation, structure, harmonic_balance, reduction",
     "REMOVABLE": "contact, crack, base, rotation, structure, reduction, curve, integration, sweep, "
-    "identify, tip_timing, output, cracks, loads",
+    "growth, identify, tip_timing, output, cracks, loads",
 }
-LISTS["TABLES"] = LISTS["SWEPT"] + ", curve, integration, sweep, identify, tip_timing, output"
+LISTS["TABLES"] = LISTS["SWEPT"] + ", curve, integration, sweep, growth, identify, tip_timing, output"
 """Names of tables that errors list."""
 TABLE = [
     # command, scene or file and arguments (key=value stands for --set key=value), message
@@ -289,7 +289,7 @@ def test_bad_input_is_one_line(
             assert words in TEMPLATE
 
 
-ASKED_FOR = ("curve", "identify", "rotation", "sweep", "tip_timing")
+ASKED_FOR = ("curve", "growth", "identify", "rotation", "sweep", "tip_timing")
 """Tables that commands ask for, with an example."""
 TEMPLATE = (ROOT / "fenics_crack" / "cli" / "new_scene.toml").read_text()
 SETTINGS = ("crack.length",)

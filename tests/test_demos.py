@@ -153,3 +153,35 @@ def test_blade(tmp_path: Path) -> None:
     assert 0.5 < seen < 1.05  # groups of revolutions blur the peak
     for name in ("campbell", "run_up", "closed", "map", "arrivals", "probes"):
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
+
+
+def test_solid_blade(tmp_path: Path) -> None:
+    """A twisted blade on the coarse mesh: flap and torsion, a run-up whose peak the closing crack
+    bends over a fold, and every picture."""
+    found = load("solid_blade").main(tmp_path, quick=True)
+    flap = found["flap, lips open [Hz]"], found["flap, lips tied [Hz]"]
+    assert flap == pytest.approx((398.3, 407.9), rel=2e-3)
+    assert found["torsion, lips open [Hz]"] == pytest.approx(1760.6, rel=2e-3)
+    assert 4.0 * found["at [rpm]"] / 60.0 == pytest.approx(np.mean(flap), abs=0.4 * np.ptp(flap))
+    assert 1e-3 < found["largest amplitude [m]"] < 4e-3
+    assert 0.1 < found["share of the period closed there"] < 0.3
+    assert 0.05 < found["unstable share of the points"] < 0.4
+    for name in ("mesh", "modes", "run_up", "contact", "spectrum"):
+        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
+    assert (tmp_path / "breathing.gif").stat().st_size > 100_000
+    assert len(list((tmp_path / "breathing").glob("*.vtu"))) == 24
+
+
+def test_growth(tmp_path: Path) -> None:
+    """On few lengths: at the resonance that moves a plate lives for far fewer cycles."""
+    coarse = {
+        "growth.until": 0.0365,
+        "growth.life_tolerance": 0.5,
+        "harmonic_balance.harmonics": 10,
+    }
+    demo = load("growth")
+    lives = demo.main(tmp_path, fc.Scene.load(DEMOS / "growth.toml").replace(coarse))
+    assert 20.0 < lives["frequency"] / lives["resonance"] < 200.0
+    for drive in lives:
+        assert (tmp_path / f"{drive}.png").stat().st_size > 10_000
+        assert (tmp_path / drive / "growth_1.h5").exists()

@@ -54,6 +54,7 @@ from fenics_crack.table import Described
 __all__ = [
     "CALM",
     "LARGE_ERROR",
+    "MANY",
     "UNKNOWN",
     "ErrorReport",
     "beyond_truncation",

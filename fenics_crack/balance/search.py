@@ -306,6 +306,8 @@ class Search:
                     last = flow.advance(state, periods)
                     assert system.residual is not None
                     slow = last.gap + last.forces[:-1] @ system.residual
+                if not np.all(np.isfinite(slow)):
+                    return
                 yield from self._near(system, balanced(slow, harmonics), 1.0)
         except ConvergenceError:
             return

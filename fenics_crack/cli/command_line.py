@@ -259,6 +259,11 @@ COMMANDS = {
     "curve": ("response curve of the table [curve]", SOLVED),
     "integrate": ("motion in time by the table [integration]", SOLVED),
     "sweep": ("all cases of the table [sweep.over]; goes on where it stopped", SOLVED),
+    "grow": (
+        "growth of the crack under the vibration by the table [growth]: length, life, frequencies; "
+        "goes on where it stopped",
+        SOLVED,
+    ),
     "timing": (
         "arrival times of the tip at the probes of [tip_timing], and the vibration found in them",
         "scene arrivals --set --output",
@@ -283,6 +288,7 @@ FUNCTIONS = {
     "campbell": "commands.campbell_diagram",
     "verify": "commands.verification",
     "sweep": "commands.sweep",
+    "grow": "of_growth.growth",
     "timing": "timing.timing",
     "identify": "commands.identification",
     "plot": "commands.plot",
@@ -358,7 +364,10 @@ class Parser(argparse.ArgumentParser):
         if re.search(r"unrecognized arguments: [\w.]+=", message):
             message += "; each key takes its own --set: --set KEY=VALUE --set KEY=VALUE"
         elif wrong and wrong[2]:
-            message += f"; {meant(near(wrong[2].partition('=')[0], options_of(*COMMANDS)))}"
+            option = wrong[2].partition("=")[0]
+            takers = [name for name in COMMANDS if option in options_of(name)]
+            message += f"; {meant([] if takers else near(option, options_of(*COMMANDS)))}"
+            message += f"of {', '.join(takers)} alone" if takers else ""
         elif wrong:
             others = [
                 name

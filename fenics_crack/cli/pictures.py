@@ -27,7 +27,6 @@ from fenics_crack.draw.plot_curve import draw_content, draw_curve, draw_multipli
 from fenics_crack.draw.plot_growth import draw_stress_intensity
 from fenics_crack.draw.plot_mesh import draw_modes
 from fenics_crack.draw.plot_motion import draw_orbits, draw_spectra, draw_spectrum
-from fenics_crack.draw.plot_study import draw_verification
 from fenics_crack.errors import FEW_MODES, InputError
 from fenics_crack.files.store import read
 from fenics_crack.model.modes import LIPS, Modes, n_tied_modes, solve_modes
@@ -269,13 +268,19 @@ def _axis_words(axis: Axis, values: np.ndarray) -> tuple[np.ndarray, str]:
     return factor * values, with_unit(key_in_words(axis.key), unit)
 
 
+def _verification(found: Verification, file: File) -> None:
+    from fenics_crack.draw.plot_study import draw_verification  # SciPy's interpolation
+
+    draw_verification(found, path=file("verify.png"))
+
+
 DRAW: dict[str, Callable[[Any, File], None]] = {
     Modes.KIND: _modes,
     PeriodicSolution.KIND: _solution,
     ResponseCurve.KIND: _curve,
     SWEEP: _sweep,
     TimeHistory.KIND: _history,
-    Verification.KIND: lambda found, file: draw_verification(found, path=file("verify.png")),
+    Verification.KIND: _verification,
 }
 
 

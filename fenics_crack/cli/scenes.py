@@ -71,7 +71,8 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
         study = prepare(scene, console.comm, whole=True)
     whole, harmonics = study.structure, scene.harmonic_balance.harmonics
     check_memory(whole, harmonics)
-    memory = check_memory_of(scene, whole)
+    run_up = scene.curve is not None and scene.curve.followed[0] == "speed"
+    memory = check_memory_of(scene, whole, run_up=run_up)
     with console.stage("natural frequencies"):
         figures = find_key_figures(study)
     rows: dict[str, object] = {

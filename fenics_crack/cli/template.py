@@ -14,7 +14,7 @@ __all__ = ["KINDS", "lines_of", "measured", "scene", "solid"]
 
 KINDS = ("blade", "timing", "identify")
 """What ``new`` writes besides a plate."""
-ASKED_FOR = ("curve", "identify", "rotation", "sweep", "tip_timing")
+ASKED_FOR = ("curve", "growth", "identify", "rotation", "sweep", "tip_timing")
 """Tables that a scene may do without, and commands may not."""
 
 

@@ -49,7 +49,7 @@ import numpy as np
 from tqdm import tqdm
 
 from fenics_crack.balance.contact_integrals import contact_integrals
-from fenics_crack.balance.error_report import CALM, UNKNOWN, ErrorReport, mean_square
+from fenics_crack.balance.error_report import CALM, MANY, UNKNOWN, ErrorReport, mean_square
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.free_motion import EnergyMotion, Equilibrium, MotionPoint, cosine_rows
 from fenics_crack.curves.motion_path import ELSEWHERE, MotionPath, first_motion
@@ -73,8 +73,6 @@ __all__ = ["Backbone", "BackboneOptions", "follow_backbone"]
 INTERRUPTED = "interrupted"
 PAST = 1.25
 """Harmonics with which the truncation is judged, relative to the highest mode's."""
-MANY = 1200
-"""Of the estimate of an error: unknowns to which harmonics may reach past the highest mode."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -28,7 +28,7 @@ from fenics_crack.balance.orbits import FlowOrbits, orbit_next_to
 from fenics_crack.balance.problem import Problem
 from fenics_crack.curves.beginnings import first_aside, odd_rows
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
-from fenics_crack.curves.orbit_branch import ALIKE, STRAIGHT, TOLERANCE
+from fenics_crack.curves.orbit_branch import ALIKE, TOLERANCE
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit
@@ -39,7 +39,7 @@ from fenics_crack.numerics.bordered import (
     point_on_path,
     solve_in_plane,
 )
-from fenics_crack.numerics.path import Path, PathOptions
+from fenics_crack.numerics.path import STRAIGHT, Path, PathOptions
 
 __all__ = ["DoubledStart", "next_to_doubled_orbits"]
 

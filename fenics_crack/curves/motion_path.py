@@ -28,7 +28,7 @@ from fenics_crack.curves.free_motion import (
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.numerics.bordered import PathPoint, point_on_path, solve_at
 from fenics_crack.numerics.fourier import resized, to_complex
-from fenics_crack.numerics.path import Ended, Path, PathOptions, Target
+from fenics_crack.numerics.path import STRAIGHT, Ended, Path, PathOptions, Target
 
 __all__ = ["ELSEWHERE", "MotionPath", "alike", "first_motion", "solve_motion"]
 
@@ -41,8 +41,6 @@ MORE = 1.25
 """How many harmonics there are after a step, relative to those before; one more at least."""
 LONGEST, MOST = 0.2, 200
 """Longest step in the share with which harmonics see the pairs, and how many."""
-SAME = 0.9
-"""Cosine of the angle between a motion and the same with more harmonics."""
 
 
 def solve_motion(family: FreeMotion, guess: np.ndarray, parameter: float) -> PathPoint | None:
@@ -301,4 +299,4 @@ def _padded(unknown: np.ndarray, family: FreeMotion) -> np.ndarray:
 
 def _is_it(family: FreeMotion, found: PathPoint, guess: np.ndarray) -> bool:
     """Whether a motion is that of a guess, and not another mode's."""
-    return family.is_fundamental(found.unknown) and alike(found.unknown, guess, SAME)
+    return family.is_fundamental(found.unknown) and alike(found.unknown, guess, STRAIGHT)

@@ -44,6 +44,7 @@ from fenics_crack.balance.orbits import FlowOrbits, Homotopy, OrbitPoint
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.orbit import KNOWN, eigenvalues
 from fenics_crack.numerics.bordered import PathPoint, Tangent, solve_in_plane, tangent_of
+from fenics_crack.numerics.path import STRAIGHT
 
 __all__ = ["KINDS", "Crossing", "Node", "OrbitBranch", "blended", "cubic"]
 
@@ -62,8 +63,6 @@ ALIKE = 0.5
 """Farthest orbit from the motion of its point; whether it is the point's own is asked later."""
 REACH = 5e-3
 """Farthest orbit from the parameter of its point, of the whole."""
-STRAIGHT = 0.9
-"""Cosine of the angle between a chord and the tangents at its ends."""
 LEADING = 8
 """Multipliers that are kept."""
 RESOLVED = 0.02

@@ -339,7 +339,7 @@ def _look_at_all(plotter: Any, fields: PeriodFields, room: float = 1.03) -> None
     """Set the camera so that the plate stays in the picture for the whole period."""
     moved = fields.mesh.points + fields.magnification * fields.displacement
     if fields.mesh.dimension == 3:
-        look_from_corner(plotter)
+        look_from_corner(plotter, fields.mesh.points)
         return
     heads = np.add(*_load_arrows(fields)) if np.any(fields.load) else np.empty((0, 2))
     points = np.concatenate([fields.mesh.points, *moved, heads])

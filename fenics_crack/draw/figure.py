@@ -141,7 +141,10 @@ class Picture:
             begin(file.name)
 
             def save() -> None:
-                self.figure.savefig(picture, format=file.suffix.removeprefix(".") or None)
+                if file.suffix == ".png":  # without the draft that savefig draws before
+                    FigureCanvasAgg(self.figure).print_png(picture)
+                else:
+                    self.figure.savefig(picture, format=file.suffix.removeprefix(".") or None)
                 write_whole(file, picture.getvalue())
 
             on_root(self._comm, save)

@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.curves.curve import ResponseCurve, kind_in_words, parameter_axis
 from fenics_crack.curves.peak import top_and_damping
-from fenics_crack.curves.refine import filled
 from fenics_crack.draw.figure import COLOURS, FIRST, Picture, Where, label_axis
 from fenics_crack.errors import InputError
 from fenics_crack.table import frequency_axis, quantity, with_unit
@@ -78,6 +77,8 @@ def draw_curve(
     --------
     >>> figure = fc.draw_curve(curve, tip, in_hertz=True, path="curve.png")
     """
+    from fenics_crack.curves.refine import filled  # SciPy's interpolation
+
     [panel] = picture = Picture(**where)
     curve = filled(curve)
     if curve.parameter == "omega":
@@ -269,6 +270,8 @@ def draw_content(
     --------
     >>> figure = fc.draw_content(curve, tip, highest=3, path="content.png")
     """
+    from fenics_crack.curves.refine import filled  # SciPy's interpolation
+
     [panel] = picture = Picture(**where)
     panel.set_yscale("log")
     curve = filled(curve)

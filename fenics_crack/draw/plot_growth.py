@@ -1,4 +1,4 @@
-"""Pictures of stress intensities at the tips of cracks."""
+"""Pictures of stress intensities at the tips of cracks, and of their growth."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from fenics_crack.draw.figure import COLOURS, Picture, Where, distinct_colours, label_axis
+from fenics_crack.growth.grow import Growth
 from fenics_crack.study.stress_intensity import StressIntensity
+from fenics_crack.table import frequency_axis
 
-__all__ = ["draw_stress_intensity"]
+__all__ = ["draw_growth", "draw_stress_intensity"]
 
 CLOSED = 0.01
 """Part of the largest K_I below which a tip is shown as closed."""
@@ -54,4 +56,60 @@ def draw_stress_intensity(found: StressIntensity, **where: Unpack[Where]) -> Fig
     panel.axhline(0.0, color="black", lw=0.6)
     label_axis(panel.xaxis, "time", "s")
     label_axis(panel.yaxis, "stress intensity", "Pa m^0.5")
+    return picture.finished()
+
+
+def draw_growth(found: Growth, *, in_hertz: bool = False, **where: Unpack[Where]) -> Figure:
+    """Draw a crack's length, the frequencies and its stress intensity over the cycles.
+
+    Dots are the lengths that were solved.
+
+    Parameters
+    ----------
+    found : Growth
+        Of :func:`grow`.
+    in_hertz : bool
+        Frequencies in Hz instead of rad/s.
+    **where
+        ``axes`` (three), ``path``, ``title``, as of :func:`draw_waves`.
+
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
+    Raises
+    ------
+    InputError
+        There are not three axes.
+
+    Examples
+    --------
+    >>> figure = fc.draw_growth(fc.grow(growing), path="growth.png")  # doctest: +SKIP
+    """
+    size, solved = (7.0, 8.6), found.solved[found.solved <= found.length[-1]]
+    picture = Picture(3, size=size, sharex=True, **where)
+    length, frequency, strength = picture.panels
+    at = np.interp(solved, found.length, found.cycles)
+    length.plot(found.cycles, found.length, color=COLOURS["blue"], label="crack")
+    length.plot(at, solved, "o", color=COLOURS["blue"], ms=4.0, label="solved")
+    factor, name, unit = frequency_axis(in_hertz)
+    lines = {
+        name: (found.omega, "black", "-"),
+        "natural frequency, crack breathing": (found.omega_bilinear, COLOURS["orange"], "-"),
+        "lips open": (found.omega_open, COLOURS["green"], "--"),
+    }
+    for label, (omega, colour, style) in lines.items():
+        frequency.plot(found.cycles, factor * omega, color=colour, ls=style, label=label)
+    strength.plot(
+        found.cycles, found.effective, color=COLOURS["blue"], label="effective range of K_I"
+    )
+    strength.plot(found.cycles, found.largest, color=COLOURS["pink"], ls=":", label="K_max")
+    there = np.interp(solved, found.length, found.effective)
+    strength.plot(at, there, "o", color=COLOURS["blue"], ms=4.0)
+    strength.set_yscale("log")
+    label_axis(length.yaxis, "length of the crack", "m")
+    label_axis(frequency.yaxis, "frequency", unit)
+    label_axis(strength.yaxis, "stress intensity", "Pa m^0.5")
+    label_axis(strength.xaxis, "time", "cycles")
     return picture.finished()

@@ -21,7 +21,7 @@ __all__ = ["draw_over_crack", "draw_parts", "draw_shape", "off_screen_plotter"]
 PIXELS = (900, 1000)
 """Of an image."""
 VIEW = (-1.3, 0.55, 1.6)
-"""Where the camera stands, seen from the middle: y goes up."""
+"""Where the camera stands, seen from the middle: y goes up, z where a solid is thinnest."""
 BENT = 25.0
 """Angle between facets at which there is an edge [degrees]."""
 ARROW = 0.2
@@ -57,11 +57,15 @@ def lines(points: np.ndarray, edges: np.ndarray) -> pyvista.PolyData:
     return pyvista.PolyData(points.copy(), lines=cells.ravel())
 
 
-def look_from_corner(plotter: Any) -> None:
-    """Set the camera so that all is seen, y up."""
+def look_from_corner(plotter: Any, points: np.ndarray) -> None:
+    """Set the camera so that all of a solid is seen, y up, and what moves across it."""
     plotter.background_color = "white"
     plotter.enable_parallel_projection()
-    plotter.view_vector(VIEW, viewup=(0.0, 1.0, 0.0))
+    flat = points[:, [0, 2]] - points[:, [0, 2]].mean(axis=0)
+    x, z = np.linalg.eigh(flat.T @ flat)[1][:, 0]  # where it is thinnest
+    x, z = (x, z) if z > 0.0 else (-x, -z)
+    seen = VIEW[0] * z + VIEW[2] * x, VIEW[1], VIEW[2] * z - VIEW[0] * x
+    plotter.view_vector(seen, viewup=(0.0, 1.0, 0.0))
     plotter.reset_camera()
 
 
@@ -90,9 +94,9 @@ def draw_over_crack(
     bar.set_label(label)
 
 
-def _drawn(axes: Axes, plotter: Any) -> None:
-    """The image of a plotter, without its white margins, in a panel."""
-    look_from_corner(plotter)
+def _drawn(axes: Axes, plotter: Any, points: np.ndarray) -> None:
+    """The image of a plotter with a solid, without its white margins, in a panel."""
+    look_from_corner(plotter, points)
     image = plotter.screenshot(None, return_img=True)
     plotter.close()
     ink = np.argwhere((image < 250).any(axis=2))
@@ -130,7 +134,7 @@ def draw_parts(axes: Axes, mesh: NodalMesh, load: np.ndarray) -> None:
             plotter.add_mesh(arrow, color=to_rgb(COLOURS["pink"]), lighting=False)
     if np.any(load):
         handles.append(Patch(color=COLOURS["pink"], label="load"))
-    _drawn(axes, plotter)
+    _drawn(axes, plotter, mesh.points)
     if handles:
         axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncol=3)
 
@@ -146,4 +150,4 @@ def draw_shape(axes: Axes, mesh: NodalMesh, displacement: np.ndarray) -> None:
     edges = outline(mesh)
     plotter.add_mesh(lines(mesh.points + displacement, edges), color="black", line_width=2)
     plotter.add_mesh(lines(mesh.points, edges), color="#8a8a8a", line_width=2)
-    _drawn(axes, plotter)
+    _drawn(axes, plotter, mesh.points)

@@ -120,7 +120,7 @@ def read_labels(path: Path) -> np.ndarray:
             raise ValueError(f"{path.name}, line {number}: {line[:80]!r} names no dof of a node")
     if not found or len(set(found)) < len(found):
         raise ValueError(f"{path.name}: {'a row twice' if found else 'no dof of a node'}")
-    return np.array(found)
+    return np.array(found, dtype=np.int64)
 
 
 def _symmetric(
@@ -134,7 +134,11 @@ def _symmetric(
 
 def _between_labels(ends: np.ndarray, values: np.ndarray, *, whole: bool) -> LabelledMatrix:
     """A matrix of entries between two labels (m, 2, 2), of both triangles or of one."""
-    labels, places = np.unique(ends.reshape(-1, 2), axis=0, return_inverse=True)
+    (nodes, node), (ways, way) = (
+        np.unique(ends[..., part].ravel(), return_inverse=True) for part in range(2)
+    )
+    keys, places = np.unique(node * len(ways) + way, return_inverse=True)  # quicker than of rows
+    labels = np.column_stack([nodes[keys // len(ways)], ways[keys % len(ways)]])
     rows, columns = places.reshape(-1, 2).T
     n = len(labels)
     if whole:
@@ -165,7 +169,7 @@ def _begins_as_abaqus(path: Path) -> bool:
 def _of_abaqus(path: Path) -> LabelledMatrix:
     entries = rows_of(path, 5, "*", ",")
     found = _between_labels(
-        entries[:, :4].astype(int).reshape(-1, 2, 2), entries[:, 4], whole=False
+        entries[:, :4].astype(np.int64).reshape(-1, 2, 2), entries[:, 4], whole=False
     )
     assert found.labels is not None
     free = np.flatnonzero(found.matrix.diagonal() < CLAMPED)
@@ -198,11 +202,13 @@ def _of_nastran(path: Path, kind: str) -> LabelledMatrix:
             raise ValueError(f"line {number}: {line[:80]!r} is not of {wanted}") from None
     if not ends:
         raise ValueError(f"it has no matrix DMIG whose name begins with {kind}")
-    at = np.array(ends).reshape(-1, 2, 2)
+    at = np.array(ends, dtype=np.int64).reshape(-1, 2, 2)
     return _between_labels(at, np.array(values), whole=form == 1)
 
 
 def _of_matrix_market(path: Path, labels: Path | None, rows: int | None) -> LabelledMatrix:
     named = None if labels is None else read_labels(labels)
     matrix = sparse.csr_matrix(read_matrix_market(path, rows if named is None else len(named)))
+    if named is not None and matrix.shape[1] != len(named):
+        raise ValueError(f"of shape {matrix.shape}, for {len(named)} rows that are named")
     return LabelledMatrix(matrix, named)

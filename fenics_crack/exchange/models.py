@@ -1,4 +1,5 @@
-"""Nodes and cells of the input files of other programs: CalculiX, Abaqus and Nastran, or a table.
+"""Nodes and cells of the input files of other programs: CalculiX, Abaqus, Nastran and Ansys, or a
+table.
 
 Only what has a place is read: nodes, and the solid elements between them, with nodes in VTK's
 order. What makes nodes in another way than by their coordinates is refused by its name.
@@ -14,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from fenics_crack.exchange.lines import numbered_lines, rows_of
+from fenics_crack.scene.fields import LARGEST
 
 __all__ = ["Model", "read_model"]
 
@@ -48,8 +50,8 @@ class Model:
 
 
 def read_model(path: Path) -> Model:
-    """Read nodes and cells: .inp of CalculiX or Abaqus, .bdf, .dat or .nas of Nastran; of another
-    ending rows of node, x, y, z between commas.
+    """Read nodes and cells: .inp of CalculiX or Abaqus, .bdf, .dat or .nas of Nastran, .cdb of
+    Ansys; of another ending rows of node, x, y, z between commas.
 
     Raises
     ------
@@ -61,11 +63,11 @@ def read_model(path: Path) -> Model:
     READERS.get(path.suffix.lower(), _table)(path, nodes, cells)
     if not nodes:
         raise ValueError("it has no nodes")
-    labels = np.array(sorted(nodes))
+    labels = np.array(sorted(nodes), dtype=np.int64)
     points = np.array([nodes[label] for label in labels.tolist()])
     made = {}
     for kind, rows in cells.items():
-        wanted = np.array(rows)
+        wanted = np.array(rows, dtype=np.int64)
         places = np.minimum(np.searchsorted(labels, wanted), len(labels) - 1)
         if np.any(labels[places] != wanted):
             missing = wanted[labels[places] != wanted][0]
@@ -79,9 +81,10 @@ Cells = dict[int, list[list[int]]]
 
 
 def _put(nodes: Nodes, number: int, label: int, place: tuple[float, ...]) -> None:
-    if len(place) != 3 or nodes.setdefault(label, place) != place:
-        found = "two places" if len(place) == 3 else f"{len(place)} coordinates"
-        raise ValueError(f"line {number}: {found} of node {label}")
+    if not all(abs(x) <= LARGEST for x in place):
+        raise ValueError(f"line {number}: a coordinate of node {label} is no number to {LARGEST:g}")
+    if nodes.setdefault(label, place) != place:
+        raise ValueError(f"line {number}: two places of node {label}")
 
 
 def _table(path: Path, nodes: Nodes, cells: Cells) -> None:
@@ -109,7 +112,7 @@ def _of_abaqus(path: Path, nodes: Nodes, cells: Cells) -> None:
                 count = int(match[1]) if match is not None else 0
             elif keyword == "NODE":
                 label, *place = line.strip().rstrip(",").split(",")
-                spatial = (*map(float, place), 0.0)[:3]  # of a plane model z is left out
+                spatial = (*map(float, place), 0.0, 0.0)[:3]  # zeros may be left out
                 _put(nodes, number, int(label), spatial)
             elif keyword == "ELEMENT" and count in VTK:
                 row += map(int, line.strip().rstrip(",").split(","))
@@ -174,6 +177,52 @@ def _cards(path: Path) -> Iterator[tuple[int, list[str]]]:
         yield first, card
 
 
+# --- Ansys ----------------------------------------------------------------------------------------
+
+
+def _of_ansys(path: Path, nodes: Nodes, cells: Cells) -> None:
+    """Blocks NBLOCK and EBLOCK, as CDWRITE writes them: rows of so many fields of so many
+    characters, as the line below their names says."""
+    block, count, row = "", 0, list[int]()
+    whole, real, n_whole = 0, 0, 0
+    for number, line in numbered_lines(path, "!"):
+        word = line.strip().upper()
+        try:
+            if word.startswith(("NBLOCK", "EBLOCK")):
+                if word.startswith("EBLOCK") and "SOLID" not in word:
+                    raise ValueError
+                block, row = word[:6], []
+            elif block and line.lstrip().startswith("("):
+                sizes = [int(size) for size in re.findall(r"\d+", line)]
+                n_whole, whole, real = sizes[0], sizes[1], sizes[3] if len(sizes) > 3 else 0
+            elif word.startswith(("N,", "-1")):
+                if row:
+                    raise ValueError  # of a cell that goes on
+                block = ""
+            elif block == "NBLOCK":
+                begins = n_whole * whole
+                fields = [line[at : at + real] for at in range(begins, len(line), real)]
+                place = [float(field) for field in fields if field.strip()]
+                if any(place[3:]):
+                    raise ValueError  # turned
+                _put(nodes, number, int(line[:whole]), (*place, 0.0, 0.0, 0.0)[:3])
+            elif block == "EBLOCK":
+                own = [int(line[at : at + whole]) for at in range(0, len(line), whole)]
+                if not row:
+                    count, own = own[8], own[11:]
+                row += own
+                if len(row) >= count:
+                    if len(set(row)) < count:
+                        raise ValueError  # a brick with nodes in the same place
+                    cells.setdefault(VTK[count], []).append(row[:count])
+                    row = []
+        except (ValueError, KeyError, IndexError) as error:
+            allowed = "a node without angles, or a whole tetrahedron or brick, of CDWRITE's blocks"
+            reason = str(error) if "line" in str(error) else f"line {number}: not {allowed}"
+            raise ValueError(reason) from None
+
+
 READERS: dict[str, Callable[[Path, Nodes, Cells], None]] = {
     ".inp": _of_abaqus, ".bdf": _of_nastran, ".dat": _of_nastran, ".nas": _of_nastran,
+    ".cdb": _of_ansys,
 }  # fmt: skip

@@ -42,7 +42,7 @@ class CrackSurface:
     triangles : (n, 3, 3) [m]
         Corners of its facets; of one with four corners of both halves.
     front : (m, 2, 3) [m]
-        Ends of the edges of its front.
+        Ends of the edges of its front; none where it parts two bodies.
     has_mouth : bool
         Whether its rim reaches the surface of the solid.
     """
@@ -63,13 +63,15 @@ class CrackSurface:
         return float(np.ptp(self.triangles.reshape(-1, 3), axis=0).max())
 
     def locate(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Distance of points (n, 3) from the surface and from the front [m]: two arrays (n,)."""
+        """Distance of points (n, 3) from the surface and from the front [m], alike for all without
+        a front: two arrays (n,)."""
         off, position = np.empty(len(points)), np.empty(len(points))
         step = max(1, ROOM // max(len(self.triangles), len(self.front)))
         for first in range(0, len(points), step):
             some = slice(first, first + step)
             off[some] = np.linalg.norm(_to_triangles(points[some], self.triangles), axis=2).min(1)
-            position[some] = _to_edges(points[some], self.front).min(axis=1)
+            farther = 2.0 * self.size  # than any point of it from a front
+            position[some] = _to_edges(points[some], self.front).min(axis=1, initial=farther)
         return off, position
 
     def beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
@@ -365,6 +367,5 @@ def _crack(
     """One crack, by the corners of its facets."""
     own = np.unique(surface)
     front = fronts[np.isin(fronts, own).all(axis=1)]
-    _require(len(front), "a surface without a front", "one that does not cut the solid in two")
     triangles = np.concatenate(_triangles(surface))
     return CrackSurface(places[triangles], places[front], bool(np.isin(mouths, own).any()))

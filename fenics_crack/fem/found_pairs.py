@@ -59,7 +59,8 @@ class _Lips:
     """Nodes that exist twice, and what surrounds them.
 
     ``first`` and ``second``: the two nodes of each pair; ``split``: the pair of each node, -1 where
-    it has none; ``place``: a number for each place; ``joined``: which nodes the stiffness joins.
+    it has none; ``place``: a number for each place; ``joined``: which nodes the stiffness joins;
+    ``torn``: nodes of a place where one of two has no dofs, held or tied by equations.
     """
 
     first: np.ndarray
@@ -68,7 +69,6 @@ class _Lips:
     place: np.ndarray
     joined: sparse.csr_matrix
     torn: np.ndarray
-    """Nodes of a place where one of two has no dofs: tied by equations."""
 
 
 def find_pairs(

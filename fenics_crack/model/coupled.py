@@ -41,6 +41,7 @@ from fenics_crack.model.contact import ContactLaw
 from fenics_crack.numerics.linearisation import ROUNDING
 
 __all__ = [
+    "KEPT",
     "ActiveSets",
     "by_least_squares",
     "is_regular",
@@ -49,8 +50,8 @@ __all__ = [
     "solve_forces",
 ]
 
-MAX_KEPT = 2**28
-"""Bytes of inverses that are kept."""
+KEPT = 2**26
+"""Bytes of what is kept of sets of closed pairs."""
 MAX_NEWTON = 200
 """Iterations for forces that are not piecewise linear in the gaps."""
 REGULAR = 1e-6
@@ -77,7 +78,7 @@ class ActiveSets:
     def __init__(self, compliance: np.ndarray) -> None:
         self.compliance = compliance = shaped(compliance, len(compliance), len(compliance))
         self.scale = float(np.mean(np.diag(compliance))) if compliance.size else 0.0
-        most = MAX_KEPT // max(compliance.nbytes, 8)
+        most = KEPT // max(compliance.nbytes, 8)
         count = len(compliance)
         self.handle = owned(kernel.new_sets(count, doubles(compliance), most), kernel.free_sets)
         """The kernel's own object."""

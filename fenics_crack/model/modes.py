@@ -16,6 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sparse
+from petsc4py import PETSc
 from slepc4py import SLEPc
 
 from fenics_crack.errors import ConvergenceError, InputError
@@ -311,14 +312,14 @@ def largest_frequency(structure: Structure) -> float:
 
 def times(matrix: Any, columns: np.ndarray) -> np.ndarray:
     """A X for a PETSc matrix and the columns of X (n_local, m) (collective)."""
-    source, target = matrix.createVecs()
-    found = np.empty_like(columns)
-    for column in range(columns.shape[1]):
-        source.array_w[:] = columns[:, column]
-        matrix.mult(source, target)
-        found[:, column] = target.array_r
-    source.destroy()
-    target.destroy()
+    (local, total), comm = matrix.sizes[1], matrix.comm
+    whole = ((local, total), (PETSc.DECIDE, columns.shape[1]))
+    right = PETSc.Mat().createDense(whole, array=np.array(columns, order="F"), comm=comm)
+    right.assemble()
+    product = matrix.matMult(right)
+    found = np.array(product.getDenseArray(), order="C")
+    right.destroy()
+    product.destroy()
     return found
 
 

@@ -31,6 +31,7 @@ from fenics_crack.errors import InputError, check_number
 from fenics_crack.model.coupled import solve_complementarity
 from fenics_crack.model.damping import DampingRule
 from fenics_crack.model.factor import Factor, distributed, weighted_sum
+from fenics_crack.model.matrices import read_only
 from fenics_crack.model.modes import ROUNDING, independent_part, times
 from fenics_crack.model.reduced import MasslessInterface
 from fenics_crack.model.reduction import reduce_structure
@@ -283,7 +284,8 @@ def run_up_structure(structure: Structure, start: float, stop: float, modes: int
         raise InputError("damping", "a matrix", "modal or Rayleigh damping in a run-up")
     basis: np.ndarray = np.zeros((structure.n_local, 0))
     for speed in np.linspace(start, stop, SPEEDS):
-        part = reduce_structure(rotation.at(float(speed)), modes=modes, method="free_interface")
+        there = rotation.at(float(speed))
+        part = reduce_structure(there, modes=modes, method="free_interface", judged=False)
         new = independent_part(structure, basis, part.basis)
         basis = np.hstack([basis, new])
     here = rotation.at(rotation.speed)
@@ -299,7 +301,7 @@ def run_up_structure(structure: Structure, start: float, stop: float, modes: int
     at_rest = np.eye(len(squares)) - square * (added[0] + added[1] + square * added[2])
     ritz = Ritz(
         structure,
-        basis,
+        read_only(basis),  # shared by all speeds
         at_rest,
         added,
         1.0 / squares,

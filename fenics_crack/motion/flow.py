@@ -27,15 +27,12 @@ import numpy as np
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.kernel import Struct, doubles, kernel, owned
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid, is_unilateral
-from fenics_crack.model.coupled import is_regular
+from fenics_crack.model.coupled import KEPT, is_regular
 from fenics_crack.model.modal import AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import waves
 
 __all__ = ["Budget", "ContactFlow", "Motion", "Samples", "exact_flow", "flow_of"]
-
-MAX_KEPT = 2**23
-"""Numbers of the sets of closed pairs that are kept: 64 MB."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +124,7 @@ class ContactFlow:
             "flow_parts", modes=count, pairs=pairs, coupled=modes.damping.ndim == 2,
             squares=_doubles(modes.squares), damping=_doubles(modes.damping),
             rows=_doubles(modes.pairs.T), compliance=_doubles(compliance), force=self.force,
-            gap=self.gap, fastest=self.fastest, most=MAX_KEPT,
+            gap=self.gap, fastest=self.fastest, most=KEPT // 8,
         )  # fmt: skip
         self.handle = owned(kernel.new_flow(parts.at), kernel.free_flow)
         """The kernel's own object."""

@@ -221,13 +221,10 @@ def solve_at(
     tolerance: float,
     iterations: int = STEPS,
 ) -> PathPoint | None:
-    """Full Newton steps from a guess at a given parameter; None where they do not converge, which
-    is seen sooner where they are dear: where J is not formed."""
-    dear = getattr(system, "matrix_free", False)
+    """Full Newton steps from a guess at a given parameter; None where they do not converge."""
     return solve_in_plane(
         system, unknown, parameter, None,
-        tolerance=tolerance, iterations=iterations, least_damping=None,
-        patience=PATIENCE if dear else None,
+        tolerance=tolerance, iterations=iterations, least_damping=None, patience=PATIENCE,
     )  # fmt: skip
 
 

@@ -50,6 +50,7 @@ from fenics_crack.numerics.linearisation import EPSILON, ROUNDING, System
 
 __all__ = [
     "SHARP",
+    "STRAIGHT",
     "BranchPoint",
     "Closed",
     "Crossing",
@@ -63,8 +64,8 @@ __all__ = [
     "Target",
 ]
 
-ALIKE = 0.9
-"""Cosine of an angle up to which two directions are taken for one, where a path closes."""
+STRAIGHT = 0.9
+"""Cosine of an angle up to which two directions are taken for one."""
 SHARP = 1e-11
 """|F| / |x| of what is located between two points."""
 NEAR = EPSILON**0.5
@@ -305,7 +306,7 @@ class Closed(Event):
 
     def between(self, points: Stretch) -> np.ndarray:
         lengths = points.lengths[1:]
-        near = np.abs(points.parameters[:-1] - self.origin.parameter) <= lengths / ALIKE
+        near = np.abs(points.parameters[:-1] - self.origin.parameter) <= lengths / STRAIGHT
         ways = points.ways_to(self.origin)[:-1]
         return np.asarray(near & (ways > 0.0) & (ways <= lengths))
 
@@ -317,10 +318,10 @@ class Closed(Event):
             origin.parameter - before.parameter,
             before.tangent.weight,
         ).along(before.tangent, system)
-        if along < ALIKE:
+        if along < STRAIGHT:
             return None
         met = step_along(system, before, along * chord, rtol)
-        if met is None or met.tangent.along(origin.tangent, system) < ALIKE:
+        if met is None or met.tangent.along(origin.tangent, system) < STRAIGHT:
             return None
         off = met.unknown - origin.unknown
         same = system.inner(off, off) < 1e-10 * system.inner(origin.unknown, origin.unknown)

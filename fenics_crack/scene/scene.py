@@ -30,6 +30,7 @@ from fenics_crack.scene.tables import (
     Damping,
     Excitation,
     Geometry,
+    Growth,
     HarmonicBalance,
     Identify,
     Integration,
@@ -47,7 +48,7 @@ from fenics_crack.table import RPM, frequency_axis
 
 __all__ = ["LOOKED_AT", "Scene", "check_scene", "known_keys", "unit_of"]
 
-LOOKED_AT = ("curve", "integration", "sweep", "identify", "tip_timing", "output")
+LOOKED_AT = ("curve", "integration", "sweep", "growth", "identify", "tip_timing", "output")
 """Tables that say what is looked at, and change nothing of it."""
 
 PLATE_TABLES = ("geometry", "material", "mesh", "crack", "cracks", "loads", "base", "rotation")
@@ -94,6 +95,7 @@ class Scene(Hinted):
     curve: Curve | None = None
     integration: Integration | None = None
     sweep: Sweep | None = None
+    growth: Growth | None = None
     identify: Identify | None = None
     tip_timing: TipTiming | None = None
     output: Output | None = None

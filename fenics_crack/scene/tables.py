@@ -46,6 +46,7 @@ __all__ = [
     "Damping",
     "Excitation",
     "Geometry",
+    "Growth",
     "HarmonicBalance",
     "Identify",
     "Integration",
@@ -537,8 +538,8 @@ class Structure(Table):
     stiffness: str = path("the path of a file: (n, n)", MISSING)
     """[N/m]"""
     model: str | None = path("the path of the input file of the program that made the matrices")
-    """Nodes and elements: of CalculiX or Abaqus (.inp), Nastran (.bdf, .dat, .nas), or a table of
-    node, x, y, z [m] between commas."""
+    """Nodes and elements: of CalculiX or Abaqus (.inp), Nastran (.bdf, .dat, .nas), Ansys (.cdb),
+    or a table of node, x, y, z [m] between commas."""
     dofs: str | None = path("the path of a file: node and direction of each row")
     """For Matrix Market files with a model: "12.3" or "7 12 UZ" on each line; of CalculiX the .dof
     beside the stiffness where it is left out."""
@@ -659,6 +660,9 @@ class Sweep(Table):
     """Keys with a list of values, or start, stop, count and ``spacing = "logarithmic"``."""
     ranks: int = at_least_one(1)
     """Ranks that share the mesh of one case."""
+    at_resonance: bool = holds("true or false", default=False)
+    """Solve each case at the frequency of its own largest response, next to the bilinear frequency
+    that is nearest to the excitation's."""
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -669,6 +673,36 @@ class Sweep(Table):
     def n_cases(self) -> int:
         """How many cases."""
         return math.prod(self.shape)
+
+
+@dataclass(frozen=True)
+class Growth(Table):
+    """Growth of a plate's crack by fatigue, for ``fenics-crack grow``: in a cycle by
+
+        rate (delta_K_effective / ((1 - R)^(1 - ratio_exponent) 1 MPa m^0.5))^exponent,
+
+    R = max(K_min, 0) / K_max (Paris and Erdogan 1963; Walker 1970)."""
+
+    until: float = positive(unit="m")
+    """Length at which it ends, from ``crack.length`` on."""
+    rate: float = positive(unit="m")
+    """In a cycle, at an effective range of 1 MPa m^0.5 with R = 0."""
+    exponent: float = positive()
+    """m."""
+    ratio_exponent: float = between("0", "1", 1.0)
+    """Walker's gamma; 1: the ratio does not matter but by closure, which is that of the lips."""
+    threshold: float = not_negative(0.0, unit="Pa m^0.5")
+    """Effective range below which the crack does not grow."""
+    toughness: float | None = positive(None, unit="Pa m^0.5")
+    """K_max at which the plate breaks."""
+    drive: str = choice("frequency", "resonance", default="frequency")
+    """Whether the load keeps the excitation's frequency, or follows the largest response."""
+    rate_deviation: float = between("0", "10", 0.0)
+    """Relative standard deviation of the rate."""
+    exponent_deviation: float = not_negative(0.0)
+    """Standard deviation of the exponent, the rate at 1 MPa m^0.5 being the same."""
+    life_tolerance: float = between("1e-6", "1", 0.01)
+    """Of the number of cycles, by interpolation between the lengths that are solved."""
 
 
 @dataclass(frozen=True)

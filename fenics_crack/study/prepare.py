@@ -16,7 +16,7 @@ from fenics_crack.model.contact import (
     UnilateralConstraint,
     UnilateralPenalty,
 )
-from fenics_crack.model.memory import machine_memory, reduction_memory, whole_memory
+from fenics_crack.model.memory import machine_memory, reduction_memory, run_up_memory, whole_memory
 from fenics_crack.model.nodes import AXES
 from fenics_crack.model.reduction import MODES, reduce_structure
 from fenics_crack.model.structure import Structure
@@ -239,8 +239,8 @@ def reduction_of(scene: Scene, structure: Structure) -> Reduction | None:
     return table
 
 
-def check_memory_of(scene: Scene, structure: Structure) -> float:
-    """Memory that solving a scene is going to need, estimated [byte] (collective).
+def check_memory_of(scene: Scene, structure: Structure, *, run_up: bool = False) -> float:
+    """Memory that solving a scene is going to need, or its run-up, estimated [byte] (collective).
 
     Raises
     ------
@@ -250,6 +250,8 @@ def check_memory_of(scene: Scene, structure: Structure) -> float:
     table = reduction_of(scene, structure)
     if table is None:
         needed = whole_memory(structure, scene.harmonic_balance.harmonics)
+    elif run_up:
+        needed = run_up_memory(structure, modes_of(scene, table))
     else:
         assert table.method is not None
         needed = reduction_memory(structure, modes_of(scene, table), table.method)

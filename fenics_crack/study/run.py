@@ -355,7 +355,7 @@ def _prepare_curve(scene: Scene, comm: MPI.Comm) -> Study:
         allowed = "'massless', or left out, for a run-up: it has one basis for all speeds"
         scene.reduction.require(scene.reduction.method in (None, "massless"), "method", allowed)
     study = prepare(scene, comm, whole=True)
-    check_memory_of(scene, study.structure)
+    check_memory_of(scene, study.structure, run_up=True)
     table = reduction_of(study.scene, study.structure)
     modes = min(MODES, study.structure.n_dofs) if table is None else modes_of(scene, table)
     structure = run_up_structure(study.structure, start, stop, modes)

@@ -10,26 +10,36 @@ A mesh moves the resonances before all else. Next to one a small shift changes a
 one side up and on the other down, so that differences may vanish by chance. The coarse mesh is
 therefore solved at w w_r / w_b, as far from its resonance w_r as the answer is from its own, w_b,
 and what the shift changes is solved for on the answer's mesh, at w w_b / w_e, w_e being the
-extrapolated resonance. Both have a sign and are added; but neither is known better than its order
-p, which lies between that of a tip and that of a clamp, 1 and 1.5:
+extrapolated resonance. Both have a sign and are added. Their order p is that of the same tips and
+clamps, between 1 and 1.5, but for some of it:
 
-    e = max over p, q of |(f - f_r) / (r^p - 1) + f(w w_b / w_e(q)) - f|,
+    e = max over p of |(f - f_r) / (r^p - 1) + f(w w_b / w_e(p)) - f|,
 
-so that what cancels leaves its uncertainty. The root of the sum of the squares of all causes is
-stated. These are errors that are expected, not bounds: scenes beside a mesh four times finer are in
-docs/error_report.md.
+and a tenth of what could cancel is not known.
+
+With a preload or a mean load a crack closes pair by pair, and where it is closed ends somewhere
+between two pairs. Half a step of the gap from one to the next, times the part of the period for
+which some touch and others do not, is not known of the clearance, whatever a coarse mesh of few
+pairs says by chance; what it changes is solved for, too. The mesh changes low harmonics and high
+ones alike: half of them show it.
+
+The root of the sum of the squares of all causes is stated. These are errors that are expected, not
+bounds: scenes beside a mesh four times finer are in docs/error_report.md.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from fenics_crack.balance.harmonic_balance import solve_linear
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Solver
+from fenics_crack.balance.to_tolerance import FEWEST
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.model.bilinear import KINDS, bilinear_frequencies
 from fenics_crack.model.modal import is_small
@@ -59,8 +69,13 @@ LOWEST = (1, 2, 3)
 """Modes whose natural frequencies with lips open are looked at."""
 TINY = 1e-9
 """A ratio that is none."""
+VARIED = ("modes", "harmonics", "mesh")
+"""The causes."""
 ORDERS = CLAMP, TIP
 """Between which that of a mesh is, the one that corrects less first."""
+UNSURE = 0.1
+"""Share of the smaller of two parts of one order that is not known, so that something is left where
+they cancel."""
 
 
 # --- the numbers of an answer ---------------------------------------------------------------------
@@ -147,17 +162,15 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
         return stated
     near = _solved(study, found.omega, found.harmonics, found)
     own = numbers_of(study, near, numbers.mode)
-    for cause, other in VARIED.items():
+    mesh = partial(_coarser_mesh, of_peak=of_peak)
+    varied: list[Callable[..., Varied]] = [_more_modes, _more_harmonics, mesh]
+    for cause, other in zip(VARIED, varied, strict=True):
         try:
-            varied = other(study, near, own)
-            if isinstance(varied, str):
-                (stated.unknown if cause == "mesh" else stated.absent)[cause] = varied
-                continue
-            counts, values = varied
-            parts = expected(cause, counts, own.values, values, study.scene.dimension)
-            if cause == "mesh" and not of_peak:
-                parts = _with_shift(study, near, own, parts)
-            stated.counts[cause], stated.parts[cause] = counts, parts
+            made = other(study, near, own)
+            if isinstance(made, str):
+                (stated.unknown if cause == "mesh" else stated.absent)[cause] = made
+            else:
+                stated.counts[cause], stated.parts[cause] = made
         except REFUSALS as error:
             stated.unknown[cause] = str(error)
     return stated
@@ -176,8 +189,8 @@ def errors_of(study: Study, result: object) -> Verification | None:
     return None
 
 
-Varied = tuple[tuple[int, int], Mapping[str, float]] | str
-"""Counts, the answer's own first, and the other run's numbers; or why there are none."""
+Varied = tuple[tuple[int, int], dict[str, GridConvergence]] | str
+"""Counts, the answer's own first, and the parts; or why there are none."""
 
 
 def _more_modes(study: Study, near: PeriodicSolution, own: Numbers) -> Varied:
@@ -188,51 +201,72 @@ def _more_modes(study: Study, near: PeriodicSolution, own: Numbers) -> Varied:
     more = replace(study, structure=reference)
     start = near if structure.light_lips else None  # else these have other coordinates
     found = _solved(more, near.omega, near.harmonics, start)
-    kept = modes_of(study.scene, table)
-    return (kept, 2 * kept), numbers_of(more, found, own.mode).values
+    counts = modes_of(study.scene, table), 2 * modes_of(study.scene, table)
+    other = numbers_of(more, found, own.mode).values
+    return counts, expected("modes", counts, own.values, other, study.scene.dimension)
 
 
 def _more_harmonics(study: Study, near: PeriodicSolution, own: Numbers) -> Varied:
     if study.contact is None:
         return "without contact there is one"
-    count = near.harmonics
-    found = _solved(study, near.omega, 2 * count, near)
-    return (count, 2 * count), numbers_of(study, found, own.mode).values
+    counts = near.harmonics, 2 * near.harmonics
+    other = numbers_of(study, _solved(study, near.omega, counts[1], near), own.mode).values
+    return counts, expected("harmonics", counts, own.values, other, study.scene.dimension)
 
 
-def _coarser_mesh(study: Study, near: PeriodicSolution, own: Numbers) -> Varied:
+def _coarser_mesh(study: Study, near: PeriodicSolution, own: Numbers, of_peak: bool) -> Varied:
+    """The most by any order of the mesh, but of a peak with what the shift of the resonance
+    changes, and what the place where lips part does; by differences with half the harmonics."""
     coarse = coarser(study)
     if isinstance(coarse, str):
         return coarse
     twin, counts = coarse
-    shift = resonance_of(twin.structure, own.mode) / resonance_of(study.structure, own.mode)
-    found = _solved(twin, near.omega * shift, near.harmonics)
-    return counts, numbers_of(twin, found, own.mode).values
-
-
-VARIED = {"modes": _more_modes, "harmonics": _more_harmonics, "mesh": _coarser_mesh}
-"""What is varied, and by whom."""
-
-
-def _with_shift(
-    study: Study, near: PeriodicSolution, own: Numbers, parts: Mapping[str, GridConvergence]
-) -> dict[str, GridConvergence]:
-    """The mesh's parts of the numbers of a solution with what the shift of the resonance changes:
-    the most by any order of either."""
-    fine, coarse = parts[own.resonance].sizes
-    left = [1.0 / ((coarse / fine) ** order - 1.0) for order in ORDERS]
-    at, there = parts[own.resonance].values
-    moved = shifted(study, near, own.mode, [at / (at + share * (at - there)) for share in left])
+    few = max(near.harmonics // 2, min(near.harmonics, FEWEST))
+    half = _solved(study, near.omega, few, near)
+    with_few = numbers_of(study, half, own.mode)
+    moved = resonance_of(twin.structure, own.mode) / resonance_of(study.structure, own.mode)
+    there = numbers_of(twin, _solved(twin, near.omega * moved, few), own.mode).values
+    parts = expected("mesh", counts, with_few.values, there, study.scene.dimension)
+    fine, coarse_size = parts[own.resonance].sizes
+    left = [1.0 / ((coarse_size / fine) ** order - 1.0) for order in ORDERS]
+    shifts = len(left) * [with_few.values]
+    if not of_peak:
+        factors = [1.0 / (1.0 + share * (1.0 - moved)) for share in left]
+        shifts = shifted(study, half, own.mode, factors)
+    between = _between_pairs(study, half, own.mode)
     found = {}
     for name, part in parts.items():
         value, other = part.values
-        errors = [
-            share * (value - other) + values.get(name, 0.0) - value
-            for share in left
-            for values in moved
+        both = [
+            (share * (value - other), values.get(name, 0.0) - value)
+            for share, values in zip(left, shifts, strict=True)
         ]
-        found[name] = replace(part, extrapolated=value + max(errors, key=abs))
-    return found
+        error = math.hypot(
+            max(abs(shape + shift) for shape, shift in both),
+            UNSURE * max(min(abs(shape), abs(shift)) for shape, shift in both),
+            between.get(name, value) - value,
+        )
+        at = own.values.get(name, 0.0)
+        found[name] = replace(part, values=(at, at + other - value), extrapolated=at + error)
+    return counts, found
+
+
+def _between_pairs(study: Study, near: PeriodicSolution, mode: int) -> dict[str, float]:
+    """The numbers with the clearance moved by half a step of the gap from pair to pair, times the
+    part of the period for which some pairs of a crack touch and others do not (collective)."""
+    cracks, instants = study.structure.pairs.cracks, near.instants()
+    if cracks is None or not len(cracks):
+        return {}
+    gap, touching = near.gap(instants), near.contact_force(instants) > 0.0
+    steps = np.zeros(len(cracks))
+    for crack in np.unique(cracks):
+        its = cracks == crack
+        shares = touching[:, its].mean(axis=0)
+        apart = gap[:, its].min(axis=0) if shares.all() else gap[:, its].max(axis=0)
+        along = its.sum() ** (1.0 / (study.scene.dimension - 1))
+        steps[its] = 0.5 * np.ptp(apart) / along * np.ptp(shares)
+    moved = replace(study, structure=study.structure.varied(clearance=steps))
+    return numbers_of(moved, _solved(moved, near.omega, near.harmonics, near), mode).values
 
 
 def shifted(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from mpi4py import MPI
 from fenics_crack.balance.harmonic_balance import solve_linear
 from fenics_crack.balance.indicators import indicators_of
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import PeriodicSolution, solve_beside
+from fenics_crack.balance.solution import PeriodicSolution, Solver, solve_beside
 from fenics_crack.errors import InputError
 from fenics_crack.fem.build import clearance_of
 from fenics_crack.model.bilinear import BilinearFrequencies, bilinear_frequencies
@@ -23,6 +23,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.stability.floquet import floquet
+from fenics_crack.study.key_figures import damping_ratios
 from fenics_crack.study.prepare import REFUSALS, Study, law_of, prepare
 from fenics_crack.study.tips import numbers_of_motion, tip_rows
 from fenics_crack.sweep.file import AT_POINTS, COLUMNS, OPEN, PHASES, of_load
@@ -30,6 +31,11 @@ from fenics_crack.sweep.plan import FORCES, Chunk
 from fenics_crack.table import with_frequency
 
 __all__ = ["Found", "Geometry", "all_failed", "build", "solve_chunk"]
+
+
+PEAK = 0.02
+"""Width over which a resonance is not told from its neighbours, in half its own: a parabola's top
+is then known to 2e-4."""
 
 
 @dataclass(frozen=True)
@@ -136,9 +142,11 @@ def all_failed(chunk: Chunk, reason: str) -> list[Found]:
     return [{"status": case if isinstance(case, str) else reason} for case in chunk.cases]
 
 
-def solve_chunk(geometry: Geometry, chunk: Chunk, *, verdicts: bool, judged: bool) -> list[Found]:
-    """Solve cases one after the other; with verdicts on their stability, if wanted, and with the
-    error of a reduction that has been judged."""
+def solve_chunk(
+    geometry: Geometry, chunk: Chunk, *, at_resonance: bool, verdicts: bool, judged: bool
+) -> list[Found]:
+    """Solve cases one after the other, each at its own frequency or at its resonance; with verdicts
+    on their stability, if wanted, and with the error of a reduction that has been judged."""
     cases, solved = Cases(geometry), []
     for case in chunk.cases:
         if isinstance(case, str):
@@ -149,11 +157,12 @@ def solve_chunk(geometry: Geometry, chunk: Chunk, *, verdicts: bool, judged: boo
         harmonics = case.harmonic_balance.harmonics
         found: Found = {"crack_length": geometry.crack_length, "harmonics": harmonics}
         found |= with_frequency({"omega": case.excitation.omega})
-        near = geometry.natural.nearest(case.excitation.omega)
-        found |= {name: value for name, value in near.items() if name in COLUMNS}
+        found |= _near(geometry.natural, case.excitation.omega)
         found |= _numbered(geometry.natural)
         try:
-            solution = cases.solve(case)
+            solution = cases.at_resonance(case) if at_resonance else cases.solve(case)
+            found |= with_frequency({"omega": solution.omega})
+            found |= _near(geometry.natural, solution.omega)
             measured = {name: v for name, v in solution.to_dict().items() if name in COLUMNS}
             if not judged:
                 measured.pop("reduction_error")
@@ -201,6 +210,41 @@ class Cases:
         self._near = solve_beside(problem, near, table.tolerance)
         return self._near
 
+    def at_resonance(self, case: Scene) -> PeriodicSolution:
+        """The largest response of a case over the frequency, in the norm of its modes, next to the
+        bilinear frequency that is nearest to the case's; raises as :meth:`solve`.
+
+        Of a single mode the inverse square of the response is a parabola, on which Brent's method
+        lands in few steps.
+        """
+        import scipy.optimize  # takes a while, and few sweeps ask for it
+
+        nearest = self._geometry.natural.nearest(case.excitation.omega)
+        place, omega = int(nearest["mode"]) - 1, float(nearest["omega_bilinear"])
+        whole = self._geometry.structure.whole
+        ratio = float(damping_ratios(whole, self._geometry.natural.omega_open)[place])
+        if not ratio > 0.0:
+            raise InputError("damping", None, "a ratio, or Rayleigh's, with sweep.at_resonance")
+        near = self.solve(case.replace({"excitation.omega": omega}))
+        assert self._law is not None
+        problem = Problem(
+            self._structure, omega, self._law, near.harmonics, case.harmonic_balance.samples
+        )
+
+        def smallness(omega: float) -> float:
+            nonlocal near
+            near = Solver(replace(problem, omega=float(omega))).solve(near, reported=False)
+            moved = near.displacement_coefficients[1:, : self._structure.n_modes]
+            return float(1.0 / np.sum(moved**2))
+
+        top = scipy.optimize.minimize_scalar(
+            smallness,
+            bracket=(omega * (1.0 - ratio), omega * (1.0 + ratio)),
+            method="brent",
+            options={"xtol": PEAK * ratio},
+        )
+        return self.solve(case.replace({"excitation.omega": float(top.x)}))
+
     def verdict(self, solution: PeriodicSolution) -> Found:
         """Verdict on a solution, modulus of its leading multiplier, and the reason where it is
         undecided; empty without a law, and for a constraint of lips with mass."""
@@ -213,6 +257,11 @@ class Cases:
             return {"verdict": "undecided", "reason": str(error)}
         largest = abs(found.multipliers[0])
         return {"verdict": found.verdict, "multiplier": largest, "reason": found.reason}
+
+
+def _near(natural: BilinearFrequencies, omega: float) -> Found:
+    """What a load frequency is next to."""
+    return {name: value for name, value in natural.nearest(omega).items() if name in COLUMNS}
 
 
 def _numbered(natural: BilinearFrequencies) -> Found:

@@ -57,6 +57,8 @@ class Worker:
         Whether geometries are built with unit loads.
     hopeless : bool
         Whether a structure that stays large ends the sweep.
+    at_resonance : bool
+        Whether each case is solved where it answers most.
     verdicts : bool
         Whether the stability of each case is judged.
     judged : bool
@@ -64,10 +66,18 @@ class Worker:
     """
 
     def __init__(
-        self, group: MPI.Comm, *, unit_loads: bool, hopeless: bool, verdicts: bool, judged: bool
+        self,
+        group: MPI.Comm,
+        *,
+        unit_loads: bool,
+        hopeless: bool,
+        at_resonance: bool,
+        verdicts: bool,
+        judged: bool,
     ) -> None:
         self._group, self._unit_loads = group, unit_loads
-        self._hopeless, self._verdicts, self._judged = hopeless, verdicts, judged
+        self._hopeless, self._judged = hopeless, judged
+        self._how = {"at_resonance": at_resonance, "verdicts": verdicts, "judged": judged}
         self._number = -1
         self._built: Geometry | Exception | None = None
         """The geometry of that number, or why it cannot be built."""
@@ -121,7 +131,7 @@ class Worker:
         built = self._built
         if isinstance(built, Geometry):
             try:
-                return solve_chunk(built, chunk, verdicts=self._verdicts, judged=self._judged)
+                return solve_chunk(built, chunk, **self._how)
             except Exception:
                 return _unforeseen()
         large = isinstance(built, InputError) and built.key == "reduction.method"

@@ -136,6 +136,8 @@ def run_sweep(
     how = on_root(comm, start)
     group = comm.Split(comm.rank // ranks, comm.rank)
     leaders = comm.Split(min(group.rank, 1), comm.rank)
+    assert scene.sweep is not None
+    how["at_resonance"] = scene.sweep.at_resonance
     worker = Worker(group, **how, verdicts=verdicts, judged=judged)
     with StopRequest() as stop:
         if managers:
@@ -163,6 +165,10 @@ def _ranks_of_a_case(scene: Scene, comm: MPI.Comm) -> int:
     if scene.sweep is None:
         raise InputError("sweep", None, "given: what to vary")
     ranks = scene.sweep.ranks
+    moved = scene.base is not None and scene.base.moves_by_displacement
+    if scene.sweep.at_resonance and (moved or scene.speed > 0.0 or scene.contact is None):
+        allowed = "false without contact, with [rotation], and where base has a displacement"
+        raise InputError("sweep.at_resonance", True, allowed)
     if comm.size % ranks:
         raise InputError("sweep.ranks", ranks, f"a divisor of the number of ranks, {comm.size}")
     if ranks > 1 and scene.reduction is not None and scene.reduction.method == "off":
@@ -303,7 +309,7 @@ class SweepResult(Tabular):
         if case.crack is not None and case.crack.first_omega is not None:
             case = case.replace({"crack.length": length, "crack.first_omega": None})
         structure = build(case, MPI.COMM_SELF, plan.unit_loads).of_case(case)
-        omega = case.excitation.omega
+        omega = float(self["omega"][place])
         law = law_of(case, structure)
         if law is None:
             return solve_linear(structure, omega, harmonics=case.harmonic_balance.harmonics)

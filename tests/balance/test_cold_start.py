@@ -175,6 +175,22 @@ def test_each_start_is_needed(
     assert not without.converged or without.iterations > 2 * found.iterations, without.status
 
 
+def test_a_motion_that_runs_away_is_no_guess() -> None:
+    """Five masses in a row, two with stops a thousand times stiffer than a spring: the march ends
+    where numbers do, and the next start finds the solution."""
+    stiffness = 2.0 * np.eye(5) - np.eye(5, k=1) - np.eye(5, k=-1)
+    stiffness[-1, -1] = 1.0
+    damping = fc.RayleighDamping(0.006, 0.0)
+    ends = np.eye(5)[:, :2:-1]
+    structure = fc.Structure.from_matrices(
+        np.eye(5), stiffness, ends, force_sin=0.1 * ends[:, 0], damping=damping
+    )
+    law = fc.UnilateralPenalty(1000.0)
+    solution = fc.solve_harmonic_balance(structure, 0.15, law, harmonics=5)
+    assert solution.status.startswith("from a marched motion: failed")
+    assert solution.converged and solution.report.residual < 1e-9
+
+
 def test_a_search_ends_and_says_what_to_do() -> None:
     """294 unknowns, hardly damped, by a quarter of the iterations: what was tried, what to do."""
     problem = fc.Problem(stopped_chain(6, 2e-4), 0.3, fc.UnilateralPenalty(1e3), 24)

@@ -130,6 +130,7 @@ def test_another_result_is_not_replaced_in_silence(
         (["eigenfrequencies", "own.toml"], "did you mean modes?"),
         (["frf", "own.toml"], "did you mean curve?"),
         (["solve", "own.toml", "--ouput", "x"], "did you mean --output?"),
+        (["check", "own.toml", "--speeds", "x"], "--speeds x; of campbell alone"),
         (["solve", "own.toml", "--set", "a.b=1", "a.c=2"], "--set KEY=VALUE --set KEY=VALUE"),
         (["solve", "own.toml", "--sets=x"], "did you mean --set?"),
         (["frobnicate", "own.toml"], None),

@@ -2,7 +2,7 @@
 
 tests/exchange/plate/ was made by CalculiX 2.20 (calculix_plate.py beside it). The other formats are
 written here, as their manuals say: *MATRIX OUTPUT of Abaqus (FORMAT=MATRIX INPUT), DMIG and bulk
-data of the MSC Nastran Quick Reference Guide, HBMAT of Ansys.
+data of the MSC Nastran Quick Reference Guide, HBMAT and CDWRITE of Ansys.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import scipy.io
 import scipy.sparse as sparse
-from helpers import csr
+from helpers import DEMOS, csr
 from mpi4py import MPI
 from surroundings import main
 
@@ -180,6 +180,22 @@ def write_nastran(folder: Path) -> dict[str, str]:
 
 
 def write_ansys(folder: Path) -> dict[str, str]:
+    """Matrix Market files, what HBMAT says of their rows, and the blocks of CDWRITE."""
+    files = write_market(folder)
+    model = read_model(FOLDER / "plate.inp")
+    lines = ["/PREP7", f"NBLOCK,6,SOLID,{20:9},{20:9}", "(3i9,6e21.13e3)"]
+    for label, point in zip(model.labels.tolist(), model.points.tolist(), strict=True):
+        shown = point[: 1 + max(np.flatnonzero(point), default=-1)]  # zeros at the end are left out
+        lines.append(f"{label:9}{0:9}{0:9}" + "".join(f"{x:21.13E}" for x in shown))
+    lines += ["N,R5.3,LOC,       -1,", f"EBLOCK,19,SOLID,{4:9},{4:9}", "(19i9)"]
+    for number, cell in enumerate(model.labels[model.cells[12]].tolist(), 1):
+        row = [1, 1, 1, 1, 0, 0, 0, 0, 8, 0, number, *cell]
+        lines.append("".join(f"{x:9}" for x in row))
+    (folder / "plate.cdb").write_text("\n".join([*lines, f"{-1:9}", "FINISH"]) + "\n")
+    return files | {"model": "plate.cdb"}
+
+
+def write_market(folder: Path) -> dict[str, str]:
     """Matrix Market files, what HBMAT says of their rows, and a table of the nodes alone."""
     given = plate_matrices()
     for kind in "KM":
@@ -194,7 +210,9 @@ def write_ansys(folder: Path) -> dict[str, str]:
     }  # fmt: skip
 
 
-WRITERS = {"Abaqus": write_abaqus, "Nastran": write_nastran, "Ansys": write_ansys}
+WRITERS = {
+    "Abaqus": write_abaqus, "Nastran": write_nastran, "Ansys": write_ansys, "a table": write_market,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("program", WRITERS)
@@ -208,19 +226,29 @@ def test_every_format_is_the_same_plate(program: str, folder: Path, scene: Scene
     moved = np.zeros((1, structure.n_dofs))
     assert structure.nodes is not None
     moved[0, structure.nodes.dofs[[-2, -1], 1]] = -1e-6
-    expected = 1e-6 if program == "Ansys" else 2e-6 / 3.0
+    expected = 1e-6 if program == "a table" else 2e-6 / 3.0
     assert structure.apply_bt(moved) == pytest.approx(np.full((1, 2), expected))
-    assert (structure.pair_areas is None) == (program == "Ansys")
+    assert (structure.pair_areas is None) == (program == "a table")
 
 
 def test_modes_of_a_model_without_cells_are_kept(folder: Path, scene: Scene) -> None:
     """By their dofs: there is nothing to draw them on."""
-    files = write_ansys(folder)
+    files = write_market(folder)
     other = scene.replace({f"structure.{key}": str(folder / name) for key, name in files.items()})
     run = fc.modes(other, 3, MPI.COMM_SELF)
     fc.save(run.result, folder / "modes.h5", run.scene)
     again = fc.load_run(folder / "modes.h5", MPI.COMM_SELF).result
     np.testing.assert_array_equal(again.shapes, run.result.shapes)
+
+
+def test_matrices_that_do_not_fit_their_rows(folder: Path, scene: Scene) -> None:
+    """Not square, and with other rows than the file of their nodes names."""
+    files = write_market(folder)
+    other = scene.replace({f"structure.{key}": str(folder / name) for key, name in files.items()})
+    for rows, columns in ((42, 41), (41, 41)):
+        scipy.io.mmwrite(folder / "M.mtx", sparse.eye(rows, columns))
+        with pytest.raises(InputError, match=r"structure\.mass"):
+            fc.build_structure(other)
 
 
 def test_rows_of_other_files_follow_the_nodes(folder: Path, scene: Scene) -> None:
@@ -271,18 +299,19 @@ CRACKS = {
     "through": {"edge": "left", "length": 0.01},
     "ellipse": {"center": 0.015, "length": 0.016, "depth": 0.003, "front": "elliptical"},
     "corner": {"edge": "left", "length": 0.01, "depth": 0.004, "front": "elliptical"},
+    "two": {"edge": "left", "length": 0.01},
 }
+SECOND = {"edge": "right", "height": 0.06, "length": 0.01}
+"""Crack of two."""
 
 
 @pytest.mark.parametrize("crack", CRACKS)
 def test_pairs_of_a_solid_are_its_own(crack: str) -> None:
     """Built by this program and found from its nodes, cells and stiffness: the same patches; pairs
     of nodes hold the lips together as these do."""
-    keys = {"height": 0.03} | CRACKS[crack]
-    own = fc.build_structure(
-        Scene.from_text(SOLID).replace({f"crack.{key}": value for key, value in keys.items()}),
-        MPI.COMM_SELF,
-    )
+    keys = {f"crack.{key}": x for key, x in ({"height": 0.03} | CRACKS[crack]).items()}
+    keys |= {f"cracks.1.{key}": x for key, x in SECOND.items() if crack == "two"}
+    own = fc.build_structure(Scene.from_text(SOLID).replace(keys), MPI.COMM_SELF)
     assert own.nodes is not None and own.pair_points is not None and own.pair_areas is not None
     points, dofs = own.nodes.points, own.nodes.dofs
     stiffness = csr(own.stiffness)
@@ -292,8 +321,12 @@ def test_pairs_of_a_solid_are_its_own(crack: str) -> None:
     here, there = (np.lexsort(found.round(9).T) for found in (pairs.points, own.pair_points))
     assert abs(gap[:, here] - own.gap[:, there]).max() < 1e-12
     assert pairs.areas[here] == pytest.approx(own.pair_areas[there], rel=1e-12)
-    assert pairs.positions is not None
-    assert pairs.positions[pairs.places["the mouth"]] == pytest.approx(pairs.positions.max())
+    assert pairs.cracks is not None and own.pairs.cracks is not None
+    np.testing.assert_array_equal(pairs.cracks[here], own.pairs.cracks[there])
+    assert pairs.positions is not None and pairs.places.keys() - own.watched_pairs.keys() == set()
+    for place in pairs.places.values():
+        here = pairs.cracks == pairs.cracks[place]
+        assert pairs.positions[place] == pytest.approx(pairs.positions[here].max())
     nodes, _ = find_pairs(Model(model.labels, points, {}), dofs, stiffness, turns=False)
     assert nodes.shape[1] > 2 * gap.shape[1]
     tied = [
@@ -310,6 +343,7 @@ TURN = np.linalg.qr(np.array([[1.0, 0.3, -0.2], [0.1, 1.0, 0.4], [0.2, -0.5, 1.0
 HEXAHEDRON = [
     (0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7),
 ]  # fmt: skip
+TETRAHEDRON = [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)]
 WEDGE = [(0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5)]
 SQUARE, TRIANGLE = [(0, 0), (2, 0), (2, 1), (0, 1)], [(0, 0), (2, 0), (0, 1)]
 """Edges of cells as the manuals of Abaqus and VTK number the nodes in their middles, and bases."""
@@ -337,11 +371,109 @@ def test_lips_of_bricks_and_wedges(kind: int) -> None:
     along, across = TURN[:, 0], TURN[:, 2]
     both = [np.tile(direction, 2 * n) for direction in (along, across)]
     down = np.where(np.arange(2 * n)[:, None] >= n, -across, 0.0).ravel()
-    motions = np.array([*both, down])
-    expected = np.outer([0.0, 0.0, 1.0], np.ones(len(base)))
+    leaning = down * np.repeat(points @ along, 3)  # further down the farther along
+    motions = np.array([*both, down, leaning])
+    ends = np.array([point[0] for point in base], dtype=float)
+    means = {(0.0, 2.0, 2.0, 0.0): [2 / 3, 4 / 3, 4 / 3, 2 / 3], (0.0, 2.0, 0.0): [0.5, 1.0, 0.5]}
+    expected = np.outer([0.0, 0.0, 1.0, 0.0], np.ones(len(base)))
+    corners_at = points[len(base) : 2 * len(base)] @ along
+    order = np.argmin(np.abs(corners_at - (pairs.points @ along)[:, None]), axis=1)
+    expected[3] = np.array(means[tuple(ends)])[order]
     assert (gap.T @ motions.T).T == pytest.approx(expected, abs=1e-13)
     nodes, _ = find_pairs(Model(np.arange(2 * n), points, {}), dofs, joined, turns=False)
     assert (nodes.T @ down) == pytest.approx(1.0, abs=1e-13)
+
+
+CARDS = {  # gmsh's corners; edges in the order of Nastran's nodes in their middles; VTK's edges
+    "CTETRA": ([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], TETRAHEDRON, TETRAHEDRON),
+    "CPENTA": (
+        [(x, y, z) for z in (0, 1) for x, y in TRIANGLE],
+        [*WEDGE[:3], *WEDGE[6:], *WEDGE[3:6]], WEDGE,
+    ),
+    "CHEXA": (
+        [(x, y, z) for z in (0, 1) for x, y in SQUARE],
+        [*HEXAHEDRON[:4], *HEXAHEDRON[8:], *HEXAHEDRON[4:8]], HEXAHEDRON,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("card", CARDS)
+def test_nodes_of_nastran_in_the_order_of_vtk(card: str, tmp_path: Path) -> None:
+    """Edges around the bottom, upright, around the top there; and the upright ones last."""
+    corners, theirs, wanted = CARDS[card]
+    at = np.array(corners, dtype=float)
+    at = np.concatenate([at, [(at[i] + at[j]) / 2.0 for i, j in theirs]])
+    lines = [f"GRID,{n},,{x},{y},{z}" for n, (x, y, z) in enumerate(at, 1)]
+    fields = [card, "1", "1", *map(str, range(1, len(at) + 1))]
+    rows = [fields[:9], *([""] + fields[k : k + 8] for k in range(9, len(fields), 8))]
+    (tmp_path / "one.bdf").write_text("\n".join([*lines, *map(",".join, rows)]) + "\n")
+    model = read_model(tmp_path / "one.bdf")
+    ((cell,),) = model.cells.values()
+    found = model.points[cell]
+    n = len(corners)
+    np.testing.assert_allclose(found[:n], corners)
+    np.testing.assert_allclose(found[n:], [(found[i] + found[j]) / 2.0 for i, j in wanted])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("\n        2        0", "\n        x        0", "line 5: not a node"),
+        ("        8        0        1", "        9        0        1", "line 28: not a node"),
+        ("1.0000000000000E-02\n", f"1.0000000000000E-02{0:21}{0:21}{30:21}\n", "line 5: not a"),
+        ("        5        4       10", "        5        5       10", "line 27: not a node"),
+    ],
+    ids=range(4),
+)
+def test_bad_blocks_of_ansys(tmp_path: Path, old: str, new: str, words: str) -> None:
+    """A number that is none; more nodes than a cell has; a node that is turned; a prism that is
+    written as a brick."""
+    write_ansys(tmp_path)
+    path = tmp_path / "plate.cdb"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(ValueError, match=words):
+        read_model(path)
+
+
+def test_abaqus_goes_on_in_the_next_line_and_file(tmp_path: Path) -> None:
+    """Twenty nodes on two lines, in a file that another one includes; a node of a plane model; and
+    what is no solid is left out."""
+    at = np.array([(x, y, z) for z in (0, 1) for x, y in SQUARE], dtype=float)
+    at = np.concatenate([at, [(at[i] + at[j]) / 2.0 for i, j in HEXAHEDRON]])
+    nodes = [f"{n}, {x}, {y}, {z}" for n, (x, y, z) in enumerate(at, 1)]
+    cell = ", ".join(map(str, range(16))) + ",\n16, 17, 18, 19, 20"
+    (tmp_path / "cells.inc").write_text(
+        f"*Element, type=C3D20R\n{cell}\n*Element, type=S4\n1,1,2,3,4\n"
+    )
+    text = [
+        "*Heading",
+        " text, of any kind",
+        "** a comment",
+        "*Node, nset=ALL",
+        *nodes,
+        "30, 1., 2.",
+    ]
+    (tmp_path / "all.inp").write_text("\n".join([*text, "*Include, input=cells.inc"]) + "\n")
+    model = read_model(tmp_path / "all.inp")
+    assert list(model.cells) == [25]
+    np.testing.assert_array_equal(model.cells[25], [range(20)])
+    np.testing.assert_array_equal(model.points[-1], [1.0, 2.0, 0.0])
+
+
+@pytest.mark.parametrize("name", ["breathing_plate", "inclined_crack"])
+def test_pairs_of_a_plane_model_are_the_plates(name: str) -> None:
+    """Of nodes: the plate's own B, whatever the direction of its crack."""
+    own = fc.build_structure(Scene.load(DEMOS / f"{name}.toml"), MPI.COMM_SELF)
+    assert own.nodes is not None and own.pair_points is not None
+    points, dofs = (np.pad(x, ((0, 0), (0, 1)), constant_values=fill) for x, fill in (
+        (own.nodes.points, 0.0), (own.nodes.dofs, -1)))  # fmt: skip
+    model = Model(np.arange(len(points)), points, {})
+    gap, pairs = find_pairs(model, dofs, csr(own.stiffness), turns=False)
+    assert pairs.points is not None and pairs.areas is None
+    here, there = (np.lexsort(found[:, :2].round(9).T) for found in (pairs.points, own.pair_points))
+    assert abs(gap[:, here] - own.gap[:, there]).max() < 1e-9
 
 
 def test_cracks_that_cross_are_refused() -> None:
@@ -363,6 +495,8 @@ BAD: list[tuple[str, str, str, str]] = [
     ("plate.dof", "4.2", "4.2.7", r"structure.mass.*plate.dof, line \d+: '4.2.7' names no dof"),
     ("plate.inp", "\n3, 0.02", "\n3, zero", r"structure.model.*plate.inp, line 4: '3, zero"),
     ("plate.inp", "\n3, 0.02", "\n2, 0.02", "structure.model.*line 4: two places of node 2"),
+    ("plate.inp", "\n3, 0.02", "\n3, nan", "structure.model.*line 4: a coordinate of node 3"),
+    ("plate.dof", "4.2", "99999999999999999999.2", "structure.mass.*too large"),
     ("plate.inp", "*ELEMENT", "*NGEN\n1,2\n*ELEMENT", r"line 22: \*NGEN: nodes and elements must"),
     ("plate.inp", "1, 1, 2,", "1, 77, 2,", "structure.model.*node 77, which it does not have"),
     ("plate.inp", "19, 0, 0.01, 0\n", "19, 0, 0.011, 0\n", ""),

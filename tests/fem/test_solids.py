@@ -13,6 +13,7 @@ import pytest
 import scipy.sparse as sparse
 from helpers import csr
 from mpi4py import MPI
+from surroundings import DEMOS, ROOT
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
@@ -23,6 +24,7 @@ from fenics_crack.fem.plate import build_mesh
 from fenics_crack.fem.solid import _cells
 from fenics_crack.parallel import gather_rows
 
+MESHES = ROOT / "meshes"
 WIDTH, HEIGHT, THICKNESS = 0.03, 0.09, 0.006
 TEXT = f"""
 geometry = {{ kind = "solid", width = {WIDTH}, height = {HEIGHT}, thickness = {THICKNESS} }}
@@ -173,14 +175,16 @@ CUBES = np.array([[0, 1, 3, 2, 4, 5, 7, 6], [4, 5, 7, 6, 8, 9, 11, 10]])
 """Two, one above the other: nodes i + 2 j + 4 k."""
 
 
-def test_a_surface_without_a_front_is_refused() -> None:
-    """It would cut the solid in two."""
+def test_a_surface_without_a_front_parts_two_bodies() -> None:
+    """All of its nodes exist twice; a pair is as good as another to be watched."""
     places = np.array(
         [[i, k, j] for k in range(3) for j in range(2) for i in range(2)], dtype=float
     )
     cells = SolidCells(CUBES, FACETS[8], tuple((i,) for i in range(8)))
-    with pytest.raises(InputError, match="front"):
-        split_surface(cells, np.array([[4, 5, 7, 6]]), places)
+    nodes, twins, lips, (crack,) = split_surface(cells, np.array([[4, 5, 7, 6]]), places)
+    assert twins.tolist() == [4, 5, 6, 7] and not np.intersect1d(*nodes).size
+    assert np.sort(lips[0], axis=1).tolist() == [[4, 5, 6, 7], [12, 13, 14, 15]]
+    assert not len(crack.front) and crack.beside((0.5, 1.0, 0.5)) is not None
 
 
 def test_a_surface_on_the_outside_is_refused() -> None:
@@ -495,6 +499,30 @@ def test_hexahedra(tmp_path: Path) -> None:
     write_hexahedra(tmp_path / "20.msh", incomplete=True)
     with pytest.raises(InputError, match=r"20 nodes.*negative at corners"):
         fc.build_structure(of_file(tmp_path / "20.msh"))
+
+
+def test_two_bodies_touch() -> None:
+    """The beams of demos/ meet over 40 x 10 mm, each with its own clamp; their frequencies are
+    those of one alone, and a pair opens by as much as one of them is moved."""
+    structure = fc.build_structure(Scene.load(DEMOS / "two_beams.toml"))
+    assert structure.pair_areas is not None and structure.n_pairs == 30
+    assert structure.pair_areas.sum() == pytest.approx(0.04 * 0.01, rel=1e-9)
+    assert structure.clearance == pytest.approx(1e-5)
+    omega = fc.solve_modes(structure, 4).omega
+    assert omega[::2] == pytest.approx(omega[1::2], rel=1e-3)
+    modes = fc.solve_modes(structure, 2, lips="tied")
+    shapes = NodalMesh(structure).field(modes.shapes.T)[0]
+    assert np.abs(shapes[:, 1]).max() == pytest.approx(np.linalg.norm(shapes, axis=1).max(), 0.02)
+
+
+def test_a_body_without_a_clamp_is_refused(tmp_path: Path) -> None:
+    """Contact alone does not hold it."""
+    text = (MESHES / "two_beams.msh").read_text()
+    scene = Scene.load(DEMOS / "two_beams.toml")
+    path = tmp_path / "beams.msh"
+    path.write_text(text.replace('"clamp"', '"held"').replace('"pressed"', '"clamp"'))
+    with pytest.raises(InputError, match="held by contact alone"):
+        fc.build_structure(scene.replace({"mesh.file": str(path), "loads.1.edge": "held"}))
 
 
 def test_files_without_what_is_needed(tmp_path: Path) -> None:

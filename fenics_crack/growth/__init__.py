@@ -1,0 +1,1 @@
+"""Growth of a crack by the vibration of its plate, over the cycles."""

@@ -1,0 +1,273 @@
+"""Growth of cracks beside closed integrals and brute force."""
+
+from __future__ import annotations
+
+import math
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import ROOT
+from mpi4py import MPI
+from scipy.integrate import quad
+from surroundings import main
+
+import fenics_crack as fc
+from fenics_crack.scene.quantities import OF_TIPS
+
+STRESS = 1e7
+STRIP: dict[str, Any] = {
+    "geometry": {"width": 0.1, "height": 0.4, "thickness": 0.01},
+    "crack": {"edge": "left", "height": 0.2, "length": 0.02},
+    "material": {"young": 2e11, "poisson": 0.3, "density": 7800.0},
+    "damping": {"ratio": 0.01, "modes": 5},
+    "excitation": {"omega": 1.0},
+    "loads": [{"edge": "top", "traction_mean": [0.0, 3 * STRESS], "traction_sin": [0.0, STRESS]}],
+    "contact": {"law": "unilateral"},
+    "mesh": {"layout": "graded", "order": 2, "size": 0.02, "lip_elements": 10, "grading": 20.0},
+    "growth": {"until": 0.035, "rate": 1e-11, "exponent": 2.0},
+}
+"""Pulled slowly, and never closed: R = 1/2."""
+
+
+def edge_crack(length: float) -> float:
+    """K_I of unit stress in the strip (Tada, Paris and Irwin, 2.11)."""
+    x = math.pi * length / 0.2
+    shape = 0.752 + 2.02 * length / 0.1 + 0.37 * (1.0 - math.sin(x)) ** 3
+    return math.sqrt(math.pi * length) * math.sqrt(math.tan(x) / x) * shape / math.cos(x)
+
+
+def plate(**growth: Any) -> fc.Scene:
+    """The plate that ``new`` writes, with 40 harmonics; its crack grows from 35 to 43 mm."""
+    exact = {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 40}
+    keys = {"until": 0.043, "rate": 6.9e-12, "exponent": 3.0} | growth
+    return fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(
+        exact | {"crack.length": 0.035} | {f"growth.{key}": value for key, value in keys.items()}
+    )
+
+
+@pytest.mark.parametrize("walker", [1.0, 0.5])
+def test_closed_integral_of_a_strip(walker: float) -> None:
+    """Under constant amplitude without contact: Paris' law, and Walker's with R = 1/2; cycles from
+    one length to another to 1 %."""
+    scene = fc.Scene.from_mapping(STRIP).replace({"growth.ratio_exponent": walker})
+    found = fc.grow(scene, comm=MPI.COMM_SELF)
+    weight = 2.0 * STRESS / 1e6 / 0.5 ** (1.0 - walker)
+    exact = quad(lambda a: 1.0 / (1e-11 * (weight * edge_crack(a)) ** 2), 0.02, 0.035)[0]
+    assert found.end == "reached" and found.length[-1] == 0.035
+    assert found.life == pytest.approx(exact, rel=0.01)
+    assert found.time[-1] == pytest.approx(found.life * 2.0 * np.pi, rel=1e-9)
+    assert found.errors["interpolation"] < 0.01
+    assert 0.0 < found.errors["vibration"] < 0.1
+    assert not found.remarks
+
+
+def test_full_reversal_takes_the_open_half() -> None:
+    """Closure by the lips: with m = 2 four times the cycles of lips that would pass each other."""
+    swing = [{"edge": "top", "traction_sin": [0.0, STRESS]}]
+    scene = fc.Scene.from_mapping(STRIP | {"loads": swing})
+    found = fc.grow(scene.replace({"growth.until": 0.03, "mesh.lip_elements": 8}))
+    passing = 2.0 * STRESS / 1e6
+    exact = quad(lambda a: 1.0 / (1e-11 * (passing * edge_crack(a)) ** 2), 0.02, 0.03)[0]
+    assert found.life == pytest.approx(4.0 * exact, rel=0.02)
+
+
+def test_threshold_and_toughness() -> None:
+    """A range below the threshold stops the crack where it is; at its toughness the plate
+    breaks."""
+    coarse = fc.Scene.from_mapping(STRIP).replace({"mesh.lip_elements": 4})
+    largest = 4.0 * STRESS * edge_crack(0.03)
+    broken = fc.grow(coarse.replace({"growth.toughness": largest}), comm=MPI.COMM_SELF)
+    assert broken.end == "broken" and broken.length[-1] == pytest.approx(0.03, rel=0.02)
+    assert broken.largest[-1] == pytest.approx(largest, rel=0.02)
+    stopped = fc.grow(coarse.replace({"growth.threshold": 1e8}), comm=MPI.COMM_SELF)
+    assert stopped.end == "arrested" and stopped.length.tolist() == [0.02]
+    assert stopped.life == 0.0 and math.isfinite(stopped.factor)
+
+
+@pytest.fixture(scope="module")
+def driven() -> fc.Growth:
+    """At a fixed frequency below the first resonance."""
+    return fc.grow(plate(), comm=MPI.COMM_SELF)
+
+
+def test_fixed_frequency_passes_a_maximum(driven: fc.Growth) -> None:
+    """The natural frequency falls to the load's and below: the response has its maximum there, and
+    growth slows again."""
+    assert np.all(np.diff(driven.omega_bilinear) < 0.0)
+    assert np.all(np.diff(driven.cycles) > 0.0)
+    top = int(np.argmax(driven.response))
+    assert 0 < top < len(driven.length) - 1
+    assert driven.omega_bilinear[top] == pytest.approx(driven.omega[top], rel=0.01)
+    assert driven.rate[-1] < 0.9 * driven.rate.max()
+    assert driven.response.max() > 3.0 * driven.response[0]
+
+
+def test_brute_force_agrees(driven: fc.Growth) -> None:
+    """A fresh solution at each of many lengths, and the trapezoidal rule between: 1 %."""
+    lengths = np.linspace(0.035, 0.043, 33)
+    rates = []
+    for length in lengths:
+        scene = plate().replace({"crack.length": float(length)})
+        run = fc.solve(scene, MPI.COMM_SELF)
+        rates.append(6.9e-12 * (fc.stress_intensity(run).effective[0] / 1e6) ** 3)
+    steps = 0.5 * np.diff(lengths) * (1.0 / np.array(rates[1:]) + 1.0 / np.array(rates[:-1]))
+    assert driven.life == pytest.approx(steps.sum(), rel=0.01)
+
+
+def test_resonance_that_moves() -> None:
+    """The load follows the largest response: at each length that of a curve by itself."""
+    found = fc.grow(plate(drive="resonance", until=0.04), comm=MPI.COMM_SELF)
+    assert np.all(np.diff(found.omega) < 0.0)
+    assert found.omega == pytest.approx(found.omega_bilinear, rel=2e-3)
+    scene = plate().replace(
+        {"crack.length": 0.04, "curve.parameter": "frequency", "curve.start": 795.0,
+         "curve.stop": 820.0, "curve.stability": False}
+    )  # fmt: skip
+    peak = fc.curve(scene, MPI.COMM_SELF).result.peak()
+    assert found.omega[-1] == pytest.approx(peak.omega, rel=2e-4)
+    assert found.response[-1] == pytest.approx(peak.amplitude, rel=0.01)
+
+
+def test_a_sweep_at_resonance() -> None:
+    """Its cases are at their own peaks, and read again as they were."""
+    scene = plate().replace(
+        {"sweep.over": {"crack.length": [0.02, 0.03]}, "sweep.at_resonance": True}
+    )
+    found = fc.run_sweep(scene)
+    assert np.all(found.converged)
+    assert found["omega"] == pytest.approx(found["omega_bilinear"], rel=2e-3)
+    assert found["omega"][1] < 0.99 * found["omega"][0]
+    again = found.solution(1)
+    assert again.omega == found["omega"][1]
+    np.testing.assert_allclose(again.gap_coefficients, found.gap(1))
+
+
+def test_uncertainty_of_the_life() -> None:
+    """Constants and errors together, and each by itself."""
+    scene = plate(until=0.036, rate_deviation=0.3, exponent_deviation=0.1, life_tolerance=0.5)
+    found = fc.grow(scene, comm=MPI.COMM_SELF)
+    assert found.errors["rate"] == 0.3
+    strength = np.log(found.effective / 1e6)
+    assert found.errors["exponent"] == pytest.approx(0.1 * strength.mean(), rel=0.05)
+    assert found.factor == pytest.approx(math.exp(math.hypot(*found.errors.values())))
+    assert "within a factor of" in repr(found)
+    assert found.at(0.0) == found.length[0] and math.isnan(found.at(2.0 * found.life))
+
+
+# --- ranks, interruptions, refusals ---------------------------------------------------------------
+
+GROW = """
+import sys
+import fenics_crack as fc
+from test_growth import plate
+found = fc.grow(plate(), sys.argv[1])
+"""
+LIFE = """
+import fenics_crack as fc
+from test_growth import plate
+print(f"{fc.grow(plate()).life!r}\\n", end="")
+"""
+
+
+def test_goes_on_where_it_was_killed(tmp_path: Path, driven: fc.Growth) -> None:
+    """By kill -9 while it works; the same call then ends with the same numbers, and solves less."""
+    words = [sys.executable, "-c", GROW, str(tmp_path)]
+    environment = {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}:{ROOT / 'tests' / 'growth'}"}
+    import os
+
+    process = subprocess.Popen(words, env=os.environ | environment)
+    file = tmp_path / "growth_1.h5"
+    until = time.monotonic() + 120.0
+    solved = 0
+    while time.monotonic() < until and solved < 2 and process.poll() is None:
+        time.sleep(0.05)
+        if file.exists():
+            solved = int(fc.SweepResult.load(file).converged.sum())
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert solved >= 2
+    before = fc.SweepResult.load(file)
+    found = fc.grow(plate(), tmp_path, MPI.COMM_SELF)
+    after = fc.SweepResult.load(file)
+    kept = before.converged
+    np.testing.assert_array_equal(after["seconds"][kept], before["seconds"][kept])
+    assert found.life == pytest.approx(driven.life, rel=1e-9)
+
+
+def test_ranks_share_the_lengths(mpirun: Any, driven: fc.Growth) -> None:
+    """With the same result."""
+    program = f"import sys; sys.path.append({str(ROOT / 'tests' / 'growth')!r})\n{LIFE}"
+    lives = [float(line) for line in mpirun(program, 2).split()]
+    assert lives == pytest.approx([driven.life] * 2, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"growth": None}, "growth = None: .*given for this command"),
+        ({"growth.until": 0.03}, "growth.until = 0.03.*between crack.length = 0.035"),
+        ({"growth.until": 0.2}, "growth.until = 0.2.*and geometry.width = 0.1"),
+        (
+            {"crack.edge": None, "crack.center": 0.05, "growth.until": 0.05},
+            "crack = .*from an edge",
+        ),
+        ({"crack": None, "contact": None}, "left out without a crack"),
+        ({"growth.drive": "noise"}, "growth.drive = 'noise'.*'frequency', 'resonance'"),
+    ],
+)
+def test_refused_by_name(changes: dict[str, Any], told: str) -> None:
+    """Each with its key and what is allowed."""
+    with pytest.raises(fc.InputError, match=told):
+        fc.grow(plate().replace(changes), comm=MPI.COMM_SELF)
+
+
+def test_solids_are_refused() -> None:
+    """By name."""
+    keys = {"growth.until": 0.05, "growth.rate": 1e-11, "growth.exponent": 3.0}
+    solid = fc.Scene.load(ROOT / "demos" / "solid_blade.toml").replace(keys)
+    with pytest.raises(fc.InputError, match="stress intensities are of plates"):
+        fc.grow(solid, comm=MPI.COMM_SELF)
+
+
+def test_resonance_needs_damping() -> None:
+    """Else there is no largest response."""
+    scene = plate(drive="resonance").replace({"damping.ratio": 0.0})
+    with pytest.raises(fc.ConvergenceError, match=r"with sweep\.at_resonance"):
+        fc.grow(scene, comm=MPI.COMM_SELF)
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Writes its files and says how long the plate lives, and what is in doubt."""
+    scene = tmp_path / "plate.toml"
+    scene.write_text(plate(until=0.037, life_tolerance=0.5, rate_deviation=0.2).as_toml())
+    folder = tmp_path / "grown"
+    assert main(["grow", str(scene), "--output", str(folder)]) == 0
+    told = capsys.readouterr()
+    assert "from 35 mm to 37 mm in" in told.err and "rate 0.2" in told.err
+    assert "a straight crack is no longer right" in told.err
+    header = (folder / "growth.csv").read_text().splitlines()[0]
+    names = [column.partition(" [")[0] for column in header.split(",")]
+    assert names[:4] == ["cycles", "time", "crack_length", "rate"]
+    assert {"K_max", "delta_K_effective", "frequency_drop"} <= set(names)
+    assert set(OF_TIPS) & set(names)
+    assert (folder / "growth.png").stat().st_size > 10_000
+    assert main(["grow", str(scene), "--set", "growth=none", "--output", str(folder)]) == 2
+    told = capsys.readouterr().err
+    assert "growth = None: must be given for this command" in told and "[growth]" in told
+
+
+def test_a_resonance_between_two_lengths_is_seen() -> None:
+    """Lengths 5 mm apart on both sides of it miss each other's spline by little."""
+    law = {"until": 0.05, "rate": 1e-11, "exponent": 3.0}
+    keys = {f"growth.{key}": value for key, value in law.items()}
+    scene = fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(keys)
+    found = fc.grow(scene, comm=MPI.COMM_SELF)
+    at = scene.replace({"crack.length": 0.042})
+    alone = fc.stress_intensity(fc.solve(at, MPI.COMM_SELF)).effective[0]
+    assert np.interp(0.042, found.length, found.effective) == pytest.approx(alone, rel=0.05)
