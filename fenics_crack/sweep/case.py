@@ -13,7 +13,7 @@ from fenics_crack.balance.harmonic_balance import solve_linear
 from fenics_crack.balance.indicators import indicators_of
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Solver, solve_beside
-from fenics_crack.errors import InputError
+from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.fem.build import clearance_of
 from fenics_crack.model.bilinear import BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.contact import is_rigid
@@ -233,7 +233,10 @@ class Cases:
 
         def smallness(omega: float) -> float:
             nonlocal near
-            near = Solver(replace(problem, omega=float(omega))).solve(near, reported=False)
+            try:
+                near = Solver(replace(problem, omega=float(omega))).solve(near, reported=False)
+            except ConvergenceError:  # as many harmonics as it takes there
+                near = self.solve(case.replace({"excitation.omega": float(omega)}))
             moved = near.displacement_coefficients[1:, : self._structure.n_modes]
             return float(1.0 / np.sum(moved**2))
 
