@@ -84,6 +84,8 @@ def test_as_the_program_s_own_meshes(own: Path, rows: fc.Measurements, tmp_path:
     assert found.contains({"crack.length": 0.022, "crack.height": 0.08})
     assert Path(found.mesh) in {own.parent / f"{name}.msh" for name in ("18_70", "26_70")}
     assert fc.Scene.from_text(scene.as_toml()) == scene
+    # Results of the scene itself do not depend on the others.
+    assert scene.files == [("mesh.file", str(own.parent / "10_40.msh"))]
 
 
 def test_command_names_the_mesh(
