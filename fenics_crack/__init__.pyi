@@ -59,6 +59,7 @@ from fenics_crack.draw.plot_rotor import draw_tip_fit as draw_tip_fit
 from fenics_crack.draw.plot_rotor import draw_tip_track as draw_tip_track
 from fenics_crack.draw.plot_study import draw_posterior as draw_posterior
 from fenics_crack.draw.plot_study import draw_verification as draw_verification
+from fenics_crack.draw.stress import stress_at as stress_at
 from fenics_crack.errors import ConvergenceError as ConvergenceError
 from fenics_crack.errors import InputError as InputError
 from fenics_crack.fem.build import build_structure as build_structure

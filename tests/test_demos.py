@@ -170,3 +170,18 @@ def test_solid_blade(tmp_path: Path) -> None:
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
     assert (tmp_path / "breathing.gif").stat().st_size > 100_000
     assert len(list((tmp_path / "breathing").glob("*.vtu"))) == 24
+
+
+def test_growth(tmp_path: Path) -> None:
+    """On few lengths: at the resonance that moves a plate lives for far fewer cycles."""
+    coarse = {
+        "growth.until": 0.0365,
+        "growth.life_tolerance": 0.5,
+        "harmonic_balance.harmonics": 10,
+    }
+    demo = load("growth")
+    lives = demo.main(tmp_path, fc.Scene.load(DEMOS / "growth.toml").replace(coarse))
+    assert 20.0 < lives["frequency"] / lives["resonance"] < 200.0
+    for drive in lives:
+        assert (tmp_path / f"{drive}.png").stat().st_size > 10_000
+        assert (tmp_path / drive / "growth_1.h5").exists()

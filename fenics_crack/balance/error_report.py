@@ -73,7 +73,8 @@ STIFF = 1e3
 """Stiffness of a penalty that stands for a constraint where the reference has mass at its lips,
 relative to the inverse of R_inf."""
 MANY = 600
-"""Unknowns with which the truncation is judged at most, unless twice the harmonics have more."""
+"""Unknowns with which the truncation is judged at most, unless twice the harmonics have more, and
+of equations that are tried next to an orbit: more would take a second each time."""
 
 
 @dataclass(frozen=True, repr=False)

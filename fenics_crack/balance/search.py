@@ -64,9 +64,6 @@ PERIODS, MARCHED, MOVING, BALANCED = 40, (1, 3, 9), 40, 20
 """Periods of a response that are marched at a time, how many times for one guess after the other,
 modes that move in them, and harmonics of the load that are balanced from there: with fewer, 10 and
 5, 6 of 36 solutions were not found, and with more the steps are dear that fail."""
-FAR = 5.0
-"""Distance of the parameter from its end value at which a path is abandoned; a path that begins
-farther away may go as far as its start."""
 WIDE, NARROW = PathOptions(1.0, 2.0, min_cosine=0.5), PathOptions(0.1, 0.3, min_cosine=0.5)
 """For paths in ln k, and for paths whose parameter runs from 0 to 1."""
 
@@ -319,16 +316,16 @@ class Search:
         span: tuple[float, float],
         options: PathOptions,
     ) -> Iterator[np.ndarray]:
-        """Where the path from near a start has its end."""
+        """Where the path from near a start has its end; one that goes as far beyond is left."""
         first, end = span
         begun = solve_at(system, start, first, tolerance=self.tolerance)
         self.iterations += STEPS if begun is None else begun.iterations
         if begun is None:
             return
-        far = max(FAR, end - first)
         options = replace(
-            options, rounding=self._rounding, max_steps=int(self._most), span=(end - far, end + far)
-        )
+            options, rounding=self._rounding, max_steps=int(self._most),
+            span=(first, 2.0 * end - first),
+        )  # fmt: skip
         path = Path(system, point_on_path(system, begun.unknown, first), options, [Target(end)])
         for point in path.points():
             self.iterations += point.iterations

@@ -25,13 +25,13 @@ from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.table import Described, counted, quantity, with_frequency
 
 __all__ = [
-    "PeriodicSolution", "Solver", "Stability", "fewer_harmonics", "more_harmonics", "solution_of",
-    "solve_beside",
+    "SLIGHT", "PeriodicSolution", "Solver", "Stability", "fewer_harmonics", "more_harmonics",
+    "solution_of", "solve_beside",
 ]  # fmt: skip
 
 HURRIED = 0.25
 """Of a search's iterations, where other ways are left."""
-SMALL = 0.05
+SLIGHT = 0.05
 """Part of a tolerance below which an error allows fewer harmonics."""
 
 
@@ -364,7 +364,7 @@ def more_harmonics(
 
 def fewer_harmonics(count: int, truncation: float, tolerance: float, least: int) -> int:
     """As many harmonics as a neighbour's error allows to begin with."""
-    return max(least, math.floor(0.8 * count)) if truncation < SMALL * tolerance else count
+    return max(least, math.floor(0.8 * count)) if truncation < SLIGHT * tolerance else count
 
 
 def _truncation(solution: PeriodicSolution) -> float:

@@ -27,7 +27,7 @@ from fenics_crack.balance.error_report import UNKNOWN, ErrorReport
 from fenics_crack.balance.judgement import FARTHEST, Judgement, more_modes, relative
 from fenics_crack.balance.orbits import recurring
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import PeriodicSolution, Solver, more_harmonics
+from fenics_crack.balance.solution import SLIGHT, PeriodicSolution, Solver, more_harmonics
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduced import ReducedStructure, massless
@@ -45,9 +45,9 @@ FEWEST = 3
 """Harmonics that a solution to a tolerance has."""
 RUNGS = (5, 10, 20, 40)
 """Harmonics of the load's frequency with which a solution is sought whose orbit is known."""
-SAFETY, NEGLIGIBLE = 0.7, 0.05
-"""Part of what modes leave of a tolerance that harmonics may take; and of the modes' error, below
-which harmonics need not fall."""
+SAFETY = 0.7
+"""Part of what modes leave of a tolerance that harmonics may take; and that of the modes' error is
+not worth harmonics, SLIGHT."""
 MAX_HARMONICS, MAX_KEPT = 300, 500
 """Harmonics that are solved for, and that are kept of an orbit for each period of the load."""
 
@@ -92,7 +92,7 @@ def _without_mass(whole: Structure, modes: int) -> Structure:
 
 def _goal(tolerance: float, reduction: float) -> float:
     """What harmonics and samples may leave out."""
-    return max(SAFETY * (tolerance - reduction), NEGLIGIBLE * reduction)
+    return max(SAFETY * (tolerance - reduction), SLIGHT * reduction)
 
 
 def _told(solver: Solver, found: PeriodicSolution, tolerance: float) -> PeriodicSolution:

@@ -23,6 +23,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from fenics_crack.balance.error_report import MANY
 from fenics_crack.balance.family import FrequencyFamily
 from fenics_crack.balance.orbits import FlowOrbits, orbit_next_to
 from fenics_crack.balance.problem import Problem
@@ -46,9 +47,8 @@ __all__ = ["DoubledStart", "next_to_doubled_orbits"]
 NEAREST, SAME = 6, 1e-3
 """Points of the curve from which the orbit of the doubling is sought, and how well its multiplier
 is known."""
-MOST, MOST_UNKNOWNS = 30, 700
-"""Orbits along the branch, and unknowns of the equations that are tried next to them: more would
-take a second each time."""
+MOST = 30
+"""Orbits along the branch."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def _ladder(problem: Problem) -> list[int]:
     """Numbers of harmonics with which the branch is looked for."""
     counts = [problem.harmonics]
     pairs = problem.structure.n_pairs
-    while problem.samples is None and 4 * counts[-1] * pairs <= MOST_UNKNOWNS:
+    while problem.samples is None and 4 * counts[-1] * pairs <= MANY:
         counts.append(2 * counts[-1])
     return counts
 

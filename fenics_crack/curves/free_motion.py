@@ -17,7 +17,13 @@ from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import AllModes, all_modes
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.linearisation import EPSILON, ROUNDING, Linearisation, determinant_sign
+from fenics_crack.numerics.linearisation import (
+    DIFFERENCE,
+    EPSILON,
+    ROUNDING,
+    Linearisation,
+    determinant_sign,
+)
 
 __all__ = [
     "EnergyMotion",
@@ -36,8 +42,6 @@ RESONANT = 1e-3
 
 NEAR = 0.05
 """Entries relatively that close to resonance are not predicted."""
-SHIFT = 1e-5
-"""Of a share, for the derivative by it."""
 
 
 class Equilibrium:
@@ -196,8 +200,10 @@ class FadedMotion(FreeMotion):
     def derivative(self, at: MotionPoint) -> np.ndarray:
         """dF / d share, by central differences."""
         parameter = float(at.weights[-1])
-        ends = (self.linearise(at.unknown, parameter + h).residual for h in (SHIFT, -SHIFT))
-        return np.asarray((next(ends) - next(ends)) / (2.0 * SHIFT))
+        ends = (
+            self.linearise(at.unknown, parameter + h).residual for h in (DIFFERENCE, -DIFFERENCE)
+        )
+        return np.asarray((next(ends) - next(ends)) / (2.0 * DIFFERENCE))
 
 
 class EnergyMotion(FreeMotion):

@@ -43,8 +43,15 @@ from scipy.linalg.lapack import dgeqrf, dorgqr
 from fenics_crack.balance.orbits import FlowOrbits, Homotopy, OrbitPoint
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.orbit import KNOWN, eigenvalues
-from fenics_crack.numerics.bordered import PathPoint, Tangent, solve_in_plane, tangent_of
-from fenics_crack.numerics.path import STRAIGHT
+from fenics_crack.numerics.bordered import (
+    PATIENCE,
+    STEPS,
+    PathPoint,
+    Tangent,
+    solve_in_plane,
+    tangent_of,
+)
+from fenics_crack.numerics.path import SHARP, STRAIGHT
 
 __all__ = ["KINDS", "Crossing", "Node", "OrbitBranch", "blended", "cubic"]
 
@@ -54,11 +61,11 @@ EVERY = 8
 NARROWEST, ALONE = 1.0 / 8.0, 1.0 / 32.0
 """Segments that are not halved any more, in points of the curve, and those that are not smooth or
 where several numbers change."""
-TOLERANCE, SHARP = 1e-8, 1e-12
-"""|F| / |x| of nodes, and to what part of a segment bifurcations are located; |F| / |x| there."""
-ITERATIONS, PATIENCE, SHRINKING = 30, 3, 0.1
-"""Newton steps to an orbit, how many may together fail to halve the residual, and by how much one
-has to shrink it that another one with the same derivative may follow."""
+TOLERANCE = 1e-8
+"""|F| / |x| of nodes, and to what part of a segment bifurcations are located."""
+SHRINKING = 0.1
+"""By how much a Newton step has to shrink the residual that another one with the same derivative
+may follow."""
 ALIKE = 0.5
 """Farthest orbit from the motion of its point; whether it is the point's own is asked later."""
 REACH = 5e-3
@@ -349,7 +356,7 @@ class OrbitBranch:
         """The orbit in a plane, or at a given parameter."""
         try:
             return solve_in_plane(
-                self.system, unknown, parameter, plane, tolerance=tolerance, iterations=ITERATIONS,
+                self.system, unknown, parameter, plane, tolerance=tolerance, iterations=STEPS,
                 reach=REACH * self._width, least_damping=None, patience=PATIENCE,
                 lasting=SHRINKING,
             )  # fmt: skip

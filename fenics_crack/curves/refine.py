@@ -29,13 +29,20 @@ from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.exact import verified
-from fenics_crack.curves.orbit_branch import ALIKE, ITERATIONS, KINDS, TOLERANCE, Node, OrbitBranch
+from fenics_crack.curves.orbit_branch import ALIKE, KINDS, TOLERANCE, Node, OrbitBranch
 from fenics_crack.curves.points import CurvePoint, Points
 from fenics_crack.errors import ConvergenceError, InputError, check_count, check_number
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
-from fenics_crack.numerics.bordered import SHORTEST, PathPoint, Tangent, solve_in_plane, tangent_of
+from fenics_crack.numerics.bordered import (
+    SHORTEST,
+    STEPS,
+    PathPoint,
+    Tangent,
+    solve_in_plane,
+    tangent_of,
+)
 from fenics_crack.numerics.path import STRAIGHT, Path, PathOptions
 from fenics_crack.stability.floquet import orbits_near
 
@@ -237,7 +244,7 @@ def _orbit_next_to(orbits: FlowOrbits) -> PathPoint | None:
         ahead = tangent_of(orbits, orbits.start, orbits.linearise(orbits.start, 1.0))
         found = solve_in_plane(
             orbits, orbits.start, 1.0, ahead,
-            tolerance=TOLERANCE, iterations=ITERATIONS, reach=0.5, least_damping=SHORTEST,
+            tolerance=TOLERANCE, iterations=STEPS, reach=0.5, least_damping=SHORTEST,
         )  # fmt: skip
     except ConvergenceError:  # pairs chatter without end
         return None

@@ -7,11 +7,9 @@ import numpy as np
 from fenics_crack.balance.family import Family
 from fenics_crack.balance.orbits import FlowOrbits, OrbitPoint
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, exact_flow
+from fenics_crack.numerics.linearisation import DIFFERENCE
 
 __all__ = ["VariedOrbits"]
-
-DIFFERENCE = float(np.cbrt(np.finfo(float).eps))
-"""Of p, for dF/dp: its truncation is then as small as its rounding."""
 
 
 class VariedOrbits(FlowOrbits):

@@ -30,6 +30,7 @@ from scipy.special import logsumexp
 from fenics_crack.identification.model import Prediction, Quantities
 
 __all__ = [
+    "PRIOR",
     "Branch",
     "Likelihood",
     "Optimum",
@@ -43,6 +44,8 @@ LOOK = {1: 200, 2: 45, 3: 17}
 """Values of each unknown of the first grid, by the number of unknowns; of more, 9."""
 CLOSER = {1: 101, 2: 31, 3: 13}
 """Further ones around each optimum; of more, 7."""
+PRIOR = 12.0
+"""Information of a uniform prior on an unknown, over its range: one over its variance."""
 STARTS = 8
 """Of least squares, at most."""
 STEP = 1e-6
@@ -246,7 +249,7 @@ def _optima(
 
         unit = np.clip((start - low) / span, 1e-6, 1.0 - 1e-6)
         fit = least_squares(residuals, unit, slopes, bounds=(0.0, 1.0), x_scale=0.1, ftol=FTOL)
-        information = fit.jac.T @ fit.jac + 12.0 * np.eye(len(span))
+        information = fit.jac.T @ fit.jac + PRIOR * np.eye(len(span))
         covariance = np.linalg.inv(information) * np.outer(span, span)
         found.append(Optimum(low + span * fit.x, -float(fit.cost), covariance))
     found.sort(key=lambda optimum: -optimum.height)

@@ -17,7 +17,7 @@ from fenics_crack.files.store import write
 from fenics_crack.identification.measurements import Measurement, Measurements
 from fenics_crack.identification.posterior import Branch, Posterior
 from fenics_crack.identification.verdict import log_bayes_factor, misfit_of, verdict_of
-from fenics_crack.identification.where_to_measure import Worth, advice, worth_of
+from fenics_crack.identification.where_to_measure import BASELINE, Worth, advice, worth_of
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import key_in_words, unit_of, value_in_words
 from fenics_crack.table import Table, Tabular
@@ -156,7 +156,7 @@ class Identification(Tabular):
         self,
         measurements: Sequence[Measurement] | None = None,
         *,
-        frequency_deviation: float = 1e-3,
+        frequency_deviation: float = BASELINE,
         harmonic_deviation: float = 0.05,
     ) -> Worth:
         """Worth of one more measurement, from the Fisher information at the estimate.

@@ -26,19 +26,17 @@ import numpy as np
 from fenics_crack.errors import check_number
 from fenics_crack.identification.measurements import Measurement
 from fenics_crack.identification.model import Quantities
-from fenics_crack.identification.posterior import Likelihood, scaled_covariance
+from fenics_crack.identification.posterior import PRIOR, Likelihood, scaled_covariance
 from fenics_crack.scene.words import key_in_words, unit_of, value_in_words
 from fenics_crack.table import Tabular
 
-__all__ = ["Worth", "advice", "worth_of"]
+__all__ = ["BASELINE", "Worth", "advice", "worth_of"]
 
 BASELINE = 1e-3
-"""Relative standard deviation with which frequencies are measured that are advised."""
+"""Relative standard deviation of frequencies that are advised, if nothing else is said."""
 
 PROBES = 24
 """Phases of the load's period at which one more probe is considered."""
-PRIOR = 12.0
-"""Information of a uniform prior on an unknown, over its range: one over its variance."""
 STEP = 1e-3
 """Of an unknown, over its range, for derivatives."""
 

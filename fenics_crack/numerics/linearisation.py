@@ -15,11 +15,14 @@ import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
 
 __all__ = [
-    "EPSILON", "MAX_ROUNDING", "ROUNDING", "DenseLinearisation", "Linearisation", "System",
-    "determinant_sign", "factored", "least_residual", "solve_factored",
+    "DIFFERENCE", "EPSILON", "MAX_ROUNDING", "ROUNDING", "DenseLinearisation", "Linearisation",
+    "System", "determinant_sign", "factored", "least_residual", "solve_factored",
 ]  # fmt: skip
 
 EPSILON, ROUNDING = float(np.finfo(float).eps), 1e-13
+DIFFERENCE = EPSILON ** (1.0 / 3.0)
+"""Of a parameter, for a derivative by central differences: what they leave out is then as small as
+their rounding."""
 MAX_ROUNDING = 1e-5
 """|F| / |x| that rounding may leave at most; equations that ask for more are refused."""
 

@@ -8,7 +8,6 @@ the key, the value and what is allowed, before anything is computed.
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import re
 import tomllib
 from collections.abc import Callable, Mapping
@@ -287,13 +286,12 @@ class Scene(Hinted):
 
     @property
     def files(self) -> list[tuple[str, str]]:
-        """The keys that name files, mesh or matrices, of the scene, its sweep and what is unknown,
-        and the files."""
-        found = [(key, value) for key, value in self._paths().items()]
-        for axis in itertools.chain(*self._axes().values()):
+        """The keys that name files, mesh or matrices, of the scene and its sweep, and the files."""
+        found = [item for item in self._paths().items() if not item[0].startswith(LOOKED_AT)]
+        for axis in self.sweep.over if self.sweep is not None else ():
             if axis.key in _PATHS:
                 found += [(axis.key, value) for value in axis.values if isinstance(value, str)]
-        return found + [("identify.meshes", one.key) for one in self._meshes]
+        return found
 
     @property
     def _meshes(self) -> tuple[MeshFile, ...]:
@@ -312,7 +310,7 @@ class Scene(Hinted):
 
     def with_files(self, change: Callable[[str], str]) -> Scene:
         """Return the scene with the paths of its files changed."""
-        if not self.files:
+        if not self._paths():
             return self
         changes: dict[str, object] = {key: change(path) for key, path in self._paths().items()}
         for name, axes in self._axes().items():

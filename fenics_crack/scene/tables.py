@@ -766,7 +766,7 @@ class Identify(Table):
     damping_deviation: float = between("0", "10", 0.3)
     """Ratio of damping: of joints and air, it differs by so much between assemblies."""
     angle_deviation: float = between("0", "45", 5.0, unit="degrees")
-    """Angle of a crack with the horizontal, which moves what its tip weakens from its mouth."""
+    """Angle of a crack with the horizontal, which moves its tip from the height of its mouth."""
     model_deviation: float = between("0", "1", 0.01)
     """Each natural frequency, the same with the crack and without it: models of spacecraft are to
     meet measured ones to 5 % (NASA-STD-5002), and the ratio of the first two of a plain beam is

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from mpi4py import MPI
 from fenics_crack.balance.harmonic_balance import solve_linear
 from fenics_crack.balance.indicators import indicators_of
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import PeriodicSolution, solve_beside
+from fenics_crack.balance.solution import PeriodicSolution, Solver, solve_beside
 from fenics_crack.errors import InputError
 from fenics_crack.fem.build import clearance_of
 from fenics_crack.model.bilinear import BilinearFrequencies, bilinear_frequencies
@@ -219,23 +219,31 @@ class Cases:
         """
         import scipy.optimize  # takes a while, and few sweeps ask for it
 
-        near = self._geometry.natural.nearest(case.excitation.omega)
-        place, omega = int(near["mode"]) - 1, float(near["omega_bilinear"])
+        nearest = self._geometry.natural.nearest(case.excitation.omega)
+        place, omega = int(nearest["mode"]) - 1, float(nearest["omega_bilinear"])
         whole = self._geometry.structure.whole
         ratio = float(damping_ratios(whole, self._geometry.natural.omega_open)[place])
         if not ratio > 0.0:
             raise InputError("damping", None, "a ratio, or Rayleigh's, with sweep.at_resonance")
-        found: dict[float, PeriodicSolution] = {}
+        near = self.solve(case.replace({"excitation.omega": omega}))
+        assert self._law is not None
+        problem = Problem(
+            self._structure, omega, self._law, near.harmonics, case.harmonic_balance.samples
+        )
 
         def smallness(omega: float) -> float:
-            found[omega] = self.solve(case.replace({"excitation.omega": float(omega)}))
-            moved = found[omega].displacement_coefficients[1:, : self._structure.n_modes]
+            nonlocal near
+            near = Solver(replace(problem, omega=float(omega))).solve(near, reported=False)
+            moved = near.displacement_coefficients[1:, : self._structure.n_modes]
             return float(1.0 / np.sum(moved**2))
 
-        beside = omega * (1.0 - ratio), omega * (1.0 + ratio)
-        how = {"bracket": beside, "options": {"xtol": PEAK * ratio}}
-        top = scipy.optimize.minimize_scalar(smallness, method="brent", **how)
-        return found[top.x]
+        top = scipy.optimize.minimize_scalar(
+            smallness,
+            bracket=(omega * (1.0 - ratio), omega * (1.0 + ratio)),
+            method="brent",
+            options={"xtol": PEAK * ratio},
+        )
+        return self.solve(case.replace({"excitation.omega": float(top.x)}))
 
     def verdict(self, solution: PeriodicSolution) -> Found:
         """Verdict on a solution, modulus of its leading multiplier, and the reason where it is

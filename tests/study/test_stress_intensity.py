@@ -248,6 +248,42 @@ def test_inertia_within_the_domain(monkeypatch: pytest.MonkeyPatch) -> None:
     assert np.abs(found[1] - found[0]).max() < 0.005 * np.abs(found[0]).max()
 
 
+def test_opening_of_the_lips(omega: float = 6000.0) -> None:
+    """Another way to the same number, above the first resonance: the opening of free lips at a
+    distance r from the tip is 8 K_I / E (r / 2 pi)^1/2 (1 + c r + ...), without the elements at
+    the tip; 2 %."""
+    force = {"excitation": {"omega": omega, "point": [0.1, 0.4], "force_sin": [1e4, 0.0]}}
+    scene = fc.Scene.from_mapping(STRIP | force).replace({"mesh.lip_elements": 24})
+    study = fc.prepare(scene.replace({"reduction.modes": 30}), MPI.COMM_SELF)
+    linear = fc.solve_linear(study.structure, omega, harmonics=1)
+    time, found = tip_rows(study).of_motion(linear)
+    top = int(np.argmax(found[:, 0, 0]))
+    distance = 0.03 - study.structure.whole.pairs.positions
+    near = (distance > 0.0015) & (distance < 0.006)
+    opening = -linear.gap(time[top : top + 1])[0, near]
+    seen = 2e11 / 8.0 * np.sqrt(2.0 * np.pi / distance[near]) * opening
+    assert np.polyfit(distance[near], seen, 1)[-1] == pytest.approx(found[top, 0, 0], rel=0.02)
+
+
+def test_stress_along_a_line() -> None:
+    """In the ligament of a strip in tension it grows towards the tip as K_I / (2 pi r)^1/2, and it
+    carries the load; far away it is the load's."""
+    run = fc.solve(strip(mesh__lip_elements=16), MPI.COMM_SELF)
+    x = np.linspace(0.0302, 0.1, 400)
+    time, stress = fc.stress_at(run, np.column_stack([x, np.full_like(x, 0.2)]))
+    assert stress.shape == (len(time), 400, 3)
+    along = stress.mean(axis=0)[:, 1]
+    ahead = fc.stress_intensity(run).one.mean() / np.sqrt(2.0 * np.pi * (x - 0.03))
+    near = (x > 0.031) & (x < 0.033)
+    assert along[near] == pytest.approx(ahead[near], rel=0.1)
+    step = x[1] - x[0]
+    assert along.sum() * step == pytest.approx(0.1 * STRESS, rel=0.1)  # the rest is at the tip
+    far = fc.stress_at(run, [[0.05, 0.35]])[1].mean(axis=0)[0]
+    assert far == pytest.approx([0.0, STRESS, 0.0], abs=0.01 * STRESS)
+    with pytest.raises(fc.InputError, match=r"points = .*on the mesh"):
+        fc.stress_at(run, [[0.2, 0.2]])
+
+
 def test_march_and_solution_agree() -> None:
     """The record of a settled motion in time has the same extremes as the solution."""
     scene = fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(
