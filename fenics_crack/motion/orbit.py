@@ -35,6 +35,7 @@ from scipy.linalg.lapack import dgeev
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import kernel
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples, Track
+from fenics_crack.numerics.bordered import SHORTEST
 from fenics_crack.numerics.newton import gmres
 from fenics_crack.table import Described, counted
 
@@ -43,8 +44,8 @@ __all__ = [
     "Prediction", "affordable", "doubling_test", "eigenvalues", "find_orbit", "predict",
 ]  # fmt: skip
 
-FLOWS, SHORTEST = 20, 0.1
-"""Periods followed before an orbit is given up, and how short a step may become."""
+FLOWS = 20
+"""Periods followed before an orbit is given up."""
 PIECES = 20_000
 """Of the flow's series that a search may take: a second, with many pairs."""
 CLOSED, NEARLY = 1e-11, 1e-8

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
@@ -83,6 +85,27 @@ def test_a_twisted_blade_beside_calculix() -> None:
     for rpm, expected in CALCULIX.items():
         found = fc.solve_modes(rotation.at(RPM * rpm), 6).omega / (2.0 * math.pi)
         assert found == pytest.approx(expected, rel=1e-3)
+
+
+def vibrating(scene: Scene, comm: MPI.Comm) -> list[float]:
+    """Frequencies and, of the solution, mean and first two harmonics of the watched motion and the
+    share of the period for which lips are closed, on all ranks."""
+    run = fc.solve(scene, comm)
+    omega = fc.solve_modes(run.structure.whole, 4).omega
+    rows = run.result.coefficients_at([run.watched_dof])[:, 0]
+    sizes = [abs(rows[0]), *np.hypot(rows[1:5:2], rows[2:5:2])]
+    return [*omega, *sizes, run.result.indicators().closed_share]
+
+
+@pytest.mark.mpi
+def test_ranks_share_the_blade(on_ranks: Callable[..., Any]) -> None:
+    """Two ranks find the frequencies of one and, next to the resonance, which magnifies rounding,
+    its motion, with the same share of the period closed."""
+    scene = Scene.load(BLADE)
+    alone, shared = vibrating(scene, MPI.COMM_SELF), on_ranks(vibrating, scene)
+    assert shared[:4] == pytest.approx(alone[:4], rel=1e-8)
+    assert shared[4:] == pytest.approx(alone[4:], rel=1e-7)
+    assert 0.05 < alone[-1] < 0.3
 
 
 def test_a_phase_delays_cosine_and_sine() -> None:
