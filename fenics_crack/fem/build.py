@@ -39,8 +39,9 @@ from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.nodes import Pairs
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import collect_garbage, on_root
-from fenics_crack.scene.scene import Scene, check_scene
+from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Damping
+from fenics_crack.scene.words import check_scene
 from fenics_crack.stages import begin
 from fenics_crack.whole import write_whole
 

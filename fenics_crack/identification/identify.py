@@ -30,8 +30,9 @@ from fenics_crack.identification.posterior import Likelihood, Posterior, explore
 from fenics_crack.identification.result import Identification
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.fields import Axis
-from fenics_crack.scene.scene import Scene, check_scene
+from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Identify, Sweep
+from fenics_crack.scene.words import check_scene
 from fenics_crack.stages import begin
 from fenics_crack.study.coarser_mesh import finer_mesh
 from fenics_crack.study.remarks import is_proportional

@@ -45,7 +45,7 @@ from fenics_crack.scene.tables import (
 )
 from fenics_crack.table import RPM, frequency_axis
 
-__all__ = ["LOOKED_AT", "Scene", "check_scene", "known_keys", "unit_of"]
+__all__ = ["LOOKED_AT", "Scene", "known_keys", "unit_of"]
 
 LOOKED_AT = ("curve", "integration", "sweep", "growth", "identify", "tip_timing", "output")
 """Tables that say what is looked at, and change nothing of it."""
@@ -458,7 +458,6 @@ def _check_dimension(scene: Scene) -> None:
     geometry, mesh, dimension = scene.geometry, scene.mesh, scene.dimension
     if dimension == 2 and scene.rotation is not None:
         scene.rotation.leave_out(("axis", "center"), "a plate: its axis is parallel to x")
-        scene.rotation.given("hub_radius")
     _check_vectors(scene)
     if dimension == 3:
         reason = "2 with geometry.kind = 'solid': tetrahedra of order 1 are much too stiff"
@@ -595,12 +594,6 @@ def _changed_list(
     with named(f"{name}.{number}"):
         new = _changed(name, old, change)
     return (*tables[: number - 1], new, *tables[number:])
-
-
-def check_scene(scene: Any) -> None:
-    """Raise InputError unless it is a scene: a path to one is not."""
-    if not isinstance(scene, Scene):
-        raise InputError("scene", scene, "a Scene, as fc.Scene.load(path) returns")
 
 
 def _meant(name: str) -> list[str]:

@@ -6,10 +6,19 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from fenics_crack.errors import InputError
 from fenics_crack.scene.scene import LOOKED_AT, Scene, unit_of
 from fenics_crack.table import quantity
 
-__all__ = ["WHOLE", "differences", "given_values", "key_in_words", "unit_of", "value_in_words"]
+__all__ = [
+    "WHOLE",
+    "check_scene",
+    "differences",
+    "given_values",
+    "key_in_words",
+    "unit_of",
+    "value_in_words",
+]
 
 WORDS = {
     "excitation.omega": "load frequency",
@@ -76,6 +85,12 @@ def differences(scenes: Sequence[Scene]) -> list[str]:
     return [
         ", ".join(f"{key} = {value_in_words(key, one[key])}" for key in chosen) for one in values
     ]
+
+
+def check_scene(scene: Any) -> None:
+    """Raise InputError unless it is a scene: a path to one is not."""
+    if not isinstance(scene, Scene):
+        raise InputError("scene", scene, "a Scene, as fc.Scene.load(path) returns")
 
 
 def given_values(scene: Scene) -> dict[str, Any]:

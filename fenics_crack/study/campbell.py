@@ -26,7 +26,8 @@ from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import Modes, n_tied_modes, solve_modes, times
 from fenics_crack.model.rotation import static_state
 from fenics_crack.model.structure import Structure
-from fenics_crack.scene.scene import Scene, check_scene
+from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.words import check_scene
 from fenics_crack.study.key_figures import damping_ratios
 from fenics_crack.table import RPM, UNITS, Tabular, counted, with_frequency
 

@@ -28,8 +28,9 @@ from fenics_crack.model.reduction import MODES
 from fenics_crack.model.rotation import run_up_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import on_root
-from fenics_crack.scene.scene import Scene, check_scene
+from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
+from fenics_crack.scene.words import check_scene
 from fenics_crack.stability.floquet import floquet
 from fenics_crack.stages import begin
 from fenics_crack.study.prepare import (

@@ -46,8 +46,8 @@ from fenics_crack.model.nodes import AXES
 from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.quantities import OF_POINTS, QUANTITIES
-from fenics_crack.scene.scene import Scene, check_scene
-from fenics_crack.scene.words import unit_of
+from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.words import check_scene, unit_of
 from fenics_crack.study.prepare import law_of
 from fenics_crack.sweep.case import build
 from fenics_crack.sweep.file import (
