@@ -38,7 +38,7 @@ from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import exact_flow
 from fenics_crack.numerics.bordered import (
-    SHORTEST,
+    MIN_DAMPING,
     PathPoint,
     Tangent,
     distance,
@@ -64,7 +64,7 @@ __all__ = ["LONGEST", "Continuation"]
 
 LONGEST = 0.05
 """Longest step, unless another one is asked for."""
-UNRESOLVED = 0.1
+SHORTEST = 0.1
 """Of steps, relative to what rounding leaves of the residual: shorter ones resolve nothing."""
 EVERY = 4
 """Points between two looks at the truncation."""
@@ -282,7 +282,7 @@ class Continuation:
                 events.append(_Joined(odd))
         if self._origin is not None and self._origin.unknown.shape == here.unknown.shape:
             events.append(Closed(self._origin))
-        shortest = UNRESOLVED * self._family.rounding(here.parameter)
+        shortest = SHORTEST * self._family.rounding(here.parameter)
         options = PathOptions(
             initial_step=step,
             max_step=self._longest,
@@ -370,7 +370,7 @@ def _again(family: Family, point: PathPoint, reach: float) -> PathPoint | None:
     tangent = replace(point.tangent, x=resized(point.tangent.x, count))
     start = replace(point, unknown=resized(point.unknown, count), tangent=tangent)
     sharp = max(PathOptions.rtol, family.rounding(point.parameter))
-    for damping in (None, SHORTEST):
+    for damping in (None, MIN_DAMPING):
         found = solve_in_plane(
             family, start.unknown, start.parameter, tangent,
             tolerance=sharp, reach=reach, least_damping=damping,

@@ -35,7 +35,6 @@ from scipy.linalg.lapack import dgeev
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import kernel
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples, Track
-from fenics_crack.numerics.bordered import SHORTEST
 from fenics_crack.numerics.newton import gmres
 from fenics_crack.table import Described, counted
 
@@ -44,12 +43,13 @@ __all__ = [
     "Prediction", "affordable", "doubling_test", "eigenvalues", "find_orbit", "predict",
 ]  # fmt: skip
 
-FLOWS = 20
-"""Periods followed before an orbit is given up."""
+FLOWS, SHORTEST = 20, 1e-3
+"""Periods followed before an orbit is given up, and how short a step may become."""
 PIECES = 20_000
 """Of the flow's series that a search may take: a second, with many pairs."""
-CLOSED, NEARLY = 1e-11, 1e-8
-"""Relative length of a step behind which an orbit is found: of one by factors of M, by products."""
+CLOSED, NEARLY, HURRIED = 1e-11, 1e-8, 0.1
+"""Relative length of a step behind which an orbit is found: of one by factors of M, by products;
+and how short one by products may become."""
 FORMED = 240
 """Numbers of a state up to which M is formed."""
 PRODUCTS, SHARP, BLUNT = 60, 1e-2, 0.25
@@ -354,7 +354,7 @@ class _Search:
         """Whether it ends with an orbit."""
         share, inverse = 1.0, None
         formed = self._flow.size <= FORMED
-        closed = CLOSED if formed else NEARLY
+        closed, shortest = (CLOSED, SHORTEST) if formed else (NEARLY, HURRIED)
         self.motion = self._follow(self.state)
         while self.flows < FLOWS:
             if inverse is None:
@@ -370,7 +370,7 @@ class _Search:
                 if before <= ROUNDED * goal:
                     return True
                 share = min(0.5 * share, 0.5 * share**2 * before / bent)
-                if share < SHORTEST:
+                if share < shortest:
                     return False
                 continue
             self.state, self.motion, inverse = trial, moved, None

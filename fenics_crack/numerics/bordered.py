@@ -38,9 +38,9 @@ from fenics_crack.numerics.linearisation import Linearisation, System
 
 __all__ = [
     "MAX_ITERATIONS",
+    "MIN_DAMPING",
     "PATIENCE",
     "REACH",
-    "SHORTEST",
     "STEPS",
     "PathPoint",
     "Tangent",
@@ -57,9 +57,11 @@ __all__ = [
 
 MAX_ITERATIONS = 8
 """Of one correction."""
-STEPS, SHORTEST, PATIENCE = 20, 0.1, 8
-"""Of Newton's method from a guess at a given parameter, how short they may become, relative to full
-ones, and those of them that may together fail to halve the residual."""
+MIN_DAMPING = 0.05
+"""Of a Newton step."""
+STEPS, SHORTEST, PATIENCE = 20, 0.01, 8
+"""From a guess at a given parameter, how short these may become, and those of them that may
+together fail to halve the residual."""
 REACH = 3.0
 """How far from its prediction the parameter may go, in steps."""
 
@@ -127,7 +129,7 @@ def solve_in_plane(
     tolerance: float,
     iterations: int = MAX_ITERATIONS,
     reach: float = np.inf,
-    least_damping: float | None = SHORTEST,
+    least_damping: float | None = MIN_DAMPING,
     patience: int | None = None,
     lasting: float = 0.0,
 ) -> PathPoint | None:

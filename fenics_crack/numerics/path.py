@@ -37,8 +37,8 @@ from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import NULL, Struct, doubles, kernel
 from fenics_crack.numerics.bordered import (
     MAX_ITERATIONS,
+    MIN_DAMPING,
     REACH,
-    SHORTEST,
     PathPoint,
     Tangent,
     distance,
@@ -347,7 +347,7 @@ def _newton(rtol: float) -> Struct:
     """How the points of a path are corrected."""
     return Struct(
         "correction", tolerance=rtol, reach=REACH, iterations=MAX_ITERATIONS,
-        least_damping=SHORTEST,
+        least_damping=MIN_DAMPING,
     )  # fmt: skip
 
 
