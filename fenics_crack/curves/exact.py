@@ -156,9 +156,9 @@ class _Judge:
 
     def points(self) -> np.ndarray:
         """Leading multiplier of each point; nan where no orbit is its own. Where orbits at its
-        value of the parameter lie on both sides of a fold it is that of the nearest one; where
-        several are as near, none is near enough, or none tells, it is that of the orbit next to
-        it."""
+        value of the parameter lie on both sides of a fold it is that of the nearest one, if its
+        gaps are clearly nearer, too; where several motions are as near, none is near enough, or
+        none tells, it is that of the orbit next to it."""
         found = np.full(len(self._curve), np.nan + 0j)
         accepted, expected = self._accepted()
         parts: dict[int, list[tuple[_Part, complex]]] = {}
@@ -174,10 +174,25 @@ class _Judge:
             for place, share, value in zip(near + there, shares[there], values, strict=True):
                 parts.setdefault(int(place), []).append(((*ends, share), value))
         for place, several in parts.items():
-            found[place] = self._of_nearest(place, several, expected[place])
+            accepted[place] = self._tells(place, several)
+            if accepted[place]:
+                found[place] = self._of_nearest(place, several, expected[place])
         for place in map(int, np.flatnonzero(accepted & np.isnan(found))):
             found[place] = self._alone(place)
         return found
+
+    def _tells(self, place: int, several: list[tuple[_Part, complex]]) -> bool:
+        """Whether of the parts next to a point none on the other side of 1 has gaps that are as
+        near as the nearest: the error of a point next to a fold is that of both."""
+        if len({abs(value) > 1.0 for _, value in several}) < 2:
+            return True
+        [wave] = self._curve.gaps_in_time(np.array([place]))
+        away = []
+        for part, _ in several:
+            gap = self.system.gap(*cubic(*part), len(wave))
+            away.append(relative(gap - wave, gap + self._curve.structure.clearance))
+        near = np.flatnonzero(np.array(away) <= BELIEVED * min(away))
+        return len({abs(several[number][1]) > 1.0 for number in near}) < 2
 
     def _of_nearest(
         self, place: int, several: list[tuple[_Part, complex]], expected: float
