@@ -16,6 +16,7 @@ from fenics_crack.curves.peak import top_and_damping
 from fenics_crack.model.bilinear import BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.scene.quantities import OF_LIPS, OF_POINTS, OF_TIPS, QUANTITIES
+from fenics_crack.scene.scene import tip_quantities
 from fenics_crack.study.key_figures import highest_omega
 from fenics_crack.study.run import Run
 from fenics_crack.study.tips import along_curve
@@ -233,7 +234,7 @@ def _along(run: Run[ResponseCurve], curve: ResponseCurve) -> dict[str, np.ndarra
             found[with_unit(watched.column(name), unit)] = getattr(indicators, name)
     for name, (_, unit) in OF_LIPS.items():
         found[with_unit(name, unit)] = getattr(seen[0], name)
-    if run.scene.tip_quantities:
+    if tip_quantities(run.scene):
         at_tips = along_curve(run, curve)
         found |= {with_unit(name, unit): at_tips[name] for name, (_, unit) in OF_TIPS.items()}
     near = _natural_along(run, np.asarray(seen[0].omega)).nearest(seen[0].omega)

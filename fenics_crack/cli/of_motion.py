@@ -23,6 +23,7 @@ from fenics_crack.cli.scenes import remark_on
 from fenics_crack.model.bilinear import KINDS, bilinear_frequencies
 from fenics_crack.model.modes import Modes
 from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, OF_TIPS, SHORT
+from fenics_crack.scene.scene import tip_quantities
 from fenics_crack.scene.tables import Integration
 from fenics_crack.study.coarser_mesh import natural_name
 from fenics_crack.study.key_figures import highest_omega
@@ -211,7 +212,7 @@ def _quantities(run: Run[Any], values: Mapping[str, object]) -> Table:
     if not run.structure.n_pairs:  # no errors were estimated
         values = {n: v for n, v in values.items() if not n.endswith(("_error", "_share"))}
     rows += _named(OF_LIPS, values)
-    if run.scene.tip_quantities:
+    if tip_quantities(run.scene):
         rows += _named(OF_TIPS, numbers_of_motion(run, run.result))
     if run.structure.n_pairs and isinstance(run.result, PeriodicSolution):
         near = bilinear_frequencies(run.structure).nearest(omega)

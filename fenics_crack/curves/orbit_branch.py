@@ -224,18 +224,7 @@ class OrbitBranch:
     @property
     def linked(self) -> np.ndarray:
         """Whether a smooth branch leads from each node to the next: (n - 1,) bool."""
-        if len(self.nodes) < 2:
-            return np.zeros(0, dtype=bool)
-        changes, rises, lengths = _chords(self.nodes)
-        weights = np.array([one.tangent.weight for one in self.nodes])[:-1]
-        ways = np.array([one.tangent.x for one in self.nodes])
-        slopes = np.array([one.tangent.p for one in self.nodes])
-        linked = lengths <= 1e-12
-        cosines = []
-        for way, slope in ((ways[:-1], slopes[:-1]), (ways[1:], slopes[1:])):
-            along = weights * np.sum(way * changes, axis=1) + slope * rises
-            cosines.append(along / np.sqrt(weights * np.sum(way**2, axis=1) + slope**2))
-        return np.asarray(linked | (np.minimum(*cosines) > STRAIGHT * lengths))
+        return _straight(self.nodes) if len(self.nodes) > 1 else np.zeros(0, dtype=bool)
 
     def _middle(self, ends: tuple[Node, Node], linked: bool) -> Node | None:
         """A node between two others; None where none is found."""
@@ -479,6 +468,20 @@ def _chords(nodes: list[Node]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rises = np.diff([one.parameter for one in nodes])
     weights = np.array([one.tangent.weight for one in nodes])[:-1]
     return changes, rises, np.sqrt(weights * np.sum(changes**2, axis=1) + rises**2)
+
+
+def _straight(nodes: list[Node]) -> np.ndarray:
+    """Whether the chord from each node to the next agrees with the tangents at both: (n - 1,)
+    bool."""
+    changes, rises, lengths = _chords(nodes)
+    weights = np.array([one.tangent.weight for one in nodes])[:-1]
+    ways = np.array([one.tangent.x for one in nodes])
+    slopes = np.array([one.tangent.p for one in nodes])
+    cosines = []
+    for way, slope in ((ways[:-1], slopes[:-1]), (ways[1:], slopes[1:])):
+        along = weights * np.sum(way * changes, axis=1) + slope * rises
+        cosines.append(along / np.sqrt(weights * np.sum(way**2, axis=1) + slope**2))
+    return np.asarray((lengths <= 1e-12) | (np.minimum(*cosines) > STRAIGHT * lengths))
 
 
 def cubic(first: Node, last: Node, share: float) -> tuple[np.ndarray, float]:

@@ -31,7 +31,7 @@ from fenics_crack.errors import InputError
 from fenics_crack.files.units import about
 from fenics_crack.outside import bytes_of, run_reader, sha256
 from fenics_crack.parallel import on_root
-from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.scene import Scene, files_of, with_files
 from fenics_crack.version import VERSION
 from fenics_crack.whole import write_whole
 
@@ -110,7 +110,7 @@ def write_header(file: h5py.File, kind: str, scene: Scene | None) -> None:
     file.attrs["versions"] = versions()
     if scene is not None:
         file.attrs["scene"] = scene_text(scene)
-        file.attrs["meshes"] = "\n".join(_file_digest(path) for _, path in scene.files)
+        file.attrs["meshes"] = "\n".join(_file_digest(path) for _, path in files_of(scene))
 
 
 def versions() -> str:
@@ -127,7 +127,7 @@ def versions() -> str:
 
 def scene_text(scene: Scene) -> str:
     """The scene as it stands in a file: TOML, with the full paths of its files."""
-    return scene.with_files(lambda path: str(Path(path).absolute())).as_toml()
+    return with_files(scene, lambda path: str(Path(path).absolute())).as_toml()
 
 
 def texts(file: h5py.File) -> dict[str, str]:
@@ -241,13 +241,13 @@ class Stored:
         if "scene" not in self.attributes:
             return None
         scene = Scene.from_text(self.attributes["scene"], str(self.path))
-        if len(self._digests) != len(scene.files):
+        if len(self._digests) != len(files_of(scene)):
             raise self._older("digests of its mesh or matrices")
         return scene
 
     def check_files(self, scene: Scene) -> None:
         """Raise InputError if a file of the scene, of its mesh or matrices, has changed."""
-        for (key, path), known in zip(scene.files, self._digests, strict=True):
+        for (key, path), known in zip(files_of(scene), self._digests, strict=True):
             if _file_digest(path) != known:
                 allowed = f"the file with which {self.path} was computed; it has changed or gone"
                 raise InputError(key, path, allowed)

@@ -24,7 +24,7 @@ from fenics_crack.errors import InputError
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.growth.path import LengthPath, solve_lengths
 from fenics_crack.parallel import on_root
-from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.scene import Scene, check_tips
 from fenics_crack.scene.tables import Growth as Law
 from fenics_crack.study.run import solve
 from fenics_crack.study.stated_errors import stated_errors
@@ -232,7 +232,7 @@ def _shares(steps: np.ndarray) -> np.ndarray:
 def _checked(scene: Scene) -> Scene:
     """A scene whose crack can grow; InputError where it cannot."""
     law = scene.given("growth")
-    scene.check_tips("growth")
+    check_tips(scene, "growth")
     crack = scene.given("crack")
     if scene.mesh.layout != "graded":
         allowed = "'graded' with [growth], which meshes many lengths"

@@ -19,7 +19,7 @@ from fenics_crack.errors import InputError, reading
 from fenics_crack.hints import Hinted, converted, meant, near, written
 from fenics_crack.outside import text_of
 from fenics_crack.scene.cracks import OF_SHAPES, check_cracks
-from fenics_crack.scene.fields import Axis, MeshFile, Table, components, named, radians
+from fenics_crack.scene.fields import Axis, Table, components, named, radians
 from fenics_crack.scene.quantities import OF_TIPS
 from fenics_crack.scene.tables import (
     Base,
@@ -45,7 +45,10 @@ from fenics_crack.scene.tables import (
 )
 from fenics_crack.table import RPM, frequency_axis
 
-__all__ = ["LOOKED_AT", "Scene", "known_keys", "unit_of"]
+__all__ = [
+    "LOOKED_AT", "Scene", "check_tips", "files_of", "has_tips", "known_keys", "tip_quantities",
+    "unit_of", "with_files",
+]  # fmt: skip
 
 LOOKED_AT = ("curve", "integration", "sweep", "growth", "identify", "tip_timing", "output")
 """Tables that say what is looked at, and change nothing of it."""
@@ -125,8 +128,8 @@ class Scene(Hinted):
         else:
             _check_dimension(self)
             (_check_file if self.mesh.layout == "file" else _check_plate)(self)
-        if self.tip_quantities:
-            self.check_tips("output.quantities", self.tip_quantities)
+        if asked := tip_quantities(self):
+            check_tips(self, "output.quantities", asked)
         for name, key in _AXES:
             if (chosen := getattr(self, name)) is not None:
                 axes = _checked_axes(self, f"{name}.{key}", getattr(chosen, key))
@@ -158,7 +161,7 @@ class Scene(Hinted):
             if name not in _TABLES:
                 raise InputError(name, value, _instead_of(name))
         made = {name: _made(name, value) for name, value in tables.items()}
-        return cls(**made).with_files(lambda path: str(folder / path))
+        return with_files(cls(**made), lambda path: str(folder / path))
 
     @classmethod
     def load(cls, path: str | Path) -> Scene:
@@ -202,27 +205,6 @@ class Scene(Hinted):
         return getattr(self, name)
 
     @property
-    def has_tips(self) -> bool:
-        """Whether the scene is a plate with a crack, of which stress intensities are known."""
-        try:
-            self.check_tips("crack")
-        except InputError:
-            return False
-        return True
-
-    def check_tips(self, key: str, value: object = None) -> None:
-        """Raise InputError, of a key and its value, where there are no tips (:attr:`has_tips`)."""
-        allowed = ""
-        if self.structure is not None:
-            allowed = "left out with [structure]: stress intensities take the mesh of a plate"
-        elif self.dimension == 3:
-            allowed = "left out with geometry.kind = 'solid': stress intensities are of plates"
-        elif not self.all_cracks and self.contact is None:
-            allowed = "left out without a crack, which has a stress intensity"
-        if allowed:
-            raise InputError(key, value, allowed)
-
-    @property
     def speed(self) -> float:
         """Of the rotor [rad/s]; 0 where there is none."""
         return 0.0 if self.rotation is None else self.rotation.speed
@@ -252,12 +234,6 @@ class Scene(Hinted):
         points = () if self.output is None else self.output.points
         return tuple(f"{point.key}.u{axis}" for point in points for axis in "xyz"[: self.dimension])
 
-    @property
-    def tip_quantities(self) -> tuple[str, ...]:
-        """The stress intensities that are asked for in ``output.quantities``."""
-        chosen = (self.output.quantities if self.output is not None else None) or ()
-        return tuple(name for name in chosen if name in OF_TIPS)
-
     def at_rest(self) -> Scene:
         """The scene without rotation, its load at the same frequency."""
         changes: dict[str, object] = {"rotation": None, "curve": None, "sweep": None}
@@ -283,47 +259,6 @@ class Scene(Hinted):
     def damped_modes(self) -> int | str:
         """``damping.modes``; "all" where the damping is a matrix."""
         return "all" if self.damping is None else self.damping.modes
-
-    @property
-    def files(self) -> list[tuple[str, str]]:
-        """The keys that name files, mesh or matrices, of the scene and its sweep, and the files."""
-        found = [item for item in self._paths().items() if not item[0].startswith(LOOKED_AT)]
-        for axis in self.sweep.over if self.sweep is not None else ():
-            if axis.key in _PATHS:
-                found += [(axis.key, value) for value in axis.values if isinstance(value, str)]
-        return found
-
-    @property
-    def _meshes(self) -> tuple[MeshFile, ...]:
-        return () if self.identify is None else self.identify.meshes
-
-    def _axes(self) -> dict[str, tuple[Axis, ...]]:
-        """Keys that hold axes, and the axes."""
-        given = ((f"{name}.{key}", getattr(self, name), key) for name, key in _AXES)
-        return {name: getattr(table, key) for name, table, key in given if table is not None}
-
-    def _paths(self) -> dict[str, str]:
-        """Keys that name files, and the files."""
-        named = ((key, *key.split(".")) for key in _PATHS)
-        found = {key: getattr(getattr(self, table), name, None) for key, table, name in named}
-        return {key: value for key, value in found.items() if isinstance(value, str)}
-
-    def with_files(self, change: Callable[[str], str]) -> Scene:
-        """Return the scene with the paths of its files changed."""
-        if not self._paths():
-            return self
-        changes: dict[str, object] = {key: change(path) for key, path in self._paths().items()}
-        for name, axes in self._axes().items():
-            changes[name] = tuple(
-                Axis(axis.key, tuple(change(v) if isinstance(v, str) else v for v in axis.values))
-                if axis.key in _PATHS
-                else axis
-                for axis in axes
-            )
-        if self._meshes:
-            moved = (dataclasses.replace(one, key=change(one.key)) for one in self._meshes)
-            changes["identify.meshes"] = tuple(moved)
-        return self.replace(changes)
 
     def replace(self, values: Mapping[str, object]) -> Scene:
         """Return a scene with some keys changed: ``scene.replace({"contact.stiffness": 1e9})``.
@@ -358,6 +293,71 @@ class Scene(Hinted):
             elif tables is not None:
                 parts.append(tables.as_toml())
         return "\n".join(parts)
+
+
+def has_tips(scene: Scene) -> bool:
+    """Whether the scene is a plate with a crack, of which stress intensities are known."""
+    try:
+        check_tips(scene, "crack")
+    except InputError:
+        return False
+    return True
+
+
+def check_tips(scene: Scene, key: str, value: object = None) -> None:
+    """Raise InputError, of a key and its value, where there are no tips (:func:`has_tips`)."""
+    allowed = ""
+    if scene.structure is not None:
+        allowed = "left out with [structure]: stress intensities take the mesh of a plate"
+    elif scene.dimension == 3:
+        allowed = "left out with geometry.kind = 'solid': stress intensities are of plates"
+    elif not scene.all_cracks and scene.contact is None:
+        allowed = "left out without a crack, which has a stress intensity"
+    if allowed:
+        raise InputError(key, value, allowed)
+
+
+def tip_quantities(scene: Scene) -> tuple[str, ...]:
+    """The stress intensities that are asked for in ``output.quantities``."""
+    chosen = (scene.output.quantities if scene.output is not None else None) or ()
+    return tuple(name for name in chosen if name in OF_TIPS)
+
+
+def files_of(scene: Scene) -> list[tuple[str, str]]:
+    """The keys that name files, mesh or matrices, of the scene and its sweep, and the files."""
+    found = [item for item in _paths(scene).items() if not item[0].startswith(LOOKED_AT)]
+    for axis in scene.sweep.over if scene.sweep is not None else ():
+        if axis.key in _PATHS:
+            found += [(axis.key, value) for value in axis.values if isinstance(value, str)]
+    return found
+
+
+def _paths(scene: Scene) -> dict[str, str]:
+    """Keys that name files, and the files."""
+    named = ((key, *key.split(".")) for key in _PATHS)
+    found = {key: getattr(getattr(scene, table), name, None) for key, table, name in named}
+    return {key: value for key, value in found.items() if isinstance(value, str)}
+
+
+def with_files(scene: Scene, change: Callable[[str], str]) -> Scene:
+    """The scene with the paths of its files changed."""
+    paths = _paths(scene)
+    if not paths:
+        return scene
+    changes: dict[str, object] = {key: change(path) for key, path in paths.items()}
+    given = ((f"{name}.{key}", getattr(scene, name), key) for name, key in _AXES)
+    for name, table, key in given:
+        if table is not None:
+            changes[name] = tuple(
+                Axis(axis.key, tuple(change(v) if isinstance(v, str) else v for v in axis.values))
+                if axis.key in _PATHS
+                else axis
+                for axis in getattr(table, key)
+            )
+    if scene.identify is not None and scene.identify.meshes:
+        moved = (dataclasses.replace(one, key=change(one.key)) for one in scene.identify.meshes)
+        changes["identify.meshes"] = tuple(moved)
+    return scene.replace(changes)
 
 
 def _in_short(scene: Scene) -> str:

@@ -47,6 +47,7 @@ from fenics_crack.model.modes import Modes
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.quantities import OF_LIPS, OF_POINTS, OF_TIPS, QUANTITIES
+from fenics_crack.scene.scene import tip_quantities
 from fenics_crack.study.coarser_mesh import (
     CLAMP,
     TIP,
@@ -116,10 +117,10 @@ def numbers_of(study: Study, found: PeriodicSolution, mode: int | None = None) -
                 value, unit = float(getattr(seen, name)), QUANTITIES[name][1]
                 if abs(value) > (TINY if unit == "1" else 0.0):
                     values[column], units[column] = value, unit.replace("1", "")
-    if scene.tip_quantities:
+    if tip_quantities(scene):
         at_tips = numbers_of_motion(study, found)
-        values |= {name: at_tips[name] for name in scene.tip_quantities}
-        units |= {name: OF_TIPS[name][1] for name in scene.tip_quantities}
+        values |= {name: at_tips[name] for name in tip_quantities(scene)}
+        units |= {name: OF_TIPS[name][1] for name in tip_quantities(scene)}
     natural = bilinear_frequencies(structure)
     mode = mode or int(natural.nearest(found.omega)["mode"])
     factor, _, unit = frequency_axis(scene.in_hertz)

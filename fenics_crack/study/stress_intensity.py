@@ -12,6 +12,7 @@ import numpy as np
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import InputError
 from fenics_crack.scene.quantities import OF_TIPS
+from fenics_crack.scene.scene import check_tips
 from fenics_crack.study.run import Run
 from fenics_crack.study.stated_errors import errors_of
 from fenics_crack.study.tips import numbers_at_tips, tip_rows
@@ -147,7 +148,7 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     if not known:
         allowed = "what fc.solve(scene) or fc.integrate(scene) returns"
         raise InputError("run", repr(run), allowed)
-    run.scene.check_tips("run", repr(run))
+    check_tips(run.scene, "run", repr(run))
     rows = tip_rows(run)
     time, found = rows.of_motion(run.result)
     return StressIntensity(

@@ -14,7 +14,7 @@ from fenics_crack.fem.tip_integral import Tip, tip_functionals
 from fenics_crack.model.reduced import AT_A_TIME
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import evaluate
-from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.scene import Scene, check_tips
 from fenics_crack.study.prepare import Study
 from fenics_crack.time.march import TimeHistory
 
@@ -75,7 +75,7 @@ def tip_rows(study: Study) -> TipRows:
     InputError
         The scene is no plate, or has no crack with tips.
     """
-    study.scene.check_tips("output.quantities")
+    check_tips(study.scene, "output.quantities")
     found: TipRows = study.structure.once(_OfScene(study.scene))
     return found
 

@@ -21,7 +21,7 @@ from fenics_crack.model.memory import check_memory
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
-from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.scene import Scene, tip_quantities
 from fenics_crack.stability.floquet import floquet
 from fenics_crack.study.key_figures import damping_ratios
 from fenics_crack.study.prepare import REFUSALS, Study, law_of, prepare
@@ -98,7 +98,7 @@ def build(
         method = "off" if scene.reduction is None else scene.reduction.method
         allowed = f"one that leaves fewer than {structure.n_dofs} coordinates"
         raise InputError("reduction.method", method, allowed)
-    if scene.tip_quantities:
+    if tip_quantities(scene):
         tip_rows(study)  # with all ranks of the group, for its cases
     lengths = [crack.length for crack in study.scene.all_cracks.values()]
     named = [watched for watched in study.watched if watched.name]
@@ -167,9 +167,9 @@ def solve_chunk(
             if not judged:
                 measured.pop("reduction_error")
             found |= measured | _seen(solution, case, geometry)
-            if case.tip_quantities:
+            if tip_quantities(case):
                 at_tips = numbers_of_motion(geometry.study, solution)
-                found |= {name: at_tips[name] for name in case.tip_quantities}
+                found |= {name: at_tips[name] for name in tip_quantities(case)}
             if verdicts:
                 found |= cases.verdict(solution)
                 if reason := found.pop("reason", ""):

@@ -36,7 +36,7 @@ from fenics_crack.files import store
 from fenics_crack.files.units import about
 from fenics_crack.outside import LARGEST
 from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QUANTITIES
-from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.scene import Scene, tip_quantities
 from fenics_crack.version import VERSION
 from fenics_crack.whole import not_written, put, whole_file
 
@@ -118,7 +118,7 @@ BLANKS: dict[str, Any] = {"f": np.nan, "i": 0, "S": b""}
 def columns_of(scene: Scene) -> dict[str, tuple[str, str]]:
     """The :data:`COLUMNS` of a scene's sweep, those of its points, "tip.ux.ratio_2_1", and the
     stress intensities that it asks for."""
-    at_tips = {name: (QUANTITIES[name][1], "f8") for name in scene.tip_quantities}
+    at_tips = {name: (QUANTITIES[name][1], "f8") for name in tip_quantities(scene)}
     return (
         COLUMNS
         | at_tips

@@ -14,6 +14,7 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack.identification.nuisance import act_as
+from fenics_crack.scene.scene import files_of
 
 LENGTHS, HEIGHTS = (0.01, 0.018, 0.026, 0.034), (0.04, 0.07, 0.1, 0.13)
 PLATE = """
@@ -85,7 +86,7 @@ def test_as_the_program_s_own_meshes(own: Path, rows: fc.Measurements, tmp_path:
     assert Path(found.mesh) in {own.parent / f"{name}.msh" for name in ("18_70", "26_70")}
     assert fc.Scene.from_text(scene.as_toml()) == scene
     # Results of the scene itself do not depend on the others.
-    assert scene.files == [("mesh.file", str(own.parent / "10_40.msh"))]
+    assert files_of(scene) == [("mesh.file", str(own.parent / "10_40.msh"))]
 
 
 def test_command_names_the_mesh(

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from fenics_crack import InputError, Scene
 from fenics_crack.scene.fields import Axis
+from fenics_crack.scene.scene import files_of
 
 GONE = type("Gone", (), {"__repr__": lambda self: "gone"})()
 """Stands for a key or a table that is left out."""
@@ -521,7 +522,7 @@ def test_swept_mesh_files_lie_beside_the_scene(tmp_path: Path) -> None:
     made["sweep"] = {"over": {"mesh.file": ["a.msh", "b.msh"]}}
     scene = Scene.from_mapping(made, tmp_path)
     files = [str(tmp_path / name) for name in ("a.msh", "a.msh", "b.msh")]
-    assert [path for _, path in scene.files] == files and scene.sweep is not None
+    assert [path for _, path in files_of(scene)] == files and scene.sweep is not None
     assert list(scene.sweep.over[0].values) == files[1:]
 
 
