@@ -111,5 +111,5 @@ def draw_growth(found: Growth, *, in_hertz: bool = False, **where: Unpack[Where]
     label_axis(length.yaxis, "length of the crack", "m")
     label_axis(frequency.yaxis, "frequency", unit)
     label_axis(strength.yaxis, "stress intensity", "Pa m^0.5")
-    label_axis(strength.xaxis, "time", "cycles")
+    strength.set_xlabel("cycles")
     return picture.finished()
