@@ -18,7 +18,7 @@ import scipy.sparse as sparse
 from fenics_crack.errors import InputError
 from fenics_crack.fem.lips import BESIDE, CLOSE, SAME, rows_in
 
-__all__ = ["FACETS", "CrackSurface", "SolidCells", "split_surface"]
+__all__ = ["FACETS", "CrackSurface", "SolidCells", "cracks_between", "split_surface"]
 
 STEEPEST = 0.1
 """Cosine of the angle between a crack's normal and the mean one, which no facet must go below."""
@@ -250,12 +250,17 @@ def split_surface(
     is_upper = touching & (side[label.reshape(touching.shape)] > 0)
     nodes, new = _renumbered(cells, is_split, is_upper, surface, len(places))
     lips = _lips(surface, n_corners, is_split, new)
-    cracks = [
-        _crack(surface[part == number, :n_corners], fronts, mouths, places)
-        for number in range(part.max() + 1)
-    ]
-    cracks.sort(key=lambda crack: tuple(crack.triangles.mean(axis=(0, 1))[[1, 0, 2]]))
+    cracks = _cracks(surface[:, :n_corners], fronts, mouths, places)
     return nodes, np.flatnonzero(new >= 0), lips, cracks
+
+
+def cracks_between(lower: np.ndarray, upper: np.ndarray, places: np.ndarray) -> list[CrackSurface]:
+    """The cracks of a mesh that is split already, by the corners of the facets of both lips, (m, k)
+    and (m', k) int: these share the nodes of the fronts."""
+    edges, uses = np.unique(_edges(lower), axis=0, return_counts=True)
+    rim = edges[uses == 1]
+    is_front = np.isin(rim, upper).all(axis=1)
+    return _cracks(lower, rim[is_front], np.unique(rim[~is_front]), places)
 
 
 def _require(condition: object, found: str, allowed: str) -> None:
@@ -361,11 +366,15 @@ def _lips(surface: np.ndarray, n_corners: int, is_split: np.ndarray, new: np.nda
     return np.stack([open_ones, upper], axis=1)
 
 
-def _crack(
+def _cracks(
     surface: np.ndarray, fronts: np.ndarray, mouths: np.ndarray, places: np.ndarray
-) -> CrackSurface:
-    """One crack, by the corners of its facets."""
-    own = np.unique(surface)
-    front = fronts[np.isin(fronts, own).all(axis=1)]
-    triangles = np.concatenate(_triangles(surface))
-    return CrackSurface(places[triangles], places[front], bool(np.isin(mouths, own).any()))
+) -> list[CrackSurface]:
+    """Cracks by the corners of their facets, from bottom to top."""
+    part, found = _parts(surface), []
+    for number in range(part.max() + 1):
+        facets = surface[part == number]
+        own = np.unique(facets)
+        front = fronts[np.isin(fronts, own).all(axis=1)]
+        corners = places[np.concatenate(_triangles(facets))]
+        found.append(CrackSurface(corners, places[front], bool(np.isin(mouths, own).any())))
+    return sorted(found, key=lambda crack: tuple(crack.triangles.mean(axis=(0, 1))[[1, 0, 2]]))

@@ -23,7 +23,13 @@ import numpy as np
 
 from fenics_crack.errors import InputError
 from fenics_crack.fem.blocks import GROWTH
-from fenics_crack.fem.crack_surface import FACETS, CrackSurface, SolidCells, split_surface
+from fenics_crack.fem.crack_surface import (
+    FACETS,
+    CrackSurface,
+    SolidCells,
+    cracks_between,
+    split_surface,
+)
 from fenics_crack.fem.mesh_checks import parts_of
 from fenics_crack.fem.msh_file import (
     CRACK,
@@ -114,6 +120,12 @@ def _filled(
         surfaces = _moved(surfaces, cells, nodes, twins)
         surfaces |= {"lower_lip": both[:, 0], "upper_lip": both[:, 1]}
     sides = [surfaces[name] for name in ("lower_lip", "upper_lip") if name in surfaces]
+    if len(sides) == 1:
+        allowed = "one with both 'lower_lip' and 'upper_lip', or with 'crack', or none of them"
+        raise InputError("mesh", "one lip", allowed)
+    if sides and not lips:
+        count = cells.facets.shape[1]
+        lips = tuple(cracks_between(*(side[:, :count] for side in sides), places))
     parts_of(nodes, places, surfaces["clamp"], np.concatenate([*sides, surfaces["clamp"][:0]]))
     points = points_in(named, numbers, positions)
     tags, sets = tags_of(surfaces)

@@ -430,6 +430,22 @@ def test_mesh_files_are_split_at_their_crack(tmp_path: Path, order: int) -> None
     assert frequencies(scene, 3) == pytest.approx(fine, rel=0.015)
 
 
+@pytest.mark.parametrize("shape", [THROUGH, ELLIPSE], ids=["through", "ellipse"])
+def test_a_mesh_that_is_written_is_read_again(tmp_path: Path, shape: dict[str, Any]) -> None:
+    """With both lips in the file: the same pairs in the same order, the same frequencies; with one
+    of them it is refused."""
+    scene, path = solid(shape), tmp_path / "split.msh"
+    fc.write_msh(scene, path)
+    own, read = (fc.build_structure(one) for one in (scene, of_file(path)))
+    assert read.pair_points == pytest.approx(own.pair_points, abs=1e-9)
+    assert read.pair_areas == pytest.approx(own.pair_areas, rel=1e-9)
+    assert read.watched_pairs == own.watched_pairs
+    assert frequencies(of_file(path)) == pytest.approx(frequencies(scene), rel=1e-9)
+    path.write_text(path.read_text().replace('"upper_lip"', '"other"'))
+    with pytest.raises(InputError, match="one lip"):
+        fc.build_structure(of_file(path))
+
+
 def test_lips_tied_in_every_direction_are_no_crack(tmp_path: Path) -> None:
     """The patch test: with all nodes of both lips at one, the solid is the one that was not split,
     to 1e-9."""
