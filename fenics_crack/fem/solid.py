@@ -124,8 +124,8 @@ def _filled(
         allowed = "one with both 'lower_lip' and 'upper_lip', or with 'crack', or none of them"
         raise InputError("mesh", "one lip", allowed)
     if sides and not lips:
-        count = cells.facets.shape[1]
-        lips = tuple(cracks_between(*(side[:, :count] for side in sides), places))
+        lower, upper = (side[:, : cells.facets.shape[1]] for side in sides)
+        lips = tuple(cracks_between(lower, upper, places))
     parts_of(nodes, places, surfaces["clamp"], np.concatenate([*sides, surfaces["clamp"][:0]]))
     points = points_in(named, numbers, positions)
     tags, sets = tags_of(surfaces)
