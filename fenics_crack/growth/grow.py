@@ -232,7 +232,7 @@ def _shares(steps: np.ndarray) -> np.ndarray:
 def _checked(scene: Scene) -> Scene:
     """A scene whose crack can grow; InputError where it cannot."""
     law = scene.given("growth")
-    check_tips(scene, "growth")
+    check_tips(scene, "growth", "a table")
     crack = scene.given("crack")
     if scene.mesh.layout != "graded":
         allowed = "'graded' with [growth], which meshes many lengths"
