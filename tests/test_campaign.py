@@ -76,6 +76,13 @@ def test_is_not_called_stable(number: int) -> None:
     assert campaign.judge(case, found, "solution", verdict).judgement != campaign.WRONG
 
 
+def test_smooth_law_with_few_harmonics_has_no_verdict() -> None:
+    """One stiff pair, H = 5, error 8.6 %: stable by its harmonics; the orbit's multiplier is 6."""
+    (row,) = campaign.findings(76, campaign.draw(76, 19, None, "smooth"))
+    assert row["estimate"] == pytest.approx(row["true"], rel=0.1)
+    assert row["verdict"] == "undecided" and row["exact"] > 6.0
+
+
 CURVES = {
     (74, 736): "two masses: at a fold the orbits of both sides are as near as the wave's own error",
     (

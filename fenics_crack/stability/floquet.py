@@ -7,7 +7,7 @@ which says whether it is the solution's own.
 
 Laws that are not linear in contact have no exact flow. Their verdict is that of the root of Hill's
 determinant (:mod:`fenics_crack.stability.waves`) next to the leading multiplier of the linear flow
-along the wave.
+along the wave, if the wave's error is small.
 
 Source: Leine and Nijmeijer, Dynamics and Bifurcations of Non-Smooth Mechanical Systems, 2004,
 chapter 7.
@@ -19,6 +19,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.judgement import BELIEVED, UNKNOWN, Judgement
 from fenics_crack.balance.orbits import FlowOrbits, orbit_next_to
 from fenics_crack.balance.solution import PeriodicSolution, Stability
@@ -277,6 +278,9 @@ def _by_hill(structure: Structure, solution: PeriodicSolution, contact: ContactL
         reason = "its largest multiplier is 1 within its uncertainty"
     elif solution.report.truncation >= UNKNOWN:
         reason = "the solution's error is not known"
+    elif solution.report.truncation > LARGE_ERROR:
+        left_out = solution.report.truncation
+        reason = f"the harmonics left out change it by {left_out:.0%}; take more"
     if reason:
         verdict = "undecided"
     return Stability(values, verdict, off, reason=reason)
