@@ -191,12 +191,13 @@ def cases(arguments: Arguments) -> None:
             paper = fc.Scene.load(DEMOS / f"{name}.toml").replace(changes | {"crack.length": 0.05})
             scene = dataclasses.replace(paper, sweep=scene.sweep)
         plan, times, others = Plan(scene), np.zeros(2), 0
-        geometry = sweep_case.build(plan.case((0,)), MPI.COMM_SELF, False)
+        asked = sweep_case.Asked(unit_loads=False)
+        geometry = sweep_case.build(plan.case((0,)), MPI.COMM_SELF, asked)
         for chunk in map(plan.chunk, plan.geometries[0]):
             found = []
             for number, solve in enumerate((by_itself, sweep_case.solve_chunk)):
                 started = time.process_time()
-                found.append(solve(geometry, chunk, True))
+                found.append(solve(geometry, chunk, asked))
                 times[number] += time.process_time() - started
             for one, other in zip(*found, strict=True):
                 difference = np.abs(one["gap"] - other["gap"]).max()
@@ -212,7 +213,7 @@ def cases(arguments: Arguments) -> None:
 
 
 def by_itself(
-    geometry: sweep_case.Geometry, chunk: Chunk, verdicts: bool
+    geometry: sweep_case.Geometry, chunk: Chunk, asked: sweep_case.Asked
 ) -> list[sweep_case.Found]:
     """The cases of a chunk by single solutions, each from its neighbour or, if that fails, from the
     linear solution."""
@@ -225,7 +226,7 @@ def by_itself(
             last = fc.solve_harmonic_balance(structure, omega, law, harmonics=10, initial=last)
         except fc.ConvergenceError:
             last = fc.solve_harmonic_balance(structure, omega, law, harmonics=10)
-        if verdicts:
+        if asked.verdicts:
             fc.floquet(structure, last)
         found.append(last.to_dict() | {"gap": last.gap_coefficients})
     return found

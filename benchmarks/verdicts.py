@@ -120,18 +120,20 @@ def judged(plate: fc.Structure, stiffness: float, omega: float, most: int) -> tu
 def distances(
     flow: ContactFlow, omega: float, start: np.ndarray, orbit: bool, most: int
 ) -> np.ndarray:
-    """Distance to the orbit once in a period, relative to its state, until the motion has settled.
+    """Distance to the orbit once in a period, relative to its state in the norm of the energy,
+    until the motion has settled.
 
     Without an exact orbit: of one period to the next.
     """
-    period, size = 2.0 * np.pi / omega, np.linalg.norm(start)
+    period, weights = 2.0 * np.pi / omega, flow.weights(omega)
+    size = np.linalg.norm(weights * start)
     direction = np.random.default_rng(3).normal(size=len(start))
-    offset = DISTURBANCE * size * direction / np.linalg.norm(direction)
-    state = start + offset
-    found = [float(np.linalg.norm(offset) / size)] if orbit else []
+    state = start + DISTURBANCE * size * direction / np.linalg.norm(direction) / weights
+    found = [DISTURBANCE] if orbit else []
     for _ in range(most):
         before, state = state, flow.advance(state, omega, period).state
-        found.append(float(np.linalg.norm(state - (start if orbit else before)) / size))
+        off = weights * (state - (start if orbit else before))
+        found.append(float(np.linalg.norm(off) / size))
         if not found[0] / FACTOR <= found[-1] <= FACTOR * found[0]:
             break
     return np.array(found)

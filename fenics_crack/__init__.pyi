@@ -67,8 +67,8 @@ from fenics_crack.fem.build import find_crack_length as find_crack_length
 from fenics_crack.fem.plate import write_msh as write_msh
 from fenics_crack.files.results import load as load
 from fenics_crack.files.results import save as save
-from fenics_crack.growth.grow import Growth as Growth
 from fenics_crack.growth.grow import grow as grow
+from fenics_crack.growth.result import Growth as Growth
 from fenics_crack.identification.identify import identify as identify
 from fenics_crack.identification.measurements import Measurement as Measurement
 from fenics_crack.identification.measurements import Measurements as Measurements
@@ -101,6 +101,8 @@ from fenics_crack.study.grid_convergence import grid_convergence as grid_converg
 from fenics_crack.study.prepare import Study as Study
 from fenics_crack.study.prepare import contact_law as contact_law
 from fenics_crack.study.prepare import prepare as prepare
+from fenics_crack.study.reaction import Reaction as Reaction
+from fenics_crack.study.reaction import reaction as reaction
 from fenics_crack.study.refinement import verify as verify
 from fenics_crack.study.run import Run as Run
 from fenics_crack.study.run import curve as curve

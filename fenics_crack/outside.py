@@ -21,9 +21,9 @@ from typing import TextIO
 
 import numpy as np
 
-__all__ = ["LARGEST", "allowance", "bytes_of", "lines_of", "run_reader", "sha256", "text_of"]
+__all__ = ["MOST_BYTES", "allowance", "bytes_of", "lines_of", "run_reader", "sha256", "text_of"]
 
-LARGEST = 2**31
+MOST_BYTES = 2**31
 """Bytes of a file of a mesh, a matrix or a result, and of the numbers in it."""
 EXPANSION = 50
 """Bytes of numbers for each byte of a file; ours have 1 to 10."""
@@ -46,7 +46,7 @@ MARKS = {
 """Byte order marks, the longer ones first."""
 
 
-def bytes_of(path: str | Path, most: int | None = LARGEST) -> int:
+def bytes_of(path: str | Path, most: int | None = MOST_BYTES) -> int:
     """Size of a regular file: neither a device nor a pipe, which need not end.
 
     Raises
@@ -67,7 +67,7 @@ def bytes_of(path: str | Path, most: int | None = LARGEST) -> int:
 
 def allowance(size: int) -> int:
     """Bytes that the content of a compressed file of ``size`` bytes may take."""
-    return min(max(ALWAYS, EXPANSION * size), LARGEST)
+    return min(max(ALWAYS, EXPANSION * size), MOST_BYTES)
 
 
 def sha256(path: str | Path) -> str:

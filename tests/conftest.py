@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import settings
+from hypothesis.internal.conjecture import providers
 from ranks import Ranks, command, environment
 from surroundings import DEMOS
 
@@ -29,6 +30,9 @@ if TYPE_CHECKING:
 # The same examples in every run; the first call of a form may compile for seconds.
 settings.register_profile("repeatable", derandomize=True, deadline=None, database=None)
 settings.load_profile("repeatable")
+# Else it reads the source of every library that is loaded, 7 s, for constants to try: other ones
+# where other tests have been collected.
+providers._get_local_constants = lambda: providers._local_constants
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

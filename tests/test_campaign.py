@@ -134,6 +134,16 @@ def test_points_just_behind_a_fold_have_the_verdict_of_their_own_side() -> None:
         assert curve.verdicts[place] == side
 
 
+def test_a_pair_that_leaves_and_returns_before_the_second_node() -> None:
+    """15 pairs with mass: multipliers leave the unit circle and return between the curve's first
+    point and its ninth, next to which the first two orbits are found."""
+    curve = campaign.followed(campaign.draw(77, 91, None, "crowd"), 0.03)
+    verdicts = [fc.floquet(curve.structure, curve.solution(place)).verdict for place in range(9)]
+    assert {"stable", "unstable"} == {*verdicts} and verdicts[0] == verdicts[8] == "stable"
+    assert curve.verdicts[:9].tolist() == verdicts
+    assert [one.kind for one in curve.bifurcations] == 2 * ["neimark_sacker"]
+
+
 def test_backbone_is_held_against_free_motions_of_any_period() -> None:
     """Without clearance all amplitudes have one frequency; with few harmonics a slightly other one,
     at which there is no free motion."""

@@ -145,9 +145,9 @@ ANSWERS = re.findall(r"```python\nimport fenics_crack as fc\n(.*?)```", PAGE, re
 ROWS = re.findall(r"^\| `([^`]+)` \| ([^|]+?) \|$", PAGE, re.M)
 
 
-def test_ten_answers_have_three_lines() -> None:
-    """Behind the import."""
-    assert len(ANSWERS) == 10
+def test_answers_have_three_lines() -> None:
+    """Behind the import; ten of them at least."""
+    assert len(ANSWERS) >= 10
     assert max(len([*filter(None, answer.splitlines())]) for answer in ANSWERS) <= 3
 
 
@@ -163,13 +163,13 @@ def coarse(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("coarse")
-@pytest.mark.parametrize("number", range(10))
+@pytest.mark.parametrize("number", range(len(ANSWERS)))
 def test_an_answer(number: int, capsys: pytest.CaptureFixture[str]) -> None:
-    """As it stands on the page."""
+    """As it stands on the page; what prints nothing writes files or makes a table."""
     names: dict[str, object] = {}
     exec("import fenics_crack as fc\n" + ANSWERS[number], names)
     said = capsys.readouterr().out
-    assert said or number in (6, 8, 9)
+    assert said or "print(" not in ANSWERS[number]
     assert "NOT CONVERGED" not in said and "not complete" not in said.lower()
 
 

@@ -188,7 +188,7 @@ class _Sought:
         self._stiffen(float(np.std(self._without(self._values, np.ones(len(turn))))))
         self._none = reweighted(
             lambda weights: self._without(self._values, weights),
-            len(turn), self._own.shape[1], self._least,
+            np.ones(len(turn)), self._own.shape[1], self._least,
         )  # fmt: skip
 
     def _stiffen(self, scatter: float) -> None:
@@ -288,7 +288,7 @@ class _Sought:
             )
             return left
 
-        self.noise = reweighted(solve, len(self._values), self._unknowns, self._least)
+        self.noise = reweighted(solve, np.ones(len(self._values)), self._unknowns, self._least)
         self._stiffen(self.noise.scale)
 
     def _compared(self, omegas: np.ndarray) -> tuple[Candidates, float]:

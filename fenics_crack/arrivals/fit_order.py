@@ -126,7 +126,12 @@ def fit_order(
     alike |= np.array([means.unexplained(wave, one, multiples) for one in tried]) < ALIKE * lowest
     known = lowest if np.isfinite(lowest) else np.nan
     if means.within > 0 and len(means.values) > unknowns + 1:
-        chosen = means.beside_others(tried[best], multiples)
+        # Nor do harmonics that are left out make another order less likely.
+        beside = [means.beside_others(order, multiples) for order in tried[~hidden]]
+        costs = np.full(len(tried), np.inf)
+        costs[~hidden] = [cost for *_, cost in beside]
+        alike |= costs - costs.min() < ALIKE
+        chosen = beside[int(np.sum(~hidden[:best]))][:3]
         known = max(means.judged(chosen[1], unknowns)[0], 1.0)
     residuals = np.array([means.residual(order, multiples) for order in tried])
     conditions = [condition(waves(order * means.nominal, multiples)) for order in tried]
@@ -202,7 +207,7 @@ class _Means:
             self.values = np.bincount(where, weights * self._data) / self._share
             return self._data - self.values[where]
 
-        noise = reweighted(solve, len(where), len(groups), rounding(arrivals))
+        noise = reweighted(solve, np.ones(len(where)), len(groups), rounding(arrivals))
         own = np.eye(len(groups))[where]
         self.scatter, covariance = 1.0, np.diag(1.0 / np.bincount(where))
         if self.within > 0:
@@ -217,12 +222,14 @@ class _Means:
 
     def beside_others(
         self, order: float, multiples: np.ndarray
-    ) -> tuple[np.ndarray, float, np.ndarray]:
+    ) -> tuple[np.ndarray, float, np.ndarray, float]:
         """As :meth:`fit`, beside the next harmonics, which are left out, as normal numbers of the
         variance that makes the means most likely (restricted likelihood): so far as they are seen,
-        the errors hold what is folded from them onto the harmonics kept."""
+        the errors hold what is folded from them onto the harmonics kept; and -2 log likelihood."""
         kept, found, least = self._root, self.fit(order, multiples), np.inf
         assert found is not None
+        plain = waves(order * self.angle, multiples)
+        volume = np.linalg.slogdet(plain.T @ plain)[1]
         others = multiples[-1] + multiples[0] * np.arange(1.0, OTHERS + 1.0)
         columns = waves(order * self.angle, others)[:, 1:]
         columns = solve_triangular(kept, columns, lower=True)
@@ -237,10 +244,10 @@ class _Means:
             if tried is None:
                 continue
             logs = 2.0 * np.log(np.diag(self._root)).sum() - np.linalg.slogdet(tried[2])[1]
-            if (cost := tried[1] + logs) < least:
+            if (cost := tried[1] + logs - volume) < least:
                 found, least = tried, cost
         self._root = kept
-        return found
+        return *found, least
 
     def fit(
         self, order: float, multiples: np.ndarray

@@ -198,9 +198,11 @@ class TipFit(Tabular):
             part = self.coefficients[row : row + 2]
             sizes.append(float(np.hypot(*part)))
             slope[row : row + 2] = part / sizes[-1]
-        value = sizes[1] / sizes[0]
-        gradient = (slopes[1] - value * slopes[0]) / sizes[0]
-        return value, float(np.sqrt(gradient @ self.covariance @ gradient))
+        value, covariance = sizes[1] / sizes[0], slopes @ self.covariance @ slopes.T
+        # Of the amplitudes, with what lengthens them.
+        np.fill_diagonal(covariance, self.amplitude_errors[[row // 2 for row in rows]] ** 2)
+        gradient = np.array([-value, 1.0]) / sizes[0]
+        return value, float(np.sqrt(gradient @ covariance @ gradient))
 
     def displacement(self, angle: np.ndarray) -> np.ndarray:
         """The fitted vibration at rotor angles: (n,) [m]."""
@@ -252,8 +254,12 @@ class TipFit(Tabular):
 
 
 def strengths(coefficients: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Amplitudes of coefficients (..., 2K+1) and their standard errors, to first order: two arrays
-    (..., K). Of an amplitude 0 the error of its cosine part."""
+    """Amplitudes of coefficients (..., 2K+1) and their standard errors: two arrays (..., K).
+
+    Errors e along the phase lengthen an amplitude A by e^2 / (2 A), in the mean and in variance 3/4
+    (E e^2 / A)^2 together, or of it where A is smaller than e: probes may tell one part of a
+    harmonic and not the other. Of an amplitude 0 the error of its cosine part is the first.
+    """
     parts = np.stack([coefficients[..., 1::2], coefficients[..., 2::2]])
     sizes = np.hypot(*parts)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -261,12 +267,13 @@ def strengths(coefficients: np.ndarray, covariance: np.ndarray) -> tuple[np.ndar
             sizes > 0.0, parts / sizes, np.reshape([1.0, 0.0], (2, *(1,) * sizes.ndim))
         )
     places = np.arange(1, coefficients.shape[-1], 2)
-    variance = (
-        cosine**2 * covariance[..., places, places]
-        + 2.0 * cosine * sine * covariance[..., places, places + 1]
-        + sine**2 * covariance[..., places + 1, places + 1]
-    )
-    return sizes, np.sqrt(np.maximum(variance, 0.0))
+    own, other = covariance[..., places, places], covariance[..., places + 1, places + 1]
+    both = covariance[..., places, places + 1]
+    along = cosine**2 * own + 2.0 * cosine * sine * both + sine**2 * other
+    across = np.maximum(sine**2 * own - 2.0 * cosine * sine * both + cosine**2 * other, 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        curved = np.nan_to_num(across / np.maximum(sizes, np.sqrt(across)))
+    return sizes, np.sqrt(np.maximum(along, 0.0) + 0.75 * curved**2)
 
 
 # --- fits -----------------------------------------------------------------------------------------

@@ -3,13 +3,13 @@
 A mode of natural frequency w_n and damping zeta under engine order p, on a rotor whose angle is
 alpha(t) and whose speed is W = alpha', moves the tip by
 
-    u = Re a(t) exp(i p alpha),     a' = (-zeta w_n + i (w_n - p W)) a + zeta w_n F,
+    u = Re a(t) exp(i p alpha),     a' = (lambda - i p W) a + zeta w_n F,
 
-where a is the envelope and F the amplitude that it would have in a resonance that lasts. Where the
-speed changes by the resonance's width in less time than the decay takes, 1 / (zeta w_n), the
-largest amplitude comes later, is lower, and rings; a fit of steady vibrations then shifts the
-frequency, up in a run-up and down in a run-down. With lambda = w_n (i - zeta) and the speed W_j
-constant from each arrival to the next, as the marks tell it,
+where lambda = w_n (i sqrt(1 - zeta^2) - zeta) is the mode's root, a the envelope and F the
+amplitude that it would have in a resonance that lasts. Where the speed changes by the resonance's
+width in less time than the decay takes, 1 / (zeta w_n), the largest amplitude comes later, is
+lower, and rings; a fit of steady vibrations then shifts the frequency, up in a run-up and down in a
+run-down. With the speed W_j constant from each arrival to the next, as the marks tell it,
 
     a_k = exp(lambda t_k - i p alpha_k) (b + zeta w_n F sum_j<k D_j / (i p W_j - lambda)),
 
@@ -32,9 +32,9 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
-from fenics_crack.arrivals.fit_frequency import find_lines
+from fenics_crack.arrivals.fit_frequency import LOWEST, find_lines
 from fenics_crack.arrivals.harmonics import ALIKE, ORDERS, UNITS, TipFit, rounding, wanted
-from fenics_crack.arrivals.robust import FREEDOMS, reweighted
+from fenics_crack.arrivals.robust import FREEDOMS, ROUNDS, SEEN, SETTLED, reweighted
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.table import RPM, TURN, Tabular, quantity
 
@@ -45,8 +45,7 @@ WIDTH = 0.035
 FEWEST = 10
 """Revolutions in a passage."""
 SHIFTS = np.linspace(-0.01, 0.01, 11)
-DAMPINGS = np.array([1.5e-3, 5e-3])
-"""Relative shifts of the frequency and damping ratios with which the fit begins."""
+"""Relative shifts of the frequency with which the fit begins."""
 REFINED = 4
 """Orders whose fits are refined."""
 STRIDE = 2e-3, 0.5
@@ -56,7 +55,8 @@ DAMPED = 1e-5, WIDTH / 2.0
 STEP = 1e-6
 """Relative differences by frequency and damping."""
 SPACING, TYPICAL = 0.003, 0.004
-"""Relative distance of the speeds at which resonances are sought, and their damping there."""
+"""Relative distance of the speeds at which resonances are sought, and their damping there and where
+the fit begins."""
 MEDIAN = 0.954
 """Median of the difference of two normal numbers, in their standard deviations."""
 TURNS = 3
@@ -113,17 +113,42 @@ class _Run:
         found = -roots.real * envelope * np.exp(1j * order * self.angle.ravel())
         return np.asarray(found.reshape(-1, *self.path.shape))
 
+    def _drifts(self, weights: np.ndarray) -> np.ndarray:
+        """A constant and a slope over the speed at each probe, orthonormal under weights (R, P):
+        (2, R, P)."""
+        tiny = np.finfo(float).tiny
+        total = np.maximum(weights.sum(axis=0), tiny)
+        along = self.along[:, None] - (weights * self.along[:, None]).sum(axis=0) / total
+        size = np.maximum((weights * along**2).sum(axis=0), tiny)
+        return np.stack([np.ones_like(weights) / np.sqrt(total), along / np.sqrt(size)])
+
     def without_drifts(self, waves: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Waves (m, R, P) times the roots of weights (R, P), and without what a constant and a
         slope over the speed explain of them at each probe."""
-        root, tiny = np.sqrt(weights), np.finfo(float).tiny
-        total = np.maximum(weights.sum(axis=0), tiny)
-        along = self.along[:, None] - (weights * self.along[:, None]).sum(axis=0) / total
-        size = np.sqrt(np.maximum((weights * along**2).sum(axis=0), tiny))
+        root = np.sqrt(weights)
         found = root * waves
-        for column in (root / np.sqrt(total), root * along / size):
+        for column in root * self._drifts(weights):
             found = found - column * (column * found).sum(axis=-2, keepdims=True)
         return np.asarray(found)
+
+    def gains(self, order: float, roots: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """What the vibration of each root lambda (m,), with any F, takes off the sum of squares
+        with weights (R, P): (m,) [m^2]."""
+        waves, columns = self.waves(order, roots), self._drifts(weights)
+        weighted = weights * waves
+        drifts = np.einsum("krp,mrp->mkp", columns, weighted)
+        left = np.sqrt(weights) * self.without_drifts(self.values, weights)
+        seen = np.einsum("mrp,rp->m", waves, left)
+        both = np.einsum("mrp,mrp->m", weighted, waves) - (drifts**2).sum(axis=(1, 2))
+        size = np.einsum("mrp,mrp->m", weighted, waves.conj()).real
+        size -= (np.abs(drifts) ** 2).sum(axis=(1, 2))
+        gain = size * np.abs(seen) ** 2 - (both.conj() * seen**2).real
+        return np.asarray(2.0 * gain / (size**2 - np.abs(both) ** 2))
+
+
+def _pole(omega: np.ndarray, damping: float) -> np.ndarray:
+    """lambda [1/s] of natural frequencies [rad/s] and a ratio of damping."""
+    return omega * (1j * np.sqrt(1.0 - damping**2) - damping)
 
 
 class _Fit:
@@ -137,8 +162,10 @@ class _Fit:
         p.
     root : complex
         lambda to begin from [1/s].
+    weights : sequence of (R, P)
+        Of the arrivals of each run, to begin with.
     steady : bool
-        Whether the vibration is taken to be steady at each speed.
+        Whether the vibration is taken to be steady at each speed, with these weights.
 
     Attributes
     ----------
@@ -151,13 +178,26 @@ class _Fit:
     """
 
     def __init__(
-        self, runs: Sequence[_Run], order: float, root: complex, *, steady: bool = False
+        self,
+        runs: Sequence[_Run],
+        order: float,
+        root: complex,
+        weights: Sequence[np.ndarray],
+        *,
+        steady: bool = False,
     ) -> None:
         self._runs, self.order, self._next, self._steady = runs, order, root, steady
         self._around = root.imag * (1.0 - WIDTH), root.imag * (1.0 + WIDTH)
-        count = sum(int(run.seen.sum()) for run in runs)
+        pairs = zip(runs, weights, strict=True)
+        begin = np.concatenate([weight[run.seen] for run, weight in pairs])
         unknowns = 2 + sum(2 + 2 * run.path.shape[1] for run in runs)
-        self.noise = reweighted(self._solve, count, unknowns, runs[0].least)
+        if not steady:
+            self.noise = reweighted(self._solve, begin, unknowns, runs[0].least)
+            return
+        for _ in range(ROUNDS):
+            self._solve(begin)
+            if abs(self._next - self.root) < SETTLED * abs(self.root.real):
+                break
 
     def _solve(self, weights: np.ndarray) -> np.ndarray:
         """Residuals (n,) of the linear fit, after a step of frequency and damping."""
@@ -166,12 +206,12 @@ class _Fit:
         forces, left, columns = [], [], []
         for run, weight in zip(self._runs, self._spread(weights), strict=True):
             wave = run.waves(self.order, shifted, steady=self._steady)
-            wave, [values] = (run.without_drifts(one, weight) for one in (wave, run.values[None]))
+            *wave, values = run.without_drifts(np.append(wave, run.values[None], axis=0), weight)
             parts = np.stack([wave[0].real, -wave[0].imag], axis=-1)[run.seen]
-            found = np.linalg.solve(parts.T @ parts, parts.T @ values[run.seen])
+            found = np.linalg.solve(parts.T @ parts, parts.T @ values[run.seen].real)
             forces.append(complex(*found))
-            left.append(values[run.seen] - parts @ found)
-            changes = (forces[-1] * (wave[1:] - wave[0]) / STEP).real
+            left.append(values[run.seen].real - parts @ found)
+            changes = (forces[-1] * (np.array(wave[1:]) - wave[0]) / STEP).real
             columns.append((changes[:, run.seen].T, parts))
         self.forces, total = np.array(forces), np.concatenate(left)
         changed, parts = (list(kind) for kind in zip(*columns, strict=True))
@@ -179,7 +219,7 @@ class _Fit:
         step = np.linalg.lstsq(self._columns, total, rcond=None)[0]
         omega = self.omega * (1.0 + float(np.clip(step[0], -STRIDE[0], STRIDE[0])))
         damping = self.damping * np.exp(float(np.clip(step[1], -STRIDE[1], STRIDE[1])))
-        self._next = np.clip(omega, *self._around) * (1j - np.clip(damping, *DAMPED))
+        self._next = _pole(np.clip(omega, *self._around), np.clip(damping, *DAMPED))
         return np.asarray(total / np.sqrt(weights))
 
     def _spread(self, values: np.ndarray) -> list[np.ndarray]:
@@ -193,12 +233,12 @@ class _Fit:
     @property
     def omega(self) -> float:
         """[rad/s]."""
-        return self.root.imag
+        return abs(self.root)
 
     @property
     def damping(self) -> float:
         """Ratio of critical damping."""
-        return -self.root.real / self.root.imag
+        return -self.root.real / abs(self.root)
 
     @property
     def _places(self) -> tuple[np.ndarray, np.ndarray]:
@@ -241,8 +281,8 @@ class _Fit:
             left = [run.without_drifts(run.values, weight)[run.seen] for run, weight in parts]
             return np.asarray(np.concatenate(left) / np.sqrt(weights))
 
-        count, unknowns = len(self.noise.left), self.noise.unknowns - 2 - 2 * len(self._runs)
-        return reweighted(solve, count, unknowns, self._runs[0].least).cost - self.noise.cost
+        unknowns, weights = self.noise.unknowns - 2 - 2 * len(self._runs), self.noise.weights
+        return reweighted(solve, weights, unknowns, self._runs[0].least).cost - self.noise.cost
 
 
 @dataclass(frozen=True, repr=False)
@@ -332,7 +372,7 @@ class PassageFit(Tabular):
     def compared(self, arrivals: ArrivalTimes) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Of each passage the speeds (R,) [rad/s], and the displacements (R, P) [m], seen without
         drift (nan where none was seen) and of the fit."""
-        root, found = np.array([self.omega * (1j - self.damping)]), []
+        root, found = np.array([_pole(self.omega, self.damping)]), []
         for (begin, end), force in zip(self.ends, self.forces, strict=True):
             run = _Run(arrivals, arrivals.displacement, int(begin), int(end))
             motion = (force * run.waves(self.order, root)[0]).real
@@ -420,7 +460,7 @@ def find_passages(
     most: int = 8,
     asynchronous: int = 0,
 ) -> tuple[PassageFit, ...]:
-    """Find the resonances that a record passes, the clearest one first.
+    """Find the resonances that a record passes, about the largest one first.
 
     Along the speed, vibrations of any phase at each probe are fitted. Where they explain most, the
     fit of :func:`fit_passage` finds the mode, which is subtracted before the next one is looked
@@ -456,15 +496,21 @@ def find_passages(
     tried, _ = wanted(orders, 1, 1)
     check_count("most", most, 1)
     check_count("asynchronous", asynchronous, 0)
-    values = np.array(arrivals.displacement)
-    found, left = _search(arrivals, values, tried, most)
+    values = arrivals.displacement
     constants = np.arange(values.shape[1]) * np.ones(values.shape, dtype=int)
     ends = 0.5 * arrivals.mean_speed, arrivals.mean_speed * (max(tried.max(), ORDERS[-1]) + 1.0)
-    lines, left = find_lines(arrivals, left, constants, ends, most=asynchronous)
-    if lines:
-        for one in found:
-            one.add(arrivals, left, 1.0)
-        found, _ = _search(arrivals, left, tried, most)
+    found: list[_Compared] = []
+    lines: tuple[TipFit, ...] = ()
+    steady = np.zeros_like(values)
+    # A line looks like a resonance everywhere, and a resonance like a line: beside the clearest of
+    # them lines are found, then the others, by turns until they are the same.
+    for turn in range(TURNS):
+        before, few = found, 1 if asynchronous and not turn else most
+        found, left = _search(arrivals, values - steady, tried, few)
+        if not asynchronous or (turn and _alike(found, before)):
+            break
+        lines, rest = find_lines(arrivals, left + steady, constants, ends, most=asynchronous)
+        steady += left - rest
     return tuple(one.described(lines) for one in found)
 
 
@@ -475,26 +521,34 @@ def _search(
     left, speeds = np.array(values), arrivals.speed
     count = int(np.log(speeds.max() / speeds.min()) / SPACING)
     centres = speeds.min() * np.exp(SPACING * (0.5 + np.arange(count)))
-    gains = np.array([_clearness(arrivals, left, centre) for centre in centres])
+    gains = np.array([_clearness(arrivals, left, centre) for centre in centres]).reshape(-1, 2)
     found: list[_Compared] = []
-    while len(found) < most and np.any(gains > CLEAR):
-        centre = centres[int(gains.argmax())]
+    while len(found) < most and np.any(gains[:, 0] > CLEAR):
+        centre = centres[int(np.where(gains[:, 0] > CLEAR, gains[:, 1], 0.0).argmax())]
         gains[np.abs(centres / centre - 1.0) < 1.5 * SPACING] = 0.0
-        if _clearness(arrivals, left, centre, TURNS) < CLEAR:
+        if _clearness(arrivals, left, centre, TURNS)[0] < CLEAR:
             continue
         new = _Compared(_runs(arrivals, left, centre), centre, orders)
         if not new.clear:
             continue
         found.append(new)
         new.add(arrivals, left, -1.0)
-        near = (np.abs(centres / centre - 1.0) < 2.0 * WIDTH) & (gains > 0.0)
-        gains[near] = [_clearness(arrivals, left, one) for one in centres[near]]
+        near = (np.abs(centres / centre - 1.0) < 2.0 * WIDTH) & (gains[:, 1] > 0.0)
+        for place in np.flatnonzero(near)[: len(near) * (len(found) < most)]:
+            gains[place] = _clearness(arrivals, left, centres[place])
     for place, one in enumerate(found):  # each beside the others, once more
         if any(0.0 < abs(other.speed / one.speed - 1.0) < WIDTH for other in found):
             one.add(arrivals, left, 1.0)
             found[place] = _Compared(_runs(arrivals, left, one.speed), one.speed, orders)
             found[place].add(arrivals, left, -1.0)
     return found, left
+
+
+def _alike(found: Sequence[_Compared], before: Sequence[_Compared]) -> bool:
+    """Tell whether two searches have found the same resonances."""
+    places = ([(one.best.order, one.speed) for one in some] for some in (found, before))
+    pairs = itertools.zip_longest(*map(sorted, places), fillvalue=(0.0, 0.0))
+    return all(np.allclose(one, other, rtol=SPACING) for one, other in pairs)
 
 
 def _runs(arrivals: ArrivalTimes, values: np.ndarray, speed: float) -> list[_Run]:
@@ -509,11 +563,14 @@ def _runs(arrivals: ArrivalTimes, values: np.ndarray, speed: float) -> list[_Run
     return found
 
 
-def _clearness(arrivals: ArrivalTimes, values: np.ndarray, speed: float, turns: int = 1) -> float:
+def _clearness(
+    arrivals: ArrivalTimes, values: np.ndarray, speed: float, turns: int = 1
+) -> tuple[float, float]:
     """What a steady vibration of any phase at each probe takes off the sum of squares near a
-    speed, in units of the variance of differences from one revolution to the next; from the second
-    turn on with the weights that arrivals have in Student's t by what is left of them."""
-    total = 0.0
+    speed, in units of the variance of differences from one revolution to the next, less what the
+    further phases take off noise; and in m^2. From the second turn on with the weights that
+    arrivals have in Student's t by what is left of them."""
+    total = energy = 0.0
     for run in _runs(arrivals, values, speed):
         changes = np.abs(np.diff(np.where(run.seen, run.values, np.nan), axis=0))
         scale = max(float(np.nanmedian(changes)) / MEDIAN, run.least)
@@ -529,22 +586,9 @@ def _clearness(arrivals: ArrivalTimes, values: np.ndarray, speed: float, turns: 
             left = left - np.einsum("arp,pa->rp", parts, found)
             square = left[run.seen] ** 2 / weights[run.seen]
             weights[run.seen] = (FREEDOMS[0] + 1.0) / (FREEDOMS[0] + square / scale**2)
-        total += gain / scale**2
-    return total
-
-
-def _gains(
-    runs: Sequence[_Run], weights: Sequence[np.ndarray], order: float, roots: np.ndarray
-) -> np.ndarray:
-    """What the vibration of each root lambda (m,) takes off the sum of squares: (m,) [m^2]."""
-    gains = np.zeros(len(roots))
-    for run, weight in zip(runs, weights, strict=True):
-        waves = run.without_drifts(run.waves(order, roots), weight)
-        parts = np.stack([waves.real, waves.imag], axis=1).reshape(len(roots), 2, -1)
-        seen = parts @ (np.sqrt(weight) * run.values).ravel()
-        square = parts @ parts.transpose(0, 2, 1)
-        gains += (seen * np.linalg.solve(square, seen[..., None])[..., 0]).sum(axis=1)
-    return gains
+        total += gain / scale**2 - 2.0 * (run.seen.shape[1] - 1)
+        energy += gain
+    return total, energy
 
 
 class _Compared:
@@ -564,7 +608,8 @@ class _Compared:
     best : _Fit
         The order that explains most.
     clear : bool
-        Whether it is a resonance: no chance, and neither a line nor as wide as drift.
+        Whether it is a resonance: no chance, and neither a line, of no damping within
+        its errors, nor as wide as drift.
     margins : dict of float to float
         By how much each order fits worse, in -2 log likelihood.
     """
@@ -574,23 +619,28 @@ class _Compared:
         weights = [run.seen.astype(float) for run in runs]
         self.margins: dict[float, float] = {}
         tried = [(0.0, float(order), 0j) for order in orders]
+        fits: dict[tuple[float, complex], _Fit] = {}
         # All without weights; then the better ones with those of the best fit.
         for some, count in ((len(tried), 1), (2 * REFINED, REFINED)):
             for place, (_, order, _) in enumerate(tried[:some]):
-                roots = np.ravel(order * speed * np.multiply.outer(1.0 + SHIFTS, 1j - DAMPINGS))
-                gains = _gains(runs, weights, order, roots)
+                roots = _pole(order * speed * (1.0 + SHIFTS), TYPICAL)
+                found = zip(runs, weights, strict=True)
+                gains = sum(run.gains(order, roots, weight) for run, weight in found)
                 tried[place] = float(gains.max()), order, roots[int(gains.argmax())]
             tried.sort(key=lambda one: -one[0])
-            fits = [_Fit(runs, order, root) for _, order, root in tried[:count]]
-            self.best = min(fits, key=lambda fit: fit.noise.cost)
+            for gain, order, root in tried[:count]:
+                if gain > LOWEST * tried[0][0] and (order, root) not in fits:
+                    fits[order, root] = _Fit(runs, order, root, weights)
+            self.best = min(fits.values(), key=lambda fit: fit.noise.cost)
             self.clear = self.best.gain > CLEAR
             if not self.clear:
                 return
             weights = self.best.weights
-        self.clear = 2.0 * DAMPED[0] < self.best.damping < 0.5 * DAMPED[1]
+        self.clear = SEEN * float(self.best.errors[1]) < self.best.damping < 0.5 * DAMPED[1]
         best, scale = tried[0][0], self.best.noise.scale
         self.margins = {order: (best - gain) / scale**2 for gain, order, _ in tried}
-        self.margins |= {fit.order: fit.noise.cost - self.best.noise.cost for fit in fits}
+        for fit in sorted(fits.values(), key=lambda fit: -fit.noise.cost):
+            self.margins[fit.order] = fit.noise.cost - self.best.noise.cost
 
     @property
     def speed(self) -> float:
@@ -610,8 +660,12 @@ class _Compared:
     def described(self, lines: tuple[TipFit, ...] = ()) -> PassageFit:
         """The best fit in numbers, beside those of each run by itself."""
         best, runs = self.best, self._runs
-        alone = [_Fit([run], best.order, best.root) for run in runs] if len(runs) > 1 else [best]
-        steady = [_Fit([run], best.order, best.root, steady=True) for run in runs]
+        each = [
+            ([run], best.order, best.root, [own])
+            for run, own in zip(runs, best.weights, strict=True)
+        ]
+        alone = [_Fit(*one) for one in each] if len(runs) > 1 else [best]
+        steady = [_Fit(*one, steady=True) for one in each]
         errors, orders = best.errors, np.array(sorted(self.margins))
         return PassageFit(
             order=best.order,

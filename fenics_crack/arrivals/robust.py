@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaln, ndtr
 
-__all__ = ["Noise", "reweighted", "trend"]
+__all__ = ["FREEDOMS", "ROUNDS", "SEEN", "SETTLED", "Noise", "reweighted", "trend"]
 
 FREEDOMS = np.array([3.0, 5.0, 10.0, 30.0, 1e6])
 """Degrees of freedom that are tried."""
@@ -167,7 +167,7 @@ def _dense(values: np.ndarray, turn: np.ndarray, probe: np.ndarray) -> np.ndarra
 
 
 def reweighted(
-    solve: Callable[[np.ndarray], np.ndarray], count: int, unknowns: int, least: float
+    solve: Callable[[np.ndarray], np.ndarray], weights: np.ndarray, unknowns: int, least: float
 ) -> Noise:
     """Weights of arrivals, by turns with what a fit with these weights leaves.
 
@@ -175,12 +175,14 @@ def reweighted(
     ----------
     solve : callable
         Residuals (n,) of a fit with weights (n,), or of its next step.
-    count, unknowns : int
-        Of the arrivals and of the coefficients.
+    weights : (n,)
+        To begin with.
+    unknowns : int
+        Coefficients of the fit.
     least : float
         The scale is no smaller: rounding.
     """
-    weights, before, scale = np.ones(count), np.inf, 0.0
+    before, scale = np.inf, 0.0
     for _ in range(ROUNDS):
         noise = _noise(solve(weights), unknowns, scale, least)
         change = np.abs(noise.weights - weights).max(), np.abs(noise.left - before).max()

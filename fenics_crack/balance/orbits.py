@@ -41,7 +41,7 @@ from fenics_crack.motion.orbit import (
 )
 from fenics_crack.numerics.bordered import PathPoint, point_on_path, solve_in_plane
 from fenics_crack.numerics.equations import Equations
-from fenics_crack.numerics.fourier import evaluate
+from fenics_crack.numerics.fourier import derivative, evaluate
 from fenics_crack.numerics.linearisation import DenseLinearisation
 from fenics_crack.numerics.path import Path, PathOptions, Target
 from fenics_crack.stages import begin
@@ -152,11 +152,6 @@ class FlowOrbits(Equations):
         self._point = owned(kernel.new_shooting_point(given.at), kernel.free_shooting_point)
         self.table = kernel.equations_of_shooting(self._point)
 
-    @property
-    def compiled(self) -> FlowOrbits:
-        """Itself: the loops are the kernel's."""
-        return self
-
     def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
         """The equations at a point.
 
@@ -167,10 +162,6 @@ class FlowOrbits(Equations):
         """
         self._evaluate(unknown, parameter)
         return self.found(unknown, parameter)
-
-    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
-        """Inner product."""
-        return float(first @ second)
 
     def state(self, unknown: np.ndarray) -> np.ndarray:
         """z of x: (2n,)."""
@@ -328,9 +319,7 @@ def wave_states(flow: ContactFlow, displacement: np.ndarray, base_omega: float) 
     """States at equal parts of the period of a wave of the displacement, given by its coefficients
     (2H+1, n_dofs) [m]: (32, 2 n_modes)."""
     time = 2.0 * np.pi / base_omega / PARTS * np.arange(PARTS)
-    order = base_omega * np.arange(1, len(displacement) // 2 + 1)[:, None]
-    rate = np.zeros_like(displacement)
-    rate[1::2], rate[2::2] = order * displacement[2::2], -order * displacement[1::2]
+    rate = derivative(displacement, base_omega)
     return flow.state(evaluate(displacement, base_omega, time), evaluate(rate, base_omega, time))
 
 

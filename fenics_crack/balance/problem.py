@@ -28,14 +28,19 @@ from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
 from fenics_crack.model.coupled import is_regular
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.bordered import solve_at, solve_near
+from fenics_crack.numerics.bordered import PathPoint, point_on_path, solve_at, solve_near
+from fenics_crack.numerics.path import Path, PathOptions, Target
 
-__all__ = ["NEARLY", "Problem"]
+__all__ = ["NARROW", "NEARLY", "Problem"]
 
 BEYOND = 2.0
 """Modes above so many times the highest harmonic answer at once."""
 NEARLY = 1e-5
 """|F| / |x| of a solution with which another one begins, or by which it is judged."""
+NARROW = PathOptions(0.1, 0.3, min_cosine=0.5)
+"""For paths whose parameter runs from 0 to 1."""
+ON_PATH = 15_000
+"""Unknowns of all points together of a path to more harmonics: 0.1 s."""
 STIFF = 100.0
 """k R_inf from which a penalty on lips with mass is seen through R_inf."""
 
@@ -175,8 +180,8 @@ class Problem:
         )  # fmt: skip
 
     def next_to(self, wave: Wave) -> Wave | None:
-        """The motion that Newton's method leads to from a wave, in the kernel; None where it leads
-        to none, or the kernel has no such equations."""
+        """The motion that Newton's method leads to from a wave, in the kernel, or else a path from
+        it; None where these lead to none, or the kernel has no such equations."""
         try:
             system = self.system(self.compliance())
             if not system.in_kernel:
@@ -185,6 +190,7 @@ class Problem:
             # Where J is not formed, steps that lead nowhere take long.
             steps = solve_at if system.matrix_free else solve_near
             found = steps(system, start, system.end, tolerance=NEARLY)
+            found = found or _end_of_path(system, start)
             return None if found is None else self.wave(system.linearise(found.unknown))
         except (ConvergenceError, np.linalg.LinAlgError):
             return None
@@ -209,3 +215,15 @@ class Problem:
     def with_harmonics(self, harmonics: int) -> Problem:
         """The same with other harmonics."""
         return self if harmonics == self.harmonics else replace(self, harmonics=harmonics)
+
+
+def _end_of_path(system: ContactSystem, start: np.ndarray) -> PathPoint | None:
+    """Where the path F(s) = (1 - p) F(s_0) from a start has its end; None where it has none, or
+    that takes long."""
+    if system.by_rank:
+        return None
+    missed = system.linearise(start).residual
+    along = system.compile(system.linear + missed, system.moving, linear_rate=-missed)
+    most = ON_PATH // system.global_size
+    options = replace(NARROW, max_steps=most, at_once=most, rtol=NEARLY, span=(0.0, 2.0))
+    return Path(along, point_on_path(along, start, 0.0), options, [Target(1.0)]).run()

@@ -33,7 +33,7 @@ import numpy as np
 from fenics_crack.balance.compliance import Compliance
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.orbits import orbit_next_to, wave_states
-from fenics_crack.balance.problem import NEARLY, Problem
+from fenics_crack.balance.problem import NARROW, NEARLY, Problem
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.kernel import kernel
 from fenics_crack.model.contact import ContactLaw
@@ -41,7 +41,7 @@ from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.model.modal import all_modes
 from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit, affordable
-from fenics_crack.numerics.bordered import PATIENCE, STEPS, point_on_path, solve_at, solve_near
+from fenics_crack.numerics.bordered import FULL_STEPS, PATIENCE, point_on_path, solve_at, solve_near
 from fenics_crack.numerics.fourier import balanced
 from fenics_crack.numerics.linearisation import (
     EPSILON,
@@ -64,8 +64,8 @@ PERIODS, MARCHED, MOVING, BALANCED = 40, (1, 3, 9), 40, 20
 """Periods of a response that are marched at a time, how many times for one guess after the other,
 modes that move in them, and harmonics of the load that are balanced from there: with fewer, 10 and
 5, 6 of 36 solutions were not found, and with more the steps are dear that fail."""
-WIDE, NARROW = PathOptions(1.0, 2.0, min_cosine=0.5), PathOptions(0.1, 0.3, min_cosine=0.5)
-"""For paths in ln k, and for paths whose parameter runs from 0 to 1."""
+WIDE = PathOptions(1.0, 2.0, min_cosine=0.5)
+"""For paths in ln k."""
 
 Start = tuple[str, Iterator[np.ndarray]]
 """What a start is called, and its guesses."""
@@ -181,7 +181,7 @@ class Search:
                 before = self.iterations
                 for guess in guesses:
                     at, self.converged, count = newton.solve(
-                        guess, parameter, self.tolerance, STEPS
+                        guess, parameter, self.tolerance, FULL_STEPS
                     )
                     self.iterations += count
                     if self.converged or self._spent:
@@ -194,7 +194,9 @@ class Search:
         at = at or system.linearise(np.zeros(system.shape), parameter)
         if not self.converged and isinstance(newton, KernelNewton):  # for the record
             with Newton(system) as newton:
-                at, self.converged, _ = newton.solve(at.unknown, parameter, self.tolerance, STEPS)
+                at, self.converged, _ = newton.solve(
+                    at.unknown, parameter, self.tolerance, FULL_STEPS
+                )
                 self.history += newton.history
         return at
 
@@ -251,7 +253,7 @@ class Search:
         for guess in guesses:
             tolerance = max(self.tolerance, NEARLY)
             point = solve_at(system, guess, parameter, tolerance=tolerance)
-            self.iterations += STEPS if point is None else point.iterations
+            self.iterations += FULL_STEPS if point is None else point.iterations
             if point is not None:
                 return system.linearise(point.unknown)
         return None
@@ -319,7 +321,7 @@ class Search:
         """Where the path from near a start has its end; one that goes as far beyond is left."""
         first, end = span
         begun = solve_at(system, start, first, tolerance=self.tolerance)
-        self.iterations += STEPS if begun is None else begun.iterations
+        self.iterations += FULL_STEPS if begun is None else begun.iterations
         if begun is None:
             return
         options = replace(

@@ -324,7 +324,8 @@ def solve_beside(
     """The solution of a problem of a small structure, sought from that of another one.
 
     With a tolerance of the truncation it has as many harmonics as the other one, and then as many
-    more as its estimated error asks for. Half of them come first: many fail from far away.
+    more as its estimated error asks for. Half of them come first, unless the other one is of the
+    same equations: many fail from far away.
 
     Raises
     ------
@@ -336,7 +337,8 @@ def solve_beside(
     enough = math.inf if tolerance is None else tolerance
     if tolerance is not None and near is not None:
         count = fewer_harmonics(near.harmonics, _truncation(near), tolerance, problem.harmonics)
-        if count // 2 >= problem.harmonics:
+        same = near.structure is problem.structure and near.contact is problem.contact
+        if count // 2 >= problem.harmonics and not (same and near.omega == problem.omega):
             half = Solver(problem.with_harmonics(count // 2))
             near = half.attempt(near, patient=False, reported=False)[1]
         problem = problem.with_harmonics(count)

@@ -18,6 +18,7 @@ from fenics_crack.model.modes import damped_range
 from fenics_crack.scene.quantities import QUANTITIES
 from fenics_crack.scene.scene import Scene
 from fenics_crack.stability.floquet import Stability
+from fenics_crack.study.key_figures import SMALL, extents
 from fenics_crack.study.run import Run
 from fenics_crack.table import Table, frequency_axis, quantity
 
@@ -33,6 +34,7 @@ __all__ = [
     "in_short",
     "known_to",
     "of_error",
+    "of_size",
     "of_stability",
     "readable_rows",
 ]
@@ -71,7 +73,7 @@ IN_A_TEST = {
 """What bifurcations are to somebody at a test rig, by their kinds."""
 LEAST_TOLD = 1e-4
 """Error whose cause is told."""
-ROUNDING = 1e-15
+WRITTEN_AS_ZERO = 1e-15
 """Lengths [m] and forces [N] up to this are written as 0."""
 
 
@@ -124,6 +126,18 @@ class Account:
 # --- sentences ------------------------------------------------------------------------------------
 
 
+def of_size(run: Run[Any], amplitude: float) -> list[str]:
+    """A warning of a vibration that is not small beside the structure (collective)."""
+    side = min(extents(run.structure.whole))
+    if not amplitude > SMALL * side:
+        return []
+    return [
+        f"{quantity(amplitude, 'm')} of {run.watched_name} is beyond small displacements, which "
+        f"the equations assume: the shortest side has {quantity(side, 'm')}, and the stated errors "
+        "leave that out"
+    ]
+
+
 def of_error(scene: Scene, report: ErrorReport, harmonics: int, where: str = "") -> Iterator[str]:
     """A warning of a large estimated error, with what makes it smaller: by its largest part, and
     never what the scene does already."""
@@ -162,7 +176,8 @@ def known_to(run: Run, name: str) -> str:
     if not error > 0.0:
         return run.stated.without
     by = f", most of it by the {cause}" if error > LEAST_TOLD else ""
-    return f"{100.0 * error:.2g} %{by}" + (f", {run.stated.without}" if run.stated.without else "")
+    percent = format(100.0 * error, ".2g" if error < 1.0 else ".0f")
+    return f"{percent} %{by}" + (f", {run.stated.without}" if run.stated.without else "")
 
 
 def of_stability(scene: Scene, run: Run, stability: Stability | None) -> Iterator[str]:
@@ -264,7 +279,7 @@ def readable_rows(table: Table) -> Table:
 def _readable(name: str, value: Any, unit: str) -> tuple[str, Any]:
     known = isinstance(value, float) and np.isfinite(value)
     if known and unit in ("m", "N", "Pa m^0.5"):
-        return name, quantity(value, unit) if abs(value) > ROUNDING else f"0 {unit}"
+        return name, quantity(value, unit) if abs(value) > WRITTEN_AS_ZERO else f"0 {unit}"
     if known and unit.startswith("of "):
         return name, f"{100.0 * value:.2g} % {unit}"
     words = f"{value:.6g}" if known else {True: "yes", False: "no"}.get(value, value)

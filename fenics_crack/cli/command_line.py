@@ -270,7 +270,7 @@ COMMANDS = {
     ),
     "identify": (
         "a crack from measured frequencies, harmonics and arrivals, by the table [identify]",
-        "scene measurements --arrivals --set --output",
+        "scene measurements --arrivals --before --modes --set --output",
     ),
     "plot": (
         "pictures of a result, of several in one, or of a scene's mesh; files for ParaView",
@@ -288,7 +288,7 @@ FUNCTIONS = {
     "campbell": "commands.campbell_diagram",
     "verify": "commands.verification",
     "sweep": "commands.sweep",
-    "grow": "of_growth.growth",
+    "grow": "commands.growth",
     "timing": "timing.timing",
     "identify": "commands.identification",
     "plot": "commands.plot",
@@ -307,8 +307,17 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "measurements": (
         "a CSV file with the columns quantity, value, deviation, mode, frequency [Hz], point, "
-        "phase [rad]; may be left out with --arrivals",
-        {"type": path, "nargs": "?"},
+        "phase [rad]; or frequency responses (.uff, .unv: dataset 58), whose peaks are modes 1, 2, "
+        "... or --modes; or both; may be left out with --arrivals",
+        {"type": path, "nargs": "*"},
+    ),
+    "--before": (
+        "frequency responses of the same structure before it had a crack (.uff, .unv)",
+        {"type": path, "metavar": "FILE"},
+    ),
+    "--modes": (
+        "numbers of the modes that frequency responses show, from the lowest frequency up",
+        {"type": int, "nargs": "+", "default": (), "metavar": "N"},
     ),
     "--arrivals": (
         "what probes have seen: a CSV file of arrivals (docs/tip_timing.md) or the .h5 file of a "

@@ -26,7 +26,10 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.study.run import Run, curve, integrate, modes, solve
 from fenics_crack.table import RPM, counted, quantity
 
-__all__ = ["campbell_diagram", "identification", "plot", "solved", "sweep", "tell", "verification"]
+__all__ = [
+    "campbell_diagram", "growth", "identification", "plot", "solved", "sweep", "tell",
+    "verification",
+]  # fmt: skip
 
 MOST_SPEEDS = 10_000
 """Of a Campbell diagram."""
@@ -109,6 +112,19 @@ def sweep(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     return tell(account_of_sweep(found, remark_on_sweep(scene, console.comm)), folder, console)
 
 
+def growth(_: Namespace, inputs: Inputs, console: Console) -> Exit:
+    """The crack's growth: lengths that an earlier run has left, and the cycles between all."""
+    from fenics_crack.draw.plot_growth import draw_growth
+    from fenics_crack.growth.grow import grow
+
+    scene, folder = inputs.scene, inputs.folder
+    with console.timed("growth"):
+        found = grow(scene, folder, console.comm, progress=console.progress)
+    found.save(folder / "growth.h5", console.comm)
+    draw = partial(draw_growth, found, in_hertz=scene.in_hertz)
+    return tell(account_of(found), folder, console, draw)
+
+
 def campbell_diagram(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     """Natural frequencies over the speed, and where engine orders meet the first breathing one."""
     from fenics_crack.draw.plot_rotor import draw_campbell
@@ -164,7 +180,7 @@ def identification(given: Namespace, inputs: Inputs, console: Console) -> None:
 
         times, _ = arrivals_of(scene, inputs.arrivals, console.comm)
         table, tip = scene.given("tip_timing"), [*scene.point_names, ""][0]
-        order, against = engine_order(table, scene), table.tangential < 0.0
+        order, against = engine_order(table, scene), (table.tangential or 1.0) < 0.0
         from fenics_crack.identification.measurements import Measurements
 
         parts.append(Measurements.from_arrivals(times, order, tip, against=against))
@@ -174,12 +190,12 @@ def identification(given: Namespace, inputs: Inputs, console: Console) -> None:
     worth = found.where_to_measure()
 
     def write() -> None:
-        from fenics_crack.draw.plot_study import draw_posterior
-
         found.save(folder)
         worth.to_csv(folder / "where_to_measure.csv")
         found.fit_table().save(folder / "fit.csv")
         if len(found.unknown) > 1:
+            from fenics_crack.draw.plot_study import draw_posterior  # Matplotlib
+
             draw_posterior(found, *found.unknown[:2], path=folder / "posterior.png")
 
     before = _content(folder / "identify")
@@ -190,7 +206,8 @@ def identification(given: Namespace, inputs: Inputs, console: Console) -> None:
         console.note(f"nearest mesh: {found.mesh}")
     console.note(*(f"remark: {remark}" for remark in found.remarks))
     console.note(*(f"next to measure: {advice}" for advice in found.advice))
-    console.note(f"{folder / 'identify.h5'}, .json; posterior.png, fit.csv, where_to_measure.csv")
+    drawn = "posterior.png, " * (len(found.unknown) > 1)
+    console.note(f"{folder / 'identify.h5'}, .json; {drawn}fit.csv, where_to_measure.csv")
     _note_replaced(folder / "identify", before, console)
     console.warn(*found.warnings)
 

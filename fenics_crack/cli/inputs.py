@@ -44,15 +44,21 @@ def read_inputs(given: argparse.Namespace) -> Inputs | None:
     if "scene" not in given or is_record(given):
         return None
     scene = Scene.load(given.scene).replace(changes(given.set))
-    measured, seen = (getattr(given, name, None) for name in ("measurements", "arrivals"))
-    if given.command == "identify" and measured is None and seen is None:
+    measured, before, seen = (
+        getattr(given, name, None) for name in ("measurements", "before", "arrivals")
+    )
+    if given.command == "identify" and not measured and seen is None:
         allowed = "given: a CSV file (fenics-crack new --identify writes one), or --arrivals"
         raise InputError("measurements", None, allowed)
     if (count := vars(given).get("count")) is not None:
         check_count("--count", count, 1)
     folder = vars(given).get("output") or Path("output") / given.scene.stem
-    rows = None if measured is None else Measurements.from_csv(measured)
-    if rows is not None:
+    modes = getattr(given, "modes", ())
+    parts = [Measurements.read(one, modes) for one in measured or ()]
+    if before is not None:
+        parts.append(Measurements.from_responses(before, modes, quantity="frequency_uncracked"))
+    rows = sum(parts[1:], parts[0]) if parts else None
+    if rows is not None and measured:
         rows.check(scene)
     return Inputs(scene, folder, rows, _arrivals(scene, seen))
 

@@ -8,18 +8,17 @@ import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.indicators import Indicators
-from fenics_crack.cli.account import IN_A_TEST, Account, in_short, known_to, of_error
+from fenics_crack.cli.account import IN_A_TEST, Account, in_short, known_to, of_error, of_size
 from fenics_crack.cli.of_motion import with_hertz
 from fenics_crack.cli.scenes import remark_on
 from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, kind_in_words, parameter_axis
 from fenics_crack.curves.peak import top_and_damping
 from fenics_crack.model.bilinear import BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.rotation import RunUpStructure
-from fenics_crack.scene.quantities import OF_LIPS, OF_POINTS, OF_TIPS, QUANTITIES
-from fenics_crack.scene.scene import tip_quantities
+from fenics_crack.scene.quantities import OF_LIPS, OF_POINTS, QUANTITIES
+from fenics_crack.study.asked import asked_along_curve
 from fenics_crack.study.key_figures import highest_omega
 from fenics_crack.study.run import Run
-from fenics_crack.study.tips import along_curve
 from fenics_crack.table import UNITS, Table, counted, quantity, ranging, with_frequency, with_unit
 
 __all__ = ["account_of_curve", "curve_points", "few_special_points", "special_points"]
@@ -30,7 +29,7 @@ SHOWN_POINTS = 5
 """Special points that are printed beside these; the file has all."""
 LOOKED_AT = 8
 """Points along a curve whose error is reported, beside the largest response."""
-SPEEDS = 9
+KNOWN_SPEEDS = 9
 """Of a run-up, at which natural frequencies are computed."""
 SHORT = ("amplitude", "ratio_2_1", "closed_share", "opening", "over_bilinear")
 """Indicators printed of the special points where the scene does not choose: no wider than a
@@ -67,7 +66,7 @@ def account_of_curve(run: Run[ResponseCurve]) -> Account:
         shown=in_short(few, scene, SHORT),
         facts=_facts(run, largest),
         notes=notes,
-        warnings=[*_warnings(run)],
+        warnings=[*_warnings(run), *of_size(run, float(seen.amplitude[peak]))],
         tables={"Special points": in_short(special, scene, SHORT)},
         done=bool(found.complete),
         run=run,
@@ -77,8 +76,6 @@ def account_of_curve(run: Run[ResponseCurve]) -> Account:
 def _largest(run: Run[ResponseCurve]) -> str:
     """The largest response, and how well it is known."""
     found = run.result
-    factor, _, unit = parameter_axis(found.parameter, run.scene.in_hertz)
-    unit = f" {unit}".removesuffix(" -")
     amplitude = found.amplitude(run.watched_dof)
     peak, height, _ = top_and_damping(found.values, amplitude, int(np.argmax(amplitude)))
     known = known_to(run, run.watched[0].column("amplitude"))
@@ -86,46 +83,48 @@ def _largest(run: Run[ResponseCurve]) -> str:
     return (
         f"The largest response of the curve, {quantity(height, 'm')} half peak-to-peak "
         f"({run.watched_name}{known and f', known to {known}'}), is at "
-        f"{factor * peak:.6g}{unit}{where and f', known to {where}'}."
+        f"{_place(run, peak)}{where and f', known to {where}'}."
     )
+
+
+def _place(run: Run[ResponseCurve], *values: float) -> str:
+    """Values of the parameter in its unit: "50.1 Hz", "50.1 and 50.3 Hz"."""
+    factor, _, unit = parameter_axis(run.result.parameter, run.scene.in_hertz)
+    numbers = " and ".join(f"{factor * value:.6g}" for value in values)
+    return f"{numbers} {unit}".removesuffix(" -")
 
 
 def _facts(run: Run[ResponseCurve], largest: str) -> Iterator[str]:
     """The largest response, shares of stability, and where the error is large."""
     yield largest
     found = run.result
-    factor, _, unit = parameter_axis(found.parameter, run.scene.in_hertz)
-    unit = f" {unit}".removesuffix(" -")
     if found.multipliers is not None:
         states = ("stable", "unstable", "undecided")
         shares = [f"{np.mean(found.verdicts == state):.0%} {state}" for state in states]
         yield f"Of {len(found)} points {', '.join(shares)}."
     inexact = found.displacement_errors > LARGE_ERROR
     if inexact.any():
-        ends = factor * found.values[inexact]
+        at = found.values[inexact]
         yield (
-            f"At {np.mean(inexact):.0%} of the points, between {ends.min():.6g} and "
-            f"{ends.max():.6g}{unit}, the estimated error of the displacement is above "
-            f"{LARGE_ERROR:.0%}; these are faint in the picture."
+            f"At {np.mean(inexact):.0%} of the points, between {_place(run, at.min(), at.max())}, "
+            f"the estimated error of the displacement is above {LARGE_ERROR:.0%}; these are faint "
+            "in the picture."
         )
 
 
 def _warnings(run: Run[ResponseCurve]) -> Iterator[str]:
     """A large error, where and why the stability is undecided, and an early end."""
     found, scene = run.result, run.scene
-    factor, _, unit = parameter_axis(found.parameter, scene.in_hertz)
     peak = int(np.argmax(found.amplitude(run.watched_dof)))
     looked_at = {peak, *np.linspace(0, len(found) - 1, LOOKED_AT).astype(int).tolist()}
     reports = {index: found.solution(index).report for index in sorted(looked_at)}
     worst = max(reports, key=lambda index: reports[index].total)
-    where = f" at {factor * found.values[worst]:g} {unit}".removesuffix(" -")
+    where = f" at {_place(run, found.values[worst])}"
     yield from of_error(scene, reports[worst], int(found.harmonics[worst]), where)
     stretches = _undecided_stretches(found)
     for first, last in stretches[:SHOWN_POINTS]:
-        ends = [f"{factor * found.values[index]:g}" for index in (first, last)]
-        where = (f"between {ends[0]} and {ends[1]} {unit}" if last > first else ends[0]).rstrip(
-            " -"
-        )
+        ends = found.values[[first, last]] if last > first else found.values[[first]]
+        where = f"{'between ' if last > first else ''}{_place(run, *ends)}"
         reason = found.reason((first + last) // 2)
         count = counted(last + 1 - first, "point")
         yield f"the stability is undecided at {count}, {where}: {reason}"
@@ -173,7 +172,6 @@ def special_points(run: Run[ResponseCurve]) -> Table:
     rad/s and rpm.
     """
     found = run.result
-    factor, _, unit = parameter_axis(found.parameter, run.scene.in_hertz)
     along = _places(found) | _along(run, found)
     special = found.at_bifurcations if found.bifurcations else found
     there = _places(special) | _along(run, special)
@@ -182,8 +180,7 @@ def special_points(run: Run[ResponseCurve]) -> Table:
     for number, point in enumerate(found.bifurcations, 1):
         name = kind_in_words(point.kind)
         if found.undecided is not None:
-            exact = f", exact {factor * point.exact:.6g} {unit}".removesuffix(" -")
-            name += exact if point.confirmed else ", unconfirmed"
+            name += f", exact {_place(run, point.exact)}" if point.confirmed else ", unconfirmed"
         rows.append((name, number, there))
     if found.multipliers is not None:
         for index in np.flatnonzero(found.verdicts[1:] != found.verdicts[:-1]):
@@ -234,21 +231,20 @@ def _along(run: Run[ResponseCurve], curve: ResponseCurve) -> dict[str, np.ndarra
             found[with_unit(watched.column(name), unit)] = getattr(indicators, name)
     for name, (_, unit) in OF_LIPS.items():
         found[with_unit(name, unit)] = getattr(seen[0], name)
-    if tip_quantities(run.scene):
-        at_tips = along_curve(run, curve)
-        found |= {with_unit(name, unit): at_tips[name] for name, (_, unit) in OF_TIPS.items()}
+    for name, values in asked_along_curve(run, curve).items():
+        found[with_unit(name, QUANTITIES[name][1])] = values
     near = _natural_along(run, np.asarray(seen[0].omega)).nearest(seen[0].omega)
     return found | {with_unit(name, unit): value for name, _, unit, value in with_hertz(near)}
 
 
 def _natural_along(run: Run[ResponseCurve], omega: np.ndarray) -> BilinearFrequencies:
     """Natural frequencies; of a run-up those at the speeds where the load has some frequencies
-    (...) [rad/s]: (..., n). Squares are linear in W^2 between :data:`SPEEDS` of them."""
+    (...) [rad/s]: (..., n). Squares are linear in W^2 between :data:`KNOWN_SPEEDS` of them."""
     structure, found = run.structure, run.result
     if not isinstance(structure, RunUpStructure):
         return bilinear_frequencies(structure)
     speed = omega * (found.values[0] / found.omega[0])
-    known = np.linspace(speed.min(), speed.max(), min(speed.size, SPEEDS))
+    known = np.linspace(speed.min(), speed.max(), min(speed.size, KNOWN_SPEEDS))
     there = [bilinear_frequencies(structure.at_speed(float(one))) for one in known]
 
     def at_speeds(rows: list[np.ndarray]) -> np.ndarray:

@@ -16,20 +16,20 @@ from fenics_crack.cli.account import (
     in_short,
     known_to,
     of_error,
+    of_size,
     of_stability,
     readable_rows,
 )
 from fenics_crack.cli.scenes import remark_on
 from fenics_crack.model.bilinear import KINDS, bilinear_frequencies
 from fenics_crack.model.modes import Modes
-from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, OF_TIPS, SHORT
-from fenics_crack.scene.scene import tip_quantities
+from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QUANTITIES, SHORT
 from fenics_crack.scene.tables import Integration
+from fenics_crack.study.asked import asked_of_motion
 from fenics_crack.study.coarser_mesh import natural_name
 from fenics_crack.study.key_figures import highest_omega
 from fenics_crack.study.prepare import Watched
 from fenics_crack.study.run import Run
-from fenics_crack.study.tips import numbers_of_motion
 from fenics_crack.table import Table, quantity
 from fenics_crack.time.march import TimeHistory
 
@@ -85,6 +85,7 @@ def account_of_solution(run: Run[PeriodicSolution]) -> Account:
         notes.insert(0, f"solved; the half peak-to-peak displacement is known to {known}")
     if found.converged:
         warnings += of_stability(scene, run, found.stability)
+        warnings += of_size(run, float(found.amplitude(run.watched_dof)))
     return Account(
         "solution",
         table,
@@ -142,18 +143,14 @@ def _verdict(found: PeriodicSolution) -> tuple[str, str]:
         return "Not converged: there is no orbit to be judged.", "bad"
     if found.stability is None:
         return "The stability was not examined.", "doubtful"
-    size, reason = float(np.abs(found.stability.multipliers).max()), found.stability.reason
+    judged = found.stability
+    grows = f"grows, and a motion in time leaves it{how_it_is_left(judged)}"
+    undecided = f"Undecided: {judged.reason or 'more harmonics may decide'}", "doubtful"
     text, kind = {
         "stable": ("Stable: a small disturbance dies out", "good"),
-        "unstable": (
-            "Unstable: a small disturbance grows, and a motion in time leaves it"
-            f"{how_it_is_left(found.stability)}",
-            "bad",
-        ),
-    }.get(
-        found.stability.verdict, (f"Undecided: {reason or 'more harmonics may decide'}", "doubtful")
-    )
-    return f"{text} (largest multiplier {size:.6g}).", kind
+        "unstable": (f"Unstable: a small disturbance {grows}", "bad"),
+    }.get(judged.verdict, undecided)
+    return f"{text} (largest multiplier {np.abs(judged.multipliers).max():.6g}).", kind
 
 
 # --- a motion in time -----------------------------------------------------------------------------
@@ -181,9 +178,9 @@ def account_of_history(run: Run[TimeHistory]) -> Account:
         rows=_waves(run, found.time, motion, found.gap, found.contact_force),
         shown=in_short(table, scene, SHORT),
         facts=facts,
-        warnings=warnings,
+        warnings=[*warnings, *of_size(run, float(np.abs(motion).max()))],
         tables={"In numbers": readable_rows(table)},
-        done=not warnings,
+        done=bool(found.settled <= asked.settle),
         run=run,
     )
 
@@ -212,8 +209,7 @@ def _quantities(run: Run[Any], values: Mapping[str, object]) -> Table:
     if not run.structure.n_pairs:  # no errors were estimated
         values = {n: v for n, v in values.items() if not n.endswith(("_error", "_share"))}
     rows += _named(OF_LIPS, values)
-    if tip_quantities(run.scene):
-        rows += _named(OF_TIPS, numbers_of_motion(run, run.result))
+    rows += _named(QUANTITIES, asked_of_motion(run, run.result))
     if run.structure.n_pairs and isinstance(run.result, PeriodicSolution):
         near = bilinear_frequencies(run.structure).nearest(omega)
         rows += (

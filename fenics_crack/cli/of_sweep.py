@@ -11,18 +11,18 @@ from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.cli.account import FINER, MORE, Account
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.words import key_in_words
+from fenics_crack.sweep.plan import FREQUENCIES
 from fenics_crack.sweep.result import SweepResult
 from fenics_crack.table import Table, counted, frequency_axis
 
-__all__ = ["FREQUENCIES", "account_of_sweep", "few_cases", "warnings_of"]
+__all__ = ["account_of_sweep", "few_cases", "warnings_of"]
 
-WIDEST, SHOWN_CASES = 120, 12
+TERMINAL_WIDTH, SHOWN_CASES = 120, 12
 """Columns and rows of a table of cases that are printed; the file has all."""
 SHORT = ("response", "opening", "amplitude", "ratio_2_1")
 """Columns printed where the scene does not choose; the response is the amplitude at the load."""
 SHOWN_REASONS = 4
 """Why cases failed or are undecided: so many kinds are told."""
-FREQUENCIES = ("excitation.omega", "excitation.frequency")
 SPEEDS = ("rotation.speed", "rotation.rpm")
 
 
@@ -181,7 +181,8 @@ def _fitting(found: SweepResult, columns: list[str]) -> tuple[Table, str]:
     chosen = output is not None and output.quantities is not None
     while True:
         table = found.table(*columns)
-        if len(table.formatted("text").splitlines()[1]) <= WIDEST or chosen or len(left) < 2:
+        width = len(table.formatted("text").splitlines()[1])
+        if width <= TERMINAL_WIDTH or chosen or len(left) < 2:
             break
         columns = [name for name in columns if name != left[-1]]
         left.pop()

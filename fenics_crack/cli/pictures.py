@@ -18,17 +18,17 @@ from fenics_crack.balance.harmonic_balance import linear_response
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import frequency_in_words
 from fenics_crack.cli.of_motion import closings
-from fenics_crack.cli.of_sweep import FREQUENCIES
-from fenics_crack.cli.results import Computed, kind_of, result_of
+from fenics_crack.cli.results import Computed, result_of
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw.figure import Picture, distinct_colours
 from fenics_crack.draw.plot import Wave, draw_contact_map, draw_map, draw_response, draw_waves
 from fenics_crack.draw.plot_curve import draw_content, draw_curve, draw_multipliers
-from fenics_crack.draw.plot_growth import draw_stress_intensity
+from fenics_crack.draw.plot_growth import draw_growth, draw_stress_intensity
 from fenics_crack.draw.plot_mesh import draw_modes
 from fenics_crack.draw.plot_motion import draw_orbits, draw_spectra, draw_spectrum
 from fenics_crack.errors import FEW_MODES, InputError
 from fenics_crack.files.store import read
+from fenics_crack.growth.result import Growth
 from fenics_crack.model.modes import LIPS, Modes, n_tied_modes, solve_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.fields import Axis
@@ -38,20 +38,20 @@ from fenics_crack.study.prepare import prepare
 from fenics_crack.study.run import Run
 from fenics_crack.study.stress_intensity import stress_intensity
 from fenics_crack.study.verification import Verification
-from fenics_crack.sweep.file import KIND as SWEEP
+from fenics_crack.sweep.plan import FREQUENCIES
 from fenics_crack.sweep.result import SweepResult
 from fenics_crack.table import ranging, readable, with_unit
 from fenics_crack.time.march import TimeHistory
 
 __all__ = ["draw_result", "draw_several", "draw_swept"]
 
-MOST = 12
+MOST_PICTURES = 12
 """Results in one picture; pictures of a quantity of a sweep."""
 FEW_LINES, LEAST_OF_A_MAP = 6, 4
 """Lines in a picture of a sweep, at most; values of each axis from which there is a map."""
 STYLES = (("orange", "--"), ("green", "-."), ("pink", ":"))
 """Colour and line of the closing of one crack after the other."""
-INSTANTS = 801
+DRAWN_INSTANTS = 801
 """Of a wave that is drawn."""
 
 File = Callable[[str], Path]
@@ -61,7 +61,7 @@ File = Callable[[str], Path]
 def draw_result(result: Computed, folder: Path) -> list[Path]:
     """Draw the pictures of a result into a folder; return the files."""
     files: list[Path] = []
-    DRAW[kind_of(result)](result, _file_in(folder, files))
+    DRAW[result.KIND](result, _file_in(folder, files))
     return files
 
 
@@ -88,7 +88,7 @@ def _solution(run: Run[PeriodicSolution], file: File) -> None:
         title += f", {found.stability.verdict}"
     if not found.converged:
         title += ", NOT CONVERGED"
-    time = np.linspace(0.0, found.period, INSTANTS)
+    time = np.linspace(0.0, found.period, DRAWN_INSTANTS)
     motion, gap = found.displacement(time, [dof])[:, 0], found.gap(time)
     _waves(run, time, motion, gap, found.omega, path=file("solution_waves.png"), title=title)
     draw_spectrum(found, dof, path=file("solution_spectrum.png"), title=title)
@@ -194,7 +194,7 @@ def _sweep(found: SweepResult, file: File) -> None:
 
     doubtful = pages(found.converged & (found.not_stable | found.inexact))
     fixed = itertools.product(*(found.axes[place].values for place in others))
-    for number, at in enumerate(itertools.islice(fixed, MOST)):
+    for number, at in enumerate(itertools.islice(fixed, MOST_PICTURES)):
         keys = [found.axes[place].key for place in others]
         words = [f"{key_in_words(k)} {value_in_words(k, v)}" for k, v in zip(keys, at, strict=True)]
         for name, quantity in found.quantities.items():
@@ -275,12 +275,17 @@ def _verification(found: Verification, file: File) -> None:
     draw_verification(found, path=file("verify.png"))
 
 
+def _growth(found: Growth, file: File) -> None:
+    draw_growth(found, path=file("growth.png"), in_hertz=found.scene.in_hertz)
+
+
 DRAW: dict[str, Callable[[Any, File], None]] = {
     Modes.KIND: _modes,
     PeriodicSolution.KIND: _solution,
     ResponseCurve.KIND: _curve,
-    SWEEP: _sweep,
+    SweepResult.KIND: _sweep,
     TimeHistory.KIND: _history,
+    Growth.KIND: _growth,
     Verification.KIND: _verification,
 }
 
@@ -301,8 +306,8 @@ def draw_several(paths: Sequence[Path], labels: Sequence[str], folder: Path) -> 
     """
     if labels and len(labels) != len(paths):
         raise InputError("--label", list(labels), f"given {len(paths)} times, once for each result")
-    if len(paths) > MOST:
-        raise InputError("result", f"{len(paths)} files", f"at most {MOST} in one picture")
+    if len(paths) > MOST_PICTURES:
+        raise InputError("result", f"{len(paths)} files", f"at most {MOST_PICTURES} in one picture")
     stored = [read(path) for path in paths]
     kinds = [file.kind for file in stored]
     if len(set(kinds)) > 1:
@@ -340,7 +345,7 @@ def _solutions(runs: Mapping[str, Run[PeriodicSolution]], file: File) -> None:
     motions, gaps, places = [], [], []
     for (label, run), colour in zip(runs.items(), distinct_colours(len(runs)), strict=True):
         found = run.result
-        time = np.linspace(0.0, found.period, INSTANTS)
+        time = np.linspace(0.0, found.period, DRAWN_INSTANTS)
         loads = time * found.omega / (2.0 * np.pi)
         motion = found.displacement(time, [run.watched_dof])[:, 0]
         motions.append(Wave(label, loads, motion, colour))
@@ -388,7 +393,7 @@ def _sweeps(sweeps: Mapping[str, SweepResult], file: File) -> None:
 OVERLAY: dict[str, Callable[[Any, File], None]] = {
     ResponseCurve.KIND: _curves,
     PeriodicSolution.KIND: _solutions,
-    SWEEP: _sweeps,
+    SweepResult.KIND: _sweeps,
 }
 
 

@@ -54,6 +54,7 @@ CAPTIONS = {
     "curve": "Response. Dashed: unstable; dotted: undecided; faint: large estimated error.",
     "curve_content": "Amplitudes of the lowest harmonics.",
     "curve_multipliers": "The orbit is stable where the largest multiplier is below 1.",
+    "growth": "The crack over the cycles; dots are the lengths that were solved.",
     "integration_waves": "The last periods of the motion in time.",
 }
 """Below the pictures, by the names of their files; others speak for themselves."""

@@ -10,31 +10,33 @@ from mpi4py import MPI
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import Account
 from fenics_crack.cli.of_curve import account_of_curve
+from fenics_crack.cli.of_growth import account_of_growth
 from fenics_crack.cli.of_motion import account_of_history, account_of_modes, account_of_solution
 from fenics_crack.cli.of_sweep import account_of_sweep
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import Stored
+from fenics_crack.growth.result import Growth
 from fenics_crack.model.modes import Modes
 from fenics_crack.study.run import Run, run_of
 from fenics_crack.study.verification import Verification, verification_of
-from fenics_crack.sweep.file import KIND as SWEEP
 from fenics_crack.sweep.result import SweepResult
 from fenics_crack.time.march import TimeHistory
 
 __all__ = [
-    "HEADINGS", "Computed", "account_of", "account_of_verification", "kind_of", "result_of",
+    "HEADINGS", "Computed", "account_of", "account_of_verification", "result_of",
 ]  # fmt: skip
 
-Computed = Run[Any] | SweepResult | Verification
+Computed = Run[Any] | SweepResult | Verification | Growth
 """What commands write."""
 
 HEADINGS = {
     Modes.KIND: "Natural frequencies and modes",
     PeriodicSolution.KIND: "Steady vibration",
     ResponseCurve.KIND: "Response curve",
-    SWEEP: "Sweep",
+    SweepResult.KIND: "Sweep",
     TimeHistory.KIND: "Motion in time",
+    Growth.KIND: "Growth of the crack",
     Verification.KIND: "Convergence study",
 }
 """By kind, in the order of a report."""
@@ -58,22 +60,16 @@ SPEAKERS: dict[str, Callable[[Any], Account]] = {
     Modes.KIND: account_of_modes,
     PeriodicSolution.KIND: account_of_solution,
     ResponseCurve.KIND: account_of_curve,
-    SWEEP: account_of_sweep,
+    SweepResult.KIND: account_of_sweep,
     TimeHistory.KIND: account_of_history,
+    Growth.KIND: account_of_growth,
     Verification.KIND: account_of_verification,
 }
 
 
-def kind_of(result: Computed) -> str:
-    """The kind of a result, as its file has it."""
-    if isinstance(result, SweepResult):
-        return SWEEP
-    return str(result.KIND if isinstance(result, Verification) else result.result.KIND)
-
-
 def account_of(result: Computed) -> Account:
     """What there is to say of a result (collective)."""
-    return SPEAKERS[kind_of(result)](result)
+    return SPEAKERS[result.KIND](result)
 
 
 def result_of(stored: Stored) -> Computed:
@@ -87,6 +83,9 @@ def result_of(stored: Stored) -> Computed:
     if stored.kind not in HEADINGS:
         allowed = f"a result of one of these kinds: {', '.join(HEADINGS)}"
         raise InputError("result", str(stored.path), allowed)
-    if stored.kind == Verification.KIND and (found := verification_of(stored)) is not None:
-        return found
-    return SweepResult.load(stored.path) if stored.kind == SWEEP else run_of(stored, MPI.COMM_SELF)
+    if stored.kind == SweepResult.KIND:
+        return SweepResult.load(stored.path)
+    if stored.kind == Growth.KIND:
+        return Growth.of(stored)
+    study = verification_of(stored) if stored.kind == Verification.KIND else None
+    return study or run_of(stored, MPI.COMM_SELF)

@@ -94,8 +94,7 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
         rows["sweep"] = " x ".join(f"{len(axis.values)} {axis.key}" for axis in scene.sweep.over)
         rows["cases of the sweep"] = scene.sweep.n_cases
         rows["of them impossible"] = on_root(console.comm, lambda: _impossible(scene))
-    highest = max(highest_omega(scene, command) for command in ("solve", "curve", "sweep"))
-    remark = _remark_on_whole(scene, whole, highest)
+    remark = _remark_on_whole(scene, whole, highest_omega(scene))
     remarks = remarks_on(study.scene, figures) + remarks_on_structure(scene, whole)
     console.table(Table(("what", "value"), [*rows.items()]))
     console.note(remark)

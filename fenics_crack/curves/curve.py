@@ -369,10 +369,13 @@ class ResponseCurve(_Waves):
             return ""
         solution = self.solution(index)
         alone = floquet(solution.structure, solution)
-        return alone.reason or (
-            f"by itself it is {alone.verdict}, but orbits beside it along the curve are others, or "
-            "on another side of a bifurcation; more harmonics tell these apart"
-        )
+        if self._open.all():
+            why = "no orbit along the curve was followed, or accepted: fewer modes are followed"
+            why += " sooner, and more harmonics lead to more orbits"
+        else:
+            why = "orbits beside it along the curve are others, or on another side of a"
+            why += " bifurcation; more harmonics tell these apart"
+        return alone.reason or f"by itself it is {alone.verdict}, but {why}"
 
     @property
     def problem(self) -> Problem:
@@ -488,6 +491,10 @@ class ResponseCurve(_Waves):
             Bifurcation(kind, value, unknown, self._problem_at(value, unknown))
             for kind, value, unknown in special
         )
+
+    def structure_at(self, index: int) -> Structure:
+        """The structure at a point, as the parameter varies it."""
+        return self._problem_at(float(self.values[index]), self.unknown(index)).structure
 
     def _problem_at(self, value: float, unknown: np.ndarray) -> Problem:
         """What is solved where the parameter has a value, with the harmonics of an unknown."""

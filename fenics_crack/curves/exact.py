@@ -5,12 +5,13 @@ need not, above all where contact is stiff and modes beyond the harmonics are li
 branch of exact orbits along a curve is found (:mod:`orbit_branch`), and a point is judged by the
 segment of it at its own value of the parameter, on its own side of a fold, if the orbits there are
 near enough and the point's own (:mod:`fenics_crack.balance.judgement`): no farther than 1 %, or
-than three times the error predicted. Points of branches of twice the period are judged as
-:func:`floquet` does.
+than three times the error predicted. Points of branches of twice the period, and some of those
+without such an orbit beside them, are judged as :func:`floquet` does.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from itertools import pairwise
 
@@ -34,8 +35,8 @@ from fenics_crack.curves.orbit_branch import (
 from fenics_crack.curves.varied_orbits import VariedOrbits
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import is_unilateral
-from fenics_crack.motion.flow import Budget, exact_flow
-from fenics_crack.motion.orbit import KNOWN, PIECES
+from fenics_crack.motion.flow import Budget, ContactFlow, exact_flow
+from fenics_crack.motion.orbit import FORMED, KNOWN, PIECES
 from fenics_crack.numerics.bordered import PathPoint, solve_at
 from fenics_crack.numerics.path import PathOptions
 from fenics_crack.stability.floquet import floquet, leaves
@@ -46,9 +47,10 @@ __all__ = ["judge_curve", "verified"]
 NO_DOUBT = 0.01
 """Distance of an orbit's gaps from those of its point at which nothing else is asked; its square,
 of their states: gaps are some per cent of what a plate moves."""
-BUDGET = Budget(pieces=PIECES // 10)
-"""Of a motion: ten may take what a search for an orbit may. Where none of some points' keeps to it,
-no orbits are sought."""
+FOR_EVENTS = PIECES // 10
+"""Pieces of a motion, beside those that it has without events where the derivatives of all are
+formed: ten may take what a search for an orbit may. Where the motions of none of some points keep
+to it, no orbits are sought."""
 NEARBY = 0.02
 """Of the parameter, relative: how far a bifurcation of the truncated equations may lie from that of
 the orbits which confirms it."""
@@ -65,13 +67,14 @@ class _Judge:
         self._curve = curve
         self.system: FlowOrbits
         [first] = curve.motions(np.zeros(1, dtype=int))
+        flow, omega = exact_flow(curve.structure, curve.contact), float(curve.omega[0])
+        budget = _budget(curve, flow)
         if curve.parameter == "omega":
-            flow, omega = exact_flow(curve.structure, curve.contact), float(curve.omega[0])
-            self.system = FlowOrbits(flow, omega, flow.state(*first), curve.subharmonic, BUDGET)
+            self.system = FlowOrbits(flow, omega, flow.state(*first), curve.subharmonic, budget)
             self.parameters = curve.omega / omega
         else:
             family = curve.equations(curve.problem.harmonics)
-            self.system = VariedOrbits(family, *first, BUDGET)
+            self.system = VariedOrbits(family, *first, budget)
             self.parameters = np.array([family.parameter(value) for value in curve.values])
             self._family = family
         self._own: dict[float, bool] = {}
@@ -173,26 +176,40 @@ class _Judge:
             values = _between(*ends, shares[there]) if len(there) else ()
             for place, share, value in zip(near + there, shares[there], values, strict=True):
                 parts.setdefault(int(place), []).append(((*ends, share), value))
+        sided = [place for place, several in parts.items() if _disagree(several)]
+        waves = self._curve.gaps_in_time(np.array(sided, dtype=int)) if sided else ()
+        for place, wave in zip(sided, waves, strict=True):
+            accepted[place] = self._tells(wave, parts[place])
         for place, several in parts.items():
-            accepted[place] = self._tells(place, several)
             if accepted[place]:
                 found[place] = self._of_nearest(place, several, expected[place])
         for place in map(int, np.flatnonzero(accepted & np.isnan(found))):
             found[place] = self._alone(place)
+        if any(self._own.values()):  # else searches that lead nowhere take long
+            self._singly(found, np.flatnonzero(~self._accepted()[0]))
         return found
 
-    def _tells(self, place: int, several: list[tuple[_Part, complex]]) -> bool:
+    def _singly(self, found: np.ndarray, places: np.ndarray) -> None:
+        """Judge points whose orbits nodes do not tell one by one, as single solutions are: some,
+        and from each that is decided on to the next that is not."""
+        left = set(map(int, places))
+        asked = [int(place) for place in places[:: 1 + len(places) // EVERY]]
+        while asked:
+            place = asked.pop()
+            if place in left:
+                left.remove(place)
+                found[place] = _by_itself(self._curve, place)
+                asked += [] if np.isnan(found[place]) else [place - 1, place + 1]
+
+    def _tells(self, wave: np.ndarray, several: list[tuple[_Part, complex]]) -> bool:
         """Whether of the parts next to a point none on the other side of 1 has gaps that are as
         near as the nearest: the error of a point next to a fold is that of both."""
-        if len({abs(value) > 1.0 for _, value in several}) < 2:
-            return True
-        [wave] = self._curve.gaps_in_time(np.array([place]))
         away = []
         for part, _ in several:
             gap = self.system.gap(*cubic(*part), len(wave))
             away.append(relative(gap - wave, gap + self._curve.structure.clearance))
         near = np.flatnonzero(np.array(away) <= BELIEVED * min(away))
-        return len({abs(several[number][1]) > 1.0 for number in near}) < 2
+        return not _disagree([several[number] for number in near])
 
     def _of_nearest(
         self, place: int, several: list[tuple[_Part, complex]], expected: float
@@ -202,7 +219,7 @@ class _Judge:
         apart = [self._apart(place, part) for part, _ in several] if len(several) > 1 else [0.0]
         number = int(np.argmin(apart))
         near = np.flatnonzero(np.array(apart) <= BELIEVED * apart[number])
-        if len({abs(several[other][1]) > 1.0 for other in near}) > 1:
+        if _disagree([several[other] for other in near]):
             return complex(np.nan)
         part, value = several[number]
         inside = part[0].place <= place <= part[1].place and expected <= FARTHEST
@@ -234,6 +251,18 @@ class _Judge:
         before = np.clip(np.searchsorted(self._anchors, places, "right") - 1, 0, None)
         after = np.clip(np.searchsorted(self._anchors, places), None, len(own) - 1)
         return own[before] & own[after], np.maximum(away[before], away[after])
+
+
+def _budget(curve: ResponseCurve, flow: ContactFlow) -> Budget:
+    """Of each motion."""
+    longest = 2.0 * np.pi * curve.subharmonic / float(curve.omega.min())
+    formed = flow.size <= FORMED
+    return Budget(pieces=FOR_EVENTS + (math.ceil(flow.pieces(longest)) if formed else 0))
+
+
+def _disagree(several: list[tuple[_Part, complex]]) -> bool:
+    """Whether leading multipliers of parts lie on both sides of 1."""
+    return len({abs(value) > 1.0 for _, value in several}) > 1
 
 
 def _between(first: Node, last: Node, shares: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ A segment between two nodes is halved, by the orbit next to Hermite's cubic thro
   those of pairs whose sums and products are (where a pair becomes real, moduli have a corner, but
   its sum and its product are smooth): the longer of the two segments;
 - where moduli that went on as they came would pass 1 before its middle;
+- once at either end of the curve, where nothing comes from beyond;
 - where several of r, d and c change, or one by more than 1, until each changes by itself.
 
 Then a fold (or a branch point) lies on a segment where r changes, a period doubling where d does, a
@@ -44,14 +45,14 @@ from fenics_crack.balance.orbits import FlowOrbits, Homotopy, OrbitPoint
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.orbit import KNOWN, eigenvalues
 from fenics_crack.numerics.bordered import (
+    FULL_STEPS,
     PATIENCE,
-    STEPS,
     PathPoint,
     Tangent,
     solve_in_plane,
     tangent_of,
 )
-from fenics_crack.numerics.path import SHARP, STRAIGHT
+from fenics_crack.numerics.path import LOCATED, STRAIGHT
 
 __all__ = ["KINDS", "Crossing", "Node", "OrbitBranch", "blended", "cubic"]
 
@@ -218,6 +219,7 @@ class OrbitBranch:
             doubt[1:] |= bent & (wide[1:] >= wide[:-1])
             doubt[1:] |= _pass_one(moduli, lengths)
             doubt[:-1] |= _pass_one(moduli[::-1], lengths[::-1])[::-1]
+        doubt[[0, -1]] |= wide[[0, -1]] > EVERY // 2
         several = ~linked | (_steps(nodes).sum(axis=1) > 1)
         return (wide > EVERY) | (doubt & (wide > NARROWEST)) | (several & (wide > ALONE))
 
@@ -263,7 +265,7 @@ class OrbitBranch:
         planes: list[Callable[[int], Tangent | None] | None] = [None, self._chord]
         if across and self._turn[place] <= 2:
             del planes[0]
-        for start in self._starts(place, beside):
+        for start in self._starts(place, beside, far=across):
             for plane in planes if across else planes[:1]:
                 found = self._solved(start, parameter, plane and plane(place))
                 if found is None:
@@ -273,9 +275,9 @@ class OrbitBranch:
                     return self._node(place, found, self._ahead(place), away)
         return None
 
-    def _starts(self, place: int, beside: list[Node]) -> Iterator[np.ndarray]:
+    def _starts(self, place: int, beside: list[Node], *, far: bool) -> Iterator[np.ndarray]:
         """Where the orbit next to a point is sought: from its motion and what had to be added to
-        that of the nearest node, from its motion, and, where no node is near, from where the
+        that of the nearest node, from its motion, and, ``far`` from all nodes, from where the
         homotopy leads."""
         motion = self.motion(place)
         known = [one for one in beside if one.away >= 0.0 and abs(one.place - place) <= EVERY]
@@ -283,7 +285,7 @@ class OrbitBranch:
             near = min(known, key=lambda one: (abs(one.place - place), one.away))
             yield motion + near.unknown - self.motion(round(near.place))
         yield motion
-        if not known:
+        if far and not known:
             end = self._homotopy.end(motion, float(self._parameters[place]))
             if end is not None:
                 yield end
@@ -345,7 +347,7 @@ class OrbitBranch:
         """The orbit in a plane, or at a given parameter."""
         try:
             return solve_in_plane(
-                self.system, unknown, parameter, plane, tolerance=tolerance, iterations=STEPS,
+                self.system, unknown, parameter, plane, tolerance=tolerance, iterations=FULL_STEPS,
                 reach=REACH * self._width, least_damping=None, patience=PATIENCE,
                 lasting=SHRINKING,
             )  # fmt: skip
@@ -428,7 +430,7 @@ class _Test:
         if share in (0.0, 1.0):
             return self._at_ends[int(share)]
         if share not in self.met:
-            found = self._branch.across(*self._ends, share, self.met, SHARP)
+            found = self._branch.across(*self._ends, share, self.met, LOCATED)
             if found is None:
                 raise ConvergenceError("no orbit")
             self.met[share] = found

@@ -36,8 +36,8 @@ from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.numerics.bordered import (
-    SHORTEST,
-    STEPS,
+    FULL_STEPS,
+    LEAST_STEP,
     PathPoint,
     Tangent,
     solve_in_plane,
@@ -244,7 +244,7 @@ def _orbit_next_to(orbits: FlowOrbits) -> PathPoint | None:
         ahead = tangent_of(orbits, orbits.start, orbits.linearise(orbits.start, 1.0))
         found = solve_in_plane(
             orbits, orbits.start, 1.0, ahead,
-            tolerance=TOLERANCE, iterations=STEPS, reach=0.5, least_damping=SHORTEST,
+            tolerance=TOLERANCE, iterations=FULL_STEPS, reach=0.5, least_damping=LEAST_STEP,
         )  # fmt: skip
     except ConvergenceError:  # pairs chatter without end
         return None

@@ -16,7 +16,7 @@ class VariedOrbits(FlowOrbits):
     """F(x, p) of the exact flows along a family, p its parameter; x in the modes of p = 0."""
 
     @property
-    def compiled(self) -> None:  # type: ignore[override]
+    def compiled(self) -> None:
         """The kernel's loops know one flow."""
 
     def __init__(

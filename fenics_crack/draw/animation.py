@@ -47,10 +47,12 @@ PAGE = (640, 740)
 """Width and height [pixels]."""
 PLATE = (6, 92, 532, 444)
 """Its place on the page: left, top, width and height [pixels]."""
-LETTERS = 17
+LABEL_LETTERS = 17
 """Of a line of the label beside the wave, for which the page has room."""
-FINER = 2
+OVERSAMPLING = 2
 """Pixels of the plate's drawing for one of the page, each way, which smooths it."""
+ARROW: dict[str, Any] = {"tip_length": 0.45, "tip_radius": 0.16, "shaft_radius": 0.055}
+"""Of the load, relative to its length."""
 INK = {"lips": "#000000", "contact": COLOURS["orange"], "load": COLOURS["pink"], "rest": "#8a8a8a"}
 
 
@@ -185,8 +187,7 @@ class _Plate:
         if len(fields.areas):
             round_ = {"style": "points", "point_size": 16, "render_points_as_spheres": True}
             add(self.dots, color=INK["contact"], **round_)
-        self.arrow = pyvista.Arrow(tip_length=0.45, tip_radius=0.16, shaft_radius=0.055)
-        self.unit_arrow = np.array(self.arrow.points)  # along x
+        self.arrow = pyvista.Arrow(**ARROW)
         self.room = np.zeros(3) if solid else np.array([0.0, 0.0, 2.0 * self.height])
         self.starts, self.arrows = _load_arrows(fields)
         if np.any(fields.load):
@@ -213,19 +214,9 @@ class _Plate:
         closed = np.flatnonzero(fields.force[frame] > 0.0)
         self.dots.verts = np.column_stack([np.ones_like(closed), closed]).ravel()
         start, arrow = (in_space(part[frame][None])[0] for part in (self.starts, self.arrows))
-        self.arrow.points = start + self.room + self.unit_arrow @ _turned(arrow)
-
-
-def _turned(vector: np.ndarray) -> np.ndarray:
-    """What turns the x axis into a vector, as long as that is: (3, 3)."""
-    size = float(np.linalg.norm(vector))
-    if size == 0.0:
-        return np.zeros((3, 3))
-    along = vector / size
-    other = np.eye(3)[2] if abs(along[2]) < 0.9 else np.eye(3)[1]
-    across = np.cross(other, along)
-    across /= np.linalg.norm(across)
-    return size * np.array([along, across, np.cross(along, across)])
+        size = float(np.linalg.norm(arrow))
+        place, along = start + self.room, arrow if size > 0.0 else np.eye(3)[0]
+        self.arrow.points = pyvista.Arrow(start=place, direction=along, scale=size, **ARROW).points
 
 
 def _load_arrows(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
@@ -300,7 +291,7 @@ def _caption(solution: PeriodicSolution, fields: PeriodFields) -> str:
 
 def _write(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> None:
     """Draw all frames and write the GIF."""
-    plotter = off_screen_plotter(window_size=np.multiply(FINER, PLATE[2:]))
+    plotter = off_screen_plotter(window_size=np.multiply(OVERSAMPLING, PLATE[2:]))
     plotter.render_window.SetMultiSamples(0)  # the page shrinks what it draws, which smooths it
     plate = _Plate(plotter, fields)
     _look_at_all(plotter, fields)
@@ -388,7 +379,7 @@ class _Page:
         for artist in (self.line, self.dot, self.text):
             self.figure.draw_artist(artist)
         page = Image.fromarray(np.asarray(self.canvas.buffer_rgba())).convert("RGB")
-        page.paste(Image.fromarray(plate).reduce(FINER), PLATE[:2])
+        page.paste(Image.fromarray(plate).reduce(OVERSAMPLING), PLATE[:2])
         return page
 
     def _legend(self, fields: PeriodFields) -> None:
@@ -435,7 +426,7 @@ class _Page:
         axes.set(xlim=(0.0, loads[-1]), ylim=axes.get_ylim())
         axes.set_xlabel("time / load period", fontsize=12)
         label_axis(axes.yaxis, quantity, "m")
-        axes.yaxis.label.set(size=11, text=fill(axes.yaxis.label.get_text(), LETTERS))
+        axes.yaxis.label.set(size=11, text=fill(axes.yaxis.label.get_text(), LABEL_LETTERS))
         axes.yaxis.set_label_coords(-0.085, 0.5)
         axes.tick_params(labelsize=11)
         whole = axes.get_xaxis_transform()  # which would count as data of the axis before

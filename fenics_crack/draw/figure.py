@@ -44,7 +44,7 @@ __all__ = [
 COLOURS = {"blue": "#0072B2", "orange": "#D55E00", "green": "#009E73", "pink": "#CC79A7"}
 COLOURS["grey"] = "#5C5C5C"
 """Okabe and Ito's palette, which colour-blind readers can tell apart, and a grey."""
-MANY = 1e5
+FEW_DECADES = 1e5
 """Ratio of the ends of a logarithmic axis beyond which its labels are powers of ten."""
 LETTERS = 42
 """Of a line of a label along the height of a panel, at most."""
@@ -180,7 +180,7 @@ def label_axis(axis: Axis, quantity: str, unit: str) -> None:
     low, high = axis.get_view_interval()
     if axis.get_scale() != "log":
         axis.set_major_formatter(FuncFormatter(lambda x, _: _plain(round(factor * x, 12))))
-    elif high > MANY * low:
+    elif high > FEW_DECADES * low:
         axis.set_minor_locator(NullLocator())
         axis.set_major_formatter(FuncFormatter(lambda x, _: _power(factor * x)))
     else:  # few decades: labels within them, too

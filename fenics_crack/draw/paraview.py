@@ -34,8 +34,7 @@ __all__ = [
 
 
 COMPONENTS = {2: ("xx", "yy", "xy"), 3: ("xx", "yy", "zz", "xy", "yz", "xz")}
-VOIGT = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
-"""Stresses in a plane and in space, and places of the latter in their matrix."""
+"""Stresses in a plane and in space."""
 
 
 def write_modes(modes: Modes, path: str | Path) -> None:
@@ -180,9 +179,9 @@ class PeriodFields:
 
 def moved_grid(mesh: NodalMesh, displacement: np.ndarray | float = 0.0) -> pyvista.UnstructuredGrid:
     """The cells, moved by nodal vectors (n_nodes, d) [m]."""
-    points = in_space(mesh.points + displacement)
-    cells = np.pad(mesh.cells, ((0, 0), (1, 0)), constant_values=mesh.cells.shape[1])
-    return pyvista.UnstructuredGrid(cells.ravel(), np.full(len(cells), mesh.vtk_type), points)
+    return pyvista.UnstructuredGrid(
+        {mesh.vtk_type: mesh.cells}, in_space(mesh.points + displacement)
+    )
 
 
 def in_space(vectors: np.ndarray) -> np.ndarray:
@@ -197,26 +196,21 @@ def nodal_stress(mesh: NodalMesh, displacement: np.ndarray, material: Material) 
     columns, grid = np.moveaxis(displacement, -2, 0), moved_grid(mesh)
     grid["displacement"] = columns.reshape(len(columns), -1)
     found = grid.compute_derivative("displacement", gradient="gradient")["gradient"]
-    slope = np.moveaxis(found.reshape(*columns.shape, 3), 0, -3)
-    nu, modulus = material.poisson, material.young
-    if mesh.dimension == 3:
-        strain = 0.5 * (slope + np.swapaxes(slope, -1, -2))
-        volume = np.trace(strain, axis1=-2, axis2=-1)[..., None, None] * np.eye(3)
-        full = modulus / (1.0 + nu) * (strain + nu / (1.0 - 2.0 * nu) * volume)
-        return np.stack([full[..., i, j] for i, j in VOIGT], axis=-1)
-    strain = np.stack([slope[..., 0, 0], slope[..., 1, 1], slope[..., 0, 1] + slope[..., 1, 0]], -1)
-    plane = np.array([[1.0, nu, 0.0], [nu, 1.0, 0.0], [0.0, 0.0, 0.5 * (1.0 - nu)]])
-    return strain @ (modulus / (1.0 - nu**2) * plane)
+    slope = np.moveaxis(found.reshape(*columns.shape, 3), 0, -3)[..., : mesh.dimension]
+    nu = material.poisson
+    share = nu / (1.0 - nu) if mesh.dimension == 2 else nu / (1.0 - 2.0 * nu)
+    strain = 0.5 * (slope + np.swapaxes(slope, -1, -2))
+    volume = np.trace(strain, axis1=-2, axis2=-1)[..., None, None] * np.eye(mesh.dimension)
+    full = material.young / (1.0 + nu) * (strain + share * volume)
+    places = (map("xyz".index, name) for name in COMPONENTS[mesh.dimension])
+    return np.stack([full[..., i, j] for i, j in places], axis=-1)
 
 
 def von_mises(stress: np.ndarray) -> np.ndarray:
     """Von Mises stress of stresses as :func:`nodal_stress` has them: (...) [Pa]."""
-    none = np.zeros_like(stress[..., 0])
-    xx, yy, zz, xy, yz, xz = (
-        np.moveaxis(stress, -1, 0)
-        if stress.shape[-1] == 6
-        else (stress[..., 0], stress[..., 1], none, stress[..., 2], none, none)
-    )
+    if stress.shape[-1] == 3:  # none across the plane
+        stress = np.insert(stress, (2, 3, 3), 0.0, axis=-1)
+    xx, yy, zz, xy, yz, xz = np.moveaxis(stress, -1, 0)
     normal = (xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2
     return np.asarray(np.sqrt(0.5 * normal + 3.0 * (xy**2 + yz**2 + xz**2)))
 

@@ -9,7 +9,6 @@ from typing import Any, Unpack
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -188,7 +187,7 @@ def draw_contact_map(
         from fenics_crack.draw.solid import draw_over_crack  # VTK
 
         pictured = NodalMesh(structure.whole)
-        picture = Picture(2, columns=2, size=WIDE, **where)
+        picture = Picture(2, columns=2, size=TWO_PANELS, **where)
         closed = (values[:-1] > 0.0).mean(axis=0)
         shown = {f"largest {label} [{unit}]": scale * values.max(axis=0)}
         shown["share of the period closed"] = closed
@@ -349,29 +348,15 @@ def draw_map(
     panel.plot(*(at.ravel()[lost.ravel()] for at in np.meshgrid(x, y)), "x", color="white", ms=5)
     keys = [Patch(facecolor=MISSING, label="not converged")] if lost.any() else []
     if np.any(marked & ~lost):
-        look = {"facecolors": "none", "edgecolors": HATCHED, "hatch": "/////", "linewidths": 0.0}
-        panel.add_collection(PolyCollection(_cells(x, y)[(marked & ~lost).ravel()], **look))
-        form = {"facecolor": "#3b528b", "edgecolor": HATCHED, "hatch": "/////", "linewidth": 0.0}
-        keys.append(Patch(label=DOUBTFUL, **form))
+        look = {"edgecolor": HATCHED, "hatch": "/////", "linewidth": 0.0}
+        hatched = np.ma.masked_where(~marked, shown)
+        panel.pcolor(x, y, hatched, shading="nearest").set(facecolor="none", **look)
+        keys.append(Patch(label=DOUBTFUL, facecolor="#3b528b", **look))
     panel.set(xlabel=x_label, ylabel=y_label)
     if keys:
         below = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0), "borderaxespad": 4.2}
         panel.legend(handles=keys, ncol=2, fontsize=8, handlelength=3.0, frameon=False, **below)
     return picture.saved()
-
-
-def _cells(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Corners of the cells around places (n,) and (m,), in the order of (m, n): (m n, 4, 2)."""
-    (left, right), (low, high) = ((edges[:-1], edges[1:]) for edges in map(_edges, (x, y)))
-    corners = ((left, low), (right, low), (right, high), (left, high))
-    grids = [np.stack(np.meshgrid(across, up), axis=-1) for across, up in corners]
-    return np.stack(grids, axis=2).reshape(-1, 4, 2)
-
-
-def _edges(places: np.ndarray) -> np.ndarray:
-    """Ends of the cells around places, halfway between them: (n + 1,)."""
-    middle = 0.5 * (places[1:] + places[:-1])
-    return np.concatenate([[2.0 * places[0] - middle[0]], middle, [2.0 * places[-1] - middle[-1]]])
 
 
 def _colour(
@@ -385,7 +370,7 @@ def _colour(
 
 DOUBTFUL = f"not stable, or estimated error above {100 * LARGE_ERROR:g} %"
 HATCHED = "#ffffff"
-WIDE = (9.0, 3.4)
+TWO_PANELS = (9.0, 3.4)
 """Size of a picture of two panels [inch]."""
 LOGARITHMIC = 30.0
 """Ratio of the values of a map from which its colours are logarithmic."""

@@ -14,6 +14,7 @@ from fenics_crack.curves.curve import ResponseCurve, kind_in_words, parameter_ax
 from fenics_crack.curves.peak import top_and_damping
 from fenics_crack.draw.figure import COLOURS, FIRST, Picture, Where, label_axis
 from fenics_crack.errors import InputError
+from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.table import frequency_axis, quantity, with_unit
 
 __all__ = ["draw_content", "draw_curve", "draw_multipliers"]
@@ -21,9 +22,8 @@ __all__ = ["draw_content", "draw_curve", "draw_multipliers"]
 BEHIND = ("#8f8f8f", "#cc8fb1", "#6fb59a")
 """Other curves, drawn behind the one in question."""
 MARKERS = {"fold": "v", "branch_point": "s", "period_doubling": "D", "neimark_sacker": "^"}
-CLOSEST, MOST = 0.02, 40
-"""Distance of neighbouring marks at least, relative to the sides of the picture; how many marks it
-has at most."""
+PER_MARK = 0.03
+"""Sides of a part of the picture that has one mark at most, relative to those of the picture."""
 FAINT = 0.3
 """Opacity of what has a large estimated error."""
 STYLES = {"stable": "-", "unstable": "--", "undecided": ":"}
@@ -176,24 +176,11 @@ def _apart(axes: Axes, x: np.ndarray, y: np.ndarray, later: np.ndarray) -> np.nd
 
     Those of ``later`` come after the others.
     """
-    # What is drawn so far sets the limits.
-    low, high = axes.dataLim.min, axes.dataLim.max
-    places = np.column_stack([x, y])
-    if axes.get_yscale() == "log":
-        least = max(axes.dataLim.minposy, 1e-300)
-        places[:, 1] = np.log(np.maximum(places[:, 1], least))
-        low, high = (np.array([end[0], np.log(max(end[1], least))]) for end in (low, high))
-    places = places / np.maximum(high - low, 1e-300)
-    order, distance = np.argsort(later, kind="stable"), CLOSEST
-    while True:
-        kept: list[int] = []
-        for number in order:
-            away = np.linalg.norm(places[kept] - places[number], axis=1)
-            if not np.any(away < distance):
-                kept.append(int(number))
-        if len(kept) <= MOST:
-            return np.isin(np.arange(len(x)), kept)
-        distance *= 1.25
+    axes.autoscale_view()  # to what is drawn so far
+    places = (axes.transData - axes.transAxes).transform(np.column_stack([x, y]))
+    order = np.argsort(later, kind="stable")
+    _, first = np.unique(np.floor(places[order] / PER_MARK), axis=0, return_index=True)
+    return np.isin(np.arange(len(x)), order[first])
 
 
 def _mark_superharmonics(
@@ -238,8 +225,7 @@ def _label_parameter(axes: Axes, curve: ResponseCurve, in_hertz: bool) -> None:
 
 def _harmonic_amplitudes(curve: ResponseCurve, dof: int | None) -> np.ndarray:
     """Amplitudes of the harmonics 1 to H of the response at every point: (n, H) [m]."""
-    rows = curve.coefficients_at(dof)
-    return np.asarray(np.hypot(rows[:, 1::2], rows[:, 2::2]))
+    return np.abs(to_complex(curve.coefficients_at(dof).T)[1:].T)
 
 
 def draw_content(

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from fenics_crack.draw.figure import COLOURS, Picture, Where, distinct_colours, label_axis
-from fenics_crack.growth.grow import Growth
+from fenics_crack.growth.result import Growth
 from fenics_crack.study.stress_intensity import StressIntensity
 from fenics_crack.table import frequency_axis
 

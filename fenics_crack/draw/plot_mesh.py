@@ -29,7 +29,7 @@ MOST_ARROWS = 40
 """Arrows of a load, at most."""
 SOLID = (5.5, 6.5)
 """Size of the picture of a solid's mesh [inch]."""
-LONGEST = 0.12
+DRAWN_LENGTH = 0.12
 """Of the arrows and of the displacements of modes, relative to the size of the structure."""
 
 
@@ -109,7 +109,7 @@ def _arrows(axes: Axes, mesh: NodalMesh, load: np.ndarray, label: str, colour: s
     sizes = np.linalg.norm(load, axis=1)
     loaded = np.flatnonzero(sizes > 1e-9 * sizes.max())
     loaded = loaded[:: -(-len(loaded) // MOST_ARROWS)]
-    arrows = LONGEST * mesh.size / sizes.max() * load[loaded]
+    arrows = DRAWN_LENGTH * mesh.size / sizes.max() * load[loaded]
     ends = mesh.points[loaded] + arrows
     look = {"color": colour, "angles": "xy", "scale_units": "xy", "scale": 1.0}
     axes.quiver(*mesh.points[loaded].T, *arrows.T, units="inches", width=0.03, zorder=4, **look)
@@ -153,7 +153,7 @@ def draw_modes(
         raise InputError("numbers", numbers, f"one or more of 1 to {every[-1]}")
     columns = min(columns, len(numbers))
     mesh = NodalMesh(modes.structure)
-    across, up = np.ptp(mesh.points, axis=0)[:2] + 2.0 * LONGEST * mesh.size
+    across, up = np.ptp(mesh.points, axis=0)[:2] + 2.0 * DRAWN_LENGTH * mesh.size
     row = 0.4 + 2.4 * float(np.clip(up / across, 0.3, 1.0))
     size = (2.7 * columns, row * -(-len(numbers) // columns))
     comm = mesh.structure.comm
@@ -168,7 +168,7 @@ def draw_modes(
 def _mode_shape(axes: Axes, mesh: NodalMesh, shape: np.ndarray) -> None:
     """Draw a displacement (n_nodes, d), magnified and coloured by its length."""
     amplitude = np.linalg.norm(shape, axis=1)
-    drawn = LONGEST * mesh.size / amplitude.max() * shape
+    drawn = DRAWN_LENGTH * mesh.size / amplitude.max() * shape
     if mesh.dimension == 3:
         from fenics_crack.draw.solid import draw_shape  # VTK
 

@@ -20,7 +20,7 @@ from fenics_crack.draw.figure import (
     label_axis,
 )
 from fenics_crack.errors import InputError
-from fenics_crack.numerics.fourier import evaluate
+from fenics_crack.numerics.fourier import derivative, evaluate, to_complex
 
 __all__ = ["draw_orbits", "draw_spectra", "draw_spectrum"]
 
@@ -145,7 +145,7 @@ def _spectra(parts: Sequence[tuple[Series, str, str]], comm: MPI.Comm, where: Wh
 
 def _amplitudes(column: np.ndarray) -> np.ndarray:
     """|a0|, |X_1|, ... of coefficients a0, a1, b1, ...: (H+1,)."""
-    return np.concatenate([np.abs(column[:1]), np.hypot(column[1::2], column[2::2])])
+    return np.abs(to_complex(column))
 
 
 def _stems(axes: Axes, series: Series, quantity: str, unit: str) -> None:
@@ -241,10 +241,7 @@ def _orbit(
 ) -> None:
     """Draw one orbit of coefficients (2H+1, 1), thick where it is closed."""
     base = solution.base_omega
-    order = base * np.arange(1, solution.harmonics + 1)[:, None]
-    rates = np.zeros_like(coefficients)
-    rates[1::2], rates[2::2] = order * coefficients[2::2], -order * coefficients[1::2]
-    both = np.hstack([coefficients, rates])
+    both = np.hstack([coefficients, derivative(coefficients, base)])
     orbit = evaluate(both, base, np.linspace(0.0, solution.period, len(closed))).T
     axes.plot(*orbit, color=COLOURS["blue"], lw=1.4, label="orbit")
     if closed.any():

@@ -20,10 +20,10 @@ __all__ = ["draw_posterior", "draw_verification"]
 
 SHARES = (0.5, 0.95, 0.999)
 """Of the probability within each contour."""
-ROOM = 0.35
+MARGIN = 0.35
 """Around the outermost contour, over its size."""
 EMPTY = 1e-300
-LEAST = 1e-4
+LEAST_DRAWN = 1e-4
 """Contributions that are drawn, at least [%]."""
 MARKS = "osD^v<>ph*"
 
@@ -73,7 +73,7 @@ def draw_posterior(
         mass = posterior.pair(name, first, second)
         grids[name] = right, up, mass, mass / np.multiply.outer(trapezoid(right), trapezoid(up))
     levels = _levels(list(grids.values()))
-    ends = []
+    within = [np.array([[found.estimate[x], found.estimate[y]]])]
     for (name, (right, up, _, density)), colour in zip(
         grids.items(), distinct_colours(len(grids)), strict=True
     ):
@@ -88,14 +88,12 @@ def draw_posterior(
             panel.contourf(right, up, shown, levels=[level, np.inf], alpha=0.2, **look)
         label = f"50, 95 and 99.9 %{', ' if name else ''}{name}"
         panel.plot([], [], color=look["colors"], lw=1.8, label=label)
-        within = np.argwhere(shown.T > levels[0])
-        for low, high in ((within.min(axis=0), within.max(axis=0)),):
-            ends += [(right[low[0]], up[low[1]]), (right[high[0]], up[high[1]])]
-    best = found.estimate
-    panel.plot(
-        best[x], best[y], "+", color="black", ms=10, mew=1.5, clip_on=False, label="estimate"
-    )
-    _set_limits(panel, np.array([*ends, (best[x], best[y])]), found, (first, second))
+        across, upwards = np.nonzero(shown.T > levels[0])
+        within.append(np.column_stack([right[across], up[upwards]]))
+    look = {"color": "black", "ms": 10, "mew": 1.5, "clip_on": False, "label": "estimate"}
+    panel.plot(*within[0].T, "+", **look)
+    axes = next(iter(posterior.branches.values())).axes
+    _set_limits(panel, np.concatenate(within), (axes[first], axes[second]))
     label_axis(panel.xaxis, key_in_words(x), unit_of(x))
     label_axis(panel.yaxis, key_in_words(y), unit_of(y))
     return picture.finished()
@@ -107,26 +105,16 @@ def _levels(grids: list[tuple[np.ndarray, ...]]) -> list[float]:
     logs = np.log(np.maximum(np.concatenate([grid[3].ravel() for grid in grids]), EMPTY))
     order = np.argsort(-logs)
     held = np.cumsum(masses[order])
-    places = [min(int(np.searchsorted(held, share)), len(order) - 1) for share in SHARES]
-    found = [float(logs[order[place]]) for place in places][::-1]
-    for number in (1, 2):  # of a region of one point, too
-        found[number] = max(found[number], found[number - 1] + 1e-6)
-    return found
+    places = np.minimum(np.searchsorted(held, SHARES), len(order) - 1)[::-1]
+    rising = 1e-6 * np.arange(len(places))  # of a region of one point, too
+    return list(logs[order[places]] + rising)
 
 
-def _set_limits(
-    panel: Any, ends: np.ndarray, found: Identification, places: tuple[int, int]
-) -> None:
-    """Show the regions and some room around them, within the bounds."""
-    branch = next(iter(found.posterior.branches.values()))
-    low, high = ends.min(axis=0), ends.max(axis=0)
-    for column, (place, change) in enumerate(
-        zip(places, (panel.set_xlim, panel.set_ylim), strict=True)
-    ):
-        axis = branch.axes[place]
-        least = 0.02 * (axis[-1] - axis[0])
-        room = ROOM * (high[column] - low[column]) + least
-        change(max(axis[0], low[column] - room), min(axis[-1], high[column] + room))
+def _set_limits(panel: Any, within: np.ndarray, axes: tuple[np.ndarray, np.ndarray]) -> None:
+    """Show the regions, with their points (n, 2), and some room around them, within the bounds."""
+    for values, axis, change in zip(within.T, axes, (panel.set_xlim, panel.set_ylim), strict=True):
+        room = MARGIN * np.ptp(values) + 0.02 * np.ptp(axis)
+        change(max(axis[0], values.min() - room), min(axis[-1], values.max() + room))
 
 
 def draw_verification(found: Verification, **where: Unpack[Where]) -> Figure:
@@ -163,7 +151,7 @@ def draw_verification(found: Verification, **where: Unpack[Where]) -> Figure:
 
 def _draw_orders(panel: Any, found: Verification, cause: str) -> None:
     """|f_i - f| over h, relative to those of the scene's own choice."""
-    colours, smallest, largest = cycle(COLOURS.values()), 1.0, LEAST
+    colours, smallest, largest = cycle(COLOURS.values()), 1.0, LEAST_DRAWN
     for (name, part), mark in zip(found.parts[cause].items(), cycle(MARKS), strict=False):
         look = {"color": next(colours), "marker": mark, "ms": 5}
         label = f"{name}, {_order(part)}"
@@ -200,12 +188,12 @@ def _draw_contributions(panel: Any, found: Verification) -> None:
     colours = dict(zip(CAUSES, COLOURS.values(), strict=False))
     for place, name in enumerate(names):
         total = 100.0 * found.relative(name, found.total(name))
-        if total > LEAST:
+        if total > LEAST_DRAWN:
             panel.plot([total, total], [place - 0.32, place + 0.32], color="black", lw=1.6)
         for cause, error in found.contributions(name).items():
             inside = found.parts[cause][name].factor <= SAFE
             share = 100.0 * found.relative(name, error)
-            if not share > LEAST:
+            if not share > LEAST_DRAWN:
                 continue
             look = {"color": colours[cause], "mfc": colours[cause] if inside else "none"}
             panel.plot(share, place, "o", ms=7, **look)

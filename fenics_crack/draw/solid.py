@@ -32,13 +32,13 @@ def off_screen_plotter(**options: Any) -> pyvista.Plotter:
     """A plotter that draws into memory."""
     if not os.environ.get("DISPLAY"):  # spares VTK the search for a screen, and its warning
         os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
+        os.environ.setdefault("ALLOW_PLOTTING", "true")  # pyvista would open a window to know
     return pyvista.Plotter(off_screen=True, **options)
 
 
 def surface(points: np.ndarray, facets: np.ndarray) -> pyvista.PolyData:
     """Some facets."""
-    cells = np.pad(facets, ((0, 0), (1, 0)), constant_values=facets.shape[1])
-    return pyvista.PolyData(points.copy(), faces=cells.ravel())
+    return pyvista.PolyData.from_regular_faces(points.copy(), facets)
 
 
 def outline(mesh: NodalMesh) -> np.ndarray:

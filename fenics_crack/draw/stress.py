@@ -13,12 +13,12 @@ from fenics_crack.draw.paraview import in_space, moved_grid, nodal_stress
 from fenics_crack.errors import InputError
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.matrices import numbers
-from fenics_crack.study.run import Run
+from fenics_crack.study.run import Run, check_motion
 from fenics_crack.time.march import TimeHistory
 
 __all__ = ["stress_at"]
 
-INSTANTS = 128
+STRESS_INSTANTS = 128
 """Of a period."""
 
 
@@ -54,6 +54,7 @@ def stress_at(
     --------
     >>> time, stress = fc.stress_at(fc.solve(scene), [[0.1, 0.02], [0.1, 0.04]])
     """
+    check_motion(run)
     found, structure = run.result, run.structure
     mesh, places = NodalMesh(structure), numbers(points)
     if places.ndim != 2 or places.shape[1] != mesh.dimension or not np.all(np.isfinite(places)):
@@ -64,7 +65,7 @@ def stress_at(
             raise InputError("dofs", "some", "None, to record all displacements")
         moved = structure.expand(found.recorded)
     else:
-        time = np.arange(INSTANTS) * found.period / INSTANTS
+        time = np.arange(STRESS_INSTANTS) * found.period / STRESS_INSTANTS
         moved = found.displacement_field(time)
     nodal = nodal_stress(mesh, mesh.field(moved), run.scene.material)
     grid, columns = moved_grid(mesh), np.moveaxis(nodal, -2, 0)

@@ -6,10 +6,11 @@
 .mtx                Abaqus, ``*MATRIX OUTPUT, FORMAT=MATRIX INPUT``: node, direction, node,
                     direction, value of one triangle; or Matrix Market, as any other ending
 .pch                Nastran, ``PARAM,EXTOUT,DMIGPCH``: matrices KAAX, MAAX, BAAX of one triangle
+.op4                Nastran, ``OUTPUT4`` as text (``FORM=FORMATTED``): by columns, dense or sparse
 ==================  ==============================================================================
 
-Rows of a Matrix Market file get their nodes from a file of their own: that of CalculiX, or what
-Ansys' ``HBMAT`` writes beside the matrix that ``*EXPORT`` writes.
+Rows of an .op4 or a Matrix Market file get their nodes from a file of their own: that of CalculiX,
+or what Ansys' ``HBMAT`` writes beside the matrix that ``*EXPORT`` writes.
 """
 
 from __future__ import annotations
@@ -95,6 +96,8 @@ def read_matrix(
         return _of_calculix(path, labels or path.with_suffix(".dof"))
     if ending == ".pch":
         return _of_nastran(path, kind)
+    if ending == ".op4":
+        return LabelledMatrix(_of_op4(path, kind), None if labels is None else read_labels(labels))
     if ending == ".mtx" and _begins_as_abaqus(path):
         return _of_abaqus(path)
     return _of_matrix_market(path, labels, rows)
@@ -204,6 +207,67 @@ def _of_nastran(path: Path, kind: str) -> LabelledMatrix:
         raise ValueError(f"it has no matrix DMIG whose name begins with {kind}")
     at = np.array(ends, dtype=np.int64).reshape(-1, 2, 2)
     return _between_labels(at, np.array(values), whole=form == 1)
+
+
+def _of_op4(path: Path, kind: str) -> sparse.csr_matrix:
+    """The matrix whose name begins with its kind, by the form that OUTPUT4 has in the DMAP
+    Programmer's Guide: a line for the matrix, and one for each column with its first row, or 0 and
+    then one for each string of numbers without gaps."""
+    lines = numbered_lines(path, "$")
+    number, line, width = 0, "", 16
+
+    def whole(count: int) -> list[int]:
+        nonlocal number, line
+        number, line = next(lines)
+        return [int(line[at : at + 8]) for at in range(0, 8 * count, 8)]
+
+    def numbers(count: int) -> list[float]:
+        nonlocal number, line
+        found: list[float] = []
+        while len(found) < count:
+            number, line = next(lines)
+            text = line.upper().replace("D", "E")
+            found += [float(text[at : at + width]) for at in range(0, len(text), width)]
+        if len(found) > count:
+            raise ValueError
+        return found
+
+    try:
+        while True:
+            columns, rows, _, stored = whole(4)
+            width = int(line[40:].upper().partition("E")[2].partition(".")[0])
+            own = line[32:40].strip().upper().startswith(kind)
+            if stored not in (1, 2):  # complex
+                raise ValueError
+            values: list[float] = []
+            at: list[tuple[int, int]] = []
+            while True:
+                column, first, left = whole(3)
+                while left > 0:
+                    length, row, spent = left, first, 0
+                    if first == 0 and rows < 0:
+                        (length, row), spent = whole(2), 2
+                        length -= 1
+                    elif first == 0:
+                        number, line = next(lines)
+                        length, row, spent = int(line) // 65536 - 1, int(line) % 65536, 1
+                    found = numbers(length // stored)
+                    left -= length + spent
+                    if own and column <= columns:
+                        values += found
+                        at += [(row - 1 + place, column - 1) for place in range(len(found))]
+                if column > columns:
+                    break
+            if own:
+                places = np.array(at, dtype=np.int64).reshape(-1, 2).T
+                made = sparse.csr_matrix((values, tuple(places)), (abs(rows), columns))
+                made.eliminate_zeros()  # between the numbers of a column
+                return made
+    except StopIteration:
+        raise ValueError(f"it has no whole matrix whose name begins with {kind}") from None
+    except ValueError:
+        wanted = "a real matrix that OUTPUT4 writes as text"
+        raise ValueError(f"line {number}: {line[:80]!r} is not of {wanted}") from None
 
 
 def _of_matrix_market(path: Path, labels: Path | None, rows: int | None) -> LabelledMatrix:

@@ -27,11 +27,13 @@ from mpi4py import MPI
 
 from fenics_crack.errors import InputError
 from fenics_crack.fem import compat
+from fenics_crack.fem.clamp import clamp_of
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.elasticity import constants, rotation_of, stress, thickness
 from fenics_crack.fem.interface import pair_lips
 from fenics_crack.fem.loads import assemble_loads
 from fenics_crack.fem.matrix_files import read_structure
+from fenics_crack.fem.msh_file import check_there
 from fenics_crack.fem.numbering import Dofs
 from fenics_crack.fem.plate import build_mesh
 from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
@@ -61,6 +63,9 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     if scene.structure is not None:
         rule = None if scene.damping is None else _damping(scene.damping)
         return read_structure(scene, rule, comm)
+    coarser = scene.mesh.coarser
+    if coarser is not None:  # which is read after all else
+        on_root(comm, lambda: check_there("mesh.coarser", coarser))
     begin("mesh")
     plate = build_mesh(scene, comm)
     begin("matrices")
@@ -74,16 +79,18 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
         raise InputError("mesh", "cells of no area", "one whose cells all have an area")
     gap, pairs = pair_lips(scene, plate, dofs)
     force, watched = assemble_loads(scene, plate, dofs, mass)
+    clamp = clamp_of(plate, dofs, mass, force)
     structure = Structure(
         dofs.free_block(mass),
         dofs.free_block(stiffness),
         gap,
-        force=force,
+        force=force[:, dofs.free],
         clearance=clearance_of(scene, pairs),
         damping=_damping(scene.damping),
         nodes=dofs.nodes(),
         pairs=pairs,
         watched=watched,
+        clamp=clamp,
     )
     if scene.speed > 0.0:
         begin("rotation")

@@ -29,18 +29,20 @@ from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.elasticity import thickness
 from fenics_crack.fem.numbering import Dofs, nodes_on
 from fenics_crack.fem.plate import PlateMesh
+from fenics_crack.model.nodes import nearest_node
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.fields import Vector
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Load
 
-__all__ = ["assemble_loads"]
+__all__ = ["assemble_loads", "inertia"]
 
 
 def assemble_loads(
     scene: Scene, plate: PlateMesh, dofs: Dofs, mass: Any
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Mean, cosine and sine part of the load (3, n_local) [N], and what is watched (n_local,).
+    """Mean, cosine and sine part of the load on all dofs that this rank owns, clamped ones too,
+    (3, n_dofs) [N], and what is watched of the free ones (n_local,).
 
     What is watched of a displacement u is its product with that vector [m]; None: the dof that
     carries most of the load. ``mass`` is the mass matrix with the clamped rows (collective).
@@ -50,14 +52,14 @@ def assemble_loads(
     InputError
         A load is off the mesh, where the plate is clamped, or on a crack, where there are two lips.
     """
-    force, watched = np.zeros((3, len(dofs.free))), None
+    force, watched = np.zeros((3, len(dofs.numbers))), None
     excitation = scene.excitation
     point = excitation.point if excitation.point is not None else plate.points.get("load")
     if point is not None:
         parts = (excitation.force_mean, excitation.force_cos, excitation.force_sin)
         force += _point_force(scene, plate, dofs, "excitation.point", point, parts)
         if (scene.has_other_loads or scene.speed > 0.0) and any(map(any, parts)):
-            watched = _point_force(scene, plate, dofs, "excitation.point", point, _unit(parts))[0]
+            watched = _displacement_at(scene, plate, dofs, "excitation.point", point, parts)
     elif not scene.has_other_loads:
         allowed = "given, or a physical point 'load' in the mesh file"
         raise InputError("excitation.point", None, allowed)
@@ -67,9 +69,7 @@ def assemble_loads(
             forces = load.parts("force")
             force += _point_force(scene, plate, dofs, f"{key}.point", load.point, forces)
             if watched is None and any(map(any, forces)):
-                watched = _point_force(
-                    scene, plate, dofs, f"{key}.point", load.point, _unit(forces)
-                )[0]
+                watched = _displacement_at(scene, plate, dofs, f"{key}.point", load.point, forces)
         else:
             own = _edge_force(scene, plate, dofs, key, load)
             force += own
@@ -79,7 +79,7 @@ def assemble_loads(
         if watched is None:
             watched = _farthest(plate, dofs, scene.base.direction)
         for row, acceleration in enumerate(scene.base.accelerations(excitation.omega), 1):
-            force[row] -= _inertia(mass, dofs, acceleration)
+            force[row] -= inertia(mass, np.tile(acceleration, dofs.n_nodes))
     return force, watched
 
 
@@ -97,7 +97,7 @@ def _unit(parts: Sequence[Vector]) -> list[Vector]:
 def _point_force(
     scene: Scene, plate: PlateMesh, dofs: Dofs, key: str, point: Vector, parts: Sequence[Vector]
 ) -> np.ndarray:
-    """Forces at a point as consistent nodal forces: (len(parts), n_local)."""
+    """Forces at a point as consistent nodal forces: (len(parts), n_dofs)."""
     if sides := [found for lip in plate.lips if (found := lip.beside(point)) is not None]:
         (low, high), *_ = sides
         allowed = "on one of the two lips that are there: {} on the lower one, {} on the upper one"
@@ -106,7 +106,8 @@ def _point_force(
     values = np.where(np.abs(values) < 1e-12, 0.0, values)  # rounding
     hits = dofs.comm.allgather(len(nodes) > 0)
     if not any(hits):
-        raise InputError(key, tuple(point), "on the mesh")
+        places = gather_rows(dofs.comm, plate.mesh.geometry.x)[:, : len(point)]
+        raise InputError(key, tuple(point), f"on the mesh ({nearest_node(places, point)})")
     if dofs.comm.rank != hits.index(True):
         nodes, values = nodes[:0], values[:0]
 
@@ -117,10 +118,18 @@ def _point_force(
     mine = (numbers >= dofs.first_node) & (numbers < dofs.first_node + dofs.n_nodes)
     share = np.zeros(dofs.n_nodes)
     np.add.at(share, numbers[mine] - dofs.first_node, shares[mine])
-    force = np.array([_at_nodes(dofs, share, part)[dofs.free] for part in parts])
-    if any(map(any, parts)) and not np.any(gather_rows(dofs.comm, force.ravel())):
+    force = np.array([_at_nodes(dofs, share, part) for part in parts])
+    if any(map(any, parts)) and not np.any(gather_rows(dofs.comm, force[:, dofs.free].ravel())):
         raise InputError(key, tuple(point), "where the plate is free to move")
     return force
+
+
+def _displacement_at(
+    scene: Scene, plate: PlateMesh, dofs: Dofs, key: str, point: Vector, parts: Sequence[Vector]
+) -> np.ndarray:
+    """What the displacement of a load's point in its direction is the product with: (n_local,)."""
+    found = _point_force(scene, plate, dofs, key, point, _unit(parts))[0, dofs.free]
+    return np.asarray(found)
 
 
 def _at_nodes(dofs: Dofs, share: np.ndarray, vector: Vector) -> np.ndarray:
@@ -132,7 +141,7 @@ def _at_nodes(dofs: Dofs, share: np.ndarray, vector: Vector) -> np.ndarray:
 
 
 def _edge_force(scene: Scene, plate: PlateMesh, dofs: Dofs, key: str, load: Load) -> np.ndarray:
-    """Tractions and pressures on an edge as consistent nodal forces: (3, n_local)."""
+    """Tractions and pressures on an edge as consistent nodal forces: (3, n_dofs)."""
     edges = sorted(set(plate.groups) - {"clamp"})
     if load.edge not in edges:
         raise InputError(f"{key}.edge", load.edge, "one of " + ", ".join(map(repr, edges)))
@@ -148,25 +157,25 @@ def _edge_force(scene: Scene, plate: PlateMesh, dofs: Dofs, key: str, load: Load
     normal = ufl.FacetNormal(plate.mesh)
     pressed = -compat.assembled_vector(t * ufl.inner(normal, test) * edge)
     force += np.array([sum(part) * pressed for part in load.parts("pressure")])
-    found = np.asarray(force[:, dofs.free])
-    loaded, moving = (np.any(gather_rows(dofs.comm, part.ravel())) for part in (force, found))
+    parts = force, force[:, dofs.free]
+    loaded, moving = (np.any(gather_rows(dofs.comm, part.ravel())) for part in parts)
     if loaded and not moving:
         raise InputError(f"{key}.edge", load.edge, "where the plate is free to move")
-    return found
+    return force
 
 
 def _middle_of(plate: PlateMesh, dofs: Dofs, edge: str, force: np.ndarray) -> np.ndarray:
     """1 at the dof, in the direction of most of the load, of the node of an edge that is nearest
     to its middle: (n_local,)."""
-    by_dof = np.zeros((3, len(dofs.numbers)))
-    by_dof[:, dofs.free] = force
+    by_dof = np.zeros_like(force)
+    by_dof[:, dofs.free] = force[:, dofs.free]
     sums = np.abs(dofs.comm.allgather(by_dof.reshape(3, -1, dofs.dimension).sum(axis=1))).sum(
         axis=(0, 1)
     )
     direction = tuple(np.eye(dofs.dimension)[int(np.argmax(sums))].tolist())
     on_edge = nodes_on(plate, dofs.space, edge)
     own = on_edge[on_edge < dofs.n_nodes]
-    every = gather_rows(dofs.comm, _points(dofs)[own])
+    every = gather_rows(dofs.comm, dofs.points[own])
     middle = (every.min(axis=0) + every.max(axis=0)) / 2.0
     return _one_at(dofs, own, _by_distance(every, middle)[0], direction)
 
@@ -174,29 +183,23 @@ def _middle_of(plate: PlateMesh, dofs: Dofs, edge: str, force: np.ndarray) -> np
 # --- a clamp that moves ---------------------------------------------------------------------------
 
 
-def _inertia(mass: Any, dofs: Dofs, acceleration: Vector) -> np.ndarray:
-    """M R a on the free dofs: (n_local,) [N]."""
-    moved, found = mass.createVecs()
-    moved.array[:] = np.tile(acceleration, dofs.n_nodes)
-    mass.mult(moved, found)
-    inertia = np.array(found.array_r[dofs.free])
+def inertia(mass: Any, acceleration: np.ndarray) -> np.ndarray:
+    """M a of all dofs that this rank owns: (n_dofs,) [N]."""
+    moved, made = mass.createVecs()
+    moved.array[:] = acceleration
+    mass.mult(moved, made)
+    found = np.array(made.array_r)
     moved.destroy()
-    found.destroy()
-    return inertia
+    made.destroy()
+    return found
 
 
 def _farthest(plate: PlateMesh, dofs: Dofs, direction: Vector) -> np.ndarray:
     """1 at the dof, in the direction, of the node that is farthest from the clamp: (n_local,)."""
-    clamped, points = nodes_on(plate, dofs.space, "clamp"), _points(dofs)
+    clamped, points = nodes_on(plate, dofs.space, "clamp"), dofs.points
     middle = gather_rows(dofs.comm, points[clamped[clamped < dofs.n_nodes]]).mean(axis=0)
     every = gather_rows(dofs.comm, points)
     return _one_at(dofs, np.arange(dofs.n_nodes), _by_distance(every, middle)[-1], direction)
-
-
-def _points(dofs: Dofs) -> np.ndarray:
-    """Positions of this rank's nodes: (n_nodes, d) [m]."""
-    points = dofs.space.tabulate_dof_coordinates()[: dofs.n_nodes, : dofs.dimension]
-    return np.asarray(points)
 
 
 def _by_distance(points: np.ndarray, place: np.ndarray) -> np.ndarray:
@@ -207,7 +210,7 @@ def _by_distance(points: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 def _one_at(dofs: Dofs, nodes: np.ndarray, point: np.ndarray, direction: Vector) -> np.ndarray:
     """1 at the dof, in a direction, of one of this rank's nodes by its position: (n_local,)."""
-    here = nodes[np.all(_points(dofs)[nodes] == point, axis=1)]
+    here = nodes[np.all(dofs.points[nodes] == point, axis=1)]
     found = np.zeros((dofs.n_nodes, dofs.dimension))
     found[here[:1]] = direction
     return np.asarray(found.ravel()[dofs.free])

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from fenics_crack.errors import InputError
 from fenics_crack.mesher import gmsh
 
-__all__ = ["check_mesh", "parts_of"]
+__all__ = ["TOLERANCE", "check_mesh", "determinants", "parts_of"]
 
 TOLERANCE = 1e-9
 """Of a determinant relative to its largest value or to the square of the cell's size, and of an
@@ -67,22 +67,26 @@ def _refusal(found: str, place: np.ndarray, allowed: str) -> InputError:
     return InputError("mesh", f"{found} at ({', '.join(f'{x:g}' for x in place)})", allowed)
 
 
-def _signs(kind: int, cells: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Direction in which each cell is numbered, 1 or -1, from the determinants at its nodes."""
+def determinants(
+    kind: int, cells: np.ndarray, places: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Least and largest of the Jacobian determinants at the nodes of each cell, as gmsh numbers a
+    kind, and the one of least size: (n_cells,) each [m^d]."""
     _, dimension, _, nodes, local, _ = gmsh.model.mesh.getElementProperties(kind)
     at = np.zeros((nodes, 3))
     at[:, :dimension] = np.reshape(local, (nodes, dimension))
     _, gradients, _ = gmsh.model.mesh.getBasisFunctions(kind, at.ravel(), "GradLagrange")
-    gradients = np.reshape(gradients, (nodes, nodes, 3))
-    x, y = places[cells].transpose(2, 0, 1)
-    least, most = np.full(len(cells), np.inf), np.full(len(cells), -np.inf)
-    for gradient in gradients[:, :, :2]:
-        (x_u, x_v), (y_u, y_v) = (x @ gradient).T, (y @ gradient).T
-        determinant = x_u * y_v - x_v * y_u
-        np.minimum(least, determinant, out=least)
-        np.maximum(most, determinant, out=most)
+    gradients = np.reshape(gradients, (nodes, nodes, 3))[:, :, :dimension]
+    here = places[cells].swapaxes(1, 2)
+    every = np.array([np.linalg.det(here @ gradient) for gradient in gradients])
+    return every.min(axis=0), every.max(axis=0), np.abs(every).min(axis=0)
+
+
+def _signs(kind: int, cells: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Direction in which each cell is numbered, 1 or -1, from the determinants at its nodes."""
+    least, most, _ = determinants(kind, cells, places)
     largest = np.maximum(-least, most)
-    size = np.maximum(np.ptp(x, axis=1), np.ptp(y, axis=1))
+    size = np.ptp(places[cells], axis=1).max(axis=1)
     for found, wrong in (
         ("a cell without area", largest <= TOLERANCE * size**2),
         ("a folded cell", np.minimum(-least, most) > TOLERANCE * largest),

@@ -25,7 +25,7 @@ from fenics_crack.mesher import gmsh
 from fenics_crack.outside import bytes_of, run_reader
 
 __all__ = [
-    "CRACK", "Group", "Names", "Point", "filled", "groups_of", "named_groups",
+    "CRACK", "Group", "Names", "Point", "check_there", "filled", "groups_of", "named_groups",
     "points_in", "read_file", "tags_of",
 ]  # fmt: skip
 
@@ -124,12 +124,17 @@ def groups_of(path: Path) -> tuple[np.ndarray, np.ndarray, list[Group]]:
     InputError
         There is no such file, or gmsh cannot read it.
     """
-    if not os.path.isfile(path):
-        raise InputError("mesh.file", str(path), "an existing gmsh mesh file")
+    check_there("mesh.file", path)
     found = _read_by_child(path)
     if isinstance(found, str):
         raise InputError("mesh.file", str(path), f"readable by gmsh ({found})")
     return found
+
+
+def check_there(key: str, path: Path | str) -> None:
+    """Raise InputError unless there is a file."""
+    if not os.path.isfile(path):
+        raise InputError(key, str(path), "an existing gmsh mesh file")
 
 
 def points_in(groups: list[Group], numbers: np.ndarray, positions: np.ndarray) -> dict[str, Point]:

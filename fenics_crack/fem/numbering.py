@@ -35,6 +35,12 @@ class Dofs:
         """Number in the structure of each owned dof of the space, -1 where clamped."""
         self.numbers[self.free] = first + np.arange(len(self.free))
 
+    @property
+    def points(self) -> np.ndarray:
+        """Positions of this rank's nodes: (n_nodes, d) [m]."""
+        points = self.space.tabulate_dof_coordinates()[: self.n_nodes, : self.dimension]
+        return np.asarray(points)
+
     def free_block(self, matrix: Any) -> Any:
         """Leave the clamped rows and columns out of a matrix, which is destroyed.
 
@@ -54,7 +60,7 @@ class Dofs:
         cells, vtk_type = compat.vtk_cells(self.space)
         numbers = self.space.dofmap.index_map.local_to_global(cells.ravel().astype(np.int32))
         return Nodes(
-            points=self.space.tabulate_dof_coordinates()[: self.n_nodes, : self.dimension].copy(),
+            points=self.points.copy(),
             dofs=self.numbers.reshape(-1, self.dimension),
             cells=np.asarray(numbers).reshape(cells.shape),
             vtk_type=max(self.comm.allgather(vtk_type)),

@@ -30,7 +30,7 @@ from fenics_crack.fem.crack_surface import (
     cracks_between,
     split_surface,
 )
-from fenics_crack.fem.mesh_checks import parts_of
+from fenics_crack.fem.mesh_checks import TOLERANCE, determinants, parts_of
 from fenics_crack.fem.msh_file import (
     CRACK,
     Group,
@@ -192,17 +192,10 @@ def _moved(
 
 def _check_cells(kind: int, nodes: np.ndarray, places: np.ndarray) -> None:
     """Raise InputError where a cell is folded or has no volume."""
-    _, _, _, count, local, _ = gmsh.model.mesh.getElementProperties(kind)
-    _, gradients, _ = gmsh.model.mesh.getBasisFunctions(kind, local, "GradLagrange")
+    least, most, smallest = determinants(kind, nodes, places)
     here = places[nodes]
-    signs = np.array(
-        [
-            np.linalg.det(np.einsum("cnx,ns->cxs", here, gradient))
-            for gradient in np.reshape(gradients, (-1, count, 3))
-        ]
-    )
-    size = np.ptp(here, axis=1).max(axis=1) ** 3
-    wrong = (np.abs(signs) <= 1e-9 * size).any(axis=0) | (signs.min(axis=0) * signs.max(axis=0) < 0)
+    size = np.ptp(here, axis=1).max(axis=1)
+    wrong = (smallest <= TOLERANCE * size**3) | (least * most < 0.0)
     if np.any(wrong):
         x, y, z = here[np.argmax(wrong)].mean(axis=0)
         found = f"a folded cell, or one of no volume, at ({x:g}, {y:g}, {z:g})"

@@ -120,6 +120,7 @@ def unpack(stored: Stored, structure: Structure, contact: Law = None) -> Result:
     with stored.taken() as parts:
         for name in [name for name in parts if name.startswith(("watched", "verification"))]:
             del parts[name]
+        _check_types(kind, parts)
         return _FORMS[kind][1](parts, structure, contact)
 
 
@@ -428,28 +429,21 @@ Pack = Callable[[Any], Parts]
 Unpack = Callable[[Parts, Structure, Law], Result]
 
 
-def _checked(kind: type[Result], unpack: Unpack) -> Unpack:
-    """What unpacks datasets, once each is of the kind that the result's field says, numbers are of
-    a size that can be computed with or nan, and of them only multipliers complex; raises
-    ValueError."""
+def _check_types(kind: type[Result], parts: Parts) -> None:
+    """Raise ValueError unless each dataset is of the kind that the result's field says, numbers are
+    of a size that can be computed with or nan, and of them only multipliers complex."""
     kinds = {f"error_{field.name}": str(field.type) for field in fields(ErrorReport)}
     kinds |= {field.name: str(field.type) for field in (*fields(Stability), *fields(kind))}
     kinds["final_state"] = "np.ndarray"
-
-    def fits(name: str, value: Any) -> bool:
+    for name, value in parts.items():
         declared = kinds.get(name, "").removesuffix(" | None")
-        if not isinstance(value, np.ndarray):
-            return isinstance(value, _SCALARS.get(declared, object)) and declared != "np.ndarray"
-        numeric = value.dtype.kind in _ARRAYS.get(name, "bifu")
-        return declared in ("", "np.ndarray") and numeric and not np.any(np.abs(value) > LARGEST)
-
-    def checked(parts: Parts, structure: Structure, contact: Law) -> Result:
-        for name, value in parts.items():
-            if not fits(name, value):
-                raise ValueError(f"its {name} does not fit")
-        return unpack(parts, structure, contact)
-
-    return checked
+        if isinstance(value, np.ndarray):
+            fits = value.dtype.kind in _ARRAYS.get(name, "bifu") and declared in ("", "np.ndarray")
+            fits = fits and not np.any(np.abs(value) > LARGEST)
+        else:
+            fits = declared != "np.ndarray" and isinstance(value, _SCALARS.get(declared, object))
+        if not fits:
+            raise ValueError(f"its {name} does not fit")
 
 
 _SCALARS: dict[str, Any] = {"float": (float, int), "int": int, "bool": bool, "str": str}
@@ -458,9 +452,9 @@ _ARRAYS = {"multipliers": "bifuc", "harmonics": "iu", "undecided": "b", "jumps":
 """Kinds of the types of arrays, where not every real one will do."""
 
 _FORMS: dict[type[Result], tuple[Pack, Unpack]] = {
-    Modes: (_pack_modes, _checked(Modes, _unpack_modes)),
-    PeriodicSolution: (_pack_solution, _checked(PeriodicSolution, _unpack_solution)),
-    ResponseCurve: (_pack_curve, _checked(ResponseCurve, _unpack_curve)),
-    Backbone: (_pack_backbone, _checked(Backbone, _unpack_backbone)),
-    TimeHistory: (_pack_history, _checked(TimeHistory, _unpack_history)),
+    Modes: (_pack_modes, _unpack_modes),
+    PeriodicSolution: (_pack_solution, _unpack_solution),
+    ResponseCurve: (_pack_curve, _unpack_curve),
+    Backbone: (_pack_backbone, _unpack_backbone),
+    TimeHistory: (_pack_history, _unpack_history),
 }

@@ -42,10 +42,8 @@ __all__ = [
     "columns_of",
     "digest",
     "header",
-    "kind_of",
     "places",
     "read",
-    "read_scene",
     "scene_text",
     "texts",
     "versions",
@@ -366,26 +364,6 @@ def header(path: str | Path) -> Stored:
 @functools.lru_cache(maxsize=32)
 def _header(path: Path, state: tuple[int, ...]) -> Stored:
     return replace(_read(path), parts={})
-
-
-def kind_of(path: str | Path) -> str:
-    """Kind of result in a file; raises as :func:`read`."""
-    return header(path).kind
-
-
-def read_scene(path: str | Path) -> Scene | None:
-    """The scene in a file, or None.
-
-    Raises
-    ------
-    InputError
-        As :func:`read`, its scene cannot be used, or a file of its mesh or matrices has changed.
-    """
-    stored = header(path)
-    scene = stored.scene()
-    if scene is not None:
-        stored.check_files(scene)
-    return scene
 
 
 def _file_digest(path: str) -> str:

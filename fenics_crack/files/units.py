@@ -36,6 +36,15 @@ ABOUT: dict[str, tuple[str, str]] = {
     "seconds": ("s", "wall-clock time"),
     "energy": ("J", "motions"),
     "rest_energy": ("J", ""),
+    "length": ("m", "of the crack"),
+    "solved": ("m", "lengths that were solved; between them are splines"),
+    "cycles": ("1", "of the load, until the crack is so long"),
+    "rate": ("m", "growth in a cycle"),
+    "response": ("m", "half peak-to-peak, at the load"),
+    "largest": ("Pa m^0.5", "K_I over a cycle"),
+    "smallest": ("Pa m^0.5", "K_I over a cycle"),
+    "effective": ("Pa m^0.5", "range of K_I while the tip is open"),
+    "sliding": ("Pa m^0.5", "largest K_II"),
     "cosines": ("m", "motions; harmonics 0 to H; dofs"),
 }
 """Unit, and what it is, axis by axis."""

@@ -13,24 +13,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
 
 import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError
 from fenics_crack.fem.build import with_crack_length
-from fenics_crack.growth.path import LengthPath, solve_lengths
+from fenics_crack.growth.path import LengthPath, least_damping, solve_lengths
+from fenics_crack.growth.result import Growth
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene, check_tips
 from fenics_crack.scene.tables import Growth as Law
 from fenics_crack.study.run import solve
 from fenics_crack.study.stated_errors import stated_errors
-from fenics_crack.table import TURN, Tabular, counted, with_frequency
+from fenics_crack.table import TURN, counted
 
-__all__ = ["Growth", "grow"]
+__all__ = ["grow"]
 
 POINTS = 200
 """Lengths of the table."""
@@ -38,109 +37,6 @@ MEGA = 1e6
 """Pa m^1/2 in which rates are measured."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)
 """Of the integral over each of the table's steps."""
-
-
-@dataclass(frozen=True, repr=False)
-class Growth(Tabular):
-    """A crack's length over the cycles, and what the vibration does meanwhile.
-
-    Attributes
-    ----------
-    scene : Scene
-        With the length of the crack at the beginning.
-    length, cycles, time : (n,) [m], [-], [s]
-        Of the crack, the cycles until then, and how long they take; one row where it does not grow.
-    omega, omega_open, omega_bilinear : (n,) [rad/s]
-        Of the load, and natural frequencies with lips open and of the breathing crack, of the mode
-        that is nearest to the load.
-    response : (n,) [m]
-        Half the peak-to-peak displacement of the load's point, in the load's direction.
-    largest, smallest, effective, sliding : (n,) [Pa m^1/2]
-        K_max, K_min, delta_K_effective and K_II_max.
-    rate : (n,) [m]
-        In a cycle.
-    end : "reached", "arrested" or "broken"
-        Whether the length that was asked for is reached, the range falls below the threshold, or
-        K_max reaches the toughness.
-    solved : (k,) [m]
-        Lengths that were solved; between them are splines.
-    errors : dict of str to float
-        Relative standard deviations of the cycles by the "rate", the "exponent", the "vibration"
-        (mesh, modes and harmonics, where half of the cycles are over), and by "interpolation".
-    remarks : tuple of str
-        What is in doubt.
-    """
-
-    scene: Scene
-    length: np.ndarray
-    cycles: np.ndarray
-    time: np.ndarray
-    omega: np.ndarray
-    omega_open: np.ndarray
-    omega_bilinear: np.ndarray
-    response: np.ndarray
-    largest: np.ndarray
-    smallest: np.ndarray
-    effective: np.ndarray
-    sliding: np.ndarray
-    rate: np.ndarray
-    end: str
-    solved: np.ndarray
-    errors: dict[str, float]
-    remarks: tuple[str, ...]
-
-    KIND: ClassVar[str] = "crack growth"
-
-    @property
-    def life(self) -> float:
-        """Cycles to the last length."""
-        return float(self.cycles[-1])
-
-    @property
-    def factor(self) -> float:
-        """Factor, > 1, within which the life is known with 68 %: its logarithm is normal."""
-        return math.exp(math.hypot(*self.errors.values()))
-
-    @property
-    def frequency_drop(self) -> np.ndarray:
-        """How much the breathing crack's natural frequency has fallen, relative to the first: (n,)
-        [-]."""
-        return np.asarray(1.0 - self.omega_bilinear / self.omega_bilinear[0])
-
-    def at(self, cycles: float) -> float:
-        """The crack's length after some cycles [m]; nan beyond the last."""
-        return float(np.interp(cycles, self.cycles, self.length, right=math.nan))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Columns, a row for every length."""
-        found = {
-            "cycles": self.cycles,
-            "time": self.time,
-            "crack_length": self.length,
-            "rate": self.rate,
-            "omega": self.omega,
-            "omega_open": self.omega_open,
-            "omega_bilinear": self.omega_bilinear,
-            "frequency_drop": self.frequency_drop,
-            "response": self.response,
-            "K_max": self.largest,
-            "K_min": self.smallest,
-            "delta_K_effective": self.effective,
-            "K_II_max": self.sliding,
-        }
-        return with_frequency({name: values.tolist() for name, values in found.items()})
-
-    def _units(self) -> Mapping[str, str]:
-        units = {"time": "s", "crack_length": "m", "rate": "m/cycle", "omega": "rad/s"}
-        units |= {"omega_open": "rad/s", "omega_bilinear": "rad/s", "frequency": "Hz"}
-        tips = ("K_max", "K_min", "delta_K_effective", "K_II_max")
-        return units | {"response": "m"} | dict.fromkeys(tips, "Pa m^0.5")
-
-    def _title(self) -> str:
-        ends = f"{self.length[0]:.4g} to {self.length[-1]:.4g} m"
-        drop = f"frequency falls by {self.frequency_drop[-1]:.2%}"
-        known = f"{self.life:.4g} cycles within a factor of {self.factor:.3g}"
-        return f"{ends}, {known}, {self.end}, {drop}, {counted(len(self.solved), 'length')} solved"
 
 
 def grow(
@@ -203,7 +99,7 @@ def grow(
     length, cycles, end = _integrated(path, law)
     half = float(np.interp(0.5 * cycles[-1], cycles, length))
     vibration = on_root(comm, lambda: _error_at(scene, path, half))
-    strength = np.log(path.at("delta_K_effective", length) / MEGA)
+    strength = np.log(path.at("driving", length) / MEGA)
     over = np.diff(cycles)
     mean = abs(float(np.average(strength, weights=_shares(over))))
     errors = {
@@ -219,7 +115,7 @@ def grow(
         scene, length, cycles, time, seen["omega"], seen["omega_open"], seen["omega_bilinear"],
         seen["response"], seen["K_max"], seen["K_min"], seen["delta_K_effective"],
         seen["K_II_max"], _rate(path, law, length), end, path.lengths, errors,
-        tuple(_remarks(path, seen, length, vibration)),
+        tuple(_remarks(scene, path, seen, length, vibration)),
     )  # fmt: skip
 
 
@@ -240,6 +136,9 @@ def _checked(scene: Scene) -> Scene:
     if scene.cracks or crack.edge is None:
         allowed = "one crack from an edge with [growth]: its tip is the one that grows"
         raise InputError("crack", "several tips", allowed)
+    if law.drive == "spectrum" and scene.excitation.order is not None:
+        allowed = "another one with excitation.order: the speed of the rotor sets the frequency"
+        raise InputError("growth.drive", law.drive, allowed)
     width = scene.geometry.width
     assert width is not None and crack.length is not None
     if not crack.length < law.until < width:
@@ -250,10 +149,7 @@ def _checked(scene: Scene) -> Scene:
 
 def _rate(path: LengthPath, law: Law, lengths: np.ndarray) -> np.ndarray:
     """da/dN [m] at some lengths."""
-    largest, smallest = path.at("K_max", lengths), path.at("K_min", lengths)
-    ratio = np.clip(smallest / largest, 0.0, 1.0 - 1e-9)
-    range_of = path.at("delta_K_effective", lengths) / (1.0 - ratio) ** (1.0 - law.ratio_exponent)
-    return np.asarray(law.rate * (range_of / MEGA) ** law.exponent)
+    return np.asarray(law.rate * (path.at("driving", lengths) / MEGA) ** law.exponent)
 
 
 def _integrated(path: LengthPath, law: Law) -> tuple[np.ndarray, np.ndarray, str]:
@@ -274,14 +170,17 @@ def _integrated(path: LengthPath, law: Law) -> tuple[np.ndarray, np.ndarray, str
 
 def _error_at(scene: Scene, path: LengthPath, length: float) -> float:
     """Relative error of the effective range by mesh, modes and harmonics at a length."""
+    assert scene.growth is not None
+    omega = float(path.at("omega", np.array([length]))[0])
+    if scene.growth.drive == "spectrum":
+        omega = float(path.leading[np.abs(path.lengths - length).argmin()])
     place = {
         "crack.length": length,
-        "excitation.omega": float(path.at("omega", np.array([length]))[0]),
+        "excitation.omega": omega,
         "output.quantities": ("delta_K_effective",),
     }
     run = solve(scene.replace(place), MPI.COMM_SELF)
-    assert scene.growth is not None
-    of_peak = scene.growth.drive == "resonance"
+    of_peak = scene.growth.drive != "frequency"
     return stated_errors(run, run.result, of_peak=of_peak).stated("delta_K_effective")[0]
 
 
@@ -289,8 +188,17 @@ TURNS = math.radians(10.0)
 """From which on a crack is said not to grow straight on."""
 
 
+SETTLES = 2.0
+"""Times 1 / (xi w), in which the run-up of a single mode must pass the width 2 xi f at least:
+its growth with m = 3 is then 3 % below the steady one's."""
+
+
 def _remarks(
-    path: LengthPath, seen: Mapping[str, np.ndarray], length: np.ndarray, vibration: float
+    scene: Scene,
+    path: LengthPath,
+    seen: Mapping[str, np.ndarray],
+    length: np.ndarray,
+    vibration: float,
 ) -> list[str]:
     """What is in doubt of a crack's growth."""
     found = []
@@ -303,6 +211,18 @@ def _remarks(
             f"{math.degrees(turn.max()):.0f} degrees, K_II_max being up to "
             f"{np.max(two / one):.0%} of K_max"
         )
+    law = scene.growth
+    assert law is not None
+    if law.run_up is not None:
+        start, stop, rate = law.run_up
+        lowest = max(start, float(seen["omega_bilinear"].min()) / TURN)
+        slow = 2.0 * TURN * (least_damping(scene) * lowest) ** 2 / rate
+        if lowest < stop and slow < SETTLES:
+            found.append(
+                f"the run-up is through the width of the resonance in {slow:.2g} of the times in "
+                "which a vibration settles: it becomes less than the steady one, which is taken, "
+                "and the crack grows less"
+            )
     if path.not_stable:
         count = counted(len(path.not_stable), "length")
         found.append(f"at {count} the vibration is unstable, or its stability undecided")

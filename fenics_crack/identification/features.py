@@ -26,7 +26,7 @@ from fenics_crack.errors import FEW_MODES, InputError
 from fenics_crack.identification.interpolation import Cube
 from fenics_crack.identification.measurements import Measurement, check_point
 from fenics_crack.scene.fields import Axis
-from fenics_crack.sweep.file import CONVERGED, ORDERS
+from fenics_crack.sweep.file import CONVERGED, KEPT_ORDERS
 from fenics_crack.sweep.result import SweepResult
 
 __all__ = ["MESH", "Feature", "Part", "poles", "scales"]
@@ -135,7 +135,7 @@ class Feature:
             lips = row.quantity.removeprefix("frequency_")
             states = LIPS.get(lips, (lips,))
             return tuple(cls(state, row.mode) for state in states)
-        orders: Sequence[int] = ORDERS
+        orders: Sequence[int] = KEPT_ORDERS
         if row.quantity != "displacement":
             orders = [int(part) for part in row.quantity.split("_")[1:]]
         return tuple(cls("", 0, row.point, float(row.frequency), order) for order in orders)

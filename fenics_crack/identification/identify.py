@@ -40,8 +40,8 @@ from fenics_crack.sweep.result import SweepResult, run_sweep
 
 __all__ = ["Forward", "identify", "infer", "remarks_on", "solve_forward"]
 
-FEW_NODES = {1: 5, 2: 4}
-"""Values of each unknown that the finer sweep takes, by the number of unknowns; of more, 3."""
+FEW_NODES = 4
+"""Values of each of one or two unknowns that the finer sweep takes; of more unknowns one less."""
 FREQUENCY = "excitation.frequency"
 ASKED = ("sweep", "curve", "integration", "identify", "tip_timing")
 """Tables that do not matter to a sweep of the forward model."""
@@ -72,7 +72,7 @@ def identify(
     scene : Scene
         The structure and its load; the values of the unknowns in it do not matter.
     measurements : Measurements or path
-        What was measured, or a CSV file with it (:meth:`Measurements.from_csv`).
+        What was measured, or a file with it (:meth:`Measurements.read`).
     unknown : mapping, optional
         As the table ``[identify.unknown]``, which it replaces: keys of the scene with the values at
         which it is solved. Their ends are the bounds, between which the prior is uniform.
@@ -110,11 +110,12 @@ def identify(
         raise InputError("identify.unknown", "words alone", "also a key that holds a number")
     if not isinstance(measurements, Measurements):
         path = measurements
-        measurements = on_root(comm, lambda: Measurements.from_csv(path))
+        measurements = on_root(comm, lambda: Measurements.read(path))
     measurements.check(scene)
     loads = [row.frequency for row in measurements.rows if not row.natural]
     whole = _whole(scene, comm)
-    whole.check(measurements)
+    others = any(not axis.key.startswith(("crack.", "contact.")) for axis in scene.identify.unknown)
+    whole.check(measurements, other=others)
     forward = solve_forward(scene, loads, Path(folder), comm, whole=whole, progress=progress)
     begin("inference")
     return infer(forward, measurements)
@@ -248,7 +249,8 @@ def solve_forward(
         path = folder / f"{name}_{digest}.h5"
         return run_sweep(swept, path, comm, progress=progress, verdicts=False, judged=False)
 
-    count = FEW_NODES.get(sum(not isinstance(a.values[0], str) for a in table.unknown), 3)
+    numbers = sum(not isinstance(axis.values[0], str) for axis in table.unknown)
+    count = FEW_NODES - (numbers > 2)
 
     def sweeps(name: str, changes: dict[str, Any], axes: Sequence[Axis]) -> list[SweepResult]:
         found = [run(name, coarse.replace(changes), axes)]

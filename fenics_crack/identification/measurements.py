@@ -308,6 +308,52 @@ class Measurements(Tabular):
                 raise InputError(f"measurements, line {number}", line, allowed) from None
         return cls(tuple(rows))
 
+    @classmethod
+    def from_responses(
+        cls, path: str | Path, modes: Sequence[int] = (), *, quantity: str = "frequency_resonance"
+    ) -> Measurements:
+        """The natural frequencies that the frequency responses of a universal file show.
+
+        Datasets 58 and 58b of one structure at the same frequencies (.uff, .unv), over the force or
+        whatever drives it; fitted around their peaks, all together. The standard deviation holds
+        the scatter, and what the fit changes by where less of a peak is fitted.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+        modes : sequence of int
+            Numbers of the modes that it shows, from the lowest frequency up. Default: 1, 2, ....
+        quantity : str
+            "frequency_resonance" of a plate as it is, or "frequency_uncracked" before it had a
+            crack.
+
+        Raises
+        ------
+        InputError
+            The file cannot be read or shows no modes, or others than so many.
+        """
+        from fenics_crack.exchange.universal import read_responses
+        from fenics_crack.identification.resonances import resonances
+
+        with reading("measurements", path, "a universal file with frequency responses"):
+            responses = read_responses(Path(path))
+        found = resonances(responses)[: FEW_MODES if not modes else None]
+        numbers = list(modes) or list(range(1, len(found) + 1))
+        if len(numbers) != len(found):
+            shown = ", ".join(f"{one:.6g}" for one in found[:, 0])
+            allowed = f"{counted(len(found), 'number')}, of the modes at {shown} Hz"
+            raise InputError("modes", list(modes), allowed)
+        values, deviations = found[:, 0].tolist(), found[:, 1].tolist()
+        return cls.from_arrays(quantity, values, deviations, mode=numbers)
+
+    @classmethod
+    def read(cls, path: str | Path, modes: Sequence[int] = ()) -> Measurements:
+        """Read a universal file (.uff, .unv; :meth:`from_responses`) or a table
+        (:meth:`from_csv`)."""
+        universal = Path(path).suffix.lower() in (".uff", ".unv")
+        return cls.from_responses(path, modes) if universal else cls.from_csv(path)
+
     def check(self, scene: Scene) -> None:
         """Raise InputError for what is none of a scene, or tells nothing of its crack."""
         if all(row.quantity == "frequency_uncracked" for row in self.rows):

@@ -78,8 +78,9 @@ class Whole:
     changes: np.ndarray
     sizes: np.ndarray
 
-    def check(self, measurements: Measurements) -> None:
-        """Raise InputError for natural frequencies that are all in another unit than Hz."""
+    def check(self, measurements: Measurements, *, other: bool = False) -> None:
+        """Raise InputError for natural frequencies that are all in another unit than Hz; and unless
+        the plate may be an ``other`` one for those without the crack that are of another mode."""
         rows = [row for row in measurements.rows if row.natural and row.value > 0.0]
         rows = [row for row in rows if row.mode <= len(self.frequencies)]
         ratios = np.log([row.value / self.frequencies[row.mode - 1] for row in rows])
@@ -91,6 +92,12 @@ class Whole:
                     f"Hz, so that this seems to be in {unit}{modes}"
                 )
                 raise InputError(f"measurements.value, {rows[0].name}", rows[0].value, allowed)
+        for row in rows if not other else ():
+            near = int(np.abs(np.log(row.value / self.frequencies)).argmin()) + 1
+            if row.quantity == "frequency_uncracked" and near != row.mode:
+                own, that = (f"{self.frequencies[mode - 1]:.4g} Hz" for mode in (row.mode, near))
+                allowed = f"near {own} of this plate's mode {row.mode}; its mode {near} has {that}"
+                raise InputError(f"measurements.value, {row.name}", row.value, allowed)
 
 
 def whole_plate(scene: Scene, table: Identify) -> Whole:

@@ -24,7 +24,10 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 from petsc4py import PETSc
 
-__all__ = ["Factor", "distributed", "factored_sum", "weighted_sum"]
+__all__ = ["AT_A_TIME", "Factor", "distributed", "factored_sum", "weighted_sum"]
+
+AT_A_TIME = 16
+"""Columns that a factor solves for, or a matrix multiplies, at a time: PETSc copies them."""
 
 
 def distributed(rows: Any, comm: MPI.Comm) -> Any:
@@ -127,11 +130,19 @@ class Factor:
         self._pc.apply(source, target)
         solution.array_w[:] = target.array_r[: self._local]
 
-    def solve(self, rhs: np.ndarray) -> np.ndarray:
+    def solve(self, rhs: np.ndarray | sparse.spmatrix) -> np.ndarray:
         """Solve for real right-hand sides (m, n_local), one a row (collective)."""
+        found = np.empty(rhs.shape)
+        for start in range(0, len(found), AT_A_TIME):
+            block = rhs[start : start + AT_A_TIME]
+            found[start : start + AT_A_TIME] = self._solve(
+                block.toarray() if sparse.issparse(block) else block
+            )
+        return found
+
+    def _solve(self, rhs: np.ndarray) -> np.ndarray:
+        """The same of a few (collective)."""
         (count, local), comm = rhs.shape, self._matrix.comm
-        if count == 0:  # MUMPS refuses to solve nothing
-            return np.zeros(rhs.shape)
         own, total = self._matrix.sizes[0]
         columns = np.zeros((own, count), order="F")
         columns[:local] = rhs.T
@@ -143,7 +154,7 @@ class Factor:
             made.setUp()
             made.assemble()
         self._factor.matSolve(right, solution)
-        found = np.array(solution.getDenseArray()[:local].T, order="C")
+        found = np.array(solution.getDenseArray()[:local].T)
         right.destroy()
         solution.destroy()
         return found

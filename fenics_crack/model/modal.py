@@ -9,7 +9,7 @@ import numpy as np
 import scipy.linalg
 
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.model.modes import NEGLIGIBLE, ROUNDING, damped_modes, damping_in
+from fenics_crack.model.modes import AS_ZERO, NEGLIGIBLE, damped_modes, damping_in
 from fenics_crack.model.reduced import MasslessInterface
 from fenics_crack.model.structure import Structure
 
@@ -196,7 +196,7 @@ def _all_modes(structure: Structure) -> AllModes:
     else:
         squares, shapes = scipy.linalg.eigh(*map(_dense, (structure.stiffness, structure.mass)))
         damping = damping_in(structure, shapes, squares)
-    unconstrained = bool(squares[0] <= ROUNDING * squares[-1])
+    unconstrained = bool(squares[0] <= AS_ZERO * squares[-1])
     pairs = (structure.gap.T @ shapes).T
     return AllModes(squares, shapes, damping, pairs, unconstrained)
 

@@ -21,7 +21,7 @@ from slepc4py import SLEPc
 
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
-from fenics_crack.model.factor import Factor, factored_sum
+from fenics_crack.model.factor import AT_A_TIME, Factor, factored_sum
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.linearisation import EPSILON
 from fenics_crack.parallel import gather_rows
@@ -29,8 +29,8 @@ from fenics_crack.stages import begin
 from fenics_crack.table import Tabular, counted
 
 __all__ = [
+    "AS_ZERO",
     "NEGLIGIBLE",
-    "ROUNDING",
     "DampedModes",
     "Modes",
     "check_damped_modes",
@@ -51,7 +51,7 @@ __all__ = [
 LIPS = ("open", "tied")
 SINGULAR = 1e-10
 """Squares of frequencies, relative to the smallest K_ii / M_ii, that are null pivots missed."""
-ROUNDING = 1e-14
+AS_ZERO = 1e-14
 """Relative to the largest: what counts as zero of squares of frequencies (to K_ii / M_ii), static
 responses and gaps."""
 NEGLIGIBLE = 1e-12
@@ -195,7 +195,7 @@ def modes_by(factor: Factor, structure: Structure, count: int, ties: Any = None)
         if asked == most or _count_below(structure, bound, ties) <= np.sum(squares < bound):
             break
         asked = min(2 * asked + 2, most)
-    squares[squares <= ROUNDING * max(np.max(quotients), scale)] = 0.0
+    squares[squares <= AS_ZERO * max(np.max(quotients), scale)] = 0.0
     omega, shapes = np.sqrt(squares[:count]), shapes[:, :count]
     shapes *= _signs(structure, shapes)
     kept[:] = omega, shapes
@@ -312,14 +312,16 @@ def largest_frequency(structure: Structure) -> float:
 
 def times(matrix: Any, columns: np.ndarray) -> np.ndarray:
     """A X for a PETSc matrix and the columns of X (n_local, m) (collective)."""
-    (local, total), comm = matrix.sizes[1], matrix.comm
-    whole = ((local, total), (PETSc.DECIDE, columns.shape[1]))
-    right = PETSc.Mat().createDense(whole, array=np.array(columns, order="F"), comm=comm)
-    right.assemble()
-    product = matrix.matMult(right)
-    found = np.array(product.getDenseArray(), order="C")
-    right.destroy()
-    product.destroy()
+    found = np.empty(columns.shape)
+    for start in range(0, columns.shape[1], AT_A_TIME):
+        block = np.array(columns[:, start : start + AT_A_TIME], order="F")
+        whole = (matrix.sizes[1], (PETSc.DECIDE, block.shape[1]))
+        right = PETSc.Mat().createDense(whole, array=block, comm=matrix.comm)
+        right.assemble()
+        product = matrix.matMult(right)
+        found[:, start : start + AT_A_TIME] = product.getDenseArray()
+        right.destroy()
+        product.destroy()
     return found
 
 

@@ -17,7 +17,7 @@ from fenics_crack.hints import Hinted
 from fenics_crack.model.matrices import numbers, read_only
 from fenics_crack.parallel import gather_rows
 
-__all__ = ["AXES", "Coordinates", "Nodes", "Pairs"]
+__all__ = ["AXES", "Coordinates", "Nodes", "Pairs", "nearest_node"]
 
 AXES = "xyz"
 
@@ -62,8 +62,7 @@ class Nodes:
         distance = np.linalg.norm(points - target, axis=1)
         found = np.flatnonzero(distance <= 1e-6 * np.ptp(points, axis=0).max())
         if len(found) != 1:
-            nearest = _place(points[np.argmin(distance)])
-            nodes = f"{len(found)} found there; the nearest node is at {nearest}"
+            nodes = f"{len(found)} found there; {nearest_node(points, target)}"
             raise InputError("point", tuple(target), f"at a node that exists once ({nodes})")
         dof = int(gather_rows(comm, self.dofs)[found[0], known.index(component) % d])
         if dof < 0:
@@ -87,7 +86,7 @@ class Nodes:
         distance, size = np.linalg.norm(points - point, axis=1), np.ptp(points, axis=0).max()
         place = int(np.argmin(distance))
         shown = tuple(map(float, point))
-        there = f"the nearest node is at {_place(points[place])}"
+        there = nearest_node(points, point)
         if distance[place] > 0.05 * size:
             raise InputError(key, shown, f"on the mesh ({there})")
         if np.count_nonzero(np.linalg.norm(points - points[place], axis=1) <= 1e-6 * size) > 1:
@@ -101,6 +100,12 @@ class Nodes:
         node, component = np.argwhere(gather_rows(comm, self.dofs) == dof)[0]
         place = _place(gather_rows(comm, self.points)[node], ".4g")
         return f"{AXES[component]} displacement at {place} m"
+
+
+def nearest_node(points: np.ndarray, point: Sequence[float] | np.ndarray) -> str:
+    """Where of all ``points`` (n, d) the one nearest to ``point`` is, in words."""
+    nearest = points[np.argmin(np.linalg.norm(points - point, axis=1))]
+    return f"the nearest node is at {_place(nearest)}"
 
 
 def _place(point: np.ndarray, digits: str = "g") -> str:

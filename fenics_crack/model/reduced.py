@@ -25,12 +25,11 @@ from mpi4py import MPI
 
 from fenics_crack.errors import InputError
 from fenics_crack.model.damping import DampingRule
-from fenics_crack.model.factor import Factor, distributed
+from fenics_crack.model.factor import AT_A_TIME, Factor, distributed
 from fenics_crack.model.modes import NEGLIGIBLE, times
 from fenics_crack.model.structure import Structure
 
 __all__ = [
-    "AT_A_TIME",
     "INSTEAD",
     "MasslessInterface",
     "MasslessStructure",
@@ -40,8 +39,6 @@ __all__ = [
     "massless",
 ]
 
-AT_A_TIME = 16
-"""Static solutions that are held at a time."""
 INSTEAD = "reduce with method = 'free_interface', or march by integrate_exponential"
 """What to do where a scheme needs mass at the lips."""
 

@@ -35,11 +35,11 @@ import scipy.sparse as sparse
 
 from fenics_crack.errors import InputError
 from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
-from fenics_crack.model.factor import Factor, factored_sum
+from fenics_crack.model.factor import AT_A_TIME, Factor, factored_sum
 from fenics_crack.model.modal import SMALL
 from fenics_crack.model.modes import (
+    AS_ZERO,
     NEGLIGIBLE,
-    ROUNDING,
     check_damped_modes,
     damped_modes,
     damping_in,
@@ -50,7 +50,6 @@ from fenics_crack.model.modes import (
     times,
 )
 from fenics_crack.model.reduced import (
-    AT_A_TIME,
     MasslessStructure,
     ReducedStructure,
     ResidualFlexibility,
@@ -133,7 +132,7 @@ def reduce_structure(
 
     damped = damped_modes(structure) if modal else None
     loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
-    sources = np.hstack([structure.gap.toarray(), structure.force[loaded].T])
+    sources = sparse.hstack([structure.gap, structure.force[loaded].T], "csc")
     begin("reduction")
     kept, squares = np.zeros((structure.n_local, 0)), np.zeros(0)
     with Factor(structure.stiffness, definite=method != "craig_bampton") as own:
@@ -226,7 +225,7 @@ def _without_rounding(compliance: np.ndarray, seen: np.ndarray, squares: np.ndar
     elastic = squares > NEGLIGIBLE * squares[-1]
     carried = np.sum(seen[elastic] ** 2 / squares[elastic, None], axis=0)
     found = compliance.copy()
-    lost = np.diag(compliance) <= ROUNDING * carried
+    lost = np.diag(compliance) <= AS_ZERO * carried
     found[lost] = found[:, lost] = 0.0
     return found
 

@@ -12,9 +12,11 @@ One small basis serves for all speeds of a run-up:
 
 V holds, of the structure at a few speeds of the range, the lowest modes with open lips and the
 static responses to forces on every pair and to the load: the free-interface bases of these speeds
-together. At these the small structure is as good as the reduced one; between them its error, that
-of a Ritz method, is of second order in what V lacks. At each speed its modes are those of a small
-dense matrix, and smooth to rounding: V is scaled so that the stiffness is near I.
+together, without what one of them adds of negligible energy. At these the small structure is as
+good as the reduced one; between them its error, that of a Ritz method, is of second order in what V
+lacks. At each speed its modes are those of a small dense matrix, and smooth to rounding: V is
+scaled so that the stiffness is near I. A Campbell diagram has modes with tied lips in V, too, and
+all of its frequencies from there.
 """
 
 from __future__ import annotations
@@ -23,7 +25,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 import scipy.sparse as sparse
 from mpi4py import MPI
 
@@ -32,13 +33,16 @@ from fenics_crack.model.coupled import solve_complementarity
 from fenics_crack.model.damping import DampingRule
 from fenics_crack.model.factor import Factor, distributed, weighted_sum
 from fenics_crack.model.matrices import read_only
-from fenics_crack.model.modes import ROUNDING, independent_part, times
+from fenics_crack.model.modes import AS_ZERO, NEGLIGIBLE, solve_modes, times
 from fenics_crack.model.reduced import MasslessInterface
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
+from fenics_crack.parallel import collect_garbage
 from fenics_crack.table import RPM
 
-__all__ = ["Rotation", "RunUpStructure", "run_up_structure", "static_state", "too_fast"]
+__all__ = [
+    "Ritz", "Rotation", "RunUpStructure", "run_up_structure", "static_state", "too_fast"
+]  # fmt: skip
 
 SPEEDS = 3
 """Speeds of a range whose bases are put together."""
@@ -128,7 +132,7 @@ def static_state(
     with Factor(structure.stiffness, definite=True) as factor:
         moved = factor.solve(force[None])[0]
         gap = structure.apply_bt(moved[None])[0] - clearance
-        if np.any(gap > ROUNDING * np.abs(gap).max(initial=0.0)):
+        if np.any(gap > AS_ZERO * np.abs(gap).max(initial=0.0)):
             pushed = factor.solve(structure.gap.T.toarray())
             compliance = structure.apply_bt(pushed)
             pairs = solve_complementarity(0.5 * (compliance + compliance.T), gap)
@@ -177,6 +181,69 @@ class Ritz:
     gap: sparse.csr_matrix
     modes: int
 
+    @classmethod
+    def of_range(
+        cls, structure: Structure, start: float, stop: float, modes: int, tied: int = 0
+    ) -> Ritz:
+        """That of speeds between two [rad/s], with some of the lowest modes of a few of them, lips
+        open and tied; scaled at the structure's own speed (collective)."""
+        rotation = structure.rotation
+        basis: np.ndarray = np.zeros((structure.n_local, 0))
+        for speed in np.linspace(start, stop, SPEEDS):
+            own = np.isclose(speed, rotation.speed, rtol=1e-12, atol=0.0)
+            there = structure if own else rotation.at(float(speed))
+            part = reduce_structure(there, modes=modes, method="free_interface", judged=False)
+            columns = part.basis / part.omega
+            if tied:
+                found = solve_modes(there, tied, lips="tied")
+                columns = np.hstack([columns, found.shapes / found.omega])
+                del found
+            basis = np.hstack([basis, _new_part(structure, basis, columns)])
+            del there, part, columns
+            collect_garbage(structure.comm)
+
+        def projected(matrix: object) -> np.ndarray:
+            found = structure.sum_over_ranks(basis.T @ times(matrix, basis))
+            return np.asarray(0.5 * (found + found.T))
+
+        inverse, turned = np.linalg.eigh(projected(structure.mass))
+        basis = basis @ turned
+        square = rotation.speed**2
+        added = np.array([projected(part) for part in (rotation.stiffness, *rotation.displaced)])
+        at_rest = np.eye(len(inverse)) - square * (added[0] + added[1] + square * added[2])
+        return cls(
+            structure,
+            read_only(basis),  # shared by all speeds
+            at_rest,
+            added,
+            inverse,
+            structure.sum_over_ranks(rotation.at_rest.force @ basis),
+            structure.sum_over_ranks(rotation.force @ basis),
+            distributed(sparse.diags(inverse), MPI.COMM_SELF),
+            sparse.csr_matrix(structure.apply_bt(basis.T)),
+            modes,
+        )
+
+    def matrices(self, speed: float) -> tuple[np.ndarray, np.ndarray]:
+        """The stiffness (n, n) and the load (3, n) at a speed [rad/s]."""
+        first, second, third = speed**2 * self.stiffness
+        stiffness = self.at_rest + first + second + speed**2 * third
+        moved = np.linalg.solve(self.at_rest + first, speed**2 * self.centrifugal)
+        force = self.force.copy()
+        force[0] += stiffness @ moved
+        return stiffness, force
+
+    def at(self, speed: float) -> Structure:
+        """The small structure at a speed [rad/s], without damping."""
+        stiffness, force = self.matrices(speed)
+        return Structure(
+            self.mass,
+            distributed(stiffness, MPI.COMM_SELF),
+            self.gap,
+            force=force,
+            clearance=self.whole.clearance,
+        )
+
 
 class RunUpStructure(MasslessInterface):
     """A rotating structure at one speed, in coordinates that do not depend on it.
@@ -194,13 +261,11 @@ class RunUpStructure(MasslessInterface):
 
     speed: float
     _ritz: Ritz
+    _dense: np.ndarray
+    """V^T K(W) V."""
 
     def __init__(self, ritz: Ritz, speed: float) -> None:
-        first, second, third = speed**2 * ritz.stiffness
-        stiffness = ritz.at_rest + first + second + speed**2 * third
-        moved = np.linalg.solve(ritz.at_rest + first, speed**2 * ritz.centrifugal)
-        force = ritz.force.copy()
-        force[0] += stiffness @ moved
+        stiffness, force = ritz.matrices(speed)
         try:
             factor = np.linalg.inv(np.linalg.cholesky(stiffness))
         except np.linalg.LinAlgError:
@@ -213,7 +278,7 @@ class RunUpStructure(MasslessInterface):
         Structure.__init__(
             self,
             ritz.mass,
-            distributed(stiffness, MPI.COMM_SELF),
+            None,
             ritz.gap,
             force=force,
             clearance=ritz.whole.clearance,
@@ -224,7 +289,13 @@ class RunUpStructure(MasslessInterface):
         omega = 1.0 / np.sqrt(inverse)
         self._hold(basis=ritz.basis, omega=omega, reference=None, _whole=ritz.whole)
         left = factor.T @ factor - static @ static.T
-        self._hold(speed=speed, shapes=static * omega, left=left, _ritz=ritz)
+        self._hold(speed=speed, shapes=static * omega, left=left, _ritz=ritz, _dense=stiffness)
+
+    @property
+    def stiffness(self) -> Any:  # type: ignore[override]
+        """V^T K(W) V. Paths make a structure for each of their many speeds, and do not ask for its
+        matrix."""
+        return self.once(_stiffness)
 
     @property
     def _size_words(self) -> str:
@@ -246,6 +317,11 @@ class RunUpStructure(MasslessInterface):
     def damped(self, damping: DampingRule | None) -> RunUpStructure:
         """Return this structure with a modal or Rayleigh damping, or none."""
         raise InputError("damping", damping, "that of the structure from which this one was made")
+
+
+def _stiffness(structure: Structure) -> Any:
+    assert isinstance(structure, RunUpStructure)
+    return distributed(structure._dense, MPI.COMM_SELF)
 
 
 def run_up_structure(structure: Structure, start: float, stop: float, modes: int) -> RunUpStructure:
@@ -282,33 +358,20 @@ def run_up_structure(structure: Structure, start: float, stop: float, modes: int
         raise InputError("structure", repr(structure), "one that rotates, of a scene's [rotation]")
     if not isinstance(structure.damping, DampingRule | None):
         raise InputError("damping", "a matrix", "modal or Rayleigh damping in a run-up")
-    basis: np.ndarray = np.zeros((structure.n_local, 0))
-    for speed in np.linspace(start, stop, SPEEDS):
-        there = rotation.at(float(speed))
-        part = reduce_structure(there, modes=modes, method="free_interface", judged=False)
-        new = independent_part(structure, basis, part.basis)
-        basis = np.hstack([basis, new])
-    here = rotation.at(rotation.speed)
+    return RunUpStructure(Ritz.of_range(structure, start, stop, modes), rotation.speed)
 
-    def projected(matrix: object) -> np.ndarray:
-        found = structure.sum_over_ranks(basis.T @ times(matrix, basis))
-        return np.asarray(0.5 * (found + found.T))
 
-    squares, shapes = scipy.linalg.eigh(projected(here.stiffness))
-    basis = basis @ (shapes / np.sqrt(squares))  # K = I at the structure's own speed
-    square = rotation.speed**2
-    added = np.array([projected(part) for part in (rotation.stiffness, *rotation.displaced)])
-    at_rest = np.eye(len(squares)) - square * (added[0] + added[1] + square * added[2])
-    ritz = Ritz(
-        structure,
-        read_only(basis),  # shared by all speeds
-        at_rest,
-        added,
-        1.0 / squares,
-        structure.sum_over_ranks(rotation.at_rest.force @ basis),
-        structure.sum_over_ranks(rotation.force @ basis),
-        distributed(sparse.diags(1.0 / squares), MPI.COMM_SELF),
-        sparse.csr_matrix(structure.apply_bt(basis.T)),
-        modes,
-    )
-    return RunUpStructure(ritz, rotation.speed)
+def _new_part(structure: Structure, basis: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Part of columns of unit energy (n_local, m) that is new to a basis with V^T K V = I,
+    likewise, without directions of negligible energy: of a static response no more is lost than
+    that of its square, 1e-6, and of a compliance 1e-12 (collective)."""
+
+    def gram(rows: np.ndarray) -> np.ndarray:
+        return structure.sum_over_ranks(rows.T @ times(structure.stiffness, columns))
+
+    for _ in range(2):  # once more against rounding
+        columns = columns - basis @ gram(basis)
+        weights, vectors = np.linalg.eigh(gram(columns))
+        kept = weights > NEGLIGIBLE
+        columns = columns @ (vectors[:, kept] / np.sqrt(weights[kept]))
+    return columns

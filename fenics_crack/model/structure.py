@@ -22,6 +22,7 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError, check_number
+from fenics_crack.model.clamp import Clamp
 from fenics_crack.model.damping import DampingRule, RayleighDamping, check_rule
 from fenics_crack.model.matrices import (
     checked,
@@ -55,6 +56,8 @@ class Structure(Coordinates):
         g0 of every pair; positive: an opening that closes first, negative: preload.
     damping_factor : float
         Factor of the damping relative to that of :attr:`original`; 1 unless varied.
+    clamp : fenics_crack.model.clamp.Clamp or None
+        What holds a mesh; None of matrices, and of a reduced structure, whose whole one has it.
     rotation : fenics_crack.model.rotation.Rotation or None
         What rotation has added to the matrices and the mean load; None at rest.
     """
@@ -62,6 +65,7 @@ class Structure(Coordinates):
     stiffness: Any
     clearance: np.ndarray
     damping_factor: float
+    clamp: Clamp | None
     rotation: Any = None
 
     _original: Structure | None
@@ -85,6 +89,7 @@ class Structure(Coordinates):
         nodes: Nodes | None = None,
         pairs: Pairs | None = None,
         watched: np.ndarray | None = None,
+        clamp: Clamp | None = None,
     ) -> None:
         self._hold(
             comm=mass.comm.tompi4py(),
@@ -97,6 +102,7 @@ class Structure(Coordinates):
             nodes=nodes,
             pairs=pairs or Pairs(),
             watched=watched,
+            clamp=clamp,
             damping_factor=1.0,
             _gap_transposed=_read_only_rows(gap.T),
             _original=None,
@@ -237,6 +243,7 @@ class Structure(Coordinates):
         other = self._copied(
             force=np.dot(weights, self.force),
             clearance=self.clearance + per_pair("clearance", clearance, self.n_pairs),
+            clamp=None if self.clamp is None else self.clamp.varied(weights),
             damping_factor=damping * self.damping_factor,
             _original=self.original,
         )
@@ -246,7 +253,7 @@ class Structure(Coordinates):
         return other
 
     def _changed(self, **changes: Any) -> Structure:
-        kept = "mass stiffness gap force clearance damping nodes pairs watched".split()
+        kept = "mass stiffness gap force clearance damping nodes pairs watched clamp".split()
         return Structure(**({name: getattr(self, name) for name in kept} | changes))
 
     @classmethod

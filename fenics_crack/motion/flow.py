@@ -135,6 +135,10 @@ class ContactFlow:
         """Numbers of a state."""
         return 2 * len(self.modes.squares)
 
+    def pieces(self, duration: float) -> float:
+        """Of the Taylor series of a motion so long [s] without events."""
+        return float(self.fastest * duration / kernel.FLOW_REACH)
+
     def state(self, displacement: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """State of a displacement and a velocity (..., n_dofs)."""
         inverse = self.modes.inverse.T

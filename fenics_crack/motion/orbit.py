@@ -33,7 +33,6 @@ import scipy.linalg
 from scipy.linalg.lapack import dgeev
 
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.kernel import kernel
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples, Track
 from fenics_crack.numerics.newton import gmres
 from fenics_crack.table import Described, counted
@@ -243,7 +242,7 @@ def affordable(
     """Whether a search does not take long at a frequency: M is formed, or so many periods have no
     more pieces, but for events, than it may take. Large states of lips with mass, which bounce, are
     not tried: from their waves Newton's method leads to no orbit."""
-    pieces = flow.fastest * 2.0 * np.pi * subharmonic / omega / kernel.FLOW_REACH
+    pieces = flow.pieces(2.0 * np.pi * subharmonic / omega)
     light = flow.structure.light_lips
     return flow.size <= FORMED or (light and periods * pieces <= PIECES)
 

@@ -14,7 +14,7 @@ method is Newton's own. Where the residual would grow, as where lips begin to to
 changes like a square root, the step is shortened.
 
 All paths are followed with this loop: response curves, paths to a cold start, backbones, and
-branches of exact orbits; refined curves take its step. It is the kernel's
+branches of exact orbits. It is the kernel's
 (``kernel/bordered.c``), for compiled equations and for those in Python (:mod:`equations`). Single
 solutions go through it where the kernel has their equations, and through PETSc's SNES
 (:mod:`newton`) where it has not, or where PETSc's options ask for that. Curves never do: SNES knows
@@ -26,9 +26,7 @@ Sources: those of :mod:`path`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -37,11 +35,11 @@ from fenics_crack.numerics.equations import equations_of
 from fenics_crack.numerics.linearisation import Linearisation, System
 
 __all__ = [
+    "FULL_STEPS",
     "MAX_ITERATIONS",
     "MIN_DAMPING",
     "PATIENCE",
-    "REACH",
-    "STEPS",
+    "STRAY",
     "PathPoint",
     "Tangent",
     "correct",
@@ -51,7 +49,6 @@ __all__ = [
     "solve_in_plane",
     "solve_near",
     "step_along",
-    "step_in_plane",
     "tangent_of",
 ]
 
@@ -59,10 +56,10 @@ MAX_ITERATIONS = 8
 """Of one correction."""
 MIN_DAMPING = 0.05
 """Of a Newton step."""
-STEPS, SHORTEST, PATIENCE = 20, 0.01, 8
+FULL_STEPS, LEAST_STEP, PATIENCE = 20, 0.01, 8
 """From a guess at a given parameter, how short these may become, and those of them that may
 together fail to halve the residual."""
-REACH = 3.0
+STRAY = 3.0
 """How far from its prediction the parameter may go, in steps."""
 
 
@@ -163,40 +160,18 @@ def solve_in_plane(
     return PathPoint(found, parameter, int(taken[0]), flat, at=equations.found(found, parameter))
 
 
-def step_in_plane(
-    plane: Tangent,
-    change: np.ndarray,
-    slope: np.ndarray,
-    inner: Callable[[np.ndarray, np.ndarray], Any],
-) -> tuple[np.ndarray, Any]:
-    """Newton's step (dx, dp) from a = -J^-1 F and b = -J^-1 F_p, of many points at once where the
-    plane holds arrays and ``inner`` gives one number for each."""
-    along = plane.weight * inner(plane.x, slope) + plane.p + 1e-300  # not 0
-    shift = -plane.weight * inner(plane.x, change) / along
-    return change + shift * slope, shift
-
-
 def correct(
-    system: System,
-    start: PathPoint,
-    step: float,
-    tolerance: float,
-    *,
-    tangent: Tangent | None = None,
-    bend: tuple[np.ndarray, float] | None = None,
-    reach: float | None = None,
+    system: System, start: PathPoint, step: float, tolerance: float, *, reach: float | None = None
 ) -> PathPoint | None:
     """The point of a path at a distance from another one; None where it is not found.
 
-    The prediction goes along ``tangent``, by default the point's own, plus ``bend``, a change of x
-    and of p. The parameter may then change by ``reach``, by default 3 steps.
+    The prediction goes along the tangent. The parameter may then change by ``reach``, by default 3
+    steps.
     """
-    tangent = tangent or start.tangent
-    unknown, parameter = start.unknown + step * tangent.x, start.parameter + step * tangent.p
-    if bend is not None:
-        unknown, parameter = unknown + bend[0], parameter + bend[1]
+    ahead = start.tangent
+    unknown, parameter = start.unknown + step * ahead.x, start.parameter + step * ahead.p
     return solve_in_plane(
-        system, unknown, parameter, tangent, tolerance=tolerance, reach=reach or REACH * step
+        system, unknown, parameter, ahead, tolerance=tolerance, reach=reach or STRAY * step
     )
 
 
@@ -219,7 +194,7 @@ def solve_at(
     parameter: float,
     *,
     tolerance: float,
-    iterations: int = STEPS,
+    iterations: int = FULL_STEPS,
 ) -> PathPoint | None:
     """Full Newton steps from a guess at a given parameter; None where they do not converge."""
     return solve_in_plane(
@@ -236,7 +211,7 @@ def solve_near(
     found = solve_at(system, unknown, parameter, tolerance=tolerance) if full else None
     return found or solve_in_plane(
         system, unknown, parameter, None,
-        tolerance=tolerance, iterations=STEPS, least_damping=SHORTEST, patience=PATIENCE,
+        tolerance=tolerance, iterations=FULL_STEPS, least_damping=LEAST_STEP, patience=PATIENCE,
     )  # fmt: skip
 
 

@@ -38,6 +38,15 @@ class Equations(ABC):
     _last: Linearisation | None = None
     """Where they have been evaluated."""
 
+    @property
+    def compiled(self) -> Equations | None:
+        """Itself: the loops are the kernel's."""
+        return self
+
+    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
+        """Inner product."""
+        return float(np.vdot(first, second))
+
     @abstractmethod
     def found(self, unknown: np.ndarray, parameter: float) -> Linearisation:
         """The system at a point that a loop has found, where it has just been evaluated."""

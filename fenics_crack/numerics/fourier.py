@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 __all__ = [
     "balanced",
+    "derivative",
     "evaluate",
     "from_complex",
     "instants",
@@ -49,7 +50,11 @@ def from_complex(harmonics: np.ndarray) -> np.ndarray:
 
 def waves(phase: np.ndarray, orders: ArrayLike = (1.0,)) -> np.ndarray:
     """1, cos k theta, sin k theta, ... of orders k (K,) at phases (...): (..., 2K+1)."""
-    angle = np.multiply.outer(phase, orders)
+    return _of_angles(np.multiply.outer(phase, orders))
+
+
+def _of_angles(angle: np.ndarray) -> np.ndarray:
+    """1, cos, sin, cos, sin, ... of angles (..., K): (..., 2K+1)."""
     found = np.ones((*angle.shape[:-1], 2 * angle.shape[-1] + 1))
     found[..., 1::2], found[..., 2::2] = np.cos(angle), np.sin(angle)
     return found
@@ -57,13 +62,16 @@ def waves(phase: np.ndarray, orders: ArrayLike = (1.0,)) -> np.ndarray:
 
 def evaluate(coefficients: np.ndarray, omega: float, time: np.ndarray) -> np.ndarray:
     """x(t) at times (n,) [s] of coefficients (2H+1, ...): (n, ...)."""
-    phase = omega * np.multiply.outer(
-        np.atleast_1d(np.asarray(time, dtype=float)), np.arange(1, (len(coefficients) + 1) // 2)
-    )
-    basis = np.ones((len(phase), len(coefficients)))
-    basis[:, 1::2] = np.cos(phase)
-    basis[:, 2::2] = np.sin(phase)
-    return np.tensordot(basis, coefficients, axes=1)
+    phase = omega * np.atleast_1d(np.asarray(time, dtype=float))
+    return np.tensordot(waves(phase, np.arange(1, len(coefficients) // 2 + 1)), coefficients, 1)
+
+
+def derivative(coefficients: np.ndarray, omega: float) -> np.ndarray:
+    """Coefficients of x'(t) by those of x(t), rows a0, a1, b1, ...: (2H+1, n)."""
+    rate = omega * np.arange(1, len(coefficients) // 2 + 1)[:, None]
+    found = np.zeros_like(coefficients)
+    found[1::2], found[2::2] = rate * coefficients[2::2], -rate * coefficients[1::2]
+    return found
 
 
 def sampled(coefficients: np.ndarray, count: int) -> np.ndarray:
@@ -107,8 +115,7 @@ def _waves(harmonics: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     of values there, (2H+1, count)."""
     order = np.arange(1, harmonics + 1)
     phase = 2.0 * np.pi / count * (np.outer(np.arange(count), order) % count)
-    waves = np.ones((count, 2 * harmonics + 1))
-    waves[:, 1::2], waves[:, 2::2] = np.cos(phase), np.sin(phase)
+    waves = _of_angles(phase)
     means = 2.0 / count * waves.T
     means[0] *= 0.5
     return waves, means
@@ -129,9 +136,7 @@ def resized(coefficients: np.ndarray, harmonics: int) -> np.ndarray:
 
 def stretched(coefficients: np.ndarray, factor: int) -> np.ndarray:
     """The same wave as one of ``factor`` times the period: harmonic k becomes harmonic factor k."""
-    harmonics = len(coefficients) // 2
-    longer = np.zeros((2 * factor * harmonics + 1, *coefficients.shape[1:]))
-    longer[0] = coefficients[0]
-    longer[2 * factor - 1 :: 2 * factor] = coefficients[1::2]
-    longer[2 * factor :: 2 * factor] = coefficients[2::2]
-    return longer
+    harmonics = to_complex(coefficients)
+    longer = np.zeros((factor * (len(harmonics) - 1) + 1, *harmonics.shape[1:]), dtype=complex)
+    longer[::factor] = harmonics
+    return from_complex(longer)

@@ -38,7 +38,7 @@ from fenics_crack.kernel import NULL, Struct, doubles, kernel
 from fenics_crack.numerics.bordered import (
     MAX_ITERATIONS,
     MIN_DAMPING,
-    REACH,
+    STRAY,
     PathPoint,
     Tangent,
     distance,
@@ -49,7 +49,7 @@ from fenics_crack.numerics.equations import equations_of
 from fenics_crack.numerics.linearisation import EPSILON, ROUNDING, System
 
 __all__ = [
-    "SHARP",
+    "LOCATED",
     "STRAIGHT",
     "BranchPoint",
     "Closed",
@@ -66,9 +66,9 @@ __all__ = [
 
 STRAIGHT = 0.9
 """Cosine of an angle up to which two directions are taken for one."""
-SHARP = 1e-11
+LOCATED = 1e-11
 """|F| / |x| of what is located between two points."""
-NEAR = EPSILON**0.5
+ARRIVED = EPSILON**0.5
 """Distance to a point of a path at which it counts as found: where the parameter turns, it is then
 known to the square of that."""
 
@@ -114,9 +114,10 @@ class Stretch(Sequence[PathPoint]):
 
     Attributes
     ----------
-    unknowns : (n, *shape)
-    parameters, slopes, lengths : (n,)
-        p, its tangent's t_p, and the chord from the point before.
+    unknowns, tangents : (n, *shape)
+        x, and its tangent's t_x.
+    parameters, slopes, weights, lengths : (n,)
+        p, its tangent's t_p and w, and the chord from the point before.
     iterations : (n,) int
     crossings : (n,) int
         1 where another branch has been crossed since the point before.
@@ -126,8 +127,8 @@ class Stretch(Sequence[PathPoint]):
 
     def __init__(self, known: Sequence[PathPoint], room: int) -> None:
         shape = known[0].unknown.shape
-        self.unknowns, self._tangents = np.zeros((room, *shape)), np.zeros((room, *shape))
-        self.parameters, self.slopes, self._weights, self.lengths = np.zeros((4, room))
+        self.unknowns, self.tangents = np.zeros((room, *shape)), np.zeros((room, *shape))
+        self.parameters, self.slopes, self.weights, self.lengths = np.zeros((4, room))
         self.iterations, self.crossings = np.zeros(room, np.intc), np.zeros(room, np.int8)
         self.met: list[tuple[Event, PathPoint]] = []
         for place, point in enumerate(known):
@@ -135,19 +136,19 @@ class Stretch(Sequence[PathPoint]):
 
     def put(self, place: int, point: PathPoint) -> None:
         """Set a point."""
-        self.unknowns[place], self._tangents[place] = point.unknown, point.tangent.x
+        self.unknowns[place], self.tangents[place] = point.unknown, point.tangent.x
         self.parameters[place], self.slopes[place] = point.parameter, point.tangent.p
-        self._weights[place], self.lengths[place] = point.tangent.weight, point.length
+        self.weights[place], self.lengths[place] = point.tangent.weight, point.length
         self.iterations[place], self.crossings[place] = point.iterations, point.crosses_branch
 
     def struct(self, known: int, **numbers: float) -> Struct:
         """The kernel's path, of which so many points are known."""
-        return Struct(
-            "path", room=len(self), known=known, unknowns=self.unknowns,
-            parameters=self.parameters, tangents=self._tangents, slopes=self.slopes,
-            weights=self._weights, lengths=self.lengths, iterations=self.iterations,
-            crossings=self.crossings, **numbers,
-        )  # fmt: skip
+        return Struct("path", room=len(self), known=known, **self._arrays, **numbers)
+
+    @property
+    def _arrays(self) -> dict[str, np.ndarray]:
+        """Its arrays by their names in the kernel."""
+        return {name: array for name, array in vars(self).items() if name != "met"}
 
     def __len__(self) -> int:
         return len(self.parameters)
@@ -162,8 +163,8 @@ class Stretch(Sequence[PathPoint]):
     def ways_to(self, point: PathPoint) -> np.ndarray:
         """Distances from each point to another one along its tangent: (n,)."""
         back = (point.unknown - self.unknowns).reshape(len(self), -1)
-        along = np.einsum("ij,ij->i", back, self._tangents.reshape(len(self), -1))
-        found: np.ndarray = self._weights * along
+        along = np.einsum("ij,ij->i", back, self.tangents.reshape(len(self), -1))
+        found: np.ndarray = self.weights * along
         return found + (point.parameter - self.parameters) * self.slopes
 
     @overload
@@ -173,11 +174,10 @@ class Stretch(Sequence[PathPoint]):
     def __getitem__(self, place: int | slice) -> PathPoint | Stretch:
         if isinstance(place, slice):
             part = object.__new__(Stretch)
-            arrays = {name: array for name, array in vars(self).items() if name != "met"}
-            vars(part).update({name: array[place] for name, array in arrays.items()}, met=[])
+            vars(part).update({name: array[place] for name, array in self._arrays.items()}, met=[])
             return part
         tangent = Tangent(
-            self._tangents[place], float(self.slopes[place]), float(self._weights[place])
+            self.tangents[place], float(self.slopes[place]), float(self.weights[place])
         )
         return PathPoint(
             self.unknowns[place], float(self.parameters[place]), int(self.iterations[place]),
@@ -336,7 +336,7 @@ def _between(system: System, ends: Ends, target: float | None, rtol: float) -> P
     points that enclose it, with s along the tangent of the first one.
     """
     equations, found = equations_of(system, ends[0].unknown.shape), Stretch(ends, 3)
-    how = Struct("stepping", shortest=NEAR, newton=_newton(rtol))
+    how = Struct("stepping", shortest=ARRIVED, newton=_newton(rtol))
     wanted = NULL if target is None else doubles(np.array([target]))
     path = found.struct(2)
     outcome = equations.run(kernel.find_between, how.at, wanted, path.at)
@@ -346,7 +346,7 @@ def _between(system: System, ends: Ends, target: float | None, rtol: float) -> P
 def _newton(rtol: float) -> Struct:
     """How the points of a path are corrected."""
     return Struct(
-        "correction", tolerance=rtol, reach=REACH, iterations=MAX_ITERATIONS,
+        "correction", tolerance=rtol, reach=STRAY, iterations=MAX_ITERATIONS,
         least_damping=MIN_DAMPING,
     )  # fmt: skip
 
@@ -440,7 +440,7 @@ class Path:
         begin = 1
         for place in map(int, np.flatnonzero(flags.any(axis=0) | outside)):
             ends = stretch[place], stretch[place + 1]
-            sharp = max(SHARP, self._rounding(ends[1]))
+            sharp = max(LOCATED, self._rounding(ends[1]))
             found = stretch[begin : place + 2]
             for event, near in zip(self._events, flags[:, place], strict=True):
                 at = event.locate(self._system, ends, sharp) if near else None

@@ -10,7 +10,7 @@ from fenics_crack.scene.tables import Crack, Geometry, Mesh
 
 __all__ = ["OF_SHAPES", "check_cracks"]
 
-NEAREST = 1e-4
+LEAST_DISTANCE = 1e-4
 """Least distance of cracks and tips from the edges and each other, relative to the side."""
 OF_SHAPES = (
     "edge", "center", "height", "length", "depth", "front", "first_frequency", "first_omega",
@@ -35,7 +35,7 @@ def check_cracks(cracks: dict[str, Crack], geometry: Geometry, mesh: Mesh) -> No
 def _check_one(crack: Crack, geometry: Geometry, names: list[str]) -> None:
     width, height = geometry.width, geometry.height
     assert width and height
-    margin = f"at least {NEAREST:g} of that from both"
+    margin = f"at least {LEAST_DISTANCE:g} of that from both"
     inside = crack.center is not None
     if inside:
         crack.leave_out(("edge",), "crack.center")
@@ -78,7 +78,7 @@ def _check_front(crack: Crack, geometry: Geometry) -> None:
     else:
         assert geometry.thickness
         thickness = f"geometry.thickness = {geometry.thickness:g}"
-        allowed = f"less than {thickness}, by {NEAREST:g} of that; left out: through it"
+        allowed = f"less than {thickness}, by {LEAST_DISTANCE:g} of that; left out: through it"
         crack.require(_inside(crack.depth, geometry.thickness), "depth", allowed)
 
 
@@ -108,19 +108,19 @@ def _check_apart(cracks: dict[str, Crack], first: str, second: str, geometry: Ge
     one, other = cracks[first], cracks[second]
     assert geometry.width and geometry.height and one.height and other.height
     distance = abs(one.height - other.height)
-    if distance >= NEAREST * geometry.height:
+    if distance >= LEAST_DISTANCE * geometry.height:
         return
     same = distance <= 1e-9 * geometry.height
     spans = sorted(crack.span(geometry.width) for crack in (one, other))
     ligament = spans[1][0] - spans[0][1]
-    if not same or ligament < NEAREST * geometry.width:
-        least = f"{NEAREST * geometry.height:g} m above or below"
+    if not same or ligament < LEAST_DISTANCE * geometry.width:
+        least = f"{LEAST_DISTANCE * geometry.height:g} m above or below"
         if same:
-            least += f", or with {NEAREST * geometry.width:g} m between their tips"
+            least += f", or with {LEAST_DISTANCE * geometry.width:g} m between their tips"
         allowed = f"apart from that of {first}: cracks may not touch; at least {least}"
         raise InputError(f"{second}.height", other.height, allowed)
 
 
 def _inside(place: float, extent: float) -> bool:
     """Whether a place is between 0 and an extent, and not too near to either."""
-    return NEAREST * extent <= place <= (1.0 - NEAREST) * extent
+    return LEAST_DISTANCE * extent <= place <= (1.0 - LEAST_DISTANCE) * extent

@@ -125,17 +125,21 @@ def _str(value: object) -> str:
     return value
 
 
-def _pair(value: object) -> Pair:
-    if not isinstance(value, list | tuple) or len(value) != 2:
+def _list(value: object) -> list[object] | tuple[object, ...]:
+    if not isinstance(value, list | tuple):
         raise TypeError
-    return _float(value[0]), _float(value[1])
+    return value
 
 
-def _vector(value: object) -> Vector:
+def _floats(value: object) -> tuple[float, ...]:
+    return tuple(map(_float, _list(value)))
+
+
+def _vector(value: object, lengths: tuple[int, ...] = (2, 3)) -> Vector:
     """In a plane or in space: of which of them a scene is, it says itself."""
-    if not isinstance(value, list | tuple) or len(value) not in (2, 3):
+    if len(_list(value)) not in lengths:
         raise TypeError
-    return tuple(map(_float, value))
+    return _floats(value)
 
 
 def _float_or_str(value: object) -> float | str:
@@ -147,53 +151,40 @@ def _one_or_more(value: object) -> float | tuple[float, ...]:
         return _float(value)
     if not value:
         raise TypeError
-    return tuple(map(_float, value))
+    return _floats(value)
 
 
-def _axes(value: object) -> tuple[Axis, ...]:
-    """Axes of a mapping from keys to a list, or to start, stop, count and spacing."""
-    if isinstance(value, tuple) and all(isinstance(axis, Axis) for axis in value):
-        return value
-    if not isinstance(value, Mapping):
+def _axes(
+    kind: type[Axis], values: Callable[[str, object], tuple[Any, ...]]
+) -> Callable[[object], tuple[Axis, ...]]:
+    """Reader of axes, or what else is a name with its values, from a mapping."""
+
+    def read(value: object) -> tuple[Axis, ...]:
+        if isinstance(value, tuple) and all(isinstance(one, kind) for one in value):
+            return value
+        if not isinstance(value, Mapping):
+            raise TypeError
+        return tuple(kind(_str(name), values(name, given)) for name, given in value.items())
+
+    return read
+
+
+def _numbers_of_mesh(file: str, given: object) -> tuple[tuple[str, float], ...]:
+    if not isinstance(given, Mapping):
         raise TypeError
-    return tuple(Axis(str(name), _values(str(name), given)) for name, given in value.items())
-
-
-def _points(value: object) -> tuple[Point, ...]:
-    """Named points of a mapping from names to [x, y]."""
-    if isinstance(value, tuple) and all(isinstance(point, Point) for point in value):
-        return value
-    if not isinstance(value, Mapping):
-        raise TypeError
-    return tuple(Point(str(name), _vector(given)) for name, given in value.items())
-
-
-def _mesh_files(value: object) -> tuple[MeshFile, ...]:
-    """Meshes of a mapping from files to their numbers by names."""
-    if isinstance(value, tuple) and all(isinstance(one, MeshFile) for one in value):
-        return value
-    if not isinstance(value, Mapping) or not all(isinstance(of, Mapping) for of in value.values()):
-        raise TypeError
-    return tuple(
-        MeshFile(_str(file), tuple((_str(name), _float(number)) for name, number in of.items()))
-        for file, of in value.items()
-    )
-
-
-def _list(value: object) -> list[object]:
-    if not isinstance(value, list | tuple):
-        raise TypeError
-    return list(value)
+    return tuple((_str(name), _float(number)) for name, number in given.items())
 
 
 def _words(value: object) -> tuple[str, ...]:
     """A list of different words."""
-    if not isinstance(value, list | tuple) or len(set(map(_str, value))) != len(value):
+    words = tuple(map(_str, _list(value)))
+    if len(set(words)) != len(words):
         raise TypeError
-    return tuple(map(_str, value))
+    return words
 
 
 def _values(name: str, given: object) -> tuple[Any, ...]:
+    """A list of them, or those from start to stop, by count and spacing."""
     if isinstance(given, list | tuple) and given:
         return tuple(given)
     span = given if isinstance(given, Mapping) else {}
@@ -224,15 +215,15 @@ _READERS: dict[str, Callable[[object], Any]] = {
     "float": _float,
     "int": _int,
     "str": _str,
-    "Pair": _pair,
+    "Pair": lambda value: _vector(value, (2,)),
     "Vector": _vector,
     "float | str": _float_or_str,
     "float | tuple[float, ...]": _one_or_more,
     "int | str": lambda value: value if value == "all" else _int(value),
-    "tuple[Axis, ...]": _axes,
-    "tuple[MeshFile, ...]": _mesh_files,
-    "tuple[Point, ...]": _points,
-    "tuple[float, ...]": lambda value: tuple(map(_float, _list(value))),
+    "tuple[Axis, ...]": _axes(Axis, _values),
+    "tuple[MeshFile, ...]": _axes(MeshFile, _numbers_of_mesh),
+    "tuple[Point, ...]": _axes(Point, lambda _, given: _vector(given)),
+    "tuple[float, ...]": _floats,
     "tuple[str, ...]": _words,
 }
 """By the type of a field that is not None."""

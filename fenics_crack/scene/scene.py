@@ -20,7 +20,7 @@ from fenics_crack.hints import Hinted, converted, meant, near, written
 from fenics_crack.outside import text_of
 from fenics_crack.scene.cracks import OF_SHAPES, check_cracks
 from fenics_crack.scene.fields import Axis, Table, components, named, radians
-from fenics_crack.scene.quantities import OF_TIPS
+from fenics_crack.scene.quantities import OF_CLAMP, OF_TIPS
 from fenics_crack.scene.tables import (
     Base,
     Contact,
@@ -46,7 +46,8 @@ from fenics_crack.scene.tables import (
 from fenics_crack.table import RPM, frequency_axis
 
 __all__ = [
-    "LOOKED_AT", "Scene", "check_tips", "files_of", "has_tips", "known_keys", "tip_quantities",
+    "LOOKED_AT", "Scene", "asked_quantities", "check_clamp", "check_tips", "files_of", "has_tips",
+    "known_keys",
     "unit_of", "with_files",
 ]  # fmt: skip
 
@@ -128,8 +129,9 @@ class Scene(Hinted):
         else:
             _check_dimension(self)
             (_check_file if self.mesh.layout == "file" else _check_plate)(self)
-        if asked := tip_quantities(self):
-            check_tips(self, "output.quantities", asked)
+        for known, check in ((OF_TIPS, check_tips), (OF_CLAMP, check_clamp)):
+            if asked := tuple(name for name in asked_quantities(self) if name in known):
+                check(self, "output.quantities", asked)
         for name, key in _AXES:
             if (chosen := getattr(self, name)) is not None:
                 axes = _checked_axes(self, f"{name}.{key}", getattr(chosen, key))
@@ -317,10 +319,21 @@ def check_tips(scene: Scene, key: str, value: object = None) -> None:
         raise InputError(key, value, allowed)
 
 
-def tip_quantities(scene: Scene) -> tuple[str, ...]:
-    """The stress intensities that are asked for in ``output.quantities``."""
+def check_clamp(scene: Scene, key: str, value: object = None) -> None:
+    """Raise InputError, of a key and its value, where the forces of the clamp are not known."""
+    allowed = ""
+    if scene.structure is not None:
+        allowed = "left out with [structure]: matrices have no clamp, a mesh has"
+    elif scene.rotation is not None:
+        allowed = "left out with [rotation]: reactions are of what vibrates at rest"
+    if allowed:
+        raise InputError(key, value, allowed)
+
+
+def asked_quantities(scene: Scene) -> tuple[str, ...]:
+    """What ``output.quantities`` asks for of tips and of the clamp."""
     chosen = (scene.output.quantities if scene.output is not None else None) or ()
-    return tuple(name for name in chosen if name in OF_TIPS)
+    return tuple(name for name in chosen if name in OF_TIPS or name in OF_CLAMP)
 
 
 def files_of(scene: Scene) -> list[tuple[str, str]]:

@@ -39,6 +39,7 @@ from fenics_crack.scene.quantities import QUANTITIES
 from fenics_crack.table import RPM
 
 __all__ = [
+    "FORCES",
     "Base",
     "Contact",
     "Crack",
@@ -61,6 +62,8 @@ __all__ = [
     "TipTiming",
 ]
 
+FORCES = ("force_mean", "force_cos", "force_sin")
+"""Parts of the excitation."""
 KINDS = ("force", "pressure", "traction")
 """Of the loads at a point or on an edge."""
 LEAST_OF_AN_UNKNOWN = 4
@@ -508,17 +511,23 @@ class Mesh(Table):
     """Of a graded mesh: size at the mouth over size at the tip."""
     file: str | None = path("the path of a .msh file")
     """Beside the scene's file, or with its whole path."""
+    coarser: str | None = path("the path of a .msh file")
+    """The same part by fewer elements, which says what those of ``file`` contribute to errors."""
     error: bool = holds("true or false", default=True)
     """Whether a coarser mesh says what this one contributes to the error of each number."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        keys = {"grid": ("columns", "rows"), "graded": ("size", "lip_elements"), "file": ("file",)}
+        keys = {
+            "grid": ("columns", "rows"),
+            "graded": ("size", "lip_elements"),
+            "file": ("file", "coarser"),
+        }
         given = keys.pop(self.layout)
         for others in keys.values():
             self.leave_out(others, f"layout = {self.layout!r}")
         for key in given:
-            if key != "lip_elements":  # an uncracked plate has no lips
+            if key not in ("lip_elements", "coarser"):  # an uncracked plate has no lips
                 self.given(key, f"given with layout = {self.layout!r}")
 
 
@@ -528,9 +537,9 @@ class Structure(Table):
 
     M u'' + C u' + K u + B lambda(g) = f(t), g = B^T u - g0. The tables [geometry], [material],
     [mesh], [crack] and [base] are then left out. Matrices are in Matrix Market files, or in those
-    of CalculiX (.sti, .mas), Abaqus (.mtx) or Nastran (.pch); columns in Matrix Market files. With
-    the model that they are of, the load may act at excitation.point, and where there is contact
-    without a file of the gaps, the pairs are found.
+    of CalculiX (.sti, .mas), Abaqus (.mtx) or Nastran (.pch, .op4); columns in Matrix Market files.
+    With the model that they are of, the load may act at excitation.point, and where there is
+    contact without a file of the gaps, the pairs are found.
     """
 
     mass: str = path("the path of a file: (n, n)", MISSING)
@@ -695,14 +704,59 @@ class Growth(Table):
     """Effective range below which the crack does not grow."""
     toughness: float | None = positive(None, unit="Pa m^0.5")
     """K_max at which the plate breaks."""
-    drive: str = choice("frequency", "resonance", default="frequency")
-    """Whether the load keeps the excitation's frequency, or follows the largest response."""
+    drive: str = choice("frequency", "resonance", "spectrum", default="frequency")
+    """Whether the load keeps the excitation's frequency, follows the largest response, or passes
+    through the frequencies of ``run_up`` or of ``frequencies`` again and again."""
+    run_up: Vector | None = holds(
+        "[start, stop, rate], three numbers > 0 with start < stop",
+        lambda given: len(given) == 3 and min(given) > 0.0 and given[0] < given[1],
+        None,
+    )
+    """Of one repeat: from a load frequency to another [Hz], and by how much a second [Hz/s]."""
+    frequencies: tuple[float, ...] | None = holds(
+        "a list of different numbers > 0",
+        lambda given: len(set(given)) == len(given) > 0 and min(given) > 0.0,
+        None,
+        unit="Hz",
+    )
+    """Of the load, instead of a run-up."""
+    cycles: tuple[float, ...] | None = holds(
+        "a list of numbers > 0", lambda given: len(given) > 0 and min(given) > 0.0, None
+    )
+    """Of the load at each of the frequencies, in one repeat."""
     rate_deviation: float = between("0", "10", 0.0)
     """Relative standard deviation of the rate."""
     exponent_deviation: float = not_negative(0.0)
     """Standard deviation of the exponent, the rate at 1 MPa m^0.5 being the same."""
     life_tolerance: float = between("1e-6", "1", 0.01)
     """Of the number of cycles, by interpolation between the lengths that are solved."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        given = ("run_up", "frequencies", "cycles")
+        if self.drive != "spectrum":
+            self.leave_out(given, f"drive = {self.drive!r}")
+        elif self.run_up is not None:
+            self.leave_out(given[1:], "a run_up")
+        else:
+            allowed = (
+                "given with drive = 'spectrum': [start, stop, rate]; or frequencies and cycles"
+            )
+            self.require(self.frequencies is not None, "run_up", allowed)
+            same = self.cycles is not None and len(self.cycles) == len(self.frequencies or ())
+            self.require(same, "cycles", "as many numbers as there are frequencies")
+
+    @property
+    def repeat(self) -> tuple[float, float] | None:
+        """Cycles of the load in one repeat of the spectrum, and how long it takes [s]; None without
+        one."""
+        if self.run_up is not None:
+            start, stop, rate = self.run_up
+            return 0.5 * (stop**2 - start**2) / rate, (stop - start) / rate
+        if self.cycles is None or self.frequencies is None:
+            return None
+        lasting = sum(n / f for n, f in zip(self.cycles, self.frequencies, strict=True))
+        return sum(self.cycles), lasting
 
 
 @dataclass(frozen=True)
@@ -861,11 +915,12 @@ class TipTiming(Table):
     rotation."""
     tip_radius: float = positive(unit="m")
     """Distance of the tip from the axis."""
-    tangential: float = holds(
-        f"a finite number other than 0 {OR_ZERO}", lambda share: share != 0.0, 1.0
+    tangential: float | None = holds(
+        f"a finite number other than 0 {OR_ZERO}", lambda share: share != 0.0, None
     )
     """Displacement of the tip in the direction of rotation over the one that is watched first (the
-    load's, or that of the first of [output.points]): sin of the stagger; < 0: against it."""
+    load's, or that of the first of [output.points]): sin of the stagger; < 0: against it. Default:
+    1; of a solid with [rotation] the circumferential motion of that node about the axis."""
     order: int | None = at_least_one(None)
     """Periods of the load in a revolution, without [rotation]."""
     revolutions: int = at_least_one(100)

@@ -20,7 +20,7 @@ from dataclasses import replace
 import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.balance.judgement import BELIEVED, UNKNOWN, Judgement
+from fenics_crack.balance.judgement import CLOSE, UNKNOWN, Judgement
 from fenics_crack.balance.orbits import FlowOrbits, orbit_next_to
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.errors import ConvergenceError, InputError, check_count
@@ -32,35 +32,32 @@ from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit, eigenvalues, find_or
 from fenics_crack.stability.waves import hill_root, monodromy
 from fenics_crack.time.march import initial_state
 
-__all__ = ["CLOSE", "PeriodicOrbit", "Stability", "floquet", "leaves", "orbits_near", "shoot"]
+__all__ = ["PeriodicOrbit", "Stability", "floquet", "leaves", "orbits_near", "shoot"]
 
-CLOSE, FOLLOWED, AWAY = 1e-3, 30, 3.0
-"""Distance of a solution from its stable orbit to which the motion that begins with the solution
-need not be followed; periods that it is followed else; and how many times farther away than the
-linearised motion it has left its orbit, and nearer than at first come back to it."""
-PEAK = np.sqrt(2.0)
-"""How many times its root mean square an error is large at an extremum of the gap, as a wave is."""
+FOLLOWED, LAST, AWAY = 30, 10, 3.0
+"""Periods that a motion is followed, those of them by which it ends, and how many times farther
+away than the linearised motion it has left its orbit."""
 
 
 def leaves(
     orbits: FlowOrbits, motion: np.ndarray, orbit: np.ndarray, parameter: float = 1.0
 ) -> bool:
     """Whether a motion, given by its x at phase zero, leaves a stable orbit given like that: it is
-    much farther away within some periods than at first, and than a small disturbance would be."""
+    much farther away within some periods than at first, or in the end, than a small disturbance
+    would be."""
     monodromy = orbits.linearise(orbit, parameter).monodromy
     linear = motion - orbit
-    begun = float(np.linalg.norm(linear))
+    away, expected = [np.linalg.norm(linear)], [np.linalg.norm(linear)]
     try:
         for _ in range(FOLLOWED):
             motion, linear = orbits.moved(motion, parameter), monodromy @ linear
-            away = float(np.linalg.norm(motion - orbit))
-            if away > AWAY * max(begun, float(np.linalg.norm(linear))):
+            away.append(np.linalg.norm(motion - orbit))
+            expected.append(np.linalg.norm(linear))
+            if away[-1] > AWAY * max(expected[0], expected[-1]):
                 return True
-            if away < begun / AWAY:
-                return False
     except ConvergenceError:  # pairs chatter without end
         return True
-    return False
+    return bool(max(away[-LAST:]) > AWAY * max(expected[-LAST:]))
 
 
 def orbits_near(
@@ -207,48 +204,20 @@ def _by_orbit(judged: Judgement) -> Stability:
         reason = "its largest multiplier is 1 to rounding: a bifurcation, or no damping"
     if not reason and largest < 1.0 and not judged.of_orbit:
         assert judged.decisive is not None
-        reason = _doubt(orbit, judged.decisive)
+        if _left(orbit, judged.decisive):
+            reason = "the exact motion that begins with it leaves its orbit; take more harmonics"
     if not reason:
         verdict = "stable" if largest < 1.0 else "unstable"
     return Stability(orbit.multipliers, verdict, KNOWN, True, judged.distance, reason)
 
 
-def _doubt(orbit: PeriodicOrbit, judged: Judgement) -> str:
-    """What speaks against the stability of a stable orbit next to a wave of pairs with mass, which
-    bounce, "" if nothing does: that the motion from there leaves it, or a pair grazes, where such
-    orbits attract little."""
-    if judged.wave.structure.light_lips:
-        return ""
-    if _grazes(orbit, judged):
-        return "a pair just touches, or just does not, within the error; take more harmonics"
+def _left(orbit: PeriodicOrbit, judged: Judgement) -> bool:
+    """Whether the exact motion that begins with a wave leaves the stable orbit next to it, as that
+    of pairs with mass, which bounce, may."""
+    if judged.wave.structure.light_lips or judged.distance <= CLOSE:
+        return False
     orbits = FlowOrbits(orbit.flow, orbit.omega, orbit.state, orbit.subharmonic)
-    begun = orbits.unknown(judged.states[0])
-    if judged.distance > CLOSE and leaves(orbits, begun, orbits.start):
-        return "the exact motion that begins with it leaves its orbit; take more harmonics"
-    return ""
-
-
-def _grazes(orbit: PeriodicOrbit, judged: Judgement) -> bool:
-    """Whether a pair comes to touch or to open, or just does not, within the error: multipliers
-    jump there, and an orbit as near as that may have others.
-
-    What is compared are the extremes of the gap that a pair would have if the static compliance R_0
-    alone answered its force, g + R_0 lambda(g), so that stiff contact counts by its force.
-    """
-    flow, structure = orbit.flow, judged.wave.structure
-    gap, modes = orbit.gap, flow.modes
-    error = PEAK * max(BELIEVED * judged.prediction, judged.distance)
-    size = float(np.sqrt(np.mean(np.sum((gap + structure.clearance) ** 2, axis=1))))
-    held = modes.squares > 0.0
-    static = np.sum(modes.pairs[held] ** 2 / modes.squares[held, None], axis=0)
-    before, after = np.roll(gap, 1, axis=0), np.roll(gap, -1, axis=0)
-    turns = (gap - before) * (after - gap) <= 0.0
-    bend = after - 2.0 * gap + before
-    peak = gap - np.divide(
-        (after - before) ** 2, 8.0 * bend, out=np.zeros_like(gap), where=turns & (bend != 0.0)
-    )
-    slow = peak + static * flow.contact.force(peak)
-    return bool(np.any(turns & (np.abs(slow) <= error * size)))
+    return leaves(orbits, orbits.unknown(judged.states[0]), orbits.start)
 
 
 def _along_the_wave(judged: Judgement, reason: str) -> Stability:

@@ -24,7 +24,7 @@ from fenics_crack.fem.build import assemble, with_crack_length
 from fenics_crack.model.bilinear import KINDS, BilinearFrequencies
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import Modes, n_tied_modes, solve_modes, times
-from fenics_crack.model.rotation import static_state
+from fenics_crack.model.rotation import Ritz, static_state
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import check_scene
@@ -71,10 +71,10 @@ class Campbell(Tabular):
     @property
     def omega_real(self) -> np.ndarray:
         """Of the kind that the crack has at each speed: (n, m) [rad/s]."""
-        return np.choose(
-            [KINDS.index(kind) for kind in self.kind.ravel()],
-            [getattr(self, f"omega_{kind}").ravel() for kind in KINDS],
-        ).reshape(self.kind.shape)
+        return np.select(
+            [self.kind == kind for kind in KINDS],
+            [getattr(self, f"omega_{kind}") for kind in KINDS],
+        )
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -198,8 +198,10 @@ def campbell(
         raise InputError("speeds", speeds, "two or more finite numbers, rising from 0 or more")
     scene = with_crack_length(scene.replace({"rotation.speed": float(wanted[-1])}), comm)
     top = assemble(scene, comm)
-    assert top.rotation is not None
-    found = [_frequencies(top.rotation.at(float(speed)), count) for speed in wanted]
+    most = n_tied_modes(top) if top.n_pairs else top.n_modes
+    tied = min(count, most) if top.n_pairs else 0
+    small = Ritz.of_range(top.damped(None), wanted[0], wanted[-1], min(count, most), tied)
+    found = [_frequencies(small.at(float(speed)), top, min(count, most)) for speed in wanted]
     is_open, tied, kind = (np.array(rows) for rows in zip(*found, strict=True))
     return Campbell(wanted, is_open, tied, top.n_pairs > 0, kind)
 
@@ -208,10 +210,11 @@ def _in_words(speed: float) -> str:
     return f"{speed:.5g} rad/s = {speed / RPM:.5g} rpm"
 
 
-def _frequencies(structure: Structure, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _frequencies(
+    structure: Structure, whole: Structure, count: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The lowest natural frequencies with lips open and with lips tied: (count,) each [rad/s]; and
-    which the crack has."""
-    count = min(count, structure.n_modes if not structure.n_pairs else n_tied_modes(structure))
+    which the crack has, with the damping of the whole structure."""
     is_open = solve_modes(structure, count)
     if not structure.n_pairs:
         return is_open.omega, is_open.omega, np.full(count, "open")
@@ -219,19 +222,19 @@ def _frequencies(structure: Structure, count: int) -> tuple[np.ndarray, np.ndarr
     clearance = np.broadcast_to(structure.clearance, structure.n_pairs)
     moved, pressed = static_state(structure, structure.force[0], clearance)
     opening = clearance - structure.apply_bt(moved[None])[0]
-    motion = _at_resonance(is_open) * np.abs(structure.apply_bt(is_open.shapes.T)).T
+    motion = _at_resonance(is_open, whole) * np.abs(structure.apply_bt(is_open.shapes.T)).T
     stiff, heavy = (times(m, tied.shapes) for m in (structure.stiffness, structure.mass))
     left = structure.apply_bt((heavy * tied.omega**2 - stiff).T)
     gram = structure.sum_over_ranks((structure.gap.T @ structure.gap).toarray())
-    force = _at_resonance(tied) * np.abs(np.linalg.lstsq(gram, left.T, rcond=None)[0])
+    force = _at_resonance(tied, whole) * np.abs(np.linalg.lstsq(gram, left.T, rcond=None)[0])
     stays_open = np.all(opening[:, None] > motion, axis=0)
     stays_shut = np.all(pressed[:, None] > force, axis=0)
     return is_open.omega, tied.omega, np.select([stays_open, stays_shut], KINDS[:2], KINDS[2])
 
 
-def _at_resonance(modes: Modes) -> np.ndarray:
+def _at_resonance(modes: Modes, whole: Structure) -> np.ndarray:
     """Amplitudes of modes at their own resonances, inf without damping: (n,)."""
-    structure, load = modes.structure, modes.structure.force[1] - 1j * modes.structure.force[2]
-    size = np.abs(structure.sum_over_ranks(modes.shapes.T @ load))
-    below = 2.0 * damping_ratios(structure, modes.omega) * modes.omega**2
+    load = modes.structure.force[1] - 1j * modes.structure.force[2]
+    size = np.abs(modes.shapes.T @ load)
+    below = 2.0 * damping_ratios(whole, modes.omega) * modes.omega**2
     return np.divide(size, below, out=np.where(size > 0.0, np.inf, 0.0), where=below > 0.0)

@@ -1,5 +1,5 @@
-"""What the mesh contributes to an error, by a coarser one: elements r = 1.5 times as long, or what
-comes near it, and
+"""What the mesh contributes to an error, by a coarser one: elements about twice as long,
+those of mesh.coarser where the mesh is a file, r by their numbers, and
 
     e = |f - f_r| / (r - 1),
 
@@ -27,7 +27,7 @@ from fenics_crack.table import frequency_axis
 
 __all__ = [
     "CLAMP", "COARSER", "TIP", "coarser", "errors_of_natural", "expected", "finer_mesh",
-    "n_elements", "natural_name",
+    "n_elements", "natural_name", "size_of",
 ]  # fmt: skip
 
 COARSER = 2.0
@@ -44,7 +44,7 @@ def natural_name(scene: Scene, kind: str, mode: int) -> str:
 def errors_of_natural(study: Study, natural: Mapping[str, np.ndarray]) -> Verification:
     """The errors by the mesh of natural frequencies [rad/s] of a whole structure, with lips "open"
     and "tied" (collective)."""
-    scene, stated = study.scene, Verification(study.scene, {}, {}, {}, {}, {}, {}, (), {})
+    scene, stated = study.scene, Verification(study.scene, {}, {})
     factor, _, unit = frequency_axis(scene.in_hertz)
 
     def named(kinds: Mapping[str, np.ndarray]) -> dict[str, float]:
@@ -60,7 +60,7 @@ def errors_of_natural(study: Study, natural: Mapping[str, np.ndarray]) -> Verifi
     try:
         coarse = coarser(study)
         if isinstance(coarse, str):
-            stated.unknown["mesh"] = coarse
+            stated.leave("mesh", coarse)
             return stated
         twin, counts = coarse
         count = max(map(len, natural.values()))
@@ -68,7 +68,7 @@ def errors_of_natural(study: Study, natural: Mapping[str, np.ndarray]) -> Verifi
         if "tied" in natural:
             both["tied"] = tied_frequencies(twin.structure, count)
         stated.counts["mesh"] = counts
-        stated.parts["mesh"] = expected("mesh", counts, stated.values, named(both), scene.dimension)
+        stated.parts["mesh"] = expected("mesh", counts, stated.values, named(both), scene)
     except REFUSALS as error:
         stated.unknown["mesh"] = str(error)
     return stated
@@ -78,13 +78,19 @@ def coarser(study: Study) -> tuple[Study, tuple[int, int]] | str:
     """The twin on a coarser mesh, reduced where the study is, and the elements of both; or why
     there is none (collective)."""
     scene, structure = study.scene, study.structure
-    if scene.structure is not None or scene.mesh.layout == "file":
+    if scene.structure is not None:
         return "there is one mesh"
     if not scene.mesh.error:
         return "mesh.error = false"
-    coarse = finer_mesh(scene, 1.0 / COARSER)
-    if coarse is None:
-        return "a grid of half as many columns and rows has no lines along the crack"
+    if scene.mesh.layout == "file":
+        if scene.mesh.coarser is None:
+            return "there is one mesh: mesh.coarser may be another"
+        coarse = scene.replace({"mesh.file": scene.mesh.coarser, "mesh.coarser": None})
+    else:
+        made = finer_mesh(scene, 1.0 / COARSER)
+        if made is None:
+            return "a grid of half as many columns and rows has no lines along the crack"
+        coarse = made
     with within("a coarser mesh"):
         whole = structure.whole is structure
         twin = prepare(coarse, structure.comm, whole=whole, judged=False)
@@ -94,17 +100,24 @@ def coarser(study: Study) -> tuple[Study, tuple[int, int]] | str:
 
 def expected(
     cause: str, counts: tuple[int, int], own: Mapping[str, float], other: Mapping[str, float],
-    dimension: int,
+    scene: Scene,
 ) -> dict[str, GridConvergence]:  # fmt: skip
-    """The part of a cause, of order 1 in the size of an element, of a mesh in a plane or in space,
-    or in one over the number of something, without a factor of safety."""
-    sizes = [count ** (-1.0 / dimension if cause == "mesh" else -1.0) for count in counts]
+    """The part of a cause, of order 1 in :func:`size_of`, without a factor of safety."""
+    sizes = [size_of(cause, count, scene) for count in counts]
     return {
         name: replace(
             grid_convergence(sizes, [value, other.get(name, 0.0)], formal=1.0), factor=1.0
         )
         for name, value in own.items()
     }
+
+
+def size_of(cause: str, count: int, scene: Scene) -> float:
+    """The side of a square or cube of the mean size of so many elements, in [m] where the plate is
+    the scene's (Celik and others, equation 1); or one over the number of something else."""
+    if cause != "mesh":
+        return 1.0 / count
+    return float((math.prod(scene.geometry.sides) / count) ** (1.0 / scene.dimension))
 
 
 def finer_mesh(scene: Scene, factor: float) -> Scene | None:

@@ -38,7 +38,7 @@ SAFE, CAUTIOUS = 1.25, 3.0
 """Factors of safety."""
 LEAST_ORDER, MOST_OVER_FORMAL = 0.5, 1.5
 """Observed orders that are believed: the least, and the largest relative to that of theory."""
-STEEPEST = 50.0
+HIGHEST_ORDER = 50.0
 """Largest order that is told."""
 UNCHANGED = 1e-9
 """Relative spread of values that are the same but for rounding."""
@@ -187,7 +187,7 @@ def _observed(h: np.ndarray, f: np.ndarray) -> float:
             return math.log(coarse / fine) - wanted
         return p * fine + math.log(math.expm1(p * coarse) / math.expm1(p * fine)) - wanted
 
-    steepest = STEEPEST / max(fine, coarse)
+    steepest = HIGHEST_ORDER / max(fine, coarse)
     if excess(steepest) < 0.0 or excess(-steepest) > 0.0:
         return math.copysign(math.inf, wanted)
     import scipy.optimize  # takes a while, and is needed here alone

@@ -28,10 +28,20 @@ from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import Study, reduction_of
 
-__all__ = ["KeyFigures", "damping_ratios", "find_key_figures", "highest_omega", "span_of"]
+__all__ = [
+    "SMALL",
+    "KeyFigures",
+    "damping_ratios",
+    "extents",
+    "find_key_figures",
+    "highest_omega",
+    "span_of",
+]
 
-FEW = 4
+N_MODES = 4
 """Modes that are computed."""
+SMALL = 0.1
+"""Displacement over the shortest side up to which displacements are small."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +125,7 @@ class KeyFigures:
 def find_key_figures(study: Study) -> KeyFigures:
     """Compute the figures of a study whose structure is not reduced (collective)."""
     scene, whole, law = study.scene, study.structure, study.contact
-    count = min(FEW, whole.n_dofs)
+    count = min(N_MODES, whole.n_dofs)
     with Factor(whole.stiffness, definite=True) as factor:
         modes = modes_by(factor, whole, count)
         static = _static(factor, modes, whole.force)
@@ -148,7 +158,7 @@ def find_key_figures(study: Study) -> KeyFigures:
     kept = whole.n_dofs if table is None else int(table.modes or scene.damped_modes)
     crack = whole.n_pairs > 0
     return KeyFigures(
-        size=_size(whole),
+        size=extents(whole),
         elements=_elements(scene, whole),
         omega_open=modes.omega,
         omega_tied=tied,
@@ -162,7 +172,7 @@ def find_key_figures(study: Study) -> KeyFigures:
         gap_motion=moved,
         closed=int(closed.sum()),
         breathes=breathes,
-        modes_below=_count_below(whole, _highest(scene)) if crack else 0,
+        modes_below=_count_below(whole, highest_omega(scene)) if crack else 0,
         modes_kept=kept,
     )
 
@@ -197,7 +207,7 @@ def _elements(scene: Scene, whole: Structure) -> int | None:
     return math.ceil(fewest / (1 if scene.mesh is None else scene.mesh.order))
 
 
-def _size(whole: Structure) -> tuple[float, ...]:
+def extents(whole: Structure) -> tuple[float, ...]:
     """Extents of the mesh [m] (collective)."""
     if whole.nodes is None:
         return np.nan, np.nan
@@ -261,14 +271,13 @@ def span_of(scene: Scene, command: str) -> tuple[float, float]:
     return min(omegas), max(omegas)
 
 
-def highest_omega(scene: Scene, command: str) -> float:
-    """H w: the highest frequency [rad/s] of the harmonics in "solve", "curve" or "sweep"."""
+def highest_omega(scene: Scene, command: str = "") -> float:
+    """H w: the highest frequency [rad/s] of the harmonics in "solve", "curve" or "sweep", by
+    default in any of them."""
+    if not command:
+        return max(highest_omega(scene, one) for one in ("solve", "curve", "sweep"))
     harmonics = [scene.harmonic_balance.harmonics]
     if command == "sweep" and scene.sweep is not None:
         swept = {axis.key: axis.values for axis in scene.sweep.over}
         harmonics = [*swept.get("harmonic_balance.harmonics", harmonics)]
     return span_of(scene, command)[1] * max(harmonics)
-
-
-def _highest(scene: Scene) -> float:
-    return max(highest_omega(scene, command) for command in ("solve", "curve", "sweep"))

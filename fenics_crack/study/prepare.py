@@ -40,7 +40,7 @@ REFUSALS = (InputError, ConvergenceError, np.linalg.LinAlgError)
 """Errors that fail one run while others go on."""
 FEW_DOFS = 100
 """A structure with at most so many dofs is reduced only on request."""
-SHARE = 0.8
+MEMORY_SHARE = 0.8
 """Of the machine's memory that may be used."""
 
 
@@ -256,7 +256,7 @@ def check_memory_of(scene: Scene, structure: Structure, *, run_up: bool = False)
         assert table.method is not None
         needed = reduction_memory(structure, modes_of(scene, table), table.method)
     machine = machine_memory()
-    if needed > SHARE * machine:
+    if needed > MEMORY_SHARE * machine:
         sizes = (
             f"{structure.n_dofs} degrees of freedom need {needed / 2**30:.3g} GiB of this "
             f"machine's {machine / 2**30:.3g}"

@@ -18,7 +18,7 @@ relied on. Samples of a force with kinks err like N^-2.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -30,12 +30,12 @@ from fenics_crack.errors import MAX_SAMPLES, ConvergenceError
 from fenics_crack.model.contact import is_unilateral
 from fenics_crack.scene.scene import Scene
 from fenics_crack.stages import within
-from fenics_crack.study.coarser_mesh import CLAMP, TIP, finer_mesh, n_elements
+from fenics_crack.study.coarser_mesh import CLAMP, TIP, finer_mesh, n_elements, size_of
 from fenics_crack.study.grid_convergence import GridConvergence, grid_convergence
 from fenics_crack.study.prepare import REFUSALS, Study, modes_of, prepare, reduced, reduction_of
 from fenics_crack.study.run import Run, solve_prepared
 from fenics_crack.study.stated_errors import Numbers, numbers_of, resonance_of, shifted
-from fenics_crack.study.verification import CAUSES, Verification
+from fenics_crack.study.verification import Verification
 
 __all__ = ["verify"]
 
@@ -44,7 +44,7 @@ GRADED, GRID, COUNTS = (1.5, 2.0), (2.0, 3.0), (1, 2, 4)
 EVEN = 1.56
 """Elements along a lip after a refinement by 1.5, at most, relative to those before: with more, by
 rounding up, the mesh would be of another kind."""
-STEPS = 2
+SHIFT_STEPS = 2
 """In which the shift of a resonance is made."""
 OWN = "the scene's own choice"
 
@@ -94,49 +94,42 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
         raise ConvergenceError(f"{OWN}: {own.result.status}")
     study = replace(study, scene=_settled(own))
     numbers = numbers_of(own, own.result)
-    first = numbers.values
     failures: list[str] = []
-    verdicts = _doubtful(OWN, own)
-    parts, counts = {}, {}
-    absent: dict[str, str] = {}
-    unknown: dict[str, str] = {}
+    found = Verification(study.scene, numbers.values, numbers.units, verdicts=_doubtful(OWN, own))
     for cause, ways in WAYS.items():
-        found = ways(study, own)
-        if isinstance(found, str):
-            (unknown if cause == "mesh" else absent)[cause] = found
+        way = ways(study, own)
+        if isinstance(way, str):
+            found.leave(cause, way)
             continue
-        levels = [(found.counts[0] or n_elements(own.structure), first)]
-        finest_first = list(zip(found.finer.items(), found.counts[1:], strict=True))[::-1]
+        levels = [(way.counts[0] or n_elements(own.structure), numbers.values)]
+        finest_first = list(zip(way.finer.items(), way.counts[1:], strict=True))[::-1]
         for (name, finer), count in finest_first:  # few modes are among many
-            run = _finer_run(name, finer, found.shared, own, numbers.mode, failures)
+            run = _finer_run(name, finer, way.shared, own, numbers.mode, failures)
             if run is not None:
                 values = numbers_of(run, run.result, numbers.mode).values
                 levels.insert(1, (count or n_elements(run.structure), values))
-                verdicts |= _doubtful(name, run)
+                found.verdicts.update(_doubtful(name, run))
         many = tuple(count for count, _ in levels)
         if len(many) == 1:
-            unknown[cause] = "no finer run has converged"
+            found.unknown[cause] = "no finer run has converged"
         elif len(set(many)) < len(many):
-            unknown[cause] = "finer ones have as many elements, as mesh.size is that of the plate"
+            why = "finer ones have as many elements, as mesh.size is that of the plate"
+            found.unknown[cause] = why
         else:
-            counts[cause] = many
-            parts[cause] = {
+            found.counts[cause] = many
+            found.parts[cause] = {
                 name: grid_convergence(
-                    [found.size(count) for count in many],
+                    [size_of(cause, count, scene) for count in many],
                     [values.get(name, 0.0) for _, values in levels],  # 0: none there
-                    formal=found.formal,
-                    highest=found.highest,
+                    formal=way.formal,
+                    highest=way.highest,
                 )
-                for name in first
+                for name in numbers.values
             }
-    if "mesh" in parts:
-        parts["shift"] = _carried(own, numbers, parts["mesh"][numbers.resonance])
-        counts["shift"] = counts["mesh"][:: len(counts["mesh"]) - 1]
-    parts = {cause: parts[cause] for cause in CAUSES if cause in parts}
-    settled, units = study.scene, numbers.units
-    return Verification(
-        settled, first, units, parts, counts, absent, unknown, tuple(failures), verdicts
-    )
+            if cause == "mesh":
+                found.counts["shift"] = many[:: len(many) - 1]
+                found.parts["shift"] = _carried(own, numbers, found.parts[cause])
+    return replace(found, failures=tuple(failures))
 
 
 def _varied(study: Study, scene: Scene) -> Study:
@@ -167,8 +160,7 @@ class _Ways:
     """Finer scenes by what each is called, and the orders of theory.
 
     ``counts`` are the numbers of what is varied, the scene's own first; None of a mesh, whose
-    elements are counted when it is made. ``shared`` is the study of them all but for a mesh,
-    ``volume`` that of the mesh, its area [m^2] where it is one in a plane.
+    elements are counted when it is made. ``shared`` is the study of them all but for a mesh.
     """
 
     finer: dict[str, Scene]
@@ -176,15 +168,6 @@ class _Ways:
     formal: float
     shared: Study | None = None
     highest: float = math.inf
-    volume: float = 1.0
-    dimension: int = 2
-
-    def size(self, count: int) -> float:
-        """The side of a square or cube of the mean size of so many elements [m] (Celik and others,
-        equation 1), or one over the number of something else."""
-        if self.shared is not None:
-            return 1.0 / count
-        return float((self.volume / count) ** (1.0 / self.dimension))
 
 
 def _meshes(study: Study, own: Study) -> _Ways | str:
@@ -199,18 +182,13 @@ def _meshes(study: Study, own: Study) -> _Ways | str:
     }
     scenes = {name: found for name, found in finer.items() if found is not None}
     if not scenes:
-        return "mesh.file is one mesh; make finer ones and compare them by fc.grid_convergence"
+        return (
+            "mesh.file is one mesh; solve states its part by mesh.coarser, and "
+            "fc.grid_convergence compares several"
+        )
     formal = TIP if study.structure.n_pairs else CLAMP
-    volume = math.prod(scene.geometry.sides)
     none = (None,) * (1 + len(scenes))
-    return _Ways(
-        scenes,
-        none,
-        formal,
-        highest=2.0 * scene.mesh.order,
-        volume=volume,
-        dimension=scene.dimension,
-    )
+    return _Ways(scenes, none, formal, highest=2.0 * scene.mesh.order)
 
 
 def _modes(study: Study, own: Study) -> _Ways | str:
@@ -290,14 +268,14 @@ def _finer_run(
 
 
 def _carried(
-    own: Run[PeriodicSolution], numbers: Numbers, resonance: GridConvergence
+    own: Run[PeriodicSolution], numbers: Numbers, by_mesh: Mapping[str, GridConvergence]
 ) -> dict[str, GridConvergence]:
     """What the shift of the resonance changes of each number: the most at any within its
     uncertainty, as peaks may lie there, and where it is extrapolated to (collective)."""
-    at = numbers.values[numbers.resonance]
+    at, resonance = numbers.values[numbers.resonance], by_mesh[numbers.resonance]
     known, error = math.isfinite(resonance.extrapolated), resonance.uncertainty(-1) / at
     softer = -1.0 if known and resonance.extrapolated > at else 1.0
-    shifts = [(1.0 + error * step / STEPS) ** softer for step in range(1, STEPS + 1)]
+    shifts = [(1.0 + error * step / SHIFT_STEPS) ** softer for step in range(1, SHIFT_STEPS + 1)]
     if known:
         shifts.append(at / resonance.extrapolated)
     moved = shifted(own, own.result, numbers.mode, shifts)

@@ -17,7 +17,8 @@ from fenics_crack.fem.lips import SAME
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.key_figures import KeyFigures, span_of
+from fenics_crack.scene.tables import FORCES, Rotation
+from fenics_crack.study.key_figures import SMALL, KeyFigures, span_of
 from fenics_crack.study.prepare import reduction_of
 from fenics_crack.table import RPM, TURN
 
@@ -35,14 +36,13 @@ FASTEST = 1000.0
 """Speed of a rotor's tip that none reaches [m/s]; the longest blades have 700."""
 LEAST_FREQUENCY = 0.02
 """Load frequency, relative to the first natural one, below which a scene is one of statics."""
-FORCES = ("force_mean", "force_cos", "force_sin")
-NEAR = 0.1
+MEANT_FOR = 0.1
 """Relative distance at which a load frequency is taken to be meant for a natural one."""
 MM = {"mm": 1e-3}
 """In metres."""
 MANY_MODES = 2000
 """Modes of a whole structure that take minutes."""
-SOFT, RIGID = 1.0, 1e6
+AS_SOFT, AS_RIGID = 1.0, 1e6
 """Contact stiffness over that of the lips: as soft as these, and not to be told from rigid."""
 
 
@@ -69,7 +69,8 @@ def remarks_on_scene(scene: Scene) -> list[Remark]:
 
 def remarks_on_structure(scene: Scene, structure: Structure) -> list[Remark]:
     """What the scene's structure shows, before it is reduced (collective)."""
-    return [*_between_nodes(scene, structure), *_bouncing(scene, structure)]
+    rules = _between_nodes, _outermost, _bouncing
+    return [remark for rule in rules for remark in rule(scene, structure)]
 
 
 def remarks_on(scene: Scene, figures: KeyFigures) -> list[Remark]:
@@ -140,13 +141,19 @@ def _rotor(scene: Scene) -> Remarks:
     table = scene.rotation
     if table is None or table.hub_radius is None:
         return
-    hub, tip = table.hub_radius, table.hub_radius + (scene.geometry.height or 0.0)
-    key = "rotation.hub_radius"
-    yield from _unless_usual(key, hub, (0.0, LARGEST_SIDE), f"a hub of {hub:g} m")
-    if hub <= LARGEST_SIDE and table.speed * tip > FASTEST:
+    hub = table.hub_radius
+    usual = 0.0, LARGEST_SIDE
+    yield from _unless_usual("rotation.hub_radius", hub, usual, f"a hub of {hub:g} m")
+    if hub <= LARGEST_SIDE and scene.geometry.height is not None:
+        yield from _tip_speed(table, hub + scene.geometry.height)
+
+
+def _tip_speed(table: Rotation, radius: float) -> Remarks:
+    """Of what is ``radius`` away from a rotor's axis."""
+    if table.speed * radius > FASTEST:
         key = "speed" if table.rpm is None else "rpm"
-        text = f"the tip moves at {table.speed * tip:.3g} m/s, where the fastest have 700"
-        if table.rpm is None and RPM * table.speed * tip <= FASTEST:
+        text = f"the tip moves at {table.speed * radius:.3g} m/s, where the fastest have 700"
+        if table.rpm is None and RPM * table.speed * radius <= FASTEST:
             text += "; in revolutions per minute? then use rotation.rpm"
         yield Remark(f"rotation.{key}", getattr(table, key), text)
 
@@ -274,6 +281,19 @@ def _between_nodes(scene: Scene, structure: Structure) -> Remarks:
             yield Remark(f"{name}.point", list(point), text)
 
 
+def _outermost(scene: Scene, structure: Structure) -> Remarks:
+    """The speed of the tip, where the scene does not say how far from the axis it is."""
+    table, nodes = scene.rotation, structure.nodes
+    if table is None or nodes is None:
+        return
+    if table.hub_radius is not None and scene.geometry.height is not None:
+        return
+    point, axis = (vector[: nodes.points.shape[1]] for vector in table.place)
+    away = gather_rows(structure.comm, nodes.points) - point
+    across = away - np.outer(away @ axis, axis)
+    yield from _tip_speed(table, float(np.linalg.norm(across, axis=1).max()))
+
+
 def _bouncing(scene: Scene, structure: Structure) -> Remarks:
     """Rigid contact of pairs that keep their mass."""
     table = reduction_of(scene, structure)
@@ -315,7 +335,7 @@ def _frequency(scene: Scene, figures: KeyFigures) -> Remarks:
 
 
 def _is_near(omega: float, natural: np.ndarray) -> bool:
-    return bool(np.any(np.abs(natural - omega) < NEAR * natural))
+    return bool(np.any(np.abs(natural - omega) < MEANT_FOR * natural))
 
 
 def _curve(scene: Scene, figures: KeyFigures) -> Remarks:
@@ -354,7 +374,7 @@ def _response(scene: Scene, figures: KeyFigures) -> Remarks:
             f"it moves the plate by {figures.displacement:.2g} m, less than a hundredth of an atom"
         )
         yield Remark(f"excitation.{key}", force, text)
-    if figures.displacement > 0.1 * min(figures.size) and figures.damping.min() > 0.0:
+    if figures.displacement > SMALL * min(figures.size) and figures.damping.min() > 0.0:
         text = (
             f"with open lips it moves the plate by {figures.displacement:.2g} m, and the plate has "
             f"{min(figures.size):.2g} m: beyond small displacements; in N?"
@@ -380,13 +400,13 @@ def _contact(scene: Scene, figures: KeyFigures) -> Remarks:
         return
     key = "stiffness" if contact.stiffness is not None else "stiffness_per_area"
     value = getattr(contact, key)
-    if ratio.max() < SOFT:
+    if ratio.max() < AS_SOFT:
         text = (
             f"at most {ratio.max():.2g} of the lips' own stiffness: they pass through each other; "
             "100 to 10000 times is usual, or contact.law = 'unilateral'"
         )
         yield Remark(f"contact.{key}", value, text)
-    if ratio.min() > RIGID:
+    if ratio.min() > AS_RIGID:
         text = (
             f"at least {ratio.min():.2g} times the lips' own stiffness: rigid for all that can be "
             "computed, and hard to solve; contact.law = 'unilateral' is"

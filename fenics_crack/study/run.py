@@ -53,7 +53,7 @@ from fenics_crack.time.implicit import integrate_implicit
 from fenics_crack.time.march import TimeHistory
 
 __all__ = [
-    "Run", "curve", "integrate", "load_run", "modes", "run_of", "solve",
+    "Run", "check_motion", "curve", "integrate", "load_run", "modes", "run_of", "solve",
     "solve_prepared",
 ]  # fmt: skip
 
@@ -155,6 +155,12 @@ class Run(Study, Generic[Found]):
         else:
             comm = self.structure.whole.comm
             on_root(comm, lambda: save(found, path, self.scene, watched=motion, errors=errors))
+
+
+def check_motion(run: object) -> None:
+    """Raise InputError unless it is the run of a solution or of a march."""
+    if not (isinstance(run, Run) and isinstance(run.result, PeriodicSolution | TimeHistory)):
+        raise InputError("run", repr(run), "what fc.solve(scene) or fc.integrate(scene) returns")
 
 
 # --- the commands ---------------------------------------------------------------------------------

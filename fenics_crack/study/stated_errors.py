@@ -46,8 +46,8 @@ from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
-from fenics_crack.scene.quantities import OF_LIPS, OF_POINTS, OF_TIPS, QUANTITIES
-from fenics_crack.scene.scene import tip_quantities
+from fenics_crack.scene.quantities import OF_LIPS, OF_POINTS, QUANTITIES
+from fenics_crack.study.asked import asked_of_motion
 from fenics_crack.study.coarser_mesh import (
     CLAMP,
     TIP,
@@ -58,7 +58,6 @@ from fenics_crack.study.coarser_mesh import (
 )
 from fenics_crack.study.grid_convergence import GridConvergence
 from fenics_crack.study.prepare import REFUSALS, Study, modes_of
-from fenics_crack.study.tips import numbers_of_motion
 from fenics_crack.study.verification import Verification
 from fenics_crack.table import frequency_axis
 
@@ -66,7 +65,7 @@ __all__ = ["Numbers", "errors_of", "numbers_of", "resonance_of", "shifted", "sta
 
 ANSWER = ("amplitude", "ratio_2_1", "ratio_3_1", "mean_shift", "opening", "closed_share")
 """Quantities that are looked at where the scene does not choose."""
-LOWEST = (1, 2, 3)
+LOWEST_MODES = (1, 2, 3)
 """Modes whose natural frequencies with lips open are looked at."""
 TINY = 1e-9
 """A ratio that is none."""
@@ -117,14 +116,12 @@ def numbers_of(study: Study, found: PeriodicSolution, mode: int | None = None) -
                 value, unit = float(getattr(seen, name)), QUANTITIES[name][1]
                 if abs(value) > (TINY if unit == "1" else 0.0):
                     values[column], units[column] = value, unit.replace("1", "")
-    if tip_quantities(scene):
-        at_tips = numbers_of_motion(study, found)
-        values |= {name: at_tips[name] for name in tip_quantities(scene)}
-        units |= {name: OF_TIPS[name][1] for name in tip_quantities(scene)}
+    for name, value in asked_of_motion(study, found).items():
+        values[name], units[name] = value, QUANTITIES[name][1]
     natural = bilinear_frequencies(structure)
     mode = mode or int(natural.nearest(found.omega)["mode"])
     factor, _, unit = frequency_axis(scene.in_hertz)
-    wanted = {("open", number) for number in (*LOWEST, mode)}
+    wanted = {("open", number) for number in (*LOWEST_MODES, mode)}
     if structure.n_pairs:
         wanted |= {("tied", mode), ("bilinear", mode)}
     for kind, number in sorted(wanted, key=lambda one: (KINDS.index(one[0]), one[1])):
@@ -157,7 +154,7 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
         With ``absent`` or ``unknown``, and why, where a cause was not varied.
     """
     numbers = numbers_of(study, found)
-    stated = Verification(study.scene, numbers.values, numbers.units, {}, {}, {}, {}, (), {})
+    stated = Verification(study.scene, numbers.values, numbers.units)
     if not is_small(study.structure):  # three more solutions take three times as long
         stated.unknown.update(dict.fromkeys(VARIED, "the structure is not reduced"))
         return stated
@@ -169,7 +166,7 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
         try:
             made = other(study, near, own)
             if isinstance(made, str):
-                (stated.unknown if cause == "mesh" else stated.absent)[cause] = made
+                stated.leave(cause, made)
             else:
                 stated.counts[cause], stated.parts[cause] = made
         except REFUSALS as error:
@@ -204,7 +201,7 @@ def _more_modes(study: Study, near: PeriodicSolution, own: Numbers) -> Varied:
     found = _solved(more, near.omega, near.harmonics, start)
     counts = modes_of(study.scene, table), 2 * modes_of(study.scene, table)
     other = numbers_of(more, found, own.mode).values
-    return counts, expected("modes", counts, own.values, other, study.scene.dimension)
+    return counts, expected("modes", counts, own.values, other, study.scene)
 
 
 def _more_harmonics(study: Study, near: PeriodicSolution, own: Numbers) -> Varied:
@@ -212,7 +209,7 @@ def _more_harmonics(study: Study, near: PeriodicSolution, own: Numbers) -> Varie
         return "without contact there is one"
     counts = near.harmonics, 2 * near.harmonics
     other = numbers_of(study, _solved(study, near.omega, counts[1], near), own.mode).values
-    return counts, expected("harmonics", counts, own.values, other, study.scene.dimension)
+    return counts, expected("harmonics", counts, own.values, other, study.scene)
 
 
 def _coarser_mesh(study: Study, near: PeriodicSolution, own: Numbers, of_peak: bool) -> Varied:
@@ -227,7 +224,7 @@ def _coarser_mesh(study: Study, near: PeriodicSolution, own: Numbers, of_peak: b
     with_few = numbers_of(study, half, own.mode)
     moved = resonance_of(twin.structure, own.mode) / resonance_of(study.structure, own.mode)
     there = numbers_of(twin, _solved(twin, near.omega * moved, few), own.mode).values
-    parts = expected("mesh", counts, with_few.values, there, study.scene.dimension)
+    parts = expected("mesh", counts, with_few.values, there, study.scene)
     fine, coarse_size = parts[own.resonance].sizes
     left = [1.0 / ((coarse_size / fine) ** order - 1.0) for order in ORDERS]
     shifts = len(left) * [with_few.values]

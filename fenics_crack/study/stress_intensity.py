@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.errors import InputError
 from fenics_crack.scene.quantities import OF_TIPS
 from fenics_crack.scene.scene import check_tips
-from fenics_crack.study.run import Run
+from fenics_crack.study.run import Run, check_motion
 from fenics_crack.study.stated_errors import errors_of
 from fenics_crack.study.tips import numbers_at_tips, tip_rows
 from fenics_crack.study.verification import Verification
@@ -144,10 +143,7 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     >>> found = fc.stress_intensity(fc.solve(scene))
     >>> found.largest, found.effective, found.turn
     """
-    known = isinstance(run, Run) and isinstance(run.result, PeriodicSolution | TimeHistory)
-    if not known:
-        allowed = "what fc.solve(scene) or fc.integrate(scene) returns"
-        raise InputError("run", repr(run), allowed)
+    check_motion(run)
     check_tips(run.scene, "run", repr(run))
     rows = tip_rows(run)
     time, found = rows.of_motion(run.result)

@@ -18,11 +18,15 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
 from fenics_crack.files.results import Result
+from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import TipTiming
 from fenics_crack.study.run import Run, load_run, solve
 
-__all__ = ["arrivals_of", "engine_order", "vibration_in"]
+__all__ = ["arrivals_of", "engine_order", "tip_direction", "vibration_in"]
+
+SAME = 1e-6
+"""Of a solid's size: what is no distance."""
 
 
 def arrivals_of(
@@ -55,7 +59,7 @@ def arrivals_of(
         raise InputError("source", str(source or "the scene"), f"converged: {result.status}")
     arrivals = tip_timing(
         result,
-        {run.watched_dof: table.tangential},
+        tip_direction(table, run),
         probes=np.radians(table.probes),
         tip_radius=table.tip_radius,
         **_turning(table, run),
@@ -106,6 +110,29 @@ def vibration_in(
         subharmonic=table.subharmonic,
         angle_deviation=deviation,
     )
+
+
+def tip_direction(table: TipTiming, run: Run) -> dict[int, float]:
+    """The tip's displacement in the direction of rotation: shares of dofs (collective).
+
+    Raises
+    ------
+    InputError
+        The tip of a solid lies on the axis.
+    """
+    whole, rotation = run.structure.whole, run.scene.rotation
+    if table.tangential is not None or rotation is None or run.scene.dimension == 2:
+        return {run.watched_dof: 1.0 if table.tangential is None else table.tangential}
+    dofs, points = (gather_rows(whole.comm, x) for x in (whole.nodes.dofs, whole.nodes.points))
+    node = int(np.argwhere(dofs == run.watched_dof)[0, 0])
+    place, axis = rotation.place
+    along = np.cross(axis, points[node] - place)
+    size = float(np.linalg.norm(along))
+    if size <= SAME * float(np.ptp(points, axis=0).max()):
+        where = [float(x) for x in points[node]]
+        raise InputError("output.points", where, "a tip first, off the axis of the rotation")
+    shares = zip(dofs[node].tolist(), (along / size).tolist(), strict=True)
+    return {dof: share for dof, share in shares if dof >= 0 and share != 0.0}
 
 
 def _turning(table: TipTiming, run: Run) -> dict[str, Any]:

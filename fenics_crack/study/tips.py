@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -11,14 +11,14 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
 from fenics_crack.fem.tip_integral import Tip, tip_functionals
-from fenics_crack.model.reduced import AT_A_TIME
+from fenics_crack.model.factor import AT_A_TIME
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.scene.scene import Scene, check_tips
 from fenics_crack.study.prepare import Study
 from fenics_crack.time.march import TimeHistory
 
-__all__ = ["TipRows", "along_curve", "numbers_at_tips", "numbers_of_motion", "tip_rows"]
+__all__ = ["TipRows", "numbers_at_tips", "tip_rows", "tips_along_curve", "tips_of_motion"]
 
 
 @dataclass(frozen=True)
@@ -50,13 +50,7 @@ class TipRows:
         """Instants (n,) [s], and K_I and K_II then (n, n_tips, 2) (collective)."""
         structure, rows = motion.structure, self.of_coordinates
         if isinstance(motion, TimeHistory):
-            left_out = np.delete(rows, motion.recorded_dofs - structure.first_dof, axis=1)
-            if any(structure.comm.allgather(bool(np.any(left_out)))):
-                allowed = "None, to record all displacements, of which these are made"
-                raise InputError("dofs", "some", allowed)
-            own = rows[:, motion.recorded_dofs - structure.first_dof]
-            seen = structure.sum_over_ranks(motion.recorded @ own.T)
-            return motion.time, self.in_time(seen, motion.contact_force)
+            return motion.time, self.in_time(motion.seen_through(rows), motion.contact_force)
         time = motion.instants()
         if motion.residual is None:
             waves = structure.sum_over_ranks(motion.displacement_coefficients @ rows.T)
@@ -75,16 +69,19 @@ def tip_rows(study: Study) -> TipRows:
     InputError
         The scene is no plate, or has no crack with tips.
     """
-    check_tips(study.scene, "output.quantities")
-    found: TipRows = study.structure.once(_OfScene(study.scene))
-    return found
+    scene = study.scene
+    check_tips(scene, "output.quantities")
+    pairs = None if scene.contact is None else scene.contact.pairs
+    plate = scene.geometry, scene.crack, scene.cracks, scene.material, scene.mesh, pairs
+    return study.structure.once(_OfScene(plate, scene))
 
 
 @dataclass(frozen=True)
 class _OfScene:
     """The rows of a structure of a scene; equal for scenes of the same plate."""
 
-    scene: Scene
+    plate: tuple[object, ...]
+    scene: Scene = field(compare=False)
 
     def __call__(self, structure: Structure) -> TipRows:
         tips, columns, forces = tip_functionals(self.scene, structure.whole)
@@ -96,17 +93,6 @@ class _OfScene:
             products = np.vstack([structure.expand(block) @ columns.T for block in blocks])
             columns = structure.whole.sum_over_ranks(products).T
         return TipRows(tuple(tips), columns, forces)
-
-    def _plate(self) -> tuple[object, ...]:
-        scene = self.scene
-        pairs = None if scene.contact is None else scene.contact.pairs
-        return scene.geometry, scene.crack, scene.cracks, scene.material, scene.mesh, pairs
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _OfScene) and self._plate() == other._plate()
-
-    def __hash__(self) -> int:
-        return hash(self._plate())
 
 
 def numbers_at_tips(found: np.ndarray) -> Mapping[str, np.ndarray]:
@@ -129,15 +115,15 @@ def _of_leading(numbers: Mapping[str, np.ndarray]) -> dict[str, float]:
     return {name: float(values[leading]) for name, values in numbers.items()}
 
 
-def numbers_of_motion(study: Study, motion: PeriodicSolution | TimeHistory) -> dict[str, float]:
+def tips_of_motion(study: Study, motion: PeriodicSolution | TimeHistory) -> dict[str, float]:
     """The quantities of a solution or a march, of its leading tip (collective)."""
     return _of_leading(numbers_at_tips(tip_rows(study).of_motion(motion)[1]))
 
 
-def along_curve(study: Study, curve: ResponseCurve) -> dict[str, np.ndarray]:
-    """The quantities at every point of a curve, each (n,) (collective)."""
+def tips_along_curve(study: Study, curve: ResponseCurve) -> list[dict[str, float]]:
+    """The quantities at every point of a curve (collective)."""
     rows = tip_rows(study)
     found: list[dict[str, float]] = [{} for _ in range(len(curve))]
     for index, _, seen, _, force in curve.seen_through(rows.of_coordinates):
         found[index] = _of_leading(numbers_at_tips(rows.in_time(seen, force)))
-    return {name: np.array([one[name] for one in found]) for name in found[0]}
+    return found

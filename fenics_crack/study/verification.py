@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -30,7 +30,7 @@ CAUSES = (*MESH, "modes", "harmonics", "samples")
 WORDS = ("units", "absent", "unknown", "verdicts")
 LEVELS = 3
 """Runs of a cause, at most."""
-SHOWN, LEAST = 0.1, 1e-3
+SHARE_TOLD, LEAST_OF_VALUE = 0.1, 1e-3
 """Shares of its total, and of a value, from which on a doubtful contribution is told."""
 SPREAD = "not in the asymptotic range, 3 times the spread is taken"
 DOUBTS = {
@@ -77,14 +77,19 @@ class Verification(Tabular):
     scene: Scene
     values: dict[str, float]
     units: dict[str, str]
-    parts: dict[str, dict[str, GridConvergence]]
-    counts: dict[str, tuple[int, ...]]
-    absent: dict[str, str]
-    unknown: dict[str, str]
-    failures: tuple[str, ...]
-    verdicts: dict[str, str]
+    parts: dict[str, dict[str, GridConvergence]] = field(default_factory=dict)
+    counts: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    absent: dict[str, str] = field(default_factory=dict)
+    unknown: dict[str, str] = field(default_factory=dict)
+    failures: tuple[str, ...] = ()
+    verdicts: dict[str, str] = field(default_factory=dict)
 
     KIND: ClassVar[str] = "verification"
+
+    def leave(self, cause: str, why: str) -> None:
+        """Note why a cause was not varied: of a mesh its part is then unknown, else there is
+        none."""
+        (self.unknown if cause == "mesh" else self.absent)[cause] = why
 
     # --- files ------------------------------------------------------------------------------------
 
@@ -277,7 +282,7 @@ class Verification(Tabular):
 
     def _matters(self, name: str, cause: str) -> bool:
         """Whether a contribution is so large that a doubt of it is told."""
-        size = max(SHOWN * self.total(name), LEAST * abs(self.values[name]))
+        size = max(SHARE_TOLD * self.total(name), LEAST_OF_VALUE * abs(self.values[name]))
         return self.contributions(name)[cause] >= size
 
     def _in_words(self, name: str) -> str:

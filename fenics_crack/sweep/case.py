@@ -21,21 +21,49 @@ from fenics_crack.model.memory import check_memory
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
-from fenics_crack.scene.scene import Scene, tip_quantities
+from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.tables import FORCES
 from fenics_crack.stability.floquet import floquet
+from fenics_crack.study.asked import asked_of_motion, prepare_asked
 from fenics_crack.study.key_figures import damping_ratios
 from fenics_crack.study.prepare import REFUSALS, Study, law_of, prepare
-from fenics_crack.study.tips import numbers_of_motion, tip_rows
 from fenics_crack.sweep.file import AT_POINTS, COLUMNS, OPEN, PHASES, of_load
-from fenics_crack.sweep.plan import FORCES, Chunk
+from fenics_crack.sweep.plan import Chunk
 from fenics_crack.table import with_frequency
 
-__all__ = ["Found", "Geometry", "all_failed", "build", "solve_chunk"]
+__all__ = ["Asked", "Found", "Geometry", "all_failed", "build", "solve_chunk"]
 
 
-PEAK = 0.02
-"""Width over which a resonance is not told from its neighbours, in half its own: a parabola's top
-is then known to 2e-4."""
+PEAK_HARMONICS = 10
+"""Harmonics with which the largest response is looked for."""
+PEAK_STEPS = 4
+"""Into which half the width of a resonance is divided there: a parabola's top is then known to a
+tenth of one, the response to 3e-4."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is asked of the cases of a sweep.
+
+    Attributes
+    ----------
+    unit_loads : bool
+        Whether geometries are built with unit loads.
+    hopeless : bool
+        Whether a structure that stays large ends the sweep.
+    at_resonance : bool
+        Whether each case is solved where it answers most.
+    verdicts : bool
+        Whether the stability of each case is judged.
+    judged : bool
+        Whether the reduction is.
+    """
+
+    unit_loads: bool
+    hopeless: bool = False
+    at_resonance: bool = False
+    verdicts: bool = True
+    judged: bool = True
 
 
 @dataclass(frozen=True)
@@ -78,28 +106,20 @@ class Geometry:
         return self.structure.varied(load=load, clearance=of_cracks)
 
 
-def build(
-    scene: Scene,
-    comm: MPI.Comm,
-    unit_loads: bool,
-    last: Geometry | None = None,
-    *,
-    judged: bool = True,
-) -> Geometry:
+def build(scene: Scene, comm: MPI.Comm, asked: Asked, last: Geometry | None = None) -> Geometry:
     """The geometry of a case, with what judges its reduction if that is asked for; the mesh of the
     last one serves another speed of the rotor (collective)."""
     scene = scene.replace({f"{name}.clearance": 0.0 for name in scene.all_cracks})
-    if unit_loads:
+    if asked.unit_loads:
         units = {"force_mean": (0.0, 0.0), "force_cos": (0.0, 1.0), "force_sin": (1.0, 0.0)}
         scene = scene.replace({f"excitation.{name}": value for name, value in units.items()})
-    study = prepare(scene, comm, like=None if last is None else last.study, judged=judged)
+    study = prepare(scene, comm, like=None if last is None else last.study, judged=asked.judged)
     structure = study.structure
     if not is_small(structure):
         method = "off" if scene.reduction is None else scene.reduction.method
         allowed = f"one that leaves fewer than {structure.n_dofs} coordinates"
         raise InputError("reduction.method", method, allowed)
-    if tip_quantities(scene):
-        tip_rows(study)  # with all ranks of the group, for its cases
+    prepare_asked(study)  # with all ranks of the group, for its cases
     lengths = [crack.length for crack in study.scene.all_cracks.values()]
     named = [watched for watched in study.watched if watched.name]
     rows = np.zeros((0, structure.n_dofs))
@@ -107,7 +127,7 @@ def build(
         rows = structure.values_at(np.eye(structure.n_dofs), [w.dof for w in named]).T
     return Geometry(
         study,
-        unit_loads,
+        asked.unit_loads,
         lengths[0] if lengths and lengths[0] is not None else np.nan,
         bilinear_frequencies(structure),
         _at_load(study.scene, structure)
@@ -142,9 +162,7 @@ def all_failed(chunk: Chunk, reason: str) -> list[Found]:
     return [{"status": case if isinstance(case, str) else reason} for case in chunk.cases]
 
 
-def solve_chunk(
-    geometry: Geometry, chunk: Chunk, *, at_resonance: bool, verdicts: bool, judged: bool
-) -> list[Found]:
+def solve_chunk(geometry: Geometry, chunk: Chunk, asked: Asked) -> list[Found]:
     """Solve cases one after the other, each at its own frequency or at its resonance; with verdicts
     on their stability, if wanted, and with the error of a reduction that has been judged."""
     cases, solved = Cases(geometry), []
@@ -160,17 +178,15 @@ def solve_chunk(
         found |= _near(geometry.natural, case.excitation.omega)
         found |= _numbered(geometry.natural)
         try:
-            solution = cases.at_resonance(case) if at_resonance else cases.solve(case)
+            solution = cases.at_resonance(case) if asked.at_resonance else cases.solve(case)
             found |= with_frequency({"omega": solution.omega})
             found |= _near(geometry.natural, solution.omega)
             measured = {name: v for name, v in solution.to_dict().items() if name in COLUMNS}
-            if not judged:
+            if not asked.judged:
                 measured.pop("reduction_error")
             found |= measured | _seen(solution, case, geometry)
-            if tip_quantities(case):
-                at_tips = numbers_of_motion(geometry.study, solution)
-                found |= {name: at_tips[name] for name in tip_quantities(case)}
-            if verdicts:
+            found |= asked_of_motion(geometry.study, solution)
+            if asked.verdicts:
                 found |= cases.verdict(solution)
                 if reason := found.pop("reason", ""):
                     found["status"] += f"; {OPEN}{reason}"
@@ -196,11 +212,7 @@ class Cases:
     def solve(self, case: Scene) -> PeriodicSolution:
         """The solution of a case; one of :data:`REFUSALS` where there is none."""
         omega, table = case.excitation.omega, case.harmonic_balance
-        at_omega = case.replace({"excitation.omega": 1.0, "curve": None})
-        if self._last != at_omega:
-            self._last = at_omega
-            self._structure = self._geometry.of_case(case)
-            self._law = law_of(case, self._structure)
+        self._take(case)
         structure, law = self._structure, self._law
         if law is None:
             return solve_linear(structure, omega, harmonics=table.harmonics)
@@ -210,43 +222,62 @@ class Cases:
         self._near = solve_beside(problem, near, table.tolerance)
         return self._near
 
+    def _take(self, case: Scene) -> None:
+        """Structure and law of a case, unless they are those of the last one."""
+        at_omega = case.replace({"excitation.omega": 1.0, "curve": None})
+        if self._last != at_omega:
+            self._last = at_omega
+            self._structure = self._geometry.of_case(case)
+            self._law = law_of(case, self._structure)
+
     def at_resonance(self, case: Scene) -> PeriodicSolution:
         """The largest response of a case over the frequency, in the norm of its modes, next to the
         bilinear frequency that is nearest to the case's; raises as :meth:`solve`.
 
-        Of a single mode the inverse square of the response is a parabola, on which Brent's method
-        lands in few steps.
+        It is looked for with few harmonics, from below. Of a single mode the inverse square of the
+        response is a parabola: with all harmonics three neighbours have its top between them.
         """
-        import scipy.optimize  # takes a while, and few sweeps ask for it
-
-        nearest = self._geometry.natural.nearest(case.excitation.omega)
-        place, omega = int(nearest["mode"]) - 1, float(nearest["omega_bilinear"])
-        whole = self._geometry.structure.whole
-        ratio = float(damping_ratios(whole, self._geometry.natural.omega_open)[place])
+        natural, table = self._geometry.natural, case.harmonic_balance
+        nearest = natural.nearest(case.excitation.omega)
+        place, middle = int(nearest["mode"]) - 1, float(nearest["omega_bilinear"])
+        ratio = float(damping_ratios(self._geometry.structure.whole, natural.omega_open)[place])
         if not ratio > 0.0:
             raise InputError("damping", None, "a ratio, or Rayleigh's, with sweep.at_resonance")
-        near = self.solve(case.replace({"excitation.omega": omega}))
+        self._take(case)
         assert self._law is not None
-        problem = Problem(
-            self._structure, omega, self._law, near.harmonics, case.harmonic_balance.samples
+        few = (
+            PEAK_HARMONICS if table.tolerance is not None else min(PEAK_HARMONICS, table.harmonics)
         )
+        problem = Problem(self._structure, middle, self._law, few, table.samples)
+        step = ratio * middle / PEAK_STEPS
+        near, seen = None, []
+        for number in range(-2 * PEAK_STEPS, 2 * PEAK_STEPS + 1):
+            near = _beside(replace(problem, omega=middle + number * step), near)
+            seen += [near] if near is not None else []
+        top = self._first_of(case, sorted(seen, key=_response, reverse=True))
+        problem = problem.with_harmonics(top.harmonics)
+        for _ in range(PEAK_STEPS):
+            sides = [_beside(replace(problem, omega=top.omega + by), top) for by in (-step, step)]
+            sizes = np.array([_response(one) for one in (sides[0], top, sides[1])])
+            if sizes[1] >= sizes.max():
+                break
+            top = sides[int(sizes[2] > sizes[0])] or top
+        below, here, above = 1.0 / np.maximum(sizes, 1e-9 * sizes.max()) ** 2
+        move = 0.5 * (below - above) / max(below + above - 2.0 * here, 1e-9 * here)
+        self._near = top
+        omega = top.omega + float(np.clip(move, -0.5, 0.5)) * step
+        return self.solve(case.replace({"excitation.omega": omega}))
 
-        def smallness(omega: float) -> float:
-            nonlocal near
+    def _first_of(self, case: Scene, places: list[PeriodicSolution]) -> PeriodicSolution:
+        """The solution of a case next to the first of some others that has one at its frequency:
+        beside a fold more harmonics may have none."""
+        reason = ConvergenceError("there is no vibration next to the bilinear frequency")
+        for self._near in places[:PEAK_STEPS]:
             try:
-                near = Solver(replace(problem, omega=float(omega))).solve(near, reported=False)
-            except ConvergenceError:  # as many harmonics as it takes there
-                near = self.solve(case.replace({"excitation.omega": float(omega)}))
-            moved = near.displacement_coefficients[1:, : self._structure.n_modes]
-            return float(1.0 / np.sum(moved**2))
-
-        top = scipy.optimize.minimize_scalar(
-            smallness,
-            bracket=(omega * (1.0 - ratio), omega * (1.0 + ratio)),
-            method="brent",
-            options={"xtol": PEAK * ratio},
-        )
-        return self.solve(case.replace({"excitation.omega": float(top.x)}))
+                return self.solve(case.replace({"excitation.omega": self._near.omega}))
+            except ConvergenceError as error:
+                reason = error
+        raise reason
 
     def verdict(self, solution: PeriodicSolution) -> Found:
         """Verdict on a solution, modulus of its leading multiplier, and the reason where it is
@@ -260,6 +291,24 @@ class Cases:
             return {"verdict": "undecided", "reason": str(error)}
         largest = abs(found.multipliers[0])
         return {"verdict": found.verdict, "multiplier": largest, "reason": found.reason}
+
+
+def _beside(problem: Problem, near: PeriodicSolution | None) -> PeriodicSolution | None:
+    """A solution without its errors, sought from another one, with half of its harmonics first,
+    from which it is nearer; None where there is none."""
+    if near is not None and problem.harmonics >= 2 * PEAK_HARMONICS:
+        near = _beside(problem.with_harmonics(problem.harmonics // 2), near) or near
+    try:
+        return Solver(problem).solve(near, reported=False)
+    except ConvergenceError:
+        return None
+
+
+def _response(found: PeriodicSolution | None) -> float:
+    """Size of a vibration in the norm of its modes, without its mean; 0 without one."""
+    if found is None:
+        return 0.0
+    return float(np.linalg.norm(found.displacement_coefficients[1:, : found.structure.n_modes]))
 
 
 def _near(natural: BilinearFrequencies, omega: float) -> Found:

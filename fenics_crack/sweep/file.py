@@ -34,9 +34,9 @@ import numpy as np
 from fenics_crack.errors import FEW_MODES, InputError, WriteError
 from fenics_crack.files import store
 from fenics_crack.files.units import about
-from fenics_crack.outside import LARGEST
+from fenics_crack.outside import MOST_BYTES
 from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QUANTITIES
-from fenics_crack.scene.scene import Scene, tip_quantities
+from fenics_crack.scene.scene import Scene, asked_quantities
 from fenics_crack.version import VERSION
 from fenics_crack.whole import not_written, put, whole_file
 
@@ -45,8 +45,9 @@ __all__ = [
     "COLUMNS",
     "CONVERGED",
     "FAILED",
+    "KEPT_ORDERS",
+    "KIND",
     "OPEN",
-    "ORDERS",
     "PENDING",
     "PHASES",
     "SweepFile",
@@ -79,9 +80,9 @@ NATURAL = {
 """Words and unit of the natural frequencies that are kept of each case."""
 AT_POINTS = {name: unit for name, (_, unit) in OF_POINTS.items() if name != "ratio_half_1"}
 """What is kept of each point and direction, and its unit: no case has a longer period."""
-ORDERS = (1, 2, 3, 4, 5, 6)
+KEPT_ORDERS = (1, 2, 3, 4, 5, 6)
 """Harmonics of which the parts are kept."""
-PHASES = {f"{part}_{order}": "m" for order in ORDERS for part in ("cosine", "sine")}
+PHASES = {f"{part}_{order}": "m" for order in KEPT_ORDERS for part in ("cosine", "sine")}
 """Likewise: the parts of the harmonics, of whose amplitudes ``harmonic_1`` to ``harmonic_3``."""
 COLUMNS: dict[str, tuple[str, str]] = {
     **{of_load(name): (unit, "f8") for name, unit in (AT_POINTS | PHASES).items()},
@@ -116,18 +117,15 @@ BLANKS: dict[str, Any] = {"f": np.nan, "i": 0, "S": b""}
 
 
 def columns_of(scene: Scene) -> dict[str, tuple[str, str]]:
-    """The :data:`COLUMNS` of a scene's sweep, those of its points, "tip.ux.ratio_2_1", and the
-    stress intensities that it asks for."""
-    at_tips = {name: (QUANTITIES[name][1], "f8") for name in tip_quantities(scene)}
-    return (
-        COLUMNS
-        | at_tips
-        | {
-            f"{point}.{name}": (unit, "f8")
-            for point in scene.point_names
-            for name, unit in (AT_POINTS | PHASES).items()
-        }
-    )
+    """The :data:`COLUMNS` of a scene's sweep, those of its points, "tip.ux.ratio_2_1", and those of
+    tips and the clamp that it asks for."""
+    asked = {name: (QUANTITIES[name][1], "f8") for name in asked_quantities(scene)}
+    at_points = {
+        f"{point}.{name}": (unit, "f8")
+        for point in scene.point_names
+        for name, unit in (AT_POINTS | PHASES).items()
+    }
+    return COLUMNS | asked | at_points
 
 
 def shape_of(scene: Scene) -> tuple[int, ...]:
@@ -195,7 +193,7 @@ class SweepFile:
         }
         checksums = [_of_waves(*both) for both in zip(*waves.values(), strict=True)]
         columns[WAVES_CHECKSUM] = np.array(checksums, "u4")
-        columns[CHECKSUM] = _of_cases(columns, list(columns), state)
+        columns[CHECKSUM] = _of_cases(columns, state)
         try:
             self._put("state", places, np.full(len(state), PENDING))
             for name, arrays in waves.items():
@@ -250,9 +248,7 @@ def _stored(value: Any) -> Any:
 def _made(path: Path, scene: Scene, harmonics: int, pairs: int) -> store.Stored | None:
     """A new file; None where another program has been quicker."""
     shape = shape_of(scene)
-    sizes = {"state": ("", "u1", shape)}
-    sizes |= {name: (unit, kind, shape) for name, (unit, kind) in columns_of(scene).items()}
-    sizes |= {name: ("", "u4", shape) for name in (WAVES_CHECKSUM, CHECKSUM)}
+    sizes = {name: (unit, kind, shape) for name, (unit, kind) in _kept(scene).items()}
     if pairs:
         wave = (*shape, 2 * harmonics + 1, pairs)
         sizes |= {name: (unit, "f8", wave) for name, unit in WAVES.items()}
@@ -320,14 +316,12 @@ def _of_waves(gap: np.ndarray, force: np.ndarray) -> int:
     return zlib.crc32(force.tobytes(), zlib.crc32(gap.tobytes()))
 
 
-def _of_cases(
-    columns: Mapping[str, np.ndarray], names: Sequence[str], state: np.ndarray
-) -> np.ndarray:
-    """Checksums of cases (n,), of some columns of theirs and a state each."""
+def _of_cases(columns: Mapping[str, np.ndarray], state: np.ndarray) -> np.ndarray:
+    """Checksums of cases (n,), of columns of theirs and a state each."""
     found = np.zeros(len(state), dtype="u4")
     for start in range(0, len(state), BLOCK):
         block = slice(start, start + BLOCK)
-        parts = [columns[name][block] for name in names] + [state[block].astype("u1")]
+        parts = [column[block] for column in (*columns.values(), state.astype("u1"))]
         rows = np.hstack([part.view("u1").reshape(len(part), -1) for part in parts])
         found[block] = [zlib.crc32(row) or 1 for row in rows]
     return found
@@ -342,7 +336,7 @@ def _of_scene(path: Path, scene: Scene) -> store.Stored:
         allowed = "the file of the same scene; for another one choose a new folder"
         raise InputError("path", str(path), allowed)
     version = str(stored.attributes.get("version"))
-    lost = [name for name in _kinds(scene) if name not in stored.columns]
+    lost = [name for name in _kept(scene) if name not in stored.columns]
     if version != VERSION or lost:
         why = f" and has no column {lost[0]!r}" if lost else ""
         allowed = f"a new name: it was begun by version {version}{why}, this is {VERSION}"
@@ -356,10 +350,10 @@ def _of_scene(path: Path, scene: Scene) -> store.Stored:
 # --- reading --------------------------------------------------------------------------------------
 
 
-def _kinds(scene: Scene) -> dict[str, str]:
-    """Types of all that is kept of each case beside its waves."""
-    kinds = {name: kind for name, (_, kind) in columns_of(scene).items()}
-    return {"state": "u1"} | kinds | {WAVES_CHECKSUM: "u4", CHECKSUM: "u4"}
+def _kept(scene: Scene) -> dict[str, tuple[str, str]]:
+    """Unit and type of all that is kept of each case beside its waves."""
+    checksums = dict.fromkeys((WAVES_CHECKSUM, CHECKSUM), ("", "u4"))
+    return {"state": ("", "u1")} | columns_of(scene) | checksums
 
 
 def opened(path: Path) -> store.Stored:
@@ -370,7 +364,7 @@ def opened(path: Path) -> store.Stored:
     if scene is None or scene.sweep is None:
         raise InputError("path", str(path), "a sweep with its scene")
     total = 0
-    for name, kind in _kinds(scene).items():
+    for name, (_, kind) in _kept(scene).items():
         column = stored.columns.get(name)
         if column is None and name.rpartition(".")[2] in LATER:
             continue
@@ -380,8 +374,8 @@ def opened(path: Path) -> store.Stored:
         if column.shape != shape_of(scene) or column.dtype != np.dtype(kind):
             raise InputError("path", str(path), "a whole sweep")
         total += column.size
-    if total > LARGEST:
-        raise InputError("path", str(path), f"a sweep with at most {LARGEST} bytes of columns")
+    if total > MOST_BYTES:
+        raise InputError("path", str(path), f"a sweep with at most {MOST_BYTES} bytes of columns")
     return stored
 
 
@@ -401,7 +395,7 @@ def _numbers(stored: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
     """All that is kept of each case (n,), beside its waves."""
     found = {}
     try:
-        for name in _kinds(scene):  # the state first: what is written later counts as pending
+        for name in _kept(scene):  # the state first: what is written later counts as pending
             if name in stored.columns:
                 found[name] = stored.columns[name].of(stored.path).ravel()
     except (OSError, ValueError) as error:
@@ -415,7 +409,7 @@ def _confirmed(found: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], np.
     begun, state = np.flatnonzero(known), np.full(len(stated), PENDING, stated.dtype)
     own = {name: values[begun] for name, values in found.items()}
     for one in (CONVERGED, FAILED):
-        same = _of_cases(own, list(own), np.full(len(begun), one)) == known[begun]
+        same = _of_cases(own, np.full(len(begun), one)) == known[begun]
         state[begun[same]] = one
     return {"state": state} | found, (state == PENDING) & (stated != PENDING)
 

@@ -23,7 +23,7 @@ from fenics_crack.files.store import Stored
 from fenics_crack.parallel import StopRequest
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import REFUSALS
-from fenics_crack.sweep.case import Found, Geometry, all_failed, build, solve_chunk
+from fenics_crack.sweep.case import Asked, Found, Geometry, all_failed, build, solve_chunk
 from fenics_crack.sweep.file import FAILED, PENDING, SweepFile
 from fenics_crack.sweep.plan import Chunk, Plan
 
@@ -53,31 +53,12 @@ class Worker:
     ----------
     group : MPI.Comm
         Its ranks.
-    unit_loads : bool
-        Whether geometries are built with unit loads.
-    hopeless : bool
-        Whether a structure that stays large ends the sweep.
-    at_resonance : bool
-        Whether each case is solved where it answers most.
-    verdicts : bool
-        Whether the stability of each case is judged.
-    judged : bool
-        Whether the reduction is.
+    asked : Asked
+        What is asked of each case.
     """
 
-    def __init__(
-        self,
-        group: MPI.Comm,
-        *,
-        unit_loads: bool,
-        hopeless: bool,
-        at_resonance: bool,
-        verdicts: bool,
-        judged: bool,
-    ) -> None:
-        self._group, self._unit_loads = group, unit_loads
-        self._hopeless, self._judged = hopeless, judged
-        self._how = {"at_resonance": at_resonance, "verdicts": verdicts, "judged": judged}
+    def __init__(self, group: MPI.Comm, asked: Asked) -> None:
+        self._group, self._asked = group, asked
         self._number = -1
         self._built: Geometry | Exception | None = None
         """The geometry of that number, or why it cannot be built."""
@@ -117,7 +98,7 @@ class Worker:
             return
         known = self._built if scene.speed and isinstance(self._built, Geometry) else None
         try:
-            self._built = build(scene, self._group, self._unit_loads, known, judged=self._judged)
+            self._built = build(scene, self._group, self._asked, known)
         except REFUSALS as error:
             self._built = error
         except Exception:
@@ -131,11 +112,11 @@ class Worker:
         built = self._built
         if isinstance(built, Geometry):
             try:
-                return solve_chunk(built, chunk, **self._how)
+                return solve_chunk(built, chunk, self._asked)
             except Exception:
                 return _unforeseen()
         large = isinstance(built, InputError) and built.key == "reduction.method"
-        if built is None or (isinstance(built, REFUSALS) and not (large and self._hopeless)):
+        if built is None or (isinstance(built, REFUSALS) and not (large and self._asked.hopeless)):
             return all_failed(chunk, str(built))
         return built
 

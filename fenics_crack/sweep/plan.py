@@ -16,8 +16,9 @@ from fenics_crack.fem.blocks import lip_pairs
 from fenics_crack.fem.matrix_files import count_pairs
 from fenics_crack.fem.plate import build_mesh
 from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.tables import FORCES
 
-__all__ = ["FORCES", "Chunk", "Plan"]
+__all__ = ["FREQUENCIES", "Chunk", "Plan"]
 
 CHUNK = 16
 """Most cases of a chunk."""
@@ -30,8 +31,6 @@ SAME_GEOMETRY = (
 )  # fmt: skip
 """Keys that change neither mesh, matrices and modes nor the place of the load; clearances, too."""
 FREQUENCIES = ("excitation.omega", "excitation.frequency")
-FORCES = ("force_mean", "force_cos", "force_sin")
-"""Parts of the load."""
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ import shutil
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from mpi4py import MPI
@@ -49,10 +49,11 @@ from fenics_crack.scene.quantities import OF_POINTS, QUANTITIES
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import check_scene, unit_of
 from fenics_crack.study.prepare import law_of
-from fenics_crack.sweep.case import build
+from fenics_crack.sweep.case import Asked, build
 from fenics_crack.sweep.file import (
     CONVERGED,
     FAILED,
+    KIND,
     OPEN,
     PENDING,
     SweepFile,
@@ -127,18 +128,20 @@ def run_sweep(
     ranks = _ranks_of_a_case(scene, comm)
     managers: list[Manager] = []
 
-    def start() -> dict[str, bool]:
+    assert scene.sweep is not None
+    at_resonance = scene.sweep.at_resonance
+
+    def start() -> Asked:
         plan = Plan(scene)
         file = SweepFile(Path(path or _passing_file()), scene, plan.harmonics, plan.pairs)
         managers.append(Manager(plan, file, comm.size // ranks, progress=progress))
-        return {"unit_loads": plan.unit_loads, "hopeless": not plan.reduction_swept}
+        hopeless = not plan.reduction_swept
+        return Asked(plan.unit_loads, hopeless, at_resonance, verdicts, judged)
 
-    how = on_root(comm, start)
+    asked = on_root(comm, start)
     group = comm.Split(comm.rank // ranks, comm.rank)
     leaders = comm.Split(min(group.rank, 1), comm.rank)
-    assert scene.sweep is not None
-    how["at_resonance"] = scene.sweep.at_resonance
-    worker = Worker(group, **how, verdicts=verdicts, judged=judged)
+    worker = Worker(group, asked)
     with StopRequest() as stop:
         if managers:
             managers[0].run(worker, leaders, stop)
@@ -209,6 +212,8 @@ class SweepResult(Tabular):
     path: Path
     scene: Scene
     columns: dict[str, np.ndarray]
+
+    KIND: ClassVar[str] = KIND
 
     @classmethod
     def load(cls, path: str | Path) -> SweepResult:
@@ -308,7 +313,7 @@ class SweepResult(Tabular):
         length = float(self["crack_length"][place])
         if case.crack is not None and case.crack.first_omega is not None:
             case = case.replace({"crack.length": length, "crack.first_omega": None})
-        structure = build(case, MPI.COMM_SELF, plan.unit_loads).of_case(case)
+        structure = build(case, MPI.COMM_SELF, Asked(plan.unit_loads)).of_case(case)
         omega = float(self["omega"][place])
         law = law_of(case, structure)
         if law is None:

@@ -44,7 +44,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from petsc4py import PETSc
 
 from fenics_crack.errors import ConvergenceError, InputError, check_omega
 from fenics_crack.kernel import Struct, doubles, kernel
@@ -290,14 +289,6 @@ class _CentralDifferences(LoopedSteps):
     def __init__(self, asked: March) -> None:
         super().__init__(asked)
         structure, dt = self.structure, self.step_size
-        self.displacement, self.increment, self.before, self.rhs, self.solved = (
-            np.zeros(structure.n_local) for _ in range(5)
-        )
-        size = (structure.n_local, structure.n_dofs)
-        self._u, self._r, self._a, self._d = (
-            PETSc.Vec().createWithArray(array, size, comm=structure.comm)
-            for array in (self.displacement, self.rhs, self.solved, self.increment)
-        )
         self._mixed: Any = None
         matrix = structure.mass
         if self._modes is not None:
@@ -307,7 +298,7 @@ class _CentralDifferences(LoopedSteps):
             matrix = weighted_sum(structure.mass, 0.5 * dt, self._damping)
             self._mixed = weighted_sum(structure.mass, -0.5 * dt, self._damping)
         self._inverse = self._factored(matrix)
-        self.owned = self._u, self._r, self._a, self._d, self._x, self._y, self._inverse
+        self.owned = self._x, self._y, self._inverse
         if self.rigid:
             self._push, self._modal_push = self._response()
             self._compliance = structure.apply_bt(self._push.T).T
@@ -328,8 +319,8 @@ class _CentralDifferences(LoopedSteps):
         """Set the state at time 0, the step before from u_{-1} = u - dt v + dt^2 a / 2; return the
         energy [J]."""
         dt = self.step_size
-        self.displacement[:] = self._admissible(displacement)
-        self.increment[:] = dt * velocity - 0.5 * dt**2 * self._acceleration(velocity)
+        self.displacement = self._admissible(displacement)
+        self.increment = dt * velocity - 0.5 * dt**2 * self._acceleration(velocity)
         if self._modes is not None:
             self._modal = self.structure.sum_over_ranks(self.increment @ self._modes.mass_shapes)
         return self._linear_energy(velocity)
@@ -345,30 +336,26 @@ class _CentralDifferences(LoopedSteps):
     def advance(self, step: int) -> None:
         dt2 = self.step_size**2
         self.gap = self._measured(self.displacement)
-        # r = f - K u - B lambda
-        self.structure.stiffness.mult(self._u, self._r)
-        np.negative(self.rhs, out=self.rhs)
-        self.rhs[self.load_rows] += self.load[step]
+        push = -self._times(self.structure.stiffness, self.displacement)  # f - K u - B lambda
+        push[self.load_rows] += self.load[step]
         if not self.rigid:
             self.force = self.contact.force(self.gap)
-            self.rhs[self._gap_rows] -= self._gap_block @ self.force
+            push[self._gap_rows] -= self._gap_block @ self.force
+        push *= dt2
         if self._mixed is not None:
-            self._mixed.mult(self._d, self._a)
-            self.rhs *= dt2
-            self.rhs += self.solved
-            self._inverse.apply(self._r, self._d)
+            push += self._times(self._mixed, self.increment)
+            self.increment = self._applied(self._inverse.apply, push)
         else:
-            self._inverse.apply(self._r, self._a)
-            self.increment += dt2 * self.solved
+            self.increment += self._applied(self._inverse.apply, push)
         if self._modes is not None:
-            pushed = dt2 * self.structure.sum_over_ranks(self.rhs @ self._modes.shapes)
+            pushed = self.structure.sum_over_ranks(push @ self._modes.shapes)
             lost = self._share * (pushed + 2.0 * self._modal)
             self._modal += pushed - lost
             self.increment -= self._modes.shapes @ lost
         if self.rigid:
             self._push_apart()
-        self.before[:] = self.displacement
-        self.displacement += self.increment
+        self.before = self.displacement
+        self.displacement = self.displacement + self.increment
 
     def _push_apart(self) -> None:
         """Find the forces of a constraint and take their part from the increment."""

@@ -18,7 +18,7 @@ from fenics_crack.errors import ConvergenceError, InputError, check_count, check
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.fourier import balanced, evaluate, waves
+from fenics_crack.numerics.fourier import balanced, derivative, evaluate, waves
 from fenics_crack.parallel import StopRequest, raise_together
 from fenics_crack.stages import begin
 from fenics_crack.table import Tabular, counted
@@ -225,15 +225,27 @@ class TimeHistory(Tabular):
         if self.structure.whole is not self.structure:
             return self.structure.values_at(self.recorded, dofs)
         wanted = self.structure.check_dofs(dofs)
-        here = np.isin(wanted, self.recorded_dofs)
-        found = np.zeros((len(self.time), len(wanted)))
-        order = np.argsort(self.recorded_dofs)
-        place = np.searchsorted(self.recorded_dofs, wanted[here], sorter=order)
-        found[:, here] = self.recorded[:, order[place]]
-        missing = wanted[self.structure.sum_over_ranks(here.astype(float)) == 0.0]
-        if len(missing):
+        chosen = (self.recorded_dofs[:, None] == wanted).astype(float)
+        times = self.structure.sum_over_ranks(chosen.sum(axis=0))  # a dof may be recorded twice
+        if not times.all():
+            missing = wanted[times == 0.0]
             raise InputError("dofs", missing.tolist(), "among those recorded")
-        return self.structure.sum_over_ranks(found)
+        return self.structure.sum_over_ranks(self.recorded @ (chosen / times))
+
+    def seen_through(self, rows: np.ndarray) -> np.ndarray:
+        """Products of rows (m, n_local) with the displacement: (n, m) (collective).
+
+        Raises
+        ------
+        InputError
+            A dof that they take was not recorded.
+        """
+        structure, own = self.structure, self.recorded_dofs - self.structure.first_dof
+        left_out = np.delete(rows, own, axis=1)
+        if any(structure.comm.allgather(bool(np.any(left_out)))):
+            allowed = "None, to record all displacements, of which these are made"
+            raise InputError("dofs", "some", allowed)
+        return structure.sum_over_ranks(self.recorded @ rows[:, own].T)
 
     def indicators(self, dof: int | None = None) -> Indicators:
         """What a dof, or the watched one, and the lips show of a breathing crack: its harmonics and
@@ -372,10 +384,8 @@ def initial_state(
     state: tuple[np.ndarray, ...]
     if isinstance(initial, PeriodicSolution):
         coefficients, omega = initial.displacement_coefficients, initial.base_omega
-        rate = np.zeros_like(coefficients)
-        order = omega * np.arange(1, initial.harmonics + 1)[:, None]
-        rate[1::2], rate[2::2] = order * coefficients[2::2], -order * coefficients[1::2]
-        state = tuple(evaluate(wave, omega, np.zeros(1))[0] for wave in (coefficients, rate))
+        both = coefficients, derivative(coefficients, omega)
+        state = tuple(evaluate(wave, omega, np.zeros(1))[0] for wave in both)
     else:
         try:
             state = tuple(numbers(part) for part in initial)

@@ -16,3 +16,13 @@ def test_orders_and_lines_of_generated_records(number: int) -> None:
         tip_records.judge(row, tip_records.draw(row, rng), count)
     assert count.order + count.declared == 12 and count.found == 12
     assert count.covered >= 9 and count.also >= 9 and count.unwarned <= 1
+
+
+def test_no_order_is_excluded_by_a_harmonic_left_out() -> None:
+    """Five probes and a sine fitted to a wave of four harmonics: where the order is wrong, the
+    right one is said to fit as well."""
+    row, count = tip_records.ROWS[13], tip_records.Count()
+    rng = np.random.default_rng([1, 13])
+    for _ in range(15):
+        tip_records.judge(row, tip_records.draw(row, rng), count)
+    assert count.order + count.declared == 15 and 5 < count.order < 12

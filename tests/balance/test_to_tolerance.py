@@ -5,11 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import oscillator
 
 import fenics_crack as fc
-from fenics_crack.balance.orbits import recurring
-from fenics_crack.motion.flow import exact_flow
 
 OMEGA = {"one mass": 0.39681408867938706, "three masses": 2.165754283399089}
 
@@ -83,17 +80,6 @@ def test_stability_is_known(name: str) -> None:
     stability = fc.floquet(structure, found)
     assert stability.refined and stability.verdict != "undecided"
     assert stability.distance <= 3.0 * found.report.total
-
-
-def test_recurrences_find_what_attracts_the_motion() -> None:
-    """Of the bilinear oscillator: the orbit that harmonic balance with H = 200 solves for."""
-    law = fc.UnilateralPenalty(1.0)
-    flow = exact_flow(oscillator(), law)
-    orbit = recurring(flow, 1.0, np.zeros(2))
-    assert orbit is not None
-    exact = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=200)
-    gap, time = orbit.gap, orbit.sampled.time
-    assert np.abs(gap - exact.gap(time)).max() < 1e-5 * np.abs(gap).max()
 
 
 def test_harmonics_out_of_reach(monkeypatch: pytest.MonkeyPatch) -> None:

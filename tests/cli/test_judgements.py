@@ -215,3 +215,13 @@ def test_solution_and_curve_agree(scene: fc.Scene, frequency: float) -> None:
     height = one.result.amplitude(one.watched_dof)
     assert many.result.amplitude(many.watched_dof)[0] == pytest.approx(height, rel=1e-4)
     assert one.result.stability.verdict == many.result.verdicts[0] == "stable"
+
+
+def test_large_displacements_are_said(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    """The equations are linear but for the contact, and the errors say nothing about that."""
+    path = tmp_path / "plate.toml"
+    assert main(["new", str(path), "--quiet"]) == 0
+    for force, warns in ((10.0, False), (1e6, True)):
+        change = f"excitation.force_sin=[{force}, 0.0]"
+        assert main(["solve", str(path), "--set", change, "--output", str(tmp_path / "out")]) == 0
+        assert ("beyond small displacements" in capsys.readouterr().err) == warns

@@ -11,7 +11,7 @@ from helpers import chain, two_masses
 import fenics_crack as fc
 from fenics_crack.curves import exact
 from fenics_crack.curves.orbit_branch import Crossing
-from fenics_crack.motion.flow import Budget
+from fenics_crack.motion.flow import Budget, exact_flow
 from fenics_crack.time.march import initial_state
 
 RIGID = fc.UnilateralConstraint()
@@ -213,10 +213,33 @@ def test_many_pairs_with_mass() -> None:
 
 
 def test_motions_that_take_too_long(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Undecided at all points, and nothing is sought; the curve's own bifurcations stay."""
+    """Undecided at all points, which say so, and nothing is sought; the curve's own bifurcations
+    stay."""
     plain = fc.continue_frequency(two_masses(), 0.6, 0.9, fc.UnilateralPenalty(100.0), harmonics=12)
-    monkeypatch.setattr(exact, "BUDGET", Budget(pieces=2))
+    monkeypatch.setattr(exact, "_budget", lambda *_: Budget(pieces=2))
     monkeypatch.setattr(exact, "OrbitBranch", None)
     judged = fc.judge_curve(plain)
     assert set(judged.verdicts) == {"undecided"}
     assert judged.bifurcations == plain.bifurcations
+    assert "no orbit along the curve was followed" in judged.reason(0)
+
+
+def test_a_fast_mode_costs_time_but_no_verdict() -> None:
+    """A mass so light that a period of the load has 5,000 pieces of it: judged as without it."""
+    slow = two_masses()
+    mass, stiffness = (np.zeros((3, 3)) for _ in range(2))
+    for whole, part in ((mass, slow.mass), (stiffness, slow.stiffness)):
+        whole[:2, :2] = part.getValues(range(2), range(2))
+    mass[2, 2], stiffness[2, 2] = 1e-8, 0.25
+    fast = fc.Structure.from_matrices(
+        mass,
+        stiffness,
+        [*slow.gap.toarray()[:, 0], 0.0],
+        force_cos=[*slow.force[1], 0.0],
+        damping=fc.ModalDamping(0.02),
+    )
+    law = fc.UnilateralPenalty(1.0)
+    flow = exact_flow(fast, law)
+    assert flow.pieces(2.0 * np.pi / 0.66) > 2.0 * exact.FOR_EVENTS
+    curve = fc.continue_frequency(fast, 0.66, 0.7, law, harmonics=12, stability=True)
+    assert curve.undecided is not None and np.mean(curve.undecided) < 0.1

@@ -13,10 +13,23 @@ import pytest
 import scipy.io
 import scipy.sparse as sparse
 
-from fenics_crack.exchange.matrix_market import matrix_market_shape, read_matrix_market
+import fenics_crack as fc
 
 RANDOM = sparse.random(30, 30, 0.1, random_state=1).tocsr()
+N = RANDOM.shape[0]
 KINDS = {"general": RANDOM, "symmetric": RANDOM + RANDOM.T, "skew-symmetric": RANDOM - RANDOM.T}
+
+
+def read(path: Path) -> np.ndarray:
+    """The matrix of a file, as that of gaps: it may have any values."""
+    return fc.Structure.from_matrices(np.eye(N), np.eye(N), path).gap.toarray()
+
+
+def refused(path: Path, reason: str) -> None:
+    """As it is read, whatever its size."""
+    with pytest.raises(fc.InputError, match=reason) as caught:
+        fc.Structure.from_matrices(path, np.eye(2), None)
+    assert caught.value.key == "mass"
 
 
 @pytest.mark.parametrize("symmetry", KINDS)
@@ -30,9 +43,7 @@ def test_as_written_by_scipy(tmp_path: Path, symmetry: str, dense: bool) -> None
     packed = tmp_path / "matrix.mtx.gz"
     packed.write_bytes(gzip.compress(path.read_bytes()))
     for file in (path, packed):
-        found = read_matrix_market(file)
-        assert sparse.issparse(found) is not dense
-        np.testing.assert_allclose(found if dense else found.toarray(), matrix, rtol=1e-15)
+        np.testing.assert_allclose(read(file), matrix, rtol=1e-15)
 
 
 def test_integers_and_patterns(tmp_path: Path) -> None:
@@ -40,7 +51,7 @@ def test_integers_and_patterns(tmp_path: Path) -> None:
     path = tmp_path / "matrix.mtx"
     for field in ("integer", "pattern"):
         scipy.io.mmwrite(path, (RANDOM != 0.0).astype(int), field=field)
-        np.testing.assert_array_equal(read_matrix_market(path).toarray(), RANDOM.toarray() != 0.0)
+        np.testing.assert_array_equal(read(path), RANDOM.toarray() != 0.0)
 
 
 @pytest.mark.parametrize(
@@ -67,8 +78,7 @@ def test_what_a_file_does_not_keep(tmp_path: Path, text: str, reason: str) -> No
     """Each fault is named."""
     path = tmp_path / "matrix.mtx"
     path.write_text(text and f"%%MatrixMarket {text}")
-    with pytest.raises(ValueError, match=reason):
-        read_matrix_market(path)
+    refused(path, reason)
 
 
 @pytest.mark.parametrize(
@@ -87,21 +97,30 @@ def test_bombs(tmp_path: Path, packed: Callable[[bytes], bytes], kind: str) -> N
     )
     assert path.stat().st_size < 200_000
     reason = {"lines": "more entries", "announced": "more than it can hold"}
-    with pytest.raises(ValueError, match=reason.get(kind, "too large for its size")):
-        read_matrix_market(path)
+    refused(path, reason.get(kind, "too large for its size"))
 
 
 def test_columns_without_an_entry(tmp_path: Path) -> None:
-    """They are not counted: a file of a line announces no million pairs."""
-    path = tmp_path / "gap.mtx"
-    path.write_text("%%MatrixMarket matrix coordinate real general\n3 1000000 1\n1 1 1.0\n")
-    with pytest.raises(ValueError, match="columns, but only 1 entries"):
-        matrix_market_shape(path)
+    """They are not counted: a sweep makes no room for the million pairs of a file of a line."""
+    for name in ("mass", "stiffness"):
+        scipy.io.mmwrite(tmp_path / f"{name}.mtx", sparse.eye(3))
+    scipy.io.mmwrite(tmp_path / "force.mtx", np.ones((3, 1)))
+    lines = "%%MatrixMarket matrix coordinate real general\n3 1000000 1\n1 1 1.0\n"
+    (tmp_path / "gap.mtx").write_text(lines)
+    files = {name: f"{name}.mtx" for name in ("mass", "stiffness", "gap")}
+    tables = {
+        "structure": files | {"force_sin": "force.mtx"},
+        "contact": {"law": "penalty", "stiffness": 1.0},
+        "damping": {"ratio": 0.1},
+        "excitation": {"omega": 0.5},
+        "sweep": {"over": {"excitation.omega": [0.5, 0.6]}},
+    }
+    found = fc.run_sweep(fc.Scene.from_mapping(tables, tmp_path), tmp_path / "sweep.h5")
+    assert not found.converged.any() and found.path.stat().st_size < 10**6
 
 
 def test_neither_devices_nor_pipes(tmp_path: Path) -> None:
     """They need not end."""
     os.mkfifo(tmp_path / "pipe.mtx")
     for path in (Path("/dev/zero"), tmp_path / "pipe.mtx", tmp_path):
-        with pytest.raises(OSError, match="not a regular file"):
-            read_matrix_market(path)
+        refused(path, "not a regular file")

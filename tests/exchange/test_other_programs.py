@@ -210,8 +210,69 @@ def write_market(folder: Path) -> dict[str, str]:
     }  # fmt: skip
 
 
+def op4_lines(matrix: np.ndarray, name: str, layout: str, digits: int = 16) -> list[str]:
+    """As OUTPUT4 writes a matrix: "dense", "sparse" or "big" (strings of numbers of any length)."""
+    n, many = len(matrix), 80 // (digits + 7)
+    rows = -n if layout == "big" else n
+    lines = [f"{n:8}{rows:8}{6:8}{2:8}{name:8}1P,{many}E{digits + 7}.{digits}"]
+
+    def numbers(values: np.ndarray) -> list[str]:
+        words = [f"{value:{digits + 7}.{digits}E}" for value in values]
+        return ["".join(words[at : at + many]) for at in range(0, len(words), many)]
+
+    for column, values in enumerate(matrix.T, 1):
+        there = np.flatnonzero(values)
+        if layout == "dense":
+            kept = values[there[0] : there[-1] + 1]
+            lines += [f"{column:8}{there[0] + 1:8}{2 * len(kept):8}", *numbers(kept)]
+            continue
+        strings = np.split(there, np.flatnonzero(np.diff(there) > 1) + 1)
+        spent = 2 if layout == "big" else 1
+        words = sum(2 * len(string) + spent for string in strings)
+        lines.append(f"{column:8}{0:8}{words:8}")
+        for string in strings:
+            row, length = string[0] + 1, 2 * len(string) + 1
+            lines.append(f"{length:8}{row:8}" if layout == "big" else f"{row + 65536 * length:10}")
+            lines += numbers(values[string])
+    return [*lines, f"{n + 1:8}{1:8}{2:8}", *numbers(np.ones(1))]
+
+
+def write_op4(folder: Path) -> dict[str, str]:
+    """Both matrices in one file of OUTPUT4, whose rows are named beside it."""
+    given, files = plate_matrices(), write_market(folder)
+    dense, strings = (given[kind].toarray() for kind in "KM")
+    lines = op4_lines(dense, "KAA", "dense") + op4_lines(strings, "MAA", "sparse")
+    (folder / "plate.op4").write_text("\n".join(lines) + "\n")
+    files |= {"stiffness": "plate.op4", "mass": "plate.op4"}
+    return files | {"model": write_nastran(folder)["model"]}
+
+
+@pytest.mark.parametrize("layout", ["dense", "sparse", "big"])
+def test_matrices_of_output4(layout: str, tmp_path: Path) -> None:
+    """Numbers of nine digits, some of them in a line of their own; and files that are damaged."""
+    rng = np.random.default_rng(3)
+    matrix = rng.normal(size=(13, 13)) * (rng.random((13, 13)) < 0.6) + np.eye(13)
+    path = tmp_path / "both.op4"
+    lines = op4_lines(np.eye(13), "MAA", "sparse", 9) + op4_lines(matrix, "KAA", layout, 9)
+    path.write_text("\n".join(lines) + "\n")
+    found = read_matrix(path, "K").matrix.toarray()
+    assert found == pytest.approx(matrix, rel=1e-9) and np.all((found == 0.0) == (matrix == 0.0))
+    assert np.array_equal(read_matrix(path, "M").matrix.toarray(), np.eye(13))
+    with pytest.raises(ValueError, match="no whole matrix whose name begins with B"):
+        read_matrix(path, "B")
+    wrong = ("2KAA", "4KAA", "KAA.*is not of a real"), ("E-01", "X-01", "is not of a real matrix")
+    for old, new, words in wrong:
+        path.write_text("\n".join(lines).replace(old, new))
+        with pytest.raises(ValueError, match=words):
+            read_matrix(path, "K")
+    path.write_text("\n".join(lines[:-8]))
+    with pytest.raises(ValueError, match=r"no whole matrix|is not of"):
+        read_matrix(path, "K")
+
+
 WRITERS = {
-    "Abaqus": write_abaqus, "Nastran": write_nastran, "Ansys": write_ansys, "a table": write_market,
+    "Abaqus": write_abaqus, "Nastran": write_nastran, "OUTPUT4": write_op4, "Ansys": write_ansys,
+    "a table": write_market,
 }  # fmt: skip
 
 

@@ -23,6 +23,7 @@ from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.fem.plate import build_mesh
 from fenics_crack.fem.solid import _cells
 from fenics_crack.parallel import gather_rows
+from fenics_crack.study.remarks import remarks_on_structure
 
 MESHES = ROOT / "meshes"
 WIDTH, HEIGHT, THICKNESS = 0.03, 0.09, 0.006
@@ -339,6 +340,22 @@ def test_tied_lips_are_a_solid_without_a_crack() -> None:
     whole = 2.0 * math.pi * frequencies(solid(contact=None), 1)[0]
     assert found.omega_open[0] < found.omega_bilinear[0] < found.omega_tied[0]
     assert found.omega_tied[0] == pytest.approx(whole, rel=2e-3)
+
+
+def test_the_tip_of_a_solid_is_its_farthest_node_from_the_axis() -> None:
+    """Whatever the axis: a remark on a tip that outruns all others, in rad/s for rpm most often."""
+    box, speed = solid().replace({"contact": None}), "rotation.speed"
+    structure = fc.build_structure(box)
+    for axis, center, away in (
+        ((1.0, 0.0, 0.0), (0.0, -0.2, 0.0), math.hypot(0.2 + HEIGHT, THICKNESS)),
+        ((0.0, 1.0, 0.0), (0.2, 0.0, 0.0), math.hypot(0.2, THICKNESS)),
+    ):
+        axes = {"rotation.axis": axis, "rotation.center": center}
+        turning = box.replace(axes | {speed: 6000.0})
+        [remark] = remarks_on_structure(turning, structure)
+        assert f"the tip moves at {6000.0 * away:.3g} m/s" in str(remark)
+        assert "use rotation.rpm" in str(remark)
+        assert not remarks_on_structure(turning.replace({speed: 600.0}), structure)
 
 
 def test_rotating_solids_are_rotating_plates_in_their_plane() -> None:

@@ -16,6 +16,7 @@ from helpers import MPI_ENVIRONMENT, ROOT
 from mpi4py import MPI
 from ranks import kill
 from surroundings import main
+from test_responses import file_of as universal_file
 
 import fenics_crack as fc
 from fenics_crack import SweepResult
@@ -438,3 +439,44 @@ def test_killed_sweep_goes_on(scene: fc.Scene, tmp_path: Path) -> None:
     began = time.perf_counter()
     again = fc.identify(scene, tmp_path / "m.csv", folder=tmp_path)
     assert time.perf_counter() - began < 20.0 and again.estimate == found.estimate
+
+
+def test_crack_from_frequency_responses(
+    scene: fc.Scene, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of a finer mesh, in universal files, with the crack and before; a mode that a file does not
+    show is told."""
+
+    def file_of(changes: dict[str, object], path: Path) -> Path:
+        study = fc.prepare(scene.replace(FINER | changes), MPI.COMM_SELF)
+        dof, bands = study.watched[0].dof, ((1600.0, 1850.0), (5900.0, 7150.0))
+        grid = 2.0 * np.pi * np.concatenate([np.linspace(*band, 130) for band in bands])
+        waves = []
+        for omega in np.split(grid, 2):
+            if study.contact is None:
+                every = [fc.solve_linear(study.structure, one) for one in omega]
+                waves += [one.coefficients_at([dof])[1:3, 0] for one in every]
+            else:
+                curve = fc.continue_frequency(
+                    study.structure, omega[0], omega[-1], study.contact, harmonics=5
+                )
+                rows = curve.coefficients_at(dof)[:, 1:3].T
+                waves += [*np.array([np.interp(omega, curve.omega, one) for one in rows]).T]
+        cosine, sine = np.array(waves).T
+        form = {"form": "uneven", "stored": 6, "derived": 2}
+        return universal_file(path, grid / (2.0 * np.pi), (cosine - 1j * sine)[None], **form)
+
+    crack = {"crack.length": 0.025, "crack.height": 0.07}
+    measured = file_of(crack, folder / "measured.uff")
+    before = file_of({"crack": None, "contact": None}, folder / "before.uff")
+    (folder / "plate.toml").write_text(PLATE)
+    command = ["identify", str(folder / "plate.toml"), str(measured), "--before", str(before)]
+    assert main([*command, "--output", str(folder)]) == 2
+    words = capsys.readouterr().err
+    assert "frequency_uncracked of mode 2 = 68" in words and "its mode 3 has" in words
+    rows = fc.Measurements.read(measured)
+    assert [row.mode for row in rows.rows] == [1, 2, 3]
+    rows += fc.Measurements.from_responses(before, [1, 3], quantity="frequency_uncracked")
+    found = fc.identify(scene, rows, folder=folder)
+    assert found.verdict == "crack" and found.contains(crack)
+    assert found.estimate["crack.length"] == pytest.approx(0.025, abs=0.006)

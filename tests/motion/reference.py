@@ -3,16 +3,16 @@ eigenvectors of its matrix, events by bisection, contact at an instant by least 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import scipy.optimize
 
-from fenics_crack.motion.flow import ContactFlow
-
 
 class ReferenceFlow:
-    """The flow of a :class:`ContactFlow`'s equations at one frequency."""
+    """The flow of a contact flow's equations at one frequency."""
 
-    def __init__(self, flow: ContactFlow, omega: float, points: int = 24) -> None:
+    def __init__(self, flow: Any, omega: float, points: int = 24) -> None:
         """``points``: of the search for events in the period of the fastest set."""
         modes, self.omega, self.points = flow.modes, omega, points
         self.squares, self.pairs = modes.squares, modes.pairs

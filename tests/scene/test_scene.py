@@ -16,8 +16,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fenics_crack import InputError, Scene
-from fenics_crack.scene.fields import Axis
-from fenics_crack.scene.scene import files_of
 
 GONE = type("Gone", (), {"__repr__": lambda self: "gone"})()
 """Stands for a key or a table that is left out."""
@@ -471,12 +469,19 @@ def test_bad_axes_are_named(over: object, key: str) -> None:
 def test_axes_made_in_python() -> None:
     """Values of NumPy's kinds are taken as numbers; empty and repeated axes are refused."""
     scene = Scene.from_mapping(GOOD)
-    axis = Axis("crack.length", np.array([0.04, 0.05]))  # type: ignore[arg-type]
-    count = Axis("harmonic_balance.harmonics", tuple(np.arange(2, 4)))
+    over = {"crack.length": [1.0], "harmonic_balance.harmonics": [1]}
+    sweep = scene.replace({"sweep.over": over}).sweep
+    assert sweep is not None
+    axis, count = (
+        dataclasses.replace(axis, values=values)
+        for axis, values in zip(
+            sweep.over, (np.array([0.04, 0.05]), tuple(np.arange(2, 4))), strict=True
+        )
+    )
     swept = scene.replace({"sweep.over": (axis, count)})
     assert swept.sweep is not None and swept.sweep.over[1].values == (2, 3)
     assert Scene.from_text(swept.as_toml()) == swept
-    for wrong in ((axis, axis), (Axis("crack.length", ()),)):
+    for wrong in ((axis, axis), (dataclasses.replace(axis, values=()),)):
         with pytest.raises(InputError, match=r"sweep\.over"):
             scene.replace({"sweep.over": wrong})
 
@@ -486,7 +491,7 @@ def test_rayleigh_damping_is_swept() -> None:
     scene = Scene.from_mapping(GOOD)
     rayleigh = scene.replace({"damping.ratio": None, "damping.mass": 10})
     assert (rayleigh.damping.mass, rayleigh.damping.stiffness) == (10.0, None)
-    over = (Axis("damping.mass", (1, 2.0)), Axis("damping.stiffness", (0.0, 1e-6)))
+    over = {"damping.mass": [1, 2.0], "damping.stiffness": [0.0, 1e-6]}
     swept = rayleigh.replace({"sweep.over": over})
     assert swept.sweep is not None and swept.sweep.over[0].values == (1.0, 2.0)
     assert Scene.from_text(swept.as_toml()) == swept
@@ -522,7 +527,7 @@ def test_swept_mesh_files_lie_beside_the_scene(tmp_path: Path) -> None:
     made["sweep"] = {"over": {"mesh.file": ["a.msh", "b.msh"]}}
     scene = Scene.from_mapping(made, tmp_path)
     files = [str(tmp_path / name) for name in ("a.msh", "a.msh", "b.msh")]
-    assert [path for _, path in files_of(scene)] == files and scene.sweep is not None
+    assert scene.mesh.file == files[0] and scene.sweep is not None
     assert list(scene.sweep.over[0].values) == files[1:]
 
 

@@ -16,14 +16,15 @@ from fenics_crack import InputError, Scene
 
 
 def test_frequencies_are_those_of_each_speed() -> None:
-    """One mesh for all speeds gives what a scene of each speed does, lips open and tied."""
+    """One mesh and one basis for all speeds give what a scene of each speed does, lips open and
+    tied, also between the speeds whose modes are in the basis: to rounding of its projection."""
     scene = cracked(100.0)
-    found = fc.campbell(scene, [0.0, 200.0, 400.0], 2)
+    found = fc.campbell(scene, [0.0, 130.0, 400.0], 2)
     for row, speed in enumerate(found.speed):
         plate = fc.build_structure(scene.replace({"rotation.speed": float(speed)}))
-        assert found.omega_open[row] == pytest.approx(fc.solve_modes(plate, 2).omega, rel=1e-9)
+        assert found.omega_open[row] == pytest.approx(fc.solve_modes(plate, 2).omega, rel=1e-8)
         tied = fc.solve_modes(plate, 2, lips="tied").omega
-        assert found.omega_tied[row] == pytest.approx(tied, rel=1e-9)
+        assert found.omega_tied[row] == pytest.approx(tied, rel=1e-8)
     bilinear = 2.0 / (1.0 / found.omega_open + 1.0 / found.omega_tied)
     assert found.omega_bilinear == pytest.approx(bilinear)
     assert np.all(np.diff(found.omega_open, axis=0) > 0.0)

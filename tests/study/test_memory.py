@@ -6,11 +6,15 @@ import gc
 import resource
 from pathlib import Path
 
+import numpy as np
 import pytest
 from mpi4py import MPI
 
 import fenics_crack as fc
+from fenics_crack import Scene
 from fenics_crack.fem import plate
+from fenics_crack.model import memory
+from fenics_crack.model.factor import Factor
 from fenics_crack.model.memory import reduction_memory, whole_memory
 from fenics_crack.study import prepare
 
@@ -34,6 +38,34 @@ def test_more_modes_and_harmonics_need_more(wide_plate: fc.Structure) -> None:
     few = reduction_memory(wide_plate, 10, "massless")
     assert few < reduction_memory(wide_plate, 100, "massless")
     assert whole_memory(wide_plate, 5) < whole_memory(wide_plate, 50)
+
+
+def test_parts_of_what_a_solid_needs() -> None:
+    """A factor of a cube's stiffness and one of a plate's are within a factor of two of what is
+    said, a matrix is what it holds, and memory that is freed does not count."""
+    for thickness in (0.03, 0.004):
+        sides = {"width": 0.03, "height": 0.03, "thickness": thickness}
+        solid = Scene.from_mapping(
+            {
+                "geometry": {"kind": "solid"} | sides,
+                "material": {"young": 2.1e11, "poisson": 0.3, "density": 7850.0},
+                "damping": {"ratio": 0.01},
+                "excitation": {"omega": 100.0},
+                "loads": [{"edge": "front", "pressure_cos": 100.0}],
+                "mesh": {"layout": "graded", "order": 2, "size": 0.005, "error": False},
+            }
+        )
+        structure = fc.build_structure(solid, MPI.COMM_SELF)
+        with Factor(structure.stiffness) as factor:
+            entries = int(factor._factor.getMumpsInfog(9))
+        assert 0.5 < memory._factor(structure) / (8.0 * entries) < 2.0
+        _, columns, values = structure.stiffness.getValuesCSR()
+        assert memory._matrix(structure) == columns.nbytes + values.nbytes
+    before = memory._held(structure)
+    pieces = [np.ones(10_000) for _ in range(1000)]
+    assert memory._held(structure) > before + 7e7
+    del pieces
+    assert memory._held(structure) < before + 1e7
 
 
 def test_what_was_prepared_is_given_back(paper_scene: fc.Scene) -> None:

@@ -17,6 +17,7 @@ from mpi4py import MPI
 from surroundings import main
 
 import fenics_crack as fc
+from fenics_crack import InputError
 from fenics_crack.files.store import read, write
 from fenics_crack.study.coarser_mesh import finer_mesh
 from fenics_crack.study.stated_errors import numbers_of
@@ -149,6 +150,32 @@ def test_without_the_mesh(scene: fc.Scene) -> None:
     assert whole is not None and not whole.unknown and whole.absent.keys() == {"harmonics"}
     assert set(whole.values) == {"amplitude", *(f"frequency_open_{n}" for n in (1, 2, 3))}
     assert fc.integrate(scene.replace({"integration.periods": 2}), MPI.COMM_SELF).errors is None
+
+
+def test_two_files_of_one_part(scene: fc.Scene, run: fc.Run, tmp_path: Path) -> None:
+    """The coarser one says of the other what the meshes of a scene say of each other."""
+    twin = finer_mesh(scene, 0.5)
+    assert twin is not None and run.errors is not None
+    for name, made in (("own", scene), ("coarse", twin)):
+        fc.write_msh(made, tmp_path / f"{name}.msh")
+    files = scene.replace(
+        {
+            "geometry.width": None, "geometry.height": None, "mesh.size": None,
+            "mesh.layout": "file", "mesh.file": str(tmp_path / "own.msh"),
+            "mesh.coarser": str(tmp_path / "coarse.msh"), "mesh.lip_elements": None, "crack": None,
+        }
+    )  # fmt: skip
+    found = fc.solve(files, MPI.COMM_SELF).errors
+    assert found is not None and not found.without
+    for name, value in found.values.items():
+        assert value == pytest.approx(run.errors.values[name], rel=1e-6)
+        assert found.stated(name)[0] == pytest.approx(run.errors.stated(name)[0], rel=1e-3)
+    with pytest.raises(InputError, match=r"mesh\.coarser = '.*none\.msh': must be an existing"):
+        fc.solve(files.replace({"mesh.coarser": str(tmp_path / "none.msh")}), MPI.COMM_SELF)
+    same = files.replace({"mesh.coarser": str(tmp_path / "own.msh")})
+    unknown = fc.solve(same, MPI.COMM_SELF).errors
+    assert unknown is not None
+    assert unknown.unknown == {"mesh": "a coarser one has as many elements"}
 
 
 def test_of_modes_and_of_a_curve(scene: fc.Scene, run: fc.Run) -> None:

@@ -16,7 +16,8 @@ from mpi4py import MPI
 import fenics_crack as fc
 from fenics_crack.fem import tip_integral
 from fenics_crack.model.rotation import static_state
-from fenics_crack.study.tips import along_curve, numbers_of_motion, tip_rows
+from fenics_crack.study.asked import asked_along_curve, asked_of_motion
+from fenics_crack.study.tips import tip_rows
 
 STRIP: dict[str, Any] = {
     "geometry": {"width": 0.1, "height": 0.4, "thickness": 0.01},
@@ -282,6 +283,8 @@ def test_stress_along_a_line() -> None:
     assert far == pytest.approx([0.0, STRESS, 0.0], abs=0.01 * STRESS)
     with pytest.raises(fc.InputError, match=r"points = .*on the mesh"):
         fc.stress_at(run, [[0.2, 0.2]])
+    with pytest.raises(fc.InputError, match=r"run = .*fc\.solve"):
+        fc.stress_at(run.result, [[0.05, 0.35]])  # type: ignore[arg-type]
 
 
 def test_march_and_solution_agree() -> None:
@@ -315,11 +318,26 @@ def test_along_a_curve() -> None:
          "output.quantities": names}
     )  # fmt: skip
     run = fc.curve(scene, MPI.COMM_SELF)
-    along = along_curve(run, run.result)
+    along = asked_along_curve(run, run.result)
     place = len(run.result) // 2
-    alone = numbers_of_motion(run, run.result.solution(place))
+    alone = asked_of_motion(run, run.result.solution(place))
     for name in names[1:]:
         assert along[name][place] == pytest.approx(alone[name], rel=1e-3)
+
+
+def test_along_a_run_up() -> None:
+    """Columns of a curve over the rotor's speed are those of the blade at that speed, whose crack
+    the centrifugal load opens."""
+    scene = fc.Scene.load(DEMOS / "rotating_blade.toml").replace(
+        {"output": None, "output.quantities": ("K_max", "delta_K_effective"), "curve": None}
+    )
+    span = {"parameter": "speed", "start": 0.97 * scene.speed, "stop": scene.speed}
+    keys = {f"curve.{key}": value for key, value in span.items()} | {"curve.stability": False}
+    run = fc.curve(scene.replace(keys), MPI.COMM_SELF)
+    along, alone = asked_along_curve(run, run.result), fc.solve(scene, MPI.COMM_SELF)
+    for name, value in asked_of_motion(alone, alone.result).items():
+        assert along[name][-1] == pytest.approx(value, rel=5e-3)
+        assert along[name][0] != pytest.approx(value, rel=5e-3)
 
 
 # --- refusals, ranks ------------------------------------------------------------------------------

@@ -189,7 +189,7 @@ def test_a_case_leaves_the_solution_of_another_alone(paper_scene: fc.Scene, redu
         )
         for load, clearance in given
     ]
-    geometry = sweep_case.build(cases[1], MPI.COMM_SELF, True)
+    geometry = sweep_case.build(cases[1], MPI.COMM_SELF, sweep_case.Asked(unit_loads=True))
     found = [sweep_case.Cases(geometry).solve(case) for case in cases]
     for solution, (load, clearance) in zip(found, given, strict=True):
         structure = solution.structure

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,7 +14,6 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.scene.tables import Structure
 
 CORNERS = {"CPE6": 6, "CPE8": 8, "CPS8": 8, "C3D8": 4, "C3D10": 10}
 """Nodes of a cell that an element of CalculiX takes, in VTK's order, which is its own."""
@@ -142,10 +142,12 @@ def stored_matrices(lines: list[str], scene: fc.Scene) -> Iterator[fc.Scene]:
     with TemporaryDirectory() as name:
         step = ["*STEP", "*FREQUENCY, SOLVER=MATRIXSTORAGE", "1", "*END STEP"]
         _run_in(Path(name), [*lines, *step])
-        yield fc.Scene(
-            structure=Structure(*(f"{name}/plate.{end}" for end in ("mas", "sti", "inp"))),
-            contact=scene.contact, damping=scene.damping, excitation=scene.excitation,
-        )  # fmt: skip
+        ends = {"mass": "mas", "stiffness": "sti", "model": "inp"}
+        tables = {"structure": {key: f"{name}/plate.{end}" for key, end in ends.items()}}
+        for key, table in tomllib.loads(scene.as_toml()).items():
+            if key in ("contact", "damping", "excitation"):
+                tables[key] = table
+        yield fc.Scene.from_mapping(tables)
 
 
 def natural(lines: list[str], count: int, loads: list[str] | None = None) -> np.ndarray:
@@ -183,15 +185,41 @@ def transient(
     for kind, values in zip(("DISPLACEMENT", "VELOCITY"), initial, strict=True):
         if values.any():
             lines += [f"*INITIAL CONDITIONS, TYPE={kind}", *_values(structure, values, (0, back))]
+    limits = f", {1e-6 * step:.13e}, {step:.13e}"
+    load = _values(structure, 0.5 * structure.force[2], (0, back))
+    return _marched(
+        lines, scene, structure, ["*DYNAMIC, ALPHA=0.0", limits], load, steps, periods, initial[0]
+    )
+
+
+def linear_transient(
+    scene: fc.Scene, structure: fc.Structure, element: str, steps: int, periods: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same from rest in equal steps, of a plate of plane elements whose lips pass each other;
+    of nodes that such an element lacks the displacement is zero."""
+    lines, load = (
+        mesh_lines(structure, scene, element),
+        _values(structure, structure.force[2], (0,)),
+    )
+    how, rest = ["*DYNAMIC, DIRECT, ALPHA=0.0", ""], np.zeros(structure.n_dofs)
+    return _marched(lines, scene, structure, how, load, steps, periods, rest)
+
+
+def _marched(
+    lines: list[str], scene: fc.Scene, structure: fc.Structure, how: list[str], load: list[str],
+    steps: int, periods: int, first: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Instants and displacements, of which the first is known, under a load times sin(omega t)."""
+    omega = scene.excitation.omega
+    step = 2.0 * np.pi / omega / steps
     instants = np.arange(periods * steps + 2) * step
-    lines += ["*AMPLITUDE, NAME=LOAD"]
-    lines += [f"{t:.13e}, {np.sin(scene.excitation.omega * t):.13e}" for t in instants]
-    lines += ["*STEP, INC=100000", "*DYNAMIC, ALPHA=0.0"]
-    lines += [f"{step:.13e}, {periods * period:.13e}, {1e-6 * step:.13e}, {step:.13e}"]
-    lines += ["*CLOAD, AMPLITUDE=LOAD", *_values(structure, 0.5 * structure.force[2], (0, back))]
+    lines = [*lines, "*AMPLITUDE, NAME=LOAD"]
+    lines += [f"{t:.13e}, {np.sin(omega * t):.13e}" for t in instants]
+    lines += ["*STEP, INC=100000", how[0], f"{step:.13e}, {periods * steps * step:.13e}{how[1]}"]
+    lines += ["*CLOAD, AMPLITUDE=LOAD", *load]
     table = run([*lines, "*NODE PRINT, NSET=FRONT", "U", "*END STEP"])
     time = [float(line.split()[-1]) for line in table.splitlines() if "displacements" in line]
-    return np.array([0.0, *time]), np.vstack([initial[0], _displacements(table, structure)])
+    return np.array([0.0, *time]), np.vstack([first, _displacements(table, structure)])
 
 
 def _values(structure: fc.Structure, values: np.ndarray, shifts: tuple[int, ...]) -> list[str]:
