@@ -17,10 +17,11 @@ __all__ = ["Dofs", "nodes_on"]
 
 
 class Dofs:
-    """Free dofs of the function space, and their numbers in the structure."""
+    """Free dofs of a mesh's function space, and their numbers in the structure."""
 
     def __init__(self, plate: PlateMesh, space: Any, comm: MPI.Comm) -> None:
         self.comm = comm
+        self.plate = plate
         self.space = space
         self.dimension = space.mesh.geometry.dim
         self.n_nodes = space.dofmap.index_map.size_local
@@ -64,6 +65,7 @@ class Dofs:
             dofs=self.numbers.reshape(-1, self.dimension),
             cells=np.asarray(numbers).reshape(cells.shape),
             vtk_type=max(self.comm.allgather(vtk_type)),
+            numbered=self,
         )
 
 

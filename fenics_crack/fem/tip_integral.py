@@ -25,13 +25,11 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.errors import InputError
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import dolfinx, ufl
 from fenics_crack.fem.elasticity import constants, stress
 from fenics_crack.fem.lips import Lip
 from fenics_crack.fem.numbering import Dofs
-from fenics_crack.fem.plate import PlateMesh, build_mesh
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
@@ -72,13 +70,14 @@ class Tip:
     radius: float
 
 
-def find_tips(plate: PlateMesh, dofs: Dofs) -> list[Tip]:
+def find_tips(dofs: Dofs) -> list[Tip]:
     """All tips of the cracks of a plate (collective)."""
     found: list[Tip] = []
-    edge = gather_rows(dofs.comm, _outer_points(plate, dofs))
-    for crack, lip in enumerate(plate.lips):
+    lips = dofs.plate.lips
+    edge = gather_rows(dofs.comm, _outer_points(dofs))
+    for crack, lip in enumerate(lips):
         assert isinstance(lip, Lip)
-        several = f" of crack {crack + 1}" if len(plate.lips) > 1 else ""
+        several = f" of crack {crack + 1}" if len(lips) > 1 else ""
         ends = [("tip", lip.points, lip.position[-1])]
         if not lip.has_mouth:
             ends = [
@@ -91,7 +90,7 @@ def find_tips(plate: PlateMesh, dofs: Dofs) -> list[Tip]:
             ahead = steps[-1] / np.linalg.norm(steps[-1])
             off = np.abs(steps @ [-ahead[1], ahead[0]]) > 1e-6 * np.linalg.norm(steps, axis=1)
             straight = np.linalg.norm(steps[np.flatnonzero(off).max(initial=-1) + 1 :][0])
-            others = [other.locate(tip[None])[0][0] for other in plate.lips if other is not lip]
+            others = [other.locate(tip[None])[0][0] for other in lips if other is not lip]
             room = min(straight, np.linalg.norm(edge - tip, axis=1).min(), *others)
             found.append(
                 Tip(f"the {name}{several}", crack, tip, ahead, float(position), REACH * room)
@@ -99,15 +98,16 @@ def find_tips(plate: PlateMesh, dofs: Dofs) -> list[Tip]:
     return found
 
 
-def _outer_points(plate: PlateMesh, dofs: Dofs) -> np.ndarray:
+def _outer_points(dofs: Dofs) -> np.ndarray:
     """This rank's nodes on the edges of a plate that are no lips: (n, 2) [m]."""
+    plate = dofs.plate
     topology = plate.mesh.topology
     topology.create_connectivity(1, 2)
     facets = dolfinx.mesh.exterior_facet_indices(topology)
     lips = np.concatenate([plate.facets(name) for name in ("lower_lip", "upper_lip")])
     outer = np.setdiff1d(facets, lips).astype(np.int32)
     nodes = dolfinx.fem.locate_dofs_topological(dofs.space, 1, outer)
-    return np.asarray(dofs.space.tabulate_dof_coordinates()[nodes[nodes < dofs.n_nodes], :2])
+    return dofs.points[nodes[nodes < dofs.n_nodes]]
 
 
 def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.ndarray, np.ndarray]:
@@ -127,26 +127,21 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
     of_displacement : (2 n_tips, n_local) [Pa m^1/2 / m]
     of_forces : (2 n_tips, n_pairs) [Pa m^1/2 / N]
     """
-    plate = build_mesh(scene, structure.comm)
-    space = compat.function_space(plate.mesh, scene.mesh.order)
-    dofs = Dofs(plate, space, structure.comm)
-    nodes = dofs.nodes()
-    same = structure.nodes is not None and np.array_equal(nodes.points, structure.nodes.points)
-    if not all(structure.comm.allgather(same)):
-        raise InputError("structure", repr(structure), "that of the scene")
-    tips = find_tips(plate, dofs)
-    sides = _sides(plate, dofs)
+    assert structure.nodes is not None
+    dofs: Dofs = structure.nodes.numbered
+    tips, sides, points = find_tips(dofs), _sides(dofs), dofs.points
     rows, pressed = [], []
     for tip in tips:
         for kind in range(2):
-            field = _nodal(scene, tip, kind, nodes.points, sides)
+            field = _nodal(scene, tip, kind, points, sides)
             rows.append(_assembled(scene, dofs, tip, kind, field))
             pressed.append(_of_forces(scene, structure, tip, kind, field.ravel()[dofs.free]))
     return tips, np.array(rows), np.array(pressed)
 
 
-def _sides(plate: PlateMesh, dofs: Dofs) -> np.ndarray:
+def _sides(dofs: Dofs) -> np.ndarray:
     """Outward normals of the lips at this rank's nodes (n_nodes, 2), zero away from the lips."""
+    plate = dofs.plate
     tags = tuple(tag for name in ("lower_lip", "upper_lip") for tag in plate.groups[name])
     lips = ufl.ds(domain=plate.mesh, subdomain_data=plate.facet_tags)(tags)
     normal = ufl.FacetNormal(plate.mesh)
