@@ -68,11 +68,15 @@ class Judgement:
         Whether the wave was taken from its orbit.
     """
 
-    def __init__(self, wave: Wave, orbit: PeriodicOrbit | None = None) -> None:
-        """With the orbit that a wave was taken from, if it was."""
+    def __init__(
+        self, wave: Wave, orbit: PeriodicOrbit | None = None, flow: ContactFlow | None = None
+    ) -> None:
+        """With the orbit that a wave was taken from, if it was, and the flow, if it is known."""
         self.wave, self.of_orbit = wave, orbit is not None
         if orbit is not None:
             vars(self).update(near=orbit, flow=orbit.flow)
+        elif flow is not None:
+            vars(self).update(flow=flow)
 
     def is_of(self, other: Wave) -> bool:
         """Whether another wave is the same one, so that this is its judgement."""
@@ -124,7 +128,7 @@ class Judgement:
             subharmonic=wave.subharmonic,
         )  # fmt: skip
         found = problem.next_to(wave)
-        return None if found is None else Judgement(found)
+        return None if found is None else Judgement(found, flow=self.flow)
 
     @cached_property
     def decisive(self) -> Judgement | None:

@@ -16,6 +16,7 @@ from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.family import FAMILIES, Family
 from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
+from fenics_crack.balance.judgement import Judgement
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.curves.peak import Peak, top_and_damping
@@ -24,6 +25,7 @@ from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.structure import Structure
+from fenics_crack.motion.flow import ContactFlow
 from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.scene.quantities import QUANTITIES
 from fenics_crack.stability.floquet import floquet
@@ -403,6 +405,13 @@ class ResponseCurve(_Waves):
         unknown = self.unknown(index)
         problem = self._problem_at(float(self.values[index]), unknown)
         return _expanded(problem, unknown, search=search)
+
+    def judged(self, index: int, flow: ContactFlow | None = None) -> Judgement:
+        """What the exact flow, if it is known, says of a point; no error is estimated."""
+        unknown = self.unknown(index)
+        problem = self._problem_at(float(self.values[index]), unknown)
+        at = problem.system(problem.compliance()).linearise(unknown)
+        return Judgement(problem.wave(at), flow=flow)
 
     def peak(self, dof: int | None = None) -> Peak:
         """The largest response of a dof, or of the watched one: where, how large, how sure, whether

@@ -39,7 +39,7 @@ from fenics_crack.motion.flow import Budget, ContactFlow, exact_flow
 from fenics_crack.motion.orbit import FORMED, KNOWN, PIECES
 from fenics_crack.numerics.bordered import PathPoint, solve_at
 from fenics_crack.numerics.path import PathOptions
-from fenics_crack.stability.floquet import floquet, leaves
+from fenics_crack.stability.floquet import leaves, stability_of
 from fenics_crack.stages import begin
 
 __all__ = ["judge_curve", "verified"]
@@ -69,6 +69,7 @@ class _Judge:
         [first] = curve.motions(np.zeros(1, dtype=int))
         flow, omega = exact_flow(curve.structure, curve.contact), float(curve.omega[0])
         budget = _budget(curve, flow)
+        self._flow = flow if curve.parameter == "omega" else None
         if curve.parameter == "omega":
             self.system = FlowOrbits(flow, omega, flow.state(*first), curve.subharmonic, budget)
             self.parameters = curve.omega / omega
@@ -143,11 +144,11 @@ class _Judge:
 
     def _is_own(self, node: Node, place: int, off: float) -> bool:
         """Whether a solution is judged by a node's orbit."""
-        solution, orbit = self._curve.solution(place, search=False), None
+        judged, orbit = self._curve.judged(place, self._flow), None
         if self._curve.parameter == "omega" and node.parameter == self.parameters[place]:
             found = PathPoint(node.unknown, node.parameter, 0, node.tangent)
             orbit = self.system.orbit(found)
-        admitted = solution.judged.admits(off, orbit)
+        admitted = judged.admits(off, orbit)
         return admitted and not (self._bounces and self._left(node, place))
 
     def _left(self, node: Node, place: int) -> bool:
@@ -198,8 +199,13 @@ class _Judge:
             place = asked.pop()
             if place in left:
                 left.remove(place)
-                found[place] = _by_itself(self._curve, place)
+                found[place] = self.by_itself(place)
                 asked += [] if np.isnan(found[place]) else [place - 1, place + 1]
+
+    def by_itself(self, place: int) -> complex:
+        """Leading multiplier of a point judged as a single solution is; nan where that is open."""
+        alone = stability_of(self._curve.judged(place, self._flow))
+        return complex(np.nan) if alone.verdict == "undecided" else _upper(alone.multipliers[0])
 
     def _tells(self, wave: np.ndarray, several: list[tuple[_Part, complex]]) -> bool:
         """Whether of the parts next to a point none on the other side of 1 has gaps that are as
@@ -330,17 +336,10 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     if curve.subharmonic % 2:
         multipliers = judge.points()
     else:  # next to the end of the branch the old orbit is as near as the new one
-        multipliers = np.array([_by_itself(curve, place) for place in range(len(curve))])
+        multipliers = np.array([judge.by_itself(place) for place in range(len(curve))])
     undecided = np.isnan(multipliers)
     special = _special(curve, judge, crossings, undecided)
     return replace(curve, bifurcations=special, multipliers=multipliers, undecided=undecided)
-
-
-def _by_itself(curve: ResponseCurve, place: int) -> complex:
-    """Leading multiplier of a point judged as a single solution is; nan where that is open."""
-    solution = curve.solution(place, search=False)
-    alone = floquet(solution.structure, solution)
-    return complex(np.nan) if alone.verdict == "undecided" else _upper(alone.multipliers[0])
 
 
 def _upper(value: complex) -> complex:

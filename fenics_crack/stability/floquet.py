@@ -32,7 +32,7 @@ from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit, eigenvalues, find_or
 from fenics_crack.stability.waves import hill_root, monodromy
 from fenics_crack.time.march import initial_state
 
-__all__ = ["PeriodicOrbit", "Stability", "floquet", "leaves", "orbits_near", "shoot"]
+__all__ = ["PeriodicOrbit", "Stability", "floquet", "leaves", "orbits_near", "shoot", "stability_of"]
 
 FOLLOWED, LAST, AWAY = 30, 10, 3.0
 """Periods that a motion is followed, those of them by which it ends, and how many times farther
@@ -191,11 +191,11 @@ def floquet(
         return _by_hill(structure, solution, contact)
     if not refine:
         return _along_the_wave(judged, "the multipliers of a wave, without its orbit")
-    return _by_orbit(judged)
+    return stability_of(judged)
 
 
-def _by_orbit(judged: Judgement) -> Stability:
-    """By the orbit next to a solution."""
+def stability_of(judged: Judgement) -> Stability:
+    """Stability of a solution by the orbit next to it."""
     orbit = judged.orbit
     if orbit is None:
         return _along_the_wave(judged, judged.reason)
