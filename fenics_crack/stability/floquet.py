@@ -32,7 +32,9 @@ from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit, eigenvalues, find_or
 from fenics_crack.stability.waves import hill_root, monodromy
 from fenics_crack.time.march import initial_state
 
-__all__ = ["PeriodicOrbit", "Stability", "floquet", "leaves", "orbits_near", "shoot", "stability_of"]
+__all__ = [
+    "PeriodicOrbit", "Stability", "floquet", "leaves", "orbits_near", "shoot", "stability_of",
+]  # fmt: skip
 
 FOLLOWED, LAST, AWAY = 30, 10, 3.0
 """Periods that a motion is followed, those of them by which it ends, and how many times farther
