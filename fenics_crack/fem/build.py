@@ -77,9 +77,9 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     stiffness, mass = _matrices(scene, space)
     if not all(np.isfinite(matrix.norm()) for matrix in (stiffness, mass)):
         raise InputError("mesh", "cells of no area", "one whose cells all have an area")
-    gap, pairs = pair_lips(scene, plate, dofs)
-    force, watched = assemble_loads(scene, plate, dofs, mass)
-    clamp = clamp_of(plate, dofs, mass, force)
+    gap, pairs = pair_lips(scene, dofs)
+    force, watched = assemble_loads(scene, dofs, mass)
+    clamp = clamp_of(dofs, mass, force)
     structure = Structure(
         dofs.free_block(mass),
         dofs.free_block(stiffness),
@@ -94,7 +94,7 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     )
     if scene.speed > 0.0:
         begin("rotation")
-        structure = rotation_of(scene, space, dofs, structure).at(scene.speed)
+        structure = rotation_of(scene, dofs, structure).at(scene.speed)
     return structure
 
 

@@ -7,18 +7,17 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.fem.loads import inertia
-from fenics_crack.fem.numbering import Dofs, nodes_on
-from fenics_crack.fem.plate import PlateMesh
+from fenics_crack.fem.numbering import Dofs
 from fenics_crack.model.clamp import Clamp
 from fenics_crack.parallel import gather_rows
 
 __all__ = ["clamp_of"]
 
 
-def clamp_of(plate: PlateMesh, dofs: Dofs, mass: Any, force: np.ndarray) -> Clamp:
+def clamp_of(dofs: Dofs, mass: Any, force: np.ndarray) -> Clamp:
     """The clamp of a mesh, from the mass matrix and the load (3, n_dofs) with the clamped rows
     (collective)."""
-    nodes = nodes_on(plate, dofs.space, "clamp")
+    nodes = dofs.nodes_on("clamp")
     held = gather_rows(dofs.comm, dofs.points[nodes[nodes < dofs.n_nodes]])
     center = np.round(0.5 * (held.min(axis=0) + held.max(axis=0)), 12) + 0.0
     rigid = _rigid_motions(dofs.points - center)

@@ -80,10 +80,10 @@ def stress(scene: Scene, space: Any, strain: Any) -> Any:
     return young / (1.0 + poisson) * found
 
 
-def rotation_of(scene: Scene, space: Any, dofs: Dofs, at_rest: Structure) -> Rotation:
+def rotation_of(scene: Scene, dofs: Dofs, at_rest: Structure) -> Rotation:
     """Assemble what the rotation of a scene adds to its structure at rest (collective)."""
     assert scene.rotation is not None
-    size, (place, axis) = scene.dimension, scene.rotation.place
+    space, size, (place, axis) = dofs.space, scene.dimension, scene.rotation.place
     across = (np.eye(3) - np.outer(axis, axis))[:size, :size]
     density, center, normal = constants(space, scene.material.density, place[:size], across)
     t = thickness(scene, space)
@@ -91,7 +91,7 @@ def rotation_of(scene: Scene, space: Any, dofs: Dofs, at_rest: Structure) -> Rot
     radius = normal * (ufl.SpatialCoordinate(space.mesh) - center)
     load = compat.assembled_vector(t * density * ufl.inner(radius, v) * ufl.dx)[dofs.free]
     moved, _ = static_state(at_rest, load, np.zeros(at_rest.n_pairs))
-    turned = ufl.grad(_function(space, dofs, moved))
+    turned = ufl.grad(_function(dofs, moved))
     tension = stress(scene, space, ufl.sym(turned))
 
     def crossed(one: Any, other: Any) -> Any:
@@ -119,9 +119,9 @@ def rotation_of(scene: Scene, space: Any, dofs: Dofs, at_rest: Structure) -> Rot
     return Rotation(at_rest, first, (second, third), load, scene.rotation.speed)
 
 
-def _function(space: Any, dofs: Dofs, displacement: np.ndarray) -> Any:
+def _function(dofs: Dofs, displacement: np.ndarray) -> Any:
     """Displacements of the free dofs (n_local,) as a function; zero where the plate is clamped."""
-    found = dolfinx.fem.Function(space)
+    found = dolfinx.fem.Function(dofs.space)
     found.x.array[dofs.free] = displacement
     found.x.scatter_forward()
     return found

@@ -26,8 +26,8 @@ from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.elasticity import thickness
 from fenics_crack.fem.lips import along
-from fenics_crack.fem.numbering import Dofs, nodes_on
-from fenics_crack.fem.plate import Lips, PlateMesh
+from fenics_crack.fem.numbering import Dofs
+from fenics_crack.fem.plate import Lips
 from fenics_crack.model.nodes import Pairs
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
@@ -37,7 +37,7 @@ __all__ = ["pair_lips"]
 LIPS = ("lower_lip", "upper_lip")
 
 
-def pair_lips(scene: Scene, plate: PlateMesh, dofs: Dofs) -> tuple[sparse.csr_matrix, Pairs]:
+def pair_lips(scene: Scene, dofs: Dofs) -> tuple[sparse.csr_matrix, Pairs]:
     """Pair what is in the same place of both lips, crack by crack: the rows of B of this rank's
     free dofs, and where the pairs are (collective).
 
@@ -49,19 +49,16 @@ def pair_lips(scene: Scene, plate: PlateMesh, dofs: Dofs) -> tuple[sparse.csr_ma
     InputError
         The two lips have different nodes.
     """
-    dimension = scene.dimension
+    dimension, plate = scene.dimension, dofs.plate
     if not plate.cracked:
         return sparse.csr_matrix((len(dofs.free), 0)), Pairs.none(dimension)
-    lips = ufl.ds(domain=plate.mesh, subdomain_data=plate.facet_tags)(
-        tuple(tag for name in LIPS for tag in plate.groups[name])
-    )
     make = _of_nodes if dimension == 2 else _of_patches
-    space, weights, columns = make(dofs, thickness(scene, dofs.space), lips)
+    space, weights, columns = make(dofs, thickness(scene, dofs.space), plate.along(*LIPS))
     owned, first = space.dofmap.index_map.size_local, space.dofmap.index_map.local_range[0]
     points = space.tabulate_dof_coordinates()[:, :dimension]
     sides = []
     for name in LIPS:
-        local = nodes_on(plate, space, name)
+        local = dofs.nodes_on(name, space)
         local = local[local < owned]
         rows = np.column_stack([local + first, weights[local], points[local]])
         sides.append(gather_rows(dofs.comm, rows))

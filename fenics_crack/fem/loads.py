@@ -27,8 +27,7 @@ from fenics_crack.errors import InputError
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.elasticity import thickness
-from fenics_crack.fem.numbering import Dofs, nodes_on
-from fenics_crack.fem.plate import PlateMesh
+from fenics_crack.fem.numbering import Dofs
 from fenics_crack.model.nodes import nearest_node
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.fields import Vector
@@ -38,9 +37,7 @@ from fenics_crack.scene.tables import Load
 __all__ = ["assemble_loads", "inertia"]
 
 
-def assemble_loads(
-    scene: Scene, plate: PlateMesh, dofs: Dofs, mass: Any
-) -> tuple[np.ndarray, np.ndarray | None]:
+def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.ndarray | None]:
     """Mean, cosine and sine part of the load on all dofs that this rank owns, clamped ones too,
     (3, n_dofs) [N], and what is watched of the free ones (n_local,).
 
@@ -54,12 +51,12 @@ def assemble_loads(
     """
     force, watched = np.zeros((3, len(dofs.numbers))), None
     excitation = scene.excitation
-    point = excitation.point if excitation.point is not None else plate.points.get("load")
+    point = excitation.point if excitation.point is not None else dofs.plate.points.get("load")
     if point is not None:
         parts = (excitation.force_mean, excitation.force_cos, excitation.force_sin)
-        force += _point_force(scene, plate, dofs, "excitation.point", point, parts)
+        force += _point_force(scene, dofs, "excitation.point", point, parts)
         if (scene.has_other_loads or scene.speed > 0.0) and any(map(any, parts)):
-            watched = _displacement_at(scene, plate, dofs, "excitation.point", point, parts)
+            watched = _displacement_at(scene, dofs, "excitation.point", point, parts)
     elif not scene.has_other_loads:
         allowed = "given, or a physical point 'load' in the mesh file"
         raise InputError("excitation.point", None, allowed)
@@ -67,17 +64,17 @@ def assemble_loads(
         key = f"loads.{number}"
         if load.point is not None:
             forces = load.parts("force")
-            force += _point_force(scene, plate, dofs, f"{key}.point", load.point, forces)
+            force += _point_force(scene, dofs, f"{key}.point", load.point, forces)
             if watched is None and any(map(any, forces)):
-                watched = _displacement_at(scene, plate, dofs, f"{key}.point", load.point, forces)
+                watched = _displacement_at(scene, dofs, f"{key}.point", load.point, forces)
         else:
-            own = _edge_force(scene, plate, dofs, key, load)
+            own = _edge_force(scene, dofs, key, load)
             force += own
             if watched is None and np.any(gather_rows(dofs.comm, own.ravel())):
-                watched = _middle_of(plate, dofs, str(load.edge), own)
+                watched = _middle_of(dofs, str(load.edge), own)
     if scene.base is not None:
         if watched is None:
-            watched = _farthest(plate, dofs, scene.base.direction)
+            watched = _farthest(dofs, scene.base.direction)
         for row, acceleration in enumerate(scene.base.accelerations(excitation.omega), 1):
             force[row] -= inertia(mass, np.tile(acceleration, dofs.n_nodes))
     return force, watched
@@ -95,10 +92,10 @@ def _unit(parts: Sequence[Vector]) -> list[Vector]:
 
 
 def _point_force(
-    scene: Scene, plate: PlateMesh, dofs: Dofs, key: str, point: Vector, parts: Sequence[Vector]
+    scene: Scene, dofs: Dofs, key: str, point: Vector, parts: Sequence[Vector]
 ) -> np.ndarray:
     """Forces at a point as consistent nodal forces: (len(parts), n_dofs)."""
-    if sides := [found for lip in plate.lips if (found := lip.beside(point)) is not None]:
+    if sides := [found for lip in dofs.plate.lips if (found := lip.beside(point)) is not None]:
         (low, high), *_ = sides
         allowed = "on one of the two lips that are there: {} on the lower one, {} on the upper one"
         raise InputError(key, tuple(point), allowed.format(low, high))
@@ -106,7 +103,7 @@ def _point_force(
     values = np.where(np.abs(values) < 1e-12, 0.0, values)  # rounding
     hits = dofs.comm.allgather(len(nodes) > 0)
     if not any(hits):
-        places = gather_rows(dofs.comm, plate.mesh.geometry.x)[:, : len(point)]
+        places = gather_rows(dofs.comm, dofs.space.mesh.geometry.x)[:, : len(point)]
         raise InputError(key, tuple(point), f"on the mesh ({nearest_node(places, point)})")
     if dofs.comm.rank != hits.index(True):
         nodes, values = nodes[:0], values[:0]
@@ -125,10 +122,10 @@ def _point_force(
 
 
 def _displacement_at(
-    scene: Scene, plate: PlateMesh, dofs: Dofs, key: str, point: Vector, parts: Sequence[Vector]
+    scene: Scene, dofs: Dofs, key: str, point: Vector, parts: Sequence[Vector]
 ) -> np.ndarray:
     """What the displacement of a load's point in its direction is the product with: (n_local,)."""
-    found = _point_force(scene, plate, dofs, key, point, _unit(parts))[0, dofs.free]
+    found = _point_force(scene, dofs, key, point, _unit(parts))[0, dofs.free]
     return np.asarray(found)
 
 
@@ -140,12 +137,12 @@ def _at_nodes(dofs: Dofs, share: np.ndarray, vector: Vector) -> np.ndarray:
 # --- loads on edges -------------------------------------------------------------------------------
 
 
-def _edge_force(scene: Scene, plate: PlateMesh, dofs: Dofs, key: str, load: Load) -> np.ndarray:
+def _edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.ndarray:
     """Tractions and pressures on an edge as consistent nodal forces: (3, n_dofs)."""
-    edges = sorted(set(plate.groups) - {"clamp"})
+    edges = sorted(set(dofs.plate.groups) - {"clamp"})
     if load.edge not in edges:
         raise InputError(f"{key}.edge", load.edge, "one of " + ", ".join(map(repr, edges)))
-    edge = ufl.ds(domain=plate.mesh, subdomain_data=plate.facet_tags)(plate.groups[load.edge])
+    edge = dofs.plate.along(load.edge)
     test, t = ufl.TestFunction(dofs.space), thickness(scene, dofs.space)
     x = ufl.as_vector(np.eye(dofs.dimension)[0].tolist())
     along_x = compat.assembled_vector(t * ufl.inner(x, test) * edge)
@@ -154,7 +151,7 @@ def _edge_force(scene: Scene, plate: PlateMesh, dofs: Dofs, key: str, load: Load
         raise InputError(f"{key}.edge", load.edge, "an edge of the plate: it lies inside")
     weights = along_x.reshape(-1, dofs.dimension)[:, 0]
     force = np.array([_at_nodes(dofs, weights, part) for part in load.parts("traction")])
-    normal = ufl.FacetNormal(plate.mesh)
+    normal = ufl.FacetNormal(dofs.space.mesh)
     pressed = -compat.assembled_vector(t * ufl.inner(normal, test) * edge)
     force += np.array([sum(part) * pressed for part in load.parts("pressure")])
     parts = force, force[:, dofs.free]
@@ -164,7 +161,7 @@ def _edge_force(scene: Scene, plate: PlateMesh, dofs: Dofs, key: str, load: Load
     return force
 
 
-def _middle_of(plate: PlateMesh, dofs: Dofs, edge: str, force: np.ndarray) -> np.ndarray:
+def _middle_of(dofs: Dofs, edge: str, force: np.ndarray) -> np.ndarray:
     """1 at the dof, in the direction of most of the load, of the node of an edge that is nearest
     to its middle: (n_local,)."""
     by_dof = np.zeros_like(force)
@@ -173,7 +170,7 @@ def _middle_of(plate: PlateMesh, dofs: Dofs, edge: str, force: np.ndarray) -> np
         axis=(0, 1)
     )
     direction = tuple(np.eye(dofs.dimension)[int(np.argmax(sums))].tolist())
-    on_edge = nodes_on(plate, dofs.space, edge)
+    on_edge = dofs.nodes_on(edge)
     own = on_edge[on_edge < dofs.n_nodes]
     every = gather_rows(dofs.comm, dofs.points[own])
     middle = (every.min(axis=0) + every.max(axis=0)) / 2.0
@@ -194,9 +191,9 @@ def inertia(mass: Any, acceleration: np.ndarray) -> np.ndarray:
     return found
 
 
-def _farthest(plate: PlateMesh, dofs: Dofs, direction: Vector) -> np.ndarray:
+def _farthest(dofs: Dofs, direction: Vector) -> np.ndarray:
     """1 at the dof, in the direction, of the node that is farthest from the clamp: (n_local,)."""
-    clamped, points = nodes_on(plate, dofs.space, "clamp"), dofs.points
+    clamped, points = dofs.nodes_on("clamp"), dofs.points
     middle = gather_rows(dofs.comm, points[clamped[clamped < dofs.n_nodes]]).mean(axis=0)
     every = gather_rows(dofs.comm, points)
     return _one_at(dofs, np.arange(dofs.n_nodes), _by_distance(every, middle)[-1], direction)

@@ -13,7 +13,7 @@ from fenics_crack.fem.compat import dolfinx
 from fenics_crack.fem.plate import PlateMesh
 from fenics_crack.model.nodes import Nodes
 
-__all__ = ["Dofs", "nodes_on"]
+__all__ = ["Dofs"]
 
 
 class Dofs:
@@ -26,7 +26,7 @@ class Dofs:
         self.dimension = space.mesh.geometry.dim
         self.n_nodes = space.dofmap.index_map.size_local
         self.first_node = space.dofmap.index_map.local_range[0]
-        clamped = nodes_on(plate, space, "clamp")
+        clamped = self.nodes_on("clamp")
         free = np.ones((self.n_nodes, self.dimension), dtype=bool)
         free[clamped[clamped < self.n_nodes]] = False
         self.free = np.flatnonzero(free.ravel())
@@ -41,6 +41,15 @@ class Dofs:
         """Positions of this rank's nodes: (n_nodes, d) [m]."""
         points = self.space.tabulate_dof_coordinates()[: self.n_nodes, : self.dimension]
         return np.asarray(points)
+
+    def nodes_on(self, group: str, space: Any = None) -> np.ndarray:
+        """Local numbers, ghosts included, of the nodes in a facet group; of another space's, if
+        one is given."""
+        facets, topology = self.plate.facets(group), self.plate.mesh.topology
+        dimension = topology.dim - 1
+        topology.create_connectivity(dimension, dimension + 1)
+        space = self.space if space is None else space
+        return np.sort(dolfinx.fem.locate_dofs_topological(space, dimension, facets))
 
     def free_block(self, matrix: Any) -> Any:
         """Leave the clamped rows and columns out of a matrix, which is destroyed.
@@ -67,11 +76,3 @@ class Dofs:
             vtk_type=max(self.comm.allgather(vtk_type)),
             numbered=self,
         )
-
-
-def nodes_on(plate: PlateMesh, space: Any, group: str) -> np.ndarray:
-    """Local numbers, ghosts included, of the nodes in a facet group."""
-    facets = plate.facets(group)
-    dimension = plate.mesh.topology.dim - 1
-    plate.mesh.topology.create_connectivity(dimension, dimension + 1)
-    return np.sort(dolfinx.fem.locate_dofs_topological(space, dimension, facets))

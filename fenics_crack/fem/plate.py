@@ -33,6 +33,7 @@ from mpi4py import MPI
 from fenics_crack.errors import InputError
 from fenics_crack.fem import compat
 from fenics_crack.fem.blocks import Interval, plate_blocks
+from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.crack_surface import CrackSurface
 from fenics_crack.fem.lips import Lip, find_lips
 from fenics_crack.mesher import gmsh, kept_interrupts
@@ -64,9 +65,9 @@ class PlateMesh:
     mesh, facet_tags : dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags
         The plate, and the tags of its facets.
     groups : dict of str to tuple of int
-        Facet tags of the named curves, for ``ufl.ds``: ``clamp``, with a crack ``lower_lip`` and
-        ``upper_lip``; of a plate made here ``left``, ``right``, ``top`` and ``bottom``, of a mesh
-        file all that it names. A facet in several curves has a tag of its own.
+        Facet tags of the named curves: ``clamp``, with a crack ``lower_lip`` and ``upper_lip``; of
+        a plate made here ``left``, ``right``, ``top`` and ``bottom``, of a mesh file all that it
+        names. A facet in several curves has a tag of its own.
     points : dict of str to tuple of float
         Positions of the named points of a mesh file [m].
     lips : tuple of Lip or of CrackSurface
@@ -88,6 +89,11 @@ class PlateMesh:
         """This rank's facets of a named curve."""
         found = [self.facet_tags.find(tag) for tag in self.groups[group]]
         return np.sort(np.concatenate(found))
+
+    def along(self, *groups: str) -> Any:
+        """The measure ds of integrals over named curves."""
+        tags = tuple(tag for group in groups for tag in self.groups[group])
+        return ufl.ds(domain=self.mesh, subdomain_data=self.facet_tags)(tags)
 
 
 def build_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> PlateMesh:

@@ -141,11 +141,8 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
 
 def _sides(dofs: Dofs) -> np.ndarray:
     """Outward normals of the lips at this rank's nodes (n_nodes, 2), zero away from the lips."""
-    plate = dofs.plate
-    tags = tuple(tag for name in ("lower_lip", "upper_lip") for tag in plate.groups[name])
-    lips = ufl.ds(domain=plate.mesh, subdomain_data=plate.facet_tags)(tags)
-    normal = ufl.FacetNormal(plate.mesh)
-    test = ufl.TestFunction(dofs.space)
+    normal, test = ufl.FacetNormal(dofs.plate.mesh), ufl.TestFunction(dofs.space)
+    lips = dofs.plate.along("lower_lip", "upper_lip")
     return compat.assembled_vector(ufl.inner(normal, test) * lips).reshape(-1, 2)
 
 
