@@ -20,7 +20,7 @@ from mpi4py import MPI
 
 from fenics_crack.errors import InputError
 from fenics_crack.fem.build import with_crack_length
-from fenics_crack.growth.path import LengthPath, least_damping, solve_lengths
+from fenics_crack.growth.path import LengthPath, solve_lengths
 from fenics_crack.growth.result import Growth
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene, check_tips
@@ -216,7 +216,7 @@ def _remarks(
     if law.run_up is not None:
         start, stop, rate = law.run_up
         lowest = max(start, float(seen["omega_bilinear"].min()) / TURN)
-        slow = 2.0 * TURN * (least_damping(scene) * lowest) ** 2 / rate
+        slow = 2.0 * TURN * (path.damping * lowest) ** 2 / rate
         if lowest < stop and slow < SETTLES:
             found.append(
                 f"the run-up is through the width of the resonance in {slow:.2g} of the times in "

@@ -25,7 +25,7 @@ from fenics_crack.study.prepare import prepare
 from fenics_crack.sweep.result import SweepResult, run_sweep
 from fenics_crack.table import TURN
 
-__all__ = ["LengthPath", "least_damping", "solve_lengths"]
+__all__ = ["LengthPath", "solve_lengths"]
 
 FIRST = 5
 """Lengths of the first round, the fewest that a spline and every other one of them need."""
@@ -63,6 +63,8 @@ class LengthPath:
         Where the spline of ln delta K misses by more than :data:`ROUGH`, however close the lengths.
     leading : (k,) [rad/s]
         Load frequencies at which most of the growth happens.
+    damping : float
+        Least ratio of critical damping of the lowest modes, with a run-up; else nan.
     """
 
     lengths: np.ndarray
@@ -71,6 +73,7 @@ class LengthPath:
     not_stable: tuple[float, ...] = ()
     jumps: tuple[float, ...] = ()
     leading: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    damping: float = math.nan
 
     def at(self, name: str, lengths: np.ndarray) -> np.ndarray:
         """A column at any lengths within."""
@@ -164,9 +167,12 @@ def solve_lengths(
     """
     assert scene.crack is not None and scene.crack.length is not None and scene.growth is not None
     start, stop = scene.crack.length, scene.growth.until
-    law, (levels, cycles) = scene.growth, levels_of(scene)
+    law = scene.growth
+    damping = math.nan if law.run_up is None else _least_damping(scene)
+    levels, cycles = _levels(law, damping)
     wanted, missed, own = np.linspace(start, stop, FIRST), np.inf, np.zeros(0)
-    path = LengthPath(np.zeros(0), dict.fromkeys((*LOGARITHMIC, *LINEAR), np.zeros(0)))
+    columns = dict.fromkeys((*LOGARITHMIC, *LINEAR), np.zeros(0))
+    path = LengthPath(np.zeros(0), columns, damping=damping)
     for number in range(1, ROUNDS + 1):
         file = None if folder is None else folder / f"growth_{number}.h5"
         swept = _swept(scene, wanted, levels)
@@ -191,26 +197,24 @@ def solve_lengths(
     return replace(path, jumps=tuple(path.lengths[:-1][own > ROUGH].tolist())), missed
 
 
-def levels_of(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+def _levels(law: Growth, damping: float) -> tuple[np.ndarray, np.ndarray]:
     """Load frequencies [rad/s] of a spectrum, none without one, and the cycles of each.
 
     Those of a run-up are so close that a resonance is summed to 0.2 %: the error of a sum over
     1 / (1 + x^2) by steps of 1 is 2 exp(-2 pi)."""
-    law = scene.growth
-    assert law is not None
     if law.frequencies is not None:
         return TURN * np.array(law.frequencies), np.array(law.cycles)
     if law.run_up is None:
         return np.zeros(0), np.ones(1)
     start, stop, rate = law.run_up
-    count = math.ceil(math.log(stop / start) / math.log1p(least_damping(scene))) + 1
+    count = math.ceil(math.log(stop / start) / math.log1p(damping)) + 1
     found = np.geomspace(start, stop, count)
     steps = np.diff(found)
     lasting = 0.5 * (np.append(steps, 0.0) + np.append(0.0, steps)) / rate
     return TURN * found, found * lasting
 
 
-def least_damping(scene: Scene) -> float:
+def _least_damping(scene: Scene) -> float:
     """Least ratio of critical damping of the lowest modes."""
     study = prepare(scene, MPI.COMM_SELF, whole=True)
     modes = solve_modes(study.structure, min(FEW_MODES, study.structure.n_modes)).omega
