@@ -32,7 +32,7 @@ from fenics_crack.growth.result import Growth
 from fenics_crack.model.modes import LIPS, Modes, n_tied_modes, solve_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.fields import Axis
-from fenics_crack.scene.scene import has_tips
+from fenics_crack.scene.scene import without_tips
 from fenics_crack.scene.words import WHOLE, differences, key_in_words, unit_of, value_in_words
 from fenics_crack.study.prepare import prepare
 from fenics_crack.study.run import Run
@@ -113,7 +113,7 @@ def _history(run: Run[TimeHistory], file: File) -> None:
 
 def _tips(run: Run[Any], file: File) -> None:
     """Draw the stress intensity at the tips of a plate's cracks."""
-    if has_tips(run.scene):
+    if not without_tips(run.scene):
         found = stress_intensity(run)
         of_time = isinstance(run.result, TimeHistory)
         name = f"{'integration' if of_time else 'solution'}_tips.png"

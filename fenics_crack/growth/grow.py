@@ -23,7 +23,7 @@ from fenics_crack.fem.build import with_crack_length
 from fenics_crack.growth.path import LengthPath, solve_lengths
 from fenics_crack.growth.result import Growth
 from fenics_crack.parallel import on_root
-from fenics_crack.scene.scene import Scene, check_tips
+from fenics_crack.scene.scene import Scene, check_known, without_tips
 from fenics_crack.scene.tables import Growth as Law
 from fenics_crack.study.run import solve
 from fenics_crack.study.stated_errors import stated_errors
@@ -37,6 +37,11 @@ MEGA = 1e6
 """Pa m^1/2 in which rates are measured."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)
 """Of the integral over each of the table's steps."""
+TURNS = math.radians(10.0)
+"""From which on a crack is said not to grow straight on."""
+SETTLES = 2.0
+"""Times 1 / (xi w), in which the run-up of a single mode must pass the width 2 xi f at least:
+its growth with m = 3 is then 3 % below the steady one's."""
 
 
 def grow(
@@ -86,8 +91,7 @@ def grow(
     >>> fc.grow(growing).life  # doctest: +SKIP
     """
     scene = _checked(with_crack_length(scene, comm))
-    law = scene.growth
-    assert law is not None
+    law = scene.given("growth")
 
     def share_of_error(path: LengthPath, errors: np.ndarray) -> np.ndarray:
         length, cycles, _ = _integrated(path, law)
@@ -128,7 +132,7 @@ def _shares(steps: np.ndarray) -> np.ndarray:
 def _checked(scene: Scene) -> Scene:
     """A scene whose crack can grow; InputError where it cannot."""
     law = scene.given("growth")
-    check_tips(scene, "growth", "a table")
+    check_known(without_tips(scene), "growth", "a table")
     crack = scene.given("crack")
     if scene.mesh.layout != "graded":
         allowed = "'graded' with [growth], which meshes many lengths"
@@ -170,9 +174,9 @@ def _integrated(path: LengthPath, law: Law) -> tuple[np.ndarray, np.ndarray, str
 
 def _error_at(scene: Scene, path: LengthPath, length: float) -> float:
     """Relative error of the effective range by mesh, modes and harmonics at a length."""
-    assert scene.growth is not None
+    drive = scene.given("growth").drive
     omega = float(path.at("omega", np.array([length]))[0])
-    if scene.growth.drive == "spectrum":
+    if drive == "spectrum":
         omega = float(path.leading[np.abs(path.lengths - length).argmin()])
     place = {
         "crack.length": length,
@@ -180,17 +184,8 @@ def _error_at(scene: Scene, path: LengthPath, length: float) -> float:
         "output.quantities": ("delta_K_effective",),
     }
     run = solve(scene.replace(place), MPI.COMM_SELF)
-    of_peak = scene.growth.drive != "frequency"
-    return stated_errors(run, run.result, of_peak=of_peak).stated("delta_K_effective")[0]
-
-
-TURNS = math.radians(10.0)
-"""From which on a crack is said not to grow straight on."""
-
-
-SETTLES = 2.0
-"""Times 1 / (xi w), in which the run-up of a single mode must pass the width 2 xi f at least:
-its growth with m = 3 is then 3 % below the steady one's."""
+    stated = stated_errors(run, run.result, of_peak=drive != "frequency")
+    return stated.stated("delta_K_effective")[0]
 
 
 def _remarks(
@@ -211,8 +206,7 @@ def _remarks(
             f"{math.degrees(turn.max()):.0f} degrees, K_II_max being up to "
             f"{np.max(two / one):.0%} of K_max"
         )
-    law = scene.growth
-    assert law is not None
+    law = scene.given("growth")
     if law.run_up is not None:
         start, stop, rate = law.run_up
         lowest = max(start, float(seen["omega_bilinear"].min()) / TURN)

@@ -226,7 +226,6 @@ def _least_damping(scene: Scene) -> float:
 
 def _swept(scene: Scene, lengths: np.ndarray, levels: np.ndarray) -> Scene:
     """The scene with a sweep over some lengths, and over the levels of a spectrum."""
-    assert scene.growth is not None
     over = {"crack.length": [float(at) for at in lengths]}
     if len(levels):
         over["excitation.omega"] = [float(omega) for omega in levels]
@@ -234,7 +233,7 @@ def _swept(scene: Scene, lengths: np.ndarray, levels: np.ndarray) -> Scene:
         {
             "sweep": None,
             "sweep.over": over,
-            "sweep.at_resonance": scene.growth.drive == "resonance",
+            "sweep.at_resonance": scene.given("growth").drive == "resonance",
             "output.quantities": tuple(OF_TIPS),
         }
     )

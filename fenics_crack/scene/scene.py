@@ -46,9 +46,8 @@ from fenics_crack.scene.tables import (
 from fenics_crack.table import RPM, frequency_axis
 
 __all__ = [
-    "LOOKED_AT", "Scene", "asked_quantities", "check_clamp", "check_tips", "files_of", "has_tips",
-    "known_keys",
-    "unit_of", "with_files",
+    "LOOKED_AT", "Scene", "asked_quantities", "check_known", "files_of", "known_keys", "unit_of",
+    "with_files", "without_clamp", "without_tips",
 ]  # fmt: skip
 
 LOOKED_AT = ("curve", "integration", "sweep", "growth", "identify", "tip_timing", "output")
@@ -129,9 +128,9 @@ class Scene(Hinted):
         else:
             _check_dimension(self)
             (_check_file if self.mesh.layout == "file" else _check_plate)(self)
-        for known, check in ((OF_TIPS, check_tips), (OF_CLAMP, check_clamp)):
-            if asked := tuple(name for name in asked_quantities(self) if name in known):
-                check(self, "output.quantities", asked)
+        for names, without in ((OF_TIPS, without_tips), (OF_CLAMP, without_clamp)):
+            if asked := tuple(name for name in asked_quantities(self) if name in names):
+                check_known(without(self), "output.quantities", asked)
         for name, key in _AXES:
             if (chosen := getattr(self, name)) is not None:
                 axes = _checked_axes(self, f"{name}.{key}", getattr(chosen, key))
@@ -297,37 +296,30 @@ class Scene(Hinted):
         return "\n".join(parts)
 
 
-def has_tips(scene: Scene) -> bool:
-    """Whether the scene is a plate with a crack, of which stress intensities are known."""
-    try:
-        check_tips(scene, "crack")
-    except InputError:
-        return False
-    return True
-
-
-def check_tips(scene: Scene, key: str, value: object = None) -> None:
-    """Raise InputError, of a key and its value, where there are no tips (:func:`has_tips`)."""
-    allowed = ""
+def without_tips(scene: Scene) -> str:
+    """Why no stress intensities are known of a scene; "" of a plate with a crack."""
     if scene.structure is not None:
-        allowed = "left out with [structure]: stress intensities take the mesh of a plate"
-    elif scene.dimension == 3:
-        allowed = "left out with geometry.kind = 'solid': stress intensities are of plates"
-    elif not scene.all_cracks and scene.contact is None:
-        allowed = "left out without a crack, which has a stress intensity"
-    if allowed:
-        raise InputError(key, value, allowed)
+        return "with [structure]: stress intensities take the mesh of a plate"
+    if scene.dimension == 3:
+        return "with geometry.kind = 'solid': stress intensities are of plates"
+    if not scene.all_cracks and scene.contact is None:
+        return "without a crack, which has a stress intensity"
+    return ""
 
 
-def check_clamp(scene: Scene, key: str, value: object = None) -> None:
-    """Raise InputError, of a key and its value, where the forces of the clamp are not known."""
-    allowed = ""
+def without_clamp(scene: Scene) -> str:
+    """Why the forces of the clamp are not known; "" where they are."""
     if scene.structure is not None:
-        allowed = "left out with [structure]: matrices have no clamp, a mesh has"
-    elif scene.rotation is not None:
-        allowed = "left out with [rotation]: reactions are of what vibrates at rest"
-    if allowed:
-        raise InputError(key, value, allowed)
+        return "with [structure]: matrices have no clamp, a mesh has"
+    if scene.rotation is not None:
+        return "with [rotation]: reactions are of what vibrates at rest"
+    return ""
+
+
+def check_known(without: str, key: str, value: object = None) -> None:
+    """Raise InputError, of a key and its value, where there is a reason why it cannot be known."""
+    if without:
+        raise InputError(key, value, f"left out {without}")
 
 
 def asked_quantities(scene: Scene) -> tuple[str, ...]:

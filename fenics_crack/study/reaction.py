@@ -10,7 +10,7 @@ import numpy as np
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.model.nodes import AXES
-from fenics_crack.scene.scene import check_clamp
+from fenics_crack.scene.scene import check_known, without_clamp
 from fenics_crack.study.asked import clamp_of_motion, numbers_at_clamp
 from fenics_crack.study.run import Run, check_motion
 from fenics_crack.table import Tabular, quantity
@@ -99,7 +99,7 @@ def reaction(run: Run[PeriodicSolution] | Run[TimeHistory]) -> Reaction:
     >>> held.force.mean(axis=0), held.numbers["reaction_moment"]
     """
     check_motion(run)
-    check_clamp(run.scene, "run", repr(run))
+    check_known(without_clamp(run.scene), "run", repr(run))
     time, found = clamp_of_motion(run.result)
     clamp = run.result.structure.whole.clamp
     force, moment = np.split(found, [run.scene.dimension], axis=1)

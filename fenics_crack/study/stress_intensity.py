@@ -11,7 +11,7 @@ import numpy as np
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.scene.quantities import OF_TIPS
-from fenics_crack.scene.scene import check_tips
+from fenics_crack.scene.scene import check_known, without_tips
 from fenics_crack.study.run import Run, check_motion
 from fenics_crack.study.stated_errors import errors_of
 from fenics_crack.study.tips import numbers_at_tips, tip_rows
@@ -144,7 +144,7 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     >>> found.largest, found.effective, found.turn
     """
     check_motion(run)
-    check_tips(run.scene, "run", repr(run))
+    check_known(without_tips(run.scene), "run", repr(run))
     rows = tip_rows(run)
     time, found = rows.of_motion(run.result)
     return StressIntensity(

@@ -14,7 +14,7 @@ from fenics_crack.fem.tip_integral import Tip, tip_functionals
 from fenics_crack.model.factor import AT_A_TIME
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import evaluate
-from fenics_crack.scene.scene import Scene, check_tips
+from fenics_crack.scene.scene import Scene, check_known, without_tips
 from fenics_crack.study.prepare import Study
 from fenics_crack.time.march import TimeHistory
 
@@ -70,7 +70,7 @@ def tip_rows(study: Study) -> TipRows:
         The scene is no plate, or has no crack with tips.
     """
     scene = study.scene
-    check_tips(scene, "output.quantities")
+    check_known(without_tips(scene), "output.quantities")
     pairs = None if scene.contact is None else scene.contact.pairs
     plate = scene.geometry, scene.crack, scene.cracks, scene.material, scene.mesh, pairs
     return study.structure.once(_OfScene(plate, scene))
