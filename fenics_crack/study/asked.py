@@ -38,7 +38,7 @@ def asked_of_motion(study: Study, motion: PeriodicSolution | TimeHistory) -> dic
     if OF_TIPS.keys() & names:
         found |= tips_of_motion(study, motion)
     if OF_CLAMP.keys() & names:
-        found |= numbers_at_clamp(clamp_of_motion(motion)[1])
+        found |= numbers_at_clamp(*clamp_of_motion(motion)[1:])
     return {name: found[name] for name in names}
 
 
@@ -54,15 +54,17 @@ def asked_along_curve(study: Study, curve: ResponseCurve) -> dict[str, np.ndarra
             whole = curve.structure_at(index).whole
             omega = float(curve.omega[index]) / curve.subharmonic
             how = omega, curve.subharmonic, _drag(whole), PHASES
-            found[index] |= numbers_at_clamp(_clamp(whole).of_waves(waves, *how))
+            found[index] |= numbers_at_clamp(*_clamp(whole).of_waves(waves, *how))
     return {name: np.array([one[name] for one in found]) for name in names}
 
 
 # --- the clamp ------------------------------------------------------------------------------------
 
 
-def clamp_of_motion(motion: PeriodicSolution | TimeHistory) -> tuple[np.ndarray, np.ndarray]:
-    """Instants (n,) [s], and forces [N] and moments [N m] of the clamp then (n, n_rigid)
+def clamp_of_motion(
+    motion: PeriodicSolution | TimeHistory,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Instants (n,) [s], and forces (n, d) [N] and moments (n, n_rigid - d) [N m] of the clamp then
     (collective)."""
     structure = motion.structure
     rows, whole = structure.once(_inertia_rows), structure.whole
@@ -70,16 +72,15 @@ def clamp_of_motion(motion: PeriodicSolution | TimeHistory) -> tuple[np.ndarray,
     if isinstance(motion, TimeHistory):
         steps = motion.steps_per_period
         omega = TURN * (len(motion.time) - 1) / steps / float(np.ptp(motion.time))
-        return motion.time, clamp.of_record(motion.time, motion.seen_through(rows), omega, drag)
+        return motion.time, *clamp.of_record(motion.time, motion.seen_through(rows), omega, drag)
     waves = structure.sum_over_ranks(motion.displacement_coefficients @ rows.T)
     time, omega = motion.instants(), motion.base_omega
-    return time, clamp.of_waves(waves, omega, motion.subharmonic, drag, omega * time)
+    return time, *clamp.of_waves(waves, omega, motion.subharmonic, drag, omega * time)
 
 
-def numbers_at_clamp(found: np.ndarray) -> dict[str, float]:
-    """The quantities of the clamp from its forces and moments over time (n, n_rigid)."""
-    count = 2 if found.shape[1] == 3 else 3
-    sizes = (np.linalg.norm(part, axis=1).max() for part in np.split(found, [count], axis=1))
+def numbers_at_clamp(force: np.ndarray, moment: np.ndarray) -> dict[str, float]:
+    """The quantities of the clamp from its forces and its moments over time, a row each instant."""
+    sizes = (np.linalg.norm(part, axis=1).max() for part in (force, moment))
     return dict(zip(OF_CLAMP, map(float, sizes), strict=True))
 
 

@@ -44,7 +44,7 @@ class Reaction(Tabular):
     def numbers(self) -> Mapping[str, float]:
         """Largest size of the force [N], ``reaction_force``, and of the moment [N m],
         ``reaction_moment``."""
-        return numbers_at_clamp(np.hstack([self.force, self.moment]))
+        return numbers_at_clamp(self.force, self.moment)
 
     def to_dict(self) -> dict[str, Any]:
         """Columns, a row for every instant."""
@@ -100,7 +100,5 @@ def reaction(run: Run[PeriodicSolution] | Run[TimeHistory]) -> Reaction:
     """
     check_motion(run)
     check_known(without_clamp(run.scene), "run", repr(run))
-    time, found = clamp_of_motion(run.result)
-    clamp = run.result.structure.whole.clamp
-    force, moment = np.split(found, [run.scene.dimension], axis=1)
-    return Reaction(time, clamp.center, force, moment)
+    time, force, moment = clamp_of_motion(run.result)
+    return Reaction(time, run.result.structure.whole.clamp.center, force, moment)
