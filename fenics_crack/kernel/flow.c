@@ -337,38 +337,66 @@ int flow_rate(flow *f, double omega, double time, const double *state, double *r
 
 int flow_tangent(flow *f, const flow_track *track, double *product)
 {
-    const long half = 2L * f->of.modes * f->of.modes;
+    const long half = 2L * f->of.modes * f->of.modes, p = f->of.pairs;
     const double unit = fastest(f, 0.0);
     if (!f->exponential)
         f->exponential = new_exponentials(f->of.modes, f->of.coupled, f->of.squares,
                                           f->of.damping, unit);
     if (!f->exponential) return FLOW_MEMORY;
     for (long i = 0; i < half; i++) product[i] *= unit;
-    for (int k = 0; k < track->intervals; k++) {
-        const closed_set *a = closed_set_of(f->known, track->sets + (long)k * f->of.pairs);
+    for (int k = 0, next; k < track->intervals; k = next) {
+        const signed char *closed = track->sets + k * p;
+        const closed_set *a = closed_set_of(f->known, closed);
+        double length = track->lengths[k];
         if (!a) return FLOW_MEMORY;
-        multiply_exponential(f->exponential, a, track->lengths[k], product);
+        for (next = k + 1; next < track->intervals; next++) {
+            if (memcmp(track->sets + next * p, closed, (size_t)p)) break;
+            length += track->lengths[next];
+        }
+        multiply_exponential(f->exponential, a, length, product);
     }
     for (long i = 0; i < half; i++) product[i] /= unit;
     return finite_state((int)(2 * half), product) ? FLOW_DONE : FLOW_LOST;
 }
 
 int flow_wave(flow *f, flow_motion *m, int nodes, double period, const double *states,
-              double *moved, double *tangents)
+              double *moved, int *ends)
 {
     const long size = 2L * f->of.modes;
+    flow_motion part = *m;
     memcpy(moved, states, bytes(nodes * size));
-    memset(tangents, 0, bytes(nodes * size * size));
     for (int i = 0; i < nodes; i++) {
-        m->now = i * period / nodes, m->end = (i + 1) * period / nodes;
-        m->state = moved + i * size;
-        m->passed = 0;
-        int outcome = flow_advance(f, m);
+        part.now = i * period / nodes, part.end = (i + 1) * period / nodes;
+        part.state = moved + i * size;
+        const int outcome = flow_advance(f, &part);
+        m->passed += part.passed;
+        m->events = part.events;
         if (outcome != FLOW_DONE) return outcome;
-        const flow_track track = {m->omega, i * period / nodes, m->passed, m->sets, m->lengths};
-        double *tangent = tangents + i * size * size;
-        for (long j = 0; j < size; j++) tangent[j * (size + 1)] = 1.0;
-        if ((outcome = flow_tangent(f, &track, tangent)) != FLOW_DONE) return outcome;
+        ends[i] = m->passed;
+        part.most -= part.passed;
+        part.sets += (long)part.passed * f->of.pairs;
+        part.lengths += part.passed;
+        part.passed = 0;
+    }
+    return FLOW_DONE;
+}
+
+int flow_carry(flow *f, const flow_track *track, int nodes, const int *ends, const double *excess,
+               double *changes)
+{
+    const long size = 2L * f->of.modes;
+    double *still = f->turned; /* no load */
+    flow_track part = *track;
+    memset(still, 0, bytes(LOAD * (f->of.modes + f->of.pairs)));
+    for (int i = 0; i < nodes; i++, changes += size, excess += size) {
+        double *next = changes + size;
+        part.intervals = ends[i] - (i ? ends[i - 1] : 0);
+        memcpy(next, changes, bytes(size));
+        const int outcome = flow_column(f, &part, still, still + LOAD * f->of.modes, 0, next);
+        if (outcome != FLOW_DONE) return outcome;
+        for (long j = 0; j < size; j++) next[j] += excess[j];
+        part.sets += (long)part.intervals * f->of.pairs;
+        part.lengths += part.intervals;
     }
     return FLOW_DONE;
 }

@@ -77,9 +77,13 @@ int flow_by_omega(flow *f, const flow_track *track, double *state);
 /* The state's derivative by the time (2 m): 0, or 1 where no set of closed pairs answers it. */
 int flow_rate(flow *f, double omega, double time, const double *state, double *rate);
 /* The motion over each of `nodes` equal parts of a period, from a wave's states (nodes, 2 m) at their
- * starts: moved (nodes, 2 m), the states at their ends, and tangents (nodes, 2 m, 2 m). What is
- * allowed, and the room for the track, are those of m. */
+ * starts: moved (nodes, 2 m), the states at their ends, and ends (nodes), the intervals passed up to
+ * there. What is allowed, and the room for the tracks behind each other, are those of m. */
 int flow_wave(flow *f, flow_motion *m, int nodes, double period, const double *states,
-              double *moved, double *tangents);
+              double *moved, int *ends);
+/* changes (nodes + 1, 2 m) from the first one on, each carried to the next by the derivative of the
+ * flow over that part of a track, and excess (nodes, 2 m) added. */
+int flow_carry(flow *f, const flow_track *track, int nodes, const int *ends, const double *excess,
+               double *changes);
 
 #endif

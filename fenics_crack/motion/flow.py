@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.errors import ConvergenceError, InputError
-from fenics_crack.kernel import Struct, doubles, kernel, owned
+from fenics_crack.kernel import Struct, doubles, ints, kernel, owned
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid, is_unilateral
 from fenics_crack.model.coupled import KEPT, is_regular
 from fenics_crack.model.modal import AllModes, all_modes, is_small
@@ -192,22 +192,22 @@ class ContactFlow:
 
     def steps(
         self, states: np.ndarray, omega: float, period: float, budget: Budget | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> tuple[np.ndarray, Track, np.ndarray]:
         """The motion over equal parts of a period from time zero, from states (n, 2 n_modes) at
-        their starts: the states at their ends, and the flow's derivatives there, (n, 2 n_modes,
-        2 n_modes).
+        their starts: the states at their ends, the track of all parts, and how many of its
+        intervals have been passed at their ends, (n,).
 
         Raises as :meth:`advance`.
         """
         states = _doubles(states)
-        moved, tangents = np.empty_like(states), np.empty((*states.shape, self.size))
-        given, _, _ = self._motion(budget, omega=omega)
+        moved, ends = np.empty_like(states), np.empty(len(states), dtype=np.intc)
+        given, sets, lengths = self._motion(budget, omega=omega)
         outcome = kernel.flow_wave(
-            self.handle, given.at, len(states), period, doubles(states), doubles(moved),
-            doubles(tangents),
-        )  # fmt: skip
+            self.handle, given.at, len(states), period, doubles(states), doubles(moved), ints(ends)
+        )
         _check(outcome, given.at.events)
-        return moved, tangents
+        passed = given.at.passed
+        return moved, Track(self, omega, 0.0, sets[:passed].copy(), lengths[:passed].copy()), ends
 
     def _motion(
         self, budget: Budget | None, **members: Any
@@ -286,6 +286,19 @@ class Track:
         """dz(end) of a change dz(start), without the matrix: (2 n_modes,)."""
         flow = self.flow
         return self.column(np.zeros_like(flow.force), np.zeros_like(flow.gap), start=change)
+
+    def carried(self, start: np.ndarray, excess: np.ndarray, ends: np.ndarray) -> np.ndarray:
+        """Changes d of the state at the starts of parts of the track and at its end, (n + 1,
+        2 n_modes), d_{i+1} = M_i d_i + excess_i, from d_0; ``ends``: intervals passed at the ends
+        of the parts."""
+        changes = np.empty((len(ends) + 1, self.flow.size))
+        changes[0] = start
+        outcome = kernel.flow_carry(
+            self.flow.handle, self._known.at, len(ends), ints(ends), doubles(_doubles(excess)),
+            doubles(changes),
+        )  # fmt: skip
+        _check(outcome, len(self.lengths) - 1)
+        return changes
 
     def by_omega(self) -> np.ndarray:
         """dz(end) / d omega at a fixed start and duration: (2 n_modes,)."""

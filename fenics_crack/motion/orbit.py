@@ -23,9 +23,9 @@ Source: Deuflhard, Newton Methods for Nonlinear Problems, 2004, sections 2.1 and
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, reduce
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -75,18 +75,18 @@ class Prediction:
         ``|P^T d| / |P^T Z|``.
     states : (n, 2 n_modes)
         Z + d.
-    parts : (n,) of arrays or tracks
-        M_i.
+    track : Track
+        Of all parts, one behind the other.
     """
 
     error: float
     states: np.ndarray
-    parts: Sequence[np.ndarray | Track]
+    track: Track
 
     @property
     def monodromy(self) -> np.ndarray:
         """M over the period along the wave: (2 n_modes, 2 n_modes)."""
-        return _product(self.parts)
+        return self.track.tangent
 
 
 @dataclass(frozen=True, repr=False)
@@ -258,48 +258,28 @@ def predict(
     ConvergenceError
         As :meth:`ContactFlow.advance`.
     """
-    period = 2.0 * np.pi * subharmonic / omega
-    parts: Sequence[np.ndarray | Track]
-    if flow.size <= FORMED:
-        moved, parts = flow.steps(states, omega, period)
-    else:
-        part = period / len(states)
-        motions = [flow.advance(z, omega, part, start=i * part) for i, z in enumerate(states)]
-        moved, parts = np.array([one.state for one in motions]), [one.track for one in motions]
+    moved, track, ends = flow.steps(states, omega, 2.0 * np.pi * subharmonic / omega)
     excess = moved - np.roll(states, -1, axis=0)
-    change = np.zeros(flow.size)
-    for one, missing in zip(parts, excess, strict=True):
-        change = one @ change + missing
-    changes = np.empty_like(states)
-    changes[0] = _inverse(flow, parts, flow.weights(omega / subharmonic))(change, SHARP)
-    for i in range(len(states) - 1):
-        changes[i + 1] = parts[i] @ changes[i] + excess[i]
+    change = track.carried(np.zeros(flow.size), excess, ends)[-1]
+    start = _inverse(flow, track, flow.weights(omega / subharmonic))(change, SHARP)
+    changes = track.carried(start, excess, ends)[:-1]
     count = flow.size // 2
     size = float(np.linalg.norm(states[:, :count] @ flow.modes.pairs))
     error = float(np.linalg.norm(changes[:, :count] @ flow.modes.pairs)) / (size or 1.0)
-    return Prediction(error, states + changes, parts)
-
-
-def _product(parts: Sequence[np.ndarray | Track]) -> np.ndarray:
-    """M of its parts, the first of them first."""
-    matrices = (one.tangent if isinstance(one, Track) else one for one in parts)
-    return reduce(lambda product, matrix: matrix @ product, matrices)
+    return Prediction(error, states + changes, track)
 
 
 def _inverse(
-    flow: ContactFlow, parts: Sequence[np.ndarray | Track], weights: np.ndarray
+    flow: ContactFlow, track: Track, weights: np.ndarray
 ) -> Callable[[np.ndarray, float], np.ndarray]:
     """b to (I - M)^-1 b, exactly, or of large states to a relative residual in the norm of the
     energy."""
     if flow.size <= FORMED:
-        factors = scipy.linalg.lu_factor(np.eye(flow.size) - _product(parts))
+        factors = scipy.linalg.lu_factor(np.eye(flow.size) - track.tangent)
         return lambda right, sharp: scipy.linalg.lu_solve(factors, right)
 
     def apply(change: np.ndarray) -> np.ndarray:
-        moved = change / weights
-        for one in parts:
-            moved = one @ moved
-        return change - weights * moved
+        return change - weights * (track @ (change / weights))
 
     return lambda right, sharp: gmres(apply, weights * right, sharp, PRODUCTS) / weights
 
@@ -357,7 +337,7 @@ class _Search:
         self.motion = self._follow(self.state)
         while self.flows < FLOWS:
             if inverse is None:
-                inverse = _inverse(self._flow, [self.motion.track], self._weights)
+                inverse = _inverse(self._flow, self.motion.track, self._weights)
                 step = inverse(self.motion.state - self.state, SHARP)
             trial = self.state + share * step
             moved = self._follow(trial)

@@ -112,13 +112,19 @@ def test_parts_make_the_whole() -> None:
     whole = flow.advance(thrown(flow), omega, 2.0 * np.pi / omega)
     starts = np.linspace(0.0, 2.0 * np.pi / omega, 33)[:-1]
     samples = flow.advance(thrown(flow), omega, 2.0 * np.pi / omega, instants=starts).samples
-    moved, tangents = flow.steps(samples.states, omega, 2.0 * np.pi / omega)
+    moved, track, ends = flow.steps(samples.states, omega, 2.0 * np.pi / omega)
     assert relative(moved[:-1], samples.states[1:]) < 1e-12
     assert relative(moved[-1], whole.state) < 1e-12
-    product = np.eye(flow.size)
-    for tangent in tangents:
-        product = tangent @ product
-    assert relative(product, whole.track.tangent) < 1e-11
+    assert relative(track.tangent, whole.track.tangent) < 1e-11
+    start, excess = thrown(flow, 5), np.zeros_like(moved)
+    carried = track.carried(start, excess, ends)
+    part = flow.advance(samples.states[4], omega, starts[1], start=starts[4]).track
+    assert relative(carried[5], part.tangent @ carried[4]) < 1e-12
+    assert relative(carried[-1], whole.track.tangent @ start) < 1e-11
+    excess[-2:] = thrown(flow, 7), thrown(flow, 8)
+    last = flow.advance(samples.states[-1], omega, starts[1], start=starts[-1]).track
+    added = last.tangent @ excess[-2] + excess[-1]
+    assert relative(track.carried(start, excess, ends)[-1], carried[-1] + added) < 1e-11
 
 
 @pytest.mark.parametrize("missed", [1e-3, 1e-6, 1e-9, 1e-12, 0.0, -1e-12, -1e-6])
