@@ -182,6 +182,18 @@ def test_point_next_to_a_fold_is_not_judged_by_an_orbit_at_another_frequency() -
     assert len(rows) > 2 and campaign.WRONG not in {row["judgement"] for row in rows}
 
 
+def test_points_next_to_a_missing_part_of_the_branch_are_judged_by_their_own_orbits() -> None:
+    """12 pairs: behind the curve's fold the orbits of several points are unstable; nodes missed
+    them, and with them the fold, and the points had the verdict of the orbits before it."""
+    case = campaign.draw(78, 85, None, "crowd")
+    curve = campaign.followed(case, 0.03)
+    for place in range(49, 61):
+        solution = curve.solution(place)
+        assert curve.verdicts[place] == fc.floquet(case.structure, solution).verdict == "unstable"
+    row = campaign.judge(case, curve.solution(57), "point", "unstable")
+    assert row.judgement == campaign.RIGHT and row.exact == pytest.approx(1.444, abs=1e-3)
+
+
 def test_point_next_to_a_fold_has_no_verdict_of_one_of_two_orbits() -> None:
     """A plate: called stable by the orbit on its own side, 11 % away; the one behind the fold is
     unstable, and 8 %."""

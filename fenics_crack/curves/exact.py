@@ -25,6 +25,7 @@ from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.orbit_branch import (
     ALIKE,
     EVERY,
+    KINDS,
     TOLERANCE,
     Crossing,
     Node,
@@ -162,7 +163,8 @@ class _Judge:
         """Leading multiplier of each point; nan where no orbit is its own. Where orbits at its
         value of the parameter lie on both sides of a fold it is that of the nearest one, if its
         gaps are clearly nearer, too; where several motions are as near, none is near enough, or
-        none tells, it is that of the orbit next to it."""
+        none tells, it is that of the orbit next to it. Points that are judged by no node, as next
+        to a missing part of the branch, are judged as single solutions."""
         found = np.full(len(self._curve), np.nan + 0j)
         accepted, expected = self._accepted()
         parts: dict[int, list[tuple[_Part, complex]]] = {}
@@ -189,6 +191,16 @@ class _Judge:
         if any(self._own.values()):  # else searches that lead nowhere take long
             self._singly(found, np.flatnonzero(~self._accepted()[0]))
         return found
+
+    @property
+    def _missing(self) -> np.ndarray:
+        """Whether a point lies next to a fold that is not located, where part of the branch is
+        missing: (n,) bool."""
+        places, missing = np.arange(len(self._curve)), np.zeros(len(self._curve), dtype=bool)
+        for one in self.branch.nodes:
+            if one.crossing and one.crossing.kind == KINDS[0] and not one.crossing.located:
+                missing |= np.abs(places - one.place) <= EVERY
+        return missing
 
     def _singly(self, found: np.ndarray, places: np.ndarray) -> None:
         """Judge points whose orbits nodes do not tell one by one, as single solutions are: some,
@@ -256,7 +268,8 @@ class _Judge:
         away = BELIEVED * np.array([self._away[place] for place in self._anchors])
         before = np.clip(np.searchsorted(self._anchors, places, "right") - 1, 0, None)
         after = np.clip(np.searchsorted(self._anchors, places), None, len(own) - 1)
-        return own[before] & own[after], np.maximum(away[before], away[after])
+        known = own[before] & own[after] & ~self._missing
+        return known, np.maximum(away[before], away[after])
 
 
 def _budget(curve: ResponseCurve, flow: ContactFlow) -> Budget:
