@@ -92,22 +92,11 @@ class Structure(Coordinates):
         clamp: Clamp | None = None,
     ) -> None:
         self._hold(
-            comm=mass.comm.tompi4py(),
-            mass=mass,
-            stiffness=stiffness,
-            gap=_read_only_rows(gap),
-            force=force,
-            clearance=clearance,
-            damping=damping,
-            nodes=nodes,
-            pairs=pairs or Pairs(),
-            watched=watched,
-            clamp=clamp,
-            damping_factor=1.0,
-            _gap_transposed=_read_only_rows(gap.T),
-            _original=None,
-            _known={},
-        )
+            mass=mass, stiffness=stiffness, force=force, clearance=clearance, damping=damping,
+            nodes=nodes, pairs=pairs or Pairs(), watched=watched, clamp=clamp,
+        )  # fmt: skip
+        self._hold(gap=_read_only_rows(gap), _gap_transposed=_read_only_rows(gap.T))
+        self._hold(comm=mass.comm.tompi4py(), damping_factor=1.0, _original=None, _known={})
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self._size_words}, {_in_words(self)})"
@@ -175,12 +164,8 @@ class Structure(Coordinates):
         """
         springs = per_pair("stiffness", stiffness, self.n_pairs)
         matrix = with_springs(self.stiffness, self.gap, springs)
-        return self._changed(
-            stiffness=matrix,
-            gap=sparse.csr_matrix((self.n_local, 0)),
-            clearance=np.zeros(0),
-            pairs=Pairs(),
-        )
+        gap = sparse.csr_matrix((self.n_local, 0))
+        return self._changed(stiffness=matrix, gap=gap, clearance=np.zeros(0), pairs=Pairs())
 
     def placed(self, nodes: Nodes, pairs: Pairs) -> Structure:
         """Return this structure with the places of its nodes and pairs."""
@@ -193,11 +178,8 @@ class Structure(Coordinates):
         """
         check_rule(damping)
         kept = None if damping is None else self._of_kept(damping)
-        other = self._copied(damping=kept, damping_factor=1.0, _original=None, _known={})
-        for name in self._DAMPED_TOO:
-            if (part := getattr(self, name)) is not None:
-                vars(other)[name] = part.damped(damping)
-        return other
+        parts = self._parts(self._DAMPED_TOO, lambda part: part.damped(damping))
+        return self._copied(damping=kept, damping_factor=1.0, _original=None, _known={}, **parts)
 
     def _of_kept(self, damping: DampingRule) -> DampingRule:
         """The damping of what has mass."""
@@ -240,17 +222,20 @@ class Structure(Coordinates):
             allowed = "1 for a structure that rotates: part of its mean load is centrifugal"
             raise InputError("load", load, allowed)
         check_number("damping", damping, 0.0)
-        other = self._copied(
+        changes = {"load": load, "damping": damping, "clearance": clearance}
+        return self._copied(
             force=np.dot(weights, self.force),
             clearance=self.clearance + per_pair("clearance", clearance, self.n_pairs),
             clamp=None if self.clamp is None else self.clamp.varied(weights),
             damping_factor=damping * self.damping_factor,
             _original=self.original,
+            **self._parts(self._VARIED_TOO, lambda part: part.varied(**changes)),
         )
-        for name in self._VARIED_TOO:
-            if (part := getattr(self, name)) is not None:
-                vars(other)[name] = part.varied(load=load, damping=damping, clearance=clearance)
-        return other
+
+    def _parts(self, names: tuple[str, ...], change: Callable[[Any], Any]) -> dict[str, Any]:
+        """Attributes that change with this structure, changed."""
+        held = {name: getattr(self, name) for name in names}
+        return {name: change(part) for name, part in held.items() if part is not None}
 
     def _changed(self, **changes: Any) -> Structure:
         kept = "mass stiffness gap force clearance damping nodes pairs watched clamp".split()
