@@ -57,22 +57,13 @@ typedef struct {
     const double *gaps;    /* (p, p) [P^T 0] G */
     const double *linear;  /* (instants, p) l: the gap of the steady motion */
     const double *steady;  /* (instants, 2 n) */
-    sets *contact, *now;   /* of D, and of D less [P^T 0] G: forces of an instant by its state */
-    double *room;          /* (4 n + 4 p) */
+    sets *contact;         /* of D */
+    double *room;          /* (4 n + 2 p) */
 } exponential;
 
 /* March from phase zero. states (steps + 1, 2 n), forces and closed (steps + 1, p): their first rows
  * are given. Returns the steps made: fewer if forces were not found. */
 int march_exponential(const exponential *s, int steps, double *states, double *forces,
                       signed char *closed);
-/* product = (tangent of all these steps) product, (2 n, 2 n), by the sets closed (steps + 1, p) at
- * their ends:
- *
- *     dz_{m+1} = (I - G S'_{m+1} Q) (E - G S_m Q) dz_m,      Q = [P^T 0],
- *
- * S and S' the inverses on the sets, zero outside; equal steps by powers. work: 2 (2 n)^2 +
- * 3 p (2 n) + p^2 numbers. Returns 0, or 1 where an inverse does not exist. */
-int tangent_of_steps(const exponential *s, int steps, const signed char *closed, double *product,
-                     double *work);
 
 #endif

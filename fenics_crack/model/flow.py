@@ -26,12 +26,6 @@ hardly any R_inf, which softens contact, and long steps motions can grow, and th
 (With forces linear over the step energy would be created everywhere: with mass at the lips that is
 the method of linear acceleration.)
 
-With the sets A of a step's ends, forces follow lambda_A = (D_AA)^-1 s_A, and the step's tangent is
-
-    dz_{n+1} = (I - Gamma S'_A+ Q) (E - Gamma S_A Q) dz_n;
-
-the product over a period is the monodromy matrix.
-
 Sources: Hochbruck and Ostermann, Acta Numerica 19 (2010) 209 (exponential integrators);
 Monjaraz-Tec, Gross and Krack, Computers & Structures 267 (2022) 106810.
 """
@@ -119,8 +113,7 @@ class ExponentialFlow:
             coupled=modes.damping.ndim == 2, moved=moved, rows=np.ascontiguousarray(modes.pairs.T),
             pushed=np.ascontiguousarray(pushed.T), gaps=np.ascontiguousarray(moved_gap),
             linear=self.linear_gap, steady=self.steady,
-            contact=ActiveSets(springs + moved_gap).handle, now=self._static.handle,
-            room=np.empty(4 * count + 4 * pairs),
+            contact=ActiveSets(springs + moved_gap).handle, room=np.empty(4 * count + 2 * pairs),
         )  # fmt: skip
 
     def _prepare_load(self) -> None:
@@ -181,18 +174,6 @@ class ExponentialFlow:
             )
         return Steps(self, states, forces, closed)
 
-    def tangent(self, closed: np.ndarray) -> np.ndarray:
-        """dz_N / dz_0 of N steps with the sets of closed pairs (N + 1, n_pairs) at their ends."""
-        count, pairs = self.modes.pairs.shape
-        wide = 2 * count
-        product, closed = np.eye(wide), shaped(closed, len(closed), pairs, kind=bool)
-        work = np.empty(2 * wide**2 + 3 * pairs * wide + pairs**2)
-        failed = kernel.tangent_of_steps(
-            self._known.at, len(closed) - 1, signs(closed), doubles(product), doubles(work)
-        )
-        assert not failed  # the march has solved with these sets
-        return product
-
 
 class Steps:
     """Marched periods of the load.
@@ -217,15 +198,6 @@ class Steps:
         instants = np.arange(count) % flow.steps
         moved = (self.states[:-1] - flow.steady[instants]) @ flow.gap_rows.T
         return moved + flow.linear_gap[instants] - self.forces[:-1] @ flow.residual
-
-    @property
-    def switches(self) -> int:
-        """Number of times that a pair opens or closes."""
-        return int(np.sum(self.closed[1:] != self.closed[:-1]))
-
-    def monodromy(self) -> np.ndarray:
-        """M, the product of the steps' tangents."""
-        return self._flow.tangent(self.closed)
 
 
 def transition(modes: AllModes, h: float) -> tuple[np.ndarray, np.ndarray]:
