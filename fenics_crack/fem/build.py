@@ -27,11 +27,10 @@ from mpi4py import MPI
 
 from fenics_crack.errors import InputError
 from fenics_crack.fem import compat
-from fenics_crack.fem.clamp import clamp_of
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.elasticity import constants, rotation_of, stress, thickness
 from fenics_crack.fem.interface import pair_lips
-from fenics_crack.fem.loads import assemble_loads
+from fenics_crack.fem.loads import assemble_loads, clamp_of
 from fenics_crack.fem.matrix_files import read_structure
 from fenics_crack.fem.msh_file import check_there
 from fenics_crack.fem.numbering import Dofs

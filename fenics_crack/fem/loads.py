@@ -1,4 +1,5 @@
-"""Loads of a scene as nodal forces: at points, on edges, and the inertia of what is shaken.
+"""Loads of a scene as nodal forces: at points, on edges, and the inertia of what is shaken; and
+what the clamp holds against them.
 
 A force F at x does the work F . sum_i N_i(x) u_i, so node i gets N_i(x) F. On an edge E of a plate
 of thickness t, or a face of a solid with t = 1, with outward normal n, a traction T or a pressure
@@ -6,8 +7,8 @@ p, T = -p n, give it
 
     f_i = t int_E N_i T ds.
 
-A clamp that moves by
-U(t), the same everywhere, carries the plate along: with displacements u relative to it
+A clamp that moves by U(t), the same everywhere, carries the plate along: with displacements u
+relative to it
 
     M u'' + C u' + K u + B lambda(g) = f - M R U'',
 
@@ -28,13 +29,14 @@ from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.elasticity import thickness
 from fenics_crack.fem.numbering import Dofs
+from fenics_crack.model.clamp import Clamp
 from fenics_crack.model.nodes import nearest_node
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.fields import Vector
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Load
 
-__all__ = ["assemble_loads", "inertia"]
+__all__ = ["assemble_loads", "clamp_of"]
 
 
 def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.ndarray | None]:
@@ -76,7 +78,7 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
         if watched is None:
             watched = _farthest(dofs, scene.base.direction)
         for row, acceleration in enumerate(scene.base.accelerations(excitation.omega), 1):
-            force[row] -= inertia(mass, np.tile(acceleration, dofs.n_nodes))
+            force[row] -= _inertia(mass, np.tile(acceleration, dofs.n_nodes))
     return force, watched
 
 
@@ -177,10 +179,32 @@ def _middle_of(dofs: Dofs, edge: str, force: np.ndarray) -> np.ndarray:
     return _one_at(dofs, own, _by_distance(every, middle)[0], direction)
 
 
-# --- a clamp that moves ---------------------------------------------------------------------------
+# --- the clamp ------------------------------------------------------------------------------------
 
 
-def inertia(mass: Any, acceleration: np.ndarray) -> np.ndarray:
+def clamp_of(dofs: Dofs, mass: Any, force: np.ndarray) -> Clamp:
+    """The clamp of a mesh, from the mass matrix and the load (3, n_dofs) with the clamped rows
+    (collective)."""
+    nodes = dofs.nodes_on("clamp")
+    held = gather_rows(dofs.comm, dofs.points[nodes[nodes < dofs.n_nodes]])
+    center = np.round(0.5 * (held.min(axis=0) + held.max(axis=0)), 12) + 0.0
+    rigid = _rigid_motions(dofs.points - center)
+    rows = np.array([_inertia(mass, motion)[dofs.free] for motion in rigid])
+    return Clamp(center, rows, dofs.comm.allreduce(force @ rigid.T))
+
+
+def _rigid_motions(points: np.ndarray) -> np.ndarray:
+    """Translations, and rotations about the origin by e x r, of points (n, d): (n_rigid, n d)."""
+    dimension = points.shape[1]
+    placed = np.zeros((len(points), 3))
+    placed[:, :dimension] = points
+    axes = np.eye(3)[2:] if dimension == 2 else np.eye(3)
+    moved = [np.tile(axis, (len(points), 1)) for axis in np.eye(dimension)]
+    moved += [np.cross(axis, placed)[:, :dimension] for axis in axes]
+    return np.array([motion.ravel() for motion in moved])
+
+
+def _inertia(mass: Any, acceleration: np.ndarray) -> np.ndarray:
     """M a of all dofs that this rank owns: (n_dofs,) [N]."""
     moved, made = mass.createVecs()
     moved.array[:] = acceleration

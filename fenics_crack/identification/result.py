@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.special import chdtrc
 
 from fenics_crack.arrivals.harmonics import MISFIT
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import write
 from fenics_crack.identification.measurements import Measurement, Measurements
 from fenics_crack.identification.posterior import Branch, Posterior
-from fenics_crack.identification.verdict import log_bayes_factor, misfit_of, verdict_of
 from fenics_crack.identification.where_to_measure import BASELINE, Worth, advice, worth_of
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import key_in_words, unit_of, value_in_words
@@ -29,6 +29,10 @@ SHARE = 0.95
 """Probability of the regions and intervals that are stated."""
 LEAST_PART = 0.03
 """Probability of a part of the region that is mentioned."""
+EXPLAINS = 0.05
+"""Probability of more misfit by chance from which a plate without a crack explains what is seen."""
+STRONG = 3.0
+"""Logarithm of the ratio of evidences, 20 to 1, from which a hypothesis is preferred."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -92,7 +96,8 @@ class Identification(Tabular):
     @property
     def log_bayes_factor(self) -> float:
         """log of the evidence of a crack over that of none; nan where none was not considered."""
-        return log_bayes_factor(self.posterior, self.plain)
+        other = np.nan if self.plain is None else self.plain.log_evidence
+        return self.posterior.log_evidence - other
 
     @property
     def verdict(self) -> str:
@@ -107,13 +112,13 @@ class Identification(Tabular):
 
     @cached_property
     def _judged(self) -> tuple[str, str]:
-        return verdict_of(self.posterior, self.plain)
+        return _verdict_of(self.posterior, self.plain, self.log_bayes_factor)
 
     @property
     def misfit(self) -> tuple[float, float]:
         """chi^2 where the likelihood is largest, and the probability of more, by chance, with as
         many measurements (of displacements three fewer, for what is not known of the load)."""
-        return misfit_of(self.posterior)
+        return _misfit_of(self.posterior)
 
     @property
     def advice(self) -> list[str]:
@@ -284,3 +289,30 @@ class Identification(Tabular):
         if len(self.alternatives) > 1:
             parts.append("NOT THE ONLY ONE")
         return ", ".join(parts)
+
+
+def _verdict_of(cracked: Posterior, plain: Posterior | None, ratio: float) -> tuple[str, str]:
+    """The verdict "crack", "no crack" or "cannot be told", and the reason for it, by what both
+    hypotheses explain and the logarithm of the ratio of their evidences."""
+    open_question = "cannot be told"
+    if plain is None:
+        return open_question, "there is no plate without a crack to compare with"
+    fits, healthy = _misfit_of(cracked)[1], _misfit_of(plain)[1]
+    told = f"log Bayes factor {ratio:.3g}, crack over no crack"
+    if max(fits, healthy) < MISFIT:
+        why = "neither a crack of this kind nor a plate without one explains the measurements"
+        return open_question, f"{why} ({told})"
+    if ratio > STRONG and healthy >= EXPLAINS:
+        why = "a plate without a crack explains the measurements, as little as is known of it"
+        return open_question, f"{why} ({told})"
+    verdict = "crack" if ratio > STRONG else "no crack" if ratio < -STRONG else open_question
+    return verdict, told
+
+
+def _misfit_of(posterior: Posterior) -> tuple[float, float]:
+    """chi^2 where a likelihood is largest, and the probability of more by chance."""
+    name, x = posterior.best
+    likelihood = posterior.branches[name].likelihood
+    total = float(np.sum(likelihood.residuals(x[None])[0, :-1] ** 2))
+    count = len(likelihood.values) - likelihood.quantities(x[None]).free.shape[2]
+    return total, float(chdtrc(max(count, 1), total))
