@@ -26,8 +26,8 @@ STEADY = 1e-2
 MOST_PASSAGES = 10**7
 RADIUS = "tip_radius [m]"
 """What it may have."""
-FEWEST = 10
-"""Revolutions whose speed is smoothed."""
+FEWEST_REVOLUTIONS = 10
+"""Whose speed is smoothed, and of a passage."""
 FOURTH = 70.0 * 0.455
 """Median of the squares of fourth differences of normal errors of variance 1."""
 
@@ -224,7 +224,7 @@ def smoothed(values: np.ndarray) -> np.ndarray:
     with h from 0 up of the least risk by Stein's estimate (Annals of Statistics 9, 1981, 1135); the
     variance of the errors is that of the fourth differences.
     """
-    if len(values) < FEWEST:
+    if len(values) < FEWEST_REVOLUTIONS:
         return values
     from scipy.signal import savgol_coeffs, savgol_filter
 

@@ -44,9 +44,9 @@ APART = 2.0
 """Peaks nearer to a higher one, in units of the resolution, are its side lobes."""
 CHANCE = 1e-5
 """Probability of a vibration in the noise, above which there is none."""
-SPREAD = 8
+GRID_NEIGHBOURS = 8
 """Neighbours on each side to which the FFT's grid gets a time: eleven digits."""
-ROUNDS, SETTLED = 8, 1e-6
+GAUSS_NEWTON, GAIN = 8, 1e-6
 """Steps of Gauss-Newton from a peak, and the relative gain of one that is worth it."""
 
 
@@ -230,10 +230,10 @@ class _Sought:
         weights = self._none.weights
         for omega in self._peaks(low, high):
             best = True, np.inf, float(omega)
-            for _ in range(ROUNDS):
+            for _ in range(GAUSS_NEWTON):
                 _, left, columns = self._fitted(omega, weights, self._values, self._time)
                 held, least = self._held(columns), float(weights @ left**2)
-                if held > best[0] or least >= (1.0 - SETTLED) * best[1]:
+                if held > best[0] or least >= (1.0 - GAIN) * best[1]:
                     break
                 best = held, least, float(omega)
                 omega = float(np.clip(self._moved(omega, weights, left, columns), low, high))
@@ -343,11 +343,11 @@ def _spectrum(phase: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
     is spread over its neighbours on a grid by a Gaussian, whose transform is taken out again."""
     modes = 2 * (count // 2 + 1)
     middle, size = modes // 2, 2 * modes
-    width = np.pi * SPREAD / (modes**2 * 3.0)  # of Greengard and Lee, twice as fine a grid
+    width = np.pi * GRID_NEIGHBOURS / (modes**2 * 3.0)  # of Greengard and Lee, twice as fine a grid
     turned = values * np.exp(-1j * middle * phase)
     place = np.floor(phase * size / TURN).astype(int)
     grid = np.zeros(size, dtype=complex)
-    for shift in range(1 - SPREAD, SPREAD + 1):
+    for shift in range(1 - GRID_NEIGHBOURS, GRID_NEIGHBOURS + 1):
         near = place + shift
         share = turned * np.exp(-((phase - TURN * near / size) ** 2) / (4.0 * width))
         grid += np.bincount(near % size, share.real, size)

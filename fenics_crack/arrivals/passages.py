@@ -31,10 +31,10 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
-from fenics_crack.arrivals.arrival_times import ArrivalTimes
+from fenics_crack.arrivals.arrival_times import FEWEST_REVOLUTIONS, ArrivalTimes
 from fenics_crack.arrivals.fit_frequency import LOWEST, find_lines
 from fenics_crack.arrivals.harmonics import ALIKE, ORDERS, UNITS, TipFit, rounding, wanted
-from fenics_crack.arrivals.robust import FREEDOMS, ROUNDS, SEEN, SETTLED, reweighted
+from fenics_crack.arrivals.robust import FREEDOMS, ROBUST_ROUNDS, ROBUST_SETTLED, SEEN, reweighted
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.table import RPM, TURN, Tabular, quantity
 
@@ -42,8 +42,6 @@ __all__ = ["PassageFit", "find_passages", "fit_passage"]
 
 WIDTH = 0.035
 """Of the speed, on both sides of a resonance, that is fitted."""
-FEWEST = 10
-"""Revolutions in a passage."""
 SHIFTS = np.linspace(-0.01, 0.01, 11)
 """Relative shifts of the frequency with which the fit begins."""
 REFINED = 4
@@ -52,14 +50,14 @@ STRIDE = 2e-3, 0.5
 """Longest steps of Gauss-Newton, relative."""
 DAMPED = 1e-5, WIDTH / 2.0
 """Ends of the damping ratios; a wider resonance is not told from drift."""
-STEP = 1e-6
+PASSAGE_STEP = 1e-6
 """Relative differences by frequency and damping."""
 SPACING, TYPICAL = 0.003, 0.004
 """Relative distance of the speeds at which resonances are sought, and their damping there and where
 the fit begins."""
 MEDIAN = 0.954
 """Median of the difference of two normal numbers, in their standard deviations."""
-TURNS = 3
+PASSAGE_ROUNDS = 3
 """Of weights, there, without which single wrong arrivals look like resonances."""
 CLEAR = 60.0
 """Difference of -2 log likelihood from which on a vibration is no chance: some 1e5 of them are
@@ -194,15 +192,15 @@ class _Fit:
         if not steady:
             self.noise = reweighted(self._solve, begin, unknowns, runs[0].least)
             return
-        for _ in range(ROUNDS):
+        for _ in range(ROBUST_ROUNDS):
             self._solve(begin)
-            if abs(self._next - self.root) < SETTLED * abs(self.root.real):
+            if abs(self._next - self.root) < ROBUST_SETTLED * abs(self.root.real):
                 break
 
     def _solve(self, weights: np.ndarray) -> np.ndarray:
         """Residuals (n,) of the linear fit, after a step of frequency and damping."""
         self.root = self._next
-        shifted = self.root + STEP * np.array([0.0, self.root, self.root.real])
+        shifted = self.root + PASSAGE_STEP * np.array([0.0, self.root, self.root.real])
         forces, left, columns = [], [], []
         for run, weight in zip(self._runs, self._spread(weights), strict=True):
             wave = run.waves(self.order, shifted, steady=self._steady)
@@ -211,7 +209,7 @@ class _Fit:
             found = np.linalg.solve(parts.T @ parts, parts.T @ values[run.seen].real)
             forces.append(complex(*found))
             left.append(values[run.seen].real - parts @ found)
-            changes = (forces[-1] * (np.array(wave[1:]) - wave[0]) / STEP).real
+            changes = (forces[-1] * (np.array(wave[1:]) - wave[0]) / PASSAGE_STEP).real
             columns.append((changes[:, run.seen].T, parts))
         self.forces, total = np.array(forces), np.concatenate(left)
         changed, parts = (list(kind) for kind in zip(*columns, strict=True))
@@ -448,8 +446,8 @@ def fit_passage(
     runs = _runs(arrivals, arrivals.displacement, speed)
     if not runs:
         ends = arrivals.speed.min(), arrivals.speed.max()
-        allowed = f"one that is passed in {FEWEST} revolutions or more, from {ends[0]:.6g} to "
-        raise InputError("speed", speed, f"{allowed}{ends[1]:.6g} rad/s")
+        allowed = f"one that is passed in {FEWEST_REVOLUTIONS} revolutions or more, from "
+        raise InputError("speed", speed, f"{allowed}{ends[0]:.6g} to {ends[1]:.6g} rad/s")
     return _Compared(runs, speed, tried).described()
 
 
@@ -504,7 +502,7 @@ def find_passages(
     steady = np.zeros_like(values)
     # A line looks like a resonance everywhere, and a resonance like a line: beside the clearest of
     # them lines are found, then the others, by turns until they are the same.
-    for turn in range(TURNS):
+    for turn in range(PASSAGE_ROUNDS):
         before, few = found, 1 if asynchronous and not turn else most
         found, left = _search(arrivals, values - steady, tried, few)
         if not asynchronous or (turn and _alike(found, before)):
@@ -526,7 +524,7 @@ def _search(
     while len(found) < most and np.any(gains[:, 0] > CLEAR):
         centre = centres[int(np.where(gains[:, 0] > CLEAR, gains[:, 1], 0.0).argmax())]
         gains[np.abs(centres / centre - 1.0) < 1.5 * SPACING] = 0.0
-        if _clearness(arrivals, left, centre, TURNS)[0] < CLEAR:
+        if _clearness(arrivals, left, centre, PASSAGE_ROUNDS)[0] < CLEAR:
             continue
         new = _Compared(_runs(arrivals, left, centre), centre, orders)
         if not new.clear:
@@ -556,10 +554,10 @@ def _runs(arrivals: ArrivalTimes, values: np.ndarray, speed: float) -> list[_Run
     apart = arrivals.speed / speed - 1.0
     near = np.flatnonzero(np.abs(apart) < WIDTH)
     found = []
-    for rows in np.split(near, np.flatnonzero(np.diff(near) > FEWEST) + 1):
-        if len(rows) >= FEWEST and apart[rows].min() < 0.0 < apart[rows].max():
+    for rows in np.split(near, np.flatnonzero(np.diff(near) > FEWEST_REVOLUTIONS) + 1):
+        if len(rows) >= FEWEST_REVOLUTIONS and apart[rows].min() < 0.0 < apart[rows].max():
             run = _Run(arrivals, values, int(rows[0]), int(rows[-1]) + 1)
-            found += [run] * bool(np.all(run.seen.sum(axis=0) >= FEWEST))
+            found += [run] * bool(np.all(run.seen.sum(axis=0) >= FEWEST_REVOLUTIONS))
     return found
 
 

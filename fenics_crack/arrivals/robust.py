@@ -21,12 +21,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaln, ndtr
 
-__all__ = ["FREEDOMS", "ROUNDS", "SEEN", "SETTLED", "Noise", "reweighted", "trend"]
+__all__ = ["FREEDOMS", "ROBUST_ROUNDS", "ROBUST_SETTLED", "SEEN", "Noise", "reweighted", "trend"]
 
 FREEDOMS = np.array([3.0, 5.0, 10.0, 30.0, 1e6])
 """Degrees of freedom that are tried."""
-ROUNDS = 30
-SETTLED = 1e-3
+ROBUST_ROUNDS = 30
+ROBUST_SETTLED = 1e-3
 """Change of the weights below which they are final."""
 EPSILON = 1e-12
 """Columns are dependent below this share of the largest eigenvalue."""
@@ -183,11 +183,11 @@ def reweighted(
         The scale is no smaller: rounding.
     """
     before, scale = np.inf, 0.0
-    for _ in range(ROUNDS):
+    for _ in range(ROBUST_ROUNDS):
         noise = _noise(solve(weights), unknowns, scale, least)
         change = np.abs(noise.weights - weights).max(), np.abs(noise.left - before).max()
         weights, before, scale = noise.weights, noise.left, noise.scale
-        if change[0] < SETTLED and change[1] < SETTLED * scale:
+        if change[0] < ROBUST_SETTLED and change[1] < ROBUST_SETTLED * scale:
             break
     return noise
 
@@ -201,10 +201,10 @@ def _noise(left: np.ndarray, unknowns: int, scale: float, least: float) -> Noise
     begin = scale or 1.5 * float(np.median(np.abs(left))) * np.sqrt(len(left) / spare)
     for freedom in freedoms:
         value = max(begin, least)
-        for _ in range(ROUNDS):
+        for _ in range(ROBUST_ROUNDS):
             weights = (freedom + 1.0) / (freedom + square / value**2)
             before, value = value, max(float(np.sqrt(weights @ square / spare)), least)
-            if abs(value - before) < SETTLED * value:
+            if abs(value - before) < ROBUST_SETTLED * value:
                 break
         weights = (freedom + 1.0) / (freedom + square / value**2)
         found.append(Noise(left, weights, value, float(freedom), unknowns))

@@ -33,7 +33,7 @@ __all__ = ["tip_timing"]
 
 PASSAGES = 2**15
 """Solved at once."""
-MOST_STEPS = 200
+BISECTIONS = 200
 """More than bisection needs from any bracket to rounding."""
 
 JUMP = 1e-3
@@ -350,7 +350,7 @@ def _roots(motion: _TipMotion, targets: np.ndarray, radius: float) -> np.ndarray
     reach = motion.reach / radius * (1.0 + 1e-12) + 4.0 * np.spacing(np.abs(targets))
     low, high, angle = targets - reach, targets + reach, targets.copy()
     last, slope = high - low, np.ones_like(targets)
-    for _ in range(MOST_STEPS):
+    for _ in range(BISECTIONS):
         value, rate = motion.at(angle)
         excess, slope = angle - targets + value / radius, 1.0 + rate / radius
         high, low = np.where(excess >= 0.0, angle, high), np.where(excess <= 0.0, angle, low)

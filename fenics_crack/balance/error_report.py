@@ -69,7 +69,7 @@ LARGE_ERROR = 0.05
 
 CALM = 0.05
 """Of the second step of Newton's method relative to the first, below which there is no third."""
-STIFF = 1e3
+STANDS_FOR_RIGID = 1e3
 """Stiffness of a penalty that stands for a constraint where the reference has mass at its lips,
 relative to the inverse of R_inf."""
 MANY = 600
@@ -326,7 +326,7 @@ def _lost_in_reduction(at: ContactPoint, problem: Problem) -> _Change:
             all_modes(reference).static_part(problem.cutoff)
         ):
             assert residual is not None
-            nearly = STIFF * len(residual) / np.trace(residual)
+            nearly = STANDS_FOR_RIGID * len(residual) / np.trace(residual)
             other = replace(other, contact=UnilateralPenalty(float(nearly)))
         compliance = other.compliance()
         system = other.system(compliance)

@@ -29,7 +29,7 @@ __all__ = [
     "solution_of", "solve_beside",
 ]  # fmt: skip
 
-HURRIED = 0.25
+IMPATIENT = 0.25
 """Of a search's iterations, where other ways are left."""
 SLIGHT = 0.05
 """Part of a tolerance below which an error allows fewer harmonics."""
@@ -276,7 +276,7 @@ class Solver:
     ) -> tuple[Search, PeriodicSolution]:
         """The same, whether or not it converged, and the record of the search; its errors are
         estimated unless they are not asked for."""
-        search = Search(self.residual_tolerance, share=1.0 if patient else HURRIED)
+        search = Search(self.residual_tolerance, share=1.0 if patient else IMPATIENT)
         with self.compliance() as compliance:
             problem = self.problem.weighted(compliance)
             at = replace(self, problem=problem).find(search, compliance, initial)

@@ -18,7 +18,7 @@ from fenics_crack.model.modes import damped_range
 from fenics_crack.scene.quantities import QUANTITIES
 from fenics_crack.scene.scene import Scene
 from fenics_crack.stability.floquet import Stability
-from fenics_crack.study.key_figures import SMALL, extents
+from fenics_crack.study.key_figures import SMALL_MOTION, extents
 from fenics_crack.study.run import Run
 from fenics_crack.table import Table, frequency_axis, quantity
 
@@ -129,7 +129,7 @@ class Account:
 def of_size(run: Run[Any], amplitude: float) -> list[str]:
     """A warning of a vibration that is not small beside the structure (collective)."""
     side = min(extents(run.structure.whole))
-    if not amplitude > SMALL * side:
+    if not amplitude > SMALL_MOTION * side:
         return []
     return [
         f"{quantity(amplitude, 'm')} of {run.watched_name} is beyond small displacements, which "

@@ -60,13 +60,13 @@ from fenics_crack.numerics.path import (
     Target,
 )
 
-__all__ = ["LONGEST", "Continuation"]
+__all__ = ["LONGEST_STEP", "Continuation"]
 
-LONGEST = 0.05
+LONGEST_STEP = 0.05
 """Longest step, unless another one is asked for."""
-SHORTEST = 0.1
+SHORTEST_STEP = 0.1
 """Of steps, relative to what rounding leaves of the residual: shorter ones resolve nothing."""
-EVERY = 4
+LOOK_EVERY = 4
 """Points between two looks at the truncation."""
 
 
@@ -137,7 +137,7 @@ class Continuation:
         initial: PeriodicSolution | ResponseCurve | Bifurcation | DoubledStart | None = None,
         tolerance: float | None = None,
         stability: bool = False,
-        longest_step: float = LONGEST,
+        longest_step: float = LONGEST_STEP,
         most_points: int = 50000,
         turning_back: float = 0.1,
     ) -> None:
@@ -253,7 +253,7 @@ class Continuation:
         for stretch in path:
             for part in [stretch] if self._at_once and not asked else stretch.singly():
                 point, at = self._record(part), part[-1]
-                if asked and len(self._points) % EVERY == 0:
+                if asked and len(self._points) % LOOK_EVERY == 0:
                     truncation = _truncation(self._family, point.value, at)
                     self._points.truncation[-1] = truncation
                     point = replace(point, truncation=truncation)
@@ -282,13 +282,13 @@ class Continuation:
                 events.append(_Joined(odd))
         if self._origin is not None and self._origin.unknown.shape == here.unknown.shape:
             events.append(Closed(self._origin))
-        shortest = SHORTEST * self._family.rounding(here.parameter)
+        shortest = SHORTEST_STEP * self._family.rounding(here.parameter)
         options = PathOptions(
             initial_step=step,
             max_step=self._longest,
             min_step=max(1e-10, shortest),
             max_steps=self._most + 1 - len(self._points),
-            at_once=EVERY if self._tolerance is not None else PathOptions.at_once,
+            at_once=LOOK_EVERY if self._tolerance is not None else PathOptions.at_once,
             span=(-self._back, np.inf),
         )
         return Path(self._family, here, options, events)

@@ -44,7 +44,7 @@ from fenics_crack.numerics.path import STRAIGHT, Path, PathOptions
 
 __all__ = ["DoubledStart", "next_to_doubled_orbits"]
 
-NEAREST, SAME = 6, 1e-3
+NEAREST, SAME_MULTIPLIER = 6, 1e-3
 """Points of the curve from which the orbit of the doubling is sought, and how well its multiplier
 is known."""
 MOST = 30
@@ -117,7 +117,7 @@ def _at_doubling(curve: ResponseCurve, one: Bifurcation) -> PeriodicOrbit | None
     near = np.argsort(np.abs(curve.omega - one.exact), kind="stable")[:NEAREST]
     for motion in curve.motions(near):
         orbit = orbit_next_to(flow, one.exact, flow.state(*motion), curve.subharmonic)
-        if orbit is not None and np.abs(orbit.multipliers + 1.0).min() <= SAME:
+        if orbit is not None and np.abs(orbit.multipliers + 1.0).min() <= SAME_MULTIPLIER:
             return orbit
     return None
 

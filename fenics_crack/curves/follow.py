@@ -13,7 +13,7 @@ from tqdm import tqdm
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.beginnings import same_problem
-from fenics_crack.curves.continuation import LONGEST, Continuation
+from fenics_crack.curves.continuation import LONGEST_STEP, Continuation
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.doubled import next_to_doubled_orbits
 from fenics_crack.curves.points import CurvePoint
@@ -250,7 +250,7 @@ def follow_branch(
         growing = Continuation(problem, curve.parameter, start, end, **given, initial=bifurcation)
     except ConvergenceError:
         begun = next_to_doubled_orbits(
-            curve, bifurcation, problem, (start, end), options.get("longest_step", LONGEST)
+            curve, bifurcation, problem, (start, end), options.get("longest_step", LONGEST_STEP)
         )
         if begun is None:
             raise

@@ -39,7 +39,7 @@ FEWER = (1, 2, 3, 5, 10)
 """Harmonics with which the path in the contact stiffness is tried again."""
 MORE = 1.25
 """How many harmonics there are after a step, relative to those before; one more at least."""
-LONGEST, MOST = 0.2, 200
+LONGEST_SHARE, MOST_SHARES = 0.2, 200
 """Longest step in the share with which harmonics see the pairs, and how many."""
 
 
@@ -284,7 +284,7 @@ def _all_together(family: StiffnessMotion, unknown: np.ndarray, harmonics: int) 
     last = solve_motion(faded, _padded(unknown, faded), 0.0)
     if last is None:
         return None
-    path = MotionPath(faded, last, 1.0, lowest=-0.5, max_step=LONGEST, max_steps=MOST)
+    path = MotionPath(faded, last, 1.0, lowest=-0.5, max_step=LONGEST_SHARE, max_steps=MOST_SHARES)
     landed = path.run()
     seen = landed and solve_motion(family, landed.unknown, 0.0)
     return seen if seen and _is_it(family, seen, seen.unknown) else None

@@ -14,7 +14,7 @@ from fenics_crack.table import frequency_axis
 
 __all__ = ["draw_growth", "draw_stress_intensity"]
 
-CLOSED = 0.01
+SHOWN_CLOSED = 0.01
 """Part of the largest K_I below which a tip is shown as closed."""
 
 
@@ -49,7 +49,7 @@ def draw_stress_intensity(found: StressIntensity, **where: Unpack[Where]) -> Fig
         one, two = found.one[:, number], found.two[:, number]
         panel.plot(time, one, color=colour, lw=1.8, label=f"K_I, {tip}")
         panel.plot(time, two, color=colour, lw=1.0, ls="--", label=f"K_II, {tip}")
-        closed = np.where(one <= CLOSED * max(one.max(), 0.0), one, np.nan)
+        closed = np.where(one <= SHOWN_CLOSED * max(one.max(), 0.0), one, np.nan)
         if not np.all(np.isnan(closed)):
             panel.plot(time, closed, color=COLOURS["grey"], lw=4.0, label=shut)
             shut = "_" + shut.lstrip("_")  # once in the legend

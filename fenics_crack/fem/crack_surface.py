@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sparse
 
 from fenics_crack.errors import InputError
-from fenics_crack.fem.lips import BESIDE, CLOSE, SAME, rows_in
+from fenics_crack.fem.lips import BESIDE, COINCIDENT, SAME, rows_in
 
 __all__ = ["FACETS", "CrackSurface", "SolidCells", "cracks_between", "split_surface"]
 
@@ -126,7 +126,7 @@ def _normals(triangles: np.ndarray) -> np.ndarray:
 def _upwards(normal: np.ndarray) -> float:
     """1 where a normal points up: along y, or else along x, or else along z; otherwise -1."""
     for axis in (1, 0, 2):
-        if abs(normal[axis]) > CLOSE * np.abs(normal).max():
+        if abs(normal[axis]) > COINCIDENT * np.abs(normal).max():
             return float(np.sign(normal[axis]))
     return 1.0
 

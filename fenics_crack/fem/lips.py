@@ -26,10 +26,12 @@ PLUGIN = (
     "Plugin(Crack) of gmsh, run after meshing with Dimension = 1, PhysicalGroup = the tag of the "
     "curve, and OpenBoundaryPhysicalGroup = the tag of a physical point at the mouth"
 )
-SAME, BESIDE = 1e-6, 1e-3
-"""Distance at which a point lies on the lips, and of one to choose beside them, in parts of the
-crack's length."""
-CLOSE = 1e-3
+SAME = 1e-6
+"""Distance within which two places are one, relative to the size of the mesh or the length of the
+crack: text files have six digits and more."""
+BESIDE = 1e-3
+"""Distance of a point to choose beside the lips, in parts of the crack's length."""
+COINCIDENT = 1e-3
 """Distance of nodes in the same place, relative to the shortest edge."""
 
 
@@ -203,7 +205,7 @@ def split_crack(
     ends = positions[edges[:, :2]]
     spans = ends[:, 1] - ends[:, 0]
     middles = ends.mean(axis=1)
-    near = CLOSE * float(np.linalg.norm(spans, axis=1).min())
+    near = COINCIDENT * float(np.linalg.norm(spans, axis=1).min())
     pairs = cKDTree(middles).query_pairs(near, output_type="ndarray")
     same = np.linalg.norm(ends[pairs[:, 0]] - ends[pairs[:, 1], ::-1], axis=2).max(axis=1) <= near
     same |= np.linalg.norm(ends[pairs[:, 0]] - ends[pairs[:, 1]], axis=2).max(axis=1) <= near
@@ -247,7 +249,7 @@ def _sides(edges: np.ndarray, pairs: np.ndarray, normals: np.ndarray) -> np.ndar
         raise InputError("lips", "a crack with more than two lips", allowed)
     outwards = np.zeros((n_chains, 2))
     np.add.at(outwards, chain, normals[flat])
-    upright = np.abs(outwards[:, 1]) <= CLOSE * np.abs(outwards[:, 0])
+    upright = np.abs(outwards[:, 1]) <= COINCIDENT * np.abs(outwards[:, 0])
     is_lower = np.where(upright, outwards[:, 0], outwards[:, 1]) > 0.0
     return np.where(is_lower[chain[:count]], 0, 1)
 

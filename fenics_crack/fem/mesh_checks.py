@@ -14,16 +14,14 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from fenics_crack.errors import InputError
+from fenics_crack.fem.lips import SAME
 from fenics_crack.mesher import gmsh
 
-__all__ = ["TOLERANCE", "check_mesh", "determinants", "parts_of"]
+__all__ = ["DEGENERATE", "check_mesh", "determinants", "parts_of"]
 
-TOLERANCE = 1e-9
+DEGENERATE = 1e-9
 """Of a determinant relative to its largest value or to the square of the cell's size, and of an
 angle relative to 2 pi."""
-SAME = 1e-6
-"""Distance within which two places are one, relative to the size of the mesh: text files have six
-digits and more, and so are lips paired."""
 SAMPLES = 50
 """Cells of a part whose centres must not lie on another part."""
 
@@ -88,8 +86,8 @@ def _signs(kind: int, cells: np.ndarray, places: np.ndarray) -> np.ndarray:
     largest = np.maximum(-least, most)
     size = np.ptp(places[cells], axis=1).max(axis=1)
     for found, wrong in (
-        ("a cell without area", largest <= TOLERANCE * size**2),
-        ("a folded cell", np.minimum(-least, most) > TOLERANCE * largest),
+        ("a cell without area", largest <= DEGENERATE * size**2),
+        ("a folded cell", np.minimum(-least, most) > DEGENERATE * largest),
     ):
         if np.any(wrong):
             place = places[cells[np.argmax(wrong)]].mean(axis=0)
@@ -133,7 +131,7 @@ def _check_angles(cells: np.ndarray, places: np.ndarray) -> None:
     angles = np.arctan2(np.abs(crossed), (ahead * back).sum(axis=2))
     sums = np.bincount(cells.ravel(), angles.ravel(), len(places))
     worst = int(np.argmax(sums))
-    if sums[worst] > 2.0 * np.pi * (1.0 + TOLERANCE):
+    if sums[worst] > 2.0 * np.pi * (1.0 + DEGENERATE):
         allowed = "one of cells beside each other: these go round their node more than once"
         raise _refusal("cells that overlap", places[worst], allowed)
 

@@ -33,7 +33,7 @@ Point = tuple[float, ...]
 Names = tuple[dict[str, tuple[int, ...]], dict[str, Point]]
 """Tags of the facets of each named curve or surface, and positions of the named points [m]."""
 
-FARTHEST = 1e6
+FARTHEST_NODE = 1e6
 """Largest coordinate of a node [m]."""
 LONGEST_READING = 300
 """Processor time allowed for reading a file [s]."""
@@ -63,8 +63,8 @@ def read_file(path: Path) -> Names:
     numbers, positions, groups = groups_of(path)
     flat = len(positions) > 0 and np.ptp(positions[:, 2]) == 0.0
     require(
-        flat and np.all(np.abs(positions) < FARTHEST),
-        f"a plane mesh, z the same at every node, within {FARTHEST:g} m of the origin",
+        flat and np.all(np.abs(positions) < FARTHEST_NODE),
+        f"a plane mesh, z the same at every node, within {FARTHEST_NODE:g} m of the origin",
     )
     kinds = {kind for dimension, _, _, kind, _ in groups if dimension == 2}
     require(

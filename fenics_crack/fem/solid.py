@@ -30,7 +30,7 @@ from fenics_crack.fem.crack_surface import (
     cracks_between,
     split_surface,
 )
-from fenics_crack.fem.mesh_checks import TOLERANCE, determinants, parts_of
+from fenics_crack.fem.mesh_checks import DEGENERATE, determinants, parts_of
 from fenics_crack.fem.msh_file import (
     CRACK,
     Group,
@@ -195,7 +195,7 @@ def _check_cells(kind: int, nodes: np.ndarray, places: np.ndarray) -> None:
     least, most, smallest = determinants(kind, nodes, places)
     here = places[nodes]
     size = np.ptp(here, axis=1).max(axis=1)
-    wrong = (smallest <= TOLERANCE * size**3) | (least * most < 0.0)
+    wrong = (smallest <= DEGENERATE * size**3) | (least * most < 0.0)
     if np.any(wrong):
         x, y, z = here[np.argmax(wrong)].mean(axis=0)
         found = f"a folded cell, or one of no volume, at ({x:g}, {y:g}, {z:g})"

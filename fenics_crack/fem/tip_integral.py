@@ -36,11 +36,11 @@ from fenics_crack.scene.scene import Scene
 
 __all__ = ["Tip", "find_tips", "tip_functionals"]
 
-REACH = 0.8
+DOMAIN = 0.8
 """Radius of the domain over the distance from the tip to where the crack is no longer alone."""
 INNER = 0.2
 """Part of the radius up to which the weight is 1."""
-DEGREE = 8
+QUADRATURE_DEGREE = 8
 """Of the quadrature: the singular field is no polynomial."""
 
 
@@ -93,7 +93,7 @@ def find_tips(dofs: Dofs) -> list[Tip]:
             others = [other.locate(tip[None])[0][0] for other in lips if other is not lip]
             room = min(straight, np.linalg.norm(edge - tip, axis=1).min(), *others)
             found.append(
-                Tip(f"the {name}{several}", crack, tip, ahead, float(position), REACH * room)
+                Tip(f"the {name}{several}", crack, tip, ahead, float(position), DOMAIN * room)
             )
     return found
 
@@ -217,7 +217,7 @@ def _assembled(scene: Scene, dofs: Dofs, tip: Tip, kind: int, field: np.ndarray)
     strained, own, at_nodes = (ufl.sym(ufl.grad(one)) for one in (test, singular, moved))
     betti = ufl.inner(stress(scene, space, strained), ufl.outer(singular, falling))
     betti -= ufl.inner(stress(scene, space, own), ufl.outer(test, falling))
-    form = 0.5 * young * betti * ufl.dx(metadata={"quadrature_degree": DEGREE})
+    form = 0.5 * young * betti * ufl.dx(metadata={"quadrature_degree": QUADRATURE_DEGREE})
     form -= 0.5 * young * ufl.inner(stress(scene, space, at_nodes), strained) * ufl.dx
     return compat.assembled_vector(form)[dofs.free]
 
@@ -247,7 +247,7 @@ def _of_forces(
 def _rule(ends: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
     """Places r in (0, radius) and weights of integrals of r^-1/2, between ends, by xi^2 = r."""
     roots = np.sqrt(np.unique(np.clip([0.0, *ends, radius], 0.0, radius)))
-    nodes, weights = np.polynomial.legendre.leggauss(DEGREE)
+    nodes, weights = np.polynomial.legendre.leggauss(QUADRATURE_DEGREE)
     half = 0.5 * np.diff(roots)[:, None]
     xi = roots[:-1, None] + half * (1.0 + nodes)
     return (xi**2).ravel(), (2.0 * half * weights).ravel()

@@ -37,7 +37,7 @@ MEGA = 1e6
 """Pa m^1/2 in which rates are measured."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)
 """Of the integral over each of the table's steps."""
-TURNS = math.radians(10.0)
+TURNS_ASIDE = math.radians(10.0)
 """From which on a crack is said not to grow straight on."""
 SETTLES = 2.0
 """Times 1 / (xi w), in which the run-up of a single mode must pass the width 2 xi f at least:
@@ -199,7 +199,7 @@ def _remarks(
     found = []
     one, two = seen["K_max"], seen["K_II_max"]
     turn = 2.0 * np.arctan(2.0 * two / (one + np.sqrt(one**2 + 8.0 * two**2)))
-    if np.any(turning := turn > TURNS):
+    if np.any(turning := turn > TURNS_ASIDE):
         at = length[np.argmax(turning)]
         found.append(
             f"from {at:.4g} m on a straight crack is no longer right: it would turn by up to "

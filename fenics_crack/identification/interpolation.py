@@ -23,7 +23,7 @@ __all__ = ["Cube", "Interpolation", "left_out_errors"]
 DEGREE = 3
 STATED = 0.3
 """Of what is left with twice the spacing: between 1/16 and 3/4."""
-REACH = 1.25
+AVERAGED_OVER = 1.25
 """Spacings of the nodes over which errors are averaged."""
 AROUND = 16
 """Nodes over which errors are averaged, at most."""
@@ -161,7 +161,7 @@ class Interpolation:
         if not self.cube.axes:
             return np.zeros((len(x), 0, len(self.known)))
         nodes = self.cube.places(self.cube.nodes)
-        exponent = -0.5 / REACH**2 * cdist(self.cube.places(x), nodes, "sqeuclidean")
+        exponent = -0.5 / AVERAGED_OVER**2 * cdist(self.cube.places(x), nodes, "sqeuclidean")
         count = min(AROUND, len(nodes))
         near = np.argpartition(-exponent, count - 1, axis=1)[:, :count]
         exponent = np.take_along_axis(exponent, near, axis=1)

@@ -50,7 +50,7 @@ IN_WORDS = {
 """The quantities in words: of natural frequencies when they are measured."""
 NEEDED = ("quantity", "value", "deviation")
 OPTIONAL = ("mode", "frequency", "point", "phase")
-FEWEST = 4
+FEWEST_PROBES = 4
 """Probes of which displacements tell more than the size and phase of a load, and a constant."""
 
 
@@ -245,8 +245,8 @@ class Measurements(Tabular):
         seen = np.isfinite(arrivals.time)
         count = seen.sum(axis=0)
         used = count > 0
-        if used.sum() < FEWEST:
-            raise InputError("arrivals", repr(arrivals), f"those of {FEWEST} probes or more")
+        if used.sum() < FEWEST_PROBES:
+            raise InputError("arrivals", repr(arrivals), f"those of {FEWEST_PROBES} probes or more")
         means = np.nansum(arrivals.displacement, axis=0)[used] / count[used]
         if noise is None:
             left = np.nansum((arrivals.displacement[:, used] - means) ** 2)

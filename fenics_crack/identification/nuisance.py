@@ -48,7 +48,7 @@ __all__ = ["OF_SIZE", "Whole", "act_as", "relative_changes", "whole_plate"]
 STIFFENING = 0.05
 """Relative standard deviation of what rotation adds to the square of a natural frequency: beams and
 plates differ by so much in it."""
-TOGETHER = 0.9
+OF_ALL_MODES = 0.9
 """Part of the variance of what a crack changes that all modes have together: a compliance."""
 POWER = 2.0
 """Of a crack's length, like which it changes natural frequencies."""
@@ -56,7 +56,7 @@ OF_SIZE = ("crack.length", "crack.depth")
 """Keys of a crack's size."""
 FACTORS = {"rad/s": 2.0 * np.pi, "kHz": 1e-3, "mHz": 1e3}
 """What numbers in other units are multiples of."""
-NEAR = 0.3
+LIKE_A_MULTIPLE = 0.3
 """Of the logarithm of such a multiple: no crack halves a frequency or doubles it."""
 
 
@@ -85,7 +85,7 @@ class Whole:
         rows = [row for row in rows if row.mode <= len(self.frequencies)]
         ratios = np.log([row.value / self.frequencies[row.mode - 1] for row in rows])
         for unit, factor in FACTORS.items():
-            if rows and np.all(np.abs(ratios - np.log(factor)) < NEAR):
+            if rows and np.all(np.abs(ratios - np.log(factor)) < LIKE_A_MULTIPLE):
                 modes = "" if len(rows) > 1 else ", or of another mode"
                 allowed = (
                     f"in Hz; of this plate it is about {self.frequencies[rows[0].mode - 1]:.4g} "
@@ -194,7 +194,7 @@ def relative_changes(
         by_mode = np.where(natural, by_mode, slopes)
         by_crack = np.where(natural, by_crack, slopes * shifts)
         by_damping = -turned.sum(axis=2)[..., None]
-    own = table.crack_deviation * np.sqrt(1.0 - TOGETHER)
+    own = table.crack_deviation * np.sqrt(1.0 - OF_ALL_MODES)
     known = any(axis.key == "damping.ratio" for axis in table.unknown)
     columns = [
         (by_mode * ~cracked) @ whole.changes + ~natural * whole.sizes,
@@ -213,7 +213,7 @@ def act_as(x: np.ndarray, keys: Sequence[str], scene: Scene) -> np.ndarray:
         size = np.full(len(x), getattr(scene.crack, key.removeprefix("crack."), None) or 0.0)
         if key in keys:
             size = x[:, keys.index(key)]
-            own = table.crack_deviation * np.sqrt(TOGETHER) / POWER * size
+            own = table.crack_deviation * np.sqrt(OF_ALL_MODES) / POWER * size
             found[:, keys.index(key)] = own
         into = np.where(size > 0.0, size, into)
     if "crack.height" in keys:

@@ -48,7 +48,7 @@ PRIOR = 12.0
 """Information of a uniform prior on an unknown, over its range: one over its variance."""
 STARTS = 8
 """Of least squares, at most."""
-STEP = 1e-6
+GRADIENT_STEP = 1e-6
 """Of an unknown, over its range, for derivatives."""
 FTOL = 1e-5
 """Relative change of log L with which least squares end: of no weight for a probability."""
@@ -60,9 +60,9 @@ DEEP = 300.0
 """Difference of log L beyond which places matter to no probability."""
 AT_ONCE = 500
 """Places at which a likelihood is computed together."""
-NARROW = 0.1
+SPREAD_FROM = 0.1
 """Of the distance of points: less than that nothing is spread by."""
-LEAST = -1e4
+IMPOSSIBLE = -1e4
 """Difference of log L, where there is nothing."""
 VAGUE = 10.0
 """Standard deviation, over the measured value, where the model knows nothing."""
@@ -197,13 +197,13 @@ def _spread(
         width = np.moveaxis(widths[:, place].reshape(height.shape), place, -1)
         if not width.any():
             continue
-        width = np.maximum(width, np.gradient(axis) * NARROW)[..., None]
+        width = np.maximum(width, np.gradient(axis) * SPREAD_FROM)[..., None]
         shares = weight * np.exp(-0.5 * ((axis - axis[:, None]) / width) ** 2)
         shares /= shares.sum(axis=-1, keepdims=True)
         masses = np.moveaxis(found, place, -1) * weight
         found = np.moveaxis(np.einsum("...j,...ji->...i", masses, shares) / weight, -1, place)
     with np.errstate(divide="ignore"):
-        return np.asarray(np.maximum(np.log(found), LEAST) + most)
+        return np.asarray(np.maximum(np.log(found), IMPOSSIBLE) + most)
 
 
 def _points(axes: list[np.ndarray]) -> np.ndarray:
@@ -243,7 +243,7 @@ def _optima(
             return likelihood.residuals((low + span * unit)[None])[0]
 
         def slopes(unit: np.ndarray) -> np.ndarray:
-            steps = np.diag(np.where(unit < 0.5, STEP, -STEP))
+            steps = np.diag(np.where(unit < 0.5, GRADIENT_STEP, -GRADIENT_STEP))
             rows = likelihood.residuals(low + span * np.vstack([unit, unit + steps]))
             return np.asarray((rows[1:] - rows[0]).T / np.diag(steps))
 

@@ -27,9 +27,9 @@ __all__ = ["resonances"]
 
 HALF = 0.5
 """Of a peak's power: down to it on both sides a peak is one, and its damping is told."""
-WIDE = 0.1
+FITTED_DOWN_TO = 0.1
 """Of a peak's power, down to which it is fitted; and, for the error, down to half of it."""
-ROUNDS = 10
+WEIGHINGS = 10
 """By turns with the weights."""
 
 
@@ -52,7 +52,7 @@ def resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
     for peak in _peaks(power):
         wide, half = (
             _fitted(omega, values, peak, _around(power, peak, share * power[peak]))
-            for share in (WIDE, HALF)
+            for share in (FITTED_DOWN_TO, HALF)
         )
         if wide is None or half is None:
             continue
@@ -60,7 +60,7 @@ def resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
         error = float(np.hypot(error, frequency - half[0]))
         # Noise has peaks, too, but no mode there that is known to a tenth of its width.
         width, off = damping * frequency, abs(frequency - omega[peak] / TURN)
-        if error < WIDE * width and off < width:
+        if error < FITTED_DOWN_TO * width and off < width:
             found.append((frequency, error, damping))
     if not found:
         allowed = "with peaks that fall to half their power on both sides, of 4 lines or more"
@@ -101,7 +101,7 @@ def _fitted(
     own = np.kron(np.eye(count), np.column_stack([np.ones(size), r - 1.0]))
     flat, every = seen.ravel(), np.tile(r, count)
     weights = np.ones(len(flat))
-    for _ in range(ROUNDS):
+    for _ in range(WEIGHINGS):
         columns = np.column_stack([flat, 1j * every * flat, -own, -1j * own]) * weights[:, None]
         right = flat * every**2 * weights
         stacked, wanted = (np.concatenate([part.real, part.imag]) for part in (columns, right))

@@ -37,7 +37,7 @@ BASELINE = 1e-3
 
 PROBES = 24
 """Phases of the load's period at which one more probe is considered."""
-STEP = 1e-3
+WORTH_STEP = 1e-3
 """Of an unknown, over its range, for derivatives."""
 
 
@@ -213,7 +213,7 @@ def _slopes(
     quantities: Quantities, x: np.ndarray, span: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> np.ndarray:
     """Derivatives by the unknowns over their ranges: (q, d)."""
-    steps = np.diag(STEP * span)
+    steps = np.diag(WORTH_STEP * span)
     above, below = np.minimum(x + steps, high), np.maximum(x - steps, low)
     distance = np.diag(above - below) / span
     difference = quantities(above).values - quantities(below).values

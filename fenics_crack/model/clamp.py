@@ -20,7 +20,7 @@ from fenics_crack.numerics.fourier import evaluate
 
 __all__ = ["Clamp"]
 
-DEGREE = 5
+SPLINE_DEGREE = 5
 """Of the spline through a record: its second derivative is known to the fourth order."""
 
 
@@ -67,7 +67,7 @@ class Clamp:
         under a load of angular frequency omega."""
         from scipy.interpolate import make_interp_spline  # takes a while, for marches alone
 
-        record = make_interp_spline(time, seen, k=DEGREE)
+        record = make_interp_spline(time, seen, k=SPLINE_DEGREE)
         moved = record.derivative(2)(time) + drag * record.derivative(1)(time)
         return self._split(moved - evaluate(self.load, omega, time))
 

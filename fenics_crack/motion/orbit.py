@@ -60,9 +60,9 @@ KNOWN = 1e-6
 """How well multipliers are known: what is nearer to 1 does not judge."""
 INSTANTS = 512
 """At which the gaps of an orbit are kept."""
-NODES = 20
-"""Of Gauss's rule on an interval in which nothing turns by more than TURN."""
-TURN = 12.0
+GAUSS_NODES = 20
+"""Of Gauss's rule on an interval in which nothing turns by more than GAUSS_TURN."""
+GAUSS_TURN = 12.0
 
 
 @dataclass(frozen=True)
@@ -185,10 +185,10 @@ class PeriodicOrbit(Described):
         or closes."""
         base = self.omega / self.subharmonic
         turn = self.motion.track.lengths * (self.flow.fastest + harmonics * base)
-        parts = np.maximum(np.ceil(turn / TURN), 1).astype(int)
+        parts = np.maximum(np.ceil(turn / GAUSS_TURN), 1).astype(int)
         length = np.repeat(self.motion.track.lengths / parts, parts)
         start = np.concatenate([[0.0], np.cumsum(length)[:-1]])
-        nodes, weights = np.polynomial.legendre.leggauss(NODES)
+        nodes, weights = np.polynomial.legendre.leggauss(GAUSS_NODES)
         time = (start[:, None] + 0.5 * length[:, None] * (1.0 + nodes)).ravel()
         share = (0.5 * length[:, None] * weights).ravel() / self.period
         samples = self.samples(time)

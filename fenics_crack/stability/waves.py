@@ -39,14 +39,14 @@ from fenics_crack.numerics.fourier import resized, sampled, to_complex
 
 __all__ = ["hill_root", "monodromy"]
 
-MOST_STEPS = 2**13
+HILL_STEPS = 2**13
 """In a period."""
-SETTLED = 1e-5
+HILL_SETTLED = 1e-5
 """Change of M, relative, that is the last one."""
-TOGETHER = 2**16
+HILL_TOGETHER = 2**16
 """Numbers of the matrices that are advanced at once, as a cache holds them."""
 MAX_SECANTS = 12
-FARTHEST = 0.05
+HILL_FARTHEST = 0.05
 """From a multiplier's exponent to the root of Hill's determinant, relative to the frequency."""
 
 
@@ -75,7 +75,7 @@ def monodromy(
     count = 1 << (4 * len(gap)).bit_length()
     coarse = found = _product(modes, contact, gap, base_omega, count)
     change = whole = np.inf
-    while count < MOST_STEPS and not change <= SETTLED * whole < np.inf:
+    while count < HILL_STEPS and not change <= HILL_SETTLED * whole < np.inf:
         count *= 2
         fine = _product(modes, contact, gap, base_omega, count)
         before, found, coarse = found, fine + (fine - coarse) / 3.0, fine
@@ -98,7 +98,7 @@ def _product(
     else:
         kicks = h * smooth_forces(contact, modes.residual, values)[1]
     stretches = 1
-    while stretches**2 < count and stretches * (2 * n) ** 2 < TOGETHER:
+    while stretches**2 < count and stretches * (2 * n) ** 2 < HILL_TOGETHER:
         stretches *= 2
     along = kicks.reshape(stretches, count // stretches, *kicks.shape[1:])
     moved = transition(modes, h)[0]
@@ -164,7 +164,7 @@ def hill_root(
             vector[:] = found.conj() / np.linalg.norm(found)
 
         def bordering(exponent: complex) -> complex:
-            if not abs(exponent - start) < FARTHEST * omega:
+            if not abs(exponent - start) < HILL_FARTHEST * omega:
                 return complex(np.nan)
             bordered[:size, :size] = matrix(exponent)
             return complex(np.linalg.solve(bordered, last)[-1])

@@ -29,7 +29,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import Study, reduction_of
 
 __all__ = [
-    "SMALL",
+    "SMALL_MOTION",
     "KeyFigures",
     "damping_ratios",
     "extents",
@@ -40,7 +40,7 @@ __all__ = [
 
 N_MODES = 4
 """Modes that are computed."""
-SMALL = 0.1
+SMALL_MOTION = 0.1
 """Displacement over the shortest side up to which displacements are small."""
 
 

@@ -18,7 +18,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCES, Rotation
-from fenics_crack.study.key_figures import SMALL, KeyFigures, span_of
+from fenics_crack.study.key_figures import SMALL_MOTION, KeyFigures, span_of
 from fenics_crack.study.prepare import reduction_of
 from fenics_crack.table import RPM, TURN
 
@@ -374,7 +374,7 @@ def _response(scene: Scene, figures: KeyFigures) -> Remarks:
             f"it moves the plate by {figures.displacement:.2g} m, less than a hundredth of an atom"
         )
         yield Remark(f"excitation.{key}", force, text)
-    if figures.displacement > SMALL * min(figures.size) and figures.damping.min() > 0.0:
+    if figures.displacement > SMALL_MOTION * min(figures.size) and figures.damping.min() > 0.0:
         text = (
             f"with open lips it moves the plate by {figures.displacement:.2g} m, and the plate has "
             f"{min(figures.size):.2g} m: beyond small displacements; in N?"

@@ -17,6 +17,7 @@ from fenics_crack.arrivals.simulate import tip_timing
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
+from fenics_crack.fem.lips import SAME
 from fenics_crack.files.results import Result
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
@@ -24,9 +25,6 @@ from fenics_crack.scene.tables import TipTiming
 from fenics_crack.study.run import Run, load_run, solve
 
 __all__ = ["arrivals_of", "engine_order", "tip_direction", "vibration_in"]
-
-SAME = 1e-6
-"""Of a solid's size: what is no distance."""
 
 
 def arrivals_of(

@@ -242,7 +242,7 @@ def test_inertia_within_the_domain(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = fc.Scene.from_mapping(STRIP | force)
     found = []
     for reach in (0.8, 0.4):
-        monkeypatch.setattr(tip_integral, "REACH", reach)
+        monkeypatch.setattr(tip_integral, "DOMAIN", reach)
         study = fc.prepare(scene.replace({"reduction.modes": 40}), MPI.COMM_SELF)
         linear = fc.solve_linear(study.structure, 6e4, harmonics=1)
         found.append(tip_rows(study).of_motion(linear)[1][:, 0])
