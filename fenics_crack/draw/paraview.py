@@ -1,8 +1,8 @@
 """Files for ParaView: mode shapes and one period of the breathing crack (VTK XML).
 
 Rank 0 writes all nodes, also those of quadratic elements. Stresses follow from the gradient of the
-displacement, which VTK takes in the cells at each node and averages; the lips have nodes of their
-own, so nothing is averaged across the crack.
+displacement in the cells at each node, averaged; the lips have nodes of their own, so nothing is
+averaged across the crack.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pyvista
+from scipy.sparse import csr_matrix
 from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
 from fenics_crack.balance.solution import PeriodicSolution
@@ -191,12 +192,11 @@ def in_space(vectors: np.ndarray) -> np.ndarray:
 
 def nodal_stress(mesh: NodalMesh, displacement: np.ndarray, material: Material) -> np.ndarray:
     """Plane stresses xx, yy, xy of nodal displacements (..., n_nodes, 2) [m]: (..., n_nodes, 3)
-    [Pa]; of a solid xx, yy, zz, xy, yz, xz: (..., n_nodes, 6). Of many at once, as they are
-    components of one field."""
-    columns, grid = np.moveaxis(displacement, -2, 0), moved_grid(mesh)
-    grid["displacement"] = columns.reshape(len(columns), -1)
-    found = grid.compute_derivative("displacement", gradient="gradient")["gradient"]
-    slope = np.moveaxis(found.reshape(*columns.shape, 3), 0, -3)[..., : mesh.dimension]
+    [Pa]; of a solid xx, yy, zz, xy, yz, xz: (..., n_nodes, 6)."""
+    columns = np.moveaxis(displacement, -2, 0)
+    flat = columns.reshape(len(columns), -1)
+    slopes = [(part @ flat).reshape(columns.shape) for part in _slopes(mesh)]
+    slope = np.moveaxis(np.stack(slopes, axis=-1), 0, -3)
     nu = material.poisson
     share = nu / (1.0 - nu) if mesh.dimension == 2 else nu / (1.0 - 2.0 * nu)
     strain = 0.5 * (slope + np.swapaxes(slope, -1, -2))
@@ -204,6 +204,28 @@ def nodal_stress(mesh: NodalMesh, displacement: np.ndarray, material: Material) 
     full = material.young / (1.0 + nu) * (strain + share * volume)
     places = (map("xyz".index, name) for name in COMPONENTS[mesh.dimension])
     return np.stack([full[..., i, j] for i, j in places], axis=-1)
+
+
+def _slopes(mesh: NodalMesh) -> list[csr_matrix]:
+    """d/dx, d/dy (and d/dz) at the nodes of a nodal field, each the mean of the cells there, as
+    matrices (n_nodes, n_nodes) [1/m].
+
+    VTK differentiates the shape functions N at the nodes of its unit cell, and in a cell that x(X)
+    maps it to, dN/dx = dN/dX (dx/dX)^-1. (In the cells themselves it looks for the nodes first,
+    which fails in slim tetrahedra of ten nodes.)
+    """
+    of_cell = mesh.cells.shape[1]
+    places = np.reshape(moved_grid(mesh).GetCell(0).GetParametricCoords(), (of_cell, 3))
+    unit = pyvista.UnstructuredGrid({mesh.vtk_type: np.arange(of_cell)[None]}, places)
+    unit["shape"] = np.eye(of_cell)
+    found = unit.compute_derivative("shape", gradient="gradient")["gradient"]
+    shape = found.reshape(of_cell, of_cell, 3)[..., : mesh.dimension]  # node, function, axis
+    mapped = np.einsum("cbx,nbX->cnxX", mesh.points[mesh.cells], shape)
+    slope = np.einsum("nbX,cnXx->xcnb", shape, np.linalg.inv(mapped))
+    slope /= np.bincount(mesh.cells.ravel())[mesh.cells][..., None]
+    rows, functions = np.repeat(mesh.cells, of_cell), np.tile(mesh.cells, of_cell).ravel()
+    size = 2 * (len(mesh.points),)
+    return [csr_matrix((part.ravel(), (rows, functions)), size) for part in slope]
 
 
 def von_mises(stress: np.ndarray) -> np.ndarray:

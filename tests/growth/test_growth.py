@@ -14,19 +14,22 @@ import numpy as np
 import pytest
 from helpers import ROOT
 from mpi4py import MPI
-from scipy.integrate import quad, trapezoid
+from scipy.integrate import quad, simpson, trapezoid
 from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack.study.asked import asked_along_curve
 
 STRESS = 1e7
+SLOW = 30.0
+"""[rad/s] The strip's first resonance is at 3200, so inertia adds 1e-4; an exact orbit takes as
+long as its period has oscillations of the fastest mode."""
 STRIP: dict[str, Any] = {
     "geometry": {"width": 0.1, "height": 0.4, "thickness": 0.01},
     "crack": {"edge": "left", "height": 0.2, "length": 0.02},
     "material": {"young": 2e11, "poisson": 0.3, "density": 7800.0},
     "damping": {"ratio": 0.01, "modes": 5},
-    "excitation": {"omega": 1.0},
+    "excitation": {"omega": SLOW},
     "loads": [{"edge": "top", "traction_mean": [0.0, 3 * STRESS], "traction_sin": [0.0, STRESS]}],
     "contact": {"law": "unilateral"},
     "mesh": {"layout": "graded", "order": 2, "size": 0.02, "lip_elements": 10, "grading": 20.0},
@@ -61,7 +64,7 @@ def test_closed_integral_of_a_strip(walker: float) -> None:
     exact = quad(lambda a: 1.0 / (1e-11 * (weight * edge_crack(a)) ** 2), 0.02, 0.035)[0]
     assert found.end == "reached" and found.length[-1] == 0.035
     assert found.life == pytest.approx(exact, rel=0.01)
-    assert found.time[-1] == pytest.approx(found.life * 2.0 * np.pi, rel=1e-9)
+    assert found.time[-1] == pytest.approx(found.life * 2.0 * np.pi / SLOW, rel=1e-9)
     assert found.errors["interpolation"] < 0.01
     assert 0.0 < found.errors["vibration"] < 0.1
     assert not found.remarks
@@ -70,7 +73,7 @@ def test_closed_integral_of_a_strip(walker: float) -> None:
 def test_block_loading_of_a_strip() -> None:
     """Blocks at two slow frequencies, where K is the handbook's: the closed integral in cycles, in
     repeats, and in seconds."""
-    blocks = {"frequencies": [0.1, 0.4], "cycles": [4000.0, 500.0]}
+    blocks = {"frequencies": [2.0, 8.0], "cycles": [4000.0, 500.0]}
     keys = {"drive": "spectrum", "ratio_exponent": 0.5} | blocks
     scene = fc.Scene.from_mapping(STRIP).replace({f"growth.{k}": v for k, v in keys.items()})
     found = fc.grow(scene.replace({"mesh.lip_elements": 8}), comm=MPI.COMM_SELF)
@@ -79,7 +82,7 @@ def test_block_loading_of_a_strip() -> None:
     assert found.life == pytest.approx(exact, rel=0.015)
     assert found.repeats is not None
     assert found.repeats[-1] == pytest.approx(found.life / 4500.0, rel=1e-12)
-    lasting = found.repeats[-1] * (4000.0 / 0.1 + 500.0 / 0.4)
+    lasting = found.repeats[-1] * (4000.0 / 2.0 + 500.0 / 8.0)
     assert found.time[-1] == pytest.approx(lasting, rel=1e-9)
 
 
@@ -88,6 +91,7 @@ def test_run_up_through_the_resonance() -> None:
     is too fast for a steady vibration is told."""
     span, rate = (760.0, 880.0), 0.5
     scene = plate(drive="spectrum", run_up=(*span, rate), until=0.0352, life_tolerance=1.0)
+    scene = scene.replace({"harmonic_balance.harmonics": 10})  # of both
     found = fc.grow(scene, comm=MPI.COMM_SELF)
     keys = {"parameter": "frequency", "start": span[0], "stop": span[1], "stability": False}
     followed = scene.replace({f"curve.{key}": value for key, value in keys.items()})
@@ -155,15 +159,14 @@ def test_fixed_frequency_passes_a_maximum(driven: fc.Growth) -> None:
 
 
 def test_brute_force_agrees(driven: fc.Growth) -> None:
-    """A fresh solution at each of many lengths, and the trapezoidal rule between: 1 %."""
-    lengths = np.linspace(0.035, 0.043, 33)
+    """A fresh solution at each of many lengths, and Simpson's rule between: 1 %."""
+    lengths = np.linspace(0.035, 0.043, 17)
     rates = []
     for length in lengths:
         scene = plate().replace({"crack.length": float(length)})
         run = fc.solve(scene, MPI.COMM_SELF)
         rates.append(6.9e-12 * (fc.stress_intensity(run).effective[0] / 1e6) ** 3)
-    steps = 0.5 * np.diff(lengths) * (1.0 / np.array(rates[1:]) + 1.0 / np.array(rates[:-1]))
-    assert driven.life == pytest.approx(steps.sum(), rel=0.01)
+    assert driven.life == pytest.approx(simpson(1.0 / np.array(rates), x=lengths), rel=0.01)
 
 
 def test_resonance_that_moves() -> None:
