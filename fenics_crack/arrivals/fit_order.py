@@ -18,13 +18,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
+from itertools import product
 from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.special import fdtrc
+from scipy.special import fdtrc, ndtr
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.arrivals.fit_frequency import find_lines
@@ -75,7 +76,8 @@ def fit_order(
     20 %, the one that leaves least), and the others are reported. So are those whose columns are
     dependent at these probes, as hidden (:class:`Candidates`). The variance of a mean is that of
     the residuals and of the probe's angle; where the means are off by more (F test), it is that of
-    the means, so that harmonics left out do not pass for information.
+    the means, so that harmonics left out do not pass for information. Of these what is seen is in
+    the errors, and what may be there without being seen is told (``folded``).
 
     Parameters
     ----------
@@ -113,26 +115,31 @@ def fit_order(
     hidden = np.array([fit is None for fit in fits])
     if np.all(hidden):
         refuse(arrivals, unknowns)
-    sums = np.array([np.inf if fit is None else fit[1] for fit in fits])
+    sums = np.array([np.inf if fit is None else fit.least for fit in fits])
     lowest, misfit = means.judged(float(sums.min()), unknowns)
     alike = sums - sums.min() < ALIKE * lowest
-    sizes = np.array([np.inf if fit is None else np.linalg.norm(fit[0][1:]) for fit in fits])
+    found = [[np.inf] if fit is None else fit.coefficients[1:] for fit in fits]
+    sizes = np.array([np.linalg.norm(one) for one in found])
     small = alike & (sizes <= LARGER * sizes[alike].min())
     best = int(np.argmin(np.where(small, sums, np.inf)))
     chosen = fits[best]
     assert chosen is not None
     # That arrivals are not at the probes' angles tells aliases apart, too little to rely on.
-    wave = waves(tried[best] * means.nominal, multiples) @ chosen[0]
+    wave = waves(tried[best] * means.nominal, multiples) @ chosen.coefficients
     alike |= np.array([means.unexplained(wave, one, multiples) for one in tried]) < ALIKE * lowest
     known = lowest if np.isfinite(lowest) else np.nan
     if means.within > 0 and len(means.values) > unknowns + 1:
         # Nor do harmonics that are left out make another order less likely.
-        beside = [means.beside_others(order, multiples) for order in tried[~hidden]]
-        costs = np.full(len(tried), np.inf)
-        costs[~hidden] = [cost for *_, cost in beside]
+        beside = [
+            (np.inf, fit) if fit is None else means.beside_others(order, multiples, fit)
+            for order, fit in zip(tried, fits, strict=True)
+        ]
+        costs = np.array([cost for cost, _ in beside])
         alike |= costs - costs.min() < ALIKE
-        chosen = beside[int(np.sum(~hidden[:best]))][:3]
-        known = max(means.judged(chosen[1], unknowns)[0], 1.0)
+        chosen = beside[best][1]
+        assert chosen is not None
+        known = max(means.judged(chosen.least, unknowns)[0], 1.0)
+    chosen = replace(chosen, covariance=known * chosen.covariance)
     residuals = np.array([means.residual(order, multiples) for order in tried])
     conditions = [condition(waves(order * means.nominal, multiples)) for order in tried]
     return TipFit(
@@ -140,10 +147,11 @@ def fit_order(
         order_error=0.0,
         speed=arrivals.mean_speed,
         multiples=multiples,
-        coefficients=chosen[0],
-        covariance=known * chosen[2],
+        coefficients=chosen.coefficients,
+        covariance=chosen.covariance,
         scatter=means.scatter * float(np.sqrt(lowest if np.isfinite(lowest) else np.nan)),
         misfit=misfit,
+        folded=means.folded(tried[best], multiples, chosen),
         candidates=Candidates(tried, residuals, np.array(conditions), alike, hidden),
         spare=len(means.values) - unknowns,
         asynchronous=means.lines,
@@ -159,6 +167,28 @@ def _period(orders: np.ndarray, multiples: np.ndarray) -> int:
         allowed = f"whole numbers, or fractions that repeat within {LONGEST} revolutions"
         raise InputError("orders", orders.tolist(), f"{allowed}; fit_frequency finds others")
     return period
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Least squares at one order.
+
+    Attributes
+    ----------
+    coefficients : (2K+1,) [m]
+        a0, a1, b1, ....
+    covariance : (2K+1, 2K+1) [m^2]
+        Of the coefficients.
+    least : float
+        The sum of squares that they leave, in variances.
+    slope : (g,)
+        What a mean leaves over its error, as the tip moves meanwhile.
+    """
+
+    coefficients: np.ndarray
+    covariance: np.ndarray
+    least: float
+    slope: np.ndarray
 
 
 class _Means:
@@ -220,40 +250,9 @@ class _Means:
         self.angle = self.nominal - self.values / arrivals.tip_radius
         self._radius, self._root = arrivals.tip_radius, np.linalg.cholesky(covariance)
 
-    def beside_others(
-        self, order: float, multiples: np.ndarray
-    ) -> tuple[np.ndarray, float, np.ndarray, float]:
-        """As :meth:`fit`, beside the next harmonics, which are left out, as normal numbers of the
-        variance that makes the means most likely (restricted likelihood): so far as they are seen,
-        the errors hold what is folded from them onto the harmonics kept; and -2 log likelihood."""
-        kept, found, least = self._root, self.fit(order, multiples), np.inf
-        assert found is not None
-        plain = waves(order * self.angle, multiples)
-        volume = np.linalg.slogdet(plain.T @ plain)[1]
-        others = multiples[-1] + multiples[0] * np.arange(1.0, OTHERS + 1.0)
-        columns = waves(order * self.angle, others)[:, 1:]
-        columns = solve_triangular(kept, columns, lower=True)
-        largest = float(np.abs(found[0][1:]).max())
-        for size in largest * np.array([0.0, *2.0 ** -np.arange(8.0)]):
-            wide = size * np.linalg.norm(columns)
-            if wide > WIDEST:
-                continue
-            square = np.eye(len(columns)) + size**2 * columns @ columns.T
-            self._root = kept @ np.linalg.cholesky(square)
-            tried = self.fit(order, multiples)
-            if tried is None:
-                continue
-            logs = 2.0 * np.log(np.diag(self._root)).sum() - np.linalg.slogdet(tried[2])[1]
-            if (cost := tried[1] + logs - volume) < least:
-                found, least = tried, cost
-        self._root = kept
-        return *found, least
-
-    def fit(
-        self, order: float, multiples: np.ndarray
-    ) -> tuple[np.ndarray, float, np.ndarray] | None:
-        """Coefficients, the sum of squares that they leave, in variances, and their covariance;
-        None where the probes cannot measure this order, or the tip would move backwards."""
+    def fit(self, order: float, multiples: np.ndarray) -> _Fit | None:
+        """Least squares at an order; None where the probes cannot measure it, or the tip would
+        move backwards."""
         columns = waves(order * self.angle, multiples)
         planned = waves(order * self.nominal, multiples)
         if np.isinf(condition(planned)) or np.isinf(condition(columns)):
@@ -261,17 +260,72 @@ class _Means:
         slope = np.ones(len(columns))
         # An arrival that is late by e leaves R W e (1 + u' / R): it is elsewhere, too.
         for _ in range(2):
-            whitened, values = (
-                solve_triangular(self._root, (part.T / slope).T, lower=True)
-                for part in (columns, self.values)
-            )
+            passed, (whitened, values) = slope, self._whitened(slope, columns)
             found = np.linalg.lstsq(whitened, values, rcond=None)[0]
             turned = columns[:, 1::2] * found[2::2] - columns[:, 2::2] * found[1::2]
             slope = 1.0 + order * turned @ multiples / self._radius
             if np.any(slope <= 0.0):
                 return None
         left = values - whitened @ found
-        return found, float(left @ left), np.linalg.inv(whitened.T @ whitened)
+        covariance = np.linalg.inv(whitened.T @ whitened)
+        return _Fit(found, covariance, float(left @ left), passed)
+
+    def _whitened(self, slope: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Columns (g, m) and the means, over slopes and in standard deviations."""
+        both = np.column_stack([columns, self.values]) / slope[:, None]
+        both = solve_triangular(self._root, both, lower=True)
+        return both[:, :-1], both[:, -1]
+
+    def beside_others(self, order: float, multiples: np.ndarray, fit: _Fit) -> tuple[float, _Fit]:
+        """-2 log likelihood (restricted) and fit beside the next harmonics, which are left out, as
+        normal numbers of the variance that makes the means most likely: so far as they are seen,
+        the errors hold what is folded from them onto the harmonics kept."""
+        alike = np.repeat(self._sizes(fit)[:, None], OTHERS, axis=1)
+        costs, found, covariance, least = self._beside(order, multiples, fit, alike)
+        best = int(np.argmin(costs))
+        return float(costs[best]), _Fit(found[best], covariance[best], least[best], fit.slope)
+
+    def folded(self, order: float, multiples: np.ndarray, fit: _Fit) -> float:
+        """Probability that an amplitude is more than three of its errors off, whatever the sizes of
+        the harmonics left out, each of its own: averaged over them by how likely they make the
+        means, which hardly tell them where few are to spare. nan where errors are not known."""
+        if self.within < 1:
+            return np.nan
+        sizes = np.array(list(product(self._sizes(fit), repeat=OTHERS)))
+        costs, *others, _ = self._beside(order, multiples, fit, sizes)
+        weights = np.exp(0.5 * (costs.min() - costs))
+        middle, error = strengths(fit.coefficients, fit.covariance)
+        amplitudes, errors = strengths(*others)
+        high, low = (ndtr((middle + end * error - amplitudes) / errors) for end in (3.0, -3.0))
+        return 1.0 - float((weights @ (high - low)).min() / weights.sum())
+
+    def _sizes(self, fit: _Fit) -> np.ndarray:
+        """Deviations of the parts of a harmonic left out [m]: 0, or up to as large as the last."""
+        last = np.hypot(*fit.coefficients[-2:])
+        sizes = last * np.array([0.0, *2.0 ** -np.arange(0.5, 8.0)])
+        return np.asarray(sizes[sizes < WIDEST * np.diag(self._root).min()])
+
+    def _beside(
+        self, order: float, multiples: np.ndarray, fit: _Fit, sizes: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Fits beside the next harmonics of deviations (n, OTHERS) [m], further unknowns that are
+        known to be 0 within these: -2 log likelihoods (n,), coefficients (n, 2K+1), covariances and
+        sums of squares."""
+        unknowns = len(fit.coefficients)
+        others = multiples[-1] + multiples[0] * np.arange(1.0, OTHERS + 1.0)
+        columns = waves(order * self.angle, np.append(multiples, others))
+        volume = np.linalg.slogdet(columns[:, :unknowns].T @ columns[:, :unknowns])[1]
+        columns, values = self._whitened(fit.slope, columns)
+        units = np.ones((len(sizes), columns.shape[1]))
+        units[:, unknowns:] = np.repeat(sizes, 2, axis=1)
+        square = units[:, :, None] * (columns.T @ columns) * units[:, None, :]
+        square += np.diag(np.arange(columns.shape[1]) >= unknowns)
+        covariance = np.linalg.inv(square)
+        found = (covariance @ (units * (columns.T @ values))[..., None])[..., 0]
+        left = values - (units * found) @ columns.T
+        least = (left**2).sum(axis=1) + (found[:, unknowns:] ** 2).sum(axis=1)
+        costs = least + np.linalg.slogdet(square)[1] - volume
+        return costs, found[:, :unknowns], covariance[:, :unknowns, :unknowns], least
 
     def judged(self, least: float, unknowns: int) -> tuple[float, float]:
         """The variance in units of the one that is expected, inf where none is to spare, and the

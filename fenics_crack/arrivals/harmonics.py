@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any, NoReturn
 
 import numpy as np
+from scipy.special import ndtr
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.errors import InputError, check_count, check_number
@@ -127,6 +128,10 @@ class TipFit(Tabular):
         tested: neither the order, nor that the harmonics kept are enough.
     asynchronous : tuple of TipFit
         Vibrations of frequencies that follow no order, found beside it.
+    folded : float
+        Probability that harmonics which are left out put an amplitude more than three of its errors
+        off without being seen, were each as likely to be as large as the last one kept as 1/100 of
+        it. nan where errors are not known, and at frequencies that follow no order.
     """
 
     order: float
@@ -140,6 +145,7 @@ class TipFit(Tabular):
     candidates: Candidates
     spare: int
     asynchronous: tuple[TipFit, ...] = ()
+    folded: float = np.nan
 
     @property
     def omega(self) -> float:
@@ -173,10 +179,16 @@ class TipFit(Tabular):
         return self.misfit < MISFIT
 
     @property
+    def may_be_folded(self) -> bool:
+        """Tell whether three of the errors hold an amplitude with no more than the probability with
+        which two should: too few probes for the harmonics that are left out."""
+        return bool(self.folded > 2.0 * ndtr(-2.0))
+
+    @property
     def in_doubt(self) -> bool:
-        """Tell whether it does not fit, or has as many unknowns as there are probes, which fits
-        anything."""
-        return self.does_not_fit or self.spare < 1
+        """Tell whether it does not fit, harmonics left out may be folded, or it has as many
+        unknowns as there are probes, which fits anything."""
+        return self.does_not_fit or self.may_be_folded or self.spare < 1
 
     def ratio(self, multiple: float = 2.0) -> tuple[float, float]:
         """Amplitude at a multiple of the load's frequency relative to that at it, and its standard
@@ -243,6 +255,8 @@ class TipFit(Tabular):
         parts += [f"{m:g}x {quantity(a, 'm')} ± {quantity(e, 'm')}" for m, a, e in sizes]
         if self.does_not_fit:
             parts.append("DOES NOT FIT")
+        elif self.may_be_folded:
+            parts.append("harmonics left out may be folded")
         if self.spare < 1:
             parts.append("as many unknowns as probes")
         parts += [f"beside {line.omega:.6g} rad/s" for line in self.asynchronous]

@@ -177,6 +177,11 @@ def _account_of_fit(fit: TipFit, scene: Scene, warnings: list[str]) -> Account:
             f"the fit leaves more between the probes than their scatter: {MISSING}, probes are "
             "out of place (tip_timing.angle_deviation), or the order is not among tip_timing.orders"
         )
+    elif fit.may_be_folded and fit.spare > 0:
+        warnings.append(
+            "harmonics that are left out may be folded onto those kept by more than their errors "
+            "(tip_timing.fitted_harmonics, or more probes)"
+        )
     if fit.spare < 1:
         warnings.append(UNTESTED)
     for orders, what in (
