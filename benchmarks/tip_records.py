@@ -16,18 +16,18 @@ Columns: draws; `order` right; `declared`: wrong, and the right one among those 
 `covered`: 95 % intervals that hold the truth (first harmonic; natural frequency), which the exact
 binomial 99 % interval of the count must allow; `also`: the same of the asynchronous vibration's
 frequency, or the damping; `found`: the asynchronous vibration; `unwarned`: harmonics more than
-three standard errors off in a fit that is not said to be in doubt; `refused`: the
-fit with the order known, which these probes cannot measure (nothing else is counted then); `holds`:
-all of it: order or
-declared in 98 %, covered and also within their intervals, found in all, and unwarned no more than
-chance allows (0.27 % of the harmonics, 99 % bound).
+three standard errors off in a fit that is not said to be in doubt; `doubt`: fits that are; `error`:
+median of the first harmonic's standard error; `refused`: the fit with the order known, which these
+probes cannot measure (nothing else is counted then); `holds`: all of it: order or declared in 98 %,
+covered and also within their intervals, found in all, and unwarned no more than chance allows
+(0.27 % of the harmonics, 99 % bound).
 
     OMP_NUM_THREADS=1 python benchmarks/tip_records.py [--quick] [--seed N] [--draws N] [folder]
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -53,7 +53,8 @@ PROBES = {
 SINE, BREATHING = (1e-3,), (1e-3, 3e-4, 6e-5, 1.5e-5)
 """Amplitudes of the harmonics [m]."""
 COLUMNS = (
-    "row", "draws", "order", "declared", "covered", "also", "found", "unwarned", "refused", "holds",
+    "row", "draws", "order", "declared", "covered", "also", "found", "unwarned", "refused",
+    "doubt", "error", "holds",
 )  # fmt: skip
 
 
@@ -190,6 +191,13 @@ class Count:
     found: int = 0
     unwarned: int = 0
     refused: int = 0
+    doubt: int = 0
+    errors: list[float] = field(default_factory=list)
+
+    def numbers(self) -> list[Any]:
+        """All of them, and the median of the errors [m]."""
+        *counts, errors = vars(self).values()
+        return [*counts, np.median(errors) if errors else np.nan]
 
 
 def judge(row: Row, record: Record, count: Count) -> None:
@@ -216,6 +224,8 @@ def judge_steady(row: Row, record: Record, count: Count) -> None:
     scores = np.abs(fit.amplitudes - true) / fit.amplitude_errors
     count.covered += bool(scores[0] < 1.96)
     count.unwarned += int(np.sum(scores > 3.0)) * (not fit.in_doubt)
+    count.doubt += fit.in_doubt
+    count.errors.append(float(fit.amplitude_errors[0]))
     for line in fit.asynchronous:
         error = line.order_error * line.speed
         if abs(line.omega - record.asynchronous) < 5.0 * error:
@@ -261,7 +271,7 @@ def records(arguments: common.Arguments, *, sweeps: bool) -> None:
         rng = np.random.default_rng([arguments.seed, number])
         for _ in range(draws):
             judge(row, draw(row, rng), count)
-        table.append([row.name, draws, *vars(count).values(), holds(row, draws, count)])
+        table.append([row.name, draws, *count.numbers(), holds(row, draws, count)])
         print(*table[-1], flush=True)
     name = "passages" if sweeps else "steady"
     common.save_table(arguments.folder / f"tip_records_{name}.csv", name, COLUMNS, table)
