@@ -68,13 +68,18 @@ def test_arrivals_and_the_way_back(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 def test_what_probes_cannot_tell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The ratio of harmonics with its error; orders that fit as well, or are hidden; a misfit."""
+    """The ratio of harmonics with its error; orders that fit as well, or are hidden; a misfit;
+    harmonics that are left out, of which eight probes see one number, and twelve five."""
     noise = {"tip_timing.noise": 1e-8, "tip_timing.orders": [5, 6, 7, 8]}
     scene = written(tmp_path, noise)
     exact = ["--set", "harmonic_balance.harmonics=9"]
     assert main(["timing", scene, "--output", str(tmp_path), *exact]) == 0
+    folded = "warning: harmonics that are left out may be folded onto those kept"
+    assert folded in capsys.readouterr().err
+    exact += ["--set", f"tip_timing.probes={sorted([*PROBES, 48.0, 122.0, 171.0, 332.0])}"]
+    assert main(["timing", scene, "--output", str(tmp_path), *exact]) == 0
     told = capsys.readouterr()
-    assert "arrivals of 20 revolutions, 8 probes, 360 rad/s: " in told.err
+    assert "arrivals of 20 revolutions, 12 probes, 360 rad/s: " in told.err
     assert "second harmonic over first: 0." in told.err and "warning" not in told.err
     assert "frequency" not in told.out and "omega [rad/s]  amplitude [m]" in told.out
     few = [f"tip_timing.{key}" for key in ("fitted_harmonics=1", "probes=[0,60,120,180,240,300]")]
