@@ -408,15 +408,15 @@ class _Test:
         self._pairs = max(first.outside[2], last.outside[2])
         self.met: dict[float, PathPoint] = {}
         self.values: dict[float, float] = {}
-        self._at_ends = self._of(first), self._of(last)
+        fold = kind == KINDS[0]
+        self._at_ends = [one.tangent.p if fold else self._of(one.leading) for one in self._ends]
         self.largest = max(map(abs, self._at_ends))
 
-    def _of(self, node: Node) -> float:
-        if self._kind == KINDS[0]:
-            return node.tangent.p
+    def _of(self, leading: np.ndarray) -> float:
+        """Of leading multipliers."""
         if self._kind == KINDS[1]:
-            return float(np.prod(1.0 + node.pairs.sum(axis=1)))
-        sizes = np.abs(node.leading[node.leading.imag > 0.0])
+            return float(np.prod(1.0 + _paired(leading).sum(axis=1)))
+        sizes = np.abs(leading[leading.imag > 0.0])
         return float(sizes[self._pairs - 1]) - 1.0 if len(sizes) >= self._pairs else -1.0
 
     def __call__(self, share: float) -> float:
@@ -437,7 +437,8 @@ class _Test:
             if self._kind == KINDS[0]:  # the multipliers are no matter
                 self.values[share] = self._branch.tangent(found, found.tangent).p
             else:
-                self.values[share] = self._of(self._branch.inside(*self._ends, share, found))
+                assert isinstance(found.at, OrbitPoint)
+                self.values[share] = self._of(_multipliers(found.at.monodromy)[:LEADING])
         value = self.values[share]
         return value if abs(value) > TOLERANCE * self.largest else 0.0
 
