@@ -31,6 +31,7 @@ With a given damping matrix, or that of Rayleigh damping, the real form of twice
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -146,6 +147,8 @@ class Compliance(Protocol):
 
     Attributes
     ----------
+    shape : tuple of int
+        (2H+1, n_pairs)
     matrices : (H+1, n_pairs, n_pairs) complex [m/N]
         R_k, symmetric.
     linear_gap : (2H+1, n_pairs) [m]
@@ -156,10 +159,15 @@ class Compliance(Protocol):
         Natural frequency of the highest mode, relative to the base frequency; 0: not known.
     """
 
-    matrices: np.ndarray
-    linear_gap: np.ndarray
+    shape: tuple[int, ...]
     basis: np.ndarray | None
     highest: float
+
+    @property
+    def matrices(self) -> np.ndarray: ...
+
+    @property
+    def linear_gap(self) -> np.ndarray: ...
 
     def beyond(self, highest: int) -> np.ndarray:
         """R_k for k = H+1 to a higher harmonic, to the accuracy of an error estimate."""
@@ -221,6 +229,7 @@ class ModalCompliance:
         if self._modes.static_loads is not None:
             self._unit_static = load @ self._modes.static_loads
             self._static_gap = structure.apply_bt(self._unit_static)
+        self.shape: tuple[int, ...] = len(load), structure.n_pairs
         self._set(base_omega, 1.0, 1.0, 0.0)
 
     def _set(self, base_omega: float, load: float, damping: float, clearance: float) -> None:
@@ -230,15 +239,22 @@ class ModalCompliance:
         self._receptance = self._modes.receptance(
             base_omega * self._order, damping, self._unit_load != 0.0
         )
-        self.matrices = self._seen(self._receptance)
         self._modal_load = load * self._unit_load
-        self.linear_gap = self._gap(self._modal_load)
         self._load = load
-        self.still_gap = np.zeros_like(self.linear_gap)
+        self.still_gap = np.zeros(self.shape)
         if self._unit_static is not None:
             self.still_gap += load * self._static_gap
         self.still_gap[0] -= self._clearance + clearance
-        self.linear_gap += self.still_gap
+
+    @cached_property
+    def matrices(self) -> np.ndarray:
+        """R_k: (H+1, n_pairs, n_pairs) complex [m/N]."""
+        return self._seen(self._receptance)
+
+    @cached_property
+    def linear_gap(self) -> np.ndarray:
+        """Gap without contact, less the clearance: (2H+1, n_pairs) [m]."""
+        return self._gap(self._modal_load) + self.still_gap
 
     def at(
         self, base_omega: float, *, load: float = 1.0, damping: float = 1.0, clearance: float = 0.0
@@ -246,6 +262,8 @@ class ModalCompliance:
         """The same at another frequency, and of a varied structure (:meth:`Structure.varied`)."""
         other = object.__new__(type(self))  # faster than copy
         vars(other).update(vars(self))
+        for found in ("matrices", "linear_gap"):
+            vars(other).pop(found, None)
         other._set(base_omega, load, damping, clearance)
         return other
 
@@ -346,6 +364,7 @@ class FactoredCompliance:
         linear_gap[0] -= structure.clearance
         # Every rank goes on by itself with these: they must not differ even by rounding.
         self.matrices, self.linear_gap = structure.comm.bcast((matrices, linear_gap))
+        self.shape = self.linear_gap.shape
         if not (np.all(np.isfinite(self.matrices)) and np.all(np.isfinite(self.linear_gap))):
             self.destroy()
             raise ConvergenceError("dynamic compliance: the structure is singular")
@@ -387,6 +406,7 @@ class ResizedCompliance:
         if len(self.matrices) <= harmonics:
             self.matrices = np.concatenate([self.matrices, compliance.beyond(harmonics)])
         self.linear_gap = resized(compliance.linear_gap, harmonics)
+        self.shape = self.linear_gap.shape
         self.basis, self.highest = compliance.basis, compliance.highest
         self.beyond = compliance.beyond
         self.displacement, self.destroy = compliance.displacement, compliance.destroy

@@ -84,22 +84,27 @@ class ContactSystem:
         self, compliance: Compliance, integrals: ContactIntegrals, softness: float = 0.0
     ) -> None:
         self.compliance, self.integrals, self._softness = compliance, integrals, softness
-        self.linear = compliance.linear_gap
-        """g_lin: (2H+1, n_pairs) [m]."""
-        self.shape: tuple[int, ...] = self.linear.shape
-        self.global_size = self.linear.size
+        self.shape = compliance.shape
+        self.global_size = int(np.prod(self.shape))
         self.residual = integrals.residual
         """R_inf [m/N]; None: zero."""
-        self.moving = compliance.matrices
-        """R_k - R_inf."""
-        if self.residual is not None:
-            self.moving = self.moving - self.residual
         self.end = 0.0 if self.residual is None else 1.0
         rows, pairs = self.shape
         self.basis = compliance.basis if integrals.coupled else None
         """U, None where it is not needed."""
         size = rows * (pairs if self.basis is None else self.basis.shape[1])
         self.matrix_free = integrals.coupled and size > MATRIX_FREE
+
+    @cached_property
+    def linear(self) -> np.ndarray:
+        """g_lin: (2H+1, n_pairs) [m]."""
+        return self.compliance.linear_gap
+
+    @cached_property
+    def moving(self) -> np.ndarray:
+        """R_k - R_inf: (H+1, n_pairs, n_pairs) complex [m/N]."""
+        matrices = self.compliance.matrices
+        return matrices if self.residual is None else matrices - self.residual
 
     @property
     def in_kernel(self) -> bool:
@@ -154,6 +159,15 @@ class ContactSystem:
         """s of the coefficients of a gap and of its force, with any harmonics: (2H+1, n_pairs)."""
         gap, force = (resized(rows, self.integrals.harmonics) for rows in (gap, force))
         return gap if self.residual is None else gap + force @ self.residual
+
+    def gap(self, unknown: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """g = s - R_inf lambda, of waves or of values in time."""
+        return unknown if self.residual is None else unknown - force @ self.residual
+
+    def in_time(self, slow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Gaps and forces at instants of s there: (n, n_pairs) each."""
+        force = self.integrals.forces(slow)
+        return self.gap(slow, force), force
 
     def linearise(self, unknown: np.ndarray, parameter: float | None = None) -> ContactPoint:
         """The equations at s, of the law itself or at a parameter."""
@@ -223,19 +237,15 @@ class ContactPoint(DenseLinearisation):
         self.forces = integrals.linearise(unknown)
         self.force = self.forces.force
         """Coefficients of the contact force, (2H+1, n_pairs) [N]."""
-        self.gap = self._gap(unknown, self.force)
+        self.gap = system.gap(unknown, self.force)
         """Coefficients (2H+1, n_pairs) [m]."""
-        super().__init__(unknown, unknown - system.linear + respond(system.moving, self.force))
+        super().__init__(unknown)
 
-    def _gap(self, unknown: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """g = s - R_inf lambda, of waves or of values in time."""
-        residual = self.system.residual
-        return unknown if residual is None else unknown - force @ residual
-
-    def in_time(self, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Gaps and forces at instants of s there: (n, n_pairs) each."""
-        force = self.system.integrals.forces(gap)
-        return self._gap(gap, force), force
+    @cached_property
+    def residual(self) -> np.ndarray:  # type: ignore[override]
+        """F(s)."""
+        system = self.system
+        return self.unknown - system.linear + respond(system.moving, self.force)
 
     def assemble(self) -> np.ndarray:
         """I + (R - R_inf) T."""
@@ -274,7 +284,7 @@ class ContactPoint(DenseLinearisation):
 
     def gap_of(self, change: np.ndarray) -> np.ndarray:
         """Change of the gap that belongs to a change of s."""
-        return self._gap(change, self.force_of(change))
+        return self.system.gap(change, self.force_of(change))
 
     def force_of(self, change: np.ndarray) -> np.ndarray:
         """Change of the contact force that belongs to a change of s."""
@@ -283,4 +293,4 @@ class ContactPoint(DenseLinearisation):
     def gap_by_force(self, change: np.ndarray) -> np.ndarray:
         """Change of the gap if the contact force were changed."""
         moved = self.solve(-respond(self.system.moving, change))
-        return self._gap(self.gap_of(moved), change)
+        return self.system.gap(self.gap_of(moved), change)

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fenics_crack.balance.compliance import ModalCompliance
-from fenics_crack.balance.contact_system import ContactPoint
+from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.family import FAMILIES, Family
 from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
@@ -164,6 +164,11 @@ class _Waves(Tabular):
 
     def _linearised(self, places: np.ndarray | None = None) -> Iterator[tuple[int, ContactPoint]]:
         """The equations at all points, or some, with their numbers; not in order."""
+        for index, system in self._systems(places):
+            yield index, system.linearise(self.unknown(index))
+
+    def _systems(self, places: np.ndarray | None = None) -> Iterator[tuple[int, ContactSystem]]:
+        """The equations for all points, or some, likewise."""
         raise NotImplementedError
 
     def unknown(self, index: int) -> np.ndarray:
@@ -207,9 +212,10 @@ class _Waves(Tabular):
 
     def gaps_in_time(self, places: np.ndarray) -> np.ndarray:
         """Gaps of all pairs over the period at some points: (n, 256, n_pairs) [m]."""
-        phased = self._linearised(places)
-        found = {index: at.in_time(evaluate(at.unknown, 1.0, PHASES))[0] for index, at in phased}
-        return np.array([found[int(place)] for place in places])
+        slow = evaluate(self.unknowns[places].swapaxes(0, 1), 1.0, PHASES).swapaxes(0, 1)
+        systems = dict(self._systems(places))
+        pairs = zip(places, slow, strict=True)
+        return np.array([systems[int(place)].in_time(waves)[0] for place, waves in pairs])
 
     def amplitude(self, dof: int | None = None) -> np.ndarray:
         """Half the peak-to-peak displacement of a dof, or of the watched one, at every point: (n,)
@@ -263,7 +269,7 @@ class _Waves(Tabular):
             assert isinstance(at.system.compliance, ModalCompliance)
             waves = at.system.compliance.seen_through(rows, at.force)
             motion = evaluate(waves, 1.0, PHASES)
-            gap, force = at.in_time(evaluate(at.unknown, 1.0, PHASES))
+            gap, force = at.system.in_time(evaluate(at.unknown, 1.0, PHASES))
             if moved is not None:
                 # What answers at once follows the forces as they are, with their kinks.
                 motion -= (force - evaluate(at.force, 1.0, PHASES)) @ moved.T
@@ -468,14 +474,13 @@ class ResponseCurve(_Waves):
         """The solutions at all points."""
         return [self.solution(index) for index in range(len(self))]
 
-    def _linearised(self, places: np.ndarray | None = None) -> Iterator[tuple[int, ContactPoint]]:
-        """The equations at all points, or some, with their numbers; not in order."""
+    def _systems(self, places: np.ndarray | None = None) -> Iterator[tuple[int, ContactSystem]]:
+        """The equations for all points, or some, likewise."""
         wanted = np.arange(len(self)) if places is None else places
         for count in np.unique(self.harmonics[wanted]):
             family = self.equations(int(count))
             for index in wanted[self.harmonics[wanted] == count]:
-                system = family.system(float(self.values[index]))
-                yield int(index), system.linearise(self.unknown(index))
+                yield int(index), family.system(float(self.values[index]))
 
     def equations(self, harmonics: int) -> Family:
         """The truncated equations with so many harmonics, along the parameter: from its value at

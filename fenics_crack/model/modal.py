@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -157,7 +158,7 @@ class AllModes:
             self.inverse[slow],
         )
 
-    @property
+    @cached_property
     def inverse(self) -> np.ndarray:
         """Modal coordinates of displacements: (n_modes, n_dofs)."""
         if self.rows is not None:

@@ -76,8 +76,11 @@ class DenseLinearisation(Linearisation):
     once.
     """
 
-    def __init__(self, unknown: np.ndarray, residual: np.ndarray) -> None:
-        self.unknown, self.residual = unknown, residual
+    def __init__(self, unknown: np.ndarray, residual: np.ndarray | None = None) -> None:
+        """Without the residual where a derived class finds it when it is first needed."""
+        self.unknown = unknown
+        if residual is not None:
+            self.residual = residual
         # Not functools.cached_property, whose lock costs as much as a small product.
         self._jacobian: np.ndarray | None = None
         self._by_parameter: np.ndarray | None = None
