@@ -68,6 +68,7 @@ static int fill(closed_sets *s, closed_set *a)
         row++;
     }
     multiply_matrices(size, size, m, inverse, closed, 0.0, a->pushed);
+    if (a->stiffness) multiply_matrices(m, size, m, a->pairs, a->pushed, 0.0, a->stiffness);
     for (int i = 0; i < p; i++)
         for (int j = 0; j < i; j++) {
             double *one = a->answer + (long)i * p + j, *other = a->answer + (long)j * p + i;
@@ -78,13 +79,22 @@ static int fill(closed_sets *s, closed_set *a)
     return 0;
 }
 
+/* Whether products with P_A S P_A^T are shorter than with its factors. */
+static int has_many(const closed_sets *s, int size) { return 2 * size > s->modes; }
+
+static long numbers_of(const closed_sets *s, int size)
+{
+    const long m = s->modes, p = s->pairs;
+    return p * p + 2 * m * size + p + (has_many(s, size) ? m * m : 0);
+}
+
 /* NULL without memory. */
 static closed_set *room_for(const closed_sets *s, int size, const signed char *closed)
 {
     const long m = s->modes, p = s->pairs;
     closed_set *made = calloc(1, sizeof(closed_set) + (size_t)p);
     if (!made) return NULL;
-    made->answer = malloc(bytes(p * p + 2 * m * size + p + 1));
+    made->answer = malloc(bytes(numbers_of(s, size) + 1));
     if (!made->answer) {
         free(made);
         return NULL;
@@ -93,6 +103,7 @@ static closed_set *room_for(const closed_sets *s, int size, const signed char *c
     made->pairs = made->answer + p * p;
     made->pushed = made->pairs + m * size;
     made->scale = made->pushed + m * size;
+    made->stiffness = has_many(s, size) ? made->scale + p : NULL;
     made->closed = (signed char *)(made + 1);
     memcpy(made->closed, closed, (size_t)p);
     return made;
@@ -106,7 +117,7 @@ const closed_set *closed_set_of(closed_sets *s, const signed char *closed)
         if (!memcmp(a->closed, closed, (size_t)p)) return a;
     int size = 0;
     for (int i = 0; i < p; i++) size += closed[i];
-    const long needed = (long)p * p + 2L * s->modes * size + p;
+    const long needed = numbers_of(s, size);
     if (s->kept + needed > s->most) forget(s);
     closed_set *made = room_for(s, size, closed);
     if (!made) return NULL;

@@ -11,6 +11,7 @@ typedef struct closed_set {
     double *answer;      /* (p, p) its answer (sets.h), transposed */
     double *pairs;       /* (m, size) P_A */
     double *pushed;      /* (size, m) S P_A^T */
+    double *stiffness;   /* (m, m) P_A S P_A^T where the pairs are many, else NULL */
     double *scale;       /* (p) what turns gaps into answers: S_jj, or 1 */
     signed char *closed; /* (p) */
 } closed_set;

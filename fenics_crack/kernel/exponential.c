@@ -87,7 +87,7 @@ static void add_damped(const exponentials *e, const double *b, double *sum)
 }
 
 /* Whether K is a diagonal and the products of few rows and columns. */
-static int has_few_pairs(const exponentials *e) { return 2 * e->set->size < e->modes; }
+static int has_few_pairs(const exponentials *e) { return !e->set->stiffness; }
 
 /* found = K x. */
 static void stiffness_times(const exponentials *e, const double *x, double *found)
@@ -168,7 +168,8 @@ static double stiffness_of(exponentials *e, const closed_set *a)
     const int m = e->modes;
     double *k = e->stiffness, largest = 0.0;
     e->set = a;
-    multiply_matrices(m, a->size, m, a->pairs, a->pushed, 0.0, k);
+    if (a->stiffness) memcpy(k, a->stiffness, bytes((long)m * m));
+    else multiply_matrices(m, a->size, m, a->pairs, a->pushed, 0.0, k);
     for (int i = 0; i < m; i++) {
         double sum = 0.0;
         for (int j = 0; j < m; j++) k[(long)i * m + j] /= e->unit * e->unit;

@@ -32,6 +32,7 @@ struct flow {
     double *near, *force;            /* (p) s of a state, its forces */
     double *seen, *drag;             /* (p), (m) */
     double *turned;                  /* (LOAD, m + p) derivative of the load */
+    double *pulled;                  /* (LOAD, m) of a load, (LOAD, p) */
     signed char *closed;             /* (p) */
 };
 
@@ -85,14 +86,27 @@ static int terms_for(double x)
     return n < 2 ? 2 : n;
 }
 
+/* pulled = what a load and its gaps, through the forces of the closed pairs, drive. */
+static void pull(flow *f, const closed_set *a, const double *force, const double *gap)
+{
+    const int m = f->of.modes, p = f->of.pairs, size = a->size;
+    double *closed = f->pulled + LOAD * m;
+    for (int k = 0, at = 0; k < LOAD; k++)
+        for (int i = 0; i < p; i++)
+            if (a->closed[i]) closed[at++] = gap[k * p + i];
+    multiply_matrices(LOAD, size, m, closed, a->pushed, 0.0, f->pulled);
+    for (int j = 0; j < LOAD * m; j++) f->pulled[j] = force[j] - f->pulled[j];
+}
+
 /* Series of q of a piece, from a state; the last terms are zero. */
 WIDE static void expand(flow *f, const closed_set *a, const double *force, const double *gap,
                         double length, int terms, const double *state)
 {
-    const int m = f->of.modes, p = f->of.pairs, size = a->size;
+    const int m = f->of.modes, size = a->size;
     const double *restrict squares = f->of.squares, *restrict damping = f->of.damping;
-    const double *restrict cosine = force + m, *restrict sine = cosine + m;
+    const double *restrict cosine = f->pulled + m, *restrict sine = cosine + m;
     double *restrict seen = f->seen, *restrict drag = f->drag;
+    pull(f, a, force, gap);
     memcpy(f->series, state, bytes(m));
     for (int j = 0; j < m; j++) f->series[m + j] = length * state[m + j];
     memset(f->series + (long)terms * m, 0, bytes((long)(TERMS - terms) * m));
@@ -102,11 +116,12 @@ WIDE static void expand(flow *f, const closed_set *a, const double *force, const
         const double *w = f->weights + n * LOAD, c = w[1], s = w[2];
         const double gain = length * length / ((n + 1) * (n + 2)), loss = length / (n + 2);
         for (int j = 0; j < m; j++) next[j] = c * cosine[j] + s * sine[j] - squares[j] * now[j];
-        if (w[0] != 0.0) add_rows(1, m, force, w, next);
-        if (size) {
-            for (int i = 0, row = 0; i < p; i++)
-                if (a->closed[i])
-                    seen[row++] = w[0] * gap[i] + c * gap[p + i] + s * gap[2 * p + i];
+        if (w[0] != 0.0) add_rows(1, m, f->pulled, w, next);
+        if (a->stiffness) {
+            for (int j = 0; j < m; j++) drag[j] = -now[j];
+            add_rows(m, m, a->stiffness, drag, next);
+        } else if (size) {
+            memset(seen, 0, bytes(size));
             add_rows(m, size, a->pairs, now, seen);
             for (int i = 0; i < size; i++) seen[i] = -seen[i];
             add_rows(size, m, a->pushed, seen, next);
@@ -145,11 +160,11 @@ static void state_at(const flow *f, double length, double time, double *state)
 /* --- events ----------------------------------------------------------------------------------- */
 
 /* When an answer becomes negative in a step of the search, from its values and slopes at the ends;
- * NAN: it does not. Where several change at one instant, as in mirror images, each of the others is
+ * NAN: it does not, or not before another one. Where several change at one instant, as in mirror images, each of the others is
  * found to fall from zero in a next piece: one is changed after the other, the first of them first,
  * which ends (Murty, Opsearch 11 (1974) 90). */
-static double falls(const flow *f, int pair, double low, double high, const double *value,
-                    const double *slope)
+static double falls(const flow *f, int pair, double low, double high, double before,
+                    const double *value, const double *slope)
 {
     const int p = f->of.pairs;
     double other, bottom;
@@ -161,8 +176,14 @@ static double falls(const flow *f, int pair, double low, double high, const doub
         bottom = column_at(p, f->answers, pair, 0, high, &other);
         if (bottom >= -f->allowed[pair]) return NAN;
     }
-    if (value[0] <= f->allowed[pair]) low = fmax(low, BEHIND);
-    if (low >= high || column_at(p, f->answers, pair, 0, low, &other) <= 0.0) return low;
+    if (value[0] <= f->allowed[pair]) {
+        low = fmax(low, BEHIND);
+        if (low >= high || column_at(p, f->answers, pair, 0, low, &other) <= 0.0) return low;
+    }
+    if (before < high) {
+        if (column_at(p, f->answers, pair, 0, before, &other) > 0.0) return NAN;
+        high = before;
+    }
     return column_zero(p, f->answers, pair, 0, low, high);
 }
 
@@ -181,7 +202,9 @@ static int next_event(flow *f, double step, double end, double *when)
             int found = -1;
             for (int i = k * p; i < (k + 1) * p; i++) {
                 if (value[p + i] >= 0.0 && !(slope[i] < 0.0 && slope[p + i] > 0.0)) continue;
-                const double root = falls(f, i - k * p, at[k], at[k + 1], value + i, slope + i);
+                const double before = found >= 0 ? *when : INFINITY;
+                const double root =
+                    falls(f, i - k * p, at[k], at[k + 1], before, value + i, slope + i);
                 if (isnan(root) || (found >= 0 && root >= *when)) continue;
                 found = i - k * p;
                 *when = root;
@@ -419,7 +442,7 @@ flow *new_flow(const flow_parts *given)
 {
     const long m = given->modes, p = given->pairs, damping = given->coupled ? m * m : m;
     const long room = m + damping + 2 * p * m + TERMS * (LOAD + m + 2 * p) + 2 * (BLOCK + 1) * p
-                      + 4 * p + m + LOAD * (m + p);
+                      + 4 * p + m + 2 * LOAD * (m + p);
     flow *f = calloc(1, sizeof(flow));
     if (!f) return NULL;
     f->of = *given;
@@ -449,6 +472,7 @@ flow *new_flow(const flow_parts *given)
     f->seen = taken(&place, p);
     f->drag = taken(&place, m);
     f->turned = taken(&place, LOAD * (m + p));
+    f->pulled = taken(&place, LOAD * (m + p));
     f->known = new_closed_sets((int)m, (int)p, f->of.rows, f->contact, given->most);
     if (f->known) return f;
     free_flow(f);
