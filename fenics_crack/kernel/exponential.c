@@ -24,7 +24,7 @@ struct exponentials {
     double *damping;   /* (m) or (m, m) C */
     const closed_set *set;
     double *stiffness; /* (m, m) K */
-    double *through; /* (m / 2, m) what passes the pairs of a set with few */
+    double *through; /* (m, m) what passes the pairs of a set with few; H */
     double *terms;     /* (3, m, m) of b's series */
     double *upper;     /* (2, m, m) D + b C and -b K */
     double *right;     /* (2, m, m) b and D */
@@ -180,11 +180,33 @@ static double stiffness_of(exponentials *e, const closed_set *a)
     return largest;
 }
 
+/* doubled = [b; D] of twice the time, of right = [b; D]: b and D are symmetric, so that
+ * (D + b C) b + b D is H b and its transpose, H = D + b C / 2. */
+WIDE static void double_series(exponentials *e, const double *right, double *doubled)
+{
+    const int m = e->modes;
+    const long square = (long)m * m;
+    const double *d = right + square;
+    for (long i = 0; i < square; i++) {
+        e->through[i] = 0.5 * (d[i] + e->upper[i]);
+        doubled[square + i] = 2.0 * d[i];
+    }
+    multiply_matrices(m, m, m, e->through, right, 0.0, doubled);
+    for (long i = 0; i < m; i++)
+        for (long j = 0; j <= i; j++) {
+            double *one = doubled + i * m + j, *other = doubled + j * m + i;
+            const double sum = *one + *other;
+            *one = 2.0 * right[i * m + j] + sum;
+            *other = 2.0 * right[j * m + i] + sum;
+        }
+    multiply_matrices(m, m, m, e->upper + square, right, 1.0, doubled + square);
+    multiply_matrices(m, m, m, d, d, 1.0, doubled + square);
+}
+
 /* change = F of an interval. */
 static void exponential_of(exponentials *e, const closed_set *a, double length)
 {
     const int m = e->modes;
-    const long square = (long)m * m;
     /* No set is faster than the unit. */
     const double rate = e->rate + fmin(1.0, sqrt(stiffness_of(e, a)));
     double time = e->unit * length;
@@ -194,9 +216,7 @@ static void exponential_of(exponentials *e, const closed_set *a, double length)
     complete(e);
     for (; halved; halved--) {
         double *right = e->right, *doubled = e->other;
-        for (long i = 0; i < 2 * square; i++) doubled[i] = 2.0 * right[i];
-        multiply_matrices(2 * m, m, m, e->upper, right, 1.0, doubled);
-        multiply_matrices(2 * m, m, m, right, right + square, 1.0, doubled);
+        double_series(e, right, doubled);
         e->right = doubled;
         e->other = right;
         complete(e);
