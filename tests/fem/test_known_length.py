@@ -3,49 +3,63 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import gmsh
 import pytest
 from helpers import DEMOS
 from mpi4py import MPI
 
-from fenics_crack import Scene, Structure
-from fenics_crack.fem import build
+import fenics_crack as fc
 
 
 @pytest.fixture
-def scene(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Scene:
-    monkeypatch.setattr(build, "cache_folder", lambda: tmp_path / "cache")
+def scene(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> fc.Scene:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     coarse = {"mesh.size": 0.03, "mesh.lip_elements": 3, "mesh.order": 1}
-    return Scene.load(DEMOS / "breathing_plate.toml").replace(coarse)
+    return fc.Scene.load(DEMOS / "breathing_plate.toml").replace(coarse)
 
 
-def test_a_kept_length_is_found_with_one_plate(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    first = build.find_crack_length(scene, MPI.COMM_SELF)
-    assemble, tried = build.assemble, list[float | None]()
+@pytest.fixture
+def meshes(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """One for each time that gmsh makes a mesh."""
+    made, generate = list[Any](), gmsh.model.mesh.generate
 
-    def counted(given: Scene, comm: MPI.Comm) -> Structure:
-        tried.append(given.crack.length if given.crack else None)
-        return assemble(given, comm)
+    def counted(dimension: int) -> None:
+        made.append(dimension)
+        generate(dimension)
 
-    monkeypatch.setattr(build, "assemble", counted)
-    assert build.find_crack_length(scene, MPI.COMM_SELF) == first
-    assert tried == [first]
+    monkeypatch.setattr(gmsh.model.mesh, "generate", counted)
+    return made
+
+
+def test_a_kept_length_is_found_with_one_plate(scene: fc.Scene, meshes: list[Any]) -> None:
+    first = fc.find_crack_length(scene, MPI.COMM_SELF)
+    assert len(meshes) > 3
+    meshes.clear()
+    assert fc.find_crack_length(scene, MPI.COMM_SELF) == first
+    assert len(meshes) == 1
     # Another frequency is another length.
     other = scene.replace({"crack.first_omega": 2500.0})
-    assert build.find_crack_length(other, MPI.COMM_SELF) < first
+    assert fc.find_crack_length(other, MPI.COMM_SELF) < first
 
 
 @pytest.mark.parametrize("text", ["[0.05, 0.0]", "[0.2, 0.0]", "[1e-9, 0.0]", "{}", "no number"])
-def test_a_wrong_file_is_not_believed(scene: Scene, text: str) -> None:
-    first = build.find_crack_length(scene, MPI.COMM_SELF)
-    (file,) = build.cache_folder().iterdir()
+def test_a_wrong_file_is_not_believed(scene: fc.Scene, tmp_path: Path, text: str) -> None:
+    first = fc.find_crack_length(scene, MPI.COMM_SELF)
+    (file,) = (tmp_path / "fenics_crack").glob("length_*.json")
     file.write_text(text)
-    assert build.find_crack_length(scene, MPI.COMM_SELF) == first
+    assert fc.find_crack_length(scene, MPI.COMM_SELF) == first
 
 
-def test_where_nothing_can_be_kept(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(build, "cache_folder", lambda: Path("/dev/null/cache"))
-    build._keep_length(scene, MPI.COMM_SELF, 0.04, 0.0)
-    assert build._kept_length(scene, MPI.COMM_SELF) is None
+def test_where_nothing_can_be_kept(
+    scene: fc.Scene, meshes: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is sought each time."""
+    first = fc.find_crack_length(scene, MPI.COMM_SELF)
+    count = len(meshes)
+    monkeypatch.setenv("XDG_CACHE_HOME", "/dev/null/cache")
+    for _ in range(2):
+        meshes.clear()
+        assert fc.find_crack_length(scene, MPI.COMM_SELF) == first
+        assert len(meshes) == count
