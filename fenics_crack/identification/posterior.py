@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
@@ -139,6 +140,11 @@ class Branch:
     def log_evidence(self) -> float:
         """log of the integral of L over the prior."""
         return float(logsumexp(self.height, b=self.weight))
+
+    def values(self, x: np.ndarray) -> dict[str, Any]:
+        """All unknowns by their keys, words and numbers (d,)."""
+        model = self.likelihood.quantities.model
+        return model.fixed | dict(zip(model.keys, x.tolist(), strict=True))
 
     def at(self, x: np.ndarray) -> float:
         """log L, spread, at some values (d,) of the unknowns, between those on the grid."""

@@ -78,8 +78,7 @@ class Identification(Tabular):
     def estimate(self) -> dict[str, Any]:
         """The unknowns in the middle of where they most probably are, words too."""
         branch, x = self._at
-        model = branch.likelihood.quantities.model
-        return model.fixed | dict(zip(self.unknown, x.tolist(), strict=True))
+        return branch.values(x)
 
     @property
     def mesh(self) -> str | None:
@@ -131,12 +130,8 @@ class Identification(Tabular):
     def alternatives(self) -> list[tuple[dict[str, Any], float]]:
         """The separate cracks that explain the measurements, best first, with probabilities; more
         than one: they cannot be told apart."""
-        found = []
-        for name, x, mass in self._parts:
-            model = self.posterior.branches[name].likelihood.quantities.model
-            values = model.fixed | dict(zip(self.unknown, x.tolist(), strict=True))
-            found.append((values, mass))
-        return found
+        branches = self.posterior.branches
+        return [(branches[name].values(x), mass) for name, x, mass in self._parts]
 
     def contains(self, values: Mapping[str, Any], share: float = SHARE) -> bool:
         """Tell whether given values of all unknowns are in the region that holds a share of

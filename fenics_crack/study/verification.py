@@ -224,9 +224,6 @@ class Verification(Tabular):
     def _error(self, name: str, error: float) -> dict[str, float]:
         return {"uncertainty": error, "relative": self.relative(name, error)}
 
-    def _units(self) -> dict[str, str]:
-        return {}
-
     def _title(self) -> str:
         return self.statement[0]
 
