@@ -29,6 +29,8 @@ differences.
                  tolerance), or below 1e-6; a verdict is the exact one; a bifurcation is there
     large        says so: an estimate above 10 %
     limited      says so: a tolerance that the given modes do not allow
+    wanders      says so: a tolerance where the exact motion does not repeat itself, nor does the
+                 judge's: from rest it is never within 3 % of where it was 1 to 8 periods before
     unconverged  says so: no solution, a tolerance not reached, a curve not finished, no branch
     too long     60 s of processor time were not enough to answer and to compare
     unconfirmed  a bifurcation that is said to be so
@@ -62,7 +64,7 @@ import fenics_crack as fc
 
 RIGHT, TOO_LARGE, LIMITED, UNCONVERGED = "right", "large", "limited", "unconverged"
 TOO_LONG, UNCONFIRMED, UNDECIDED, OPEN = "too long", "unconfirmed", "undecided", "open"
-WRONG = "WRONG"
+WRONG, WANDERS = "WRONG", "wanders"
 NO_VERDICT = "no verdict"
 ROUNDING = 1e-6
 """Differences that count as none."""
@@ -82,6 +84,9 @@ fold there are two."""
 NEAR = 1e-5
 """Distance of an answer from its stable orbit up to which the motion that begins with it need not
 be followed."""
+WANDERED, APART, LATER = 60, 0.03, 8
+"""Periods after which a motion is followed for as many more, how near to where it was up to so many
+before it does not come if it wanders."""
 SECONDS = 60.0
 """Of processor time that a case may take."""
 PERIODS = {4: 100, 200: 20}
@@ -192,6 +197,24 @@ def leaves(case: Case, found: fc.PeriodicSolution, orbit: Orbit) -> bool:
     return last > max(3.0 * allowed, 1e-4)
 
 
+def wanders(case: Case, found: fc.PeriodicSolution) -> bool:
+    """Whether the exact motion from rest does not repeat itself in the long run."""
+    flow = case.flow(found.structure)
+    state = flow.settled(
+        np.zeros(2 * len(flow.system.squares)), found.omega, found.period, WANDERED
+    )
+    passed = [state]
+    for _ in range(WANDERED):
+        passed.append(flow.advance(passed[-1], found.omega, 0.0, found.period).state)
+    states = np.array(passed)
+    size = float(np.linalg.norm(states, axis=1).max())
+    apart = [
+        np.linalg.norm(states[later:] - states[:-later], axis=1).min()
+        for later in range(1, LATER + 1)
+    ]
+    return bool(min(apart) > APART * size)
+
+
 def outside(orbit: Orbit) -> tuple[int, int, int]:
     """Exact multipliers outside the unit circle: real above 1, real below -1, pairs."""
     values = orbit.multipliers
@@ -219,6 +242,9 @@ def judge(
         what, found.harmonics, found.omega, estimate(found), verdict=verdict, asked=asked,
         seconds=seconds,
     )  # fmt: skip
+    if "comes back to within" in found.status and wanders(case, found):
+        row.judgement, row.remark = WANDERS, found.status
+        return row
     if not found.converged:
         row.remark = found.status
         return row
@@ -620,8 +646,8 @@ def limited(seconds: float) -> Iterator[None]:
 
 COLUMNS = (
     "family", "cases", "answers", WRONG, "true/est 5 %", "50 %", "95 %", "unknown %", "large %",
-    "undecided %", "error known %", "stable > 3 pred", "tolerances met", "limited", UNCONVERGED,
-    TOO_LONG, OPEN, UNCONFIRMED, "ms",
+    "undecided %", "error known %", "stable > 3 pred", "tolerances met", LIMITED, WANDERS,
+    UNCONVERGED, TOO_LONG, OPEN, UNCONFIRMED, "ms",
 )  # fmt: skip
 
 
@@ -668,7 +694,11 @@ def line(name: str, rows: list[dict]) -> list[object]:
     given = [row for row in rows if np.isnan(row["asked"]) and not np.isnan(row["estimate"])]
     judged = [row for row in given if row["verdict"] not in ("-", NO_VERDICT)]
     undecided = [row for row in judged if row["verdict"] == "undecided"]
-    wanted = [row for row in rows if not np.isnan(row["asked"]) and row["judgement"] != LIMITED]
+    wanted = [
+        row
+        for row in rows
+        if not np.isnan(row["asked"]) and row["judgement"] not in (LIMITED, WANDERS)
+    ]
     met = sum(row["true"] <= row["asked"] for row in wanted if row["judgement"] == RIGHT)
     stable = [row for row in rows if row["verdict"] == "stable" and row["true"] > ROUNDING]
     ratios = [
@@ -686,8 +716,9 @@ def line(name: str, rows: list[dict]) -> list[object]:
         share(len(undecided), judged),
         share(sum(row["estimate"] <= LARGE for row in undecided), judged),
         sum(row["true"] > TIMES * row["pred"] for row in stable),
-        f"{met} of {len(wanted)}", count(LIMITED, rows), count(UNCONVERGED, rows),
-        count(TOO_LONG, rows), count(OPEN, rows), count(UNCONFIRMED, rows),
+        f"{met} of {len(wanted)}", count(LIMITED, rows), count(WANDERS, rows),
+        count(UNCONVERGED, rows), count(TOO_LONG, rows), count(OPEN, rows),
+        count(UNCONFIRMED, rows),
         f"{1e3 * np.median(times):.0f}" if times else "-",
     ]  # fmt: skip
 

@@ -254,6 +254,22 @@ def test_tolerance_that_says_that_it_is_missed() -> None:
     assert judged("converged") == judged(missed + "modes", 0.1) == campaign.WRONG
 
 
+def test_motion_that_does_not_repeat_itself_says_so() -> None:
+    """9 pairs with mass, k R = 54: in 1,000 periods it comes back to within 24 % at best; nor does
+    the judge's; a motion that settles is not said to wander."""
+    case = campaign.draw(901, 20, "tolerance", "mass")
+    (row,) = campaign.findings(901, case)
+    assert row["judgement"] == campaign.WANDERS and row["estimate"] > campaign.LARGE, row
+    assert "followed for 1000 periods, the exact motion comes back" in row["remark"]
+    settles = campaign.draw(901, 50, "tolerance", "mass")
+    (found,) = campaign.tolerances(settles)
+    assert found.judgement == campaign.RIGHT
+    answer = fc.solve_harmonic_balance(
+        settles.structure, settles.omega, settles.law, tolerance=settles.tolerance
+    )
+    assert not campaign.wanders(settles, answer)
+
+
 def test_run_goes_on_and_is_added_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A case is a line; one that was not finished is asked again. Of a wrong answer, a tolerance
     that is met and a verdict far from its orbit the table says so."""

@@ -45,6 +45,7 @@ from fenics_crack.numerics.fourier import derivative, evaluate
 from fenics_crack.numerics.linearisation import DenseLinearisation
 from fenics_crack.numerics.path import Path, PathOptions, Target
 from fenics_crack.stages import begin
+from fenics_crack.table import counted
 
 __all__ = [
     "PARTS", "FlowOrbits", "Homotopy", "OrbitPoint", "orbit_next_to", "predicted",
@@ -55,9 +56,9 @@ PARTS = 32
 """Of the period, whose starts' states are corrected together."""
 SWITCHES, STEP = 100_000, 0.3
 """Openings and closings that a homotopy to an orbit may pass, a second or two; its longest step."""
-WANDERING, PASSED, SETTLING = 1000, 100, 60
-"""Periods that a motion is followed for, its nearest recurrences from which an orbit is sought, and
-the least periods, of large states."""
+WANDERING, PASSED, SETTLING, LATER = 1000, 100, 60, 8
+"""Periods that a motion is followed for, its nearest recurrences from which an orbit is sought, the
+least periods, of large states, and those after which it may be where it was."""
 FEW = 24
 """Numbers of a state up to which all those are tried; beyond, fewer, as each takes longer."""
 
@@ -371,9 +372,9 @@ def _by_homotopy(orbits: FlowOrbits) -> PeriodicOrbit | None:
 
 def recurring(
     flow: ContactFlow, omega: float, start: np.ndarray, subharmonic: int = 1
-) -> PeriodicOrbit | None:
+) -> tuple[PeriodicOrbit | None, str]:
     """An orbit that the motion from a state settles to, or passes on its way; None where none is
-    found.
+    found. And what the motion does, in words.
 
     Where no orbit attracts it the motion wanders, and passes near orbits that it leaves again, at
     times when it nearly repeats itself: from there Newton's method finds one.
@@ -392,5 +393,21 @@ def recurring(
     for place in recurrences(passed, int(np.ceil(share * PASSED))):
         orbit = find_orbit(flow, omega, orbits.state(passed[place]), subharmonic=subharmonic)
         if orbit is not None:
-            return orbit
-    return None
+            return orbit, "exact orbit, by following the motion"
+    return None, _comes_back(np.array(passed))
+
+
+def _comes_back(passed: np.ndarray) -> str:
+    """How near a motion, of states a period apart (n, 2 n_modes), came to where it had been."""
+    found = []
+    for later in range(1, min(LATER, len(passed) - 1) + 1):
+        sizes = np.linalg.norm(passed[later:], axis=1)
+        apart = np.linalg.norm(passed[later:] - passed[:-later], axis=1)
+        found.append(float(np.min(apart / np.maximum(sizes, 1e-300))))
+    if not found:
+        return "the exact motion cannot be followed for a period"
+    nearest = int(np.argmin(found))
+    return (
+        f"followed for {counted(len(passed) - 1, 'period')}, the exact motion comes back to within "
+        f"{found[nearest]:.1%} of where it was at best, after {counted(nearest + 1, 'period')}"
+    )

@@ -120,7 +120,8 @@ def _told(solver: Solver, found: PeriodicSolution, tolerance: float) -> Periodic
     missed += f"{max(helps, key=helps.__getitem__)} (H = {found.harmonics}{kept})"
     if solver.throw:
         raise ConvergenceError(
-            f"harmonic balance at {found.omega:g} rad/s: {missed}; throw = False returns it"
+            f"harmonic balance at {found.omega:g} rad/s: {missed}; {found.status}; "
+            "throw = False returns it"
         )
     return replace(found, status=f"{missed}; {found.status}")
 
@@ -137,15 +138,12 @@ def _solved(solver: Solver, tolerance: float, initial: PeriodicSolution | None) 
         if near is not None:
             few = replace(solver, problem=problem.with_harmonics(near.harmonics))
         near = _by_harmonics(few, tolerance, near or initial)
-        if not near.converged:
-            return near
-        orbit, way = near.judged.orbit, _way(near)
-    if orbit is not None:
-        return replace(_kept(solver, orbit, tolerance), status=way)
-    assert near is not None
-    tried = ", ".join(map(str, RUNGS))
-    tried = f"no exact orbit from H = {tried} nor by following the motion"
-    return replace(near, status=f"{tried}; {near.status}")
+        orbit = near.judged.orbit if near.converged else None
+        if orbit is None:
+            tried = ", ".join(map(str, RUNGS))
+            return replace(near, status=f"no exact orbit from H = {tried}; {way}; {near.status}")
+        way = _way(near)
+    return replace(_kept(solver, orbit, tolerance), status=way)
 
 
 # --- by an orbit ----------------------------------------------------------------------------------
@@ -155,7 +153,8 @@ def _sought(
     solver: Solver, flow: ContactFlow, initial: PeriodicSolution | None
 ) -> tuple[PeriodicSolution | None, PeriodicOrbit | None, str]:
     """A solution with few harmonics and the orbit next to it, where it is that solution's own;
-    where none has its own, another one, or one that the motion passes. And how it was found."""
+    where none has its own, another one, or one that the motion passes. And how it was found, or
+    what the motion does."""
     problem, start = solver.problem, np.zeros(flow.size)
     periods, omega = problem.subharmonic, problem.omega
     for few in _rungs(solver):
@@ -168,7 +167,7 @@ def _sought(
             return alone, alone.judged.orbit, _way(alone)
         start = near.judged.states[0]
     known = near if near.converged else None
-    return known, recurring(flow, omega, start, periods), "exact orbit, by following the motion"
+    return known, *recurring(flow, omega, start, periods)
 
 
 def _by_itself(solver: Solver, fewer: int) -> PeriodicSolution | None:
