@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -217,11 +218,6 @@ import fenics_crack as fc
 from test_growth import plate
 found = fc.grow(plate(), sys.argv[1])
 """
-LIFE = """
-import fenics_crack as fc
-from test_growth import plate
-print(f"{fc.grow(plate()).life!r}\\n", end="")
-"""
 
 
 def test_goes_on_where_it_was_killed(tmp_path: Path, driven: fc.Growth) -> None:
@@ -249,11 +245,15 @@ def test_goes_on_where_it_was_killed(tmp_path: Path, driven: fc.Growth) -> None:
     assert found.life == pytest.approx(driven.life, rel=1e-9)
 
 
-def test_ranks_share_the_lengths(mpirun: Any, driven: fc.Growth) -> None:
+def lives(comm: MPI.Comm) -> list[float]:
+    """The life that each rank is told (collective)."""
+    return comm.allgather(fc.grow(plate(), comm=comm).life)
+
+
+@pytest.mark.mpi
+def test_ranks_share_the_lengths(on_ranks: Callable[..., Any], driven: fc.Growth) -> None:
     """With the same result."""
-    program = f"import sys; sys.path.append({str(ROOT / 'tests' / 'growth')!r})\n{LIFE}"
-    lives = [float(line) for line in mpirun(program, 2).split()]
-    assert lives == pytest.approx([driven.life] * 2, rel=1e-9)
+    assert on_ranks(lives) == pytest.approx([driven.life] * 2, rel=1e-9)
 
 
 @pytest.mark.parametrize(

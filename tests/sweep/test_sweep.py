@@ -581,56 +581,54 @@ def test_lips_without_mass_on_two_ranks(
         assert_same(alone, SweepResult.load(path), tolerance)
 
 
+def refused_and_broken(folder: Path, refused: fc.Scene, good: fc.Scene, comm: MPI.Comm) -> Any:
+    """What each rank is told of input that cannot be used, of something unforeseen on the other
+    rank, and of a full disk (collective)."""
+    told = []
+    with pytest.raises(fc.InputError) as error:
+        run_sweep(refused, folder / "sweep.h5", comm)
+    told.append(error.value.key)
+    whole, calls = sweep_case.Cases.solve, []
+
+    def broken(*given: Any) -> Any:
+        calls.append(given)
+        if comm.rank == 1 and len(calls) > 10:  # after its first chunk
+            raise KeyError("unforeseen")
+        time.sleep(0.2 if comm.rank == 0 else 0.0)  # the other rank gets a second chunk
+        return whole(*given)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sweep_case.Cases, "solve", broken)
+        with pytest.raises(RuntimeError) as failure:
+            run_sweep(good, folder / "sweep.h5", comm)
+    told.append(str(failure.value))
+    put, written = SweepFile._put, list[str]()
+
+    def full(self: SweepFile, name: str, *given: Any) -> None:
+        written.append(name)
+        if written.count("state") > 2:  # of the first cases twice: pending, then done
+            raise OSError(errno.ENOSPC, "full")
+        put(self, name, *given)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(SweepFile, "_put", full)
+        with pytest.raises(WriteError) as unwritten:
+            run_sweep(good, folder / "full.h5", comm)
+    return comm.allgather([*told, str(unwritten.value)])
+
+
 @pytest.mark.mpi
-def test_errors_reach_every_rank(paper_scene: fc.Scene, tmp_path: Path, mpirun: Any) -> None:
-    """Input that is refused; and something unexpected on the other rank, with its traceback."""
-    path = tmp_path / "sweep.h5"
-    (tmp_path / "a.toml").write_text(swept(paper_scene, RANKS_OVER).as_toml())
-    (tmp_path / "b.toml").write_text(swept(paper_scene, RANKS_OVER, ranks=3).as_toml())
-    output = mpirun(
-        f"""
-import errno
-import sys
-import time
-import fenics_crack as fc
-from fenics_crack.sweep import case as sweep_case, result as sweep
-from mpi4py import MPI
-comm = MPI.COMM_WORLD
-try:
-    sweep.run_sweep(fc.Scene.load({str(tmp_path / "b.toml")!r}), {str(path)!r})
-except fc.InputError as error:
-    sys.stdout.write(f"refused {{error.key}}\\n")
-whole, calls = sweep_case.Cases.solve, []
-def broken(*given):
-    calls.append(given)
-    if comm.rank == 1 and len(calls) > 10:  # after its first chunk
-        raise KeyError("unforeseen")
-    time.sleep(0.2 if comm.rank == 0 else 0.0)  # the other rank gets a second chunk
-    return whole(*given)
-sweep_case.Cases.solve = broken
-try:
-    sweep.run_sweep(fc.Scene.load({str(tmp_path / "a.toml")!r}), {str(path)!r})
-except RuntimeError as error:
-    foreseen = "KeyError: 'unforeseen'" not in str(error)
-    sys.stdout.write(f"ended {{not foreseen}}\\n")
-sweep_case.Cases.solve = whole
-put, written = sweep.SweepFile._put, []
-def full(self, name, *given):
-    written.append(name)
-    if written.count("state") > 2:  # of the first cases twice: pending, then done
-        raise OSError(errno.ENOSPC, "full")
-    put(self, name, *given)
-sweep.SweepFile._put = full
-try:
-    sweep.run_sweep(fc.Scene.load({str(tmp_path / "a.toml")!r}), {str(tmp_path / "full.h5")!r})
-except fc.InputError as error:
-    sys.stdout.write(f"told {{type(error).__name__}} {{error}}\\n")
-""",
-        2,
-    )
-    assert output.count("refused sweep.ranks") == 2 and output.count("ended True") == 2
-    assert output.count("told WriteError") == 2 and output.count("(full)") == 2
-    left = SweepResult.load(path)
+def test_errors_reach_every_rank(
+    paper_scene: fc.Scene, tmp_path: Path, on_ranks: Callable[..., Any]
+) -> None:
+    """Input that is refused; something unexpected on the other rank, with its traceback; and a disk
+    that is full."""
+    scenes = (swept(paper_scene, RANKS_OVER, ranks=3), swept(paper_scene, RANKS_OVER))
+    for refused, unforeseen, unwritten in on_ranks(refused_and_broken, tmp_path, *scenes):
+        assert refused == "sweep.ranks"
+        assert "KeyError: 'unforeseen'" in unforeseen
+        assert "(full)" in unwritten
+    left = SweepResult.load(tmp_path / "sweep.h5")
     assert 0 < np.count_nonzero(left["state"]) < left["state"].size
 
 
@@ -677,7 +675,7 @@ class Run:
         deadline = time.monotonic() + 120.0
         while self.process.poll() is None and self.done() <= cases:
             assert time.monotonic() < deadline
-            time.sleep(0.01)
+            time.sleep(0.05)  # each look starts a reader
 
     def kill(self) -> None:
         """End it at once, with all of its ranks."""
