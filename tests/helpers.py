@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -18,6 +19,7 @@ import scipy.sparse as sparse
 from surroundings import DEMOS as DEMOS
 from surroundings import MPI_ENVIRONMENT as MPI_ENVIRONMENT
 from surroundings import ROOT as ROOT
+from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack.balance.compliance import dynamic_compliance
@@ -40,6 +42,19 @@ def csr(matrix: Any) -> sparse.csr_matrix:
     """A matrix of PETSc's on one rank."""
     starts, columns, values = matrix.getValuesCSR()
     return sparse.csr_matrix((values, columns, starts), matrix.size)
+
+
+def columns_of_curve(scene: fc.Scene, folder: Path) -> dict[str, np.ndarray]:
+    """The columns of numbers that the command writes of a scene's curve, by their names."""
+    (folder / "scene.toml").write_text(scene.as_toml())
+    assert main(["curve", str(folder / "scene.toml"), "--output", str(folder), "--quiet"]) == 0
+    with open(folder / "curve.csv", newline="") as file:
+        first, *rows = csv.reader(file)
+    found = {}
+    for name, column in zip(first, zip(*rows, strict=True), strict=True):
+        with suppress(ValueError):
+            found[name.partition(" [")[0]] = np.array([float(word or "nan") for word in column])
+    return found
 
 
 @contextmanager

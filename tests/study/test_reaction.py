@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import DEMOS, ROOT
+from helpers import DEMOS, ROOT, columns_of_curve
 from mpi4py import MPI
 from surroundings import main
 
@@ -187,31 +186,16 @@ def test_march_and_solution_agree() -> None:
 # --- where it is asked for ------------------------------------------------------------------------
 
 
-def printed(command: str, scene: fc.Scene, folder: Path) -> Path:
-    """What a command leaves behind, without the ending of its name."""
-    (folder / "scene.toml").write_text(scene.as_toml())
-    assert main([command, str(folder / "scene.toml"), "--output", str(folder), "--quiet"]) == 0
-    return folder / {"solve": "solution"}.get(command, command)
-
-
-def followed(scene: fc.Scene, folder: Path) -> dict[str, np.ndarray]:
-    """The reactions of every point of a curve, and the load."""
-    with open(printed("curve", scene, folder).with_suffix(".csv"), newline="") as file:
-        rows = list(csv.DictReader(file))
-    names = {f"{name} [{unit}]": name for name, unit in zip(BOTH, ("N", "N m"), strict=True)}
-    names |= {"load": "load"} if "load" in rows[0] else {}
-    return {name: np.array([float(row[key]) for row in rows]) for key, name in names.items()}
-
-
 def test_quantities_of_a_scene(tmp_path: Path) -> None:
     """Rows of a solution, columns of a curve and of a sweep over loads, with their errors."""
     scene = plate(output__quantities=("amplitude", *BOTH), curve__start=2900.0, curve__stop=3000.0,
                   curve__stability=False)  # fmt: skip
     run = solved(scene)
-    told = json.loads(printed("solve", scene, tmp_path).with_suffix(".json").read_text())
+    ends = columns_of_curve(scene, tmp_path)
+    assert main(["solve", f"{tmp_path}/scene.toml", "--output", str(tmp_path), "--quiet"]) == 0
+    told = json.loads((tmp_path / "solution.json").read_text())
     rows = {row["name"]: row["value"] for row in told if row["name"] in BOTH}
     assert rows == pytest.approx(fc.reaction(run).numbers)
-    ends = followed(scene, tmp_path)
     swept = scene.replace(
         {"sweep.over": {"excitation.force_sin": [[700.0, 300.0], [1400.0, 600.0]]}}
     )
@@ -228,7 +212,7 @@ def test_by_load_a_curve_follows_it(tmp_path: Path) -> None:
     scene = plate(output__quantities=BOTH, harmonic_balance__harmonics=5).replace(
         {f"curve.{key}": value for key, value in keys.items()}
     )
-    along = followed(scene, tmp_path)
+    along = columns_of_curve(scene, tmp_path)
     assert len(along["load"]) > 1
     for name in BOTH:
         np.testing.assert_allclose(along[name] / along[name][0], along["load"], rtol=1e-6)
