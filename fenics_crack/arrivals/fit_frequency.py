@@ -25,7 +25,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
-from fenics_crack.arrivals.harmonics import ALIKE, LARGER, Candidates, TipFit, condition, rounding
+from fenics_crack.arrivals.harmonics import AS_GOOD, LARGER, Candidates, TipFit, condition, rounding
 from fenics_crack.arrivals.robust import Noise, reweighted
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.numerics.fourier import waves
@@ -293,7 +293,7 @@ class _Sought:
 
     def _compared(self, omegas: np.ndarray) -> tuple[Candidates, float]:
         """What frequencies explain, with the weights of the best; and the one to be taken."""
-        weights, limit = self.noise.weights, ALIKE * self.noise.scale**2
+        weights, limit = self.noise.weights, AS_GOOD * self.noise.scale**2
         fits = [self._fitted(omega, weights, self._values, self._time) for omega in omegas]
         sums = np.array([weights @ left**2 for _, left, _ in fits])
         sizes = np.array([np.linalg.norm(found) for found, _, _ in fits])

@@ -30,7 +30,7 @@ from scipy.special import fdtrc, ndtr
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.arrivals.fit_frequency import find_lines
 from fenics_crack.arrivals.harmonics import (
-    ALIKE,
+    AS_GOOD,
     LARGER,
     MISFIT,
     ORDERS,
@@ -117,7 +117,7 @@ def fit_order(
         refuse(arrivals, unknowns)
     sums = np.array([np.inf if fit is None else fit.least for fit in fits])
     lowest, misfit = means.judged(float(sums.min()), unknowns)
-    alike = sums - sums.min() < ALIKE * lowest
+    alike = sums - sums.min() < AS_GOOD * lowest
     found = [[np.inf] if fit is None else fit.coefficients[1:] for fit in fits]
     sizes = np.array([np.linalg.norm(one) for one in found])
     small = alike & (sizes <= LARGER * sizes[alike].min())
@@ -126,7 +126,7 @@ def fit_order(
     assert chosen is not None
     # That arrivals are not at the probes' angles tells aliases apart, too little to rely on.
     wave = waves(tried[best] * means.nominal, multiples) @ chosen.coefficients
-    alike |= np.array([means.unexplained(wave, one, multiples) for one in tried]) < ALIKE * lowest
+    alike |= np.array([means.unexplained(wave, one, multiples) for one in tried]) < AS_GOOD * lowest
     known = lowest if np.isfinite(lowest) else np.nan
     if means.within > 0 and len(means.values) > unknowns + 1:
         # Nor do harmonics that are left out make another order less likely.
@@ -135,7 +135,7 @@ def fit_order(
             for order, fit in zip(tried, fits, strict=True)
         ]
         costs = np.array([cost for cost, _ in beside])
-        alike |= costs - costs.min() < ALIKE
+        alike |= costs - costs.min() < AS_GOOD
         chosen = beside[best][1]
         assert chosen is not None
         known = max(means.judged(chosen.least, unknowns)[0], 1.0)

@@ -18,7 +18,7 @@ from fenics_crack.numerics.fourier import waves
 from fenics_crack.table import Tabular, counted, quantity, with_frequency
 
 __all__ = [
-    "ALIKE",
+    "AS_GOOD",
     "LARGER",
     "MISFIT",
     "ORDERS",
@@ -42,7 +42,7 @@ MISFIT = 0.001
 LARGER = 1.2
 """Of orders that fit alike, those whose vibration is no larger than this times the smallest are
 told apart by what they leave."""
-ALIKE = 9.0
+AS_GOOD = 9.0
 """Two candidates fit alike if their sums of squares differ by less, in units of the variance:
 three standard deviations."""
 

@@ -33,7 +33,7 @@ from scipy.linalg import block_diag
 
 from fenics_crack.arrivals.arrival_times import FEWEST_REVOLUTIONS, ArrivalTimes
 from fenics_crack.arrivals.fit_frequency import LOWEST, find_lines
-from fenics_crack.arrivals.harmonics import ALIKE, ORDERS, UNITS, TipFit, rounding, wanted
+from fenics_crack.arrivals.harmonics import AS_GOOD, ORDERS, UNITS, TipFit, rounding, wanted
 from fenics_crack.arrivals.robust import FREEDOMS, ROBUST_ROUNDS, ROBUST_SETTLED, SEEN, reweighted
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.table import RPM, TURN, Tabular, quantity
@@ -348,7 +348,7 @@ class PassageFit(Tabular):
     @property
     def ambiguous(self) -> tuple[float, ...]:
         """Other orders that explain the arrivals as well: within three standard deviations."""
-        alike = (self.margins < ALIKE) & (self.orders != self.order)
+        alike = (self.margins < AS_GOOD) & (self.orders != self.order)
         return tuple(self.orders[alike].tolist())
 
     @property

@@ -21,10 +21,10 @@ from fenics_crack.kernel import Struct, doubles, kernel, owned, shaped
 from fenics_crack.numerics.equations import Equations
 from fenics_crack.numerics.linearisation import Linearisation
 
-__all__ = ["SHARP", "CompiledEquations", "ModalPart"]
+__all__ = ["SHARPLY", "CompiledEquations", "ModalPart"]
 
 
-SHARP = 1e-9
+SHARPLY = 1e-9
 """Relative residual of a solution with J that takes products."""
 
 
@@ -173,7 +173,7 @@ class CompiledPoint(Linearisation):
         if found.size != self.unknown.size:
             raise ValueError(f"{found.size} numbers instead of {self.unknown.size}")
         at = self.system.evaluated(self)
-        at.sharp = SHARP
+        at.sharp = SHARPLY
         at.solve(at, doubles(found))
         return found
 

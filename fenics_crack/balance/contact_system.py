@@ -38,7 +38,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.balance.compiled import SHARP, CompiledEquations, ModalPart
+from fenics_crack.balance.compiled import SHARPLY, CompiledEquations, ModalPart
 from fenics_crack.balance.compliance import Compliance, ResizedCompliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, LowRank, respond
 from fenics_crack.balance.wave import Wave
@@ -265,7 +265,7 @@ class ContactPoint(DenseLinearisation):
     def solve(self, right: np.ndarray) -> np.ndarray:
         system = self.system
         if system.matrix_free:
-            return gmres(self.apply, right, SHARP)
+            return gmres(self.apply, right, SHARPLY)
         factors = self._factors
         if system.basis is not None:
             drive = respond(system.moving, self.forces.apply(right)) @ system.basis

@@ -41,7 +41,7 @@ from fenics_crack.balance.contact_integrals import (
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.balance.judgement import CLOSE, STILL, UNKNOWN, Judgement, more_modes
-from fenics_crack.balance.problem import NEARLY, Problem
+from fenics_crack.balance.problem import NEARLY_SOLVED, Problem
 from fenics_crack.model.contact import UnilateralPenalty, is_piecewise_linear, is_rigid
 from fenics_crack.model.coupled import is_regular
 from fenics_crack.model.modal import all_modes
@@ -285,7 +285,7 @@ def _improvement(
         step = step + again
         return _Change(first.gap_of(step), first.force_of(step)[:rows], better)
     size = max(float(np.linalg.norm(start)), 1e-300)
-    sharp = NEARLY * float(np.linalg.norm(known - first.residual)) / size
+    sharp = NEARLY_SOLVED * float(np.linalg.norm(known - first.residual)) / size
     found = solve_near(system, start, system.end, tolerance=sharp)
     point = first if found is None else system.linearise(found.unknown)
     gap, force = point.gap - first.gap, (point.force - first.force)[:rows]

@@ -31,11 +31,11 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.bordered import PathPoint, point_on_path, solve_at, solve_near
 from fenics_crack.numerics.path import Path, PathOptions, Target
 
-__all__ = ["NARROW", "NEARLY", "Problem"]
+__all__ = ["NARROW", "NEARLY_SOLVED", "Problem"]
 
 BEYOND = 2.0
 """Modes above so many times the highest harmonic answer at once."""
-NEARLY = 1e-5
+NEARLY_SOLVED = 1e-5
 """|F| / |x| of a solution with which another one begins, or by which it is judged."""
 NARROW = PathOptions(0.1, 0.3, min_cosine=0.5)
 """For paths whose parameter runs from 0 to 1."""
@@ -189,7 +189,7 @@ class Problem:
             start = system.unknown(wave, self.subharmonic // wave.subharmonic)
             # Where J is not formed, steps that lead nowhere take long.
             steps = solve_at if system.matrix_free else solve_near
-            found = steps(system, start, system.end, tolerance=NEARLY)
+            found = steps(system, start, system.end, tolerance=NEARLY_SOLVED)
             found = found or _end_of_path(system, start)
             return None if found is None else self.wave(system.linearise(found.unknown))
         except (ConvergenceError, np.linalg.LinAlgError):
@@ -225,5 +225,5 @@ def _end_of_path(system: ContactSystem, start: np.ndarray) -> PathPoint | None:
     missed = system.linearise(start).residual
     along = system.compile(system.linear + missed, system.moving, linear_rate=-missed)
     most = ON_PATH // system.global_size
-    options = replace(NARROW, max_steps=most, at_once=most, rtol=NEARLY, span=(0.0, 2.0))
+    options = replace(NARROW, max_steps=most, at_once=most, rtol=NEARLY_SOLVED, span=(0.0, 2.0))
     return Path(along, point_on_path(along, start, 0.0), options, [Target(1.0)]).run()

@@ -33,7 +33,7 @@ import numpy as np
 from fenics_crack.balance.compliance import Compliance
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.orbits import orbit_next_to, wave_states
-from fenics_crack.balance.problem import NARROW, NEARLY, Problem
+from fenics_crack.balance.problem import NARROW, NEARLY_SOLVED, Problem
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.kernel import kernel
 from fenics_crack.model.contact import ContactLaw
@@ -251,7 +251,7 @@ class Search:
     ) -> ContactPoint | None:
         """Where full steps lead from one of some guesses; None where they do not arrive."""
         for guess in guesses:
-            tolerance = max(self.tolerance, NEARLY)
+            tolerance = max(self.tolerance, NEARLY_SOLVED)
             point = solve_at(system, guess, parameter, tolerance=tolerance)
             self.iterations += FULL_STEPS if point is None else point.iterations
             if point is not None:
