@@ -34,28 +34,32 @@ WIDE void add_rows(int count, int n, const double *restrict rows, const double *
         for (int i = 0; i < n; i++) sum[i] += weights[k] * rows[i];
 }
 
+/* Of `count` functions at once, as many as a processor finishes while it waits for the first. */
+static inline __attribute__((always_inline)) void
+some_at(int count, int n, const double *restrict row, double time, double *restrict value,
+        double *restrict slope)
+{
+    double v[4 * BLOCK] = {0.0}, d[4 * BLOCK] = {0.0};
+    row += (long)ORDER * n;
+    for (int k = ORDER; k >= 0; k--, row -= n)
+        for (int i = 0; i < count; i++) {
+            d[i] = d[i] * time + v[i];
+            v[i] = v[i] * time + row[i];
+        }
+    memcpy(value, v, (size_t)count * sizeof(double));
+    memcpy(slope, d, (size_t)count * sizeof(double));
+}
+
 WIDE void series_at(int n, const double *restrict terms, double time, double *restrict value,
                     double *restrict slope)
 {
-    for (int first = 0; first < n; first += BLOCK) {
-        const int count = n - first < BLOCK ? n - first : BLOCK;
-        double v[BLOCK] = {0.0}, d[BLOCK] = {0.0};
-        const double *row = terms + (long)ORDER * n + first;
-        if (count == BLOCK)
-            for (int k = ORDER; k >= 0; k--, row -= n)
-                for (int i = 0; i < BLOCK; i++) {
-                    d[i] = d[i] * time + v[i];
-                    v[i] = v[i] * time + row[i];
-                }
-        else
-            for (int k = ORDER; k >= 0; k--, row -= n)
-                for (int i = 0; i < count; i++) {
-                    d[i] = d[i] * time + v[i];
-                    v[i] = v[i] * time + row[i];
-                }
-        memcpy(value + first, v, (size_t)count * sizeof(double));
-        memcpy(slope + first, d, (size_t)count * sizeof(double));
-    }
+    int i = 0;
+    for (; i + 4 * BLOCK <= n; i += 4 * BLOCK)
+        some_at(4 * BLOCK, n, terms + i, time, value + i, slope + i);
+    for (; i + 2 * BLOCK <= n; i += 2 * BLOCK)
+        some_at(2 * BLOCK, n, terms + i, time, value + i, slope + i);
+    for (; i + BLOCK <= n; i += BLOCK) some_at(BLOCK, n, terms + i, time, value + i, slope + i);
+    if (i < n) some_at(n - i, n, terms + i, time, value + i, slope + i);
 }
 
 WIDE void series_at_times(int n, const double *restrict terms, const double *restrict times,
