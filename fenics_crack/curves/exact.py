@@ -25,7 +25,6 @@ from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.orbit_branch import (
     ALIKE,
     EVERY,
-    KINDS,
     TOLERANCE,
     Crossing,
     Node,
@@ -141,7 +140,9 @@ class _Judge:
         for node, place, wave in zip(nodes, map(int, places), waves, strict=True):
             gap = self.system.gap(node.unknown, node.parameter, len(wave))
             off = relative(gap - wave, gap + self._curve.structure.clearance)
-            self._own[node.place] = off <= NO_DOUBT or self._is_own(node, place, off)
+            self._own[node.place] = off <= NO_DOUBT or (
+                not self.branch.is_broken(node) and self._is_own(node, place, off)
+            )
 
     def _is_own(self, node: Node, place: int, off: float) -> bool:
         """Whether a solution is judged by a node's orbit."""
@@ -163,8 +164,8 @@ class _Judge:
         """Leading multiplier of each point; nan where no orbit is its own. Where orbits at its
         value of the parameter lie on both sides of a fold it is that of the nearest one, if its
         gaps are clearly nearer, too; where several motions are as near, none is near enough, or
-        none tells, it is that of the orbit next to it. Points that are judged by no node, as next
-        to a missing part of the branch, are judged as single solutions."""
+        none tells, it is that of the orbit next to it. Points that are judged by no node are judged
+        as single solutions."""
         found = np.full(len(self._curve), np.nan + 0j)
         accepted, expected = self._accepted()
         parts: dict[int, list[tuple[_Part, complex]]] = {}
@@ -188,25 +189,15 @@ class _Judge:
                 found[place] = self._of_nearest(place, several, expected[place])
         for place in map(int, np.flatnonzero(accepted & np.isnan(found))):
             found[place] = self._alone(place)
-        if any(self._own.values()):  # else searches that lead nowhere take long
-            self._singly(found, np.flatnonzero(~self._accepted()[0]))
+        self._singly(found, np.flatnonzero(np.isnan(found)))
         return found
-
-    @property
-    def _missing(self) -> np.ndarray:
-        """Whether a point lies next to a fold that is not located, where part of the branch is
-        missing: (n,) bool."""
-        places, missing = np.arange(len(self._curve)), np.zeros(len(self._curve), dtype=bool)
-        for one in self.branch.nodes:
-            if one.crossing and one.crossing.kind == KINDS[0] and not one.crossing.located:
-                missing |= np.abs(places - one.place) <= EVERY
-        return missing
 
     def _singly(self, found: np.ndarray, places: np.ndarray) -> None:
         """Judge points whose orbits nodes do not tell one by one, as single solutions are: some,
-        and from each that is decided on to the next that is not."""
+        those next to others, and from each that is decided on to the next that is not."""
         left = set(map(int, places))
         asked = [int(place) for place in places[:: 1 + len(places) // EVERY]]
+        asked += [place for place in left if not {place - 1, place + 1} <= left]
         while asked:
             place = asked.pop()
             if place in left:
@@ -268,8 +259,7 @@ class _Judge:
         away = BELIEVED * np.array([self._away[place] for place in self._anchors])
         before = np.clip(np.searchsorted(self._anchors, places, "right") - 1, 0, None)
         after = np.clip(np.searchsorted(self._anchors, places), None, len(own) - 1)
-        known = own[before] & own[after] & ~self._missing
-        return known, np.maximum(away[before], away[after])
+        return own[before] & own[after], np.maximum(away[before], away[after])
 
 
 def _budget(curve: ResponseCurve, flow: ContactFlow) -> Budget:

@@ -17,6 +17,10 @@ A segment between two nodes is halved, by the orbit next to Hermite's cubic thro
 - once at either end of the curve, where nothing comes from beyond;
 - where several of r, d and c change, or one by more than 1, until each changes by itself.
 
+Along a smooth branch (-1)^r t_p keeps its sign (det F_x has that of (-1)^r). Where it does not, there
+is a branch point, or the nodes are of different branches: those beyond a fold of the curve may be
+the orbits before it once more.
+
 Then a fold (or a branch point) lies on a segment where r changes, a period doubling where d does, a
 Neimark-Sacker point where c does. It is found by Brent's method on
 
@@ -226,7 +230,19 @@ class OrbitBranch:
     @property
     def linked(self) -> np.ndarray:
         """Whether a smooth branch leads from each node to the next: (n - 1,) bool."""
-        return _straight(self.nodes) if len(self.nodes) > 1 else np.zeros(0, dtype=bool)
+        nodes = self.nodes
+        return _straight(nodes) & ~_broken(nodes) if len(nodes) > 1 else np.zeros(0, dtype=bool)
+
+    def is_broken(self, node: Node) -> bool:
+        """Whether the nodes next to a node with its r end where the branch is broken: its orbit may
+        be that of another part of the curve."""
+        numbers = np.array([one.outside[0] for one in self.nodes])
+        stretch = np.append(0, np.cumsum(np.diff(numbers) != 0))
+        place = int(np.searchsorted([one.place for one in self.nodes], node.place))
+        beside = np.arange(max(0, place - 1), min(place + 1, len(stretch)))
+        own = stretch[beside[numbers[beside] == node.outside[0]]]
+        ends = np.flatnonzero(_broken(self.nodes))
+        return bool(np.isin(own, stretch[[*ends, *ends + 1]]).any())
 
     def _middle(self, ends: tuple[Node, Node], linked: bool) -> Node | None:
         """A node between two others; None where none is found."""
@@ -485,6 +501,12 @@ def _straight(nodes: list[Node]) -> np.ndarray:
         along = weights * np.sum(way * changes, axis=1) + slope * rises
         cosines.append(along / np.sqrt(weights * np.sum(way**2, axis=1) + slope**2))
     return np.asarray((lengths <= 1e-12) | (np.minimum(*cosines) > STRAIGHT * lengths))
+
+
+def _broken(nodes: list[Node]) -> np.ndarray:
+    """Whether (-1)^r t_p changes its sign from each node to the next: (n - 1,) bool."""
+    slopes = [0.0 if one.crossing else (-1.0) ** one.outside[0] * one.tangent.p for one in nodes]
+    return np.asarray(np.array(slopes[:-1]) * slopes[1:] < 0.0)
 
 
 def cubic(first: Node, last: Node, share: float) -> tuple[np.ndarray, float]:
