@@ -138,7 +138,7 @@ def test_stiff_curve_calls_no_orbit_what_it_is_not() -> None:
     curve = fc.continue_frequency(
         structure, 0.3, 0.6, law, harmonics=10, stability=True, throw=False, most_points=600
     )
-    assert np.mean(curve.verdicts == "undecided") > 0.9
+    assert np.mean(curve.verdicts == "undecided") > 0.5
     decided = np.flatnonzero(curve.verdicts != "undecided")
     assert len(decided) > 5
     for place in decided[::2]:
