@@ -33,6 +33,7 @@ from fenics_crack.motion.orbit import (
     CLOSED,
     FORMED,
     INSTANTS,
+    KNOWN,
     PeriodicOrbit,
     Prediction,
     eigenvalues,
@@ -392,7 +393,8 @@ def recurring(
         pass
     for place in recurrences(passed, int(np.ceil(share * PASSED))):
         orbit = find_orbit(flow, omega, orbits.state(passed[place]), subharmonic=subharmonic)
-        if orbit is not None:
+        # Where M is huge a step may be short and the motion does not close.
+        if orbit is not None and orbit.residual <= KNOWN:
             return orbit, "exact orbit, by following the motion"
     return None, _comes_back(np.array(passed))
 
