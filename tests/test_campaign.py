@@ -194,13 +194,13 @@ def test_points_next_to_a_missing_part_of_the_branch_are_judged_by_their_own_orb
     assert row.judgement == campaign.RIGHT and row.exact == pytest.approx(1.444, abs=1e-3)
 
 
-def test_point_next_to_a_fold_has_no_verdict_of_one_of_two_orbits() -> None:
+def test_point_next_to_a_fold_has_the_verdict_of_the_nearest_orbit() -> None:
     """A plate: called stable by the orbit on its own side, 11 % away; the one behind the fold is
     unstable, and 8 %."""
     rows = campaign.findings(71, campaign.draw(71, 555, family="plate"))
     verdicts = [row["verdict"] for row in rows if row["what"] == "point"]
     assert campaign.WRONG not in {row["judgement"] for row in rows}
-    assert verdicts == ["stable", "stable", "undecided", "stable", "stable"]
+    assert verdicts == ["stable", "stable", "unstable", "stable", "stable"]
 
 
 def test_curve_from_between_its_ends() -> None:
