@@ -283,7 +283,10 @@ def _between(first: Node, last: Node, shares: np.ndarray) -> np.ndarray:
     largest = [float(one.moduli[0]) for one in sides]
     if len({size > 1.0 for size in largest}) != 1 or min(abs(s - 1.0) for s in largest) <= KNOWN:
         return np.full(len(shares), np.nan + 0j)
-    moduli = blended(first, last, shares)[0]
+    kinds = {np.sign(one.leading[0].real) * (one.leading[0].imag == 0.0) for one in (first, last)}
+    moduli = (1.0 - shares) * first.moduli[0] + shares * last.moduli[0]
+    if len(kinds) > 1:  # perhaps a pair becomes real
+        moduli = blended(first, last, shares)[0]
     limit = 1.0 + 2.0 * KNOWN if largest[0] > 1.0 else 1.0 - 2.0 * KNOWN
     moduli = np.maximum(moduli, limit) if limit > 1.0 else np.minimum(moduli, limit)
     ends = np.array([one.leading[0] for one in (sides[0], sides[-1])])

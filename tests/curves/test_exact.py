@@ -212,6 +212,15 @@ def test_many_pairs_with_mass() -> None:
         assert abs(curve.multipliers[place]) == pytest.approx(size, rel=1e-2)
 
 
+def test_multipliers_between_nodes(soft_plate: fc.Structure) -> None:
+    """One real multiplier leads all along, while others meet and part: once it said 1.000002 at
+    three points where it is 1.09."""
+    law = fc.UnilateralPenalty(1e9)
+    curve = fc.continue_frequency(soft_plate, 6340.0, 6410.0, law, harmonics=20, stability=True)
+    alone = [abs(fc.floquet(soft_plate, one).multipliers[0]) for one in curve.solutions]
+    assert max(alone) > 1.1 and np.abs(curve.multipliers) == pytest.approx(alone, rel=3e-3)
+
+
 def test_motions_that_take_too_long(monkeypatch: pytest.MonkeyPatch) -> None:
     """Undecided at all points, which say so, and nothing is sought; the curve's own bifurcations
     stay."""
