@@ -17,9 +17,9 @@ A segment between two nodes is halved, by the orbit next to Hermite's cubic thro
 - once at either end of the curve, where nothing comes from beyond;
 - where several of r, d and c change, or one by more than 1, until each changes by itself.
 
-Along a smooth branch (-1)^r t_p keeps its sign (det F_x has that of (-1)^r). Where it does not, there
-is a branch point, or the nodes are of different branches: those beyond a fold of the curve may be
-the orbits before it once more.
+Along a smooth branch (-1)^r t_p keeps its sign (det F_x has that of (-1)^r). Where it does not,
+there is a branch point, or the nodes are of different branches: those beyond a fold of the curve
+may be the orbits before it once more.
 
 Then a fold (or a branch point) lies on a segment where r changes, a period doubling where d does, a
 Neimark-Sacker point where c does. It is found by Brent's method on
