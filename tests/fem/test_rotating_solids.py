@@ -20,7 +20,7 @@ SIDE, LENGTH, YOUNG, DENSITY = 0.01, 0.2, 2.1e11, 7850.0
 BAR: dict[str, Any] = {
     "geometry": {"kind": "solid", "width": SIDE, "height": LENGTH, "thickness": SIDE},
     "material": {"young": YOUNG, "poisson": 0.0, "density": DENSITY},
-    "damping": {"ratio": 0.01},
+    "damping": {"ratio": 0.01, "modes": 4},
     "excitation": {"omega": 100.0},
     "mesh": {"layout": "graded", "order": 2, "size": SIDE, "error": False},
 }
