@@ -40,7 +40,10 @@ NEARLY_SOLVED = 1e-5
 NARROW = PathOptions(0.1, 0.3, min_cosine=0.5)
 """For paths whose parameter runs from 0 to 1."""
 ON_PATH = 15_000
-"""Unknowns of all points together of a path to more harmonics: 0.1 s."""
+"""Unknowns of all points together of a path to more harmonics: 0.1 s where these are few."""
+FEWEST_ON_PATH = 15
+"""Points that such a path has to be allowed: with 1,500 unknowns each takes seconds, and ten lead
+nowhere."""
 STIFF = 100.0
 """k R_inf from which a penalty on lips with mass is seen through R_inf."""
 
@@ -220,10 +223,10 @@ class Problem:
 def _end_of_path(system: ContactSystem, start: np.ndarray) -> PathPoint | None:
     """Where the path F(s) = (1 - p) F(s_0) from a start has its end; None where it has none, or
     that takes long."""
-    if system.by_rank:
+    most = ON_PATH // system.global_size
+    if system.by_rank or most < FEWEST_ON_PATH:
         return None
     missed = system.linearise(start).residual
     along = system.compile(system.linear + missed, system.moving, linear_rate=-missed)
-    most = ON_PATH // system.global_size
     options = replace(NARROW, max_steps=most, at_once=most, rtol=NEARLY_SOLVED, span=(0.0, 2.0))
     return Path(along, point_on_path(along, start, 0.0), options, [Target(1.0)]).run()
