@@ -408,15 +408,12 @@ class ResponseCurve(_Waves):
     def solution(self, index: int, *, search: bool = True) -> PeriodicSolution:
         """The solution at a point, with its displacement and error report; without ``search`` for
         its exact orbit the report is what one Newton step predicts."""
-        unknown = self.unknown(index)
-        problem = self._problem_at(float(self.values[index]), unknown)
-        return _expanded(problem, unknown, search=search)
+        return _expanded(self._problem_of(index), self.unknown(index), search=search)
 
     def judged(self, index: int, flow: ContactFlow | None = None) -> Judgement:
         """What the exact flow, if it is known, says of a point; no error is estimated."""
-        unknown = self.unknown(index)
-        problem = self._problem_at(float(self.values[index]), unknown)
-        at = problem.system(problem.compliance()).linearise(unknown)
+        problem = self._problem_of(index)
+        at = problem.system(problem.compliance()).linearise(self.unknown(index))
         return Judgement(problem.wave(at), flow=flow)
 
     def peak(self, dof: int | None = None) -> Peak:
@@ -508,7 +505,11 @@ class ResponseCurve(_Waves):
 
     def structure_at(self, index: int) -> Structure:
         """The structure at a point, as the parameter varies it."""
-        return self._problem_at(float(self.values[index]), self.unknown(index)).structure
+        return self._problem_of(index).structure
+
+    def _problem_of(self, index: int) -> Problem:
+        """What was solved at a point."""
+        return self._problem_at(float(self.values[index]), self.unknown(index))
 
     def _problem_at(self, value: float, unknown: np.ndarray) -> Problem:
         """What is solved where the parameter has a value, with the harmonics of an unknown."""
