@@ -21,22 +21,20 @@ a Toeplitz plus a Hankel matrix for each pair, with c_0, c_j, s_j in the row of 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import ClassVar, Self
 
 import numpy as np
 
-from fenics_crack.kernel import doubles, ints, kernel, shaped
+from fenics_crack.kernel import doubles, kernel, shaped
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear
-from fenics_crack.numerics.fourier import balanced, sampled
+from fenics_crack.numerics.fourier import balanced, from_complex, sampled
 
 __all__ = [
     "ContactForces",
     "ContactIntegrals",
     "ExactIntegrals",
-    "LowRank",
     "PairForces",
     "PairIntegrals",
     "SampledIntegrals",
@@ -46,6 +44,7 @@ __all__ = [
     "grid_waves",
     "respond",
     "respond_to_columns",
+    "tangent_of",
 ]
 
 
@@ -75,10 +74,6 @@ class ContactForces(ABC):
     @abstractmethod
     def by_stiffness(self) -> np.ndarray:
         """Derivative of the coefficients by ln k."""
-
-    def low_rank(self) -> LowRank | None:
-        """T by what it has of a rank; None where it has not."""
-        return None
 
 
 @dataclass(frozen=True)
@@ -187,24 +182,15 @@ class SampledIntegrals(ContactIntegrals):
 
     def linearise(self, gap: np.ndarray) -> PairForces:
         values = self.sample(gap)
-        force = self.balance(self.law.force(values))
-        return PairForces(force, _tangent(self._means(values, 2 * self.harmonics), self.harmonics))
+        # Means of exp(i m theta), m < 2 H + 1; at few instants those of high order are others'.
+        order = np.arange(2 * self.harmonics + 1) % self.samples
+        slopes = np.fft.fft(self.law.tangent(values), axis=0)[order] / self.samples
+        tangent = [tangent_of(means[:, None, None])[:, 0] for means in from_complex(slopes).T]
+        return PairForces(self.balance(self.law.force(values)), np.array(tangent))
 
     def widened(self, harmonics: int) -> Self:
         samples = max(self.samples, 1 << (8 * harmonics - 1).bit_length())
         return replace(self, harmonics=harmonics, samples=samples)
-
-    def _means(self, values: np.ndarray, highest: int) -> np.ndarray:
-        """Complex c_m + i s_m of the slope, m = 0 to highest < N: (n_pairs, highest + 1).
-
-        At the instants exp(i m theta) and exp(i (m - N) theta) are the same: on few of them the
-        means of high order are those of low order, conjugate.
-        """
-        spectrum = np.fft.rfft(self.law.tangent(values), axis=0)
-        if highest >= len(spectrum):
-            folded = self.samples - np.arange(len(spectrum), highest + 1)
-            spectrum = np.concatenate((spectrum, spectrum[folded].conj()))
-        return spectrum[: highest + 1].T.conj() / self.samples
 
 
 @dataclass(frozen=True)
@@ -295,66 +281,6 @@ class PairForces(ContactForces):
         assert self._by_softness is not None
         return self._by_softness
 
-    def low_rank(self) -> LowRank | None:
-        found = LowRank(self.tangent)
-        return found if found.complete else None
-
-
-class LowRank:
-    """T = P Q of pairs that are closed for a part of the period only, and with it
-
-        (I + R P Q)^-1 r = r - R P (I + Q R P)^-1 Q r,       det(I + R P Q) = det(I + Q R P).
-
-    kappa >= 0 makes each pair's T symmetric and positive semidefinite where the mean counts
-    sqrt(2) times: E T E^-1 = C C^T, P = E^-1 C, Q = C^T E, C by Cholesky's method with pivots, of
-    which those of rounding are left out.
-
-    Attributes
-    ----------
-    complete : bool
-        Whether P Q is all of T: not so for a law whose force falls where the gap grows.
-    """
-
-    def __init__(self, tangent: np.ndarray) -> None:
-        pairs, count, _ = tangent.shape
-        tangent = shaped(tangent, pairs, 2 * (count // 2) + 1, count)
-        self._ranks, room = np.zeros(pairs, np.intc), np.empty((pairs + 1, count, count))
-        rank = kernel.tangent_rows(
-            count // 2, pairs, doubles(tangent), count * float(np.finfo(float).eps),
-            count * 1e-12, ints(self._ranks), doubles(room[:pairs]),
-            doubles(room[pairs]),
-        )  # fmt: skip
-        self.complete = rank >= 0
-        self._rows = room.reshape(-1, count)[: max(rank, 0)]  # C^T
-        self._pairs = np.repeat(np.arange(pairs), self._ranks if self.complete else 0)
-
-    def condense(self, matrices: np.ndarray) -> np.ndarray:
-        """I + Q R P; 1 where all pairs are open, for LAPACK takes no empty matrix."""
-        if not len(self._rows):
-            return np.eye(1)
-        columns, found = np.ascontiguousarray(self._rows.T), np.empty((len(self._rows),) * 2)
-        of_each = (len(columns) // 2 + 1, len(self._ranks), len(self._ranks))
-        kernel.small_matrix(
-            len(columns) // 2, len(self._ranks), ints(self._ranks), doubles(self._rows),
-            doubles(columns), doubles(shaped(matrices, *of_each, kind=complex)),
-            doubles(np.empty_like(columns)), doubles(found),
-        )  # fmt: skip
-        return found
-
-    def solve(
-        self, right: np.ndarray, matrices: np.ndarray, solve: Callable[[np.ndarray], np.ndarray]
-    ) -> np.ndarray:
-        """J^-1 r of (2H+1, n_pairs), with solutions of the condensed matrix."""
-        if not len(self._rows):
-            return right
-        weight = np.ones(len(right))
-        weight[0] = np.sqrt(2.0)
-        drive = np.einsum("ji,ji->j", self._rows, (weight * right.T)[self._pairs])
-        moved, used = solve(drive)[:, None] * self._rows, self._ranks > 0
-        force = np.zeros_like(right.T)
-        force[used] = np.add.reduceat(moved, (np.cumsum(self._ranks) - self._ranks)[used])
-        return right - respond(matrices, np.ascontiguousarray((force / weight).T))
-
 
 def respond(matrices: np.ndarray, force: np.ndarray) -> np.ndarray:
     """R lambda of coefficients (2H+1, n_pairs)."""
@@ -366,22 +292,19 @@ def respond(matrices: np.ndarray, force: np.ndarray) -> np.ndarray:
 
 
 def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
-    """R T as a dense matrix for unknowns ordered (row, pair), from R_k (..., H+1, n_pairs, n_pairs)
-    and T (..., n_pairs, 2H+1, n), at many points at once: (..., (2H+1) n_pairs, n n_pairs).
+    """R T as a dense matrix for unknowns ordered (row, pair), from R_k (H+1, n_pairs, n_pairs)
+    and T (n_pairs, 2H+1, n): ((2H+1) n_pairs, n n_pairs).
 
     A force a - i b on harmonic k moves the gap by R_k (a - i b), that is by the real matrix
     [[Re R_k, Im R_k], [-Im R_k, Re R_k]] on (a, b).
     """
-    *points, pairs, rows, columns = tangent.shape
-    of_each = (*points, rows // 2 + 1, pairs, pairs)
-    matrices = shaped(np.broadcast_to(matrices, of_each), *of_each, kind=complex)
-    tangent = shaped(tangent, *points, pairs, 2 * (rows // 2) + 1, columns)
-    product = np.empty((*points, rows * pairs, columns * pairs))
-    for at in np.ndindex(*points):
-        kernel.respond_to_columns(
-            rows // 2, pairs, columns, doubles(matrices[at]), doubles(tangent[at]),
-            doubles(product[at]),
-        )  # fmt: skip
+    pairs, rows, columns = tangent.shape
+    matrices = shaped(matrices, rows // 2 + 1, pairs, pairs, kind=complex)
+    tangent = shaped(tangent, pairs, 2 * (rows // 2) + 1, columns)
+    product = np.empty((rows * pairs, columns * pairs))
+    kernel.respond_to_columns(
+        rows // 2, pairs, columns, doubles(matrices), doubles(tangent), doubles(product)
+    )
     return product
 
 
@@ -398,30 +321,14 @@ def apply_to_pairs(tangent: np.ndarray, gap: np.ndarray) -> np.ndarray:
     return np.matmul(tangent, gap.T[:, :, None])[:, :, 0].T
 
 
-def _tangent(means: np.ndarray, harmonics: int) -> np.ndarray:
-    """The Toeplitz plus Hankel matrix of every pair from c_m + i s_m: (n_pairs, 2H+1, 2H+1)."""
-    lag, lag_sign, total, total_sign = _places(harmonics)
-    parts = means[:, : 2 * harmonics + 1].copy().view(float)  # c_0, s_0, c_1, s_1, ...
-    matrix: np.ndarray = parts.take(lag, axis=1)
-    matrix *= lag_sign
-    hankel = parts.take(total, axis=1)
-    hankel *= total_sign
-    matrix += hankel
-    return matrix
-
-
-@lru_cache(maxsize=64)
-def _places(harmonics: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Where c_{i-j} or s_{i-j}, and c_{i+j} or s_{i+j}, stand among the means; with which signs."""
-    row = np.arange(2 * harmonics + 1)
-    order, sine = (row + 1) // 2, (row > 0) & (row % 2 == 0)
-    difference = order[:, None] - order
-    total = order[:, None] + order
-    # Products of sines and cosines: a cosine of both kinds, or a sine where one is a sine.
-    mixed = sine[:, None] != sine
-    lag_sign = np.where(mixed, np.sign(difference) * np.where(sine, -1.0, 1.0), 1.0)
-    total_sign = np.where(sine[:, None] & sine, -1.0, 1.0)
-    # The row and column of the mean: each of them once, and twice in the column.
-    lag_sign[0, :] = lag_sign[:, 0] = 0.0
-    total_sign[1:, 0] = 2.0
-    return 2 * np.abs(difference) + mixed, lag_sign, 2 * total + mixed, total_sign
+def tangent_of(means: np.ndarray) -> np.ndarray:
+    """T from the means c_0, c_1, s_1, ... of slopes of n pairs, (4H+1, n, n): row by row, each for
+    unknowns ordered (row, pair), (2H+1, n, (2H+1) n)."""
+    harmonics, count = len(means) // 4, means.shape[1]
+    means, rows = shaped(means, 4 * harmonics + 1, count, count), 2 * harmonics + 1
+    found = np.empty((rows, count, rows * count))
+    for k in range(harmonics + 1):
+        kernel.tangent_of_harmonic(
+            harmonics, count, k, doubles(means), doubles(found[max(0, 2 * k - 1) :])
+        )
+    return found

@@ -40,7 +40,7 @@ from mpi4py import MPI
 
 from fenics_crack.balance.compiled import SHARPLY, CompiledEquations, ModalPart
 from fenics_crack.balance.compliance import Compliance, ResizedCompliance
-from fenics_crack.balance.contact_integrals import ContactIntegrals, LowRank, respond
+from fenics_crack.balance.contact_integrals import ContactIntegrals, respond
 from fenics_crack.balance.wave import Wave
 from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
@@ -50,11 +50,6 @@ from fenics_crack.numerics.newton import gmres
 
 __all__ = ["ContactPoint", "ContactSystem", "default_weight"]
 
-LOW_RANK = 400
-"""Unknowns of uncoupled pairs from which solutions go through the rank of T."""
-IN_KERNEL = 2000
-"""Those up to which the kernel follows paths: their Jacobian is dense there, but many points share
-its factors."""
 MATRIX_FREE = 350
 """Unknowns of a step from which the Jacobian of coupled pairs is not formed. Both ways take equally
 long with about 300 to 350 unknowns of 18 pairs (measured with H = 8 to 40)."""
@@ -106,22 +101,10 @@ class ContactSystem:
         matrices = self.compliance.matrices
         return matrices if self.residual is None else matrices - self.residual
 
-    @property
-    def in_kernel(self) -> bool:
-        """Whether the kernel has these equations: with exact integrals, and unless they are too
-        many."""
-        few = self.integrals.coupled or self.global_size <= IN_KERNEL
-        return self.integrals.exact and few
-
-    @property
-    def by_rank(self) -> bool:
-        """Whether solutions with J go through the rank of T, as they do not in the kernel."""
-        return not self.integrals.coupled and self.global_size >= LOW_RANK
-
     @cached_property
     def compiled(self) -> CompiledEquations | None:
         """The same along its parameter in the kernel, where it has them."""
-        if not self.in_kernel:
+        if not self.integrals.exact:
             return None
         if self.residual is None:
             return self.compile(self.linear, self.moving, growth=1.0)
@@ -233,7 +216,6 @@ class ContactPoint(DenseLinearisation):
         by_parameter: ByParameter,
     ) -> None:
         self.system, self._derivative = system, by_parameter
-        self._parts: LowRank | None = None
         self.forces = integrals.linearise(unknown)
         self.force = self.forces.force
         """Coefficients of the contact force, (2H+1, n_pairs) [N]."""
@@ -255,9 +237,7 @@ class ContactPoint(DenseLinearisation):
         system = self.system
         if system.basis is not None:
             return self.forces.identity_plus(system.moving_seen, system.basis)
-        if system.by_rank:
-            self._parts = self.forces.low_rank()
-        return self.jacobian if self._parts is None else self._parts.condense(system.moving)
+        return self.jacobian
 
     def apply(self, change: np.ndarray) -> np.ndarray:
         return change + respond(self.system.moving, self.forces.apply(change))
@@ -270,8 +250,6 @@ class ContactPoint(DenseLinearisation):
         if system.basis is not None:
             drive = respond(system.moving, self.forces.apply(right)) @ system.basis
             return right - solve_factored(factors, drive) @ system.basis.T
-        if self._parts is not None:
-            return self._parts.solve(right, system.moving, lambda r: solve_factored(factors, r))
         return solve_factored(factors, right)
 
     @property

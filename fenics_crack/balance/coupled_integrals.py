@@ -23,7 +23,12 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from fenics_crack.balance.contact_integrals import ContactForces, ContactIntegrals, default_samples
+from fenics_crack.balance.contact_integrals import (
+    ContactForces,
+    ContactIntegrals,
+    default_samples,
+    tangent_of,
+)
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import NULL, doubles, kernel, owned, shaped
 from fenics_crack.model.contact import is_unilateral
@@ -96,14 +101,7 @@ class CoupledForces(ContactForces):
 
     def tangent(self, basis: np.ndarray | None = None) -> np.ndarray:
         """T as a matrix, between the pairs or the gaps of a basis: (2H+1, n, (2H+1) n)."""
-        means = self.means(basis)
-        count, rows = means.shape[1], 2 * self.harmonics + 1
-        found = np.empty((rows, count, rows * count))
-        for k in range(self.harmonics + 1):
-            kernel.tangent_of_harmonic(
-                self.harmonics, count, k, doubles(means), doubles(found[max(0, 2 * k - 1) :])
-            )
-        return found
+        return tangent_of(self.means(basis))
 
     def identity_plus(self, matrices: np.ndarray, basis: np.ndarray | None = None) -> np.ndarray:
         found = self.tangent(basis)

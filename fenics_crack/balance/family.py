@@ -134,7 +134,7 @@ class Family(ABC):
     def compiled(self) -> CompiledEquations | None:
         """The same equations in the kernel; None where it does not have them."""
         system = self.system(self.start)
-        return self._compile(system) if system.in_kernel else None
+        return self._compile(system) if system.integrals.exact else None
 
     @abstractmethod
     def _compile(self, first: ContactSystem) -> CompiledEquations | None:

@@ -187,7 +187,7 @@ class Problem:
         it; None where these lead to none, or the kernel has no such equations."""
         try:
             system = self.system(self.compliance())
-            if not system.in_kernel:
+            if not system.integrals.exact:
                 return None
             start = system.unknown(wave, self.subharmonic // wave.subharmonic)
             # Where J is not formed, steps that lead nowhere take long.
@@ -224,7 +224,7 @@ def _end_of_path(system: ContactSystem, start: np.ndarray) -> PathPoint | None:
     """Where the path F(s) = (1 - p) F(s_0) from a start has its end; None where it has none, or
     that takes long."""
     most = ON_PATH // system.global_size
-    if system.by_rank or most < FEWEST_ON_PATH:
+    if most < FEWEST_ON_PATH:
         return None
     missed = system.linearise(start).residual
     along = system.compile(system.linear + missed, system.moving, linear_rate=-missed)

@@ -362,6 +362,6 @@ def _iterations(system: DistributedSystem) -> float:
     """How many a search may take: they cost like the square of the unknowns where the kernel has
     them."""
     dense = COMPILED * (300.0 / max(kernel.MANY, system.global_size)) ** 2
-    if getattr(system, "in_kernel", False):
+    if getattr(system, "compiled", None) is not None:
         return dense
     return INTERPRETED if system.matrix_free else min(INTERPRETED, dense)

@@ -81,9 +81,9 @@ class DistributedSystem(System, Protocol):
 
 
 def newton_of(system: DistributedSystem) -> Newton | KernelNewton:
-    """Newton's method for a system: in the kernel where that has it, unless the system solves with
-    its own Jacobian in fewer operations, or an option is for SNES."""
-    asked = PETSc.Options(OPTIONS_PREFIX).getAll() or getattr(system, "by_rank", False)
+    """Newton's method for a system: in the kernel where that has it, unless an option is for
+    SNES."""
+    asked = PETSc.Options(OPTIONS_PREFIX).getAll()
     compiled = getattr(system, "compiled", None)
     return Newton(system) if asked or compiled is None else KernelNewton(system)
 

@@ -24,7 +24,6 @@ from mpi4py import MPI
 
 import fenics_crack as fc
 from fenics_crack import Problem
-from fenics_crack.balance import contact_system
 from fenics_crack.balance.compliance import (
     FactoredCompliance,
     ModalCompliance,
@@ -37,24 +36,6 @@ from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.numerics.linearisation import determinant_sign
 
 # --- condensed and full ---------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("stiffness", [1.0, 1e5])
-def test_low_rank_is_dense(stiffness: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Steps and determinants through the rank of what is closed; pairs that are closed for a part
-    of the period, always and never."""
-    problem = Problem(chain("matrix"), 0.8, fc.UnilateralPenalty(stiffness), 24)
-    system = ContactSystem(problem.compliance(), problem.integrals())
-    random = np.random.default_rng(1)
-    gap, right = random.normal(size=(2, *system.shape)) / (1.0 + np.arange(49.0)[:, None])
-    gap[0] = 0.0, 9.0, -9.0
-    monkeypatch.setattr(contact_system, "LOW_RANK", 1)
-    for sign in (1.0, -1.0):
-        point = system.linearise(sign * gap)
-        expected = np.linalg.solve(point.jacobian, right.ravel())
-        assert len(point.condense()) < 0.8 * gap.size
-        assert relative(point.solve(right).ravel(), expected) < 1e-9
-        assert point.sign == np.linalg.slogdet(point.jacobian)[0]
 
 
 def test_nothing_is_closed() -> None:
