@@ -383,7 +383,7 @@ def unstable_growths(curve: fc.ResponseCurve) -> np.ndarray:
             found = fc.solve_harmonic_balance(
                 curve.structure, middle, curve.contact, harmonics=near.harmonics, initial=near
             )
-            orbit = fc.shoot(curve.structure, found, steps_per_period=4096, tolerance=1e-8)
+            orbit = fc.shoot(curve.structure, found, tolerance=1e-8)
         except fc.ConvergenceError:
             continue
         growths.append(abs(orbit.multipliers[0]) - 1.0)
@@ -394,7 +394,7 @@ def disturbed(reduced: fc.Structure, solution: fc.PeriodicSolution, law: Any) ->
     """Factor per period by which the distance to the marched orbit changes in the norm of energy,
     after a disturbance of 1e-8 and up to 200 periods; nan without an orbit."""
     try:
-        orbit = fc.shoot(reduced, solution, steps_per_period=4096, tolerance=1e-11)
+        orbit = fc.shoot(reduced, solution, tolerance=1e-11)
     except fc.ConvergenceError:
         return float("nan")
     flow = ExponentialFlow(reduced, solution.omega, law, 4096)

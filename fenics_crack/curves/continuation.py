@@ -29,13 +29,12 @@ from fenics_crack.curves.by_waves import FOLLOWED
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.doubled import DoubledStart
 from fenics_crack.curves.exact import verified
-from fenics_crack.curves.points import CurvePoint, Points
+from fenics_crack.curves.points import CurvePoint, columns
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.memory import check_memory
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
-from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import exact_flow
 from fenics_crack.numerics.bordered import (
     MIN_DAMPING,
@@ -141,7 +140,7 @@ class Continuation:
         most_points: int = 50000,
         turning_back: float = 0.1,
     ) -> None:
-        _check_range(problem.structure, parameter, start, end)
+        _check_range(problem, parameter, start, end)
         check_number("longest_step", longest_step, 0.0, above=True)
         if longest_step > 1.0:
             raise InputError("longest_step", longest_step, "at most 1")
@@ -153,7 +152,6 @@ class Continuation:
             check_number("tolerance", tolerance, 0.0, above=True)
             if problem.samples is not None:
                 raise InputError("samples", problem.samples, "left out where a tolerance is given")
-        _check_rigid(problem, parameter)
         if parameter in ("omega", "speed"):
             problem = FAMILIES[parameter].vary(problem, start)
         if not is_small(problem.structure):
@@ -167,7 +165,8 @@ class Continuation:
         self._longest, self._most, self._back = longest_step, most_points, turning_back
         if 0.0 < start < end and parameter in ("omega", "damping", "speed"):  # not to 0
             self._back = min(turning_back, 0.9 * start / (end - start))
-        self._points, self._at_once, self._judged = Points(), False, stability
+        self._at_once, self._judged = False, stability
+        self._points: list[CurvePoint] = []
         self._special: list[tuple[str, float, np.ndarray]] = []
         self._branch = False
         self._towards: Tangent | None = None
@@ -191,7 +190,7 @@ class Continuation:
         else:
             place, found = 0.0, _first_solution(problem, family_of, initial, tolerance)
             self._family, unknown, iterations = found
-        if not len(self._points):
+        if not self._points:
             value = self._family.value(place)
             self._points.append(CurvePoint(value, self._family.omega(value), unknown, iterations))
 
@@ -208,7 +207,7 @@ class Continuation:
             structure=problem.structure,
             contact=problem.contact,
             parameter=self._family.name,
-            **self._points.columns(),
+            **columns(self._points),
             bifurcations=(),
             complete=self.complete,
             status=self.status,
@@ -221,11 +220,11 @@ class Continuation:
 
     def progress(self) -> float:
         """How much of the way from start to end has been gone, 0 to 1."""
-        return min(1.0, max(0.0, self._family.parameter(self._points.values[-1])))
+        return min(1.0, max(0.0, self._family.parameter(self._points[-1].value)))
 
     def __iter__(self) -> Iterator[CurvePoint]:
         """Yield the first point, or the last one of a resumed curve, and all that follow."""
-        last, family = self._points.last, self._family
+        last, family = self._points[-1], self._family
         yield last
         if self.complete:
             return
@@ -255,8 +254,7 @@ class Continuation:
                 point, at = self._record(part), part[-1]
                 if asked and len(self._points) % LOOK_EVERY == 0:
                     truncation = _truncation(self._family, point.value, at)
-                    self._points.truncation[-1] = truncation
-                    point = replace(point, truncation=truncation)
+                    point = self._points[-1] = replace(point, truncation=truncation)
                 yield point
                 error, count = point.truncation, self._family.problem.harmonics
                 if self._tolerance is None or math.isnan(error):
@@ -295,25 +293,25 @@ class Continuation:
 
     def _record(self, points: Stretch) -> CurvePoint:
         """Take up points, and what lies before the last of them; return that one."""
-        value = self._family.value
-        values = [value(place) for place in points.parameters.tolist()]
-        omega = map(self._family.omega, values)
-        self._points.extend(values, omega, points.unknowns, points.iterations.tolist())
+        value, omega = self._family.value, self._family.omega
         special = [
             (event.kind, value(at.parameter), at.unknown) for event, at in points.met if event.kind
         ]
         self._special += special
         self._towards = points[-1].tangent
-        met = tuple((kind, place) for kind, place, _ in special)
-        return replace(self._points.last, bifurcations=met)
+        places = map(value, points.parameters.tolist())
+        for there, unknown, count in zip(places, points.unknowns, points.iterations, strict=True):
+            self._points.append(CurvePoint(there, omega(there), unknown, int(count)))
+        met = tuple((kind, there) for kind, there, _ in special)
+        self._points[-1] = replace(self._points[-1], bifurcations=met)
+        return self._points[-1]
 
     # --- going on ---------------------------------------------------------------------------------
 
     def _take_over(self, curve: ResponseCurve) -> None:
         """Begin with the points of another curve, on its way."""
         check_resumed(curve, self._family)
-        for index in range(len(curve)):
-            self._points.append(curve.point(index))
+        self._points = [curve.point(index) for index in range(len(curve))]
         self._special = [
             (b.kind, b.value, b.unknown) for b in curve.bifurcations if b.kind in FOLLOWED
         ]
@@ -397,16 +395,13 @@ class _Joined(Event):
         return ends[0]
 
 
-def _check_rigid(problem: Problem, parameter: str) -> None:
-    """Raise InputError where the parameter is no other for a law without a stiffness."""
-    if is_rigid(problem.contact) and parameter == "stiffness":
-        raise InputError("parameter", parameter, "another one: a rigid contact has no stiffness")
-
-
-def _check_range(structure: Structure, parameter: str, start: float, end: float) -> None:
+def _check_range(problem: Problem, parameter: str, start: float, end: float) -> None:
     """Raise InputError unless a curve can go from one value of a parameter to another."""
+    structure = problem.structure
     if parameter not in FAMILIES:
         raise InputError("parameter", parameter, "one of " + ", ".join(map(repr, FAMILIES)))
+    if is_rigid(problem.contact) and parameter == "stiffness":
+        raise InputError("parameter", parameter, "another one: a rigid contact has no stiffness")
     names = ("omega_start", "omega_end") if parameter == "omega" else ("start", "end")
     for name, value in zip(names, (start, end), strict=True):
         FAMILIES[parameter].check(structure, name, value)

@@ -20,7 +20,7 @@ from fenics_crack.balance.judgement import Judgement
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.curves.peak import Peak, top_and_damping
-from fenics_crack.curves.points import CurvePoint, Points
+from fenics_crack.curves.points import CurvePoint, columns
 from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import all_modes
@@ -439,10 +439,8 @@ class ResponseCurve(_Waves):
         """The first point, the bifurcations and the last point, to be measured: a curve of their
         own, for which no error is estimated."""
         met: list[CurvePoint | Bifurcation] = [self.point(0), *self.bifurcations, self.point(-1)]
-        points = Points()
-        for one in met:
-            points.append(CurvePoint(one.value, one.omega, one.unknown, 0))
-        return replace(self, **points.columns(), bifurcations=(), multipliers=None, undecided=None)
+        points = columns([CurvePoint(one.value, one.omega, one.unknown, 0) for one in met])
+        return replace(self, **points, bifurcations=(), multipliers=None, undecided=None)
 
     @cached_property
     def displacement_errors(self) -> np.ndarray:

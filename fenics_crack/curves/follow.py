@@ -118,9 +118,9 @@ def continue_frequency(
     >>> curve = fc.continue_frequency(structure, 1900.0, 2100.0, contact, harmonics=5)
     """
     check_omega(omega_start, "omega_start")
-    return _between(
-        structure, omega_start, contact, ("omega", omega_start, omega_end),
-        options, progress=progress, throw=throw,
+    return continue_parameter(
+        structure, omega_start, contact, "omega", omega_start, omega_end,
+        progress=progress, throw=throw, **options,
     )  # fmt: skip
 
 
@@ -168,10 +168,33 @@ def continue_parameter(
     >>> curve = fc.continue_parameter(
     ...     structure, 2000.0, contact, "load", 1.0, 2.0, harmonics=5)
     """
-    return _between(
-        structure, omega, contact, (parameter, start, end),
-        options, progress=progress, throw=throw,
-    )  # fmt: skip
+    span = parameter, start, end
+    growing = _continuation(structure, omega, contact, span, options)
+
+    def again() -> Continuation | None:
+        """Another curve from the start, with a solution met by following one from the end to it, or
+        from between: where the first solution found lies on a curve that comes back to the start,
+        such as a closed loop of the truncated equations."""
+        first = growing.followed
+        points = len(first) + MORE_POINTS
+        given: CurveOptions = {
+            **options,
+            "most_points": min(points, options.get("most_points", points)),
+        }
+        for begun in np.linspace(end, start, ATTEMPTS, endpoint=False).tolist():
+            met = _followed(first.structure, omega, contact, (parameter, begun, start), given)
+            if met is None:
+                continue
+            last = met.followed
+            there: CurveOptions = {**given, "initial": last.solution(len(last) - 1)}
+            other = _followed(first.structure, omega, contact, span, there)
+            if other is not None:
+                other.status += ", not by the first solution found at its start"
+                return other
+        return None
+
+    begun_elsewhere = options.get("initial") is not None or options.get("resume") is not None
+    return _run(growing, progress, throw, None if begun_elsewhere else again)
 
 
 def follow_branch(
@@ -261,48 +284,6 @@ def follow_branch(
     return _run(growing, progress, throw)
 
 
-def _between(
-    structure: Structure,
-    omega: float,
-    contact: ContactLaw,
-    span: tuple[str, float, float],
-    options: CurveOptions,
-    *,
-    progress: bool,
-    throw: bool,
-) -> ResponseCurve:
-    """The curve from the start to the end. Where the first solution found lies on another one,
-    which comes back to the start, such as a closed loop of the truncated equations, the curve is
-    followed from the end to the start, or from between them, and begins with the solution met
-    there."""
-    check_options(options, CurveOptions.__annotations__)
-    growing = _continuation(structure, omega, contact, span, options)
-    if options.get("initial") is not None or options.get("resume") is not None:
-        return _run(growing, progress, throw)
-    parameter, start, end = span
-
-    def again() -> Continuation | None:
-        first = growing.followed
-        points = len(first) + MORE_POINTS
-        given: CurveOptions = {
-            **options,
-            "most_points": min(points, options.get("most_points", points)),
-        }
-        for begun in np.linspace(end, start, ATTEMPTS, endpoint=False).tolist():
-            met = _followed(first.structure, omega, contact, (parameter, begun, start), given)
-            if met is None:
-                continue
-            last = met.followed
-            there: CurveOptions = {**given, "initial": last.solution(len(last) - 1)}
-            other = _followed(first.structure, omega, contact, span, there)
-            if other is not None:
-                other.status += ", not by the first solution found at its start"
-                return other
-        return None
-
-    return _run(growing, progress, throw, again)
-
-
 def _followed(
     structure: Structure,
     omega: float,
@@ -330,17 +311,15 @@ def _continuation(
     check_options(options, CurveOptions.__annotations__)
     given: dict[str, Any] = dict(options)
     resume = given.pop("resume", None)
-    harmonics, samples = given.pop("harmonics", None), given.pop("samples", None)
-    subharmonic = given.pop("subharmonic", 1)
+    unset = {"harmonics": None, "samples": None, "subharmonic": 1}
     if resume is None:
+        harmonics, samples, subharmonic = (given.pop(*item) for item in unset.items())
         check_count("subharmonic", subharmonic, 1)
         harmonics = max(5, subharmonic) if harmonics is None else harmonics
         problem = Problem(structure, omega, contact, harmonics, samples, subharmonic)
         return Continuation(problem, *span, **given)
-    wrong = {"samples": samples, "initial": given.pop("initial", None), "harmonics": harmonics}
-    wrong["subharmonic"] = None if subharmonic == 1 else subharmonic
-    for key, value in wrong.items():
-        if value is not None:
+    for key, nothing in (unset | {"initial": None}).items():
+        if (value := given.pop(key, nothing)) not in (nothing, None):
             raise InputError(key, value, "left out where a curve is resumed")
     problem = same_problem(resume, structure, omega, contact)
     return Continuation(problem, *span, initial=resume, **given)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from fenics_crack.numerics.fourier import resized
 
-__all__ = ["CurvePoint", "Points"]
+__all__ = ["CurvePoint", "columns"]
 
 
 @dataclass(frozen=True)
@@ -39,65 +39,19 @@ class CurvePoint:
     bifurcations: tuple[tuple[str, float], ...] = ()
 
 
-class Points:
-    """All points of a curve so far, as columns.
-
-    Attributes
-    ----------
-    values, omega, iterations, truncation : lists
-        As those of :class:`CurvePoint`.
-    """
-
-    def __init__(self) -> None:
-        self.values: list[float] = []
-        self.omega: list[float] = []
-        self.iterations: list[int] = []
-        self.truncation: list[float] = []
-        self._unknowns: list[np.ndarray] = []  # each of some points: (n, 2H+1, n_pairs)
-
-    def __len__(self) -> int:
-        return len(self.values)
-
-    def append(self, point: CurvePoint) -> None:
-        """One more."""
-        self.extend([point.value], [point.omega], point.unknown[None], [point.iterations])
-        self.truncation[-1] = point.truncation
-
-    def extend(
-        self,
-        values: Iterable[float],
-        omega: Iterable[float],
-        unknowns: np.ndarray,
-        iterations: Iterable[int],
-    ) -> None:
-        """More, with unknowns (n, 2H+1, n_pairs)."""
-        self.values += values
-        self.omega += omega
-        self.iterations += iterations
-        self.truncation += [math.nan] * len(unknowns)
-        self._unknowns.append(unknowns)
-
-    @property
-    def last(self) -> CurvePoint:
-        """The last one."""
-        return CurvePoint(
-            self.values[-1], self.omega[-1], self._unknowns[-1][-1], self.iterations[-1],
-            self.truncation[-1],
-        )  # fmt: skip
-
-    def columns(self) -> dict[str, np.ndarray]:
-        """What they are in a :class:`ResponseCurve`, all with the most harmonics."""
-        counts = [block.shape[1] // 2 for block in self._unknowns]
-        most = max(counts)
-        unknowns = [
-            block if count == most else np.array([resized(one, most) for one in block])
-            for block, count in zip(self._unknowns, counts, strict=True)
-        ]
-        return {
-            "values": np.array(self.values),
-            "omega": np.array(self.omega),
-            "unknowns": np.concatenate(unknowns),
-            "harmonics": np.repeat(counts, [len(block) for block in self._unknowns]),
-            "iterations": np.array(self.iterations),
-            "truncation": np.array(self.truncation),
-        }
+def columns(points: Sequence[CurvePoint]) -> dict[str, np.ndarray]:
+    """What points are in a :class:`ResponseCurve`, all with the most harmonics."""
+    counts = [len(point.unknown) // 2 for point in points]
+    most = max(counts)
+    unknowns = [
+        point.unknown if count == most else resized(point.unknown, most)
+        for point, count in zip(points, counts, strict=True)
+    ]
+    return {
+        "values": np.array([point.value for point in points]),
+        "omega": np.array([point.omega for point in points]),
+        "unknowns": np.array(unknowns),
+        "harmonics": np.array(counts),
+        "iterations": np.array([point.iterations for point in points]),
+        "truncation": np.array([point.truncation for point in points]),
+    }

@@ -30,7 +30,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.exact import verified
 from fenics_crack.curves.orbit_branch import ALIKE, KINDS, TOLERANCE, Node, OrbitBranch
-from fenics_crack.curves.points import CurvePoint, Points
+from fenics_crack.curves.points import CurvePoint, columns
 from fenics_crack.errors import ConvergenceError, InputError, check_count, check_number
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
@@ -110,7 +110,7 @@ def refine_curve(curve: ResponseCurve, between: int | None = None) -> ResponseCu
     added = np.full(len(distance), between or 0)
     if between is None:
         added = np.minimum(_for_a_picture(flat, parameters), MAX_BETWEEN)
-    spline, points = CubicSpline(along, place), Points()
+    spline, points = CubicSpline(along, place), list[CurvePoint]()
     for index, more in enumerate(added):
         points.append(curve.point(index))
         if not more:
@@ -129,7 +129,7 @@ def refine_curve(curve: ResponseCurve, between: int | None = None) -> ResponseCu
                     CurvePoint(value, family.omega(value), found.unknown, found.iterations)
                 )
     points.append(curve.point(len(curve) - 1))
-    merged = replace(curve, **points.columns(), multipliers=None, undecided=None)
+    merged = replace(curve, **columns(points), multipliers=None, undecided=None)
     return merged if curve.multipliers is None else verified(merged)
 
 

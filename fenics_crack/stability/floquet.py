@@ -76,7 +76,6 @@ def shoot(
     solution: PeriodicSolution,
     contact: ContactLaw | None = None,
     *,
-    steps_per_period: int | None = None,
     settle: int = 0,
     tolerance: float = 1e-10,
 ) -> PeriodicOrbit:
@@ -91,8 +90,6 @@ def shoot(
         Default of the law: the solution's.
     solution : PeriodicSolution
         Where the orbit is sought.
-    steps_per_period : int, optional
-        Has no effect, as the flow is exact without steps; it goes with the next version.
     settle : int
         Follow the flow for so many periods of the response first: towards what attracts it.
     tolerance : float
@@ -117,8 +114,6 @@ def shoot(
     """
     law = contact if contact is not None else solution.contact
     assert law is not None
-    if steps_per_period is not None:
-        check_count("steps_per_period", steps_per_period, 1)
     check_count("settle", settle, 0)
     orbits = orbits_near(structure, law, solution)
     judged = replace(solution, structure=structure, contact=law).judged

@@ -37,7 +37,6 @@ BAD: dict[str, tuple[str, Callable[[], Any]]] = {
     "span": ("omega", lambda: fc.continue_frequency(ONE, 0.0, 1.0, LAW)),
     "parameter": ("parameter", lambda: fc.continue_parameter(ONE, 1.0, LAW, "colour", 1.0, 2.0)),
     "settle": ("settle", lambda: fc.shoot(ONE, found(), settle=-1)),
-    "steps": ("steps_per_period", lambda: fc.shoot(ONE, found(), steps_per_period=0)),
     "mode": ("mode", lambda: fc.follow_backbone(ONE, LAW, 5, 0.1, 1.0)),
     "energies": ("energy", lambda: fc.follow_backbone(ONE, LAW, 1, -0.1, 1.0)),
     "method": ("method", lambda: fc.reduce_structure(ONE, modes=1, method="magic")),
