@@ -69,10 +69,12 @@ class Judgement:
     """
 
     def __init__(
-        self, wave: Wave, orbit: PeriodicOrbit | None = None, flow: ContactFlow | None = None
-    ) -> None:
-        """With the orbit that a wave was taken from, if it was, and the flow, if it is known."""
-        self.wave, self.of_orbit = wave, orbit is not None
+        self, wave: Wave, orbit: PeriodicOrbit | None = None, flow: ContactFlow | None = None,
+        *, patient: bool = True,
+    ) -> None:  # fmt: skip
+        """With the orbit that a wave was taken from, if it was, and the flow, if it is known;
+        ``patient``: an orbit is sought by the homotopy, too."""
+        self.wave, self.of_orbit, self._patient = wave, orbit is not None, patient
         if orbit is not None:
             vars(self).update(near=orbit, flow=orbit.flow)
         elif flow is not None:
@@ -112,8 +114,9 @@ class Judgement:
         if self.predicted is None or not self.prediction < UNKNOWN:
             return None
         assert self.flow is not None
-        omega, periods, close = self.wave.omega, self.wave.subharmonic, self.prediction < FAR
-        return orbit_next_to(self.flow, omega, self.states[0], periods, patient=close)
+        omega, periods = self.wave.omega, self.wave.subharmonic
+        patient = self._patient and self.prediction < FAR
+        return orbit_next_to(self.flow, omega, self.states[0], periods, patient=patient)
 
     @cached_property
     def finer(self) -> Judgement | None:
@@ -128,7 +131,7 @@ class Judgement:
             subharmonic=wave.subharmonic,
         )  # fmt: skip
         found = problem.next_to(wave)
-        return None if found is None else Judgement(found, flow=self.flow)
+        return None if found is None else Judgement(found, flow=self.flow, patient=self._patient)
 
     @cached_property
     def decisive(self) -> Judgement | None:

@@ -410,11 +410,14 @@ class ResponseCurve(_Waves):
         its exact orbit the report is what one Newton step predicts."""
         return _expanded(self._problem_of(index), self.unknown(index), search=search)
 
-    def judged(self, index: int, flow: ContactFlow | None = None) -> Judgement:
-        """What the exact flow, if it is known, says of a point; no error is estimated."""
+    def judged(
+        self, index: int, flow: ContactFlow | None = None, *, patient: bool = True
+    ) -> Judgement:
+        """What the exact flow, if it is known, says of a point, as :class:`Judgement`; no error is
+        estimated."""
         problem = self._problem_of(index)
         at = problem.system(problem.compliance()).linearise(self.unknown(index))
-        return Judgement(problem.wave(at), flow=flow)
+        return Judgement(problem.wave(at), flow=flow, patient=patient)
 
     def peak(self, dof: int | None = None) -> Peak:
         """The largest response of a dof, or of the watched one: where, how large, how sure, whether

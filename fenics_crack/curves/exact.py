@@ -56,10 +56,6 @@ NEARBY = 0.02
 the orbits which confirms it."""
 
 
-_Part = tuple[Node, Node, float]
-"""Of a segment between two nodes."""
-
-
 class _Judge:
     """The branch of orbits along a curve, and which of its nodes are the points' own."""
 
@@ -163,77 +159,98 @@ class _Judge:
     def points(self) -> np.ndarray:
         """Leading multiplier of each point; nan where no orbit is its own. Where orbits at its
         value of the parameter lie on both sides of a fold it is that of the nearest one, if its
-        gaps are clearly nearer, too; where several motions are as near, none is near enough, or
-        none tells, it is that of the orbit next to it. Points that are judged by no node are judged
-        as single solutions."""
-        found = np.full(len(self._curve), np.nan + 0j)
-        accepted, expected = self._accepted()
-        parts: dict[int, list[tuple[_Part, complex]]] = {}
-        for ends, linked in zip(pairwise(self.branch.nodes), self.branch.linked, strict=True):
-            begin, rise = ends[0].parameter, ends[1].parameter - ends[0].parameter
-            if rise == 0.0 or not linked:
-                continue
-            near = max(0, int(ends[0].place) - 2 * EVERY)
-            shares = (self.parameters[near : int(ends[1].place) + 2 * EVERY + 1] - begin) / rise
-            there = np.flatnonzero(np.abs(shares - 0.5) <= 0.5 + 1e-9)
-            there = there[accepted[near + there]]
-            values = _between(*ends, shares[there]) if len(there) else ()
-            for place, share, value in zip(near + there, shares[there], values, strict=True):
-                parts.setdefault(int(place), []).append(((*ends, share), value))
-        sided = [place for place, several in parts.items() if _disagree(several)]
-        waves = self._curve.gaps_in_time(np.array(sided, dtype=int)) if sided else ()
-        for place, wave in zip(sided, waves, strict=True):
-            accepted[place] = self._tells(wave, parts[place])
-        for place, several in parts.items():
-            if accepted[place]:
-                found[place] = self._of_nearest(place, several, expected[place])
-        for place in map(int, np.flatnonzero(accepted & np.isnan(found))):
-            found[place] = self._alone(place)
-        self._singly(found, np.flatnonzero(np.isnan(found)))
+        gaps are clearly nearer, too; where several motions are as near, or none is near enough,
+        there is none. Points that no node judges are judged by the orbits next to them."""
+        found, (accepted, expected) = np.full(len(self._curve), np.nan + 0j), self._accepted()
+        if self.branch.linked.any():
+            self._by_segments(found, accepted, expected)
+        self._singly(found, accepted)
         return found
 
-    def _singly(self, found: np.ndarray, places: np.ndarray) -> None:
-        """Judge points whose orbits nodes do not tell one by one, as single solutions are: some,
-        those next to others, and from each that is decided on to the next that is not."""
-        left = set(map(int, places))
+    def _by_segments(self, found: np.ndarray, accepted: np.ndarray, expected: np.ndarray) -> None:
+        """Judge points that segments tell, of those accepted: no more where they do not tell."""
+        count = len(found)
+        segment, place, share = self._parts(accepted)
+        value = _between(self.branch.nodes, segment, share)
+        outside = np.abs(value) > 1.0
+
+        def disagree(chosen: np.ndarray) -> np.ndarray:
+            """Whether multipliers of chosen parts beside each point lie on both sides of 1."""
+            large = np.bincount(place[chosen], outside[chosen], count)
+            return (large > 0) & (large < np.bincount(place[chosen], minlength=count))
+
+        sided = np.flatnonzero(disagree(np.ones(len(place), dtype=bool)))
+        waves = self._curve.gaps_in_time(sided) if len(sided) else ()
+        for one, wave in zip(sided, waves, strict=True):
+            beside = place == one
+            accepted[one] = self._tells(wave, segment[beside], share[beside], outside[beside])
+        places = np.array([one.place for one in self.branch.nodes])
+        inside = (places[segment] <= place) & (place <= places[segment + 1])
+        inside &= expected[place] <= FARTHEST
+        apart, least = np.zeros(len(place)), np.full(count, np.inf)
+        asked = ~inside | (np.bincount(place, minlength=count)[place] > 1)
+        if asked.any():
+            motions = self.branch.motions(place[asked])
+            off = self.branch.at(segment[asked], share[asked]) - motions
+            apart[asked] = np.linalg.norm(off, axis=1) / np.linalg.norm(motions, axis=1)
+        np.minimum.at(least, place, apart)
+        order = np.lexsort((apart, place))
+        nearest = order[np.unique(place[order], return_index=True)[1]]
+        near = inside[nearest] | (apart <= np.minimum(expected, FARTHEST)[place])[nearest]
+        near &= (accepted & ~disagree(apart <= BELIEVED * least[place]))[place[nearest]]
+        found[place[nearest[near]]] = value[nearest[near]]
+
+    def _parts(self, accepted: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Where a segment has the parameter of a point near it that is accepted: the segment, the
+        point, and the part of the segment, (m,) each."""
+        nodes, last = self.branch.nodes, len(self._curve) - 1
+        parameters = np.array([one.parameter for one in nodes])
+        places, rises = np.array([int(one.place) for one in nodes]), np.diff(parameters)
+        number = np.flatnonzero(self.branch.linked & (rises != 0.0))
+        first = np.maximum(0, places[number] - 2 * EVERY)
+        counts = np.minimum(last, places[number + 1] + 2 * EVERY) - first + 1
+        segment, begins = np.repeat(number, counts), np.cumsum(counts) - counts
+        place = np.arange(len(segment)) + np.repeat(first - begins, counts)
+        share = (self.parameters[place] - parameters[segment]) / rises[segment]
+        there = (np.abs(share - 0.5) <= 0.5 + 1e-9) & accepted[place]
+        return segment[there], place[there], share[there]
+
+    def _singly(self, found: np.ndarray, accepted: np.ndarray) -> None:
+        """Judge points whose orbits nodes do not tell one by one: some, those next to others, also
+        where nodes begin or cease to be accepted, and from each that is decided on to the next that
+        is not; by the orbit next to it where they are accepted, or as single solutions are."""
+        places = np.flatnonzero(np.isnan(found))
+        left = {int(place): bool(accepted[place]) for place in places}
         asked = [int(place) for place in places[:: 1 + len(places) // EVERY]]
-        asked += [place for place in left if not {place - 1, place + 1} <= left]
+        for place, kind in left.items():
+            asked += [place] if {left.get(place - 1), left.get(place + 1)} != {kind} else []
         while asked:
             place = asked.pop()
             if place in left:
-                left.remove(place)
-                found[place] = self.by_itself(place)
+                alone = self._alone(place) if left.pop(place) else complex(np.nan)
+                found[place] = self.by_itself(place) if np.isnan(alone) else alone
                 asked += [] if np.isnan(found[place]) else [place - 1, place + 1]
 
-    def by_itself(self, place: int) -> complex:
-        """Leading multiplier of a point judged as a single solution is; nan where that is open."""
-        alone = stability_of(self._curve.judged(place, self._flow))
-        return complex(np.nan) if alone.verdict == "undecided" else _upper(alone.multipliers[0])
+    def by_itself(self, place: int, *, patient: bool = False) -> complex:
+        """Leading multiplier of a point judged as a single solution is, ``patient``: to the end of
+        a homotopy; nan where that is open."""
+        alone = stability_of(self._curve.judged(place, self._flow, patient=patient))
+        return (
+            complex(np.nan)
+            if alone.verdict == "undecided"
+            else complex(_upper(alone.multipliers[0]))
+        )
 
-    def _tells(self, wave: np.ndarray, several: list[tuple[_Part, complex]]) -> bool:
+    def _tells(
+        self, wave: np.ndarray, segment: np.ndarray, share: np.ndarray, outside: np.ndarray
+    ) -> bool:
         """Whether of the parts next to a point none on the other side of 1 has gaps that are as
         near as the nearest: the error of a point next to a fold is that of both."""
-        away = []
-        for part, _ in several:
-            gap = self.system.gap(*cubic(*part), len(wave))
-            away.append(relative(gap - wave, gap + self._curve.structure.clearance))
-        near = np.flatnonzero(np.array(away) <= BELIEVED * min(away))
-        return not _disagree([several[number] for number in near])
-
-    def _of_nearest(
-        self, place: int, several: list[tuple[_Part, complex]], expected: float
-    ) -> complex:
-        """Of the part nearest to a point, if it is near enough, and none on the other side of 1 is
-        as near; else nan."""
-        apart = [self._apart(place, part) for part, _ in several] if len(several) > 1 else [0.0]
-        number = int(np.argmin(apart))
-        near = np.flatnonzero(np.array(apart) <= BELIEVED * apart[number])
-        if _disagree([several[other] for other in near]):
-            return complex(np.nan)
-        part, value = several[number]
-        inside = part[0].place <= place <= part[1].place and expected <= FARTHEST
-        near_enough = inside or self._apart(place, part) <= min(expected, FARTHEST)
-        return value if near_enough else complex(np.nan)
+        away, nodes = np.zeros(len(segment)), self.branch.nodes
+        for number, (one, part) in enumerate(zip(segment, share, strict=True)):
+            gap = self.system.gap(*cubic(nodes[one], nodes[one + 1], part), len(wave))
+            away[number] = relative(gap - wave, gap + self._curve.structure.clearance)
+        return len(set(outside[away <= BELIEVED * away.min()])) == 1
 
     def _alone(self, place: int) -> complex:
         """Leading multiplier of the orbit next to a point at its value of the parameter; nan where
@@ -242,12 +259,7 @@ class _Judge:
         if node is None or abs(node.moduli[0] - 1.0) <= KNOWN:
             return complex(np.nan)
         self._ask([node])
-        return _upper(node.leading[0]) if self._own[place] else complex(np.nan)
-
-    def _apart(self, place: int, part: _Part) -> float:
-        """From a point's motion to a part of a segment, relative."""
-        motion = self.branch.motion(place)
-        return float(np.linalg.norm(cubic(*part)[0] - motion) / np.linalg.norm(motion))
+        return complex(_upper(node.leading[0])) if self._own[place] else complex(np.nan)
 
     def _accepted(self) -> tuple[np.ndarray, np.ndarray]:
         """Whether the orbits on both sides of a point are the points' own, (n,) bool, and how far
@@ -269,29 +281,28 @@ def _budget(curve: ResponseCurve, flow: ContactFlow) -> Budget:
     return Budget(pieces=FOR_EVENTS + (math.ceil(flow.pieces(longest)) if formed else 0))
 
 
-def _disagree(several: list[tuple[_Part, complex]]) -> bool:
-    """Whether leading multipliers of parts lie on both sides of 1."""
-    return len({abs(value) > 1.0 for _, value in several}) > 1
-
-
-def _between(first: Node, last: Node, shares: np.ndarray) -> np.ndarray:
-    """Leading multipliers at parts of a segment, (n,) complex, on the side of 1 of its ends that
+def _between(nodes: list[Node], segment: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Leading multipliers at parts of segments, (n,) complex, on the side of 1 of their ends that
     are no bifurcations; nan where these differ, or do not tell it from 1, or where one that is a
     bifurcation is not located."""
-    lost = [one for one in (first, last) if one.crossing and not one.crossing.located]
-    sides = [] if lost else [one for one in (first, last) if one.crossing is None]
-    largest = [float(one.moduli[0]) for one in sides]
-    if len({size > 1.0 for size in largest}) != 1 or min(abs(s - 1.0) for s in largest) <= KNOWN:
-        return np.full(len(shares), np.nan + 0j)
-    kinds = {np.sign(one.leading[0].real) * (one.leading[0].imag == 0.0) for one in (first, last)}
-    moduli = (1.0 - shares) * first.moduli[0] + shares * last.moduli[0]
-    if len(kinds) > 1:  # perhaps a pair becomes real
-        moduli = blended(first, last, shares)[0]
-    limit = 1.0 + 2.0 * KNOWN if largest[0] > 1.0 else 1.0 - 2.0 * KNOWN
-    moduli = np.maximum(moduli, limit) if limit > 1.0 else np.minimum(moduli, limit)
-    ends = np.array([one.leading[0] for one in (sides[0], sides[-1])])
-    upper = ends.real + 1j * np.abs(ends.imag)
-    return moduli * (upper / np.maximum(np.abs(ends), 1e-300))[(shares >= 0.5).astype(int)]
+    leading = np.array([one.leading[0] for one in nodes])
+    size, met = np.abs(leading), np.array([one.crossing is not None for one in nodes])
+    lost = np.array([one.crossing is not None and not one.crossing.located for one in nodes])
+    first, last = segment, segment + 1
+    sides = np.where(met[first], last, first), np.where(met[last], first, last)
+    begin, end = size[sides[0]], size[sides[1]]
+    unknown = lost[first] | lost[last] | (met[first] & met[last]) | ((begin > 1.0) != (end > 1.0))
+    unknown |= np.minimum(np.abs(begin - 1.0), np.abs(end - 1.0)) <= KNOWN
+    moduli = (1.0 - share) * size[first] + share * size[last]
+    kinds = np.sign(leading.real) * (leading.imag == 0.0)
+    for one in np.unique(segment[kinds[first] != kinds[last]]):  # perhaps a pair becomes real
+        there = segment == one
+        moduli[there] = blended(nodes[one], nodes[one + 1], share[there])[0]
+    inside = np.minimum(moduli, 1.0 - 2.0 * KNOWN), np.maximum(moduli, 1.0 + 2.0 * KNOWN)
+    found = np.where(begin > 1.0, inside[1], inside[0]) + 0j
+    found *= (_upper(leading) / np.maximum(size, 1e-300))[np.where(share < 0.5, *sides)]
+    found[unknown] = np.nan
+    return found
 
 
 def judge_curve(curve: ResponseCurve) -> ResponseCurve:
@@ -342,14 +353,17 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     if curve.subharmonic % 2:
         multipliers = judge.points()
     else:  # next to the end of the branch the old orbit is as near as the new one
-        multipliers = np.array([judge.by_itself(place) for place in range(len(curve))])
+        multipliers = np.array(
+            [judge.by_itself(place, patient=True) for place in range(len(curve))]
+        )
     undecided = np.isnan(multipliers)
     special = _special(curve, judge, crossings, undecided)
     return replace(curve, bifurcations=special, multipliers=multipliers, undecided=undecided)
 
 
-def _upper(value: complex) -> complex:
-    return complex(value.real, abs(value.imag))
+def _upper(value: np.ndarray) -> np.ndarray:
+    """With positive imaginary parts."""
+    return np.asarray(value.real + 1j * np.abs(value.imag))
 
 
 def verified(curve: ResponseCurve) -> ResponseCurve:

@@ -39,6 +39,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import scipy.optimize
@@ -256,6 +257,19 @@ class OrbitBranch:
         """x of the motion of a point."""
         self.know(np.array([place]))
         return self._known[place]
+
+    def motions(self, places: np.ndarray) -> np.ndarray:
+        """x of the motions of some points: (m, 2n)."""
+        self.know(places)
+        return np.array([self._known[int(place)] for place in places])
+
+    def at(self, segment: np.ndarray, share: np.ndarray) -> np.ndarray:
+        """x at parts of segments, given by their numbers: (m, 2n)."""
+        changes, _, lengths = _chords(self.nodes)
+        ways = np.array([one.tangent.x for one in self.nodes])
+        first = np.array([one.unknown for one in self.nodes])[segment]
+        ends = ways[segment], ways[segment + 1]
+        return first + _hermite(changes[segment], lengths[segment, None], *ends, share[:, None])
 
     def anchor(self, place: int) -> Node | None:
         """The node next to a point of the curve; None where none is found."""
@@ -513,14 +527,15 @@ def cubic(first: Node, last: Node, share: float) -> tuple[np.ndarray, float]:
     """Hermite's cubic through two nodes."""
     change, rise = last.unknown - first.unknown, last.parameter - first.parameter
     length = np.sqrt(first.tangent.weight * (change @ change) + rise**2)
+    unknown = _hermite(change, length, first.tangent.x, last.tangent.x, share)
+    parameter = _hermite(rise, length, first.tangent.p, last.tangent.p, share)
+    return first.unknown + unknown, first.parameter + parameter
+
+
+def _hermite(change: Any, length: Any, begin: Any, end: Any, share: Any) -> Any:
+    """The cubic that changes by so much over a length, with these slopes at its ends."""
     s, left = share, 1.0 - share
-    begin, end = left * left * s * length, -s * s * left * length
-    unknown = first.unknown + s * s * (3.0 - 2.0 * s) * change
-    parameter = first.parameter + s * s * (3.0 - 2.0 * s) * rise
-    for scale, tangent in ((begin, first.tangent), (end, last.tangent)):
-        unknown = unknown + scale * tangent.x
-        parameter += scale * tangent.p
-    return unknown, parameter
+    return s * s * (3.0 - 2.0 * s) * change + s * left * length * (left * begin - s * end)
 
 
 def _bent_through(
