@@ -90,14 +90,6 @@ class ExponentialFlow:
         self._static = ActiveSets(self.residual + np.diag(self.springs))
         self._prepare()
 
-    def at(self, omega: float) -> ExponentialFlow:
-        """The same with another load frequency."""
-        other = object.__new__(ExponentialFlow)
-        vars(other).update(vars(self))
-        other.omega = omega
-        other._prepare()
-        return other
-
     def _prepare(self) -> None:
         """Everything that depends on the length of a step."""
         modes, (count, pairs) = self.modes, self.modes.pairs.shape

@@ -386,13 +386,6 @@ class Path:
         self.event: Event | None = None
         self._begin(start, options.initial_step)
 
-    @property
-    def status(self) -> str:
-        """How it has ended, in words."""
-        if self.event is not None:
-            return self.event.told
-        return "under way" if self.ended is None else self.ended.told(self._options.max_steps)
-
     def points(self) -> Iterator[PathPoint]:
         """One point after the other."""
         for stretch in self:
