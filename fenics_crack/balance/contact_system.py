@@ -41,7 +41,6 @@ from mpi4py import MPI
 from fenics_crack.balance.compiled import SHARPLY, CompiledEquations, ModalPart
 from fenics_crack.balance.compliance import Compliance, ResizedCompliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, respond
-from fenics_crack.balance.wave import Wave
 from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.numerics.fourier import resized, stretched
@@ -132,15 +131,12 @@ class ContactSystem:
         found: np.ndarray = self.basis.T @ self.moving @ self.basis
         return found
 
-    def unknown(self, wave: Wave, factor: int = 1) -> np.ndarray:
-        """s of a wave, of whose periods one of these has so many: (2H+1, n_pairs)."""
-        return self.slow(
-            stretched(wave.gap_coefficients, factor), stretched(wave.force_coefficients, factor)
+    def slow(self, gap: np.ndarray, force: np.ndarray, factor: int = 1) -> np.ndarray:
+        """s of the coefficients of a gap and of its force, with any harmonics, of whose periods one
+        of these has so many: (2H+1, n_pairs)."""
+        gap, force = (
+            resized(stretched(rows, factor), self.integrals.harmonics) for rows in (gap, force)
         )
-
-    def slow(self, gap: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """s of the coefficients of a gap and of its force, with any harmonics: (2H+1, n_pairs)."""
-        gap, force = (resized(rows, self.integrals.harmonics) for rows in (gap, force))
         return gap if self.residual is None else gap + force @ self.residual
 
     def gap(self, unknown: np.ndarray, force: np.ndarray) -> np.ndarray:

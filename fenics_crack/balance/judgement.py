@@ -28,8 +28,7 @@ import numpy as np
 
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.balance.orbits import PARTS, orbit_next_to, predicted, wave_states
-from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.wave import Wave
+from fenics_crack.balance.problem import Problem, Wave
 from fenics_crack.errors import MOST_HARMONICS
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import times

@@ -1,4 +1,5 @@
-"""A problem of harmonic balance: all that a solution depends on but its start."""
+"""A problem of harmonic balance, all that a solution depends on but its start; and the motion that
+solves it."""
 
 from __future__ import annotations
 
@@ -15,7 +16,6 @@ from fenics_crack.balance.contact_integrals import (
 )
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, default_weight
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
-from fenics_crack.balance.wave import Wave
 from fenics_crack.errors import (
     MAX_SAMPLES,
     ConvergenceError,
@@ -29,9 +29,10 @@ from fenics_crack.model.coupled import is_regular
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.bordered import PathPoint, point_on_path, solve_at, solve_near
+from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.numerics.path import Path, PathOptions, Target
 
-__all__ = ["NARROW", "NEARLY_SOLVED", "Problem"]
+__all__ = ["NARROW", "NEARLY_SOLVED", "Problem", "Wave"]
 
 BEYOND = 2.0
 """Modes above so many times the highest harmonic answer at once."""
@@ -46,6 +47,91 @@ FEWEST_ON_PATH = 15
 nowhere."""
 STIFF = 100.0
 """k R_inf from which a penalty on lips with mass is seen through R_inf."""
+
+
+@dataclass(frozen=True, repr=False)
+class Wave:
+    """u(t) = a0 + sum_k a_k cos(k w t) + b_k sin(k w t), w = omega / subharmonic.
+
+    Its attributes are those of :class:`fenics_crack.PeriodicSolution`.
+    """
+
+    structure: Structure
+    omega: float
+    contact: ContactLaw | None
+    displacement_coefficients: np.ndarray
+    gap_coefficients: np.ndarray
+    force_coefficients: np.ndarray
+    subharmonic: int = 1
+    static_above: float | None = None
+
+    @property
+    def harmonics(self) -> int:
+        """H, the highest harmonic kept."""
+        return (len(self.gap_coefficients) - 1) // 2
+
+    @property
+    def base_omega(self) -> float:
+        """Angular frequency of the response [rad/s]."""
+        return self.omega / self.subharmonic
+
+    @property
+    def period(self) -> float:
+        """Period of the response [s]."""
+        return float(2.0 * np.pi / self.base_omega)
+
+    @cached_property
+    def residual(self) -> np.ndarray | None:
+        """R_inf, the compliance of what answers contact forces at once: (n_pairs, n_pairs) [m/N];
+        None where nothing does."""
+        if self.static_above is None:
+            return None
+        return all_modes(self.structure).static_part(self.static_above)
+
+    @cached_property
+    def _forces(self) -> CoupledIntegrals:
+        """lambda(s) where something answers at once."""
+        assert self.contact is not None
+        return CoupledIntegrals(self.contact, self.harmonics, residual=self.residual)
+
+    @property
+    def slow_gap_coefficients(self) -> np.ndarray:
+        """Of s = g + R_inf lambda, the gap without what answers at once: (2H+1, n_pairs) [m]."""
+        if self.residual is None:
+            return self.gap_coefficients
+        return self.gap_coefficients + self.force_coefficients @ self.residual
+
+    def gap(self, time: np.ndarray) -> np.ndarray:
+        """g at times [s]: (len(time), n_pairs) [m]. Where some of it answers contact forces at
+        once, s(t) - R_inf lambda(s(t)), with its kinks."""
+        slow = evaluate(self.slow_gap_coefficients, self.base_omega, time)
+        if self.residual is None:
+            return slow
+        return slow - self.contact_force(time) @ self.residual
+
+    def contact_force(self, time: np.ndarray) -> np.ndarray:
+        """Contact force at times [s]: (len(time), n_pairs) [N], lambda(g(t)) or lambda(s(t)); of a
+        constraint of pairs that nothing couples, eps max(0, g + lambda / eps) of the waves."""
+        gap = evaluate(self.slow_gap_coefficients, self.base_omega, time)
+        if self.contact is None:
+            return np.zeros_like(gap)
+        if self.residual is not None:
+            return self._forces.forces(gap)
+        if not is_rigid(self.contact):
+            return self.contact.force(gap)
+        assert self.contact.weight is not None
+        force = evaluate(self.force_coefficients, self.base_omega, time)
+        return np.asarray(np.maximum(0.0, self.contact.weight * gap + force))
+
+    def coordinates(self, time: np.ndarray) -> np.ndarray:
+        """Displacement of the structure's own dofs on this rank: (len(time), n_local) [m]."""
+        found = evaluate(self.displacement_coefficients, self.base_omega, time)
+        if self.static_above is not None:
+            # What answers at once follows the forces as they are, with their kinks.
+            waves = evaluate(self.force_coefficients, self.base_omega, time)
+            moved = all_modes(self.structure).moved_at_once(self.static_above)
+            found -= (self.contact_force(time) - waves) @ moved.T
+        return found
 
 
 @dataclass(frozen=True)
@@ -189,7 +275,9 @@ class Problem:
             system = self.system(self.compliance())
             if not system.integrals.exact:
                 return None
-            start = system.unknown(wave, self.subharmonic // wave.subharmonic)
+            start = system.slow(
+                wave.gap_coefficients, wave.force_coefficients, self.subharmonic // wave.subharmonic
+            )
             # Where J is not formed, steps that lead nowhere take long.
             steps = solve_at if system.matrix_free else solve_near
             found = steps(system, start, system.end, tolerance=NEARLY_SOLVED)

@@ -16,9 +16,8 @@ from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.error_report import ErrorReport, estimate_errors, of_no_solution
 from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
 from fenics_crack.balance.judgement import Judgement
-from fenics_crack.balance.problem import Problem
+from fenics_crack.balance.problem import Problem, Wave
 from fenics_crack.balance.search import Search
-from fenics_crack.balance.wave import Wave
 from fenics_crack.errors import MOST_HARMONICS, ConvergenceError
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.numerics.fourier import evaluate
@@ -308,7 +307,8 @@ class Solver:
 
         system = with_harmonics(problem.harmonics)
         if initial is not None:
-            start = system.unknown(initial, problem.subharmonic // initial.subharmonic)
+            times = problem.subharmonic // initial.subharmonic
+            start = system.slow(initial.gap_coefficients, initial.force_coefficients, times)
         at = (
             search.penalty(system, start, problem, with_harmonics)
             if system.residual is None

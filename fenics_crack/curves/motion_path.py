@@ -16,6 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from fenics_crack.balance.problem import NARROW
 from fenics_crack.balance.search import SOFT
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.free_motion import (
@@ -37,8 +38,6 @@ FAST = 0.5
 ELSEWHERE = "the path ended in the motion of another mode"
 FEWER = (1, 2, 3, 5, 10)
 """Harmonics with which the path in the contact stiffness is tried again."""
-LONGEST_SHARE, MOST_SHARES = 0.2, 200
-"""Longest step in the share with which harmonics see the pairs, and how many."""
 
 
 def solve_motion(family: FreeMotion, guess: np.ndarray, parameter: float) -> PathPoint | None:
@@ -266,7 +265,9 @@ def _with_all_harmonics(
     last = solve_motion(faded, padded, 0.0)
     if last is None:
         return None
-    path = MotionPath(faded, last, 1.0, lowest=-0.5, max_step=LONGEST_SHARE, max_steps=MOST_SHARES)
+    path = MotionPath(
+        faded, last, 1.0, lowest=-0.5, max_step=NARROW.max_step, max_steps=NARROW.max_steps
+    )
     landed = path.run()
     found = landed and solve_motion(family, landed.unknown, 0.0)
     return found if found and family.is_fundamental(found.unknown) else None

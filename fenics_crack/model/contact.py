@@ -25,7 +25,6 @@ __all__ = [
     "UnilateralConstraint",
     "UnilateralPenalty",
     "check_law",
-    "force_in_time",
     "is_piecewise_linear",
     "is_rigid",
     "is_unilateral",
@@ -182,17 +181,6 @@ def is_unilateral(contact: object) -> bool:
     """Whether a pair is open or closed and nothing between, so that exact integrals and flows know
     its law: the penalty law, or the constraint."""
     return is_piecewise_linear(contact) or is_rigid(contact)
-
-
-def force_in_time(contact: ContactLaw, gap: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """Contact force (n, n_pairs) [N] from the waves of gap and force at the same instants.
-
-    lambda(g), or without penetration eps max(0, g + lambda / eps).
-    """
-    if is_rigid(contact):
-        assert contact.weight is not None
-        return np.maximum(0.0, contact.weight * gap + force)
-    return contact.force(gap)
 
 
 def check_law(structure: Structure, contact: Any, *, rigid: bool = False) -> None:
