@@ -1,4 +1,4 @@
-"""What branches of twice the period promise."""
+"""What branches promise: of twice the period, and where equal masses part."""
 
 from functools import cache
 
@@ -79,3 +79,23 @@ def test_no_branch_where_none_begins() -> None:
     fold = next(one for one in curve.bifurcations if one.kind == "fold")
     with pytest.raises(fc.InputError, match="bifurcation"):
         fc.follow_branch(curve, fold)
+
+
+def test_equal_masses_part_at_a_branch_point() -> None:
+    """Two of them with stops, loaded alike, move alike on the curve; on the branch they do not, nor
+    in the exact orbit next to a point of it. It closes where it left."""
+    structure = fc.Structure.from_matrices(
+        np.eye(2), np.array([[2.0, -1.0], [-1.0, 2.0]]), np.eye(2), force_sin=np.ones(2),
+        clearance=0.3, damping=fc.ModalDamping(0.02),
+    )  # fmt: skip
+    curve = fc.continue_frequency(structure, 0.3, 3.0, fc.UnilateralPenalty(2.0), harmonics=10)
+    assert np.ptp(curve.gap_coefficients, axis=2).max() < 1e-7
+    there = next(one for one in curve.bifurcations if one.kind == "branch_point")
+    branch = fc.follow_branch(curve, there)
+    assert branch.complete and branch.status == "closed loop"
+    apart = np.ptp(branch.gap_coefficients, axis=2).max(axis=1)
+    point = branch.solution(int(np.argmax(apart)))
+    assert judged.apart(point, judged.orbit_of(point)) < 3.0 * point.report.total < 0.03
+    gap = fc.shoot(structure, point).gap_at(np.linspace(0.0, point.period, 100))
+    assert np.ptp(gap, axis=1).max() > 0.02
+    assert abs(branch.omega - there.omega).min() < 1e-3
