@@ -23,6 +23,7 @@ import numpy as np
 
 import fenics_crack as fc
 from fenics_crack.balance.orbits import FlowOrbits
+from fenics_crack.motion.orbit import eigenvalues
 from fenics_crack.numerics.bordered import PathPoint, point_on_path
 from fenics_crack.numerics.path import Crossing, Event, Fold, Path, PathOptions, Target
 
@@ -134,7 +135,8 @@ def exact_branch(curve: fc.ResponseCurve) -> Branch:
                 if event is test:
                     special[kind].append(at.parameter * orbits.omega)
     multipliers = [
-        abs(orbits.linearise(point.unknown, point.parameter).multipliers[0]) for point in points
+        abs(eigenvalues(orbits.linearise(point.unknown, point.parameter).monodromy)[0])
+        for point in points
     ]
     return Branch(
         orbits,

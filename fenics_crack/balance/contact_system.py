@@ -211,13 +211,12 @@ class ContactPoint(DenseLinearisation):
         integrals: ContactIntegrals,
         by_parameter: ByParameter,
     ) -> None:
-        self.system, self._derivative = system, by_parameter
+        self.system, self.unknown, self._derivative = system, unknown, by_parameter
         self.forces = integrals.linearise(unknown)
         self.force = self.forces.force
         """Coefficients of the contact force, (2H+1, n_pairs) [N]."""
         self.gap = system.gap(unknown, self.force)
         """Coefficients (2H+1, n_pairs) [m]."""
-        super().__init__(unknown)
 
     @cached_property
     def residual(self) -> np.ndarray:  # type: ignore[override]
@@ -225,7 +224,8 @@ class ContactPoint(DenseLinearisation):
         system = self.system
         return self.unknown - system.linear + respond(system.moving, self.force)
 
-    def assemble(self) -> np.ndarray:
+    @cached_property
+    def jacobian(self) -> np.ndarray:
         """I + (R - R_inf) T."""
         return self.forces.identity_plus(self.system.moving)
 
@@ -253,7 +253,8 @@ class ContactPoint(DenseLinearisation):
         """Sign of det J; nan where J is not formed."""
         return np.nan if self.system.matrix_free else super().sign
 
-    def differentiate(self) -> np.ndarray:
+    @cached_property
+    def by_parameter(self) -> np.ndarray:
         return self._derivative(self)
 
     def gap_of(self, change: np.ndarray) -> np.ndarray:

@@ -36,7 +36,6 @@ from fenics_crack.motion.orbit import (
     KNOWN,
     PeriodicOrbit,
     Prediction,
-    eigenvalues,
     find_orbit,
     predict,
 )
@@ -81,26 +80,22 @@ class OrbitPoint(DenseLinearisation):
         by_parameter: Callable[[], np.ndarray],
         events: int,
     ) -> None:
-        self._monodromy, self._slope, self.events = monodromy, by_parameter, events
-        super().__init__(unknown, residual)
+        self.unknown, self.residual, self.events = unknown, residual, events
+        self._monodromy, self._slope = monodromy, by_parameter
 
     @cached_property
     def monodromy(self) -> np.ndarray:
         """M = dz(T)/dz: (2n, 2n)."""
         return self._monodromy()
 
-    def assemble(self) -> np.ndarray:
+    @cached_property
+    def jacobian(self) -> np.ndarray:
         """M - I."""
         return self.monodromy - np.eye(len(self.monodromy))
 
-    def differentiate(self) -> np.ndarray:
-        """dF/dp."""
-        return self._slope()
-
     @cached_property
-    def multipliers(self) -> np.ndarray:
-        """Floquet multipliers, largest modulus first: (2n,) complex."""
-        return eigenvalues(self.monodromy)
+    def by_parameter(self) -> np.ndarray:
+        return self._slope()
 
 
 def recurrences(passed: Sequence[np.ndarray] | np.ndarray, count: int) -> list[int]:
@@ -197,10 +192,6 @@ class FlowOrbits(Equations):
         instants = (np.arange(count) + later) / count
         return self._motion(unknown, parameter, instants).samples.gap
 
-    def displacement(self, unknown: np.ndarray, count: int) -> np.ndarray:
-        """Displacement of the structure's own dofs there, at p = 1: (count, n_dofs) [m]."""
-        return self._motion(unknown, 1.0, np.arange(count) / count).samples.displacement
-
     def orbit(self, found: PathPoint) -> PeriodicOrbit:
         """The orbit of a solution of the equations."""
         motion = self._motion(found.unknown, found.parameter, np.zeros(0))
@@ -262,17 +253,18 @@ class _HomotopyPoint(DenseLinearisation):
     """The homotopy's equations at a point."""
 
     def __init__(self, at: OrbitPoint, parameter: float, start: np.ndarray) -> None:
-        self._at, self._parameter = at, parameter
+        self._at, self._parameter, self.unknown = at, parameter, at.unknown
         self._moved = at.unknown + at.residual - start
-        super().__init__(at.unknown, parameter * self._moved - (at.unknown - start))
+        self.residual = parameter * self._moved - (at.unknown - start)
 
-    def assemble(self) -> np.ndarray:
+    @cached_property
+    def jacobian(self) -> np.ndarray:
         """p M - I."""
         monodromy = self._at.monodromy
         return self._parameter * monodromy - np.eye(len(monodromy))
 
-    def differentiate(self) -> np.ndarray:
-        """By p."""
+    @property
+    def by_parameter(self) -> np.ndarray:
         return self._moved
 
 

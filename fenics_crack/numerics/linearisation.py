@@ -9,6 +9,7 @@ rounding leaves of a residual is known too.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -76,49 +77,18 @@ class DenseLinearisation(Linearisation):
     once.
     """
 
-    def __init__(self, unknown: np.ndarray, residual: np.ndarray | None = None) -> None:
-        """Without the residual where a derived class finds it when it is first needed."""
-        self.unknown = unknown
-        if residual is not None:
-            self.residual = residual
-        # Not functools.cached_property, whose lock costs as much as a small product.
-        self._jacobian: np.ndarray | None = None
-        self._by_parameter: np.ndarray | None = None
-        self._lu: tuple[np.ndarray, np.ndarray] | None = None
-
+    @property
     @abstractmethod
-    def assemble(self) -> np.ndarray:
-        """Make J, (n, n) for the n entries of the residual in their order."""
-
-    @abstractmethod
-    def differentiate(self) -> np.ndarray:
-        """Make dF/dp."""
+    def jacobian(self) -> np.ndarray:
+        """J, (n, n) for the n entries of the residual in their order."""
 
     def condense(self) -> np.ndarray:
         """Make the matrix that is factored: J, or a smaller one with the same determinant."""
         return self.jacobian
 
-    @property
-    def jacobian(self) -> np.ndarray:
-        if self._jacobian is None:
-            self._jacobian = self.assemble()
-        return self._jacobian
-
-    @property
-    def by_parameter(self) -> np.ndarray:
-        if self._by_parameter is None:
-            self._by_parameter = self.differentiate()
-        return self._by_parameter
-
-    @property
+    @cached_property
     def _factors(self) -> tuple[np.ndarray, np.ndarray]:
-        if self._lu is None:
-            self._lu = factored(self.condense())
-        return self._lu
-
-    def apply(self, change: np.ndarray) -> np.ndarray:
-        product: np.ndarray = self.jacobian @ change.ravel()
-        return product.reshape(change.shape)
+        return factored(self.condense())
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         return solve_factored(self._factors, right)

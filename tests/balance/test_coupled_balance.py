@@ -70,7 +70,7 @@ def test_jacobian_against_finite_differences(
     system = system_of(short_chain, LAWS[law], 4).with_softness(softness)
     unknown = random_gaps(4, 3)
     point = system.linearise(unknown, 0.4)
-    matrix, step = point.assemble(), 1e-7
+    matrix, step = point.jacobian, 1e-7
     for column in range(unknown.size):
         change = step * np.eye(unknown.size)[column].reshape(unknown.shape)
         after, before = (system.linearise(unknown + s * change, 0.4) for s in (1.0, -1.0))
@@ -80,7 +80,7 @@ def test_jacobian_against_finite_differences(
         assert np.abs(point.gap_of(change / step) - gap).max() < 1e-5
     after, before = (system.linearise(unknown, 0.4 + s * step).residual for s in (1.0, -1.0))
     slope = (after - before) / (2.0 * step)
-    found = point.differentiate()
+    found = point.by_parameter
     if softness:
         assert relative(found, slope) < 1e-5
     else:
@@ -112,7 +112,7 @@ def test_matrix_free_is_dense(short_chain: fc.Structure, monkeypatch: pytest.Mon
         points.append(system.linearise(unknown, 0.4))
         solutions.append(fc.solve_harmonic_balance(short_chain, 0.8, RIGID, harmonics=6))
     dense, free = points
-    assert relative(dense.apply(other), (dense.assemble() @ other.ravel()).reshape(13, 3)) < 1e-12
+    assert relative(dense.apply(other), (dense.jacobian @ other.ravel()).reshape(13, 3)) < 1e-12
     for name in ("apply", "solve", "gap_of", "gap_by_force"):
         assert relative(getattr(free, name)(other), getattr(dense, name)(other)) < 1e-7
     assert np.isnan(free.sign) and abs(dense.sign) == 1.0

@@ -34,7 +34,7 @@ def test_equations_of_a_path(light: bool) -> None:
     assert relative(at.by_parameter, (ends[0] - ends[1]) / (2.0 * step)) < 1e-6
     change = np.random.default_rng(0).normal(size=flow.size)
     ends = [system.linearise(x + h * change, 1.02).residual for h in (step, -step)]
-    assert relative(at.assemble() @ change, (ends[0] - ends[1]) / (2.0 * step)) < 1e-6
+    assert relative(at.jacobian @ change, (ends[0] - ends[1]) / (2.0 * step)) < 1e-6
     first = solve_in_plane(system, system.start, 1.0, None, tolerance=1e-11)
     assert first is not None
     options = PathOptions(0.01, max_step=0.05, max_steps=6, span=(0.9, 1.1))

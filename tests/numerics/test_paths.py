@@ -20,13 +20,16 @@ class Place(DenseLinearisation):
 
     def __init__(self, plane: Plane, unknown: np.ndarray, p: float) -> None:
         self.plane, self.p = plane, p
-        super().__init__(unknown, np.array([plane.f(unknown[0], p), unknown[1] - 2.0]))
+        self.unknown = unknown
+        self.residual = np.array([plane.f(unknown[0], p), unknown[1] - 2.0])
 
-    def assemble(self) -> np.ndarray:
+    @property
+    def jacobian(self) -> np.ndarray:
         """J."""
         return np.diag([self.plane.by_x(self.unknown[0], self.p), 1.0])
 
-    def differentiate(self) -> np.ndarray:
+    @property
+    def by_parameter(self) -> np.ndarray:
         """dF/dp."""
         return np.array([self.plane.by_p(self.unknown[0], self.p), 0.0])
 
