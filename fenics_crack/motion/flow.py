@@ -150,13 +150,6 @@ class ContactFlow:
         rates = np.sqrt(np.maximum(self.modes.squares, base_omega**2))
         return np.concatenate([rates, np.ones_like(rates)])
 
-    def rate(self, state: np.ndarray, omega: float, time: float) -> np.ndarray:
-        """z' at a time: (2 n_modes,)."""
-        found = np.empty(self.size)
-        if kernel.flow_rate(self.handle, omega, time, doubles(_doubles(state)), doubles(found)):
-            _check(kernel.FLOW_LOST, 0)
-        return found
-
     def advance(
         self,
         state: np.ndarray,
@@ -243,11 +236,6 @@ class Track:
     sets: np.ndarray
     lengths: np.ndarray
 
-    @property
-    def times(self) -> np.ndarray:
-        """When each begins, and the end: (n + 1,) [s]."""
-        return self.start + np.concatenate([[0.0], np.cumsum(self.lengths)])
-
     @cached_property
     def _known(self) -> Struct:
         return Struct(
@@ -263,29 +251,11 @@ class Track:
         _check(outcome, len(self.lengths) - 1)
         return product
 
-    def column(
-        self,
-        force: np.ndarray,
-        gap: np.ndarray,
-        *,
-        by_time: bool = False,
-        start: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """dz(end) / dp at a fixed duration, by a parameter of which the load's derivatives are
-        given: (3, n_modes), (3, n_pairs), with ``by_time`` divided by the time; and, unless the
-        start is fixed, dz(start) / dp."""
-        state = np.zeros(self.flow.size) if start is None else np.array(start, dtype=float)
-        outcome = kernel.flow_column(
-            self.flow.handle, self._known.at, doubles(_doubles(force)), doubles(_doubles(gap)),
-            by_time, doubles(state),
-        )  # fmt: skip
-        _check(outcome, len(self.lengths) - 1)
-        return state
-
     def __matmul__(self, change: np.ndarray) -> np.ndarray:
         """dz(end) of a change dz(start), without the matrix: (2 n_modes,)."""
-        flow = self.flow
-        return self.column(np.zeros_like(flow.force), np.zeros_like(flow.gap), start=change)
+        end = np.array([len(self.lengths)], dtype=np.intc)
+        found: np.ndarray = self.carried(change, np.zeros((1, self.flow.size)), end)[-1]
+        return found
 
     def carried(self, start: np.ndarray, excess: np.ndarray, ends: np.ndarray) -> np.ndarray:
         """Changes d of the state at the starts of parts of the track and at its end, (n + 1,
@@ -299,13 +269,6 @@ class Track:
         )  # fmt: skip
         _check(outcome, len(self.lengths) - 1)
         return changes
-
-    def by_omega(self) -> np.ndarray:
-        """dz(end) / d omega at a fixed start and duration: (2 n_modes,)."""
-        state = np.empty(self.flow.size)
-        outcome = kernel.flow_by_omega(self.flow.handle, self._known.at, doubles(state))
-        _check(outcome, len(self.lengths) - 1)
-        return state
 
 
 @dataclass(frozen=True)

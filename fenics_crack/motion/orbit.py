@@ -143,11 +143,6 @@ class PeriodicOrbit(Described):
         """Floquet multipliers, largest modulus first: (2 n_modes,) complex."""
         return eigenvalues(self.monodromy)
 
-    def by_omega(self) -> np.ndarray:
-        """d(z(T) - z(0)) / d omega with z(0) held: (2 n_modes,)."""
-        rate = self.flow.rate(self.motion.state, self.omega, self.period)
-        return self.motion.track.by_omega() - self.period / self.omega * rate
-
     def samples(self, time: np.ndarray) -> Samples:
         """The motion at ascending times of the period [s]."""
         return self.flow.advance(self.state, self.omega, self.period, instants=time).samples

@@ -9,7 +9,7 @@ from motion.reference import ReferenceFlow
 
 import fenics_crack as fc
 from fenics_crack import PeriodicOrbit
-from fenics_crack.balance.orbits import orbit_next_to, predicted, wave_states
+from fenics_crack.balance.orbits import FlowOrbits, orbit_next_to, predicted, wave_states
 from fenics_crack.motion.flow import ContactFlow, flow_of
 from fenics_crack.motion.orbit import Prediction, find_orbit
 from fenics_crack.numerics.fourier import balanced, evaluate
@@ -128,7 +128,9 @@ def test_by_omega() -> None:
     assert flow is not None
     orbits = [find_orbit(flow, omega + h, np.zeros(flow.size)) for h in (0.0, step, -step)]
     here, after, before = (one for one in orbits if one is not None)
-    slope = np.linalg.solve(np.eye(flow.size) - here.monodromy, here.by_omega())
+    system = FlowOrbits(flow, omega, here.state)
+    at = system.linearise(system.start, 1.0)
+    slope = -at.solve(at.by_parameter) / (system.scale * omega)
     assert relative(slope, (after.state - before.state) / (2.0 * step)) < 1e-5
 
 
