@@ -43,7 +43,7 @@ def judged_by_waves(curve: ResponseCurve) -> ResponseCurve:
     for place in range(len(curve) - 1):
         kind = _crossed(*found[place : place + 2])
         if kind is not None:
-            special += curve.expand_bifurcations([(kind, *_located(curve, place, kind))])
+            special.append(curve.bifurcation(kind, *_located(curve, place, kind)))
     special.sort(key=lambda one: place_on(curve, one))
     multipliers = np.array([one.multipliers[0] for one in found])
     return replace(

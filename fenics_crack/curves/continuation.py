@@ -216,7 +216,8 @@ class Continuation:
             branch=self._branch,
             static_above=problem.static_cutoff,
         )
-        return replace(curve, bifurcations=curve.expand_bifurcations(self._special))
+        special = tuple(curve.bifurcation(*one) for one in self._special)
+        return replace(curve, bifurcations=special)
 
     def progress(self) -> float:
         """How much of the way from start to end has been gone, 0 to 1."""

@@ -389,14 +389,9 @@ class ResponseCurve(_Waves):
     def problem(self) -> Problem:
         """What was solved at the first point, with the harmonics of the last one."""
         return Problem(
-            self.structure,
-            float(self.omega[0]),
-            self.contact,
-            int(self.harmonics[-1]),
-            self.samples,
-            self.subharmonic,
-            self.static_above,
-        )
+            self.structure, float(self.omega[0]), self.contact, int(self.harmonics[-1]),
+            self.samples, self.subharmonic, self.static_above,
+        )  # fmt: skip
 
     def point(self, index: int) -> CurvePoint:
         """A point as :class:`Continuation` yields it, without the bifurcations before it."""
@@ -408,14 +403,14 @@ class ResponseCurve(_Waves):
     def solution(self, index: int, *, search: bool = True) -> PeriodicSolution:
         """The solution at a point, with its displacement and error report; without ``search`` for
         its exact orbit the report is what one Newton step predicts."""
-        return _expanded(self._problem_of(index), self.unknown(index), search=search)
+        return _expanded(self.problem_of(index), self.unknown(index), search=search)
 
     def judged(
         self, index: int, flow: ContactFlow | None = None, *, patient: bool = True
     ) -> Judgement:
         """What the exact flow, if it is known, says of a point, as :class:`Judgement`; no error is
         estimated."""
-        problem = self._problem_of(index)
+        problem = self.problem_of(index)
         at = problem.system(problem.compliance()).linearise(self.unknown(index))
         return Judgement(problem.wave(at), flow=flow, patient=patient)
 
@@ -495,21 +490,12 @@ class ResponseCurve(_Waves):
         """The equations with each number of harmonics, once they are known."""
         return {}
 
-    def expand_bifurcations(
-        self, special: list[tuple[str, float, np.ndarray]]
-    ) -> tuple[Bifurcation, ...]:
-        """Bifurcations of this curve from their kinds, parameters and unknowns."""
-        return tuple(
-            Bifurcation(kind, value, unknown, self._problem_at(value, unknown))
-            for kind, value, unknown in special
-        )
+    def bifurcation(self, kind: str, value: float, unknown: np.ndarray) -> Bifurcation:
+        """A special point of this curve, where the parameter has a value."""
+        return Bifurcation(kind, value, unknown, self._problem_at(value, unknown))
 
-    def structure_at(self, index: int) -> Structure:
-        """The structure at a point, as the parameter varies it."""
-        return self._problem_of(index).structure
-
-    def _problem_of(self, index: int) -> Problem:
-        """What was solved at a point."""
+    def problem_of(self, index: int) -> Problem:
+        """What was solved at a point, of the structure as the parameter varies it."""
         return self._problem_at(float(self.values[index]), self.unknown(index))
 
     def _problem_at(self, value: float, unknown: np.ndarray) -> Problem:

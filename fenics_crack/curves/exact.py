@@ -392,7 +392,7 @@ def _special(
             one = special[near[number]][1]
         else:
             there = _solution_at(curve, round(crossing.place), values[number])
-            [one] = curve.expand_bifurcations([(crossing.kind, *there)])
+            one = curve.bifurcation(crossing.kind, *there)
         exact = values[number] if crossing.located else np.nan
         found.append((crossing.place, replace(one, exact=exact)))
     for number, (place, one) in enumerate(special):

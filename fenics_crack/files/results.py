@@ -342,8 +342,8 @@ def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseC
     first = curve.solution(0)
     _check_gap(first.structure, first.displacement_coefficients, first.gap_coefficients, 1e-4)
     bifurcations = tuple(
-        replace(one, exact=float(at))
-        for one, at in zip(curve.expand_bifurcations(special), exact, strict=True)
+        replace(curve.bifurcation(*one), exact=float(at))
+        for one, at in zip(special, exact, strict=True)
     )
     return replace(curve, bifurcations=bifurcations)
 

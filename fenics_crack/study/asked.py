@@ -51,7 +51,7 @@ def asked_along_curve(study: Study, curve: ResponseCurve) -> dict[str, np.ndarra
     if OF_CLAMP.keys() & names:
         rows = curve.structure.once(_inertia_rows)
         for index, waves, *_ in curve.seen_through(rows):
-            whole = curve.structure_at(index).whole
+            whole = curve.problem_of(index).structure.whole
             omega = float(curve.omega[index]) / curve.subharmonic
             how = omega, curve.subharmonic, _drag(whole), PHASES
             found[index] |= numbers_at_clamp(*_clamp(whole).of_waves(waves, *how))

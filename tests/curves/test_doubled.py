@@ -65,8 +65,7 @@ def test_unconfirmed_doubling_is_not_looked_for() -> None:
     """Where no exact orbits have the doubling, none leads to a branch."""
     structure, law = oscillator(0.1, 1.0), fc.UnilateralPenalty(300.0)
     curve = fc.continue_frequency(structure, 2.2, 3.0, law, harmonics=6)
-    known = "period_doubling", float(curve.values[3]), curve.unknown(3)
-    [one] = curve.expand_bifurcations([known])
+    one = curve.bifurcation("period_doubling", float(curve.values[3]), curve.unknown(3))
     with pytest.raises(fc.ConvergenceError, match="no point of another branch"):
         fc.follow_branch(curve, one)
 

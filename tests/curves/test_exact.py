@@ -111,7 +111,7 @@ def test_neighbours_are_not_matched_crosswise(curve: fc.ResponseCurve) -> None:
     unknown = curve.unknown(9)
 
     def matched(places: dict[float, int], kind: str = "fold") -> dict[float, float]:
-        found = curve.expand_bifurcations([(kind, omega, unknown) for omega in places])
+        found = [curve.bifurcation(kind, omega, unknown) for omega in places]
         special = list(zip(places.values(), found, strict=True))
         crossings = [(Crossing("fold", 1.0, 9.0, True), omega) for omega in (783.0, 785.0)]
         near = exact._matched(curve, crossings, special)
