@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sparse
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from fenics_crack.errors import InputError
 from fenics_crack.fem.lips import SAME
@@ -141,6 +139,8 @@ def parts_of(
 ) -> tuple[int, np.ndarray]:
     """Number of parts of a mesh that share no node, all of them clamped, and the part of each
     cell."""
+    from scipy.sparse.csgraph import connected_components  # takes a while, for mesh files alone
+
     ones = np.ones(cells.size - len(cells), dtype=np.int8)
     ends = cells[:, :-1].ravel(), cells[:, 1:].ravel()
     graph = sparse.coo_matrix((ones, ends), (len(places), len(places)))
@@ -162,6 +162,8 @@ def parts_of(
 
 def _check_boundary(edges: np.ndarray, places: np.ndarray, lips: np.ndarray) -> None:
     """Edges of the boundary neither cross nor lie in one place, but for those of lips."""
+    from scipy.spatial import cKDTree
+
     size = len(places)
     is_lip = np.isin(edges @ [size, 1], np.sort(lips, axis=1) @ [size, 1])
     ends = places[edges]
