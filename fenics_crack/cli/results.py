@@ -88,4 +88,5 @@ def result_of(stored: Stored) -> Computed:
     if stored.kind == Growth.KIND:
         return Growth.of(stored)
     study = verification_of(stored) if stored.kind == Verification.KIND else None
-    return study or run_of(stored, MPI.COMM_SELF)
+    judged = stored.kind != PeriodicSolution.KIND  # whose errors are in the file
+    return study or run_of(stored, MPI.COMM_SELF, judged=judged)

@@ -28,7 +28,7 @@ from vtkmodules.vtkInteractionWidgets import vtkSliderRepresentation2D, vtkSlide
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.draw.figure import COLOURS, label_axis
-from fenics_crack.draw.paraview import PeriodFields, in_space, moved_grid
+from fenics_crack.draw.paraview import PeriodFields, in_space
 from fenics_crack.draw.solid import lines, look_from_corner, off_screen_plotter, outline, surface
 from fenics_crack.errors import InputError
 from fenics_crack.parallel import on_root
@@ -176,7 +176,8 @@ class _Plate:
             return drawn
 
         line(boundary, "rest", 2)
-        self.surface = surface(mesh.points, mesh.boundary_facets) if solid else moved_grid(mesh)
+        drawn = mesh.boundary_facets if solid else mesh.triangles
+        self.surface = surface(in_space(mesh.points), drawn)
         self.surface["shown"] = fields.colour_values[0]
         add(self.surface, scalars="shown", show_scalar_bar=False, **self.colours.scale)
         self.lines = [line(boundary, "lips", 2)]

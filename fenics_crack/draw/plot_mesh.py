@@ -18,13 +18,6 @@ from fenics_crack.model.structure import Structure
 
 __all__ = ["draw_mesh", "draw_modes"]
 
-TRIANGLES = {
-    3: [(0, 1, 2)],
-    4: [(0, 1, 2), (0, 2, 3)],
-    6: [(0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)],
-    9: [(0, 4, 8), (4, 1, 8), (1, 5, 8), (5, 2, 8), (2, 6, 8), (6, 3, 8), (3, 7, 8), (7, 0, 8)],
-}
-"""Into which a cell is cut to be coloured, by its number of nodes, in VTK's order."""
 MOST_ARROWS = 40
 """Arrows of a load, at most."""
 SOLID = (5.5, 6.5)
@@ -175,8 +168,7 @@ def _mode_shape(axes: Axes, mesh: NodalMesh, shape: np.ndarray) -> None:
         draw_shape(axes, mesh, drawn)
         return
     moved = mesh.points + drawn
-    triangles = mesh.cells[:, TRIANGLES[mesh.cells.shape[1]]].reshape(-1, 3)
-    axes.tripcolor(*moved.T, triangles, amplitude, shading="gouraud", cmap="viridis")
+    axes.tripcolor(*moved.T, mesh.triangles, amplitude, shading="gouraud", cmap="viridis")
     for edges, points, colour, width in (
         (mesh.edges, moved, "#777777", 0.3),
         (mesh.boundary, mesh.points, COLOURS["grey"], 0.6),

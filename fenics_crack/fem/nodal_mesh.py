@@ -14,6 +14,14 @@ from fenics_crack.parallel import gather_rows
 
 __all__ = ["NodalMesh"]
 
+_TRIANGLES = {
+    3: [(0, 1, 2)],
+    4: [(0, 1, 2), (0, 2, 3)],
+    6: [(0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)],
+    9: [(0, 4, 8), (4, 1, 8), (1, 5, 8), (5, 2, 8), (2, 6, 8), (6, 3, 8), (3, 7, 8), (7, 0, 8)],
+}
+"""Into which a cell is cut to be coloured, by its number of nodes, in VTK's order."""
+
 
 class NodalMesh:
     """The whole mesh of a structure on every rank (collective to make).
@@ -55,6 +63,11 @@ class NodalMesh:
     def dimension(self) -> int:
         """2 of a plate, 3 of a solid."""
         return int(self.points.shape[1])
+
+    @property
+    def triangles(self) -> np.ndarray:
+        """Into which the cells of a plate are cut to be coloured: (n, 3) nodes."""
+        return self.cells[:, _TRIANGLES[self.cells.shape[1]]].reshape(-1, 3)
 
     @cached_property
     def boundary_facets(self) -> np.ndarray:

@@ -493,8 +493,9 @@ def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
     return run_of(read(path, comm), comm)
 
 
-def run_of(stored: Stored, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
-    """The run of a file that has been read; raises as :func:`load_run` (collective)."""
+def run_of(stored: Stored, comm: MPI.Comm = MPI.COMM_WORLD, *, judged: bool = True) -> Run[Result]:
+    """The run of a file that has been read, with what judges a reduction unless that is not needed;
+    raises as :func:`load_run` (collective)."""
     kind, scene = type_of(stored), stored.scene()
     if scene is None:
         raise InputError("path", str(stored.path), f"a {kind.KIND} saved with its scene")
@@ -502,6 +503,6 @@ def run_of(stored: Stored, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
     if kind is ResponseCurve and scene.curve is not None:
         study = _prepare_curve(scene, comm)
     else:
-        study = prepare(scene, comm, whole=kind is Modes)
+        study = prepare(scene, comm, whole=kind is Modes, judged=judged)
     result = unpack(stored, study.structure, study.contact)
     return Run(**vars(study), result=result, stated=verification_of(stored))
