@@ -232,10 +232,8 @@ class ExactIntegrals(ContactIntegrals):
         )  # fmt: skip
         if failed:
             raise MemoryError("contact integrals")
-        if self.residual is None:
-            return PairForces(force, tangent)
-        by_softness = -self.unit * stiffness * force
-        return PairForces(force, tangent, self.springs * stiffness * force, by_softness)
+        by_softness = None if self.residual is None else -self.unit * stiffness * force
+        return PairForces(force, tangent, by_softness)
 
     def widened(self, harmonics: int) -> Self:
         return replace(self, harmonics=harmonics)
@@ -254,15 +252,9 @@ class PairForces(ContactForces):
     """
 
     def __init__(
-        self,
-        force: np.ndarray,
-        tangent: np.ndarray,
-        by_stiffness: np.ndarray | None = None,
-        by_softness: np.ndarray | None = None,
+        self, force: np.ndarray, tangent: np.ndarray, by_softness: np.ndarray | None = None
     ) -> None:
-        self.force, self.tangent = force, tangent
-        self._by_stiffness = force if by_stiffness is None else by_stiffness
-        self._by_softness = by_softness
+        self.force, self.tangent, self._by_softness = force, tangent, by_softness
 
     def apply(self, change: np.ndarray) -> np.ndarray:
         return apply_to_pairs(self.tangent, change)
@@ -275,7 +267,7 @@ class PairForces(ContactForces):
 
     def by_stiffness(self) -> np.ndarray:
         """Forces of pairs by themselves are proportional to k."""
-        return self._by_stiffness
+        return self.force
 
     def by_softness(self) -> np.ndarray:
         assert self._by_softness is not None
