@@ -44,7 +44,7 @@ __all__ = [
     "grid_waves",
     "respond",
     "respond_to_columns",
-    "tangent_of",
+    "tangent_by_means",
 ]
 
 
@@ -185,7 +185,7 @@ class SampledIntegrals(ContactIntegrals):
         # Means of exp(i m theta), m < 2 H + 1; at few instants those of high order are others'.
         order = np.arange(2 * self.harmonics + 1) % self.samples
         slopes = np.fft.fft(self.law.tangent(values), axis=0)[order] / self.samples
-        tangent = [tangent_of(means[:, None, None])[:, 0] for means in from_complex(slopes).T]
+        tangent = [tangent_by_means(means[:, None, None])[:, 0] for means in from_complex(slopes).T]
         return PairForces(self.balance(self.law.force(values)), np.array(tangent))
 
     def widened(self, harmonics: int) -> Self:
@@ -313,7 +313,7 @@ def apply_to_pairs(tangent: np.ndarray, gap: np.ndarray) -> np.ndarray:
     return np.matmul(tangent, gap.T[:, :, None])[:, :, 0].T
 
 
-def tangent_of(means: np.ndarray) -> np.ndarray:
+def tangent_by_means(means: np.ndarray) -> np.ndarray:
     """T from the means c_0, c_1, s_1, ... of slopes of n pairs, (4H+1, n, n): row by row, each for
     unknowns ordered (row, pair), (2H+1, n, (2H+1) n)."""
     harmonics, count = len(means) // 4, means.shape[1]

@@ -191,10 +191,6 @@ class ContactSystem:
         """The same equations, whose parameter starts at a softness."""
         return ContactSystem(self.compliance, self.integrals, softness)
 
-    def with_compliance(self, compliance: Compliance) -> ContactSystem:
-        """The same with another compliance."""
-        return ContactSystem(compliance, self.integrals, self._softness)
-
     def widened(self, harmonics: int) -> ContactSystem:
         """The same equations with more harmonics, to the accuracy of an error estimate."""
         compliance = ResizedCompliance(self.compliance, harmonics)

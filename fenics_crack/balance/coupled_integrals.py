@@ -27,7 +27,7 @@ from fenics_crack.balance.contact_integrals import (
     ContactForces,
     ContactIntegrals,
     default_samples,
-    tangent_of,
+    tangent_by_means,
 )
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import NULL, doubles, kernel, owned, shaped
@@ -101,7 +101,7 @@ class CoupledForces(ContactForces):
 
     def tangent(self, basis: np.ndarray | None = None) -> np.ndarray:
         """T as a matrix, between the pairs or the gaps of a basis: (2H+1, n, (2H+1) n)."""
-        return tangent_of(self.means(basis))
+        return tangent_by_means(self.means(basis))
 
     def identity_plus(self, matrices: np.ndarray, basis: np.ndarray | None = None) -> np.ndarray:
         found = self.tangent(basis)

@@ -17,7 +17,7 @@ import numpy as np
 
 from fenics_crack.balance.compiled import CompiledEquations
 from fenics_crack.balance.compliance import ModalCompliance
-from fenics_crack.balance.contact_integrals import respond
+from fenics_crack.balance.contact_integrals import ContactIntegrals, respond
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.problem import Problem
 from fenics_crack.errors import InputError, check_number, check_omega
@@ -44,7 +44,6 @@ class Family(ABC):
         self.problem, self.start, self.end = problem, start, end
         self._compliance = ModalCompliance(problem.structure, problem.base_omega, problem.load)
         self._last: tuple[float, ContactSystem] | None = None
-        self._first: ContactSystem | None = None
         first = self.system(start)
         self.comm, self.shape, self.global_size = first.comm, first.shape, first.global_size
         self.matrix_free = first.matrix_free
@@ -84,6 +83,10 @@ class Family(ABC):
         return self.end - self.start
 
     @cached_property
+    def _integrals(self) -> ContactIntegrals:
+        return self.problem.integrals()
+
+    @cached_property
     def stiffest(self) -> ContactLaw:
         """The contact law where it is stiffest: at one of the ends."""
         ends = [self.at(value).contact for value in (self.start, self.end)]
@@ -104,10 +107,7 @@ class Family(ABC):
         return self.vary(self.problem, value)
 
     def _make(self, value: float) -> ContactSystem:
-        compliance = self.compliance(value)
-        if self._first is None:
-            self._first = self.problem.system(compliance)
-        return self._first.with_compliance(compliance)
+        return ContactSystem(self.compliance(value), self._integrals)
 
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
         """dF/dv."""
