@@ -4,8 +4,8 @@ A path takes steps in the parameter, which pass over tongues, or by arc-length.
 
 The path from a linear mode in the contact stiffness crosses internal resonances, the more of them
 the more harmonics there are, and with stiff contact one of them may end it. Then the path is gone
-with fewer harmonics, and the others are added at the whole stiffness, by a path in the share with
-which they see the pairs.
+with fewer harmonics, and the others are added at the whole stiffness: some at a time by Newton's
+method, or all that are left together, by a path in the share with which they see the pairs.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from fenics_crack.curves.free_motion import (
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.numerics.bordered import PathPoint, point_on_path, solve_at
 from fenics_crack.numerics.fourier import resized, to_complex
-from fenics_crack.numerics.path import Ended, Path, PathOptions, Target
+from fenics_crack.numerics.path import STRAIGHT, Ended, Path, PathOptions, Target
 
 __all__ = ["ELSEWHERE", "MotionPath", "alike", "first_motion", "solve_motion"]
 
@@ -38,6 +38,8 @@ FAST = 0.5
 ELSEWHERE = "the path ended in the motion of another mode"
 FEWER = (1, 2, 3, 5, 10)
 """Harmonics with which the path in the contact stiffness is tried again."""
+MORE = 1.25
+"""How many harmonics there are after a step, relative to those before; one more at least."""
 
 
 def solve_motion(family: FreeMotion, guess: np.ndarray, parameter: float) -> PathPoint | None:
@@ -241,33 +243,61 @@ def _from_linear_mode(family: StiffnessMotion, mode: int) -> PathPoint:
 def _from_fewer_harmonics(family: StiffnessMotion, mode: int) -> tuple[PathPoint, str] | None:
     """The motion to which the path with fewer harmonics leads, and with how many; None where none
     of these does."""
+    begun: list[tuple[int, np.ndarray]] = []
     for fewer in FEWER:
         if fewer >= family.harmonics:
             break
         try:
-            begun = _from_linear_mode(family.with_harmonics(fewer), mode)
+            begun.append((fewer, _from_linear_mode(family.with_harmonics(fewer), mode).unknown))
         except ConvergenceError:
             continue
-        found = _with_all_harmonics(family, begun.unknown, fewer)
-        if found is not None:
-            return found, f", from the linear mode with {fewer} of its harmonics"
+    for way in (_some_at_a_time, _all_together):
+        for fewer, unknown in begun:
+            found = way(family, unknown, fewer)
+            if found is not None:
+                return found, f", from the linear mode with {fewer} of its harmonics"
     return None
 
 
-def _with_all_harmonics(
+def _some_at_a_time(
     family: StiffnessMotion, unknown: np.ndarray, harmonics: int
 ) -> PathPoint | None:
-    """A motion with all of its harmonics, from one with fewer, along a path in the share with which
-    those that are added see the pairs."""
+    """A motion with all of its harmonics, from one with fewer, by Newton's method; numbers of
+    harmonics with which there is none like it are left out."""
+    count = harmonics
+    while count < family.harmonics:
+        count = min(max(count + 1, int(MORE * count)), family.harmonics)
+        larger = family.with_harmonics(count)
+        guess = _padded(unknown, larger)
+        found = solve_motion(larger, guess, 0.0)
+        if found is not None and _is_it(larger, found, guess):
+            unknown = found.unknown
+            if count == family.harmonics:
+                return found
+    return None
+
+
+def _all_together(family: StiffnessMotion, unknown: np.ndarray, harmonics: int) -> PathPoint | None:
+    """The same along a path in the share with which those that are added see the pairs."""
     faded = FadedMotion(family, harmonics)
-    padded = np.zeros(family.scale.size + 1)
-    padded[: len(unknown) - 1], padded[-1] = unknown[:-1], unknown[-1]
-    last = solve_motion(faded, padded, 0.0)
+    last = solve_motion(faded, _padded(unknown, faded), 0.0)
     if last is None:
         return None
     path = MotionPath(
         faded, last, 1.0, lowest=-0.5, max_step=NARROW.max_step, max_steps=NARROW.max_steps
     )
     landed = path.run()
-    found = landed and solve_motion(family, landed.unknown, 0.0)
-    return found if found and family.is_fundamental(found.unknown) else None
+    seen = landed and solve_motion(family, landed.unknown, 0.0)
+    return seen if seen and _is_it(family, seen, seen.unknown) else None
+
+
+def _padded(unknown: np.ndarray, family: FreeMotion) -> np.ndarray:
+    """Unknowns with as many harmonics as a family has."""
+    padded = np.zeros(family.scale.size + 1)
+    padded[: len(unknown) - 1], padded[-1] = unknown[:-1], unknown[-1]
+    return padded
+
+
+def _is_it(family: FreeMotion, found: PathPoint, guess: np.ndarray) -> bool:
+    """Whether a motion is that of a guess, and not another mode's."""
+    return family.is_fundamental(found.unknown) and alike(found.unknown, guess, STRAIGHT)
