@@ -273,7 +273,7 @@ def _size_of(
 ) -> Callable[[float, float, float], float]:
     """Length of elements at a place."""
     mesh = scene.mesh
-    size, points, sizes = mesh.size, [], []
+    size, fronts = mesh.size, []
     assert size
     for crack in scene.all_cracks.values():
         assert mesh.lip_elements and crack.height
@@ -281,22 +281,24 @@ def _size_of(
         reach = min(half, crack.depth or half)
         growth = mesh.grading ** (1.0 / max(mesh.lip_elements - 1, 1))
         shortest = reach / float((growth ** np.arange(mesh.lip_elements)).sum())
-        front = _front(crack, middle, half, thickness)
-        points.append(front)
-        sizes.append(np.tile([shortest, max(growth - 1.0, GROWTH)], (len(front), 1)))
-    if not points:
-        return lambda x, y, z: size
-    places, (shortest, growth) = np.concatenate(points), np.concatenate(sizes).T
+        front = *_front(crack, middle, half, thickness), crack.height
+        fronts.append((*front, shortest, max(growth - 1.0, GROWTH)))
 
     def at(x: float, y: float, z: float) -> float:
-        distance = np.sqrt(((places - (x, y, z)) ** 2).sum(axis=1))
-        return float(min(size, (shortest + growth * distance).min()))
+        """Asked for a hundred thousand times a mesh."""
+        least = size
+        for along, through, height, shortest, growth in fronts:
+            squares = (along - x) ** 2 + (height - y) ** 2 + (through - z) ** 2
+            least = min(least, shortest + growth * math.sqrt(squares.min()))
+        return least
 
     return at
 
 
-def _front(crack: Crack, middle: float, half: float, thickness: float) -> np.ndarray:
-    """Points along the front of a crack, and of what goes on outside: (n, 3)."""
+def _front(
+    crack: Crack, middle: float, half: float, thickness: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates x and z along the front of a crack, and of what goes on outside: (n,) each."""
     share = np.linspace(0.0, 1.0, FRONT)
     if crack.front == "elliptical":
         assert crack.depth
@@ -309,4 +311,4 @@ def _front(crack: Crack, middle: float, half: float, thickness: float) -> np.nda
         if crack.depth is not None:
             x = np.append(x, middle + half * (2.0 * share - 1.0))
             z = np.append(z, np.full(FRONT, thickness - depth))
-    return np.column_stack([x, np.full(len(x), crack.height), z])
+    return x, z
