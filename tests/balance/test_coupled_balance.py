@@ -67,8 +67,8 @@ def test_jacobian_against_finite_differences(
     law: str, softness: float, short_chain: fc.Structure
 ) -> None:
     """By every unknown and by the parameter of the softness."""
-    system = system_of(short_chain, LAWS[law], 4).with_softness(softness)
-    unknown = random_gaps(4, 3)
+    system = system_of(short_chain, LAWS[law], 2).with_softness(softness)
+    unknown = random_gaps(2, 3)
     point = system.linearise(unknown, 0.4)
     matrix, step = point.jacobian, 1e-7
     for column in range(unknown.size):

@@ -53,9 +53,9 @@ def test_truncation_on_the_bilinear_oscillator(omega: float) -> None:
 def test_truncation_on_the_paper_plate(
     soft_plate: fc.Structure, never_penetrating: fc.PeriodicSolution
 ) -> None:
-    """k = 1e9 and no penetration, H = 5, 10, 20, 40 against H = 160: within a factor 3."""
+    """k = 1e9 and no penetration, H = 5, 10, 20, 40 against H = 100: within a factor 3."""
     penalty = fc.UnilateralPenalty(1e9)
-    soft = fc.solve_harmonic_balance(soft_plate, 2000.0, penalty, harmonics=160)
+    soft = fc.solve_harmonic_balance(soft_plate, 2000.0, penalty, harmonics=100)
     for exact in (soft, never_penetrating):
         for harmonics in (5, 10, 20, 40):
             found = fc.solve_harmonic_balance(

@@ -427,7 +427,8 @@ def test_incremental_residual_with_gyroscopic_damping() -> None:
         force_sin=[0.0, 1.0],
         damping=dashpots,
     )
-    law = fc.UnilateralPenalty(2.0)
-    solution = fc.solve_harmonic_balance(structure, 0.7, law)
+    law, samples = fc.SmoothedPenalty(2.0, 30.0), 256
+    solution = fc.solve_harmonic_balance(structure, 0.7, law, samples=samples)
     displacement = solution.displacement_coefficients
-    assert np.abs(incremental_system(structure, 0.7, law, displacement)[1]).max() < 1e-9
+    right = incremental_system(structure, 0.7, law, displacement, samples=samples)[1]
+    assert np.abs(right).max() < 1e-9

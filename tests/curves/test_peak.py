@@ -19,6 +19,10 @@ from fenics_crack.curves.peak import top_and_damping
 
 STEEL = ROOT / "benchmarks" / "plate.toml"
 POINT = {"output.points": {"corner": [0.0, 0.3]}}
+COARSE = {
+    "mesh.size": 0.05, "mesh.lip_elements": 3, "reduction.modes": 5, "curve.stop": 780.5,
+    "curve.stability": False, "integration.periods": 2,
+}  # fmt: skip
 XI = 0.02
 
 
@@ -72,10 +76,7 @@ def test_half_a_peak_has_no_width() -> None:
 def test_the_watched_dof_is_the_default() -> None:
     """That of the scene's first point, else the load's, of every result; and of sweeps the load's
     response stays the load's."""
-    scene = fc.Scene.load(STEEL).replace(
-        {"reduction.modes": 5, "curve.stop": 780.5, "integration.periods": 2}
-        | {"sweep.over": {"crack.length": [0.02]}, "curve.stability": False}
-    )
+    scene = fc.Scene.load(STEEL).replace(COARSE | {"sweep.over": {"crack.length": [0.02]}})
     loads = -1
     for changes in ({}, POINT):
         at = scene.replace(changes)
@@ -150,8 +151,6 @@ def looked_at(scene: fc.Scene, comm: MPI.Comm) -> list[float]:
 @pytest.mark.parametrize("changes", [{}, POINT], ids=["load", "point"])
 def test_two_ranks(changes: dict[str, Any], on_ranks: Callable[..., Any]) -> None:
     """They share the mesh, and speak of the same dof."""
-    scene = fc.Scene.load(STEEL).replace(
-        {"reduction.modes": 5, "curve.stop": 780.5, "integration.periods": 2, **changes}
-    )
+    scene = fc.Scene.load(STEEL).replace(COARSE | changes)
     alone = looked_at(scene, MPI.COMM_SELF)
     assert on_ranks(looked_at, scene) == pytest.approx(alone, rel=1e-6)

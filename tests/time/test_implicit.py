@@ -363,7 +363,7 @@ def test_no_pairs() -> None:
 def motion(scene: fc.Scene, comm: MPI.Comm) -> np.ndarray:
     """Gaps with both laws, and without penetration by central differences (collective)."""
     plate = fc.build_structure(scene, comm)
-    options = {"periods": 2, "steps_per_period": 240}
+    options = {"periods": 1, "steps_per_period": 120}
     histories = [
         fc.integrate_implicit(plate, 2000.0, LAW, **options),  # type: ignore[arg-type]
         fc.integrate_implicit(plate, 2000.0, RIGID, **options),  # type: ignore[arg-type]
