@@ -6,10 +6,12 @@ Imports nothing that computes.
 import atexit
 import shutil
 import tempfile
+from importlib.metadata import entry_points
 from pathlib import Path
 
-from fenics_crack.cli.command_line import main as main
-
+[PROGRAM] = entry_points(group="console_scripts", name="fenics-crack")
+main = PROGRAM.load()
+"""The program, as it is installed."""
 ROOT = Path(__file__).parents[1]
 DEMOS = ROOT / "demos"
 OF_MPIRUN = tempfile.mkdtemp(prefix="mpirun")

@@ -46,8 +46,8 @@ def edge_crack(length: float) -> float:
 
 
 def plate(**growth: Any) -> fc.Scene:
-    """The plate that ``new`` writes, coarser away from the crack, with 40 harmonics; its crack grows
-    from 35 to 43 mm."""
+    """The plate that ``new`` writes, coarser away from the crack, with 40 harmonics; the crack
+    grows from 35 to 43 mm."""
     exact = {
         "harmonic_balance.tolerance": None,
         "harmonic_balance.harmonics": 40,

@@ -9,7 +9,13 @@ from helpers import random_stiffness, relative
 
 import fenics_crack as fc
 from fenics_crack.model import coupled
-from fenics_crack.model.coupled import ActiveSets, by_least_squares, smooth_forces
+from fenics_crack.model.coupled import (
+    ActiveSets,
+    by_least_squares,
+    smooth_forces,
+    solve_complementarity,
+    solve_forces,
+)
 
 
 def badly_conditioned(rng: np.random.Generator, pairs: int, condition: float) -> np.ndarray:
@@ -222,3 +228,89 @@ def test_without_compliance_the_law_itself() -> None:
     assert np.allclose(force, law.force(gap), rtol=1e-14)
     assert np.allclose(np.einsum("npp->np", slope), law.tangent(gap), rtol=1e-14)
     assert not np.any(slope[:, 0, 1])
+
+
+# --- one step of a scheme in time -----------------------------------------------------------------
+
+
+def by_enumeration(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
+    """The only set of closed pairs that satisfies all conditions, of all sets."""
+    found = []
+    for chosen in product([False, True], repeat=len(gap)):
+        closed = np.array(chosen)
+        force = np.zeros(len(gap))
+        force[closed] = np.linalg.solve(matrix[np.ix_(closed, closed)], gap[closed])
+        if force.min() >= 0.0 and (matrix @ force - gap).min() >= -1e-12:
+            found.append(force)
+    assert len(found) == 1
+    return found[0]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_complementarity_against_enumeration(seed: int) -> None:
+    """Random couplings: active sets from any guess, and least squares alone."""
+    rng = np.random.default_rng(seed)
+    matrix, gap = random_stiffness(rng, 6) - 5.5 * np.eye(6), rng.normal(size=6)
+    exact = by_enumeration(matrix, gap)
+    for guess in (None, np.zeros(6, dtype=bool), np.ones(6, dtype=bool), rng.normal(size=6) > 0.0):
+        assert np.allclose(solve_complementarity(matrix, gap, guess), exact, atol=1e-9)
+    assert np.allclose(by_least_squares(matrix, gap), exact, atol=1e-9)
+
+
+def test_complementarity_where_active_sets_cycle() -> None:
+    """A positive definite matrix on which the active sets go round: least squares takes over."""
+    rng = np.random.default_rng(0)
+    cycled = 0
+    for _ in range(3000):
+        root = rng.normal(size=(4, 4))
+        matrix, gap = root @ root.T + 1e-2 * np.eye(4), rng.normal(size=4)
+        closed, seen = gap > 0.0, set()
+        while closed.tobytes() not in seen:
+            seen.add(closed.tobytes())
+            force = np.zeros(4)
+            force[closed] = np.linalg.solve(matrix[np.ix_(closed, closed)], gap[closed])
+            now = np.where(closed, force > 0.0, matrix @ force - gap < 0.0)
+            if np.array_equal(now, closed):
+                break
+            closed = now
+        else:
+            cycled += 1
+            force = solve_complementarity(matrix, gap)
+            opening = matrix @ force - gap
+            assert force.min() >= 0.0 and opening.min() > -1e-8
+            assert abs(force @ opening) < 1e-7 * (1.0 + np.abs(force).max())
+    assert cycled > 0
+
+
+def test_complementarity_without_solution_is_an_error() -> None:
+    """Two opposite pairs on one dof that both penetrate."""
+    matrix = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    with pytest.raises(fc.ConvergenceError, match="no set of closed pairs"):
+        solve_complementarity(matrix, np.ones(2))
+
+
+@pytest.mark.parametrize("stiffness", [1e-3, 1.0, 1e6])
+def test_forces_by_newton(stiffness: float) -> None:
+    """A sharp smoothed law, soft to stiff against the compliance, and SciPy's root."""
+    rng = np.random.default_rng(7)
+    law = fc.SmoothedPenalty(stiffness, 1e3)
+    matrix, gap = random_stiffness(rng, 4) / 8.0, rng.normal(size=4)
+    force = solve_forces(
+        lambda g: (law.force(g), law.tangent(g)), matrix, gap[None], np.zeros((1, 4))
+    )[0]
+    reached = gap - matrix @ force
+    assert np.allclose(law.force(reached), force, rtol=1e-6, atol=1e-8 * stiffness)
+    if stiffness <= 1.0:
+        root = scipy.optimize.root(lambda y: y - law.force(gap - matrix @ y), force + 1e-3)
+        assert root.success and np.allclose(root.x, force, atol=1e-8)
+
+
+def test_forces_that_do_not_exist_are_an_error() -> None:
+    """A force that falls with the gap, faster than the step's compliance allows."""
+    with pytest.raises(fc.ConvergenceError, match="Newton"):
+        solve_forces(
+            lambda g: (1.0 + g**2, 2.0 * g),
+            np.ones((1, 1)),
+            np.full((1, 1), -5.0),
+            np.zeros((1, 1)),
+        )

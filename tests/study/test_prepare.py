@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import numpy as np
@@ -10,9 +9,6 @@ import pytest
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack.fem import build
-from fenics_crack.scene.tables import Reduction
-from fenics_crack.study.prepare import reduction_of
 
 FINE = {
     "mesh.layout": "graded", "mesh.columns": None, "mesh.rows": None, "mesh.size": 0.02,
@@ -30,13 +26,13 @@ def scene(paper_scene: fc.Scene) -> fc.Scene:
 def test_length_is_found_once(scene: fc.Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """The scene comes out with its length; the structure has the frequency that was asked for."""
     searches: list[fc.Scene] = []
-    search = build.find_crack_length
+    search = fc.find_crack_length
 
     def counted(scene: fc.Scene, comm: Any) -> float:
         searches.append(scene)
         return search(scene, comm)
 
-    monkeypatch.setattr(build, "find_crack_length", counted)
+    monkeypatch.setattr("fenics_crack.fem.build.find_crack_length", counted)
     study = fc.prepare(scene, MPI.COMM_SELF)
     assert len(searches) == 1
     crack = study.scene.crack
@@ -65,32 +61,37 @@ def test_reduction_stands_in_the_scene(scene: fc.Scene) -> None:
         ({"reduction.modes": 3}, "massless"),
         ({"reduction.method": "massless"}, "massless"),
         ({"damping.modes": "all"}, "massless"),
-        ({"reduction.modes": 100_000}, "free_interface"),  # refused later
         ({"reduction.method": "free_interface"}, "free_interface"),
         ({"reduction.method": "craig_bampton"}, "craig_bampton"),
-        ({"reduction.method": "off"}, None),
+        ({"reduction.method": "off"}, "off"),
         ({"crack": None, "contact": None, "mesh.size": 0.01}, "free_interface"),
         ({"crack": None, "contact": None, "reduction.modes": 3}, "free_interface"),
     ],
 )
-def test_default_reduction(scene: fc.Scene, changes: dict[str, Any], expected: str | None) -> None:
+def test_default_reduction(scene: fc.Scene, changes: dict[str, Any], expected: str) -> None:
     """Of a large structure with contact: lips without mass, unless the scene says otherwise."""
     if "crack" not in changes:
         changes = changes | {"crack.length": 0.05, "crack.first_omega": None}
     scene = scene.replace(changes)
-    table = reduction_of(scene, fc.build_structure(scene, MPI.COMM_SELF))
-    assert (table and table.method) == expected
+    table = fc.prepare(scene, MPI.COMM_SELF).scene.reduction
+    assert table is not None and table.method == expected
 
 
 def test_default_reduction_of_few_dofs(paper_scene: fc.Scene) -> None:
     """None; and where all modes are kept, nothing is left to be without mass."""
-    plate = fc.build_structure(paper_scene, MPI.COMM_SELF)
-    assert reduction_of(paper_scene, plate) is None
+    assert fc.prepare(paper_scene, MPI.COMM_SELF).scene.reduction is None
     asked = {2: "massless", 49: "massless", 50: "free_interface", None: "free_interface"}
     for modes, method in asked.items():
-        given = dataclasses.replace(paper_scene, reduction=Reduction(modes=modes))
-        table = reduction_of(given, plate)
-        assert table is not None and table.method == method and table.modes == (modes or 50)
+        table = "[reduction]" if modes is None else f"[reduction]\nmodes = {modes}"
+        given = fc.Scene.from_text(f"{paper_scene.as_toml()}\n{table}\n")
+        found = fc.prepare(given, MPI.COMM_SELF).scene.reduction
+        assert found is not None and found.method == method and found.modes == (modes or 50)
+
+
+def test_more_modes_than_there_are_dofs_are_refused(scene: fc.Scene) -> None:
+    """With their number."""
+    with pytest.raises(fc.InputError, match=r"^modes = 100000: .*from 1 to n_dofs"):
+        fc.prepare(scene.replace({"reduction.modes": 100_000}), MPI.COMM_SELF)
 
 
 def test_whole_is_not_reduced(scene: fc.Scene) -> None:

@@ -12,8 +12,6 @@ from mpi4py import MPI
 
 import fenics_crack as fc
 from fenics_crack import Stability
-from fenics_crack.curves import follow
-from fenics_crack.study import run as study_run
 
 RIGID = {"contact.law": "unilateral", "contact.stiffness": None}
 PENALTY = {"contact.stiffness": 1e9}
@@ -33,7 +31,7 @@ def judged(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         found.append((structure, solution))
         return Stability(np.array([0.5 + 0j]), "stable", 0.0)
 
-    monkeypatch.setattr(study_run, "floquet", floquet)
+    monkeypatch.setattr("fenics_crack.study.run.floquet", floquet)
     return found
 
 
@@ -49,12 +47,12 @@ def test_solution_and_motion_agree(
 ) -> None:
     """Balanced with its stability, marched by exponential steps, stored, read and drawn."""
     scene = scene.replace(law | {"integration.settle": 1e-5, "harmonic_balance.harmonics": 40})
-    solved = study_run.solve(scene, MPI.COMM_SELF)
+    solved = fc.solve(scene, MPI.COMM_SELF)
     found, plate = solved.result, solved.structure
     assert isinstance(plate, fc.MasslessStructure)
     assert solved.scene.reduction is not None and solved.scene.reduction.method == "massless"
     assert found.converged and found.stability is not None and len(judged) == 1
-    marched = study_run.integrate(scene, MPI.COMM_SELF)
+    marched = fc.integrate(scene, MPI.COMM_SELF)
     history = marched.result
     assert history.steps_per_period == 512 and history.settled < 1e-5
     dof = solved.watched_dof
@@ -90,7 +88,7 @@ def test_solution_and_motion_agree(
 
 def test_pictures_of_lips_without_mass(scene: fc.Scene, tmp_path: Path) -> None:
     """Of a period and of the contact, and files for ParaView."""
-    run = study_run.solve(scene.replace(RIGID), MPI.COMM_SELF)
+    run = fc.solve(scene.replace(RIGID), MPI.COMM_SELF)
     found, material = run.result, run.scene.material
     fc.write_period(found, tmp_path / "period.pvd", frames=3, material=material)
     fc.animate_period(found, tmp_path / "period.gif", frames=3, material=material)
@@ -112,16 +110,18 @@ def test_curves_are_followed(
 ) -> None:
     """Also without penetration where lips have no mass; else that is refused."""
     asked: list[Any] = []
-    monkeypatch.setattr(follow, "continue_frequency", lambda *given, **rest: asked.append(given))
+    monkeypatch.setattr(
+        "fenics_crack.curves.follow.continue_frequency", lambda *given, **rest: asked.append(given)
+    )
     scene = scene.replace(law | {"curve.start": 1500.0, "curve.stop": 1600.0})
-    run = study_run.curve(scene, MPI.COMM_SELF)
+    run = fc.curve(scene, MPI.COMM_SELF)
     assert asked == [(run.structure, 1500.0, 1600.0, run.contact)]
     heavy = scene.replace({"reduction.method": "free_interface"})
     if law is RIGID:
         with pytest.raises(fc.InputError, match=r"reduction.method = 'massless', for a curve"):
-            study_run.curve(heavy, MPI.COMM_SELF)
+            fc.curve(heavy, MPI.COMM_SELF)
     else:
-        study_run.curve(heavy, MPI.COMM_SELF)
+        fc.curve(heavy, MPI.COMM_SELF)
         assert len(asked) == 2
 
 
@@ -130,7 +130,7 @@ def test_no_verdict_without_penetration_where_lips_have_mass(
 ) -> None:
     """As for the paper's plate, which is not reduced."""
     heavy = scene.replace(RIGID | {"reduction.method": "free_interface"})
-    run = study_run.solve(heavy, MPI.COMM_SELF)
+    run = fc.solve(heavy, MPI.COMM_SELF)
     assert run.result.converged and run.result.stability is None and not judged
 
 
@@ -156,8 +156,10 @@ def test_method_of_integration(
 ) -> None:
     """The scene's, or that of the structure."""
     asked: list[dict[str, Any]] = []
-    monkeypatch.setattr(study_run, scheme, lambda *given, **rest: asked.append(rest))
-    study_run.integrate(scene.replace(PENALTY | changes), MPI.COMM_SELF)
+    monkeypatch.setattr(
+        f"fenics_crack.study.run.{scheme}", lambda *given, **rest: asked.append(rest)
+    )
+    fc.integrate(scene.replace(PENALTY | changes), MPI.COMM_SELF)
     assert len(asked) == 1
     if scheme == "integrate_exponential":
         assert asked[0]["steps_per_period"] == 512
