@@ -75,6 +75,28 @@ def test_is_not_called_stable(number: int) -> None:
     assert campaign.judge(case, found, "solution", verdict).judgement != campaign.WRONG
 
 
+@pytest.mark.parametrize("number", [14, 26, 36])
+def test_wave_far_from_the_orbit_that_leads_to_it_has_its_verdict(number: int) -> None:
+    """H = 5 and plates with 30 and 36 rigid pairs, 6 pairs with mass: the orbit is 11 to 18 % away,
+    and no wave with twice the harmonics is found from this one."""
+    case = campaign.draw(600, number, "solution", campaign.family_of(600, number))
+    solution = fc.solve_harmonic_balance(case.structure, case.omega, case.law, harmonics=5)
+    assert 0.1 < campaign.estimate(solution) < 0.2
+    verdict = fc.floquet(case.structure, solution).verdict
+    orbit, off = campaign.exact_orbit(case, solution)
+    assert orbit is not None and off == pytest.approx(campaign.estimate(solution), rel=1e-3)
+    assert verdict == ("stable" if np.abs(orbit.multipliers).max() < 1.0 else "unstable")
+
+
+@pytest.mark.parametrize("number", [18, 90, 92])
+def test_wave_to_which_no_orbit_leads_has_no_verdict(number: int) -> None:
+    """Stiff pairs with mass, H = 5: the orbit next to each, 11 to 16 % away, leads elsewhere."""
+    case = campaign.draw(600, number, "solution", campaign.family_of(600, number))
+    solution = fc.solve_harmonic_balance(case.structure, case.omega, case.law, harmonics=5)
+    stability = fc.floquet(case.structure, solution)
+    assert stability.verdict == "undecided" and "may be another motion's" in stability.reason
+
+
 def test_smooth_law_with_few_harmonics_has_no_verdict() -> None:
     """One stiff pair, H = 5, error 8.6 %: stable by its harmonics; the orbit next to it has a
     multiplier of 6.3 by the reference, which takes half a minute."""

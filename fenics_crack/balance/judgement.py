@@ -5,9 +5,11 @@ method predicts (:mod:`fenics_crack.motion.orbit`), and this step is short: then
 the error, and the orbit's multipliers are the motion's. On 510 waves of 128 plates this was so for
 every one with its own orbit, and for none of 26 next to another one.
 
-Where the step is long, or leads to another orbit, the same motion is balanced with twice the
-harmonics, from there on with twice as many again: the first of these waves that has its own orbit
-decides for all, as far as that is within three times the error predicted of each.
+Where the step is long, or the orbit far away, the orbit is the wave's own if its motion, balanced
+with as many harmonics, is the wave: to that Newton's method leads from the orbit's Fourier series.
+Where it leads elsewhere the wave is balanced with twice the harmonics, from there on with twice as
+many again: the first of these waves that has its own orbit decides for all, as far as that is
+within three times the error predicted of each.
 
 What the modes that a reduction leaves out change of an exact motion is told by the reference of the
 structure, which has them (:mod:`fenics_crack.model.reduction`). The motion is one of
@@ -44,7 +46,7 @@ __all__ = [
 
 BELIEVED, FARTHEST, FAR = 3.0, 0.1, 0.3
 """Times the error predicted, beyond which an orbit is another one; the distance and the prediction
-beyond which more harmonics have to confirm it; and the prediction from which on it is no wonder if
+beyond which it has to lead back to the wave; and the prediction from which on it is no wonder if
 none is found."""
 UNKNOWN = 1.0
 """An error that is not known."""
@@ -139,7 +141,7 @@ class Judgement:
         if self.of_orbit:
             return self
         believed = self.believes(self._to_near)
-        if believed and max(self._to_near, self.prediction) <= FARTHEST:
+        if believed and (max(self._to_near, self.prediction) <= FARTHEST or self._leads_back()):
             return self
         if self.finer is None:
             return None
@@ -155,6 +157,18 @@ class Judgement:
         if self.decisive is not None:
             return self.decisive.near
         return self.near or (None if self.finer is None else self.finer.orbit)
+
+    def _leads_back(self) -> bool:
+        """Whether the motion of the orbit next to it, balanced with as many harmonics, is the
+        wave."""
+        wave = self.wave
+        assert wave.contact is not None and self.near is not None
+        problem = Problem(
+            wave.structure, wave.omega, wave.contact, wave.harmonics, subharmonic=wave.subharmonic,
+            static_above=wave.static_above,
+        )  # fmt: skip
+        known = self.near.coefficients(wave.harmonics)
+        return problem.leads_to(wave, known.gap, known.force)
 
     @cached_property
     def states(self) -> np.ndarray:
@@ -200,7 +214,7 @@ class Judgement:
 
     def admits(self, distance: float, orbit: PeriodicOrbit | None) -> bool:
         """Whether an orbit so far away is the wave's own: a near one, or, at the wave's frequency,
-        where it is given, that which more harmonics confirm."""
+        where it is given, one that leads back to it or that more harmonics confirm."""
         if max(distance, self.prediction) <= FARTHEST:
             return self.believes(distance)
         if orbit is None:
@@ -262,10 +276,13 @@ class Judgement:
         if self.orbit is None:
             return f"the harmonics left out change it by {self.prediction:.0%}; take more"
         if self.believes(self.distance):
-            return f"its exact orbit is {self.distance:.1%} away; take more harmonics"
+            return (
+                f"the exact orbit next to it, {100.0 * self.distance:.2g}% away, may be another "
+                "motion's; take more harmonics"
+            )
         return (
-            f"the exact orbit next to it is another one, {self.distance:.1%} away where "
-            f"{self.prediction:.1%} were predicted; more harmonics tell these apart"
+            f"the exact orbit next to it is another one, {100.0 * self.distance:.2g}% away where "
+            f"{100.0 * self.prediction:.2g}% were predicted; more harmonics tell these apart"
         )
 
 

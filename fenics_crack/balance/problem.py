@@ -45,6 +45,8 @@ ON_PATH = 15_000
 FEWEST_ON_PATH = 15
 """Points that such a path has to be allowed: with 1,500 unknowns each takes seconds, and ten lead
 nowhere."""
+SAME = 0.1
+"""Part of the way from a motion to a wave that steps may leave which lead there."""
 STIFF = 100.0
 """k R_inf from which a penalty on lips with mass is seen through R_inf."""
 
@@ -278,13 +280,19 @@ class Problem:
             start = system.slow(
                 wave.gap_coefficients, wave.force_coefficients, self.subharmonic // wave.subharmonic
             )
-            # Where J is not formed, steps that lead nowhere take long.
-            steps = solve_at if system.matrix_free else solve_near
-            found = steps(system, start, system.end, tolerance=NEARLY_SOLVED)
-            found = found or _end_of_path(system, start)
+            found = _nearly_solved(system, start) or _end_of_path(system, start)
             return None if found is None else self.wave(system.linearise(found.unknown))
         except (ConvergenceError, np.linalg.LinAlgError):
             return None
+
+    def leads_to(self, wave: Wave, gap: np.ndarray, force: np.ndarray) -> bool:
+        """Whether Newton's method leads to a wave from a motion of some coefficients, and not to
+        another one as far away as that motion was."""
+        system = self.system(self.compliance())
+        start = system.slow(gap, force)
+        end = system.slow(wave.gap_coefficients, wave.force_coefficients)
+        found, away = _nearly_solved(system, start), np.linalg.norm(start - end)
+        return found is not None and bool(np.linalg.norm(found.unknown - end) <= SAME * away)
 
     def integrals(self) -> ContactIntegrals:
         """How the contact force is integrated; that of a projection by its weight."""
@@ -306,6 +314,13 @@ class Problem:
     def with_harmonics(self, harmonics: int) -> Problem:
         """The same with other harmonics."""
         return self if harmonics == self.harmonics else replace(self, harmonics=harmonics)
+
+
+def _nearly_solved(system: ContactSystem, start: np.ndarray) -> PathPoint | None:
+    """By Newton's method; where J is not formed by full steps alone, as those that lead nowhere
+    take long."""
+    steps = solve_at if system.matrix_free else solve_near
+    return steps(system, start, system.end, tolerance=NEARLY_SOLVED)
 
 
 def _end_of_path(system: ContactSystem, start: np.ndarray) -> PathPoint | None:

@@ -239,4 +239,4 @@ def test_orbit_far_away_is_confirmed_by_more_harmonics() -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(judgement, "MOST_HARMONICS", 12)
         found = floquet(structure, replace(wrong, judged=None))
-    assert found.verdict == "undecided" and "30.0% away" in found.reason
+    assert found.verdict == "undecided" and "30% away" in found.reason
