@@ -26,6 +26,7 @@ eps k |g|, which moves the gap by eps k R |g|, and no residual can be smaller th
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -50,7 +51,7 @@ from fenics_crack.numerics.linearisation import (
     Linearisation,
     least_residual,
 )
-from fenics_crack.numerics.newton import DistributedSystem, KernelNewton, Newton, newton_of
+from fenics_crack.numerics.newton import DistributedSystem, Newton, kernel_solves
 from fenics_crack.numerics.path import Ended, Path, PathOptions, Target
 from fenics_crack.stages import begin
 
@@ -175,14 +176,15 @@ class Search:
         """The equations where Newton's method arrives, or where it was last."""
         self._most = self.share * _iterations(system)
         at: Linearisation | None = None
-        with newton_of(system) as newton:
+        with ExitStack() as held:
+            snes = None
+            if not kernel_solves(system):
+                snes = held.enter_context(Newton(system, self.history))
             for name, guesses in starts:
                 begin(name)
                 before = self.iterations
                 for guess in guesses:
-                    at, self.converged, count = newton.solve(
-                        guess, parameter, self.tolerance, FULL_STEPS
-                    )
+                    at, count = self._newton(snes, system, guess, parameter)
                     self.iterations += count
                     if self.converged or self._spent:
                         break
@@ -190,15 +192,25 @@ class Search:
                 self.attempts.append(f"{name}: {outcome} ({self.iterations - before} iterations)")
                 if self.converged:
                     break
-            self.history += newton.history
         at = at or system.linearise(np.zeros(system.shape), parameter)
-        if not self.converged and isinstance(newton, KernelNewton):  # for the record
-            with Newton(system) as newton:
-                at, self.converged, _ = newton.solve(
-                    at.unknown, parameter, self.tolerance, FULL_STEPS
-                )
-                self.history += newton.history
+        if not self.converged and snes is None:  # for the record
+            with Newton(system, self.history) as snes:
+                at, _ = self._newton(snes, system, at.unknown, parameter)
         return at
+
+    def _newton(
+        self, snes: Newton | None, system: DistributedSystem, guess: np.ndarray, parameter: float
+    ) -> tuple[Linearisation, int]:
+        """Full steps of SNES, or else of the kernel: where they lead, and how many they were."""
+        if snes is not None:
+            at, self.converged, count = snes.solve(guess, parameter, self.tolerance, FULL_STEPS)
+            return at, count
+        found = solve_at(system, guess, parameter, tolerance=self.tolerance)
+        self.converged = found is not None
+        if found is None:
+            return system.linearise(guess, parameter), FULL_STEPS
+        assert found.at is not None
+        return found.at, found.iterations
 
     @property
     def _spent(self) -> bool:

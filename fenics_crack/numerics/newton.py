@@ -17,10 +17,9 @@ from petsc4py import PETSc
 
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import kernel
-from fenics_crack.numerics.bordered import solve_at
 from fenics_crack.numerics.linearisation import Linearisation, System
 
-__all__ = ["RESTART", "DistributedSystem", "KernelNewton", "Newton", "gmres", "newton_of"]
+__all__ = ["RESTART", "DistributedSystem", "Newton", "gmres", "kernel_solves"]
 
 SELF = PETSc.COMM_SELF
 RESTART: int = kernel.KRYLOV_MOST
@@ -80,12 +79,10 @@ class DistributedSystem(System, Protocol):
     """Whether it only applies its Jacobian: GMRES solves with it then."""
 
 
-def newton_of(system: DistributedSystem) -> Newton | KernelNewton:
-    """Newton's method for a system: in the kernel where that has it, unless an option is for
-    SNES."""
-    asked = PETSc.Options(OPTIONS_PREFIX).getAll()
-    compiled = getattr(system, "compiled", None)
-    return Newton(system) if asked or compiled is None else KernelNewton(system)
+def kernel_solves(system: DistributedSystem) -> bool:
+    """Whether the kernel has a system, and no option is for SNES."""
+    has = getattr(system, "compiled", None) is not None
+    return has and not PETSc.Options(OPTIONS_PREFIX).getAll()
 
 
 class Newton:
@@ -95,10 +92,9 @@ class Newton:
     function where contact is sampled. Converged where |F| <= tolerance |x|.
     """
 
-    def __init__(self, system: DistributedSystem) -> None:
-        self.system = system
-        self.history: list[float] = []
-        """|F| of every iteration so far."""
+    def __init__(self, system: DistributedSystem, history: list[float] | None = None) -> None:
+        """``history`` is where |F| of every iteration goes."""
+        self.system, self._history = system, [] if history is None else history
         self._parameter = self._tolerance = 0.0
         self._at: tuple[np.ndarray, Linearisation] | None = None
         self._failure: ConvergenceError | None = None
@@ -166,7 +162,7 @@ class Newton:
 
     def _converged(self, snes: Any, count: int, norms: tuple[float, float, float]) -> int:
         """Judge the residual relative to the unknowns themselves."""
-        self.history.append(norms[2])
+        self._history.append(norms[2])
         if not np.isfinite(norms[2]):
             return int(PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN)
         if norms[2] <= self._tolerance * self._unknown.norm():
@@ -201,30 +197,3 @@ class Newton:
     def __exit__(self, *exception: object) -> None:
         for item in (self._snes, self._matrix, self._unknown, self._target):
             item.destroy()
-
-
-class KernelNewton:
-    """The same full steps by the loop of :mod:`bordered`, for a system that the kernel has."""
-
-    def __init__(self, system: DistributedSystem) -> None:
-        self.system = system
-        self.history: list[float] = []
-        """Not kept."""
-
-    def solve(
-        self, start: np.ndarray, parameter: float, tolerance: float, most_iterations: int
-    ) -> tuple[Linearisation, bool, int]:
-        """As :meth:`Newton.solve`, but the system at the start where that fails."""
-        found = solve_at(
-            self.system, start, parameter, tolerance=tolerance, iterations=most_iterations
-        )
-        if found is None:
-            return self.system.linearise(start, parameter), False, most_iterations
-        assert found.at is not None
-        return found.at, True, found.iterations
-
-    def __enter__(self) -> KernelNewton:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        """Nothing is held."""
