@@ -29,7 +29,7 @@ from functools import cached_property
 import numpy as np
 
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
-from fenics_crack.balance.orbits import PARTS, orbit_next_to, predicted, wave_states
+from fenics_crack.balance.orbits import PARTS, Patience, orbit_next_to, predicted, wave_states
 from fenics_crack.balance.problem import Problem, Wave
 from fenics_crack.errors import MOST_HARMONICS
 from fenics_crack.model.modal import is_small
@@ -71,10 +71,10 @@ class Judgement:
 
     def __init__(
         self, wave: Wave, orbit: PeriodicOrbit | None = None, flow: ContactFlow | None = None,
-        *, patient: bool = True,
+        *, patient: bool | Patience = True,
     ) -> None:  # fmt: skip
         """With the orbit that a wave was taken from, if it was, and the flow, if it is known;
-        ``patient``: an orbit is sought by the homotopy, too."""
+        ``patient`` as :func:`orbit_next_to`."""
         self.wave, self.of_orbit, self._patient = wave, orbit is not None, patient
         if orbit is not None:
             vars(self).update(near=orbit, flow=orbit.flow)
@@ -116,7 +116,7 @@ class Judgement:
             return None
         assert self.flow is not None
         omega, periods = self.wave.omega, self.wave.subharmonic
-        patient = self._patient and self.prediction < FAR
+        patient = self.prediction < FAR and self._patient
         return orbit_next_to(self.flow, omega, self.states[0], periods, patient=patient)
 
     @cached_property

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -48,7 +49,7 @@ from fenics_crack.stages import begin
 from fenics_crack.table import counted
 
 __all__ = [
-    "PARTS", "FlowOrbits", "Homotopy", "OrbitPoint", "orbit_next_to", "predicted",
+    "PARTS", "FlowOrbits", "Homotopy", "OrbitPoint", "Patience", "orbit_next_to", "predicted",
     "recurrences", "recurring", "wave_states",
 ]  # fmt: skip
 
@@ -169,7 +170,7 @@ class FlowOrbits(Equations):
         return np.asarray(self.scale * state)
 
     def unknown_of(self, displacement: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """x of another motion at phase zero, (n_dofs,) each."""
+        """x of other motions at phase zero, (..., n_dofs) each."""
         return self.unknown(self.flow.state(displacement, velocity))
 
     def moved(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
@@ -328,13 +329,21 @@ def predicted(
         return None
 
 
+@dataclass
+class Patience:
+    """That of several searches together."""
+
+    left: int = 2
+    """Homotopies that may still be followed."""
+
+
 def orbit_next_to(
     flow: ContactFlow,
     omega: float,
     start: np.ndarray,
     subharmonic: int = 1,
     *,
-    patient: bool = True,
+    patient: bool | Patience = True,
 ) -> PeriodicOrbit | None:
     """The orbit next to a state: by Newton's method, or else, if ``patient``, where the homotopy
     from the state leads, where M is formed; None where these lead to none.
@@ -342,8 +351,11 @@ def orbit_next_to(
     Where stiff pairs open and close many times, Newton's method finds an orbit only from very near.
     """
     orbit = find_orbit(flow, omega, start, subharmonic=subharmonic)
-    if orbit is not None or not patient or flow.size > FORMED:
+    left = patient.left if isinstance(patient, Patience) else patient
+    if orbit is not None or not left or flow.size > FORMED:
         return orbit
+    if isinstance(patient, Patience):
+        patient.left -= 1
     return _by_homotopy(FlowOrbits(flow, omega, start, subharmonic))
 
 

@@ -17,6 +17,7 @@ from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.family import FAMILIES, Family
 from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
 from fenics_crack.balance.judgement import Judgement
+from fenics_crack.balance.orbits import Patience
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.curves.peak import Peak, top_and_damping
@@ -406,7 +407,7 @@ class ResponseCurve(_Waves):
         return _expanded(self.problem_of(index), self.unknown(index), search=search)
 
     def judged(
-        self, index: int, flow: ContactFlow | None = None, *, patient: bool = True
+        self, index: int, flow: ContactFlow | None = None, *, patient: bool | Patience = True
     ) -> Judgement:
         """What the exact flow, if it is known, says of a point, as :class:`Judgement`; no error is
         estimated."""

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.optimize
 
 from fenics_crack.balance.judgement import BELIEVED, FARTHEST, relative
-from fenics_crack.balance.orbits import FlowOrbits
+from fenics_crack.balance.orbits import FlowOrbits, Patience
 from fenics_crack.curves.by_waves import FOLLOWED, judged_by_waves, place_on
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.orbit_branch import (
@@ -100,8 +100,8 @@ class _Judge:
         return self._family.value(parameter)
 
     def _motions(self, places: np.ndarray) -> np.ndarray:
-        motions = self._curve.motions(places)
-        return np.array([self.system.unknown_of(*one) for one in motions])
+        displacements, velocities = zip(*self._curve.motions(places), strict=True)
+        return self.system.unknown_of(np.array(displacements), np.array(velocities))
 
     # --- which orbits are the points' own ---------------------------------------------------------
 
@@ -218,8 +218,9 @@ class _Judge:
     def _singly(self, found: np.ndarray, accepted: np.ndarray) -> None:
         """Judge points whose orbits nodes do not tell one by one: some, those next to others, also
         where nodes begin or cease to be accepted, and from each that is decided on to the next that
-        is not; by the orbit next to it where they are accepted, or as single solutions are."""
-        places = np.flatnonzero(np.isnan(found))
+        is not; by the orbit next to it where they are accepted, or as single solutions are, without
+        homotopies when two more of these have decided nothing than have decided a point."""
+        places, patience = np.flatnonzero(np.isnan(found)), Patience()
         left = {int(place): bool(accepted[place]) for place in places}
         asked = [int(place) for place in places[:: 1 + len(places) // EVERY]]
         for place, kind in left.items():
@@ -228,12 +229,15 @@ class _Judge:
             place = asked.pop()
             if place in left:
                 alone = self._alone(place) if left.pop(place) else complex(np.nan)
-                found[place] = self.by_itself(place) if np.isnan(alone) else alone
-                asked += [] if np.isnan(found[place]) else [place - 1, place + 1]
+                before = patience.left
+                found[place] = self.by_itself(place, patience) if np.isnan(alone) else alone
+                if not np.isnan(found[place]):
+                    asked += [place - 1, place + 1]
+                    patience.left = before + (patience.left < before)
 
-    def by_itself(self, place: int, *, patient: bool = False) -> complex:
-        """Leading multiplier of a point judged as a single solution is, ``patient``: to the end of
-        a homotopy; nan where that is open."""
+    def by_itself(self, place: int, patient: bool | Patience = True) -> complex:
+        """Leading multiplier of a point judged as a single solution is, as ``patient`` as
+        :func:`orbit_next_to`; nan where that is open."""
         alone = stability_of(self._curve.judged(place, self._flow, patient=patient))
         return (
             complex(np.nan)
@@ -353,9 +357,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     if curve.subharmonic % 2:
         multipliers = judge.points()
     else:  # next to the end of the branch the old orbit is as near as the new one
-        multipliers = np.array(
-            [judge.by_itself(place, patient=True) for place in range(len(curve))]
-        )
+        multipliers = np.array([judge.by_itself(place) for place in range(len(curve))])
     undecided = np.isnan(multipliers)
     special = _special(curve, judge, crossings, undecided)
     return replace(curve, bifurcations=special, multipliers=multipliers, undecided=undecided)

@@ -101,8 +101,6 @@ class Node:
         Multipliers of largest modulus, in their order; all where there are fewer.
     outside : tuple of int
         r, d and c.
-    pairs : (k, 2)
-        Sums and products of the multipliers that are pairs, or were or will be.
     away : float
         From the motion of its point, relative; nan where it has none.
     crossing : Crossing or None
@@ -115,7 +113,6 @@ class Node:
     tangent: Tangent
     leading: np.ndarray
     outside: tuple[int, int, int]
-    pairs: np.ndarray
     away: float = np.nan
     crossing: Crossing | None = None
 
@@ -123,6 +120,11 @@ class Node:
     def moduli(self) -> np.ndarray:
         """Of the leading multipliers."""
         return np.abs(self.leading)
+
+    @cached_property
+    def pairs(self) -> np.ndarray:
+        """Sums and products of the multipliers that are pairs, or were or will be: (k, 2)."""
+        return _paired(self.leading)
 
     @cached_property
     def real(self) -> float:
@@ -393,10 +395,9 @@ class OrbitBranch:
     ) -> Node:
         assert isinstance(found.at, OrbitPoint)
         values = _multipliers(found.at.monodromy)
-        leading = values[:LEADING]
         return Node(
-            place, found.unknown, found.parameter, self.tangent(found, ahead), leading,
-            _outside(values), _paired(leading), away,
+            place, found.unknown, found.parameter, self.tangent(found, ahead), values[:LEADING],
+            _outside(values), away,
         )  # fmt: skip
 
     def tangent(self, found: PathPoint, ahead: Tangent | None) -> Tangent:
@@ -671,6 +672,6 @@ def _changes(nodes: list[Node]) -> np.ndarray:
 
 def _outside(values: np.ndarray) -> tuple[int, int, int]:
     """r, d and c of multipliers."""
-    real, large = values.imag == 0.0, np.abs(values) > 1.0
-    kinds = real & (values.real > 1.0), real & (values.real < -1.0), large & (values.imag > 0.0)
-    return tuple(int(np.count_nonzero(kind)) for kind in kinds)  # type: ignore[return-value]
+    large = values[np.abs(values) > 1.0].tolist()
+    real = [one.real > 0.0 for one in large if one.imag == 0.0]
+    return sum(real), len(real) - sum(real), sum(one.imag > 0.0 for one in large)

@@ -27,6 +27,7 @@ Sources: those of :mod:`path`.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -145,8 +146,8 @@ def solve_in_plane(
     if plane is not None:
         across = shaped(plane.x, *equations.shape)
         border = Struct("plane", across=across, slope=plane.p, weight=plane.weight).at
-    how = Struct(
-        "correction", tolerance=tolerance, reach=reach, iterations=iterations,
+    how = _correction(
+        tolerance=tolerance, reach=reach, iterations=iterations,
         least_damping=-1.0 if least_damping is None else least_damping, patience=patience or 0,
         lasting=lasting,
     )  # fmt: skip
@@ -158,6 +159,12 @@ def solve_in_plane(
         return None
     parameter = float(place[0])
     return PathPoint(found, parameter, int(taken[0]), flat, at=equations.found(found, parameter))
+
+
+@lru_cache
+def _correction(**members: float) -> Struct:
+    """The kernel's own."""
+    return Struct("correction", **members)
 
 
 def correct(
