@@ -178,6 +178,14 @@ class BlockSystem:
         return float(self.structure.sum_over_ranks(product)[0])
 
 
+@contextmanager
+def block_system(problem: fc.Problem) -> Iterator[BlockSystem]:
+    """The full block system of a problem."""
+    compliance = FactoredCompliance(problem.structure, problem.base_omega, problem.load)
+    yield BlockSystem(compliance, problem.integrals())
+    compliance.destroy()
+
+
 class BlockPoint(Linearisation):
     """:class:`BlockSystem` at an amplitude (collective)."""
 

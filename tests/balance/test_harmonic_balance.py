@@ -1,32 +1,18 @@
 """Harmonic balance of the full block system."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from helpers import chain, dense_matrices, oscillator, relative, two_masses
-from laboratory import BlockSystem
+from laboratory import block_system
 from petsc4py import PETSc
 
 import fenics_crack as fc
 from fenics_crack import ContactLaw
-from fenics_crack.balance.compliance import FactoredCompliance, load_coefficients
-from fenics_crack.balance.contact_integrals import contact_integrals
 
 NAN, INF = float("nan"), float("inf")
-
-
-@contextmanager
-def block_system(
-    structure: fc.Structure, omega: float, law: ContactLaw, harmonics: int, samples: int
-) -> Iterator[BlockSystem]:
-    """The full block system with sampled contact."""
-    load = load_coefficients(structure, harmonics, 1)
-    compliance = FactoredCompliance(structure, omega, load)
-    yield BlockSystem(compliance, contact_integrals(law, harmonics, samples))
-    compliance.destroy()
 
 
 def test_response_scales_with_the_load() -> None:
@@ -62,7 +48,7 @@ def test_jacobian_against_finite_differences(
     """Both laws, all couplings, to 1e-6; and the inverse inverts."""
     structure = chain(n=6, pairs=2, seed=3)
     rng = np.random.default_rng(5)
-    with block_system(structure, 0.9, law, 4, 128) as system:
+    with block_system(fc.Problem(structure, 0.9, law, 4, 128)) as system:
         amplitude = rng.normal(size=system.shape)
         at = system.linearise(amplitude)
         for _ in range(4):
@@ -105,7 +91,7 @@ def test_correction_is_the_residual_of_the_paper_divided_by_a() -> None:
     weights = np.full(2 * harmonics + 1, 2.0 / samples)
     weights[0] = 1.0 / samples
     residual += weights[:, None] * (basis.T @ force)
-    with block_system(structure, omega, law, harmonics, samples) as system:
+    with block_system(fc.Problem(structure, omega, law, harmonics, samples)) as system:
         assert np.allclose(apply(system.linearise(amplitude).residual), residual, atol=1e-9)
 
 

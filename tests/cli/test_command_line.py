@@ -21,8 +21,6 @@ from helpers import MPI_ENVIRONMENT, ROOT
 from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack.cli.scenes import in_words
-from fenics_crack.study import run as study_run
 
 ENVIRONMENT = os.environ | MPI_ENVIRONMENT | {"PYTHONPATH": str(ROOT)}
 PAPER = ROOT / "demos" / "paper_plate.toml"
@@ -167,32 +165,13 @@ def test_hint_to_damp_more_modes(
 ) -> None:
     """Of an undecided orbit, where there are modes without damping."""
     undecided = fc.Stability(np.array([1.0 + 0j]), "undecided", np.nan)
-    monkeypatch.setattr(study_run, "floquet", lambda structure, solution: undecided)
+    monkeypatch.setattr("fenics_crack.study.run.floquet", lambda structure, solution: undecided)
     words = ["solve", str(PAPER), "--output", str(tmp_path), "--set", "contact.stiffness=1e9"]
     words += [word for change in changes.split() for word in ("--set", change)]
     assert main(words) == 0
     answer = capsys.readouterr().err
     assert "the orbit is undecided" in answer and "; more harmonics " in answer
     assert ("or damping of all modes" in answer) == expected
-
-
-@pytest.mark.parametrize(
-    ("highest", "damped", "expected"),
-    [
-        (1e4, None, ""),
-        (1e4, (3, 1e4), ""),
-        (1.1e4, (3, 1e4), "harmonics up to H w = 11000 rad/s reach beyond the 3 damped modes "
-         "(10000 rad/s): nothing damps what they excite there"),
-        (1.1e4, (1, 1e4), "harmonics up to H w = 11000 rad/s reach beyond the damped mode "
-         "(10000 rad/s): nothing damps what they excite there"),
-        (1e4, (0, 0.0), "harmonics up to H w = 10000 rad/s: nothing damps what they excite"),
-    ],
-)  # fmt: skip
-def test_words_of_the_remark(
-    highest: float, damped: tuple[int, float] | None, expected: str
-) -> None:
-    """From the highest frequency and the range of damped modes."""
-    assert in_words(highest, damped) == expected
 
 
 @pytest.mark.parametrize(
@@ -224,7 +203,7 @@ def test_new_scene(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     scene = fc.Scene.load(path)
     assert scene.contact is not None and scene.contact.law == "unilateral"
     assert scene.contact.stiffness is scene.contact.stiffness_per_area is None
-    run = study_run.integrate(scene)
+    run = fc.integrate(scene)
     assert isinstance(run.structure, fc.MasslessStructure) and run.structure.n_modes == 20
     assert run.result.settled <= 1e-3 and run.result.gap.max() < 1e-18
     assert main(["check", str(path)]) == 0
@@ -248,14 +227,17 @@ def test_nothing_else_is_printed(tmp_path: Path) -> None:
 
 
 SPY = """
-import os, sys
+import os, runpy, sys
 class Spy:
     def find_spec(self, name, *_):
         if name == "mpi4py.MPI":
             print("pml =", os.environ.get("OMPI_MCA_pml"))
 sys.meta_path.insert(0, Spy())
-from fenics_crack.cli.command_line import main
-main(["new", "plate.toml", "--quiet"])
+sys.argv = ["fenics-crack", "new", "plate.toml", "--quiet"]
+try:
+    runpy.run_module("fenics_crack", run_name="__main__")
+except SystemExit:
+    pass
 print("then", os.environ.get("OMPI_MCA_pml"))
 """
 

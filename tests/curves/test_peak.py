@@ -11,11 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import ROOT
+from helpers import ROOT, oscillator
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack.curves.peak import top_and_damping
 
 STEEL = ROOT / "benchmarks" / "plate.toml"
 POINT = {"output.points": {"corner": [0.0, 0.3]}}
@@ -26,15 +25,20 @@ COARSE = {
 XI = 0.02
 
 
-@pytest.fixture(scope="module")
-def masses() -> fc.ResponseCurve:
+def followed(first: float, last: float) -> fc.ResponseCurve:
     """Two masses and a stop that is never reached: one linear mode at 100 rad/s is met."""
     structure = fc.Structure.from_matrices(
         np.diag([1.0, 1.0]), np.diag([1e4, 1e6]), np.array([0.0, 1.0]), clearance=1.0,
         force_sin=[1.0, 0.0], damping=fc.ModalDamping(XI),
     )  # fmt: skip
     law = fc.UnilateralPenalty(1e6)
-    return fc.continue_frequency(structure, 80.0, 120.0, law, harmonics=1)
+    return fc.continue_frequency(structure, first, last, law, harmonics=1)
+
+
+@pytest.fixture(scope="module")
+def masses() -> fc.ResponseCurve:
+    """Over the whole resonance."""
+    return followed(80.0, 120.0)
 
 
 def test_a_linear_mode(masses: fc.ResponseCurve) -> None:
@@ -52,25 +56,26 @@ def test_a_linear_mode(masses: fc.ResponseCurve) -> None:
     assert str(masses.peak(0)) == str(peak) and masses.peak(1).amplitude < 1e-3 * peak.amplitude
 
 
-@pytest.mark.parametrize("step", [1, -1])
-def test_half_power_of_a_closed_form(step: int) -> None:
-    """Whichever way the curve was followed."""
-    omega = np.linspace(0.9, 1.1, 80)[::step]
-    height = 1.0 / np.hypot(1.0 - omega**2, 2.0 * 0.005 * omega)
-    top, amplitude, damping = top_and_damping(omega, height, int(height.argmax()))
-    assert top == pytest.approx(1.0, rel=1e-4) and amplitude == pytest.approx(100.0, rel=1e-4)
-    assert damping == pytest.approx(0.005, rel=1e-3)
+def test_half_power_whichever_way_the_curve_was_followed(masses: fc.ResponseCurve) -> None:
+    """Frequency, height and damping of the mode."""
+    peak, known = followed(120.0, 80.0).peak(), masses.peak()
+    assert peak.omega == pytest.approx(known.omega, rel=1e-4)
+    assert peak.amplitude == pytest.approx(known.amplitude, rel=1e-3)
+    assert peak.damping == pytest.approx(XI, rel=5e-3)
 
 
 def test_half_a_peak_has_no_width() -> None:
     """Nor has one at the end of a curve, or where the curve turns back beside it."""
-    omega = np.linspace(0.9, 1.0, 100)
-    found = top_and_damping(omega, omega**8, 99)
-    assert found[:2] == (1.0, 1.0) and np.isnan(found[2])
-    assert np.isnan(top_and_damping(omega, 1.0 - (omega - 0.95) ** 2, 50)[2])
-    folded = np.array([1.0, 1.2, 1.3, 1.25, 1.1])
-    found = top_and_damping(folded, np.array([0.1, 0.8, 1.0, 0.9, 0.1]), 2)
-    assert found[:2] == (1.3, 1.0) and np.isnan(found[2])
+    half = followed(80.0, 99.0).peak()
+    assert half.omega == pytest.approx(99.0, rel=1e-12) and np.isnan(half.damping)
+    top = followed(99.5, 100.5).peak()
+    assert top.omega == pytest.approx(100.0, rel=1e-3) and np.isnan(top.damping)
+    hardening, law = oscillator(0.1, 1.0, clearance=2.0), fc.UnilateralPenalty(5.0)
+    curve = fc.continue_frequency(hardening, 0.5, 3.0, law, harmonics=5)
+    peak = curve.peak()
+    turned = peak.index + int(np.argmax(np.diff(curve.omega)[peak.index :] < 0.0))
+    assert curve.amplitude(0)[turned] > peak.amplitude / np.sqrt(2.0)
+    assert turned > peak.index and np.isnan(peak.damping)
 
 
 def test_the_watched_dof_is_the_default() -> None:

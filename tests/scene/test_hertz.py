@@ -16,8 +16,6 @@ from test_scene import GONE, GOOD, GRADED, changed
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
-from fenics_crack.sweep.plan import Plan
-from fenics_crack.table import frequency_axis
 
 TURN = 2.0 * math.pi
 IN_HERTZ = {"excitation.omega": GONE, "excitation.frequency": 318.25}
@@ -101,16 +99,20 @@ def test_a_frequency_replaces_its_twin() -> None:
     assert two.replace({"damping.omegas": [1.0, 2.0]}).damping.frequencies is None
 
 
-def test_sweeps_in_hertz() -> None:
+def test_sweeps_in_hertz(monkeypatch: pytest.MonkeyPatch) -> None:
     """Cases are those of the sweep in rad/s; both twins in one sweep are refused."""
-    scene = Scene.from_mapping(GOOD)
+    scene = Scene.from_mapping(GOOD).replace({"contact.stiffness": 1e7})
     swept = scene.replace({"sweep.over": {"excitation.frequency": [300.0, 310.0]}})
     assert swept.in_hertz and swept.sweep is not None
     assert swept.swept_omegas == (TURN * 300.0, TURN * 310.0)
-    plan = Plan(swept)
-    case = plan.case((1,))
-    assert isinstance(case, Scene) and case.excitation.omega == TURN * 310.0
-    assert len(plan.geometries) == 1  # frequencies share one
+    built, whole = [], fc.prepare
+    monkeypatch.setattr(
+        "fenics_crack.sweep.case.prepare",
+        lambda *given, **more: built.append(given) or whole(*given, **more),
+    )
+    found = fc.run_sweep(swept, verdicts=False)
+    assert found["omega"].tolist() == [TURN * 300.0, TURN * 310.0]
+    assert len(built) == 1  # frequencies share one geometry
     over = {"excitation.omega": [1.0, 2.0], "excitation.frequency": [1.0, 2.0]}
     for axes in (over, dict(reversed(over.items()))):
         with pytest.raises(InputError) as caught:
@@ -136,17 +138,11 @@ def test_a_curve_in_hertz() -> None:
     panel = fc.draw_curve(found, 0, in_hertz=True).axes[0]
     assert panel.get_xlabel() == "load frequency [Hz]"
     assert 290.0 < panel.get_xlim()[0] < panel.get_xlim()[1] < 340.0
+    assert fc.draw_curve(found, 0).axes[0].get_xlabel() == "load frequency [rad/s]"
     for name in ("start", "stop"):
         with pytest.raises(InputError) as caught:
             turned.replace({f"curve.{name}": -1.0})
         assert caught.value.key == f"curve.{name}"
-
-
-def test_the_axis_of_frequencies() -> None:
-    """What multiplies rad/s, the name, and the unit."""
-    assert frequency_axis(False) == (1.0, "load frequency", "rad/s")
-    factor, name, unit = frequency_axis(True)
-    assert (name, unit) == ("load frequency", "Hz") and factor * TURN == pytest.approx(1.0)
 
 
 def test_tables_have_both_and_the_terminal_one(
