@@ -39,10 +39,13 @@ differences.
     WRONG        none of these: a wrong answer that passes for right
 
 Cases are added to a file as they are found, a line of JSON each; a run goes on where it was
-stopped. ``--table`` adds up the files named, and asks nothing.
+stopped. ``--table`` adds up the files named, and asks nothing. ``--known`` asks the cases of such
+files again, and judges anew only those answers that are not what they were: with another verdict,
+or an estimate (of a bifurcation: a place) that differs by more than 1e-3 of it.
 
     OMP_NUM_THREADS=1 python benchmarks/campaign.py [--cases N] [--seed S] [--family F] [folder]
     python benchmarks/campaign.py --table FILE...
+    python benchmarks/campaign.py folder --known FILE...
 """
 
 from __future__ import annotations
@@ -52,7 +55,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import common
@@ -93,6 +96,9 @@ PERIODS = {4: 100, 200: 20}
 """Over which a motion called stable is followed, with up to so many pairs."""
 PEAK = 0.015
 """Of the bilinear frequency, to both sides, where a peak is looked for."""
+ALIKE = 1e-3
+"""Of an estimate: up to which an answer is the one that is known."""
+KINDS_OF_BIFURCATION = "fold", "period_doubling", "neimark_sacker"
 NEXT_TO = 0.01
 """Of the frequency: where a bifurcation is looked for in the exact flow."""
 
@@ -242,6 +248,8 @@ def judge(
         what, found.harmonics, found.omega, estimate(found), verdict=verdict, asked=asked,
         seconds=seconds,
     )  # fmt: skip
+    if (known := as_known(case, row)) is not None:
+        return known
     if "comes back to within" in found.status and wanders(case, found):
         row.judgement, row.remark = WANDERS, found.status
         return row
@@ -258,6 +266,21 @@ def judge(
         row.exact = float(np.abs(orbit.multipliers).max(initial=0.0))
     row.judgement, row.remark = _judgement(case, found, row, orbit)
     return row
+
+
+def as_known(case: Case, row: Finding) -> Finding | None:
+    """What was found of the same answer before; None where it is not known, or was another one."""
+    for one in case.known:
+        known = Finding(**one)
+        named = ("what", "harmonics", "verdict")
+        pairs = [(row.omega, known.omega), (row.estimate, known.estimate), (row.asked, known.asked)]
+        if row.what in KINDS_OF_BIFURCATION:
+            pairs.append((row.true, known.true))
+        if all(getattr(row, name) == getattr(known, name) for name in named) and all(
+            np.isclose(mine, its, rtol=ALIKE, atol=ROUNDING, equal_nan=True) for mine, its in pairs
+        ):
+            return replace(known, seconds=row.seconds)
+    return None
 
 
 def _pred(case: Case, found: fc.PeriodicSolution) -> float:
@@ -430,12 +453,14 @@ def curves(case: Case) -> Iterator[Finding]:
 def bifurcation(case: Case, curve: fc.ResponseCurve, one: fc.Bifurcation) -> Finding:
     """Whether the exact orbits next to a bifurcation have it."""
     row = Finding(one.kind, one.problem.harmonics, one.value, true=one.exact / one.value - 1.0)
+    if (known := as_known(case, row)) is not None:
+        return known
     if not one.confirmed:
         row.judgement = UNCONFIRMED
         return row
     near = np.abs(curve.omega / one.exact - 1.0)
     seen = set()
-    kind = ("fold", "period_doubling", "neimark_sacker").index(one.kind)
+    kind = KINDS_OF_BIFURCATION.index(one.kind)
     for count, place in enumerate(np.argsort(near, kind="stable")[:24]):
         if len(seen) > 1 or (near[place] > NEXT_TO and count >= 4):
             break
@@ -557,6 +582,7 @@ def main() -> None:
         kind={"choices": KINDS, "help": "what is asked, instead of all"},
         minutes={"type": float, "default": np.inf, "help": "after which no case begins"},
         table={"nargs": "+", "default": [], "help": "files that are added up; nothing is asked"},
+        known={"nargs": "+", "default": [], "help": "files whose cases are asked again"},
     )
 
 
@@ -564,6 +590,9 @@ def campaign(arguments: common.Arguments) -> None:
     """All cases that are not in the file yet."""
     if arguments.table:
         summarise([one for path in arguments.table for one in read(Path(path))])
+        return
+    if arguments.known:
+        again(arguments.folder / "campaign_again.jsonl", [Path(path) for path in arguments.known])
         return
     of = "_".join(filter(None, (arguments.family, arguments.kind))) or "all"
     path = arguments.folder / f"campaign_{of}_{arguments.seed}.jsonl"
@@ -584,6 +613,21 @@ def campaign(arguments: common.Arguments) -> None:
     summarise(cases)
 
 
+def again(path: Path, files: list[Path]) -> None:
+    """All cases of some files that are not in this one yet."""
+    cases = read(path)
+    done = {key(one) for one in cases}
+    with open(path, "a") as file:
+        for one in (one for known in files for one in read(known)):
+            if key(one) in done:
+                continue
+            found = asked(one["seed"], one["case"], one["only"], one["family"], one["rows"])
+            cases.append(found)
+            file.write(json.dumps(found) + "\n")
+            file.flush()
+    summarise(cases)
+
+
 def read(path: Path) -> list[dict]:
     """What an earlier run has found; a line that was not finished is left out."""
     found = []
@@ -595,9 +639,16 @@ def read(path: Path) -> list[dict]:
     return found
 
 
-def asked(seed: int, number: int, kind: str | None = None, family: str = "few") -> dict:
-    """A case and what was found, as it is kept."""
+def asked(
+    seed: int,
+    number: int,
+    kind: str | None = None,
+    family: str = "few",
+    known: list[dict] | None = None,
+) -> dict:
+    """A case and what was found, as it is kept; ``known``: what was found before."""
     case = draw(seed, number, kind, family)
+    case.known.extend(known or [])
     begun = time.process_time()
     rows = findings(seed, case)
     return {

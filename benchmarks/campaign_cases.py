@@ -75,6 +75,7 @@ class Case:
     tolerance: float
     product: float
     family: str = "few"
+    known: list[dict] = field(default_factory=list)
     _flows: dict[int, tuple[Any, ReferenceFlow]] = field(default_factory=dict)
 
     def flow(self, structure: fc.Structure) -> ReferenceFlow:
