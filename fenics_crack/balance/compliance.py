@@ -155,13 +155,10 @@ class Compliance(Protocol):
         Gap without contact, less the clearance.
     basis : (n_pairs, n) or None
         Orthonormal basis of the gaps that the modes can make; None where these are all gaps.
-    highest : float
-        Natural frequency of the highest mode, relative to the base frequency; 0: not known.
     """
 
     shape: tuple[int, ...]
     basis: np.ndarray | None
-    highest: float
 
     @property
     def matrices(self) -> np.ndarray: ...
@@ -234,8 +231,6 @@ class ModalCompliance:
 
     def _set(self, base_omega: float, load: float, damping: float, clearance: float) -> None:
         self._base, self._damping = base_omega, damping
-        top = float(np.sqrt(np.abs(self._modes.squares).max(initial=0.0)))
-        self.highest = top / base_omega if base_omega > 0.0 else 0.0
         self._receptance = self._modes.receptance(
             base_omega * self._order, damping, self._unit_load != 0.0
         )
@@ -353,7 +348,6 @@ class FactoredCompliance:
     """
 
     basis: np.ndarray | None = None
-    highest = 0.0
 
     def __init__(self, structure: Structure, base_omega: float, load: np.ndarray) -> None:
         self.structure, self.load = structure, load
@@ -407,7 +401,7 @@ class ResizedCompliance:
             self.matrices = np.concatenate([self.matrices, compliance.beyond(harmonics)])
         self.linear_gap = resized(compliance.linear_gap, harmonics)
         self.shape = self.linear_gap.shape
-        self.basis, self.highest = compliance.basis, compliance.highest
+        self.basis = compliance.basis
         self.beyond = compliance.beyond
         self.displacement, self.destroy = compliance.displacement, compliance.destroy
 
