@@ -174,9 +174,11 @@ def test_an_answer(number: int, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_what_is_answered(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Every line of the table, in its order and in one folder."""
+    """Every line of the table, in its order and in one folder, of a coarser plate."""
     assert len(ROWS) >= 20
-    scene = fc.Scene.load("plate.toml")
+    coarse = {"mesh.size": 0.04, "mesh.lip_elements": 3}
+    scene = fc.Scene.load("plate.toml").replace(coarse)
+    Path("plate.toml").write_text(scene.as_toml())
     things = {"fenics_crack": fc, "scene": scene, "run": fc.modes(scene, 1)}
     for written, answer in ROWS:
         capsys.readouterr()
