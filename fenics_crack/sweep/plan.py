@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -63,9 +64,9 @@ class Plan:
         self.harmonics = max(swept.get("harmonic_balance.harmonics", (base.harmonics,)))
         if base.tolerance is not None or "harmonic_balance.tolerance" in swept:
             self.harmonics = max(self.harmonics, MOST_HARMONICS)
-        self.sizes = self._sizes()
-        """What each geometry may cost: bound of the pairs, and the first crack's length [m]."""
-        self.pairs = max(pairs for pairs, _ in self.sizes)
+        if not any(isinstance(self._case(n), Scene) for n in range(math.prod(self.shape))):
+            reason = self._case(0)
+            raise InputError("sweep.over", reason, "values of which a combination can be used")
 
     def _chunks(self, keys: list[str], free: set[str]) -> list[list[np.ndarray]]:
         """The cases by their geometries, cut along the frequency, or else along the last axis that
@@ -93,8 +94,15 @@ class Plan:
             free -= {*FREQUENCIES}
         return free
 
-    def _sizes(self) -> list[tuple[int, float]]:
-        """The sizes of all geometries; raise InputError if no combination is a scene."""
+    @property
+    def pairs(self) -> int:
+        """Bound of the pairs of all geometries."""
+        return max(pairs for pairs, _ in self.sizes)
+
+    @cached_property
+    def sizes(self) -> list[tuple[int, float]]:
+        """What each geometry may cost: bound of the pairs, for which solids are meshed, and the
+        first crack's length [m]."""
         bounds: dict[Any, int] = {}
         found: list[tuple[int, float]] = []
         for chunks in self.geometries:
@@ -113,9 +121,6 @@ class Plan:
             if key not in bounds:
                 bounds[key] = _most_pairs(case)
             found.append((bounds[key], cracks[0].length or 0.0 if cracks else 0.0))
-        if not bounds:
-            reason = self.case((0,) * len(self.shape))
-            raise InputError("sweep.over", reason, "values of which a combination can be used")
         return found
 
     def case(self, index: Sequence[int]) -> Scene | str:

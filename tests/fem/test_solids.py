@@ -24,6 +24,7 @@ from fenics_crack.fem.plate import build_mesh
 from fenics_crack.fem.solid import _cells
 from fenics_crack.parallel import gather_rows
 from fenics_crack.study.remarks import remarks_on_structure
+from fenics_crack.sweep.plan import Plan
 
 MESHES = ROOT / "meshes"
 WIDTH, HEIGHT, THICKNESS = 0.03, 0.09, 0.006
@@ -340,6 +341,21 @@ def test_tied_lips_are_a_solid_without_a_crack() -> None:
     whole = 2.0 * math.pi * frequencies(solid(contact=None), 1)[0]
     assert found.omega_open[0] < found.omega_bilinear[0] < found.omega_tied[0]
     assert found.omega_tied[0] == pytest.approx(whole, rel=2e-3)
+
+
+def test_cases_of_a_sweep_are_known_without_a_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Meshes bound the pairs of solids; which cases there are, and whether there are any, does not
+    take them."""
+    swept = solid(THROUGH, **{"sweep.over": {"crack.length": [0.008, 0.01, 0.5]}})
+    with monkeypatch.context() as patched:
+        patched.setattr("fenics_crack.sweep.plan.build_mesh", None)
+        plan = Plan(swept)
+        found = [isinstance(plan.case((place,)), Scene) for place in range(3)]
+        assert found == [True, True, False]
+        with pytest.raises(InputError, match="a combination can be used"):
+            Plan(swept.replace({"sweep.over": {"crack.length": [0.5, 0.6]}}))
+    assert plan.pairs == max(bound for bound, _ in plan.sizes) > 0
+    assert plan.sizes[2] == (0, 0.0)
 
 
 def test_the_tip_of_a_solid_is_its_farthest_node_from_the_axis() -> None:
