@@ -45,7 +45,7 @@ ON_PATH = 15_000
 FEWEST_ON_PATH = 15
 """Points that such a path has to be allowed: with 1,500 unknowns each takes seconds, and ten lead
 nowhere."""
-SAME = 0.1
+LEFT = 0.1
 """Part of the way from a motion to a wave that steps may leave which lead there."""
 STIFF = 100.0
 """k R_inf from which a penalty on lips with mass is seen through R_inf."""
@@ -292,7 +292,7 @@ class Problem:
         start = system.slow(gap, force)
         end = system.slow(wave.gap_coefficients, wave.force_coefficients)
         found, away = _nearly_solved(system, start), np.linalg.norm(start - end)
-        return found is not None and bool(np.linalg.norm(found.unknown - end) <= SAME * away)
+        return found is not None and bool(np.linalg.norm(found.unknown - end) <= LEFT * away)
 
     def integrals(self) -> ContactIntegrals:
         """How the contact force is integrated; that of a projection by its weight."""
