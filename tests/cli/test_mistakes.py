@@ -10,7 +10,7 @@ from surroundings import main
 LINES = re.findall(
     r"^\| ([^|]+?) \| (`[^|]+`) \| ([^|]+?) \|$", (ROOT / "docs" / "mistakes.md").read_text(), re.M
 )[1:]
-COARSE = ["--set", "mesh.size=0.02", "--set", "mesh.lip_elements=6"]
+COARSE = ["--set", "mesh.size=0.03", "--set", "mesh.lip_elements=6"]
 """The new scene's mesh takes four times as long; slips of the mesh itself come after."""
 
 

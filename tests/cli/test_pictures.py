@@ -51,6 +51,11 @@ def pixels(path: Path, frame: int = 0) -> np.ndarray:
         return np.asarray(picture.convert("RGB"))
 
 
+def colours(picture: np.ndarray) -> int:
+    """How many a picture has."""
+    return len(np.unique(picture.astype(int) @ (1, 256, 256**2)))
+
+
 def share(picture: np.ndarray, colour: tuple[int, ...]) -> float:
     """How much of a picture has exactly a colour."""
     return float(np.all(picture == colour, axis=2).mean())
@@ -61,7 +66,7 @@ def assert_drawn(path: Path, size: tuple[int, int]) -> None:
     picture = pixels(path)
     assert picture.shape == (size[1], size[0], 3)
     assert picture.std() > 10.0
-    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 20
+    assert colours(picture) > 20
     assert share(picture, (255, 255, 255)) > 0.1 or "map" in path.name
 
 
@@ -92,7 +97,7 @@ def test_animation(
     assert share(shown[0], ORANGE) == 0.0 < share(shown[1], ORANGE)
     for picture in shown:
         assert 0.05 < share(picture, (255, 255, 255)) < 0.8
-    assert len(np.unique(shown[0].reshape(-1, 3), axis=0)) > 20
+    assert colours(shown[0]) > 20
 
 
 def test_animation_of_twice_the_period_without_a_crack(
