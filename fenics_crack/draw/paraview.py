@@ -365,7 +365,7 @@ def _vtu(grid: pyvista.UnstructuredGrid) -> str:
     writer = vtkXMLUnstructuredGridWriter()
     writer.SetInputData(grid)
     writer.SetDataModeToBinary()
-    writer.SetCompressorTypeToLZ4()  # three times as quick as zlib at its quickest, a sixth larger
+    writer.SetCompressionLevel(1)  # three times as quick, a hundredth larger; LZ4 not all read
     writer.WriteToOutputStringOn()
     writer.Write()
     return str(writer.GetOutputString())
