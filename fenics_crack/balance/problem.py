@@ -42,9 +42,9 @@ NARROW = PathOptions(0.1, 0.3, min_cosine=0.5)
 """For paths whose parameter runs from 0 to 1."""
 ON_PATH = 15_000
 """Unknowns of all points together of a path to more harmonics: 0.1 s where these are few."""
-FEWEST_ON_PATH = 15
-"""Points that such a path has to be allowed: with 1,500 unknowns each takes seconds, and ten lead
-nowhere."""
+MOST_FORMED = 1000
+"""Unknowns up to which J is formed for such a motion: with 1,500 each point of a path takes
+seconds, and ten lead nowhere."""
 LEFT = 0.1
 """Part of the way from a motion to a wave that steps may leave which lead there."""
 STIFF = 100.0
@@ -318,7 +318,9 @@ class Problem:
 
 def _nearly_solved(system: ContactSystem, start: np.ndarray) -> PathPoint | None:
     """By Newton's method; where J is not formed by full steps alone, as those that lead nowhere
-    take long."""
+    take long. None where J would be formed of too many unknowns."""
+    if system.global_size > MOST_FORMED and not system.matrix_free:
+        return None
     steps = solve_at if system.matrix_free else solve_near
     return steps(system, start, system.end, tolerance=NEARLY_SOLVED)
 
@@ -326,9 +328,9 @@ def _nearly_solved(system: ContactSystem, start: np.ndarray) -> PathPoint | None
 def _end_of_path(system: ContactSystem, start: np.ndarray) -> PathPoint | None:
     """Where the path F(s) = (1 - p) F(s_0) from a start has its end; None where it has none, or
     that takes long."""
-    most = ON_PATH // system.global_size
-    if most < FEWEST_ON_PATH:
+    if system.global_size > MOST_FORMED:
         return None
+    most = ON_PATH // system.global_size
     missed = system.linearise(start).residual
     along = system.compile(system.linear + missed, system.moving, linear_rate=-missed)
     options = replace(NARROW, max_steps=most, at_once=most, rtol=NEARLY_SOLVED, span=(0.0, 2.0))
