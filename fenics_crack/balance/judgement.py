@@ -5,11 +5,11 @@ method predicts (:mod:`fenics_crack.motion.orbit`), and this step is short: then
 the error, and the orbit's multipliers are the motion's. On 510 waves of 128 plates this was so for
 every one with its own orbit, and for none of 26 next to another one.
 
-Where the step is long, or the orbit far away, the orbit is the wave's own if its motion, balanced
-with as many harmonics, is the wave: to that Newton's method leads from the orbit's Fourier series.
-Where it leads elsewhere the wave is balanced with twice the harmonics, from there on with twice as
-many again: the first of these waves that has its own orbit decides for all, as far as that is
-within three times the error predicted of each.
+Where the step is long the orbit is the wave's own if its motion, balanced with as many harmonics,
+is the wave, to which Newton's method leads from the orbit's Fourier series, and none other is found
+from the state behind the step. Where it leads elsewhere, or is far away, the wave is balanced with
+twice the harmonics, from there on with twice as many again: the first of these waves that has its
+own orbit decides for all, as far as that is within three times the error predicted of each.
 
 What the modes that a reduction leaves out change of an exact motion is told by the reference of the
 structure, which has them (:mod:`fenics_crack.model.reduction`). The motion is one of
@@ -46,7 +46,7 @@ __all__ = [
 
 BELIEVED, FARTHEST, FAR = 3.0, 0.1, 0.3
 """Times the error predicted, beyond which an orbit is another one; the distance and the prediction
-beyond which it has to lead back to the wave; and the prediction from which on it is no wonder if
+beyond which more harmonics have to confirm it; and the prediction from which on it is no wonder if
 none is found."""
 UNKNOWN = 1.0
 """An error that is not known."""
@@ -141,8 +141,9 @@ class Judgement:
         if self.of_orbit:
             return self
         believed = self.believes(self._to_near)
-        if believed and (max(self._to_near, self.prediction) <= FARTHEST or self._leads_back()):
-            return self
+        if believed and self._to_near <= FARTHEST:
+            if self.prediction <= FARTHEST or (self._is_only() and self._leads_back()):
+                return self
         if self.finer is None:
             return None
         if believed and _alike(self.near, self.finer.near):
@@ -157,6 +158,14 @@ class Judgement:
         if self.decisive is not None:
             return self.decisive.near
         return self.near or (None if self.finer is None else self.finer.orbit)
+
+    def _is_only(self) -> bool:
+        """Whether no other orbit as near is found from the state behind the wave's step."""
+        wave, step = self.wave, self.predicted
+        assert self.flow is not None and step is not None
+        start, periods = step.states[0], wave.subharmonic
+        other = orbit_next_to(self.flow, wave.omega, start, periods, patient=False)
+        return other is None or _alike(self.near, other) or not self.believes(self._to(other))
 
     def _leads_back(self) -> bool:
         """Whether the motion of the orbit next to it, balanced with as many harmonics, is the
