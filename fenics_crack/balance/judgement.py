@@ -140,10 +140,10 @@ class Judgement:
         doubt; None where none is."""
         if self.of_orbit:
             return self
-        believed = self.believes(self._to_near)
-        if believed and self._to_near <= FARTHEST:
-            if self.prediction <= FARTHEST or (self._is_only() and self._leads_back()):
-                return self
+        believed, near = self.believes(self._to_near), self._to_near <= FARTHEST
+        short = self.prediction <= FARTHEST
+        if believed and near and (short or (self._is_only() and self._leads_back())):
+            return self
         if self.finer is None:
             return None
         if believed and _alike(self.near, self.finer.near):

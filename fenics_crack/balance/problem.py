@@ -288,10 +288,14 @@ class Problem:
     def leads_to(self, wave: Wave, gap: np.ndarray, force: np.ndarray) -> bool:
         """Whether Newton's method leads to a wave from a motion of some coefficients, and not to
         another one as far away as that motion was."""
-        system = self.system(self.compliance())
-        start = system.slow(gap, force)
+        try:
+            system = self.system(self.compliance())
+            start = system.slow(gap, force)
+            found = _nearly_solved(system, start)
+        except (ConvergenceError, np.linalg.LinAlgError):
+            return False
         end = system.slow(wave.gap_coefficients, wave.force_coefficients)
-        found, away = _nearly_solved(system, start), np.linalg.norm(start - end)
+        away = np.linalg.norm(start - end)
         return found is not None and bool(np.linalg.norm(found.unknown - end) <= LEFT * away)
 
     def integrals(self) -> ContactIntegrals:
