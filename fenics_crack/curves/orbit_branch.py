@@ -178,6 +178,7 @@ class OrbitBranch:
         every: int = EVERY,
     ) -> None:
         self.system, self._parameters, self._motions = system, parameters, motions
+        self._reach = REACH * max(1.0, float(np.ptp(parameters)))
         self._known: dict[int, np.ndarray] = {}
         self._homotopy = Homotopy(system)
         self._turn = _to_turns(parameters)
@@ -185,7 +186,7 @@ class OrbitBranch:
         self.nodes: list[Node] = []
         last = len(parameters) - 1
         places = np.unique(np.append(np.arange(0, last, every), last))
-        self.know(places)
+        self.motions(places)
         for place in map(int, places):
             found = self._next_to(place, self.nodes[-1:])
             self.nodes += [] if found is None else [found]
@@ -206,7 +207,7 @@ class OrbitBranch:
                 if places[number] not in self._halved
             ]
             self._halved.update(places[number] for number in halved)
-            self.know(np.array([round(sum(places[number]) / 2) for number in halved], dtype=int))
+            self.motions(np.array([round(sum(places[number]) / 2) for number in halved], dtype=int))
             for number in halved:
                 middle = self._middle(segments[number], bool(linked[number]))
                 found += [] if middle is None else [middle]
@@ -252,18 +253,21 @@ class OrbitBranch:
         first, last = ends
         whole = round(0.5 * (first.place + last.place))
         inside = first.place < whole < last.place
-        found = self.between(first, last, 0.5) if linked or not inside else None
-        return self._next_to(whole, [first, last]) if found is None and inside else found
+        found = self.across(first, last, 0.5, {}, TOLERANCE) if linked or not inside else None
+        if found is not None:
+            return self.inside(first, last, 0.5, found)
+        return self._next_to(whole, [first, last]) if inside else None
 
     def motion(self, place: int) -> np.ndarray:
         """x of the motion of a point."""
-        self.know(np.array([place]))
-        return self._known[place]
+        return np.asarray(self.motions(np.array([place]))[0])
 
     def motions(self, places: np.ndarray) -> np.ndarray:
-        """x of the motions of some points: (m, 2n)."""
-        self.know(places)
-        return np.array([self._known[int(place)] for place in places])
+        """x of the motions of some points, found at once and kept: (m, 2n)."""
+        new = [place for place in places.tolist() if place not in self._known]
+        if new:
+            self._known.update(zip(new, self._motions(np.array(new)), strict=True))
+        return np.array([self._known[place] for place in places.tolist()])
 
     def at(self, segment: np.ndarray, share: np.ndarray) -> np.ndarray:
         """x at parts of segments, given by their numbers: (m, 2n)."""
@@ -294,17 +298,16 @@ class OrbitBranch:
         """The orbit next to a point, with those of some nodes known; with ``across`` also in the
         plane across the curve."""
         motion, parameter = self.motion(place), float(self._parameters[place])
-        planes: list[Callable[[int], Tangent | None] | None] = [None, self._chord]
-        if across and self._turn[place] <= 2:
-            del planes[0]
+        planes = [True] if across and self._turn[place] <= 2 else [False, True][: 1 + across]
         for start in self._starts(place, beside, far=across):
-            for plane in planes if across else planes[:1]:
-                found = self._solved(start, parameter, plane and plane(place))
+            for plane in planes:
+                chord = self._ahead(place, along=True) if plane else None
+                found = self._solved(start, parameter, chord)
                 if found is None:
                     continue
                 away = float(np.linalg.norm(found.unknown - motion) / np.linalg.norm(motion))
                 if away <= ALIKE:
-                    return self._node(place, found, self._ahead(place), away)
+                    return self._node(place, found, self._ahead(place, along=False), away)
         return None
 
     def _starts(self, place: int, beside: list[Node], *, far: bool) -> Iterator[np.ndarray]:
@@ -321,11 +324,6 @@ class OrbitBranch:
             end = self._homotopy.end(motion, float(self._parameters[place]))
             if end is not None:
                 yield end
-
-    def between(self, first: Node, last: Node, share: float) -> Node | None:
-        """A node at a part of the segment between two others; None where none is found."""
-        found = self.across(first, last, share, {}, TOLERANCE)
-        return None if found is None else self.inside(first, last, share, found)
 
     def inside(self, first: Node, last: Node, share: float, found: PathPoint) -> Node:
         """The node of an orbit at a part of the segment between two others."""
@@ -348,26 +346,15 @@ class OrbitBranch:
         ends = [np.linalg.norm(found.unknown - one.unknown) for one in (first, last)]
         return found if max(ends) <= 1.5 * size + 1e-6 * np.linalg.norm(found.unknown) else None
 
-    def know(self, places: np.ndarray) -> None:
-        """Find the motions of some points at once."""
-        new = [int(place) for place in places if int(place) not in self._known]
-        if new:
-            self._known.update(zip(new, self._motions(np.array(new)), strict=True))
-
-    def _chord(self, place: int) -> Tangent | None:
-        """Along the curve at one of its points."""
-        ends = max(0, place - 1), min(len(self._parameters) - 1, place + 1)
-        before, after = (self.motion(end) for end in ends)
-        rise = float(self._parameters[ends[1]] - self._parameters[ends[0]])
+    def _ahead(self, place: int, *, along: bool) -> Tangent | None:
+        """A direction onwards at a point: along the curve, or, unless that is asked for, the
+        parameter's own where it does not turn nearby."""
+        ends = np.array([max(0, place - 1), min(len(self._parameters) - 1, place + 1)])
+        rise = float(np.diff(self._parameters[ends])[0])
+        if not along and self._turn[place] > EVERY:
+            return Tangent(np.zeros_like(self.motion(place)), float(np.sign(rise)), 1.0)
+        before, after = self.motions(ends)
         return _direction(after - before, rise, self.motion(place))
-
-    def _ahead(self, place: int) -> Tangent | None:
-        """A direction onwards: far from where the parameter turns, its own."""
-        if self._turn[place] <= EVERY:
-            return self._chord(place)
-        ends = max(0, place - 1), min(len(self._parameters) - 1, place + 1)
-        rise = float(self._parameters[ends[1]] - self._parameters[ends[0]])
-        return Tangent(np.zeros_like(self.motion(place)), float(np.sign(rise)), 1.0)
 
     def _solved(
         self,
@@ -380,32 +367,21 @@ class OrbitBranch:
         try:
             return solve_in_plane(
                 self.system, unknown, parameter, plane, tolerance=tolerance, iterations=FULL_STEPS,
-                reach=REACH * self._width, least_damping=None, patience=PATIENCE,
+                reach=self._reach, least_damping=None, patience=PATIENCE,
                 lasting=SHRINKING,
             )  # fmt: skip
         except ConvergenceError:  # pairs chatter without end
             return None
-
-    @cached_property
-    def _width(self) -> float:
-        return max(1.0, float(np.ptp(self._parameters)))
 
     def _node(
         self, place: float, found: PathPoint, ahead: Tangent | None, away: float = np.nan
     ) -> Node:
         assert isinstance(found.at, OrbitPoint)
         values = _multipliers(found.at.monodromy)
+        tangent = tangent_of(self.system, found.unknown, found.at, ahead)
         return Node(
-            place, found.unknown, found.parameter, self.tangent(found, ahead), values[:LEADING],
-            _outside(values), away,
-        )  # fmt: skip
-
-    def tangent(self, found: PathPoint, ahead: Tangent | None) -> Tangent:
-        """Of the branch, towards where a direction leads."""
-        assert found.at is not None
-        tangent = tangent_of(self.system, found.unknown, found.at)
-        back = ahead is not None and tangent.along(ahead, self.system) < 0.0
-        return tangent.reversed() if back else tangent
+            place, found.unknown, found.parameter, tangent, values[:LEADING], _outside(values), away
+        )
 
     # --- bifurcations -----------------------------------------------------------------------------
 
@@ -465,10 +441,11 @@ class _Test:
             if found is None:
                 raise ConvergenceError("no orbit")
             self.met[share] = found
+            assert isinstance(found.at, OrbitPoint)
             if self._kind == KINDS[0]:  # the multipliers are no matter
-                self.values[share] = self._branch.tangent(found, found.tangent).p
+                system, chord = self._branch.system, found.tangent
+                self.values[share] = tangent_of(system, found.unknown, found.at, chord).p
             else:
-                assert isinstance(found.at, OrbitPoint)
                 self.values[share] = self._of(_multipliers(found.at.monodromy)[:LEADING])
         value = self.values[share]
         return value if abs(value) > TOLERANCE * self.largest else 0.0

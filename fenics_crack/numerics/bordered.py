@@ -100,22 +100,24 @@ class PathPoint:
     """Of the chord from the point before in that one's norm, where it is known."""
 
 
-def tangent_of(system: System, unknown: np.ndarray, at: Linearisation) -> Tangent:
-    """Tangent at a solution, towards growing p."""
+def tangent_of(
+    system: System, unknown: np.ndarray, at: Linearisation, towards: Tangent | None = None
+) -> Tangent:
+    """Tangent at a solution, towards growing p or in a direction that is known roughly."""
     slope = -at.solve(at.by_parameter)
     weight = 1.0 / max(system.inner(unknown, unknown), 1e-300)
     length = float(np.sqrt(weight * system.inner(slope, slope) + 1.0))
-    return Tangent(slope / length, 1.0 / length, weight)
+    found = Tangent(slope / length, 1.0 / length, weight)
+    back = towards is not None and found.along(towards, system) < 0.0
+    return found.reversed() if back else found
 
 
 def point_on_path(
     system: System, unknown: np.ndarray, parameter: float, towards: Tangent | None = None
 ) -> PathPoint:
-    """A solution with its tangent, towards growing p or in a direction that is known roughly."""
-    tangent = tangent_of(system, unknown, system.linearise(unknown, parameter))
-    if towards is not None and tangent.along(towards, system) < 0.0:
-        tangent = tangent.reversed()
-    return PathPoint(unknown, parameter, 0, tangent)
+    """A solution with its tangent (:func:`tangent_of`)."""
+    at = system.linearise(unknown, parameter)
+    return PathPoint(unknown, parameter, 0, tangent_of(system, unknown, at, towards))
 
 
 def solve_in_plane(
@@ -190,9 +192,7 @@ def step_along(
     if found is None:
         return None
     assert found.at is not None
-    ahead = tangent_of(system, found.unknown, found.at)
-    onwards = ahead.along(start.tangent, system) >= 0.0
-    return replace(found, tangent=ahead if onwards else ahead.reversed())
+    return replace(found, tangent=tangent_of(system, found.unknown, found.at, start.tangent))
 
 
 def solve_at(
