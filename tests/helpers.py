@@ -140,6 +140,7 @@ def chain(
         "modal": fc.ModalDamping(rng.uniform(0.02, 0.08, n)),
         "rayleigh": fc.RayleighDamping(0.05, 0.03),
         "matrix": np.diag(dashpots) + 0.02 * stiffness,  # does not commute: couples the modes
+        "gyroscopic": np.diag(dashpots) + 0.3 * (np.eye(n, k=1) - np.eye(n, k=-1)),
         "few modes": fc.ModalDamping([0.05, 0.02, 0.08], modes=3),
         "none": None,
     }

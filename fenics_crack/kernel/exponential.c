@@ -150,14 +150,24 @@ WIDE static void short_series(exponentials *e, double time, double turn)
     }
 }
 
-/* upper = [D + b C; -b K] of right = [b; D]: b K is K b, transposed, as b'' + b' C + b K = 0, too. */
+/* found = b, transposed, of coupled modes: only a symmetric C makes b symmetric, too. */
+static const double *transposed(const exponentials *e, const double *b, double *found)
+{
+    const long m = e->modes;
+    if (!e->coupled) return b;
+    for (long i = 0; i < m; i++)
+        for (long j = 0; j < m; j++) found[j * m + i] = b[i * m + j];
+    return found;
+}
+
+/* upper = [D + b C; -b K] of right = [b; D]: b K is K b^T, transposed, as b'' + b' C + b K = 0, too. */
 WIDE static void complete(exponentials *e)
 {
     const int m = e->modes;
     const long square = (long)m * m;
     memcpy(e->upper, e->right + square, bytes(square));
     add_damped(e, e->right, e->upper);
-    stiffness_times(e, e->right, e->other);
+    stiffness_times(e, transposed(e, e->right, e->other + square), e->other);
     for (long i = 0; i < m; i++)
         for (long j = 0; j < m; j++) e->upper[square + i * m + j] = -e->other[j * m + i];
 }
@@ -180,25 +190,24 @@ static double stiffness_of(exponentials *e, const closed_set *a)
     return largest;
 }
 
-/* doubled = [b; D] of twice the time, of right = [b; D]: b and D are symmetric, so that
- * (D + b C) b + b D is H b and its transpose, H = D + b C / 2. */
+/* doubled = [b; D] of twice the time, of right = [b; D]. Where each mode is damped by itself b and D
+ * are symmetric, so that (D + b C) b + b D is H b and its transpose, H = D + b C / 2. */
 WIDE static void double_series(exponentials *e, const double *right, double *doubled)
 {
     const int m = e->modes;
     const long square = (long)m * m;
     const double *d = right + square;
-    for (long i = 0; i < square; i++) {
-        e->through[i] = 0.5 * (d[i] + e->upper[i]);
-        doubled[square + i] = 2.0 * d[i];
+    for (long i = 0; i < 2 * square; i++) doubled[i] = 2.0 * right[i];
+    if (e->coupled) {
+        multiply_matrices(m, m, m, e->upper, right, 1.0, doubled);
+        multiply_matrices(m, m, m, right, d, 1.0, doubled);
+    } else {
+        for (long i = 0; i < square; i++) e->through[i] = 0.5 * (d[i] + e->upper[i]);
+        multiply_matrices(m, m, m, e->through, right, 0.0, e->product);
+        for (long i = 0; i < m; i++)
+            for (long j = 0; j < m; j++)
+                doubled[i * m + j] += e->product[i * m + j] + e->product[j * m + i];
     }
-    multiply_matrices(m, m, m, e->through, right, 0.0, doubled);
-    for (long i = 0; i < m; i++)
-        for (long j = 0; j <= i; j++) {
-            double *one = doubled + i * m + j, *other = doubled + j * m + i;
-            const double sum = *one + *other;
-            *one = 2.0 * right[i * m + j] + sum;
-            *other = 2.0 * right[j * m + i] + sum;
-        }
     multiply_matrices(m, m, m, e->upper + square, right, 1.0, doubled + square);
     multiply_matrices(m, m, m, d, d, 1.0, doubled + square);
 }

@@ -45,8 +45,8 @@ def leaves(
     orbits: FlowOrbits, motion: np.ndarray, orbit: np.ndarray, parameter: float = 1.0
 ) -> bool:
     """Whether a motion, given by its x at phase zero, leaves a stable orbit given like that: it is
-    much farther away within some periods than at first, or in the end, than a small disturbance
-    would be."""
+    much farther away within some periods than at first, or in the end, where it is not there to a
+    millionth, than a small disturbance would be."""
     monodromy = orbits.linearise(orbit, parameter).monodromy
     linear = motion - orbit
     away, expected = [np.linalg.norm(linear)], [np.linalg.norm(linear)]
@@ -59,7 +59,7 @@ def leaves(
                 return True
     except ConvergenceError:  # pairs chatter without end
         return True
-    return bool(max(away[-LAST:]) > AWAY * max(expected[-LAST:]))
+    return bool(max(away[-LAST:]) > AWAY * max(*expected[-LAST:], KNOWN * expected[0]))
 
 
 def orbits_near(

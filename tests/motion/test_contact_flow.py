@@ -44,15 +44,16 @@ def energy(flow: ContactFlow, motion: Motion) -> np.ndarray:
 
 @settings(max_examples=40, deadline=None)
 @given(
-    st.sampled_from(DAMPINGS), st.integers(1, 3), st.integers(0, 2**31), st.floats(0.0, 3.0),
-    st.booleans(),
+    st.sampled_from([*DAMPINGS, "gyroscopic"]), st.integers(1, 3), st.integers(0, 2**31),
+    st.floats(0.0, 3.0), st.booleans(),
 )  # fmt: skip
 def test_against_the_reference(
     damping: str, pairs: int, seed: int, hardness: float, light: bool
 ) -> None:
     """State, motion, derivative and number of events over two periods, with and without mass at the
     lips, to rounding."""
-    structure = chain(damping if damping != "matrix" or not light else "modal", 10, pairs, seed)
+    coupled = damping in ("matrix", "gyroscopic")
+    structure = chain("modal" if coupled and light else damping, 10, pairs, seed)
     contact: object = fc.UnilateralPenalty(10.0**hardness * np.linspace(0.5, 1.0, pairs))
     if light:
         structure = fc.reduce_structure(structure, modes=4, method="massless")

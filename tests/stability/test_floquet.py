@@ -54,11 +54,12 @@ def test_product_of_the_multipliers(damping: float) -> None:
 
 
 def test_without_contact_the_flow_is_linear() -> None:
-    """An unreachable stop: multipliers are exp(T eigenvalues) of the linear structure."""
+    """An unreachable stop: multipliers are exp(T eigenvalues) of the linear structure, with a
+    gyroscopic part."""
     rng = np.random.default_rng(8)
     n = 4
     stiffness, random = random_stiffness(rng, n), rng.normal(size=(n, n))
-    damping = 0.05 * (random @ random.T)
+    damping = 0.05 * (random @ random.T) + 0.1 * (random - random.T)
     structure = fc.Structure.from_matrices(
         np.eye(n), stiffness, rng.normal(size=n), force_sin=np.ones(n), damping=damping,
         clearance=1e6,
@@ -70,14 +71,38 @@ def test_without_contact_the_flow_is_linear() -> None:
     assert np.allclose(np.sort(np.abs(found)), np.sort(np.abs(exact)), rtol=1e-9)
 
 
+def test_a_turning_shaft_with_a_crack() -> None:
+    """Seen in the frame that turns with it (Coriolis): stable, slow or fast, with a known error;
+    the product of the multipliers is exp(-T tr C)."""
+    for speed in (0.1, 0.45):
+        damping = 0.08 * np.eye(2) + 2.0 * speed * np.array([[0.0, -1.0], [1.0, 0.0]])
+        shaft = fc.Structure.from_matrices(
+            np.eye(2), np.diag([0.8, 1.0]) - speed**2 * np.eye(2), [-1.0, 0.0],
+            force_cos=[1.0, 0.0], force_sin=[0.0, -1.0], damping=damping,
+        )  # fmt: skip
+        found = fc.solve_harmonic_balance(shaft, speed, fc.UnilateralPenalty(0.2), harmonics=40)
+        stability = floquet(shaft, found)
+        assert found.report.truncation < 1e-4 and stability.verdict == "stable", speed
+        product = np.prod(stability.multipliers)
+        assert product == pytest.approx(np.exp(-0.16 * found.period), rel=1e-6)
+
+
 @pytest.mark.parametrize(
-    "law", [fc.UnilateralPenalty(2.0), fc.SmoothedPenalty(2.0, 10.0)], ids=["penalty", "smoothed"]
+    ("law", "turning"),
+    [
+        (fc.UnilateralPenalty(2.0), 0.0),
+        (fc.UnilateralPenalty(2.0), 0.5),
+        (fc.SmoothedPenalty(2.0, 10.0), 0.0),
+    ],
+    ids=["penalty", "gyroscopic", "smoothed"],
 )
 @pytest.mark.filterwarnings("error")
-def test_against_the_variational_equation(law: fc.UnilateralPenalty | fc.SmoothedPenalty) -> None:
+def test_against_the_variational_equation(
+    law: fc.UnilateralPenalty | fc.SmoothedPenalty, turning: float
+) -> None:
     """Multipliers of two masses from SciPy's integration of the linearised motion."""
     stiffness = chain_stiffness(np.ones(3))
-    damping = 0.06 * stiffness
+    damping = 0.06 * stiffness + turning * np.array([[0.0, -1.0], [1.0, 0.0]])
     gap = np.array([1.0, -1.0])
     structure = fc.Structure.from_matrices(
         np.eye(2), stiffness, gap, force_cos=[0.3, -0.5], damping=damping
