@@ -261,13 +261,14 @@ class Piece:
             humps = (slopes[:, :-1] > 0.0) & (slopes[:, 1:] < 0.0) & (top > 0.0)
             suspect = (high > 0.0) | humps
             for k in np.flatnonzero(suspect.any(axis=0)):
-                roots = [
-                    (root, int(pair))
-                    for pair in np.flatnonzero(suspect[:, k])
-                    if (root := self._root(int(pair), times[k], times[k + 1])) is not None
-                ]
-                if roots:
-                    return min(roots) if min(roots)[0] < duration else None
+                pairs, first, end = np.flatnonzero(suspect[:, k]), None, float(times[k + 1])
+                early = low[pairs, k] / np.maximum(high[pairs, k] - low[pairs, k], 1e-300)
+                for pair in pairs[np.argsort(-early)]:  # the others only before what is found
+                    root = self._root(int(pair), times[k], end)
+                    if root is not None and (first is None or root < end):
+                        first, end = int(pair), root
+                if first is not None:
+                    return (end, first) if end < duration else None
                 if times[k + 1] > duration:
                     return None
             begin = float(times[-1])
