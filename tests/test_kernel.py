@@ -25,10 +25,8 @@ from fenics_crack.model.coupled import ActiveSets, solve_complementarity
 OTHERS = [
     ROOT / "tests" / name
     for name in (
-        "balance/test_active_sets.py", "balance/test_compiled_coupled.py",
-        "balance/test_compiled_paths.py",
-        "motion/test_contact_flow.py", "motion/test_path.py", "numerics/test_paths.py",
-        "time/test_compiled_marches.py",
+        "balance/test_active_sets.py", "balance/test_compiled_paths.py",
+        "motion/test_contact_flow.py", "numerics/test_paths.py", "time/test_compiled_marches.py",
     )
 ]  # fmt: skip
 """Other files whose tests are run with it."""
