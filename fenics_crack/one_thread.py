@@ -1,8 +1,9 @@
-"""The functions of the package run one at a time, and with one thread of OpenBLAS.
+"""The functions of the package run one at a time, and with one thread of OpenBLAS and of OpenMP.
 
 gmsh, PETSc and MUMPS keep their state in global variables: two threads of Python in them end the
 process. And their dense algebra is small, as ours is: OpenBLAS's threads wait for each other
-longer than they work, and do so by spinning.
+longer than they work, and do so by spinning. So do four threads of OpenMP, with which CHOLMOD
+assembles each of its many small blocks, whatever OMP_NUM_THREADS says.
 """
 
 from __future__ import annotations
@@ -27,19 +28,27 @@ _lock = threading.RLock()
 
 @contextmanager
 def alone() -> Iterator[None]:
-    """Keep other threads of Python out, and OpenBLAS to one thread; its number is restored.
+    """Keep other threads of Python out, and OpenBLAS and OpenMP to one; their numbers are restored.
 
     A number that the user has chosen stays: by one of :data:`SETTINGS`, or in the process (by
-    threadpoolctl), where it differs from that with which OpenBLAS begins.
+    threadpoolctl), where it differs from that with which OpenBLAS begins. OpenMP heeds the first of
+    them alone.
     """
     with _lock:
         pools = [] if any(map(os.environ.get, SETTINGS)) else _pools(len(sys.modules))
         limited = [(pool, begin) for pool, begin in pools if pool("get_num_threads") == begin > 1]
         for pool, _ in limited:
             pool("set_num_threads", 1)
+        chosen = os.environ.get(SETTINGS[0], "1") != "1"
+        openmp = [] if chosen else _openmp(len(sys.modules))
+        levels = [library.omp_get_max_active_levels() for library in openmp]
+        for library in openmp:
+            library.omp_set_max_active_levels(0)
         try:
             yield
         finally:
+            for library, level in zip(openmp, levels, strict=True):
+                library.omp_set_max_active_levels(level)
             for pool, begin in limited:
                 pool("set_num_threads", begin)
 
@@ -77,9 +86,21 @@ class _Pool:
 @lru_cache(maxsize=1)
 def _pools(modules: int) -> list[tuple[_Pool, int]]:
     """Each OpenBLAS of this process and the threads it begins with; found anew after imports."""
+    found = map(_Pool, _loaded(r"[^/\s]*openblas"))
+    return [(pool, pool.begins_with()) for pool in found if pool]
+
+
+@lru_cache(maxsize=1)
+def _openmp(modules: int) -> list[ctypes.CDLL]:
+    """Each OpenMP of this process, GCC's, LLVM's and Intel's; found anew after imports."""
+    found = map(ctypes.CDLL, _loaded(r"lib(?:g|i)?omp"))
+    return [library for library in found if hasattr(library, "omp_set_max_active_levels")]
+
+
+def _loaded(name: str) -> list[str]:
+    """Paths of the libraries of this process whose names begin as a pattern says."""
     try:
         files = Path("/proc/self/maps").read_text()
     except OSError:
         return []
-    paths = re.findall(r"/\S*/[^/\s]*openblas[^/\s]*\.so[.\d]*$", files, re.MULTILINE)
-    return [(pool, pool.begins_with()) for path in sorted({*paths}) if (pool := _Pool(path))]
+    return sorted({*re.findall(rf"/\S*/{name}[^/\s]*\.so[.\d]*$", files, re.MULTILINE)})

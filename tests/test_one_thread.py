@@ -1,4 +1,4 @@
-"""Functions of the package run one at a time, with one thread of OpenBLAS."""
+"""Functions of the package run one at a time, with one thread of OpenBLAS and of OpenMP."""
 
 from __future__ import annotations
 
@@ -105,6 +105,23 @@ print(threads()[:2])
     assert run(program).splitlines() == ["(1, {True})", "(1, {1})", "(1, {True})"]
 
 
+@pytest.mark.parametrize("chosen", [{}, {"OMP_NUM_THREADS": "1"}])
+def test_no_thread_of_openmp(chosen: dict[str, str]) -> None:
+    """CHOLMOD begins none, which asks for four whatever is set; the limit is restored."""
+    program = """
+import os, sys
+import fenics_crack as fc
+from fenics_crack import one_thread
+study = fc.prepare(fc.Scene.load("demos/breathing_plate.toml"), whole=True)
+library, = one_thread._openmp(len(sys.modules))
+print(library.omp_get_max_active_levels() > 0)
+before = len(os.listdir("/proc/self/task"))
+fc.solve_modes(study.structure, 2)
+print(len(os.listdir("/proc/self/task")) - before, library.omp_get_max_active_levels() > 0)
+"""
+    assert run(program, chosen).splitlines() == ["True", "0 True"]
+
+
 def test_three_threads_at_once() -> None:
     """Each waits for the others: gmsh would end the process."""
     assert run(THREADS) == "[(50, True), (54, True), (84, True)]"
@@ -115,13 +132,13 @@ def test_functions_can_be_pickled() -> None:
     assert pickle.loads(pickle.dumps(fc.prepare)) is fc.prepare
 
 
-def run(program: str) -> str:
-    """What a program prints in a process of its own, without settings of threads."""
+def run(program: str, chosen: dict[str, str] | None = None) -> str:
+    """What a program prints in a process of its own, with these settings of threads alone."""
     settings = dict.fromkeys(one_thread.SETTINGS)
     environment = {name: value for name, value in os.environ.items() if name not in settings}
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=120, cwd=ROOT,
-        env=environment | {"PYTHONPATH": str(ROOT)},
+        env=environment | {"PYTHONPATH": str(ROOT)} | (chosen or {}),
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
