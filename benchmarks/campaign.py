@@ -29,12 +29,13 @@ differences.
                  tolerance), or below 1e-6; a verdict is the exact one; a bifurcation is there
     large        says so: an estimate above 10 %
     limited      says so: a tolerance that the given modes do not allow
-    wanders      says so: a tolerance where the exact motion does not repeat itself, nor does the
-                 judge's: from rest it is never within 3 % of where it was 1 to 8 periods before
+    wanders      says so: a tolerance, or a solution without a verdict, where the exact motion does
+                 not repeat itself, nor does the judge's: from rest, behind 60 periods, it is in
+                 most of 60 more than 3 % from where it was 1, 2, ... or 8 periods before
     unconverged  says so: no solution, a tolerance not reached, a curve not finished, no branch
     too long     60 s of processor time were not enough to answer and to compare
     unconfirmed  a bifurcation that is said to be so
-    undecided    the verdict on stability is open
+    undecided    the verdict on stability is open, but for motions that wander
     open         no exact orbit of its own was found to compare with, or it cannot tell
     WRONG        none of these: a wrong answer that passes for right
 
@@ -88,8 +89,8 @@ NEAR = 1e-5
 """Distance of an answer from its stable orbit up to which the motion that begins with it need not
 be followed."""
 WANDERED, APART, LATER = 60, 0.03, 8
-"""Periods after which a motion is followed for as many more, how near to where it was up to so many
-before it does not come if it wanders."""
+"""Periods after which a motion is followed for as many more, and how far it is in most of them from
+where it was up to so many before if it wanders."""
 SECONDS = 60.0
 """Of processor time that a case may take."""
 PERIODS = {4: 100, 200: 20}
@@ -215,7 +216,7 @@ def wanders(case: Case, found: fc.PeriodicSolution) -> bool:
     states = np.array(passed)
     size = float(np.linalg.norm(states, axis=1).max())
     apart = [
-        np.linalg.norm(states[later:] - states[:-later], axis=1).min()
+        np.median(np.linalg.norm(states[later:] - states[:-later], axis=1))
         for later in range(1, LATER + 1)
     ]
     return bool(min(apart) > APART * size)
@@ -250,8 +251,9 @@ def judge(
     )  # fmt: skip
     if (known := as_known(case, row)) is not None:
         return known
-    if "comes back to within" in found.status and wanders(case, found):
-        row.judgement, row.remark = WANDERS, found.status
+    words = fc.floquet(found.structure, found).reason if verdict == "undecided" else found.status
+    if "comes back to within" in words and wanders(case, found):
+        row.judgement, row.remark = WANDERS, words
         return row
     if not found.converged:
         row.remark = found.status
@@ -733,8 +735,9 @@ def key(case: dict) -> tuple:
 
 
 def line(name: str, rows: list[dict]) -> list[object]:
-    """The figures of some answers. Unknown, large and undecided: of those with H given; the latter
-    with an error of at most 10 %, too, where it is not the harmonics that are too few."""
+    """The figures of some answers. Unknown, large and undecided: of those with H given; undecided
+    those whose motion is not known to wander, and with an error of at most 10 %, too, where it is
+    not the harmonics that are too few."""
 
     def count(judgement: str, of: list[dict]) -> int:
         return sum(row["judgement"] == judgement for row in of)
@@ -744,7 +747,9 @@ def line(name: str, rows: list[dict]) -> list[object]:
 
     given = [row for row in rows if np.isnan(row["asked"]) and not np.isnan(row["estimate"])]
     judged = [row for row in given if row["verdict"] not in ("-", NO_VERDICT)]
-    undecided = [row for row in judged if row["verdict"] == "undecided"]
+    undecided = [
+        row for row in judged if row["verdict"] == "undecided" and row["judgement"] != WANDERS
+    ]
     wanted = [
         row
         for row in rows

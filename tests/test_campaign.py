@@ -1,6 +1,7 @@
 """Cases of benchmarks/campaign.py whose answers were wrong and passed for right."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -366,3 +367,21 @@ def test_answers_without_an_exact_flow(family: str, number: int) -> None:
     assert row["verdict"] == ("unstable" if family == "smooth" else campaign.NO_VERDICT)
     if family == "smooth":
         assert row["exact"] > 2.0
+
+
+def test_undecided_verdict_says_what_the_motion_does() -> None:
+    """Without an orbit of their own: the motions that begin with two solutions settle elsewhere, as
+    the judge's, or do not repeat themselves, nor does the judge's."""
+    settles, wanders = campaign.draw(78, 266), campaign.draw(78, 99, None, "mass")
+    found = fc.solve_harmonic_balance(settles.structure, settles.omega, settles.law, harmonics=5)
+    stability = fc.floquet(settles.structure, found)
+    assert stability.verdict == "undecided" and not campaign.wanders(settles, found)
+    (away,) = re.findall(r"begins with it settles to an orbit (\d+)% away", stability.reason)
+    flow = settles.flow(settles.structure)
+    start = flow.states_of(found, np.zeros(1))[0]
+    state = flow.settled(start, found.omega, found.period, 300)
+    exact = flow.orbit(state, found.omega, found.period)
+    assert float(away) == pytest.approx(100.0 * campaign.distance(found, exact), rel=0.02)
+    (row,) = [one for one in campaign.findings(78, wanders) if one["verdict"] == "undecided"]
+    assert row["judgement"] == campaign.WANDERS
+    assert "does not settle: followed for" in row["remark"]

@@ -165,7 +165,7 @@ class Judgement:
         assert self.flow is not None and step is not None
         start, periods = step.states[0], wave.subharmonic
         other = orbit_next_to(self.flow, wave.omega, start, periods, patient=False)
-        return other is None or _alike(self.near, other) or not self.believes(self._to(other))
+        return other is None or _alike(self.near, other) or not self.believes(self.to(other))
 
     def _leads_back(self) -> bool:
         """Whether the motion of the orbit next to it, balanced with as many harmonics, is the
@@ -190,14 +190,14 @@ class Judgement:
     def distance(self) -> float:
         """Of the gaps of the wave and the orbit over the period, relative to B^T u; nan without an
         orbit."""
-        return self._to_near if self.orbit is self.near else self._to(self.orbit)
+        return self._to_near if self.orbit is self.near else self.to(self.orbit)
 
     @cached_property
     def _to_near(self) -> float:
-        return self._to(self.near)
+        return self.to(self.near)
 
-    def _to(self, orbit: PeriodicOrbit | None) -> float:
-        """The distance to an orbit."""
+    def to(self, orbit: PeriodicOrbit | None) -> float:
+        """The distance to an orbit; nan without one."""
         if orbit is None:
             return np.nan
         if _still(orbit.sampled):
@@ -235,7 +235,7 @@ class Judgement:
     def suggest(self, orbit: PeriodicOrbit) -> None:
         """Take an orbit for the one next to the wave, unless it may be another one's."""
         vars(self).setdefault("flow", orbit.flow)
-        if self.believes(distance := self._to(orbit)) and distance <= FARTHEST:
+        if self.believes(distance := self.to(orbit)) and distance <= FARTHEST:
             vars(self)["near"] = orbit
 
     @property

@@ -49,8 +49,8 @@ from fenics_crack.stages import begin
 from fenics_crack.table import counted
 
 __all__ = [
-    "PARTS", "FlowOrbits", "Homotopy", "OrbitPoint", "Patience", "orbit_next_to", "predicted",
-    "recurrences", "recurring", "wave_states",
+    "PARTS", "FlowOrbits", "Homotopy", "OrbitPoint", "Patience", "in_the_long_run", "orbit_next_to",
+    "predicted", "recurrences", "recurring", "wave_states",
 ]  # fmt: skip
 
 PARTS = 32
@@ -60,6 +60,8 @@ SWITCHES, STEP = 100_000, 0.3
 WANDERING, PASSED, SETTLING, LATER = 1000, 100, 60, 8
 """Periods that a motion is followed for, its nearest recurrences from which an orbit is sought, the
 least periods, of large states, and those after which it may be where it was."""
+SETTLED = 1e-3
+"""How near a motion comes to where it was before, relative, that has settled."""
 FEW = 24
 """Numbers of a state up to which all those are tried; beyond, fewer, as each takes longer."""
 
@@ -387,23 +389,52 @@ def recurring(
     Source: Auerbach et al., Physical Review Letters 58 (1987) 2387-2389.
     """
     orbits = FlowOrbits(flow, omega, start, subharmonic)
-    share = min(1.0, (FEW / flow.size) ** 2)
-    passed, periods = [orbits.start], max(int(share * WANDERING), SETTLING)
+    passed = _followed(orbits)
+    for place in recurrences(passed, int(np.ceil(_share(flow) * PASSED))):
+        orbit = find_orbit(flow, omega, orbits.state(passed[place]), subharmonic=subharmonic)
+        # Where M is huge a step may be short and the motion does not close.
+        if orbit is not None and orbit.residual <= KNOWN:
+            return orbit, "exact orbit, by following the motion"
+    return None, _comes_back(passed)
+
+
+def in_the_long_run(
+    flow: ContactFlow, omega: float, start: np.ndarray, subharmonic: int = 1
+) -> tuple[PeriodicOrbit | None, str]:
+    """What the exact motion from a state does after many periods, in words; and the orbit that it
+    settles to, if it does."""
+    orbits = FlowOrbits(flow, omega, start, subharmonic)
+    passed = _followed(orbits)
+    before, last = passed[-2 : -LATER - 2 : -1], passed[-1]
+    there = np.linalg.norm(before - last, axis=1) <= SETTLED * np.linalg.norm(last)
+    if not there.any():
+        return None, f"does not settle: {_comes_back(passed, 'it')}"
+    periods = (1 + int(np.argmax(there))) * subharmonic
+    if periods > subharmonic:
+        return None, f"settles to one that repeats itself after {periods} periods of the load"
+    orbit = find_orbit(flow, omega, orbits.state(passed[-1]), subharmonic=subharmonic)
+    return orbit, "settles to an orbit"
+
+
+def _share(flow: ContactFlow) -> float:
+    """Of what a small structure's motion is followed, and of its recurrences that are tried."""
+    return min(1.0, (FEW / flow.size) ** 2)
+
+
+def _followed(orbits: FlowOrbits) -> np.ndarray:
+    """The states a period apart of the motion from the start of some orbits, (n, 2 n_modes), as
+    far as it can be followed."""
+    passed, periods = [orbits.start], max(int(_share(orbits.flow) * WANDERING), SETTLING)
     begin(f"the exact motion over {periods} periods, and orbits that it passes")
     try:
         for _ in range(periods):
             passed.append(orbits.moved(passed[-1], 1.0))
     except ConvergenceError:  # pairs that chatter without end
         pass
-    for place in recurrences(passed, int(np.ceil(share * PASSED))):
-        orbit = find_orbit(flow, omega, orbits.state(passed[place]), subharmonic=subharmonic)
-        # Where M is huge a step may be short and the motion does not close.
-        if orbit is not None and orbit.residual <= KNOWN:
-            return orbit, "exact orbit, by following the motion"
-    return None, _comes_back(np.array(passed))
+    return np.array(passed)
 
 
-def _comes_back(passed: np.ndarray) -> str:
+def _comes_back(passed: np.ndarray, motion: str = "the exact motion") -> str:
     """How near a motion, of states a period apart (n, 2 n_modes), came to where it had been."""
     found = []
     for later in range(1, min(LATER, len(passed) - 1) + 1):
@@ -411,9 +442,9 @@ def _comes_back(passed: np.ndarray) -> str:
         apart = np.linalg.norm(passed[later:] - passed[:-later], axis=1)
         found.append(float(np.min(apart / np.maximum(sizes, 1e-300))))
     if not found:
-        return "the exact motion cannot be followed for a period"
+        return f"{motion} cannot be followed for a period"
     nearest = int(np.argmin(found))
     return (
-        f"followed for {counted(len(passed) - 1, 'period')}, the exact motion comes back to within "
+        f"followed for {counted(len(passed) - 1, 'period')}, {motion} comes back to within "
         f"{found[nearest]:.1%} of where it was at best, after {counted(nearest + 1, 'period')}"
     )

@@ -21,14 +21,14 @@ import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.judgement import CLOSE, UNKNOWN, Judgement
-from fenics_crack.balance.orbits import FlowOrbits, orbit_next_to
+from fenics_crack.balance.orbits import FlowOrbits, in_the_long_run, orbit_next_to
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.errors import ConvergenceError, InputError, check_count
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import exact_flow
-from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit, eigenvalues, find_orbit
+from fenics_crack.motion.orbit import FORMED, KNOWN, PeriodicOrbit, eigenvalues, find_orbit
 from fenics_crack.stability.waves import hill_root, monodromy
 from fenics_crack.time.march import initial_state
 
@@ -158,7 +158,8 @@ def floquet(
     Returns
     -------
     Stability
-        The multipliers, largest first, the verdict, and the reason where it is open.
+        The multipliers, largest first, the verdict, and the reason where it is open: with what the
+        exact motion that begins with the solution does in the long run, where no orbit is its own.
 
     Raises
     ------
@@ -188,7 +189,19 @@ def floquet(
         return _by_hill(structure, solution, contact)
     if not refine:
         return _along_the_wave(judged, "the multipliers of a wave, without its orbit")
-    return stability_of(judged)
+    found = stability_of(judged)
+    if found.verdict == "undecided" and not judged.accepted and judged.flow.size <= FORMED:
+        return replace(found, reason=f"{found.reason}; {_from_it(judged)}")
+    return found
+
+
+def _from_it(judged: Judgement) -> str:
+    """What the exact motion that begins with a solution does."""
+    flow, wave = judged.flow, judged.wave
+    assert flow is not None
+    orbit, does = in_the_long_run(flow, wave.omega, judged.states[0], wave.subharmonic)
+    away = "" if orbit is None else f" {100.0 * judged.to(orbit):.2g}% away"
+    return f"the exact motion that begins with it {does}{away}"
 
 
 def stability_of(judged: Judgement) -> Stability:
