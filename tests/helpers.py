@@ -22,9 +22,6 @@ from surroundings import ROOT as ROOT
 from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack.balance.compliance import dynamic_compliance
-from fenics_crack.balance.contact_integrals import SampledIntegrals
-from fenics_crack.balance.contact_system import ContactSystem
 from fenics_crack.files.store import columns_of, digest, places, texts
 
 OMEGA_0 = 2.0 * np.sqrt(2.0) / (1.0 + np.sqrt(2.0))
@@ -239,6 +236,11 @@ def evaluate(rows: np.ndarray, omega: float, time: np.ndarray) -> np.ndarray:
     return rows[0] + np.cos(phase) @ rows[1::2] + np.sin(phase) @ rows[2::2]
 
 
+def to_complex(rows: np.ndarray) -> np.ndarray:
+    """a0, a1 - i b1, ... of coefficients a0, a1, b1, ...."""
+    return np.concatenate([rows[:1], rows[1::2] - 1j * rows[2::2]])
+
+
 def amplitudes(rows: np.ndarray) -> np.ndarray:
     """|X_1|, |X_2|, ... of coefficients a0, a1, b1, ...."""
     return np.hypot(rows[1::2], rows[2::2])
@@ -280,7 +282,7 @@ def duffing() -> fc.Structure:
     return fc.Structure.from_matrices(one, one, one, force_sin=[1.25], damping=0.2 * one)
 
 
-def newton_roots(system: ContactSystem, starts: int = 400) -> list[np.ndarray]:
+def newton_roots(system: Any, starts: int = 400) -> list[np.ndarray]:
     """The distinct solutions that Newton's method finds from random starts of many sizes."""
     size = np.linalg.norm(system.linear)
     rng, found = np.random.default_rng(0), list[np.ndarray]()
@@ -297,10 +299,10 @@ def newton_roots(system: ContactSystem, starts: int = 400) -> list[np.ndarray]:
     return found
 
 
-def duffing_system(harmonics: int, samples: int) -> ContactSystem:
+def duffing_system(harmonics: int, samples: int) -> Any:
     """The package's equations of the Duffing oscillator."""
-    compliance = dynamic_compliance(duffing(), 2.0, harmonics)
-    return ContactSystem(compliance, SampledIntegrals(Cubic(1.0), harmonics, samples))
+    problem = fc.Problem(duffing(), 2.0, Cubic(1.0), harmonics, samples)
+    return problem.system(problem.compliance())
 
 
 def classical_amplitudes() -> np.ndarray:

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import oscillator
+from helpers import oscillator, true_error
 
 import fenics_crack as fc
 from fenics_crack.balance.search import Search
@@ -51,10 +51,15 @@ def test_breathing_plate(breathing_plate: fc.Structure) -> None:
         (1e11, 5, (3000.0,)),
         (1e11, 10, (3000.0,)),
     ):
-        law = fc.UnilateralPenalty(stiffness)
         for omega in frequencies:
-            solution = fc.solve_harmonic_balance(reduced, omega, law, harmonics=harmonics)
-            assert solution.converged and solution.report.residual < 1e-9
+            problem = fc.Problem(reduced, omega, fc.UnilateralPenalty(stiffness), harmonics)
+            solution = Solver(problem).attempt(None, reported=False)[1]
+            system = problem.system(problem.compliance())
+            at = system.linearise(
+                system.slow(solution.gap_coefficients, solution.force_coefficients)
+            )
+            left = np.linalg.norm(at.residual) / np.linalg.norm(at.unknown)
+            assert solution.converged and left < 1e-9
             t = np.linspace(0.0, solution.period, 400)
             pressed |= solution.contact_force(t).max(axis=0) > 0.0
     assert np.all(pressed)
@@ -206,3 +211,18 @@ def test_a_search_ends_and_says_what_to_do() -> None:
         "more damping, or a solution nearby as initial"
     )
     assert search.iterations < 0.25 * 5000 * (300 / 294) ** 2 + 20
+
+
+def test_many_harmonics_come_from_the_orbit(
+    soft_plate: fc.Structure, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """H = 80: near the exact orbit that is next to the solution with 20, which is the solution's
+    own; without it from 20, 40, and so on to the same solution."""
+    plate = fc.reduce_structure(soft_plate, modes=10, method="massless")
+    problem = fc.Problem(plate, 2000.0, fc.UnilateralConstraint(), 80)
+    search, solution = Solver(problem).attempt(None, reported=False)
+    assert solution.converged and solution.judged.near is search.orbit is not None
+    monkeypatch.setattr("fenics_crack.balance.search.affordable", lambda *_: False)
+    search, other = Solver(problem).attempt(None, reported=False)
+    assert search.orbit is None and "from a marched motion: converged" in other.status
+    assert true_error(other, solution) < 1e-8

@@ -7,7 +7,7 @@ from itertools import islice, pairwise
 import numpy as np
 import pytest
 import scipy.optimize
-from helpers import chain, oscillator, relative
+from helpers import chain, oscillator, relative, two_masses
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -388,6 +388,33 @@ def test_branch_crosses_a_path_of_many_unknowns() -> None:
     ]
     assert len(turns[0]) == len(turns[1]) == 2
     assert np.allclose(*turns, rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", list(RANGES))
+def test_derivative_by_each_parameter(name: str) -> None:
+    """dF/dp against central differences, along the whole range."""
+    structure, (start, end) = two_masses(), RANGES[name]
+    law = fc.UnilateralPenalty(np.array([3.0]))
+    family = FAMILIES[name](fc.Problem(structure, 0.9, law, 4), start, end)
+    gap = np.random.default_rng(2).normal(size=(9, 1))
+    for parameter in (0.0, 0.4, 1.0):
+        exact = family.linearise(gap, parameter).by_parameter
+        sides = [family.linearise(gap, parameter + step).residual for step in (1e-6, -1e-6)]
+        slope = (sides[0] - sides[1]) / 2e-6
+        assert np.allclose(slope, exact, rtol=1e-5, atol=1e-7 * np.abs(exact).max())
+
+
+def test_undamped_resonance_that_the_load_leaves_alone() -> None:
+    """A third harmonic meets a mode without damping and load there: a solution like any other."""
+    mass, stiffness = np.eye(2), np.diag([1.0, 9.0 * 0.7**2])
+    structure = fc.Structure.from_matrices(mass, stiffness, [1.0, 0.1], force_cos=[0.2, 0.0])
+    law = fc.UnilateralPenalty(0.5)
+    alone = fc.solve_harmonic_balance(structure, 0.7, law, harmonics=5)
+    assert alone.converged
+    family = FAMILIES["omega"](fc.Problem(structure, 0.7, law, 5), 0.7, 1.7)
+    found = solve_in_plane(family, 1.01 * alone.gap_coefficients, 0.0, None, tolerance=1e-9)
+    assert found is not None
+    np.testing.assert_allclose(found.unknown, alone.gap_coefficients, rtol=1e-6, atol=1e-8)
 
 
 # --- behind a static compliance -------------------------------------------------------------------

@@ -18,29 +18,19 @@ from helpers import (
     dense_matrices,
     duffing,
     duffing_system,
+    evaluate,
     log_slope,
     newton_roots,
     oscillator,
     relative,
+    to_complex,
     true_error,
 )
 from incremental import incremental_system
-from laboratory import BlockSystem, solve_form
+from laboratory import block_system, solve_form
 
 import fenics_crack as fc
 from fenics_crack import ContactLaw, Problem
-from fenics_crack.balance.compliance import (
-    FactoredCompliance,
-    dynamic_compliance,
-    load_coefficients,
-)
-from fenics_crack.balance.contact_integrals import (
-    SampledIntegrals,
-    contact_integrals,
-    respond_to_columns,
-)
-from fenics_crack.balance.contact_system import ContactSystem
-from fenics_crack.numerics.fourier import evaluate
 
 # --- the high-dimensional form is collocation -----------------------------------------------------
 
@@ -80,7 +70,8 @@ def test_collocation_satisfies_the_equation_of_motion_at_its_instants(
     mass, dashpots, stiffness = dense_matrices(structure)
     pairs, theta, d = structure.gap.toarray(), instants(harmonics), differentiation(harmonics)
     base = omega / subharmonic
-    drive = evaluate(load_coefficients(structure, harmonics, subharmonic), 1.0, theta)
+    problem = Problem(structure, omega, LAWS[law], harmonics, subharmonic=subharmonic)
+    drive = evaluate(problem.load, 1.0, theta)
 
     def left(solution: fc.PeriodicSolution) -> float:
         u = evaluate(solution.displacement_coefficients, 1.0, theta)
@@ -89,12 +80,7 @@ def test_collocation_satisfies_the_equation_of_motion_at_its_instants(
         return relative(motion + force @ pairs.T, drive)
 
     collocated, classical = (
-        solve_form(
-            Problem(structure, omega, LAWS[law], harmonics, subharmonic=subharmonic),
-            balance=balance,
-            form=form,
-            residual_tolerance=1e-12,
-        )
+        solve_form(problem, balance=balance, form=form, residual_tolerance=1e-12)
         for balance in ("collocation", "galerkin")
     )
     assert left(collocated) < 1e-9
@@ -105,7 +91,7 @@ def test_collocation_satisfies_the_equation_of_motion_at_its_instants(
 def test_tangent_on_few_samples(samples: int) -> None:
     """Finite differences from 2H+1 samples on, where means of high order are folded back."""
     law, rng = Cubic(1.0), np.random.default_rng(4)
-    integrals = SampledIntegrals(law, 4, samples)
+    integrals = Problem(oscillator(), 1.0, law, 4, samples).integrals()
     gap, step = rng.normal(size=(9, 2)), 1e-5
     tangent = integrals.linearise(gap).tangent
     for column in range(9):
@@ -237,10 +223,11 @@ def test_the_report_reveals_spurious_solutions() -> None:
 def collocated_states(structure: fc.Structure, omega: float, k: float, harmonics: int) -> int:
     """Number of collocation solutions of one pair: each of the 2^(2H+1) choices of the instants at
     which it is closed has one linear solution, which counts if it has these signs."""
-    compliance = dynamic_compliance(structure, omega, harmonics)
+    compliance = Problem(structure, omega, fc.UnilateralPenalty(k), harmonics).compliance()
     rows = 2 * harmonics + 1
-    value = evaluate(np.eye(rows), 1.0, instants(harmonics))
-    response = respond_to_columns(compliance.matrices, np.eye(rows)[None])
+    value, response = evaluate(np.eye(rows), 1.0, instants(harmonics)), np.empty((rows, rows))
+    moved = compliance.matrices[:, :, 0] * to_complex(np.eye(rows))
+    response[0], response[1::2], response[2::2] = moved[0].real, moved[1:].real, -moved[1:].imag
     in_time = value @ response @ np.linalg.inv(value)
     closed = (np.arange(2**rows)[:, None] >> np.arange(rows)) & 1
     free = np.broadcast_to(value @ compliance.linear_gap, (2**rows, rows, 1))
@@ -261,11 +248,11 @@ def test_spurious_solutions_of_contact(soft_plate: fc.Structure) -> None:
 def test_contact_needs_more_than_alias_free_samples_of_a_cube(soft_plate: fc.Structure) -> None:
     """k = 1e11, H = 3, from random starts: the 3 solutions of collocation; with 4H+1 samples still
     more than one; with 64, and with exact integrals, a single one."""
-    law, compliance = fc.UnilateralPenalty(1e11), dynamic_compliance(soft_plate, 2000.0, 3)
+    law = fc.UnilateralPenalty(1e11)
 
     def count(samples: int | None) -> int:
-        integrals = contact_integrals(law, 3, samples)
-        return len(newton_roots(ContactSystem(compliance, integrals), 100))
+        problem = Problem(soft_plate, 2000.0, law, 3, samples, static_above=np.inf)
+        return len(newton_roots(problem.system(problem.compliance()), 100))
 
     assert count(7) == collocated_states(soft_plate, 2000.0, 1e11, 3) == 3
     assert count(13) > 1
@@ -355,8 +342,8 @@ def test_incremental_system_is_the_newton_system(
     pairs, contact = structure.gap.toarray(), LAWS[law]
     rng, rows = np.random.default_rng(6), 2 * harmonics + 1
     linear = block_diagonal(structure, omega / subharmonic, harmonics)
-    load = load_coefficients(structure, harmonics, subharmonic)
-    integrals = contact_integrals(contact, harmonics, samples, subharmonic)
+    problem = Problem(structure, omega, contact, harmonics, samples, subharmonic)
+    load, integrals = problem.load, problem.integrals()
     for _ in range(3):
         u = rng.normal(size=(rows, structure.n_dofs))
         gap = u @ pairs
@@ -378,25 +365,23 @@ def test_incremental_system_is_the_newton_system(
 def test_incremental_iterates_are_the_newton_iterates(law: str, samples: int | None) -> None:
     """Step by step from the linear solution, in all dofs and on the gaps, to 1e-9."""
     structure, harmonics, omega = chain("matrix"), 5, 0.9
-    load = load_coefficients(structure, harmonics, 1)
-    compliance = FactoredCompliance(structure, omega, load)
-    full = BlockSystem(compliance, contact_integrals(LAWS[law], harmonics, samples))
-    condensed = ContactSystem(compliance, contact_integrals(LAWS[law], harmonics, samples))
-    incremental = newton = full.linear.copy()
-    gap, moved = condensed.linear.copy(), 0.0
-    for _ in range(5):
-        matrix, right = incremental_system(
-            structure, omega, LAWS[law], incremental, samples=samples
-        )
-        incremental = incremental + np.linalg.solve(matrix, right.ravel()).reshape(right.shape)
-        whole, small = full.linearise(newton), condensed.linearise(gap)
-        newton = newton - whole.solve(whole.residual)
-        step = small.solve(small.residual)
-        gap, moved = gap - step, moved + np.linalg.norm(step)
-        assert relative(incremental, newton) < 1e-9
-        assert relative(full.gap(incremental), gap) < 1e-9
+    problem = Problem(structure, omega, LAWS[law], harmonics, samples)
+    with block_system(problem) as full:
+        condensed = problem.system(full.compliance)
+        incremental = newton = full.linear.copy()
+        gap, moved = condensed.linear.copy(), 0.0
+        for _ in range(5):
+            matrix, right = incremental_system(
+                structure, omega, LAWS[law], incremental, samples=samples
+            )
+            incremental = incremental + np.linalg.solve(matrix, right.ravel()).reshape(right.shape)
+            whole, small = full.linearise(newton), condensed.linearise(gap)
+            newton = newton - whole.solve(whole.residual)
+            step = small.solve(small.residual)
+            gap, moved = gap - step, moved + np.linalg.norm(step)
+            assert relative(incremental, newton) < 1e-9
+            assert relative(full.gap(incremental), gap) < 1e-9
     assert moved > 0.1 * np.linalg.norm(gap)
-    compliance.destroy()
 
 
 def test_incremental_system_refuses() -> None:

@@ -5,8 +5,6 @@ import pytest
 from helpers import Cubic, chain, oscillator
 
 import fenics_crack as fc
-from fenics_crack.balance.family import FrequencyFamily
-from fenics_crack.numerics.bordered import solve_in_plane
 
 
 def assert_solutions(curve: fc.ResponseCurve, every: int) -> None:
@@ -57,19 +55,6 @@ def test_as_many_points_as_a_picture_needs() -> None:
     peak = short.amplitude(0).max()
     assert abs(fine.amplitude(0).max() - peak) <= abs(coarse.amplitude(0).max() - peak)
     assert fine.amplitude(0).max() == pytest.approx(peak, rel=2e-3)
-
-
-def test_undamped_resonance_that_the_load_leaves_alone() -> None:
-    """A third harmonic meets a mode without damping and load there: a solution like any other."""
-    mass, stiffness = np.eye(2), np.diag([1.0, 9.0 * 0.7**2])
-    structure = fc.Structure.from_matrices(mass, stiffness, [1.0, 0.1], force_cos=[0.2, 0.0])
-    law = fc.UnilateralPenalty(0.5)
-    alone = fc.solve_harmonic_balance(structure, 0.7, law, harmonics=5)
-    assert alone.converged
-    family = FrequencyFamily(fc.Problem(structure, 0.7, law, 5), 0.7, 1.7)
-    found = solve_in_plane(family, 1.01 * alone.gap_coefficients, 0.0, None, tolerance=1e-9)
-    assert found is not None
-    np.testing.assert_allclose(found.unknown, alone.gap_coefficients, rtol=1e-6, atol=1e-8)
 
 
 def test_several_pairs_and_kinds_of_contact() -> None:

@@ -1,17 +1,20 @@
-"""Natural modes: against dense linear algebra, closed forms, published values, and on two ranks."""
+"""Natural modes, and that they are computed once for all that is varied of a structure."""
 
 from __future__ import annotations
 
+import gc
 import re
+import weakref
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 import scipy.linalg
-from helpers import chain_stiffness, log_slope
+from helpers import DAMPINGS, chain, chain_stiffness, dense_matrices, log_slope
 from mpi4py import MPI
 
+import fenics_crack as fc
 from fenics_crack import (
     InputError,
     ModalDamping,
@@ -22,7 +25,12 @@ from fenics_crack import (
     reduce_structure,
     solve_modes,
 )
+from fenics_crack.balance import compliance
+from fenics_crack.balance.compliance import FactoredCompliance, load_coefficients
+from fenics_crack.model import modes as model_modes
+from fenics_crack.model import reduction
 from fenics_crack.model.factor import distributed
+from fenics_crack.model.modal import all_modes
 from fenics_crack.model.modes import damped_modes, damped_range, largest_frequency, times
 from fenics_crack.parallel import gather_rows
 
@@ -299,7 +307,7 @@ def test_length_without_a_frequency(paper_scene: Scene) -> None:
 
 
 # --- several ranks --------------------------------------------------------------------------------
-def all_modes(scene: Scene, count: int, comm: MPI.Comm) -> dict[str, Any]:
+def modes_of(scene: Scene, count: int, comm: MPI.Comm) -> dict[str, Any]:
     """Frequencies, and the shapes at the nodes sorted by position (collective)."""
     structure = build_structure(scene, comm)
     modes = solve_modes(structure, count)
@@ -323,7 +331,7 @@ def test_two_ranks_find_the_same_modes(on_ranks: Callable[..., Any]) -> None:
     opposite sign.
     """
     scene, count = plate(5, 6), 8
-    parallel, alone = on_ranks(all_modes, scene, count), all_modes(scene, count, MPI.COMM_SELF)
+    parallel, alone = on_ranks(modes_of, scene, count), modes_of(scene, count, MPI.COMM_SELF)
     np.testing.assert_allclose(parallel["omega"], alone["omega"], rtol=1e-9)
     np.testing.assert_allclose(parallel["shapes"], alone["shapes"], atol=1e-6)
     assert parallel["largest"] == pytest.approx(alone["largest"], rel=1e-6)
@@ -384,3 +392,109 @@ def test_another_damping_of_a_varied_massless_reduction(wide_plate: Structure) -
     np.testing.assert_array_equal(found.force, varied.force)
     np.testing.assert_array_equal(found.clearance, varied.clearance)
     assert str(found).endswith("modal damping 10 %)")
+
+
+# --- computed once --------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def eigensolutions(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Sizes of the eigenproblems that are solved from now on."""
+    asked: list[int] = []
+
+    def counted(solve: Callable[..., Any]) -> Callable[..., Any]:
+        def call(first: Any, *others: Any) -> Any:
+            asked.append(others[0] if isinstance(first, fc.Structure) else len(first))
+            return solve(first, *others)
+
+        return call
+
+    monkeypatch.setattr(scipy.linalg, "eigh", counted(scipy.linalg.eigh))
+    for module in (model_modes, reduction, compliance):
+        monkeypatch.setattr(module, "solve_modes", counted(fc.solve_modes))
+    return asked
+
+
+@pytest.mark.parametrize("damping", DAMPINGS)
+def test_modes_of_varied_copies(damping: str, eigensolutions: list[int]) -> None:
+    """Nothing is computed again, whichever asks first; the damping is the varied one."""
+    structure = chain(damping)
+    half = structure.varied(damping=0.5, load=3.0)
+    none, other = half.varied(damping=0.0), structure.varied(clearance=0.1)
+    matrix = dense_matrices(structure)[1]
+    first = all_modes(half)
+    assert eigensolutions
+    del eigensolutions[:]
+    for varied, factor in ((structure, 1.0), (half, 0.5), (none, 0.0), (other, 1.0)):
+        found = all_modes(varied)
+        assert found.shapes is first.shapes and found.pairs is first.pairs
+        expected = factor * found.shapes.T @ matrix @ found.shapes
+        inside = np.diag(found.damping) if found.damping.ndim == 1 else found.damping
+        np.testing.assert_allclose(inside, expected, atol=1e-10)
+        known = damped_modes(varied)
+        assert (known is None) == (damping in ("rayleigh", "matrix", "none"))
+        if known is not None:
+            ratio = np.asarray(varied.damping.ratio)
+            np.testing.assert_allclose(known.rate, 2.0 * ratio * known.omega, rtol=1e-14)
+    assert eigensolutions == []
+
+
+@pytest.mark.parametrize("damping", DAMPINGS)
+def test_high_harmonics_of_varied_copies(damping: str, eigensolutions: list[int]) -> None:
+    """Beyond the factored harmonics the modes serve; they are those of the first structure."""
+    structure = chain(damping, 30)
+    varied = structure.varied(damping=0.5)
+    found = []
+    for one in (structure, varied, fc.Structure.from_matrices(
+        structure.mass, structure.stiffness, structure.gap, damping=varied.damping
+    )):  # fmt: skip
+        del eigensolutions[:]
+        factored = FactoredCompliance(one, 0.2, load_coefficients(one, 3, 1))
+        found.append(factored.beyond(6))
+        factored.destroy()
+        assert (eigensolutions == []) == (one is varied)
+    np.testing.assert_allclose(found[1], found[2], rtol=1e-7, atol=1e-12)
+    if damping != "none":
+        assert np.abs(found[1] - found[0]).max() > 1e-9
+
+
+@pytest.mark.parametrize("kind", ["modal", "matrix"])
+@pytest.mark.parametrize("parameter", ["damping", "load", "clearance"])
+def test_curves_solve_no_further_eigenproblem(
+    parameter: str, kind: str, eigensolutions: list[int]
+) -> None:
+    """Nor do the solutions on them, with their error reports, and their stability."""
+    reduced = fc.reduce_structure(chain(kind, 30), modes=8)
+    law = fc.UnilateralPenalty(4.0)
+    first = fc.solve_harmonic_balance(reduced, 0.3, law)
+    fc.floquet(reduced, first)
+    start, end = (0.0, 0.1) if parameter == "clearance" else (1.0, 1.5)
+    del eigensolutions[:]
+    curve = fc.continue_parameter(reduced, 0.3, law, parameter, start, end, stability=True)
+    assert len(curve) > 3 and curve.complete
+    for index in (0, len(curve) // 2, len(curve) - 1):
+        solution = curve.solution(index)
+        assert solution.report.reduction > 0.0
+        fc.floquet(solution.structure, solution)
+    assert eigensolutions == []
+
+
+def test_nothing_is_kept_alive(wide_plate: fc.Structure) -> None:
+    """Structures are freed as soon as nobody refers to them: they are in no cycles."""
+    gc.collect()
+    gc.disable()
+    try:
+        plate = fc.Structure.from_matrices(
+            wide_plate.mass, wide_plate.stiffness, wide_plate.gap, damping=fc.ModalDamping(0.01)
+        )
+        reduced = fc.reduce_structure(plate, modes=8)
+        varied = reduced.varied(damping=2.0)
+        for one in (plate, reduced, varied):
+            all_modes(one)
+        alive = [weakref.ref(one) for one in (plate, reduced, varied)]
+        del plate, reduced, one
+        assert all(one() is not None for one in alive)  # the copy needs them
+        del varied
+        assert all(one() is None for one in alive)
+    finally:
+        gc.enable()

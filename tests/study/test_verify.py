@@ -17,11 +17,7 @@ from mpi4py import MPI
 from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack import ConvergenceError, InputError, Run, Scene, Study
-from fenics_crack.stages import listening
-from fenics_crack.study import prepare
-from fenics_crack.study import refinement as module
-from fenics_crack.study.run import solve_prepared
+from fenics_crack import ConvergenceError, InputError, Scene, Study, stages
 
 PLATE: dict[str, Any] = {
     "geometry": {"width": 0.1, "height": 0.1, "thickness": 1.0},
@@ -55,11 +51,10 @@ def test_each_part_is_what_its_runs_say() -> None:
     error = part.uncertainty(-1) / part.values[-1]
     shifts = [1.0 + 0.5 * error, 1.0 + error]
     shifts.append(part.values[-1] / part.extrapolated)
-    there = [solve_prepared(own, None, 2000.0 * shift).result for shift in shifts]
-    openings = [one.indicators(own.watched[0].dof).opening for one in there]
+    openings = [opening(own, 2000.0 * shift) for shift in shifts]
     by_shift, value = found.parts["shift"]["opening"], found.values["opening"]
     assert by_shift.extrapolated == pytest.approx(openings[-1], rel=1e-6)
-    most = max(abs(opening - value) for opening in openings)
+    most = max(abs(one - value) for one in openings)
     assert found.contributions("opening")["shift"] == pytest.approx(most, rel=1e-6)
     changes: dict[str, list[dict[str, object]]] = {
         "mesh": [{"mesh.size": 0.03 / f, "mesh.lip_elements": int(2 * f)} for f in (1.5, 2.0)],
@@ -70,8 +65,7 @@ def test_each_part_is_what_its_runs_say() -> None:
         plates = [fc.prepare(scene.replace(c)) for c in two]
         moved = [breathing(one) / breathing(own) if cause == "mesh" else 1.0 for one in plates]
         omegas = [2000.0 * share for share in moved]
-        runs = [solve_prepared(one, None, at) for one, at in zip(plates, omegas, strict=True)]
-        values = [run.result.indicators(run.watched_dof).opening for run in runs]
+        values = [opening(one, at) for one, at in zip(plates, omegas, strict=True)]
         part = found.parts[cause]["opening"]
         assert part.values[1::-1] == pytest.approx(values, rel=1e-6)
         assert part.values[2] == found.values["opening"]
@@ -89,6 +83,14 @@ def test_each_part_is_what_its_runs_say() -> None:
     assert rows[0][2] == pytest.approx(100.0 * parts["mesh"] / found.values["opening"], rel=1e-2)
 
 
+def opening(plate: Study, omega: float) -> float:
+    """Of the lips at a frequency."""
+    assert plate.contact is not None
+    harmonics = plate.scene.harmonic_balance.harmonics
+    found = fc.solve_harmonic_balance(plate.structure, omega, plate.contact, harmonics=harmonics)
+    return found.indicators(plate.watched[0].dof).opening
+
+
 def breathing(plate: Study) -> float:
     """The first bilinear frequency."""
     return float(fc.bilinear_frequencies(plate.structure).omega_bilinear[0])
@@ -96,13 +98,13 @@ def breathing(plate: Study) -> float:
 
 def test_runs_of_a_mesh_share_what_they_can(monkeypatch: pytest.MonkeyPatch) -> None:
     """Reduced are the scene's own plate, the two finer meshes and the two with more modes."""
-    kept, whole = [], prepare.reduce_structure
+    kept, whole = [], fc.reduce_structure
 
     def counted(structure: fc.Structure, **how: Any) -> fc.Structure:
         kept.append(how["modes"])
         return whole(structure, **how)
 
-    monkeypatch.setattr(prepare, "reduce_structure", counted)
+    monkeypatch.setattr("fenics_crack.study.prepare.reduce_structure", counted)
     found = fc.verify(plate({"harmonic_balance.harmonics": 3}))
     assert kept == [6, 6, 6, 24, 12] and found.counts["harmonics"] == (3, 6, 12)
 
@@ -178,15 +180,17 @@ def test_failed_runs_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """One that does not converge leaves two sizes and a factor of 3; two leave a cause unknown."""
     bad: set[int] = set()
 
-    def failing(study: Study, *how: Any) -> Run:
-        run = solve_prepared(study, *how)
-        if run.result.harmonics in bad:
-            return replace(run, result=replace(run.result, converged=False, status="lost"))
-        if run.structure.n_modes == 24:
-            raise InputError("reduction.modes", 24, "less")
-        return run
+    whole = fc.solve_harmonic_balance
 
-    monkeypatch.setattr(module, "solve_prepared", failing)
+    def failing(structure: fc.Structure, *how: Any, **more: Any) -> fc.PeriodicSolution:
+        found = whole(structure, *how, **more)
+        if found.harmonics in bad:
+            return replace(found, converged=False, status="lost")
+        if structure.n_modes == 24:
+            raise InputError("reduction.modes", 24, "less")
+        return found
+
+    monkeypatch.setattr("fenics_crack.study.run.solve_harmonic_balance", failing)
     bad.add(10)
     found = fc.verify(plate())
     assert found.failures == ("24 modes: reduction.modes = 24: must be less", "10 harmonics: lost")
@@ -213,7 +217,7 @@ def test_unstable_orbits_are_named(paper_scene: Scene) -> None:
 def test_stages_name_the_run() -> None:
     """Each stage is that of a run."""
     told: list[str] = []
-    with listening(told.append):
+    with stages.listening(told.append):
         fc.verify(plate())
     assert "the scene's own choice: mesh" in told and "a mesh 1.5 times finer: mesh" in told
     assert any(text.startswith("24 modes: ") for text in told)
