@@ -30,7 +30,7 @@ import scipy.linalg
 import fenics_crack as fc
 from fenics_crack.balance.compliance import Compliance, FactoredCompliance
 from fenics_crack.balance.contact_integrals import PairIntegrals, apply_to_pairs, respond_to_columns
-from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
+from fenics_crack.balance.contact_system import SOFT, ContactPoint, ContactSystem
 from fenics_crack.balance.harmonic_balance import check_initial
 from fenics_crack.balance.search import Search
 from fenics_crack.balance.solution import Solver
@@ -104,9 +104,9 @@ class _FullSolver(Solver):
             found.destroy()
 
     def find(
-        self, search: Search, compliance: Compliance, initial: fc.PeriodicSolution | None
-    ) -> ContactPoint:
-        """The equations where a search arrives."""
+        self, compliance: Compliance, initial: fc.PeriodicSolution | None, share: float = 1.0
+    ) -> tuple[Search, ContactPoint]:
+        """A search, and the equations where it arrives."""
         assert isinstance(compliance, FactoredCompliance)
         integrals = self.problem.integrals()
         assert not integrals.coupled
@@ -114,8 +114,9 @@ class _FullSolver(Solver):
         start = block.linear
         if initial is not None:
             start = compliance.displacement(self.start(initial, "force_coefficients"))
-        gap = block.gap(search.penalty(block, start).unknown)
-        return ContactSystem(compliance, integrals).linearise(gap)
+        search = Search(block, None, self.residual_tolerance, share)
+        gap = block.gap(search.solve(start).unknown)
+        return search, ContactSystem(compliance, integrals).linearise(gap)
 
 
 class BlockSystem:
@@ -142,7 +143,8 @@ class BlockSystem:
     one small dense system of (2H+1) n_pairs unknowns and one solution with the factors of each
     harmonic.
 
-    Its parameter is p = ln(k / k of the law), the contact stiffness.
+    Its parameter p leads from soft contact to the law itself, at p = 1, as that of
+    :class:`ContactSystem`.
 
     Attributes
     ----------
@@ -150,8 +152,12 @@ class BlockSystem:
         The solution without contact.
     """
 
-    def __init__(self, compliance: FactoredCompliance, integrals: PairIntegrals) -> None:
-        self.compliance, self.integrals = compliance, integrals
+    residual = None
+
+    def __init__(
+        self, compliance: FactoredCompliance, integrals: PairIntegrals, softness: float = 0.0
+    ) -> None:
+        self.compliance, self.integrals, self._softness = compliance, integrals, softness
         self.structure = compliance.structure
         self.comm, self.matrix_free = self.structure.comm, False
         rows = 2 * integrals.harmonics + 1
@@ -165,12 +171,16 @@ class BlockSystem:
         gap[0] -= self.structure.clearance
         return gap
 
-    def linearise(self, amplitude: np.ndarray, parameter: float = 0.0) -> BlockPoint:
-        """The equations at an amplitude and a stiffness."""
-        integrals = self.integrals
-        if parameter != 0.0:
-            integrals = integrals.of_law(integrals.law.scaled(float(np.exp(parameter))))
-        return BlockPoint(self, amplitude, integrals)
+    def softened(self) -> BlockSystem:
+        """The same equations, whose parameter starts where pairs hardly touch each other."""
+        largest = float(np.abs(self.compliance.matrices).sum(axis=2).max())
+        return BlockSystem(self.compliance, self.integrals, largest / (SOFT * self.integrals.unit))
+
+    def linearise(self, amplitude: np.ndarray, parameter: float = 1.0) -> BlockPoint:
+        """The equations at an amplitude and a softness."""
+        left = 1.0 - parameter
+        integrals = self.integrals.with_softness(self._softness * abs(left) ** 3)
+        return BlockPoint(self, amplitude, integrals, -3.0 * self._softness * left * abs(left))
 
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
         """Inner product (collective)."""
@@ -190,10 +200,10 @@ class BlockPoint(Linearisation):
     """:class:`BlockSystem` at an amplitude (collective)."""
 
     def __init__(
-        self, system: BlockSystem, amplitude: np.ndarray, integrals: PairIntegrals
+        self, system: BlockSystem, amplitude: np.ndarray, integrals: PairIntegrals, rate: float
     ) -> None:
-        self._system, self.unknown = system, amplitude
-        found = integrals.linearise(system.gap(amplitude))
+        self._system, self.unknown, self._rate = system, amplitude, rate
+        found = self._forces = integrals.linearise(system.gap(amplitude))
         self._tangent = found.tangent
         self._moved = self._through_structure(found.force)
         self.residual = amplitude - system.linear + self._moved
@@ -222,8 +232,8 @@ class BlockPoint(Linearisation):
 
     @property
     def by_parameter(self) -> np.ndarray:
-        """dF / d ln k = A^-1 B b, for a law proportional to its stiffness."""
-        return self._moved
+        """dF / dp = A^-1 B db/dp."""
+        return self._through_structure(self._rate * self._forces.by_softness())
 
     @property
     def sign(self) -> float:

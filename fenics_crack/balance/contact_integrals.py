@@ -89,7 +89,7 @@ class ContactIntegrals(ABC):
     residual : (n_pairs, n_pairs) [m/N] or None
         R_inf, through which the pairs are seen, s = g + R_inf lambda; None: by themselves, s = g.
     softness : float
-        Compliance put in series with every pair that is seen so, in parts of ``unit``.
+        Compliance put in series with every pair, in parts of ``unit``.
     """
 
     law: ContactLaw
@@ -107,16 +107,18 @@ class ContactIntegrals(ABC):
 
     @cached_property
     def springs(self) -> np.ndarray:
-        """1/k of each pair, zero without penetration: (n_pairs,) [m/N]."""
-        assert self.residual is not None
-        stiffness = np.asarray(self.law.stiffness, dtype=float)
-        return np.asarray(np.broadcast_to(1.0 / stiffness, len(self.residual)))
+        """1/k of each pair, or one for all; zero without penetration [m/N]."""
+        return np.asarray(1.0 / np.asarray(self.law.stiffness, dtype=float))
+
+    @cached_property
+    def seen(self) -> np.ndarray:
+        """Diagonal of R_inf + I/k: (n_pairs,), or one for all [m/N]."""
+        return self.springs if self.residual is None else np.diag(self.residual) + self.springs
 
     @cached_property
     def unit(self) -> float:
         """Mean diagonal of R_inf + I/k [m/N]."""
-        assert self.residual is not None
-        return float(np.mean(np.diag(self.residual) + self.springs))
+        return float(np.mean(self.seen))
 
     @abstractmethod
     def forces(self, gap: np.ndarray) -> np.ndarray:
@@ -138,10 +140,6 @@ class ContactIntegrals(ABC):
         """The same with another compliance in series."""
         return self if softness == self.softness else replace(self, softness=softness)
 
-    def of_law(self, law: ContactLaw) -> Self:
-        """The same of another law of the same kind."""
-        return replace(self, law=law)
-
 
 def contact_integrals(
     law: ContactLaw, harmonics: int, samples: int | None = None, periods: int = 1
@@ -162,7 +160,8 @@ def default_samples(harmonics: int) -> int:
 class SampledIntegrals(ContactIntegrals):
     """Trapezoidal rule on N equally spaced instants, by the fast Fourier transform.
 
-    N > 4 H is the usual choice. N = 2H+1, as many instants as coefficients, is the least: the
+    Forces are proportional to k, and a softness in series divides it by 1 + softness. N > 4 H is
+    the usual choice. N = 2H+1, as many instants as coefficients, is the least: the
     equation of motion then holds at just these instants (collocation).
     """
 
@@ -181,12 +180,15 @@ class SampledIntegrals(ContactIntegrals):
         return self.law.force(gap)
 
     def linearise(self, gap: np.ndarray) -> PairForces:
-        values = self.sample(gap)
+        values, law = self.sample(gap), self.law
+        if self.softness:
+            law = law.scaled(1.0 / (1.0 + self.softness))
         # Means of exp(i m theta), m < 2 H + 1; at few instants those of high order are others'.
         order = np.arange(2 * self.harmonics + 1) % self.samples
-        slopes = np.fft.fft(self.law.tangent(values), axis=0)[order] / self.samples
+        slopes = np.fft.fft(law.tangent(values), axis=0)[order] / self.samples
         tangent = [tangent_by_means(means[:, None, None])[:, 0] for means in from_complex(slopes).T]
-        return PairForces(self.balance(self.law.force(values)), np.array(tangent))
+        force = self.balance(law.force(values))
+        return PairForces(force, np.array(tangent), -force / (1.0 + self.softness))
 
     def widened(self, harmonics: int) -> Self:
         samples = max(self.samples, 1 << (8 * harmonics - 1).bit_length())
@@ -212,9 +214,7 @@ class ExactIntegrals(ContactIntegrals):
     @property
     def stiffness(self) -> np.ndarray:
         """Slope of the forces of closed pairs: (n_pairs,) or one for all [N/m]."""
-        if self.residual is None:
-            return np.asarray(self.law.stiffness, dtype=float)
-        return 1.0 / (np.diag(self.residual) + self.springs + self.softness * self.unit)
+        return np.asarray(1.0 / (self.seen + self.softness * self.unit))
 
     def forces(self, gap: np.ndarray) -> np.ndarray:
         return np.asarray(self.stiffness * np.maximum(gap, 0.0))
@@ -232,8 +232,7 @@ class ExactIntegrals(ContactIntegrals):
         )  # fmt: skip
         if failed:
             raise MemoryError("contact integrals")
-        by_softness = None if self.residual is None else -self.unit * stiffness * force
-        return PairForces(force, tangent, by_softness)
+        return PairForces(force, tangent, -self.unit * stiffness * force)
 
     def widened(self, harmonics: int) -> Self:
         return replace(self, harmonics=harmonics)
@@ -251,9 +250,7 @@ class PairForces(ContactForces):
         T, pair by pair.
     """
 
-    def __init__(
-        self, force: np.ndarray, tangent: np.ndarray, by_softness: np.ndarray | None = None
-    ) -> None:
+    def __init__(self, force: np.ndarray, tangent: np.ndarray, by_softness: np.ndarray) -> None:
         self.force, self.tangent, self._by_softness = force, tangent, by_softness
 
     def apply(self, change: np.ndarray) -> np.ndarray:
@@ -270,7 +267,6 @@ class PairForces(ContactForces):
         return self.force
 
     def by_softness(self) -> np.ndarray:
-        assert self._by_softness is not None
         return self._by_softness
 
 

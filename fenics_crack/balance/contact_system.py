@@ -47,11 +47,15 @@ from fenics_crack.numerics.fourier import resized, stretched
 from fenics_crack.numerics.linearisation import DenseLinearisation, solve_factored
 from fenics_crack.numerics.newton import gmres
 
-__all__ = ["ContactPoint", "ContactSystem", "default_weight"]
+__all__ = ["SOFT", "ContactPoint", "ContactSystem", "default_weight"]
 
 MATRIX_FREE = 350
 """Unknowns of a step from which the Jacobian of coupled pairs is not formed. Both ways take equally
 long with about 300 to 350 unknowns of 18 pairs (measured with H = 8 to 40)."""
+
+SOFT = 0.05
+"""Compliance of what moves relative to that of pairs so soft that the solution is unique and close
+to the linear one."""
 
 ByParameter = Callable[["ContactPoint"], np.ndarray]
 
@@ -67,9 +71,8 @@ def default_weight(compliance: Compliance) -> float:
 class ContactSystem:
     """F(s) = s - g_lin + (R_k - R_inf) b(lambda(s)); small, and the same on every rank.
 
-    Its parameter p leads from soft contact to the law itself, at p = ``end``: ln(k / k of the law)
-    of pairs by themselves, 0 at the end; of others that of the compliance in series with them,
-    ``softness`` |1 - p|^3 in parts of ``integrals.unit``, 1 at the end.
+    Its parameter p leads from soft contact to the law itself, at p = 1: the compliance in series
+    with every pair is ``softness`` |1 - p|^3, in parts of ``integrals.unit``.
     """
 
     comm = MPI.COMM_SELF
@@ -82,7 +85,6 @@ class ContactSystem:
         self.global_size = int(np.prod(self.shape))
         self.residual = integrals.residual
         """R_inf [m/N]; None: zero."""
-        self.end = 0.0 if self.residual is None else 1.0
         rows, pairs = self.shape
         self.basis = compliance.basis if integrals.coupled else None
         """U, None where it is not needed."""
@@ -105,8 +107,6 @@ class ContactSystem:
         """The same along its parameter in the kernel, where it has them."""
         if not self.integrals.exact:
             return None
-        if self.residual is None:
-            return self.compile(self.linear, self.moving, growth=1.0)
         softness = self._softness * self.integrals.unit
         return self.compile(self.linear, self.moving, softness=softness)
 
@@ -148,19 +148,12 @@ class ContactSystem:
         force = self.integrals.forces(slow)
         return self.gap(slow, force), force
 
-    def linearise(self, unknown: np.ndarray, parameter: float | None = None) -> ContactPoint:
+    def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> ContactPoint:
         """The equations at s, of the law itself or at a parameter."""
-        integrals, parameter = self.integrals, self.end if parameter is None else parameter
-        if self.residual is None:
-            if parameter != 0.0:
-                integrals = integrals.of_law(integrals.law.scaled(float(np.exp(parameter))))
-            return ContactPoint(
-                self, unknown, integrals, lambda at: respond(self.moving, at.forces.by_stiffness())
-            )
         left = 1.0 - parameter
         rate = -3.0 * self._softness * left * abs(left)
         return ContactPoint(
-            self, unknown, integrals.with_softness(self._softness * abs(left) ** 3),
+            self, unknown, self.integrals.with_softness(self._softness * abs(left) ** 3),
             lambda at: respond(self.moving, rate * at.forces.by_softness()),
         )  # fmt: skip
 
@@ -182,10 +175,9 @@ class ContactSystem:
         return 1.0 / max(least, 1e-300)
 
     def softened(self) -> ContactSystem:
-        """The same equations, whose parameter starts where pairs hardly touch each other: their
-        softness is larger than the compliance of what moves."""
+        """The same equations, whose parameter starts where pairs hardly touch each other."""
         largest = float(np.abs(self.moving).sum(axis=2).max())
-        return self.with_softness(largest / (0.5 * self.integrals.unit))
+        return self.with_softness(largest / (SOFT * self.integrals.unit))
 
     def with_softness(self, softness: float) -> ContactSystem:
         """The same equations, whose parameter starts at a softness."""

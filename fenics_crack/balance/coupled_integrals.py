@@ -180,7 +180,7 @@ class _ExactForces(CoupledForces):
         return self._by_compliance(np.full(self._gap.shape[1], self._integrals.unit))
 
     def by_stiffness(self) -> np.ndarray:
-        return self._by_compliance(-self._integrals.springs)
+        return self._by_compliance(np.broadcast_to(-self._integrals.springs, self._gap.shape[1]))
 
 
 class _SampledForces(CoupledForces):

@@ -286,7 +286,7 @@ def _improvement(
         return _Change(first.gap_of(step), first.force_of(step)[:rows], better)
     size = max(float(np.linalg.norm(start)), 1e-300)
     sharp = NEARLY_SOLVED * float(np.linalg.norm(known - first.residual)) / size
-    found = solve_near(system, start, system.end, tolerance=sharp)
+    found = solve_near(system, start, 1.0, tolerance=sharp)
     point = first if found is None else system.linearise(found.unknown)
     gap, force = point.gap - first.gap, (point.force - first.force)[:rows]
     return _Change(gap, force, better, settled=found is not None)

@@ -326,7 +326,7 @@ def _nearly_solved(system: ContactSystem, start: np.ndarray) -> PathPoint | None
     if system.global_size > MOST_FORMED and not system.matrix_free:
         return None
     steps = solve_at if system.matrix_free else solve_near
-    return steps(system, start, system.end, tolerance=NEARLY_SOLVED)
+    return steps(system, start, 1.0, tolerance=NEARLY_SOLVED)
 
 
 def _end_of_path(system: ContactSystem, start: np.ndarray) -> PathPoint | None:

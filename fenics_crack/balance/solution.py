@@ -6,13 +6,12 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
-from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
 
-from fenics_crack.balance.compliance import Compliance, ResizedCompliance
-from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
+from fenics_crack.balance.compliance import Compliance
+from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.error_report import ErrorReport, estimate_errors, of_no_solution
 from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
 from fenics_crack.balance.judgement import Judgement
@@ -275,10 +274,10 @@ class Solver:
     ) -> tuple[Search, PeriodicSolution]:
         """The same, whether or not it converged, and the record of the search; its errors are
         estimated unless they are not asked for."""
-        search = Search(self.residual_tolerance, share=1.0 if patient else IMPATIENT)
         with self.compliance() as compliance:
             problem = self.problem.weighted(compliance)
-            at = replace(self, problem=problem).find(search, compliance, initial)
+            share = 1.0 if patient else IMPATIENT
+            search, at = replace(self, problem=problem).find(compliance, initial, share)
             found = solution_of(
                 problem, at, status=search.status, converged=search.converged, enough=self.enough,
                 reported=reported, orbit=search.orbit,
@@ -295,27 +294,18 @@ class Solver:
             found.destroy()
 
     def find(
-        self, search: Search, compliance: Compliance, initial: PeriodicSolution | None
-    ) -> ContactPoint:
-        """The equations where a search arrives."""
+        self, compliance: Compliance, initial: PeriodicSolution | None, share: float = 1.0
+    ) -> tuple[Search, ContactPoint]:
+        """A search, and the equations where it arrives."""
         problem, start = self.problem, None
-
-        @cache
-        def with_harmonics(harmonics: int) -> ContactSystem:
-            few = ResizedCompliance(compliance, harmonics)
-            return problem.with_harmonics(harmonics).system(few)
-
-        system = with_harmonics(problem.harmonics)
+        system = problem.system(compliance)
         if initial is not None:
             times = problem.subharmonic // initial.subharmonic
             start = system.slow(initial.gap_coefficients, initial.force_coefficients, times)
-        at = (
-            search.penalty(system, start, problem, with_harmonics)
-            if system.residual is None
-            else search.coupled(with_harmonics, problem, start)
-        )
+        search = Search(system, problem, self.residual_tolerance, share)
+        at = search.solve(start)
         # The kernel's points do not know the forces.
-        return at if isinstance(at, ContactPoint) else system.linearise(at.unknown)
+        return search, at if isinstance(at, ContactPoint) else system.linearise(at.unknown)
 
 
 def solve_beside(

@@ -10,20 +10,14 @@ import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
 
 from fenics_crack.balance.compliance import ModalCompliance
-from fenics_crack.balance.contact_integrals import PairIntegrals, apply_to_pairs, contact_integrals
-from fenics_crack.balance.contact_system import ContactSystem
-from fenics_crack.balance.search import Search
-from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.balance.contact_integrals import PairIntegrals, apply_to_pairs
+from fenics_crack.balance.coupled_integrals import CoupledIntegrals
+from fenics_crack.balance.search import rounding_left
+from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import AllModes, all_modes
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.linearisation import (
-    DIFFERENCE,
-    EPSILON,
-    ROUNDING,
-    Linearisation,
-    determinant_sign,
-)
+from fenics_crack.numerics.linearisation import DIFFERENCE, Linearisation, determinant_sign
 
 __all__ = [
     "EnergyMotion",
@@ -62,17 +56,14 @@ class Equilibrium:
             )
         self.frequencies = np.sqrt(squares)
         compliance = ModalCompliance(structure, 0.0, np.zeros((1, structure.n_local)))
-        search = Search(ROUNDING)
-        system = ContactSystem(compliance, contact_integrals(contact, 0))
-        found = search.penalty(system)
-        if not search.converged:
-            raise ConvergenceError(f"equilibrium without load: {search.status}", search.history)
-        self.gap = found.unknown[0]
-        self.force = contact.force(self.gap)
+        self.rounding = rounding_left(compliance, contact)
+        """|F| / |x| that it leaves of motions at least."""
+        static, free = compliance.matrices[0].real, compliance.linear_gap
+        self.force = CoupledIntegrals(contact, 0, residual=static).forces(free)[0]
+        self.gap = free[0] - static @ self.force
         self.modal = -(self.modes.pairs @ self.force) / squares
         held = _work(contact, np.zeros_like(self.gap), self.gap, 0.0 * self.force)
         self.energy = 0.5 * float(squares @ self.modal**2) + held
-        static = compliance.matrices[0].real
         self.stiffness = float(np.abs(static).sum(axis=1).max(initial=0.0))
         self.stiffness *= float(np.max(contact.stiffness, initial=0.0))
         """Largest k R, static."""
@@ -150,7 +141,7 @@ class FreeMotion(ABC):
 
     def rounding(self, parameter: float) -> float:
         """What rounding leaves of |F| / |x|."""
-        return max(ROUNDING, EPSILON * self.rest.stiffness)
+        return self.rest.rounding
 
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
         """Inner product."""

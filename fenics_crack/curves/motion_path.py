@@ -16,8 +16,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from fenics_crack.balance.contact_system import SOFT
 from fenics_crack.balance.problem import NARROW
-from fenics_crack.balance.search import SOFT
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.free_motion import (
     EnergyMotion,

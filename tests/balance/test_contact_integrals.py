@@ -476,7 +476,7 @@ def test_derivatives_by_softness_and_stiffness(kind: str, softness: float) -> No
     law = made.law
 
     def scaled(logarithm: float) -> np.ndarray:
-        other = made.of_law(law.scaled(np.exp(logarithm)))
+        other = replace(made, law=law.scaled(np.exp(logarithm)))
         # Softness is measured in the compliance, which changes here: kept in metres per newton.
         kept = other.with_softness(softness * made.unit / other.unit)
         return kept.linearise(gap).force
