@@ -136,6 +136,10 @@ class ContactIntegrals(ABC):
     def widened(self, harmonics: int) -> Self:
         """The same with more harmonics, and samples enough for them."""
 
+    def finer(self) -> ContactIntegrals | None:
+        """The same exactly, or with more samples; None where nothing is sampled."""
+        return None
+
     def with_softness(self, softness: float) -> Self:
         """The same with another compliance in series."""
         return self if softness == self.softness else replace(self, softness=softness)
@@ -189,6 +193,11 @@ class SampledIntegrals(ContactIntegrals):
         tangent = [tangent_by_means(means[:, None, None])[:, 0] for means in from_complex(slopes).T]
         force = self.balance(law.force(values))
         return PairForces(force, np.array(tangent), -force / (1.0 + self.softness))
+
+    def finer(self) -> ContactIntegrals:
+        if is_piecewise_linear(self.law):
+            return ExactIntegrals(self.law, self.harmonics)
+        return replace(self, samples=max(4 * self.samples, default_samples(self.harmonics)))
 
     def widened(self, harmonics: int) -> Self:
         samples = max(self.samples, 1 << (8 * harmonics - 1).bit_length())

@@ -79,6 +79,12 @@ class CoupledIntegrals(ContactIntegrals):
         object.__setattr__(other, "contact", self.contact)  # with the inverses known
         return other
 
+    def finer(self) -> Self | None:
+        if self.exact:
+            return None
+        samples = 4 * (self.samples or default_samples(self.harmonics))
+        return replace(self, samples=None if self.piecewise else samples)
+
     def forces(self, gap: np.ndarray) -> np.ndarray:
         if self.piecewise:
             return self.contact.solve(gap)[0]

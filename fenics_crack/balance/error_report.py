@@ -31,24 +31,17 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.compliance import Compliance
-from fenics_crack.balance.contact_integrals import (
-    ExactIntegrals,
-    SampledIntegrals,
-    contact_integrals,
-    default_samples,
-    respond,
-)
+from fenics_crack.balance.contact_integrals import respond
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
-from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.balance.judgement import CLOSE, STILL, UNKNOWN, Judgement, more_modes
 from fenics_crack.balance.problem import NEARLY_SOLVED, Problem
-from fenics_crack.model.contact import UnilateralPenalty, is_piecewise_linear, is_rigid
+from fenics_crack.model.contact import UnilateralPenalty, is_rigid
 from fenics_crack.model.coupled import is_regular
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.bordered import solve_near
-from fenics_crack.numerics.fourier import resized
+from fenics_crack.numerics.fourier import resized, sampled
 from fenics_crack.table import Described
 
 __all__ = [
@@ -142,8 +135,9 @@ def estimate_errors(
     def relative(change: np.ndarray) -> float:
         return relative_size(change, at, structure.clearance)
 
-    missed = _missed_by_samples(at)
-    sampling = relative(at.gap_by_force(missed)) if np.any(missed) else 0.0
+    finer, sampling = at.system.integrals.finer(), 0.0
+    if finer is not None:
+        sampling = relative(at.gap_by_force(finer.force(at.unknown) - at.force))
     changes, at_load = [], 0.0
     if judged.affordable:
         # The distance of the orbit is what harmonics and samples leave out together.
@@ -155,8 +149,8 @@ def estimate_errors(
     if truncation > enough:
         return ErrorReport(math.nan, truncation, math.nan, math.nan, math.nan, math.nan)
     exactly = judged.affordable and search and structure.light_lips
-    finer = more_modes(judged) if exactly else None
-    lost = finer.changes if finer is not None and finer.affordable else None
+    larger = more_modes(judged) if exactly else None
+    lost = larger.changes if larger is not None and larger.affordable else None
     if lost is not None:
         reduction, at_load = min(lost[0], UNKNOWN), at_load + lost[1]
     else:
@@ -292,26 +286,6 @@ def _improvement(
     return _Change(gap, force, better, settled=found is not None)
 
 
-def _missed_by_samples(at: ContactPoint) -> np.ndarray:
-    """Better coefficients of the contact force less those used."""
-    integrals, gap = at.system.integrals, at.gap
-    if isinstance(integrals, CoupledIntegrals):
-        if integrals.samples is None and integrals.piecewise:
-            return np.zeros_like(gap)
-        finer = (
-            None
-            if integrals.piecewise
-            else 4 * (integrals.samples or default_samples(integrals.harmonics))
-        )
-        return replace(integrals, samples=finer).force(at.unknown) - at.force
-    if not isinstance(integrals, SampledIntegrals):
-        return np.zeros_like(gap)
-    law, harmonics, samples = integrals.law, integrals.harmonics, None
-    if not is_piecewise_linear(law):
-        samples = max(4 * integrals.samples, default_samples(harmonics))
-    return contact_integrals(law, harmonics, samples).force(gap) - at.force
-
-
 def _lost_in_reduction(at: ContactPoint, problem: Problem) -> _Change:
     """What the compliance of the reduced structure's reference changes."""
     structure, rows = problem.structure, len(at.gap)
@@ -341,18 +315,11 @@ def _lost_in_reduction(at: ContactPoint, problem: Problem) -> _Change:
 
 def _penetration(at: ContactPoint) -> np.ndarray:
     """Coefficients whose mean square is that of max(g, 0)."""
-    integrals, gap = at.system.integrals, at.gap
-    if isinstance(integrals, CoupledIntegrals):
+    integrals, count = at.system.integrals, max(512, 8 * len(at.gap))
+    if integrals.coupled:  # g has more harmonics than are kept
         inside = at.force / np.asarray(integrals.law.stiffness)  # but of a smoothed law
         return np.sqrt(inside[:1] ** 2 + 0.5 * np.sum(inside[1:] ** 2, axis=0, keepdims=True))
-    if isinstance(integrals, ExactIntegrals) and integrals.residual is None:
-        # lambda / k = max(g, 0), whose mean square is the mean of g lambda / k.
-        inside = at.force / integrals.law.stiffness
-        product = gap[0] * inside[0] + 0.5 * np.sum(gap[1:] * inside[1:], axis=0)
-        return np.sqrt(np.maximum(product, 0.0))[None]
-    harmonics = len(gap) // 2
-    sampled = SampledIntegrals(UnilateralPenalty(1.0), harmonics, max(512, 16 * harmonics))
-    inside = np.maximum(sampled.sample(gap), 0.0)
+    inside = np.maximum(sampled(at.gap, count), 0.0)
     return np.sqrt(np.mean(inside**2, axis=0, keepdims=True))
 
 

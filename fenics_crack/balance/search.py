@@ -40,7 +40,6 @@ from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.kernel import kernel
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.flow import ExponentialFlow
-from fenics_crack.model.modal import all_modes
 from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit, affordable
 from fenics_crack.numerics.bordered import FULL_STEPS, PATIENCE, point_on_path, solve_at, solve_near
@@ -60,10 +59,10 @@ __all__ = ["Search", "rounding_left"]
 
 COMPILED, INTERPRETED = 5000, 1000
 """Iterations of all starts together, with 300 unknowns in the kernel, and in Python: 5 to 8 s."""
-PERIODS, MARCHED, MOVING, BALANCED = 40, (1, 3, 9), 40, 20
-"""Periods of a response that are marched at a time, how many times for one guess after the other,
-modes that move in them, and harmonics of the load that are balanced from there: with fewer, 10 and
-5, 6 of 36 solutions were not found, and with more the steps are dear that fail."""
+MARCHED, BALANCED = (40, 120, 360), 20
+"""Periods of a response that are marched for one guess after the other, and harmonics of the load
+that are balanced from there: with fewer, 10 and 5, 6 of 36 solutions were not found, and with more
+the steps are dear that fail."""
 
 
 Start = tuple[str, Iterator[np.ndarray]]
@@ -252,16 +251,15 @@ class Search:
         """Of a motion that is marched."""
         harmonics, periods = problem.harmonics, problem.subharmonic
         steps = 1 << max(8, (4 * harmonics // periods).bit_length())
-        above = min(problem.cutoff, all_modes(problem.structure).above_lowest(MOVING))
         try:
             flow = ExponentialFlow(
-                problem.structure, problem.omega, problem.contact, steps, static_above=above
-            )
+                problem.structure, problem.omega, problem.contact, steps,
+                static_above=problem.cutoff,
+            )  # fmt: skip
             state = flow.steady[0]
             for more in MARCHED:
                 with np.errstate(all="ignore"):  # of motions that run away
-                    for _ in range(more):
-                        state = flow.advance(state, PERIODS * periods).states[-1]
+                    state = flow.advance(state, more * periods).states[-1]
                     last = flow.advance(state, periods)
                     assert system.residual is not None
                     slow = last.gap + last.forces[:-1] @ system.residual

@@ -130,12 +130,6 @@ class AllModes:
         found: np.ndarray = (self.shapes[:, fast] / self.squares[fast]) @ self.pairs[fast]
         return found if self.static_pairs is None else found + self.static_pairs
 
-    def above_lowest(self, count: int) -> float:
-        """A frequency with so many modes below it [rad/s]; infinite where there are no more."""
-        if len(self.squares) <= count:
-            return float("inf")
-        return float(np.sqrt(self.squares[count - 1])) * (1.0 + 1e-9)
-
     def below(self, above: float) -> AllModes:
         """The same with the modes beyond a frequency [rad/s] among what has no mass."""
         slow = ~self._fast(above)
