@@ -36,7 +36,7 @@ from fenics_crack.balance.search import Search
 from fenics_crack.balance.solution import Solver
 from fenics_crack.errors import check_number
 from fenics_crack.model.contact import is_rigid
-from fenics_crack.numerics.linearisation import Linearisation, determinant_sign
+from fenics_crack.numerics.equations import Linearisation, determinant_sign
 
 __all__ = ["BlockSystem", "solve_form"]
 

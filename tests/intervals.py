@@ -20,7 +20,7 @@ import numpy as np
 import fenics_crack as fc
 from fenics_crack.kernel import Struct, kernel, owned, shaped
 from fenics_crack.model.coupled import ActiveSets
-from fenics_crack.numerics.linearisation import ROUNDING
+from fenics_crack.numerics.equations import ROUNDING
 
 __all__ = ["Intervals", "contact_intervals"]
 

@@ -31,6 +31,7 @@ With a given damping matrix, or that of Rayleigh damping, the real form of twice
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
@@ -39,7 +40,6 @@ import scipy.linalg
 import scipy.sparse as sparse
 from petsc4py import PETSc
 
-from fenics_crack.balance.compiled import ModalPart
 from fenics_crack.errors import ConvergenceError, InputError, check_number
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import all_modes, is_small
@@ -49,7 +49,7 @@ from fenics_crack.numerics.fourier import from_complex, resized, to_complex
 from fenics_crack.parallel import collect_garbage
 
 __all__ = [
-    "Compliance", "DynamicStiffness", "FactoredCompliance", "ModalCompliance",
+    "Compliance", "DynamicStiffness", "FactoredCompliance", "ModalCompliance", "ModalPart",
     "ResizedCompliance", "dynamic_compliance", "load_coefficients",
 ]  # fmt: skip
 
@@ -200,6 +200,27 @@ def load_coefficients(structure: Structure, harmonics: int, subharmonic: int) ->
     load[0] = structure.force[0]
     load[2 * subharmonic - 1 : 2 * subharmonic + 1] = structure.force[1:]
     return load
+
+
+@dataclass(frozen=True)
+class ModalPart:
+    """Modes that answer along a path: R_k = P^T h_k P + at_once and what the load adds to g_lin,
+    P^T h_k l_k, with h_kj = 1 / (s_j - (k w)^2 + i k w d c_j)."""
+
+    squares: np.ndarray
+    """s: (n_modes,) [rad^2/s^2]."""
+    rates: np.ndarray
+    """c: (n_modes,) [1/s]."""
+    shapes: np.ndarray
+    """P: (n_modes, n_pairs)."""
+    load: np.ndarray
+    """l: (H+1, n_modes), complex."""
+    omega: tuple[float, float]
+    """w at p = 0, and dw/dp [rad/s]."""
+    damping: tuple[float, float]
+    """d at p = 0, and dd/dp."""
+    at_once: np.ndarray | None = None
+    """What is added to each R_k: (n_pairs, n_pairs)."""
 
 
 class ModalCompliance:

@@ -24,6 +24,11 @@ the gaps that modes can make, and steps are found in its coordinates:
 
 With many coupled unknowns J is not formed: J v costs two FFTs, and GMRES needs some dozens of them.
 
+With exact integrals paths are followed by the kernel (``kernel/contact.h``, ``compliance.h``):
+along p the contact stiffness grows like e^(growth p), g_lin linearly, the softness falls, or the
+base frequency and the damping of modes change, R and g_lin following from them. From 100 unknowns
+on solutions with J are found by products with it (``kernel/krylov.h``).
+
 Sources: Nacivet, Pierre, Thouverez, Jezequel, Journal of Sound and Vibration 265 (2003) 201-219
 (projected); Monjaraz-Tec, Gross and Krack, arXiv 2111.07693 and 2207.00795 (coupled, in time),
 2603.26446 (in frequency).
@@ -31,6 +36,7 @@ Sources: Nacivet, Pierre, Thouverez, Jezequel, Journal of Sound and Vibration 26
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any
@@ -38,17 +44,24 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.balance.compiled import SHARPLY, CompiledEquations, ModalPart
-from fenics_crack.balance.compliance import Compliance, ResizedCompliance
+from fenics_crack.balance.compliance import Compliance, ModalPart, ResizedCompliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, respond
 from fenics_crack.errors import InputError
+from fenics_crack.kernel import Struct, doubles, kernel, owned, shaped
 from fenics_crack.model.contact import ContactLaw
+from fenics_crack.numerics.equations import (
+    DenseLinearisation,
+    Equations,
+    Linearisation,
+    solve_factored,
+)
 from fenics_crack.numerics.fourier import resized, stretched
-from fenics_crack.numerics.linearisation import DenseLinearisation, solve_factored
 from fenics_crack.numerics.newton import gmres
 
-__all__ = ["SOFT", "ContactPoint", "ContactSystem", "default_weight"]
+__all__ = ["SOFT", "CompiledEquations", "ContactPoint", "ContactSystem", "default_weight"]
 
+SHARPLY = 1e-9
+"""Relative residual of a solution with J that takes products."""
 MATRIX_FREE = 350
 """Unknowns of a step from which the Jacobian of coupled pairs is not formed. Both ways take equally
 long with about 300 to 350 unknowns of 18 pairs (measured with H = 8 to 40)."""
@@ -257,3 +270,147 @@ class ContactPoint(DenseLinearisation):
         """Change of the gap if the contact force were changed."""
         moved = self.solve(-respond(self.system.moving, change))
         return self.system.gap(self.gap_of(moved), change)
+
+
+# --- in the kernel --------------------------------------------------------------------------------
+
+
+class CompiledEquations(Equations):
+    """F(s, p) = 0 of contact pairs.
+
+    Parameters
+    ----------
+    residual : (n_pairs, n_pairs) [m/N] or None
+        R_inf.
+    springs : (n_pairs,) [m/N]
+        1 / k at p = 0.
+    linear : (2H+1, n_pairs) [m]
+        g_lin at p = 0, without the part of modes.
+    compliance : (H+1, n_pairs, n_pairs) complex or ModalPart
+        R_k - R_inf, or what it follows from.
+    coupled : bool
+        Whether R_inf has more than a diagonal.
+    basis : (n_pairs, n), optional
+        U where modes are fewer than coupled pairs.
+    formed : bool
+        Whether J is formed; else solutions take products with it, and its sign is nan.
+    linear_rate : (2H+1, n_pairs) [m], optional
+        d g_lin / dp, without the part of modes.
+    growth : float
+        d ln k / dp.
+    softness : float [m/N]
+        That in series with each pair is ``softness`` |1 - p|^3.
+    """
+
+    def __init__(
+        self,
+        residual: np.ndarray | None,
+        springs: np.ndarray,
+        linear: np.ndarray,
+        compliance: np.ndarray | ModalPart,
+        *,
+        coupled: bool = False,
+        basis: np.ndarray | None = None,
+        formed: bool = True,
+        linear_rate: np.ndarray | None = None,
+        growth: float = 0.0,
+        softness: float = 0.0,
+    ) -> None:
+        self.shape = linear.shape
+        pairs = self.shape[1]
+        gaps = pairs if basis is None else basis.shape[1]
+        at_once = np.zeros((pairs, pairs)) if residual is None else residual
+        self._given = Struct(
+            "contact_pairs", seen=_seen_structure(linear, compliance, linear_rate), growth=growth,
+            softness=softness, coupled=coupled, residual=shaped(at_once, pairs, pairs),
+            springs=shaped(springs, pairs), seen_gaps=gaps, formed=formed,
+            basis=None if basis is None else shaped(basis, pairs, gaps),
+        )  # fmt: skip
+        self._point = owned(kernel.new_contact_point(self._given.at), kernel.free_contact_point)
+        self.table = kernel.equations_of_contact(self._point)
+
+    def linearise(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
+        """The equations at a point."""
+        return CompiledPoint(self, shaped(unknown, *self.shape), parameter)
+
+    def evaluated(self, at: CompiledPoint) -> Any:
+        """The kernel's equations, evaluated at a point."""
+        if self._last is not at:
+            self.check(self.run(self.table.evaluate, doubles(at.unknown), at.parameter))
+            self._last = at
+        return self.table
+
+    def found(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
+        self._last = found = CompiledPoint(self, unknown, parameter)
+        return found
+
+    def largest_compliance(self, parameter: float) -> float:
+        """Largest sum of abs(R_k - R_inf) over a row of it at a parameter [m/N]."""
+        self._last = None
+        found = float(kernel.largest_moving(self._point, parameter))
+        if not math.isfinite(found):
+            self.check(kernel.SINGULAR_STRUCTURE)
+        return found
+
+
+class CompiledPoint(Linearisation):
+    """:class:`CompiledEquations` at a point; evaluated again where the kernel has left it."""
+
+    def __init__(self, system: CompiledEquations, unknown: np.ndarray, parameter: float) -> None:
+        self.system, self.unknown, self.parameter = system, unknown, parameter
+
+    @property
+    def residual(self) -> np.ndarray:
+        found = np.empty_like(self.unknown)
+        at = self.system.evaluated(self)
+        at.residual(at, doubles(found))
+        return found
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        found = np.array(right, dtype=float, order="C")
+        if found.size != self.unknown.size:
+            raise ValueError(f"{found.size} numbers instead of {self.unknown.size}")
+        at = self.system.evaluated(self)
+        at.sharp = SHARPLY
+        at.solve(at, doubles(found))
+        return found
+
+    @property
+    def by_parameter(self) -> np.ndarray:
+        found = np.empty_like(self.unknown)
+        at = self.system.evaluated(self)
+        at.by_parameter(at, doubles(found))
+        return found
+
+    @property
+    def sign(self) -> float:
+        at = self.system.evaluated(self)
+        return float(at.sign(at))
+
+
+def _seen_structure(
+    linear: np.ndarray, compliance: np.ndarray | ModalPart, linear_rate: np.ndarray | None = None
+) -> Struct:
+    """What the kernel's equations share: g_lin and R along a parameter, of the arguments of
+    :class:`CompiledEquations`."""
+    rows, pairs = linear.shape
+    rate = np.zeros_like(linear) if linear_rate is None else linear_rate
+    known: dict[str, Any] = {"harmonics": rows // 2, "pairs": pairs}
+    if isinstance(compliance, ModalPart):
+        modes, of_each = len(compliance.squares), rows // 2 + 1
+        known["modes"] = modes
+        known["omega"], known["omega_rate"] = compliance.omega
+        known["damping"], known["damping_rate"] = compliance.damping
+        known["squares"] = shaped(compliance.squares, modes)
+        known["rates"] = shaped(compliance.rates, modes)
+        known["shapes"] = shaped(compliance.shapes, modes, pairs)
+        known["load"] = shaped(compliance.load, of_each, modes, kind=complex)
+        at_once = compliance.at_once
+        known["at_once"] = None if at_once is None else shaped(at_once, pairs, pairs)
+    else:
+        of_each = rows // 2 + 1
+        known["compliance"] = shaped(compliance, of_each, pairs, pairs, kind=complex)
+    return Struct(
+        "seen_structure", linear=shaped(linear, rows, pairs),
+        linear_rate=shaped(rate, rows, pairs), **known,
+    )  # fmt: skip

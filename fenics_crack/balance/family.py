@@ -15,16 +15,15 @@ from functools import cached_property
 
 import numpy as np
 
-from fenics_crack.balance.compiled import CompiledEquations
 from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, respond
-from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
+from fenics_crack.balance.contact_system import CompiledEquations, ContactPoint, ContactSystem
 from fenics_crack.balance.problem import Problem
 from fenics_crack.errors import InputError, check_number, check_omega
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.linearisation import least_residual
+from fenics_crack.numerics.equations import least_residual
 
 __all__ = ["FAMILIES", "Family", "FrequencyFamily"]
 

@@ -41,9 +41,8 @@ from fenics_crack.motion.orbit import (
     predict,
 )
 from fenics_crack.numerics.bordered import PathPoint, point_on_path, solve_in_plane
-from fenics_crack.numerics.equations import Equations
+from fenics_crack.numerics.equations import DenseLinearisation, Equations
 from fenics_crack.numerics.fourier import derivative, evaluate
-from fenics_crack.numerics.linearisation import DenseLinearisation
 from fenics_crack.numerics.path import Path, PathOptions, Target
 from fenics_crack.stages import begin
 from fenics_crack.table import counted

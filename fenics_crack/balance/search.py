@@ -43,14 +43,14 @@ from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit, affordable
 from fenics_crack.numerics.bordered import FULL_STEPS, PATIENCE, point_on_path, solve_at, solve_near
-from fenics_crack.numerics.fourier import balanced
-from fenics_crack.numerics.linearisation import (
+from fenics_crack.numerics.equations import (
     EPSILON,
     MAX_ROUNDING,
     ROUNDING,
     Linearisation,
     least_residual,
 )
+from fenics_crack.numerics.fourier import balanced
 from fenics_crack.numerics.newton import Newton, kernel_solves
 from fenics_crack.numerics.path import Ended, Path, Target
 from fenics_crack.stages import begin

@@ -32,8 +32,8 @@ from fenics_crack.numerics.bordered import (
     point_on_path,
     tangent_of,
 )
+from fenics_crack.numerics.equations import System
 from fenics_crack.numerics.fourier import resized, stretched
-from fenics_crack.numerics.linearisation import System
 from fenics_crack.numerics.path import PathOptions
 
 __all__ = [

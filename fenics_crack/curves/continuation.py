@@ -44,8 +44,8 @@ from fenics_crack.numerics.bordered import (
     point_on_path,
     solve_in_plane,
 )
+from fenics_crack.numerics.equations import System
 from fenics_crack.numerics.fourier import resized
-from fenics_crack.numerics.linearisation import System
 from fenics_crack.numerics.path import (
     BranchPoint,
     Closed,

@@ -17,7 +17,7 @@ from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import AllModes, all_modes
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.linearisation import DIFFERENCE, Linearisation, determinant_sign
+from fenics_crack.numerics.equations import DIFFERENCE, Linearisation, determinant_sign
 
 __all__ = [
     "EnergyMotion",

@@ -38,7 +38,7 @@ import numpy as np
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import doubles, kernel, owned, shaped, signs
 from fenics_crack.model.contact import ContactLaw
-from fenics_crack.numerics.linearisation import ROUNDING
+from fenics_crack.numerics.equations import ROUNDING
 
 __all__ = [
     "KEPT",

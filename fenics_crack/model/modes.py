@@ -23,7 +23,7 @@ from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
 from fenics_crack.model.factor import AT_A_TIME, Factor, factored_sum
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.linearisation import EPSILON
+from fenics_crack.numerics.equations import EPSILON
 from fenics_crack.parallel import gather_rows
 from fenics_crack.stages import begin
 from fenics_crack.table import Tabular, counted

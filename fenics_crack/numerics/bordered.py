@@ -32,8 +32,7 @@ from functools import lru_cache
 import numpy as np
 
 from fenics_crack.kernel import NULL, Struct, doubles, ints, kernel, shaped
-from fenics_crack.numerics.equations import equations_of
-from fenics_crack.numerics.linearisation import Linearisation, System
+from fenics_crack.numerics.equations import Linearisation, System, equations_of
 
 __all__ = [
     "FULL_STEPS",

@@ -17,7 +17,7 @@ from petsc4py import PETSc
 
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import kernel
-from fenics_crack.numerics.linearisation import Linearisation, System
+from fenics_crack.numerics.equations import Linearisation, System
 
 __all__ = ["RESTART", "DistributedSystem", "Newton", "gmres", "kernel_solves"]
 

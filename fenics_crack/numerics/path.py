@@ -45,8 +45,7 @@ from fenics_crack.numerics.bordered import (
     solve_at,
     step_along,
 )
-from fenics_crack.numerics.equations import equations_of
-from fenics_crack.numerics.linearisation import EPSILON, ROUNDING, System
+from fenics_crack.numerics.equations import EPSILON, ROUNDING, System, equations_of
 
 __all__ = [
     "LOCATED",

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 import fenics_crack as fc
 from fenics_crack import Continuation
 from fenics_crack.balance import contact_system
-from fenics_crack.balance.compiled import CompiledEquations
 from fenics_crack.balance.contact_integrals import ExactIntegrals, respond_to_columns
+from fenics_crack.balance.contact_system import CompiledEquations
 from fenics_crack.balance.family import FAMILIES, Family
 from fenics_crack.numerics.bordered import (
     PathPoint,
@@ -25,8 +25,8 @@ from fenics_crack.numerics.bordered import (
     step_along,
     tangent_of,
 )
+from fenics_crack.numerics.equations import Linearisation, System
 from fenics_crack.numerics.fourier import evaluate, sampled, to_complex
-from fenics_crack.numerics.linearisation import Linearisation, System
 from fenics_crack.numerics.path import Ended, Fold, Path, PathOptions, Target
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -14,7 +14,7 @@ import fenics_crack as fc
 from fenics_crack.balance.contact_integrals import contact_integrals
 from fenics_crack.curves import free_motion
 from fenics_crack.curves.motion_path import MotionPath
-from fenics_crack.numerics.linearisation import System
+from fenics_crack.numerics.equations import System
 
 HARMONICS = (10, 20, 40, 80)
 

@@ -15,7 +15,7 @@ from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.motion.flow import Budget, flow_of
 from fenics_crack.motion.orbit import find_orbit
 from fenics_crack.numerics.bordered import PathPoint, point_on_path, solve_in_plane, tangent_of
-from fenics_crack.numerics.linearisation import DenseLinearisation
+from fenics_crack.numerics.equations import DenseLinearisation
 from fenics_crack.numerics.path import Closed, Crossing, Ended, Fold, Path, PathOptions, Target
 from fenics_crack.stability.floquet import orbits_near
 
