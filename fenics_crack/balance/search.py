@@ -55,7 +55,7 @@ from fenics_crack.numerics.newton import Newton, kernel_solves
 from fenics_crack.numerics.path import Ended, Path, Target
 from fenics_crack.stages import begin
 
-__all__ = ["Search", "rounding_left"]
+__all__ = ["Search", "halved", "rounding_left"]
 
 COMPILED, INTERPRETED = 5000, 1000
 """Iterations of all starts together, with 300 unknowns in the kernel, and in Python: 5 to 8 s."""
@@ -183,7 +183,7 @@ class Search:
                 yield "from a marched motion", self._marched(problem)
             many = system.residual is not None or system.global_size > kernel.MANY
             enough = problem.subharmonic if many else problem.harmonics
-            counts = _halved(problem.harmonics, enough)
+            counts = halved(problem.harmonics, enough)
             name = "from fewer harmonics" if many else "full Newton steps"
             yield name, self._climb(problem, counts)
         yield "path in the softness", self._path()
@@ -226,7 +226,7 @@ class Search:
     def _marched(self, problem: Problem) -> Iterator[np.ndarray]:
         """The slow gap of a motion after more and more periods; or of the exact orbit next to the
         solution with few harmonics that it leads to."""
-        few, *more = _halved(problem.harmonics, BALANCED * problem.subharmonic)
+        few, *more = halved(problem.harmonics, BALANCED * problem.subharmonic)
         lowest = problem.with_harmonics(few)
         if not more:
             yield from self._slow_gaps(self.system, lowest)
@@ -287,7 +287,7 @@ class Search:
             yield path.last.unknown
 
 
-def _halved(harmonics: int, enough: int) -> list[int]:
+def halved(harmonics: int, enough: int) -> list[int]:
     """Numbers of harmonics, each about half of the next, down to one that is enough."""
     counts = [harmonics]
     while counts[0] > enough:

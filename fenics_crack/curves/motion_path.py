@@ -18,6 +18,7 @@ import numpy as np
 
 from fenics_crack.balance.contact_system import SOFT
 from fenics_crack.balance.problem import NARROW
+from fenics_crack.balance.search import halved
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.free_motion import (
     EnergyMotion,
@@ -36,8 +37,6 @@ __all__ = ["ELSEWHERE", "MotionPath", "alike", "first_motion", "solve_motion"]
 FAST = 0.5
 """Rate of the parameter along a path at which arc-length is left again."""
 ELSEWHERE = "the path ended in the motion of another mode"
-FEWER = (1, 2, 3, 5, 10)
-"""Harmonics with which the path in the contact stiffness is tried again."""
 MORE = 1.25
 """How many harmonics there are after a step, relative to those before; one more at least."""
 
@@ -244,9 +243,7 @@ def _from_fewer_harmonics(family: StiffnessMotion, mode: int) -> tuple[PathPoint
     """The motion to which the path with fewer harmonics leads, and with how many; None where none
     of these does."""
     begun: list[tuple[int, np.ndarray]] = []
-    for fewer in FEWER:
-        if fewer >= family.harmonics:
-            break
+    for fewer in halved(family.harmonics, 1)[:-1]:
         try:
             begun.append((fewer, _from_linear_mode(family.with_harmonics(fewer), mode).unknown))
         except ConvergenceError:
