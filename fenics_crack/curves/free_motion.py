@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
@@ -14,7 +14,7 @@ from fenics_crack.balance.contact_integrals import PairIntegrals, apply_to_pairs
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.balance.search import rounding_left
 from fenics_crack.errors import InputError
-from fenics_crack.model.contact import ContactLaw
+from fenics_crack.model.contact import ContactLaw, gauss
 from fenics_crack.model.modal import AllModes, all_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import DIFFERENCE, Linearisation, determinant_sign
@@ -74,7 +74,7 @@ def _work(law: ContactLaw, gap: np.ndarray, change: np.ndarray, less: np.ndarray
 
     Gauss's rule on both sides of g = 0: exact for piecewise polynomials.
     """
-    nodes, weights = _gauss()
+    nodes, weights = gauss(32)
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.clip(np.nan_to_num(-gap / change, posinf=0.0, neginf=0.0), 0.0, 1.0)
     total = np.zeros_like(gap)
@@ -82,13 +82,6 @@ def _work(law: ContactLaw, gap: np.ndarray, change: np.ndarray, less: np.ndarray
         at = start + length * nodes[:, None]
         total += length * (weights @ (law.force(gap + at * change) - less))
     return float(total @ change)
-
-
-@lru_cache(maxsize=1)
-def _gauss() -> tuple[np.ndarray, np.ndarray]:
-    """Gauss's 32 nodes between 0 and 1, and their weights."""
-    nodes, weights = np.polynomial.legendre.leggauss(32)
-    return 0.5 + 0.5 * nodes, 0.5 * weights
 
 
 def cosine_rows(harmonics: int) -> np.ndarray:

@@ -11,6 +11,7 @@ What else a method needs to know of a law, :func:`is_unilateral`, :func:`is_rigi
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, Protocol, Self, TypeGuard
 
 import numpy as np
@@ -25,6 +26,7 @@ __all__ = [
     "UnilateralConstraint",
     "UnilateralPenalty",
     "check_law",
+    "gauss",
     "is_piecewise_linear",
     "is_rigid",
     "is_unilateral",
@@ -165,6 +167,13 @@ class UnilateralConstraint:
     def scaled(self, factor: float) -> UnilateralConstraint:
         """The same: nothing is stiffer."""
         return self
+
+
+@lru_cache
+def gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Gauss's nodes between 0 and 1, and their weights: for means of forces between two gaps."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return 0.5 + 0.5 * nodes, 0.5 * weights
 
 
 def is_rigid(contact: object) -> TypeGuard[UnilateralConstraint]:

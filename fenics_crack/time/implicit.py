@@ -61,7 +61,7 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.errors import InputError, check_number
-from fenics_crack.model.contact import ContactLaw
+from fenics_crack.model.contact import ContactLaw, gauss
 from fenics_crack.model.coupled import solve_complementarity, solve_forces
 from fenics_crack.model.factor import factored_sum, weighted_sum
 from fenics_crack.model.reduced import INSTEAD, check_mass
@@ -323,13 +323,10 @@ class _GeneralisedAlpha(LoopedSteps):
         return found
 
 
-_GAUSS = np.polynomial.legendre.leggauss(8)
-_POINTS, _WEIGHTS = 0.5 * (1.0 + _GAUSS[0]), 0.5 * _GAUSS[1]
-
-
 def _potential(contact: ContactLaw, gap: np.ndarray) -> np.ndarray:
     """V(g), the integral of lambda from 0, by Gauss's rule: (n_pairs,) [J]."""
-    return gap * (_WEIGHTS @ contact.force(_POINTS[:, None] * gap))
+    nodes, weights = gauss(8)
+    return gap * (weights @ contact.force(nodes[:, None] * gap))
 
 
 def _mean_force(
@@ -339,10 +336,10 @@ def _mean_force(
 
     Where g keeps its sign, from the mean of lambda: laws have their kink at g = 0.
     """
-    change = end - start
-    between = start + _POINTS[:, None] * change
-    mean = _WEIGHTS @ contact.force(between)
-    slope = (_WEIGHTS * _POINTS) @ contact.tangent(between)
+    change, (nodes, weights) = end - start, gauss(8)
+    between = start + nodes[:, None] * change
+    mean = weights @ contact.force(between)
+    slope = (weights * nodes) @ contact.tangent(between)
     crosses = start * end < 0.0
     if np.any(crosses):
         length = np.where(crosses, change, 1.0)
