@@ -291,10 +291,10 @@ def test_error_of_collocation_on_contact(scene: str, soft_plate: fc.Structure) -
     reference = fc.solve_harmonic_balance(structure, omega, law, harmonics=200)
     errors = []
     for harmonics in orders:
-        classical, collocated = (
-            solve_form(Problem(structure, omega, law, harmonics), balance=balance)
-            for balance in ("galerkin", "collocation")
-        )
+        problem = Problem(structure, omega, law, harmonics)
+        classical = solve_form(problem)
+        # Few instants have other solutions, too: that next to the classical one.
+        collocated = solve_form(problem, balance="collocation", initial=classical)
         errors.append([true_error(found, reference) for found in (classical, collocated)])
         assert classical.report.sampling == 0.0
         aliasing = true_error(collocated, classical)
