@@ -11,6 +11,7 @@ cracks      the same with two cracks
 inner       the same with a crack inside
 rotation    the same on a rotor, the load as large as the mean opening
 ends        "few" once more, the ends of branches of twice the period
+turning     "few" once more with gyroscopic forces: a damping matrix that is not symmetric
 
 and three whose answers have no exact flow in the package:
 
@@ -38,6 +39,7 @@ from reference_flow import WHOLE, ReferenceFlow, SmoothFlow
 import fenics_crack as fc
 
 FEW_KINDS = {"solution": 0.6, "tolerance": 0.2, "curve": 0.12, "branch": 0.04, "backbone": 0.04}
+TURNING_KINDS = {"solution": 0.6, "tolerance": 0.2, "curve": 0.15, "branch": 0.05}
 MASS_KINDS = {"solution": 0.6, "tolerance": 0.3, "curve": 0.1}
 PLATE_KINDS = {
     "solution": 0.5, "tolerance": 0.2, "whole": 0.05, "peak": 0.1, "curve": 0.1, "reduction": 0.05,
@@ -54,8 +56,10 @@ FAMILIES: dict[str, tuple[float, dict[str, float]]] = {
     "smooth": (0.03, {"solution": 0.8, "tolerance": 0.2}),
     "rigid": (0.01, {"solution": 1.0}),
     "whole": (0.01, {"solution": 1.0}),
+    "turning": (0.0, TURNING_KINDS),
 }
-"""How often each is drawn, and what is asked of it."""
+"""How often each is drawn, and what is asked of it; one that came later is asked by itself, so that
+the other numbers stay the cases that they were."""
 RIGID = 1e6
 """k times the static compliance of the penalty that stands for a rigid stop."""
 KINDS = list(dict.fromkeys(kind for _, kinds in FAMILIES.values() for kind in kinds))
@@ -102,7 +106,7 @@ def draw(seed: int, number: int, only: str | None = None, family: str = "few") -
     rng = np.random.default_rng(key)
     shares = FAMILIES[family][1]
     kind = only or str(rng.choice(list(shares), p=list(shares.values())))
-    if family in ("few", "mass", "crowd", "ends", "smooth", "rigid"):
+    if family in ("few", "mass", "crowd", "ends", "smooth", "rigid", "turning"):
         return _of_masses(rng, number, kind, family)
     if family == "whole":
         return _of_all_dofs(rng, number, kind, family)
@@ -119,7 +123,7 @@ def _of_masses(rng: np.random.Generator, number: int, kind: str, family: str) ->
     if plates and rng.random() < plates:
         structure = _plate(rng)
     else:
-        structure = _masses(rng, kind == "backbone", most)
+        structure = _masses(rng, kind == "backbone", most, family == "turning")
         while family == "smooth" and structure.n_dofs > 8:  # few enough for an integrator
             structure = _masses(rng, False)
     squares, static = _modes(structure)
@@ -164,9 +168,13 @@ def _extremum(wave: np.ndarray, rng: np.random.Generator) -> float:
 
 
 def _masses(
-    rng: np.random.Generator, undamped: bool, pairs_from: tuple[int, int] | None = None
+    rng: np.random.Generator,
+    undamped: bool,
+    pairs_from: tuple[int, int] | None = None,
+    turning: bool = False,
 ) -> fc.Structure:
-    """A chain, or modes of random shapes with frequencies up to 30 times the first."""
+    """A chain, or modes of random shapes with frequencies up to 30 times the first; ``turning``:
+    with gyroscopic forces."""
     if pairs_from is None:
         count = int(rng.integers(1, 13))
     else:
@@ -185,6 +193,10 @@ def _masses(
     squares, shapes = scipy.linalg.eigh(stiffness, mass)
     rates = 2.0 * 10.0 ** rng.uniform(-3.0, np.log10(0.05), count) * np.sqrt(squares)
     damping = mass @ (shapes * rates) @ shapes.T @ mass
+    damping = 0.5 * (damping + damping.T)
+    if turning:
+        spins = 10.0 ** rng.uniform(-2.0, 0.3) * np.sqrt(squares[0]) * rng.normal(size=mass.shape)
+        damping += mass @ (spins - spins.T) @ mass
     low, high = pairs_from or (1, 4)
     pairs = int(rng.integers(low, min(high, count) + 1))
     gap = np.zeros((count, pairs))
@@ -197,7 +209,7 @@ def _masses(
     loads[2] *= 0.0 if rng.random() < 0.7 else 0.3
     return fc.Structure.from_matrices(
         mass, stiffness, gap, force_cos=loads[0], force_sin=loads[1], force_mean=loads[2],
-        damping=None if undamped else 0.5 * (damping + damping.T),
+        damping=None if undamped else damping,
     )  # fmt: skip
 
 

@@ -91,8 +91,9 @@ def test_a_turning_shaft_with_a_crack() -> None:
         (fc.UnilateralPenalty(2.0), 0.0),
         (fc.UnilateralPenalty(2.0), 0.5),
         (fc.SmoothedPenalty(2.0, 10.0), 0.0),
+        (fc.SmoothedPenalty(2.0, 10.0), 0.5),
     ],
-    ids=["penalty", "gyroscopic", "smoothed"],
+    ids=["penalty", "gyroscopic", "smoothed", "smoothed, gyroscopic"],
 )
 @pytest.mark.filterwarnings("error")
 def test_against_the_variational_equation(
