@@ -10,14 +10,12 @@ import numpy as np
 import scipy.linalg
 
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.model.modes import AS_ZERO, NEGLIGIBLE, damped_modes, damping_in
+from fenics_crack.model.modes import AS_ZERO, NEGLIGIBLE, SINGULAR, damped_modes, damping_in
 from fenics_crack.model.reduced import MasslessInterface
 from fenics_crack.model.structure import Structure
 
 __all__ = ["SMALL", "AllModes", "all_modes", "is_small"]
 
-NUDGE = 1e-10
-"""Of the square of a frequency, by which an undamped resonance without load is avoided."""
 SMALL = 600
 """Up to so many dofs a structure is decomposed into all of its modes."""
 
@@ -89,8 +87,8 @@ class AllModes:
             impedance = stiffness + (1j * factor * omega)[:, None] * self.damping
             size = np.abs(self.squares) + square
             if loaded is not None:
-                moved = (np.abs(impedance) <= NUDGE * size) & ~loaded & (square > 0.0)
-                impedance = np.where(moved, NUDGE * size, impedance)
+                moved = (np.abs(impedance) <= SINGULAR * size) & ~loaded & (square > 0.0)
+                impedance = np.where(moved, SINGULAR * size, impedance)
             singular |= (np.abs(impedance) <= 1e-15 * size).any(axis=1)
         else:
             impedance = 1j * factor * omega[:, None, None] * self.damping

@@ -31,6 +31,7 @@ from fenics_crack.table import Tabular, counted
 __all__ = [
     "AS_ZERO",
     "NEGLIGIBLE",
+    "SINGULAR",
     "DampedModes",
     "Modes",
     "check_damped_modes",
@@ -50,7 +51,8 @@ __all__ = [
 
 LIPS = ("open", "tied")
 SINGULAR = 1e-10
-"""Squares of frequencies, relative to the smallest K_ii / M_ii, that are null pivots missed."""
+"""Up to which |omega_j^2 - omega^2| K - omega^2 M is singular: at 0, where null pivots were missed,
+relative to the smallest K_ii / M_ii; at an undamped resonance to omega_j^2 + omega^2."""
 AS_ZERO = 1e-14
 """Relative to the largest: what counts as zero of squares of frequencies (to K_ii / M_ii), static
 responses and gaps."""

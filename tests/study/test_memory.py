@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import functools
 import gc
 import resource
 from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.sparse as sparse
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import fenics_crack as fc
 from fenics_crack import Scene
 from fenics_crack.fem import plate
 from fenics_crack.model import memory
-from fenics_crack.model.factor import Factor
+from fenics_crack.model.factor import Factor, distributed
 from fenics_crack.model.memory import reduction_memory, whole_memory
 from fenics_crack.study import prepare
 
@@ -66,6 +69,29 @@ def test_parts_of_what_a_solid_needs() -> None:
     assert memory._held(structure) > before + 7e7
     del pieces
     assert memory._held(structure) < before + 1e7
+
+
+def ordered_by(sides: int, dimension: int, dofs: int) -> int:
+    """How MUMPS has ordered the rows of so many nodes a side, each with ``dofs`` unknowns and
+    coupled to all that are next to it."""
+    line = sparse.diags([-1.0, 2.5, -1.0], [-1, 0, 1], (sides, sides))
+    nodes = functools.reduce(sparse.kron, [line] * dimension)
+    matrix = distributed(sparse.kron(nodes, np.eye(dofs) + 0.1), MPI.COMM_SELF)
+    with Factor(matrix) as factor:
+        return int(factor._factor.getMumpsInfog(7))
+
+
+def test_rows_are_ordered_for_their_dimension() -> None:
+    """A plane's for least fill, a solid's as MUMPS chooses for so many, both as a user says."""
+    least_fill, degree = 2, 0
+    assert ordered_by(75, 2, 2) == least_fill != ordered_by(18, 3, 2)
+    options = PETSc.Options("crack_factor_")
+    options["mat_mumps_icntl_7"] = degree
+    try:
+        assert ordered_by(75, 2, 2) == ordered_by(18, 3, 2) == degree
+    finally:
+        options.delValue("mat_mumps_icntl_7")
+    assert ordered_by(75, 2, 2) == least_fill
 
 
 def test_what_was_prepared_is_given_back(paper_scene: fc.Scene) -> None:
