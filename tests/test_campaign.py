@@ -370,6 +370,16 @@ def test_answers_without_an_exact_flow(family: str, number: int) -> None:
         assert row["exact"] > 2.0
 
 
+def test_next_to_grazing_the_orbit_is_farther_away_than_predicted() -> None:
+    """Ten times as far, of 39 rigid pairs; twice the harmonics leave a fortieth of it. The error
+    was unknown."""
+    case = campaign.draw(79, 803, family="inner")
+    found = fc.solve_harmonic_balance(case.structure, 12129.7687, case.law, harmonics=20)
+    row = campaign.judge(case, found, "solution", fc.floquet(case.structure, found).verdict)
+    assert row.judgement == campaign.RIGHT and row.verdict == "stable", row
+    assert row.true == pytest.approx(row.estimate, rel=1e-3) and row.true > 5.0 * row.pred
+
+
 def test_undecided_verdict_says_what_the_motion_does() -> None:
     """Without an orbit of their own: the motions that begin with two solutions settle elsewhere, as
     the judge's, or do not repeat themselves, nor does the judge's."""

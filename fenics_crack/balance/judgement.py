@@ -9,7 +9,9 @@ Where the step is long the orbit is the wave's own if its motion, balanced with 
 is the wave, to which Newton's method leads from the orbit's Fourier series, and none other is found
 from the state behind the step. Where it leads elsewhere, or is far away, the wave is balanced with
 twice the harmonics, from there on with twice as many again: the first of these waves that has its
-own orbit decides for all, as far as that is within three times the error predicted of each.
+own orbit decides for all, as far as that is within three times the error predicted of each. An
+orbit that is farther away, though no farther than 10 %, is the wave's own where twice the harmonics
+leave no more than a third of the distance to it: next to grazing one step predicts too little.
 
 What the modes that a reduction leaves out change of an exact motion is told by the reference of the
 structure, which has them (:mod:`fenics_crack.model.reduction`). The motion is one of
@@ -146,11 +148,18 @@ class Judgement:
             return self
         if self.finer is None:
             return None
-        if believed and _alike(self.near, self.finer.near):
+        if (believed or self._leaves_it_behind) and _alike(self.near, self.finer.near):
             return self
         found = self.finer.decisive
         contradicted = believed and found is not None and not _alike(self.near, found.near)
         return None if contradicted else found
+
+    @property
+    def _leaves_it_behind(self) -> bool:
+        """Whether twice the harmonics leave no more than a third of a distance that is too long for
+        what was predicted: next to grazing one step predicts too little, of both waves."""
+        assert self.finer is not None
+        return BELIEVED * self.finer._to_near <= self._to_near <= FARTHEST
 
     @cached_property
     def orbit(self) -> PeriodicOrbit | None:
@@ -214,8 +223,9 @@ class Judgement:
     @property
     def accepted(self) -> bool:
         """Whether the orbit is the wave's own."""
-        confirmed = self.decisive is not None and self.believes(self.distance)
-        return self.of_orbit or (confirmed and self.distance < UNKNOWN)
+        decisive = self.decisive
+        own = decisive is self or (decisive is not None and self.believes(self.distance))
+        return self.of_orbit or (own and self.distance < UNKNOWN)
 
     def believes(self, distance: float) -> bool:
         """Whether an orbit so far away may be the wave's own."""
@@ -250,7 +260,7 @@ class Judgement:
         the distance to the wave's own orbit; what is predicted where none is looked for; else
         :data:`UNKNOWN`, which is also the most. A search that fails contradicts the one step that
         predicts: next to grazing the orbit may be 15 times as far away."""
-        if search and (self.of_orbit or self.believes(self.distance)):
+        if search and (self.of_orbit or self.believes(self.distance) or self.accepted):
             return min(self.distance, UNKNOWN), min(self._away_at_load, UNKNOWN)
         if self.prediction < UNKNOWN and not (search and self.prediction < FAR):
             return self.prediction, min(self._predicted_at_load, UNKNOWN)
