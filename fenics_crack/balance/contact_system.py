@@ -60,8 +60,6 @@ from fenics_crack.numerics.newton import gmres
 
 __all__ = ["SOFT", "CompiledEquations", "ContactPoint", "ContactSystem", "default_weight"]
 
-SHARPLY = 1e-9
-"""Relative residual of a solution with J that takes products."""
 MATRIX_FREE = 350
 """Unknowns of a step from which the Jacobian of coupled pairs is not formed. Both ways take equally
 long with about 300 to 350 unknowns of 18 pairs (measured with H = 8 to 40)."""
@@ -242,7 +240,7 @@ class ContactPoint(DenseLinearisation):
     def solve(self, right: np.ndarray) -> np.ndarray:
         system = self.system
         if system.matrix_free:
-            return gmres(self.apply, right, SHARPLY)
+            return gmres(self.apply, right, kernel.SHARP)
         factors = self._factors
         if system.basis is not None:
             drive = respond(system.moving, self.forces.apply(right)) @ system.basis
@@ -371,7 +369,7 @@ class CompiledPoint(Linearisation):
         if found.size != self.unknown.size:
             raise ValueError(f"{found.size} numbers instead of {self.unknown.size}")
         at = self.system.evaluated(self)
-        at.sharp = SHARPLY
+        at.sharp = kernel.SHARP
         at.solve(at, doubles(found))
         return found
 

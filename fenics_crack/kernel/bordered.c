@@ -4,8 +4,8 @@
 #include <stdlib.h>
 
 enum { PATIENT = 32 };
-#define STEP 1e-4  /* residual of a step of Newton's method that is found with products, */
-#define SHARP 1e-9 /* and of a tangent */
+#define STEP 1e-4 /* residual of a step of Newton's method that is found with products */
+const double SHARP = 1e-9;
 
 double inner_product(const equations *at, const double *x, const double *y)
 {

@@ -19,6 +19,9 @@ typedef struct {
     double slope, weight;
 } plane;
 
+/* Relative residual of other solutions with J that take products. */
+extern const double SHARP;
+
 /* Newton's method in a plane, or where this is NULL at a given parameter. unknown, parameter: the
  * guess, and the point found; taken: iterations. Returns FOUND, or why not. */
 int solve_in_plane(equations *at, const plane *in, const correction *how, double *unknown,

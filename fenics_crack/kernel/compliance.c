@@ -6,9 +6,7 @@
 
 #include "lapack.h"
 
-/* Undamped resonances: fenics_crack/model/modal.py, AllModes.receptance. */
-#define NUDGE 1e-10
-#define SINGULAR 1e-15
+const double NUDGE = 1e-10, SINGULAR = 1e-15;
 
 struct compliance {
     seen_structure of;

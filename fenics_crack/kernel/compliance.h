@@ -20,6 +20,10 @@ typedef struct {
     const double *at_once;              /* (pairs, pairs), or NULL */
 } seen_structure;
 
+/* Of s + (k w)^2: how far an undamped resonance without load is moved away, and below what another
+ * one has no answer (fenics_crack/model/modal.py, AllModes.receptance). */
+extern const double NUDGE, SINGULAR;
+
 typedef struct compliance compliance;
 
 /* NULL without memory. */

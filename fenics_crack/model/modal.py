@@ -10,7 +10,8 @@ import numpy as np
 import scipy.linalg
 
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.model.modes import AS_ZERO, NEGLIGIBLE, SINGULAR, damped_modes, damping_in
+from fenics_crack.kernel import kernel
+from fenics_crack.model.modes import AS_ZERO, NEGLIGIBLE, damped_modes, damping_in
 from fenics_crack.model.reduced import MasslessInterface
 from fenics_crack.model.structure import Structure
 
@@ -71,7 +72,7 @@ class AllModes:
         """Inverse impedance at frequencies (m,): (m, n), or where damping couples modes (m, n, n).
 
         ``factor`` multiplies the damping. Where ``loaded`` (m, n) tells that the load does not
-        drive a mode, an undamped resonance of it is moved away by a part of 1e-10: contact keeps
+        drive a mode, an undamped resonance of it is moved away a little: contact keeps
         its motion finite.
 
         Raises
@@ -87,9 +88,9 @@ class AllModes:
             impedance = stiffness + (1j * factor * omega)[:, None] * self.damping
             size = np.abs(self.squares) + square
             if loaded is not None:
-                moved = (np.abs(impedance) <= SINGULAR * size) & ~loaded & (square > 0.0)
-                impedance = np.where(moved, SINGULAR * size, impedance)
-            singular |= (np.abs(impedance) <= 1e-15 * size).any(axis=1)
+                moved = (np.abs(impedance) <= kernel.NUDGE * size) & ~loaded & (square > 0.0)
+                impedance = np.where(moved, kernel.NUDGE * size, impedance)
+            singular |= (np.abs(impedance) <= kernel.SINGULAR * size).any(axis=1)
         else:
             impedance = 1j * factor * omega[:, None, None] * self.damping
             place = np.arange(len(self.squares))
