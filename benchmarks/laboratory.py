@@ -37,6 +37,7 @@ from fenics_crack.balance.solution import Solver
 from fenics_crack.errors import check_number
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.numerics.equations import Linearisation, determinant_sign
+from fenics_crack.numerics.fourier import resized, stretched
 
 __all__ = ["BlockSystem", "solve_form"]
 
@@ -113,7 +114,9 @@ class _FullSolver(Solver):
         block = BlockSystem(compliance, integrals)
         start = block.linear
         if initial is not None:
-            start = compliance.displacement(self.start(initial, "force_coefficients"))
+            times = self.problem.subharmonic // initial.subharmonic
+            force = stretched(initial.force_coefficients, times)
+            start = compliance.displacement(resized(force, self.problem.harmonics))
         search = Search(block, None, self.residual_tolerance, share)
         gap = block.gap(search.solve(start).unknown)
         return search, ContactSystem(compliance, integrals).linearise(gap)
