@@ -31,7 +31,6 @@ from fenics_crack.table import Tabular, counted
 __all__ = [
     "AS_ZERO",
     "NEGLIGIBLE",
-    "SINGULAR",
     "DampedModes",
     "Modes",
     "check_damped_modes",
