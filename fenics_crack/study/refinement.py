@@ -17,6 +17,7 @@ relied on. Samples of a force with kinks err like N^-2.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -28,6 +29,7 @@ from fenics_crack.balance.contact_integrals import default_samples
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import MAX_SAMPLES, ConvergenceError
 from fenics_crack.model.contact import is_unilateral
+from fenics_crack.model.modes import solve_modes
 from fenics_crack.scene.scene import Scene
 from fenics_crack.stages import within
 from fenics_crack.study.coarser_mesh import CLAMP, TIP, finer_mesh, n_elements, size_of
@@ -87,6 +89,11 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
     """
     with within(OWN):
         study = prepare(scene, comm, whole=True)
+        if scene.reduction is not None and scene.reduction.modes is not None:
+            more = _modes(study, study)
+            if not isinstance(more, str):  # all at once: each run takes the first of them
+                with contextlib.suppress(*REFUSALS):
+                    solve_modes(study.structure, more.counts[-1] or 1)
         own = solve_prepared(study)
         if scene.harmonic_balance.tolerance is not None and own.result.converged:
             own = solve_prepared(_varied(own, _settled(own)), own.result)
