@@ -19,6 +19,7 @@ from scipy.integrate import solve_ivp
 
 import fenics_crack as fc
 from fenics_crack import floquet
+from fenics_crack.balance.orbits import orbit_next_to
 
 NEW = ROOT / "benchmarks" / "plate.toml"
 BLADE = Path(__file__).parents[2] / "demos" / "blade.toml"
@@ -228,15 +229,22 @@ def test_plate_whose_steps_all_said_stable() -> None:
 
 def test_error_and_verdict_of_a_blade() -> None:
     """16 rigid pairs, 20 modes, H = 15: the error is 3.89e-3, where 2 H harmonics say 1.5e-4; and
-    the orbit that was found for the error serves the verdict."""
+    the orbit is looked for once, for the error and for the verdict."""
     scene = fc.Scene.load(BLADE).replace({"crack.length": 0.014, "mesh.lip_elements": 8})
     whole = fc.build_structure(scene)
     blade = fc.reduce_structure(whole, modes=20, method="massless")
     law, omega = fc.UnilateralConstraint(), 2.0 * np.pi * 121.12
-    solution = fc.solve_harmonic_balance(blade, omega, law, harmonics=15)
+    searches: list[int] = []
+
+    def counted(*args: object, **options: object) -> object:
+        searches.append(1)
+        return orbit_next_to(*args, **options)  # type: ignore[arg-type]
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fenics_crack.balance.judgement.orbit_next_to", None)  # looked for already
+        patch.setattr("fenics_crack.balance.judgement.orbit_next_to", counted)
+        solution = fc.solve_harmonic_balance(blade, omega, law, harmonics=15)
         verdict = floquet(blade, replace(solution, status="known"))
+    assert len(searches) == 1
     assert solution.report.truncation == pytest.approx(3.89e-3, rel=0.01)
     assert verdict.verdict == "stable" and verdict.distance == solution.report.truncation
 
