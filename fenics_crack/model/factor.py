@@ -31,7 +31,7 @@ AT_A_TIME = 16
 PLANE = 40
 """Entries a row: matrices of a plane have 18 to 32, of solids 45 or more. With rows ordered for
 minimum fill the former are factored in 0.6 of MUMPS's own time, the latter in more, and larger."""
-PREFIX, ORDER = "crack_factor_", "mat_mumps_icntl_7"
+PREFIX, ORDER, QUIET = "crack_factor_", "mat_mumps_icntl_7", "mat_cholmod_print"
 
 
 def distributed(rows: Any, comm: MPI.Comm) -> Any:
@@ -106,24 +106,31 @@ class Factor:
         self._pc.setOperators(self._matrix)
         self._pc.setType(self._kind)
         self._pc.setFactorSolverType(solver)
-        if solver == "cholmod":
-            PETSc.Options().setValue("mat_cholmod_print", 0)  # it would warn of each pivot of zero
-        self._pc.setFactorSetUpSolverType()
-        self._factor = self._pc.getFactorMatrix()
-        self._factor.setOptionsPrefix(PREFIX)  # PETSc would set it after it has read them
-        options = PETSc.Options(PREFIX)
-        chosen = options.hasName(ORDER)
-        if self._by_mumps:
-            self._factor.setMumpsIcntl(24, 1)  # detect null pivots
-            entries = self._matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
-            if not chosen and entries < PLANE * self._matrix.size[0]:
-                options[ORDER] = 2  # minimum fill; setMumpsIcntl does not last
-        self._pc.setFromOptions()
+        options, own = PETSc.Options(), {}
+        if solver == "cholmod":  # it would warn of each pivot of zero; PETSc reads one of both
+            own = {QUIET: 0, PREFIX + QUIET: 0}
+        elif self._by_mumps and self._is_plane:
+            own = {PREFIX + ORDER: 2}  # minimum fill; setMumpsIcntl does not last
+        own = {name: value for name, value in own.items() if not options.hasName(name)}
+        for name, value in own.items():
+            options[name] = value
         try:
+            self._pc.setFactorSetUpSolverType()
+            self._factor = self._pc.getFactorMatrix()
+            self._factor.setOptionsPrefix(PREFIX)  # PETSc would set it after it has read them
+            if self._by_mumps:
+                self._factor.setMumpsIcntl(24, 1)  # detect null pivots
+            self._pc.setFromOptions()
             self._pc.setUp()
         finally:
-            if not chosen:
-                options.delValue(ORDER)
+            for name in own:
+                options.delValue(name)
+
+    @property
+    def _is_plane(self) -> bool:
+        """Whether rows have as few entries as those of a plane (collective)."""
+        entries = self._matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
+        return bool(entries < PLANE * self._matrix.size[0])
 
     @property
     def null_pivots(self) -> int:
