@@ -255,8 +255,8 @@ def judge(
     if "comes back to within" in words and wanders(case, found):
         row.judgement, row.remark = WANDERS, words
         return row
+    row.remark = words
     if not found.converged:
-        row.remark = found.status
         return row
     if estimate(found) > LARGE and verdict not in ("stable", "unstable"):
         row.judgement = TOO_LARGE
@@ -313,7 +313,7 @@ def _judgement(
     if row.true > row.asked:
         return missed(found)
     if row.verdict == "undecided":
-        return UNDECIDED, fc.floquet(found.structure, found).reason
+        return UNDECIDED, row.remark
     if row.verdict in ("-", NO_VERDICT):
         return RIGHT, ""
     if abs(row.exact - 1.0) <= SURE:

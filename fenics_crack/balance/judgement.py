@@ -260,7 +260,7 @@ class Judgement:
         the distance to the wave's own orbit; what is predicted where none is looked for; else
         :data:`UNKNOWN`, which is also the most. A search that fails contradicts the one step that
         predicts: next to grazing the orbit may be 15 times as far away."""
-        if search and (self.of_orbit or self.believes(self.distance) or self.accepted):
+        if search and (self.accepted or self.believes(self.distance)):
             return min(self.distance, UNKNOWN), min(self._away_at_load, UNKNOWN)
         if self.prediction < UNKNOWN and not (search and self.prediction < FAR):
             return self.prediction, min(self._predicted_at_load, UNKNOWN)

@@ -50,8 +50,7 @@ __all__ = [
 
 LIPS = ("open", "tied")
 SINGULAR = 1e-10
-"""Up to which |omega_j^2 - omega^2| K - omega^2 M is singular: at 0, where null pivots were missed,
-relative to the smallest K_ii / M_ii; at an undamped resonance to omega_j^2 + omega^2."""
+"""Squares of frequencies, relative to the smallest K_ii / M_ii, that are null pivots missed."""
 AS_ZERO = 1e-14
 """Relative to the largest: what counts as zero of squares of frequencies (to K_ii / M_ii), static
 responses and gaps."""
