@@ -551,12 +551,12 @@ def sweep_on(scene: fc.Scene, path: Path, comm: MPI.Comm) -> None:
 def test_ranks_and_groups_give_the_same_table(
     paper_scene: fc.Scene, tmp_path: Path, on_ranks: Callable[..., Any], mpirun: Callable[..., str]
 ) -> None:
-    """1 and 2 ranks to the bit, also where one has more to do; groups of 2, whose mesh is divided,
-    to 1e-9."""
-    over = RANKS_OVER | {"excitation.omega": {"start": 1500.0, "stop": 2600.0, "count": 5}}
+    """1 and 2 ranks to the bit, also where one has more to do; two groups of 2, whose mesh is
+    divided, to 1e-9."""
+    over = RANKS_OVER | {"excitation.omega": {"start": 1500.0, "stop": 2600.0, "count": 3}}
     alone = run_sweep(swept(paper_scene, over, GRADED), tmp_path / "alone.h5")
     assert alone.converged.all()
-    for group, ranks in ((1, 2), (2, 2), (2, 4)):
+    for group, ranks in ((1, 2), (2, 4)):
         scene = swept(paper_scene, over, GRADED, ranks=group)
         path = tmp_path / f"{ranks}_in_groups_of_{group}.h5"
         if ranks == 2:
@@ -689,15 +689,16 @@ def undisturbed(paper_scene: fc.Scene, tmp_path_factory: pytest.TempPathFactory)
     return run_sweep(swept(paper_scene, LONG_OVER), tmp_path_factory.mktemp("sweep") / "sweep.h5")
 
 
-@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.mpi)])
+@pytest.mark.mpi
 def test_killed_at_any_moment(
-    paper_scene: fc.Scene, tmp_path: Path, undisturbed: SweepResult, ranks: int
+    paper_scene: fc.Scene, tmp_path: Path, undisturbed: SweepResult
 ) -> None:
-    """kill -9 again and again: the file opens, goes on where it was, and is whole in the end."""
+    """kill -9 on one rank, then on two: the file opens, goes on where it was, and is whole in the
+    end."""
     scene, path = swept(paper_scene, LONG_OVER), tmp_path / "sweep.h5"
-    random = np.random.default_rng(ranks)
+    random = np.random.default_rng(1)
     done, kills = [0], 0
-    for _ in range(2):
+    for ranks in (1, 2):
         run = Run(scene, path, ranks)
         run.wait_for(done[-1])
         time.sleep(random.uniform(0.0, 0.3))
@@ -705,14 +706,12 @@ def test_killed_at_any_moment(
         run.kill()
         done.append(run.done())
     assert kills and done[1] > 0 and done == sorted(done)
-    last = Run(scene, path, ranks)
-    assert last.process.wait(180.0) == 0
-    assert_same(undisturbed, SweepResult.load(path))
+    assert_same(undisturbed, run_sweep(scene, path))
 
 
 def test_killed_while_the_file_is_made_and_written(paper_scene: fc.Scene, tmp_path: Path) -> None:
     """A sweep whose program does nothing but write, read meanwhile and killed."""
-    many = {"start": 1000.0, "stop": 4000.0, "count": 10_000}
+    many = {"start": 1000.0, "stop": 4000.0, "count": 2_000}
     over = {"excitation.omega": many, "harmonic_balance.harmonics": [4, 5]}
     scene, path = swept(paper_scene, over), tmp_path / "sweep.h5"
     source = tmp_path / "writer.py"
