@@ -99,6 +99,8 @@ class Hinted:
     if not TYPE_CHECKING:  # else no misspelt attribute would be found before it runs
 
         def __getattr__(self, name: str) -> Any:
+            if name.startswith("__"):  # Python asks, of each object that is copied
+                raise AttributeError(name)
             if hasattr(type(self), name):  # a property in which an attribute is missing
                 return object.__getattribute__(self, name)
             raise no_attribute(f"{type(self).__name__!r} object", name, dir(self))

@@ -2,21 +2,26 @@
 
 A library that parses a damaged file may crash, ask for all memory or not end, and a script language
 may hide in what looks like data. So what gmsh and HDF5 parse is parsed by a small program of its
-own, :func:`run_reader`, with limited memory and time; it hands over plain arrays.
+own, :func:`run_reader`, with limited memory and time; it hands over plain arrays. It loads its
+library once, and reads each file in a copy of itself.
 """
 
 from __future__ import annotations
 
 import codecs
 import hashlib
+import json
 import os
 import signal
+import socket
 import stat
 import subprocess
 import sys
 import zipfile
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
+from threading import get_ident
 from typing import TextIO
 
 import numpy as np
@@ -109,23 +114,12 @@ def lines_of(file: TextIO, most: int) -> Iterator[str]:
 def run_reader(reader: Path, path: Path, seconds: int) -> dict[str, np.ndarray] | str:
     """Let a program of its own (:mod:`fenics_crack.outside_reader`) read a file in so much
     processor time; return its arrays, or why there are none: its array ``error``."""
-    inner = {name: value for name, value in os.environ.items() if not name.startswith(FOREIGN)}
     most = allowance(bytes_of(path, None))
+    asked = {"folder": os.getcwd(), "path": str(path), "memory": MEMORY + 4 * most}
+    asked |= {"seconds": seconds, "wait": WAITING * seconds, "most": most}
     with os.fdopen(os.memfd_create("numbers"), "w+b") as handed:  # a disk may be full
-        words = [str(path), *map(str, (handed.fileno(), MEMORY + 4 * most, seconds, most))]
-        try:
-            ended = subprocess.run(
-                [sys.executable, "-I", str(PROGRAM), str(reader), *words],
-                env=inner | SURROUNDINGS,
-                pass_fds=[handed.fileno()],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                timeout=WAITING * seconds,
-            ).returncode
-        except subprocess.TimeoutExpired:
-            ended = -signal.SIGXCPU
-        if ended == -signal.SIGXCPU:
+        ended = _asked(reader, json.dumps(asked).encode(), handed.fileno())
+        if ended in (-signal.SIGXCPU, -signal.SIGALRM):
             return f"it is not read in {seconds} s"
         if ended:
             return "it crashes its reader"
@@ -136,3 +130,37 @@ def run_reader(reader: Path, path: Path, seconds: int) -> dict[str, np.ndarray] 
         except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
             return "its reader has handed over nothing"
     return str(found["error"]) if "error" in found else found
+
+
+def _asked(reader: Path, words: bytes, handed: int) -> int:
+    """How a copy of a reader has ended; the reader waits for the next file."""
+    for _ in range(2):  # the one that waits may have been killed meanwhile
+        line, answer = _started(reader, os.getpid(), get_ident())[1], b""
+        try:
+            socket.send_fds(line, [words], [handed])
+            answer = line.recv(64)
+        except OSError:
+            continue
+        finally:
+            if not answer:  # of one that is interrupted no answer is taken for the next file's
+                _started.cache_clear()
+        if answer:
+            return int(answer)
+    return 1
+
+
+@lru_cache
+def _started(
+    reader: Path, process: int, thread: int
+) -> tuple[subprocess.Popen[bytes], socket.socket]:
+    """A reader, one for each process and thread that asks, and the line to it; it ends when this is
+    closed."""
+    inner = {name: value for name, value in os.environ.items() if not name.startswith(FOREIGN)}
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with theirs:
+        started = subprocess.Popen(
+            [sys.executable, "-I", str(PROGRAM), str(reader), str(theirs.fileno())],
+            env=inner | SURROUNDINGS, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+    return started, ours

@@ -6,6 +6,7 @@ import dataclasses
 import os
 import random
 import shutil
+import signal
 import time
 import zlib
 from collections.abc import Callable
@@ -328,6 +329,23 @@ def test_readers_know_no_rank_and_end(home: Path, monkeypatch: pytest.MonkeyPatc
     assert run_reader(program, program, 20) == "its reader has handed over nothing"
     program.write_text(f"{start}os.abort()")
     assert run_reader(program, program, 20) == "it crashes its reader"
+
+
+def test_one_reader_reads_every_file(home: Path) -> None:
+    """Each in a copy of it; where it has been killed, another one does."""
+    program = home / "reader.py"
+    text = "import os, numpy as np\ndef read(path, most):\n    "
+    program.write_text(f"{text}return {{'ids': np.array([os.getppid(), os.getpid()])}}")
+
+    def ids() -> list[int]:
+        found = run_reader(program, program, 20)
+        assert isinstance(found, dict)
+        return [int(one) for one in found["ids"]]
+
+    first, second = ids(), ids()
+    assert first[0] == second[0] and first[1] != second[1]
+    os.kill(first[0], signal.SIGKILL)
+    assert ids()[0] != first[0]
 
 
 # --- sweeps ---------------------------------------------------------------------------------------
