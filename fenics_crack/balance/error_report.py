@@ -264,20 +264,22 @@ def _improvement(
     *,
     solved: int = 0,
 ) -> _Change:
-    """What better equations change: two steps of Newton's method with the first Jacobian, where the
-    second is much shorter, or rounding, the first ``solved`` rows of the residual staying as they
-    are; else all steps to the solution, shortened where the residual would grow. Where these do not
-    arrive, the change is not known.
+    """What better equations change. Where those of the first ``solved`` rows are solved: two steps
+    of Newton's method with the first Jacobian, where the second is much shorter, or rounding, and
+    these rows of the residual stay as they are. Else, and from the same start, all steps to the
+    solution, shortened where the residual would grow. Where these do not arrive, the change is not
+    known.
     """
     first = system.linearise(start)
     known = first.residual.copy()
     known[solved:] = 0.0
-    step = first.solve(known - first.residual)
-    again = first.solve(known - system.linearise(start + step).residual)
-    settled = CALM * np.linalg.norm(step)
-    if np.linalg.norm(again) < max(settled, CLOSE * np.linalg.norm(start)):
-        step = step + again
-        return _Change(first.gap_of(step), first.force_of(step)[:rows], better)
+    if solved:
+        step = first.solve(known - first.residual)
+        again = first.solve(known - system.linearise(start + step).residual)
+        settled = CALM * np.linalg.norm(step)
+        if np.linalg.norm(again) < max(settled, CLOSE * np.linalg.norm(start)):
+            step = step + again
+            return _Change(first.gap_of(step), first.force_of(step)[:rows], better)
     size = max(float(np.linalg.norm(start)), 1e-300)
     sharp = NEARLY_SOLVED * float(np.linalg.norm(known - first.residual)) / size
     found = solve_near(system, start, 1.0, tolerance=sharp)
