@@ -15,7 +15,6 @@ from textwrap import fill
 from typing import Any
 
 import numpy as np
-import pyvista
 from matplotlib import colormaps
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
@@ -24,12 +23,12 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
-from vtkmodules.vtkInteractionWidgets import vtkSliderRepresentation2D, vtkSliderWidget
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.draw.figure import COLOURS, label_axis
 from fenics_crack.draw.paraview import PeriodFields, in_space
 from fenics_crack.draw.solid import lines, look_from_corner, off_screen_plotter, outline, surface
+from fenics_crack.draw.vtk import pyvista
 from fenics_crack.errors import InputError
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.tables import Material
@@ -188,7 +187,8 @@ class _Plate:
         if len(fields.areas):
             round_ = {"style": "points", "point_size": 16, "render_points_as_spheres": True}
             add(self.dots, color=INK["contact"], **round_)
-        self.arrow = pyvista.Arrow(**ARROW)
+        self.arrow = pyvista.Arrow(**ARROW)  # along x, of length 1
+        self.unit_arrow = self.arrow.points.copy()
         self.room = np.zeros(3) if solid else np.array([0.0, 0.0, 2.0 * self.height])
         self.starts, self.arrows = _load_arrows(fields)
         if np.any(fields.load):
@@ -215,9 +215,9 @@ class _Plate:
         closed = np.flatnonzero(fields.force[frame] > 0.0)
         self.dots.verts = np.column_stack([np.ones_like(closed), closed]).ravel()
         start, arrow = (in_space(part[frame][None])[0] for part in (self.starts, self.arrows))
-        size = float(np.linalg.norm(arrow))
-        place, along = start + self.room, arrow if size > 0.0 else np.eye(3)[0]
-        self.arrow.points = pyvista.Arrow(start=place, direction=along, scale=size, **ARROW).points
+        _, size, axes = np.linalg.svd(arrow[None])
+        axes[0] *= np.sign(axes[0] @ arrow)
+        self.arrow.points = start + self.room + size * (self.unit_arrow @ axes)
 
 
 def _load_arrows(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
@@ -240,6 +240,8 @@ def _with_slider(plotter: Any, solution: PeriodicSolution, fields: PeriodFields)
     VTK must format no number here: newer versions parse the format by a regular expression, which
     crashes if DOLFINx was loaded first, because each brings its own part of libstdc++.
     """
+    from vtkmodules.vtkInteractionWidgets import vtkSliderRepresentation2D, vtkSliderWidget
+
     plate = _Plate(plotter, fields)
     figure = Figure(facecolor="white")
     _draw_bar(figure, (0.1, 0.05, 0.2, 0.87), plate.colours)

@@ -135,7 +135,8 @@ class Picture:
         if self._title is not None and len(self.panels) > 1:
             self.figure.suptitle(self._title, fontsize="large")
         elif self._title is not None:
-            self.panels[0].set_title(self._title)
+            above = self.panels[0].child_axes  # the title makes way for one of them on the top
+            self.panels[0].set_title(self._title, y=None if above else 1.0)
         if self._path is not None:
             file, picture = Path(self._path), BytesIO()
             begin(file.name)

@@ -13,11 +13,11 @@ from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-import pyvista
 from scipy.sparse import csr_matrix
 from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
 from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.draw.vtk import pyvista
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.modes import Modes

@@ -6,12 +6,12 @@ import os
 from typing import Any
 
 import numpy as np
-import pyvista
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Patch
 
 from fenics_crack.draw.figure import COLOURS
+from fenics_crack.draw.vtk import pyvista
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.nodes import AXES
 from fenics_crack.table import readable

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import pyvista
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.draw.paraview import in_space, moved_grid, nodal_stress
+from fenics_crack.draw.vtk import pyvista
 from fenics_crack.errors import InputError
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.matrices import numbers
