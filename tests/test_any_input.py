@@ -92,7 +92,7 @@ def loads_or_refuses(text: str) -> None:
     assert Scene.from_text(scene.as_toml()) == scene
 
 
-@examples(2000)
+@examples(500)
 @given(SEEDS)
 def test_changed_scene_text(seed: int) -> None:
     """Mutated scene files load, and survive being written, or are refused."""
@@ -257,7 +257,7 @@ def check_run(run: Run) -> None:
         assert np.isfinite(found.report.total)
 
 
-@examples(100)
+@examples(40)
 @given(SEEDS)
 def test_wild_scenes(seed: int) -> None:
     """A scene of any numbers is refused, solved, or not solved and said so."""
@@ -337,7 +337,7 @@ def test_changed_mesh_files(tmp_path: Path) -> None:
     fc.write_msh(Scene.from_mapping(TINY), tmp_path / "good.msh")
     program = (
         "from pathlib import Path\nfrom test_any_input import solve_changed_meshes\n"
-        f"solve_changed_meshes(Path({str(tmp_path)!r}), 0, 15)\n"
+        f"solve_changed_meshes(Path({str(tmp_path)!r}), 0, 6)\n"
     )
     folders = (str(ROOT / name) for name in ("tests", "benchmarks", ""))
     search = os.pathsep.join([*folders, os.environ.get("PYTHONPATH", "")])
@@ -347,7 +347,7 @@ def test_changed_mesh_files(tmp_path: Path) -> None:
     )  # fmt: skip
     seeds = done.stdout.split()
     assert done.returncode == 0, f"seed {seeds[-1:]}\n{done.stderr[-3000:]}"
-    assert len(seeds) == 15
+    assert len(seeds) == 6
 
 
 def test_a_surface_in_two_groups(tmp_path: Path) -> None:
@@ -406,7 +406,7 @@ def market_files(folder: Path, changes: dict[str, bytes]) -> dict[str, Any]:
     return arguments
 
 
-@examples(500)
+@examples(150)
 @given(SEEDS)
 def test_changed_matrix_files(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
     """Mutated Matrix Market files make a structure that is solved, or are refused."""
@@ -471,7 +471,7 @@ OPTIONS = (
 )  # fmt: skip
 
 
-@examples(600)
+@examples(200)
 @given(SEEDS)
 @example(1642)
 def test_odd_arguments(seed: int) -> None:
@@ -530,7 +530,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@examples(70)
+@examples(25)
 @given(SEEDS)
 def test_wild_scenes_through_the_program(folder: Path, seed: int) -> None:
     """The same scenes as files."""
@@ -546,7 +546,7 @@ def test_wild_scenes_through_the_program(folder: Path, seed: int) -> None:
     )
 
 
-@examples(140)
+@examples(50)
 @given(SEEDS)
 def test_command_lines(folder: Path, seed: int) -> None:
     """Any arguments in any order."""
@@ -574,3 +574,39 @@ def test_command_lines(folder: Path, seed: int) -> None:
 def test_plot_of_no_result(folder: Path, name: str) -> None:
     """What is no whole result file of this program is refused."""
     assert check_call(["plot", str(folder / name), "--output", str(folder / "pictures")]) == 2
+
+
+# --- more of each ---------------------------------------------------------------------------------
+
+ALONE = {test_changed_scene_text: 2000, test_wild_scenes: 100, test_odd_arguments: 600}
+IN_A_FOLDER = {test_wild_scenes_through_the_program: 70, test_command_lines: 140}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("test", ALONE)
+def test_many_seeds(test: Any) -> None:
+    """Of what is tried above with some."""
+    for seed in range(ALONE[test]):
+        test.hypothesis.inner_test(seed)
+
+
+@pytest.mark.slow
+def test_many_matrix_files(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """With 500 seeds."""
+    for seed in range(500):
+        test_changed_matrix_files.hypothesis.inner_test(tmp_path_factory, seed)  # type: ignore[attr-defined]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("test", IN_A_FOLDER)
+def test_many_seeds_in_a_folder(test: Any, folder: Path) -> None:
+    """Through the program."""
+    for seed in range(IN_A_FOLDER[test]):
+        test.hypothesis.inner_test(folder, seed)
+
+
+@pytest.mark.slow
+def test_many_mesh_files(tmp_path: Path) -> None:
+    """In this process."""
+    fc.write_msh(Scene.from_mapping(TINY), tmp_path / "good.msh")
+    solve_changed_meshes(tmp_path, 6, 30)
