@@ -89,6 +89,7 @@ def test_motion_that_leaves_its_orbit_is_not_called_stable() -> None:
     assert min(verdicts.values()) > 0
 
 
+@pytest.mark.slow
 def test_ends_are_judged_as_single_solutions() -> None:
     """One mass, k R = 122, which was called stable next to an end where an orbit beside it has a
     multiplier of 8: no verdict contradicts floquet, nor the exact flow."""

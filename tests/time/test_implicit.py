@@ -192,7 +192,7 @@ def test_energy_balance_closes_to_second_order(
     """Energy of masses, springs and contact less work and losses, from the motion alone."""
     structure, law, omega = chain(damping), fc.UnilateralPenalty(4.0), 0.8
     mass, dashpots, stiffness = dense_matrices(structure)
-    counts, errors = (128, 256, 512, 1024, 2048), []
+    counts, errors = (128, 256, 512, 1024), []
     for steps in counts:
         history = scheme(structure, omega, law, periods=2, steps_per_period=steps)
         u, time, step = history.displacement(range(structure.n_dofs)), history.time, history.time[1]
@@ -204,7 +204,7 @@ def test_energy_balance_closes_to_second_order(
         work = np.concatenate([[0.0], np.cumsum(0.5 * step * (power[1:] + power[:-1]))])
         errors.append(np.abs(energy - energy[0] - work).max() / energy.max())
     assert log_slope(counts, errors) == pytest.approx(-2.0, abs=0.1)
-    assert errors[-1] < 1e-5
+    assert errors[-1] < 4e-5  # 1e-5 with twice the steps, by the slope
 
 
 # --- without penetration --------------------------------------------------------------------------
@@ -288,7 +288,7 @@ def test_limit_of_stiff_penalty_in_lasting_contact(scheme: Callable[..., fc.Time
         np.eye(2), stiffness, [1.0, 0.0], force_mean=[3.0, 0.0], force_sin=[0.0, 0.5],
         damping=0.2 * stiffness,
     )  # fmt: skip
-    steps, stiffnesses = 1000, (1e2, 3e2, 1e3)
+    steps, stiffnesses = 500, (1e2, 3e2, 1e3)
     rigid = scheme(structure, 0.6, RIGID, periods=4, steps_per_period=steps)
     assert np.abs(rigid.gap).max() < 1e-12
     errors, forces = [], []
