@@ -19,9 +19,8 @@ import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import h5py
 import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -34,6 +33,9 @@ from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene, files_of, with_files
 from fenics_crack.version import VERSION
 from fenics_crack.whole import write_whole
+
+if TYPE_CHECKING:
+    import h5py
 
 __all__ = [
     "Column",
@@ -84,6 +86,8 @@ def write(
     """
 
     def work() -> None:
+        import h5py  # what only reads has its reader
+
         # In memory: HDF5 itself cannot be trusted with a disk that may be full.
         with h5py.File(path, "w", driver="core", backing_store=False, block_size=2**20) as file:
             write_header(file, kind, scene)

@@ -28,7 +28,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import h5py
 import numpy as np
 
 from fenics_crack.errors import FEW_MODES, InputError, WriteError
@@ -270,6 +269,8 @@ def _image(
     image: BinaryIO, path: Path, scene: Scene, sizes: Mapping[str, tuple[str, str, tuple[int, ...]]]
 ) -> store.Stored:
     """Write a new file with datasets of some units, types and shapes; its header."""
+    import h5py  # what only reads has its reader
+
     with h5py.File(image, "w", libver="earliest") as file:
         store.write_header(file, KIND, scene)
         for name, (unit, kind, size) in sizes.items():
