@@ -27,7 +27,7 @@ import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
 
 import fenics_crack as fc
-from fenics_crack.balance.family import FrequencyFamily
+from fenics_crack.curves.family import FrequencyFamily
 from fenics_crack.draw.figure import COLOURS
 from fenics_crack.numerics.bordered import solve_at
 from fenics_crack.numerics.newton import Newton

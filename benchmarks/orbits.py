@@ -23,9 +23,9 @@ import common
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.balance.orbits import orbit_next_to, predicted, wave_states
 from fenics_crack.motion.flow import ContactFlow, flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit
+from fenics_crack.motion.shooting import orbit_next_to, predicted, wave_states
 from fenics_crack.numerics.fourier import evaluate
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "motion"))

@@ -350,7 +350,7 @@ def test_orbit_by_the_homotopy(number: int) -> None:
     judged = found.judged
     assert judged.flow is not None and judged.orbit is not None and judged.accepted
     with pytest.MonkeyPatch.context() as prevented:
-        prevented.setattr("fenics_crack.balance.orbits._by_homotopy", lambda *_: None)
+        prevented.setattr("fenics_crack.motion.shooting._by_homotopy", lambda *_: None)
         assert replace(found, status="known", judged=None).judged.near is None
     flow, orbit = case.flow(case.structure), judged.orbit
     shape, rate = np.split(orbit.state, 2)

@@ -16,9 +16,13 @@ from hypothesis import strategies as st
 from intervals import contact_intervals
 
 from fenics_crack import UnilateralPenalty
-from fenics_crack.balance.contact_integrals import ExactIntegrals, respond, respond_to_columns
+from fenics_crack.balance.contact_integrals import (
+    CoupledIntegrals,
+    ExactIntegrals,
+    respond,
+    respond_to_columns,
+)
 from fenics_crack.balance.contact_system import CompiledEquations
-from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.kernel import doubles, ints, shaped, signs
 from fenics_crack.model.coupled import ActiveSets, solve_complementarity
 

@@ -54,7 +54,7 @@ __all__ = [
 ]  # fmt: skip
 
 DEFLATION_BAND = 1e-2
-"""A mode is deflated where |1 - (omega/omega_j)^2| is below this."""
+"""A mode is dealt with by itself where |1 - (omega/omega_j)^2| is below this."""
 
 
 class DynamicStiffness:

@@ -8,8 +8,8 @@ derivative. The gap is g = s - R_inf lambda(s). The same equation as the full bl
 multiplied by B^T A^-1: both have the same solutions. How the forces follow from s is a strategy:
 
 pair by pair   R_inf = 0, s = g: the penalty law of pairs by themselves (:mod:`contact_integrals`);
-coupled        R_inf couples the pairs (:mod:`coupled_integrals`). R_k - R_inf falls like k^-2: s is
-               smooth, and only s is truncated; g keeps its kinks. The slope of lambda(s) is bounded
+coupled        R_inf couples the pairs. R_k - R_inf falls like k^-2: s is smooth, and only s is
+               truncated; g keeps its kinks. The slope of lambda(s) is bounded
                by the inverse of R_inf, however stiff the contact: the penalty law and the
                constraint are one law, with a stiffness or without;
 projected      without penetration at all, of pairs with mass: R_inf = I / eps in frequency, s = g +

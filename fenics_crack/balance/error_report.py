@@ -33,21 +33,23 @@ import numpy as np
 from fenics_crack.balance.compliance import Compliance
 from fenics_crack.balance.contact_integrals import respond
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
-from fenics_crack.balance.judgement import CLOSE, STILL, UNKNOWN, Judgement, more_modes
-from fenics_crack.balance.problem import NEARLY_SOLVED, Problem
+from fenics_crack.balance.judgement import UNKNOWN, Judgement, more_modes
+from fenics_crack.balance.problem import Problem
 from fenics_crack.model.contact import UnilateralPenalty, is_rigid
-from fenics_crack.model.coupled import is_regular
-from fenics_crack.model.modal import all_modes
+from fenics_crack.model.coupled import REGULAR, is_regular
+from fenics_crack.model.modal import SMALL, all_modes
+from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
+from fenics_crack.motion.orbit import KNOWN
 from fenics_crack.numerics.bordered import solve_near
+from fenics_crack.numerics.equations import NEARLY_SOLVED
 from fenics_crack.numerics.fourier import resized, sampled
 from fenics_crack.table import Described
 
 __all__ = [
-    "CALM",
     "LARGE_ERROR",
-    "MANY",
+    "SLIGHT",
     "UNKNOWN",
     "ErrorReport",
     "beyond_truncation",
@@ -60,14 +62,9 @@ __all__ = [
 LARGE_ERROR = 0.05
 """Estimated error beyond which a solution is not shown without a warning."""
 
-CALM = 0.05
-"""Of the second step of Newton's method relative to the first, below which there is no third."""
-STANDS_FOR_RIGID = 1e3
-"""Stiffness of a penalty that stands for a constraint where the reference has mass at its lips,
-relative to the inverse of R_inf."""
-MANY = 600
-"""Unknowns with which the truncation is judged at most, unless twice the harmonics have more, and
-of equations that are tried next to an orbit: more would take a second each time."""
+SLIGHT = 0.05
+"""Part of an error or of a tolerance that does not count: how well an error is estimated, and what
+of a tolerance is left to it where fewer harmonics may do."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -94,11 +91,11 @@ class ErrorReport(Described):
         truncation and reduction. Usually much smaller than those of the gap.
     """
 
-    residual: float
-    truncation: float
-    sampling: float
-    reduction: float
-    penetration: float
+    residual: float = 0.0
+    truncation: float = 0.0
+    sampling: float = 0.0
+    reduction: float = 0.0
+    penetration: float = 0.0
     displacement: float = 0.0
 
     @property
@@ -232,7 +229,7 @@ def relative_size(change: np.ndarray, at: ContactPoint, clearance: np.ndarray) -
     closing[0] += clearance
     free[0] += clearance
     size = mean_square(closing)
-    still = size <= STILL**2 * mean_square(free)  # lips that the load presses together
+    still = size <= NEGLIGIBLE**2 * mean_square(free)  # lips that the load presses together
     return 0.0 if still else float(np.sqrt(mean_square(change) / size))
 
 
@@ -250,10 +247,10 @@ def beyond_truncation(at: ContactPoint) -> _Change:
 
 
 def _more_harmonics(at: ContactPoint) -> int:
-    """With how many harmonics the truncation is judged: four times as many, of many unknowns as
-    many as these allow, at least twice."""
+    """With how many harmonics the truncation is judged: four times as many, or as many as leave the
+    equations small, but at least twice."""
     kept, pairs = at.system.integrals.harmonics, at.unknown.shape[1]
-    return max(2 * kept, kept + 4, min(4 * kept, (MANY // pairs - 1) // 2))
+    return max(2 * kept, kept + 4, min(4 * kept, (SMALL // pairs - 1) // 2))
 
 
 def _improvement(
@@ -276,8 +273,8 @@ def _improvement(
     if solved:
         step = first.solve(known - first.residual)
         again = first.solve(known - system.linearise(start + step).residual)
-        settled = CALM * np.linalg.norm(step)
-        if np.linalg.norm(again) < max(settled, CLOSE * np.linalg.norm(start)):
+        settled = SLIGHT * np.linalg.norm(step)
+        if np.linalg.norm(again) < max(settled, KNOWN * np.linalg.norm(start)):
             step = step + again
             return _Change(first.gap_of(step), first.force_of(step)[:rows], better)
     size = max(float(np.linalg.norm(start)), 1e-300)
@@ -302,7 +299,7 @@ def _lost_in_reduction(at: ContactPoint, problem: Problem) -> _Change:
             all_modes(reference).static_part(problem.cutoff)
         ):
             assert residual is not None
-            nearly = STANDS_FOR_RIGID * len(residual) / np.trace(residual)
+            nearly = len(residual) / (REGULAR * np.trace(residual))  # a constraint to rounding
             other = replace(other, contact=UnilateralPenalty(float(nearly)))
         compliance = other.compliance()
         system = other.system(compliance)

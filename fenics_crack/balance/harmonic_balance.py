@@ -15,7 +15,7 @@ import numpy as np
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Solver
-from fenics_crack.balance.to_tolerance import FEWEST, solve_to_tolerance
+from fenics_crack.balance.to_tolerance import solve_to_tolerance
 from fenics_crack.errors import ConvergenceError, InputError, check_count, check_number, check_omega
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.memory import check_memory
@@ -138,7 +138,7 @@ def solve_harmonic_balance(
     initial: PeriodicSolution | None = None,
     subharmonic: int = 1,
     tolerance: float | None = None,
-    residual_tolerance: float = 1e-10,
+    residual_tolerance: float = Solver.residual_tolerance,
     throw: bool = True,
 ) -> PeriodicSolution:
     """Steady periodic vibration with contact between the lips (collective).
@@ -202,7 +202,7 @@ def solve_harmonic_balance(
             raise InputError("samples", samples, "left out where a tolerance is given")
     if harmonics is None:
         check_count("subharmonic", subharmonic, 1)
-        harmonics = max(5, subharmonic) if tolerance is None else max(FEWEST, 2 * subharmonic)
+        harmonics = max(5, subharmonic)
     problem = Problem(structure, omega, contact, harmonics, samples, subharmonic)
     if samples is not None:
         check_count("samples", samples, 4 * harmonics + 1)

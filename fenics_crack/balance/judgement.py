@@ -30,35 +30,27 @@ from functools import cached_property
 
 import numpy as np
 
-from fenics_crack.balance.coupled_integrals import CoupledIntegrals
-from fenics_crack.balance.orbits import PARTS, Patience, orbit_next_to, predicted, wave_states
+from fenics_crack.balance.contact_integrals import CoupledIntegrals
 from fenics_crack.balance.problem import Problem, Wave
 from fenics_crack.errors import MOST_HARMONICS
 from fenics_crack.model.modal import is_small
-from fenics_crack.model.modes import times
+from fenics_crack.model.modes import NEGLIGIBLE, times
 from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.motion.flow import ContactFlow, Samples, flow_of
-from fenics_crack.motion.orbit import FLOWS, INSTANTS, PeriodicOrbit, Prediction, affordable
+from fenics_crack.motion.orbit import FLOWS, INSTANTS, KNOWN, PeriodicOrbit, Prediction, affordable
+from fenics_crack.motion.shooting import PARTS, Patience, orbit_next_to, predicted, wave_states
 from fenics_crack.numerics.fourier import waves
 
 __all__ = [
-    "BELIEVED", "CLOSE", "FARTHEST", "STILL", "UNKNOWN", "Judgement", "MoreModes", "more_modes",
-    "relative",
+    "BELIEVED", "FARTHEST", "UNKNOWN", "Judgement", "MoreModes", "more_modes", "relative",
 ]  # fmt: skip
 
 BELIEVED, FARTHEST, FAR = 3.0, 0.1, 0.3
-"""Times the error predicted, beyond which an orbit is another one; the distance and the prediction
-beyond which more harmonics have to confirm it; and the prediction from which on it is no wonder if
-none is found."""
+"""Times what the linearised motion predicts, beyond which a motion is another one; the distance and
+the prediction beyond which it is not taken for the same without more; and the prediction from which
+on it is no wonder if no orbit is found."""
 UNKNOWN = 1.0
 """An error that is not known."""
-CLOSE = 1e-7
-"""Distance that may come from how closely waves and orbits are solved for."""
-STILL = 1e-11
-"""Motion of lips that is rounding, relative to the motion of the modes there."""
-NODES = PARTS // 2
-"""Of the period, whose starts' states are corrected together: of an exact orbit fewer do than of a
-wave, and their derivatives with twice the modes take long."""
 
 
 class Judgement:
@@ -186,7 +178,7 @@ class Judgement:
             static_above=wave.static_above,
         )  # fmt: skip
         known = self.near.coefficients(wave.harmonics)
-        return problem.leads_to(wave, known.gap, known.force)
+        return problem.left(wave, known.gap, known.force) <= FARTHEST
 
     @cached_property
     def states(self) -> np.ndarray:
@@ -229,7 +221,7 @@ class Judgement:
 
     def believes(self, distance: float) -> bool:
         """Whether an orbit so far away may be the wave's own."""
-        return distance <= max(BELIEVED * self.prediction, CLOSE)
+        return distance <= max(BELIEVED * self.prediction, KNOWN)
 
     def admits(self, distance: float, orbit: PeriodicOrbit | None) -> bool:
         """Whether an orbit so far away is the wave's own: a near one, or, at the wave's frequency,
@@ -293,8 +285,7 @@ class Judgement:
         if self.orbit is None and self.prediction < FAR:
             return "no exact orbit was found next to it; with more harmonics one may be"
         if self.orbit is None:
-            size = f"{self.prediction:.0%}" if self.prediction < UNKNOWN else "more than its size"
-            return f"the harmonics left out change it by {size}; take more"
+            return f"the harmonics left out change it by {self.prediction:.0%}; take more"
         if self.believes(self.distance):
             return (
                 f"the exact orbit next to it, {100.0 * self.distance:.2g}% away, may be another "
@@ -311,14 +302,14 @@ def _alike(one: PeriodicOrbit | None, other: PeriodicOrbit | None) -> bool:
     if one is None or other is None:
         return False
     weights = one.flow.weights(one.omega / one.subharmonic)
-    return relative(weights * (one.state - other.state), weights * one.state) <= CLOSE
+    return relative(weights * (one.state - other.state), weights * one.state) <= KNOWN
 
 
 def _still(samples: Samples) -> bool:
     """Whether lips move by rounding only."""
     slow = samples.states[:, : samples.flow.size // 2] @ samples.flow.modes.pairs
     moved = samples.gap + samples.flow.structure.clearance
-    return bool(np.linalg.norm(moved) <= STILL * np.linalg.norm(slow))
+    return bool(np.linalg.norm(moved) <= NEGLIGIBLE * np.linalg.norm(slow))
 
 
 def relative(change: np.ndarray, whole: np.ndarray) -> float:
@@ -360,12 +351,12 @@ class MoreModes:
         """At equal parts of the period: of the orbit, where it is known, else of the wave behind
         its own step; None where that is not known."""
         judged, wave = self._judged, self._judged.wave
-        orbit, every = judged.orbit, slice(None, None, INSTANTS // NODES)
+        orbit, every = judged.orbit, slice(None, None, INSTANTS // PARTS)
         time = wave.period / INSTANTS * np.arange(INSTANTS)
         if orbit is not None and judged.accepted:
             few, force = orbit.sampled.states[every], orbit.sampled.force
         elif judged.predicted is not None:
-            few = judged.predicted.states[:: PARTS // NODES]
+            few = judged.predicted.states
             force = wave.contact_force(time)
         else:
             return None
@@ -408,7 +399,7 @@ class MoreModes:
 
     @property
     def _time(self) -> np.ndarray:
-        return self._judged.wave.period / NODES * np.arange(NODES)
+        return self._judged.wave.period / PARTS * np.arange(PARTS)
 
     @cached_property
     def predicted(self) -> Prediction | None:

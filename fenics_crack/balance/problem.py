@@ -11,11 +11,11 @@ import numpy as np
 from fenics_crack.balance.compliance import Compliance, dynamic_compliance, load_coefficients
 from fenics_crack.balance.contact_integrals import (
     ContactIntegrals,
+    CoupledIntegrals,
     ExactIntegrals,
     contact_integrals,
 )
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, default_weight
-from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.errors import (
     MAX_SAMPLES,
     ConvergenceError,
@@ -29,24 +29,19 @@ from fenics_crack.model.coupled import is_regular
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.bordered import PathPoint, point_on_path, solve_at, solve_near
+from fenics_crack.numerics.equations import NEARLY_SOLVED
 from fenics_crack.numerics.fourier import evaluate
-from fenics_crack.numerics.path import Path, PathOptions, Target
+from fenics_crack.numerics.path import NARROW, Path, Target
 
-__all__ = ["NARROW", "NEARLY_SOLVED", "Problem", "Wave"]
+__all__ = ["Problem", "Wave"]
 
 BEYOND = 2.0
 """Modes above so many times the highest harmonic answer at once."""
-NEARLY_SOLVED = 1e-5
-"""|F| / |x| of a solution with which another one begins, or by which it is judged."""
-NARROW = PathOptions(0.1, 0.3, min_cosine=0.5)
-"""For paths whose parameter runs from 0 to 1."""
 ON_PATH = 15_000
 """Unknowns of all points together of a path to more harmonics: 0.1 s where these are few."""
 MOST_FORMED = 1000
 """Unknowns up to which J is formed for such a motion: with 1,500 each point of a path takes
 seconds, and ten lead nowhere."""
-LEFT = 0.1
-"""Part of the way from a motion to a wave that steps may leave which lead there."""
 STIFF = 100.0
 """k R_inf from which a penalty on lips with mass is seen through R_inf."""
 
@@ -285,18 +280,19 @@ class Problem:
         except (ConvergenceError, np.linalg.LinAlgError):
             return None
 
-    def leads_to(self, wave: Wave, gap: np.ndarray, force: np.ndarray) -> bool:
-        """Whether Newton's method leads to a wave from a motion of some coefficients, and not to
-        another one as far away as that motion was."""
+    def left(self, wave: Wave, gap: np.ndarray, force: np.ndarray) -> float:
+        """What Newton's method from a motion of some coefficients leaves of the way to a wave;
+        infinite where it does not arrive."""
         try:
             system = self.system(self.compliance())
             start = system.slow(gap, force)
             found = _nearly_solved(system, start)
         except (ConvergenceError, np.linalg.LinAlgError):
-            return False
+            return np.inf
         end = system.slow(wave.gap_coefficients, wave.force_coefficients)
-        away = np.linalg.norm(start - end)
-        return found is not None and bool(np.linalg.norm(found.unknown - end) <= LEFT * away)
+        if found is None:
+            return np.inf
+        return float(np.linalg.norm(found.unknown - end) / np.linalg.norm(start - end))
 
     def integrals(self) -> ContactIntegrals:
         """How the contact force is integrated; that of a projection by its weight."""
@@ -337,5 +333,5 @@ def _end_of_path(system: ContactSystem, start: np.ndarray) -> PathPoint | None:
     most = ON_PATH // system.global_size
     missed = system.linearise(start).residual
     along = system.compile(system.linear + missed, system.moving, linear_rate=-missed)
-    options = replace(NARROW, max_steps=most, at_once=most, rtol=NEARLY_SOLVED, span=(0.0, 2.0))
+    options = replace(NARROW, max_steps=most, at_once=most, rtol=NEARLY_SOLVED)
     return Path(along, point_on_path(along, start, 0.0), options, [Target(1.0)]).run()

@@ -34,25 +34,25 @@ import numpy as np
 
 from fenics_crack.balance.compliance import Compliance, ResizedCompliance
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
-from fenics_crack.balance.orbits import orbit_next_to, wave_states
-from fenics_crack.balance.problem import NARROW, NEARLY_SOLVED, Problem
+from fenics_crack.balance.problem import Problem
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.kernel import kernel
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit, affordable
+from fenics_crack.motion.shooting import orbit_next_to, wave_states
 from fenics_crack.numerics.bordered import FULL_STEPS, PATIENCE, point_on_path, solve_at, solve_near
 from fenics_crack.numerics.equations import (
     EPSILON,
-    MAX_ROUNDING,
+    NEARLY_SOLVED,
     ROUNDING,
     Linearisation,
     least_residual,
 )
 from fenics_crack.numerics.fourier import balanced
 from fenics_crack.numerics.newton import Newton, kernel_solves
-from fenics_crack.numerics.path import Ended, Path, Target
+from fenics_crack.numerics.path import NARROW, Ended, Path, Target
 from fenics_crack.stages import begin
 
 __all__ = ["Search", "halved", "rounding_left"]
@@ -78,8 +78,8 @@ class Search:
     """What the system balances; None: other equations, which have no motions as guesses."""
     tolerance: float
     """|F| / |x| at which a solution is accepted; raised to what rounding allows."""
-    share: float = 1.0
-    """Of the iterations that may be taken."""
+    share: float
+    """Of the iterations that may be taken: 1.0 all of them."""
     converged: bool = False
     """Whether the last attempt met the tolerance."""
     iterations: int = 0
@@ -275,9 +275,7 @@ class Search:
         begun = self._steps(system, system.linear, at=0.0)
         if begun is None:
             return
-        options = replace(
-            NARROW, rounding=self._rounding, max_steps=int(self._most), span=(0.0, 2.0)
-        )
+        options = replace(NARROW, rounding=self._rounding, max_steps=int(self._most))
         path = Path(system, point_on_path(system, begun.unknown, 0.0), options, [Target(1.0)])
         for point in path.points():
             self.iterations += point.iterations
@@ -314,7 +312,7 @@ def rounding_left(compliance: Compliance, law: ContactLaw) -> float:
     Raises InputError where that is nothing of the contact force.
     """
     stiffest, seen = float(np.max(law.stiffness)), np.abs(compliance.matrices).sum(axis=2)
-    most = MAX_ROUNDING / (EPSILON * float(seen[0].max(initial=1e-300)))
+    most = NEARLY_SOLVED / (EPSILON * float(seen[0].max(initial=1e-300)))
     if not stiffest < most:
         raise InputError(
             "contact stiffness",

@@ -12,7 +12,7 @@ import numpy as np
 
 from fenics_crack.balance.compliance import Compliance
 from fenics_crack.balance.contact_system import ContactPoint
-from fenics_crack.balance.error_report import ErrorReport, estimate_errors, of_no_solution
+from fenics_crack.balance.error_report import SLIGHT, ErrorReport, estimate_errors, of_no_solution
 from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
 from fenics_crack.balance.judgement import Judgement
 from fenics_crack.balance.problem import Problem, Wave
@@ -23,14 +23,12 @@ from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.table import Described, counted, quantity, with_frequency
 
 __all__ = [
-    "SLIGHT", "PeriodicSolution", "Solver", "Stability", "fewer_harmonics", "more_harmonics",
+    "PeriodicSolution", "Solver", "Stability", "fewer_harmonics", "more_harmonics",
     "solution_of", "solve_beside",
 ]  # fmt: skip
 
 IMPATIENT = 0.25
 """Of a search's iterations, where other ways are left."""
-SLIGHT = 0.05
-"""Part of a tolerance below which an error allows fewer harmonics."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -123,7 +121,7 @@ class PeriodicSolution(Wave, Described):
     converged: bool = True
     status: str = "linear"
     iterations: int = 0
-    report: ErrorReport = ErrorReport(0.0, 0.0, 0.0, 0.0, 0.0)
+    report: ErrorReport = ErrorReport()
     stability: Stability | None = None
     judged: Judgement = field(default=None, compare=False)  # type: ignore[assignment]
 

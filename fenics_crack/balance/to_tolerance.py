@@ -23,11 +23,10 @@ from functools import partial
 
 import numpy as np
 
-from fenics_crack.balance.error_report import UNKNOWN, ErrorReport
+from fenics_crack.balance.error_report import SLIGHT, UNKNOWN, ErrorReport
 from fenics_crack.balance.judgement import FARTHEST, Judgement, more_modes, relative
-from fenics_crack.balance.orbits import recurring
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import SLIGHT, PeriodicSolution, Solver, more_harmonics
+from fenics_crack.balance.solution import PeriodicSolution, Solver, more_harmonics
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduced import ReducedStructure, massless
@@ -35,21 +34,17 @@ from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ContactFlow, flow_of
 from fenics_crack.motion.orbit import OrbitCoefficients, PeriodicOrbit, affordable
+from fenics_crack.motion.shooting import recurring
 from fenics_crack.stages import begin
 
-__all__ = ["FEWEST", "FIRST_MODES", "solve_to_tolerance"]
+__all__ = ["FIRST_MODES", "solve_to_tolerance"]
 
 FIRST_MODES, MAX_MODES = 10, 100
 """Modes with which a large structure is tried first, and at most."""
-FEWEST = 3
-"""Harmonics that a solution to a tolerance has."""
 RUNGS = (5, 10, 20, 40)
 """Harmonics of the load's frequency with which a solution is sought whose orbit is known."""
-SAFETY = 0.7
-"""Part of what modes leave of a tolerance that harmonics may take; and that of the modes' error is
-not worth harmonics, SLIGHT."""
-MAX_HARMONICS, MAX_KEPT = 300, 500
-"""Harmonics that are solved for, and that are kept of an orbit for each period of the load."""
+MAX_HARMONICS = 500
+"""That are solved for, or kept of an orbit, for each period of the load."""
 
 
 def solve_to_tolerance(
@@ -66,7 +61,8 @@ def solve_to_tolerance(
     ``reduced_to`` gives the structure with so many modes (collective), which are as many as
     ``modes`` at first; by itself only a structure of many dofs is reduced.
     """
-    whole = solver.problem.structure
+    whole, fewest = solver.problem.structure, 2 * solver.problem.subharmonic
+    solver = replace(solver, problem=solver.problem.with_harmonics(fewest))
     if reduced_to is None and not (is_small(whole) or isinstance(whole, ReducedStructure)):
         reduced_to = partial(_without_mass, whole)
     most = min(max(modes, MAX_MODES), whole.n_dofs)
@@ -91,8 +87,8 @@ def _without_mass(whole: Structure, modes: int) -> Structure:
 
 
 def _goal(tolerance: float, reduction: float) -> float:
-    """What harmonics and samples may leave out."""
-    return max(SAFETY * (tolerance - reduction), SLIGHT * reduction)
+    """What harmonics and samples may leave out; a slight part of what modes do is not worth any."""
+    return max(tolerance - reduction, SLIGHT * reduction)
 
 
 def _told(solver: Solver, found: PeriodicSolution, tolerance: float) -> PeriodicSolution:
@@ -199,7 +195,7 @@ def _way(found: PeriodicSolution) -> str:
 def _kept(solver: Solver, orbit: PeriodicOrbit, tolerance: float) -> PeriodicSolution:
     """The solution with the fewest harmonics of an orbit that meet a tolerance."""
     problem = solver.problem
-    most = MAX_KEPT * problem.subharmonic
+    most = MAX_HARMONICS * problem.subharmonic
     known = orbit.coefficients(RUNGS[-1] * problem.subharmonic)
 
     def wave_with(harmonics: int) -> PeriodicSolution:
@@ -209,7 +205,7 @@ def _kept(solver: Solver, orbit: PeriodicOrbit, tolerance: float) -> PeriodicSol
         return _wave(problem.with_harmonics(harmonics), orbit, known)
 
     reduction, at_load = _lost(solver, wave_with(RUNGS[0] * problem.subharmonic))
-    goal = _goal(tolerance, reduction)
+    goal = _goal(tolerance - orbit.residual, reduction)
     fewer, found = 0, wave_with(problem.harmonics)
     while not found.judged.distance <= goal and found.harmonics < most:
         fewer, found = found.harmonics, wave_with(min(2 * found.harmonics, most))
@@ -281,7 +277,7 @@ def _by_harmonics(
 def _finer(problem: Problem, report: ErrorReport, tolerance: float) -> Problem | None:
     """The problem with more harmonics, and the samples that go with them; None where no more are
     needed, or allowed."""
-    harmonics, goal = problem.harmonics, _goal(tolerance, report.reduction)
+    harmonics, goal = problem.harmonics, (1.0 - SLIGHT) * _goal(tolerance, report.reduction)
     left = report.truncation + report.sampling
     unknown = left >= UNKNOWN and harmonics >= RUNGS[-1] * problem.subharmonic
     more = None if unknown else more_harmonics(harmonics, left, goal, MAX_HARMONICS)

@@ -49,7 +49,7 @@ import numpy as np
 from tqdm import tqdm
 
 from fenics_crack.balance.contact_integrals import contact_integrals
-from fenics_crack.balance.error_report import CALM, MANY, UNKNOWN, ErrorReport, mean_square
+from fenics_crack.balance.error_report import SLIGHT, UNKNOWN, ErrorReport, mean_square
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.free_motion import EnergyMotion, Equilibrium, MotionPoint, cosine_rows
 from fenics_crack.curves.motion_path import ELSEWHERE, MotionPath, first_motion
@@ -61,7 +61,7 @@ from fenics_crack.errors import (
     check_options,
 )
 from fenics_crack.model.contact import ContactLaw, check_law
-from fenics_crack.model.modal import all_modes, is_small
+from fenics_crack.model.modal import SMALL, all_modes, is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.bordered import PathPoint, solve_at
@@ -71,8 +71,6 @@ from fenics_crack.table import Tabular, counted, with_frequency
 __all__ = ["Backbone", "BackboneOptions", "follow_backbone"]
 
 INTERRUPTED = "interrupted"
-PAST = 1.25
-"""Harmonics with which the truncation is judged, relative to the highest mode's."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -177,7 +175,7 @@ class Backbone(Tabular):
         known[:-1].reshape(z.shape)[kept:] = 0.0
         added = _Added(motion, known)
         left = added.linearise(start, math.log(energy)).residual
-        sharp = CALM * float(np.linalg.norm(left) / np.linalg.norm(start))
+        sharp = SLIGHT * float(np.linalg.norm(left) / np.linalg.norm(start))
         found = solve_at(
             added, start, math.log(energy),
             tolerance=max(sharp, motion.rounding(math.log(energy))),
@@ -197,8 +195,8 @@ class Backbone(Tabular):
         """With how many the truncation is judged: four times as many, and enough for modes that
         they do not reach."""
         squares = all_modes(self.structure).squares
-        reaching = int(PAST * math.sqrt(max(float(squares.max()), 0.0)) / omega) + 1
-        return max(4 * self.harmonics, self.harmonics + 8, min(reaching, MANY // len(squares)))
+        reaching = int(math.sqrt(max(float(squares.max()), 0.0)) / omega) + 1
+        return max(4 * self.harmonics, self.harmonics + 8, min(reaching, SMALL // len(squares)))
 
     def amplitude(self, dof: int | None = None) -> np.ndarray:
         """Half the peak-to-peak displacement of a dof, or of the watched one, at every point: (n,)

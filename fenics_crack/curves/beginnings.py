@@ -18,9 +18,9 @@ from dataclasses import replace
 import numpy as np
 import scipy.linalg
 
-from fenics_crack.balance.family import Family
 from fenics_crack.balance.problem import Problem
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
+from fenics_crack.curves.family import Family
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure

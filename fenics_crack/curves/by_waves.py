@@ -16,9 +16,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from fenics_crack.balance.family import Family
 from fenics_crack.curves.beginnings import chord
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
+from fenics_crack.curves.family import Family
 from fenics_crack.motion.orbit import doubling_test, eigenvalues
 from fenics_crack.numerics.bordered import PathPoint, point_on_path
 from fenics_crack.numerics.fourier import resized

@@ -14,7 +14,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from fenics_crack.balance.family import FAMILIES, Family
 from fenics_crack.balance.harmonic_balance import check_initial
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import (
@@ -26,10 +25,10 @@ from fenics_crack.balance.solution import (
 )
 from fenics_crack.curves.beginnings import check_resumed, directions, first_of_branch, odd_rows
 from fenics_crack.curves.by_waves import FOLLOWED
-from fenics_crack.curves.curve import Bifurcation, ResponseCurve
+from fenics_crack.curves.curve import Bifurcation, CurvePoint, ResponseCurve, columns
 from fenics_crack.curves.doubled import DoubledStart
 from fenics_crack.curves.exact import verified
-from fenics_crack.curves.points import CurvePoint, columns
+from fenics_crack.curves.family import FAMILIES, Family
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.memory import check_memory
@@ -63,8 +62,6 @@ __all__ = ["LONGEST_STEP", "Continuation"]
 
 LONGEST_STEP = 0.05
 """Longest step, unless another one is asked for."""
-SHORTEST_STEP = 0.1
-"""Of steps, relative to what rounding leaves of the residual: shorter ones resolve nothing."""
 LOOK_EVERY = 4
 """Points between two looks at the truncation."""
 
@@ -281,11 +278,10 @@ class Continuation:
                 events.append(_Joined(odd))
         if self._origin is not None and self._origin.unknown.shape == here.unknown.shape:
             events.append(Closed(self._origin))
-        shortest = SHORTEST_STEP * self._family.rounding(here.parameter)
         options = PathOptions(
             initial_step=step,
             max_step=self._longest,
-            min_step=max(1e-10, shortest),
+            min_step=max(1e-10, self._family.rounding(here.parameter)),
             max_steps=self._most + 1 - len(self._points),
             at_once=LOOK_EVERY if self._tolerance is not None else PathOptions.at_once,
             span=(-self._back, np.inf),

@@ -14,20 +14,19 @@ import numpy as np
 from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.balance.family import FAMILIES, Family
 from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
 from fenics_crack.balance.judgement import Judgement
-from fenics_crack.balance.orbits import Patience
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
+from fenics_crack.curves.family import FAMILIES, Family
 from fenics_crack.curves.peak import Peak, top_and_damping
-from fenics_crack.curves.points import CurvePoint, columns
 from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ContactFlow
-from fenics_crack.numerics.fourier import evaluate
+from fenics_crack.motion.shooting import Patience
+from fenics_crack.numerics.fourier import evaluate, resized
 from fenics_crack.scene.quantities import QUANTITIES
 from fenics_crack.stability.floquet import floquet
 from fenics_crack.table import (
@@ -41,7 +40,10 @@ from fenics_crack.table import (
     with_frequency,
 )
 
-__all__ = ["PARAMETERS", "Bifurcation", "ResponseCurve", "kind_in_words", "parameter_axis"]
+__all__ = [
+    "PARAMETERS", "SPREAD", "Bifurcation", "CurvePoint", "ResponseCurve", "columns",
+    "kind_in_words", "parameter_axis",
+]  # fmt: skip
 
 PARAMETERS = {
     "omega": "load frequency [rad/s]",
@@ -57,7 +59,7 @@ PARAMETERS = {
 PHASES = 2.0 * np.pi * np.arange(256) / 256
 """Of a period, at which points of a curve are looked at."""
 SPREAD = 40
-"""Points at which the error along a curve is estimated first."""
+"""Places along its range that a picture of a curve tells apart: as many errors are found first."""
 
 
 def parameter_axis(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
@@ -80,6 +82,50 @@ def _expanded(problem: Problem, unknown: np.ndarray, *, search: bool) -> Periodi
     found = solution_of(problem, at, status="point of a curve", search=search)
     compliance.destroy()
     return found
+
+
+@dataclass(frozen=True)
+class CurvePoint:
+    """A point of a curve as it comes.
+
+    Attributes
+    ----------
+    value, omega : float
+        Of the parameter, and load frequency [rad/s].
+    unknown : (2H+1, n_pairs) [m]
+        Gap coefficients, or the slow gap's (``ResponseCurve.unknowns``).
+    iterations : int
+        Newton iterations.
+    truncation : float
+        Estimated error of the harmonics left out, or nan where it was not estimated.
+    bifurcations : tuple of (str, float)
+        Kinds and parameters of the special points since the point before.
+    """
+
+    value: float
+    omega: float
+    unknown: np.ndarray
+    iterations: int
+    truncation: float = math.nan
+    bifurcations: tuple[tuple[str, float], ...] = ()
+
+
+def columns(points: Sequence[CurvePoint]) -> dict[str, np.ndarray]:
+    """What points are in a :class:`ResponseCurve`, all with the most harmonics."""
+    counts = [len(point.unknown) // 2 for point in points]
+    most = max(counts)
+    unknowns = [
+        point.unknown if count == most else resized(point.unknown, most)
+        for point, count in zip(points, counts, strict=True)
+    ]
+    return {
+        "values": np.array([point.value for point in points]),
+        "omega": np.array([point.omega for point in points]),
+        "unknowns": np.array(unknowns),
+        "harmonics": np.array(counts),
+        "iterations": np.array([point.iterations for point in points]),
+        "truncation": np.array([point.truncation for point in points]),
+    }
 
 
 @dataclass(frozen=True, repr=False)

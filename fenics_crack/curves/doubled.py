@@ -23,16 +23,16 @@ from itertools import pairwise
 
 import numpy as np
 
-from fenics_crack.balance.error_report import MANY
-from fenics_crack.balance.family import FrequencyFamily
-from fenics_crack.balance.orbits import FlowOrbits, orbit_next_to
 from fenics_crack.balance.problem import Problem
 from fenics_crack.curves.beginnings import first_aside, odd_rows
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
+from fenics_crack.curves.family import FrequencyFamily
 from fenics_crack.curves.orbit_branch import ALIKE, TOLERANCE
 from fenics_crack.errors import ConvergenceError
+from fenics_crack.model.modal import SMALL
 from fenics_crack.motion.flow import flow_of
-from fenics_crack.motion.orbit import PeriodicOrbit
+from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit
+from fenics_crack.motion.shooting import FlowOrbits, orbit_next_to
 from fenics_crack.numerics.bordered import (
     PathPoint,
     Tangent,
@@ -44,9 +44,8 @@ from fenics_crack.numerics.path import STRAIGHT, Path, PathOptions
 
 __all__ = ["DoubledStart", "next_to_doubled_orbits"]
 
-NEAREST, SAME_MULTIPLIER = 6, 1e-3
-"""Points of the curve from which the orbit of the doubling is sought, and how well its multiplier
-is known."""
+NEAREST = 6
+"""Points of the curve from which the orbit of the doubling is sought."""
 MOST = 30
 """Orbits along the branch."""
 
@@ -103,7 +102,7 @@ def _ladder(problem: Problem) -> list[int]:
     """Numbers of harmonics with which the branch is looked for."""
     counts = [problem.harmonics]
     pairs = problem.structure.n_pairs
-    while problem.samples is None and 4 * counts[-1] * pairs <= MANY:
+    while problem.samples is None and 4 * counts[-1] * pairs <= SMALL:
         counts.append(2 * counts[-1])
     return counts
 
@@ -117,7 +116,7 @@ def _at_doubling(curve: ResponseCurve, one: Bifurcation) -> PeriodicOrbit | None
     near = np.argsort(np.abs(curve.omega - one.exact), kind="stable")[:NEAREST]
     for motion in curve.motions(near):
         orbit = orbit_next_to(flow, one.exact, flow.state(*motion), curve.subharmonic)
-        if orbit is not None and np.abs(orbit.multipliers + 1.0).min() <= SAME_MULTIPLIER:
+        if orbit is not None and np.abs(orbit.multipliers + 1.0).min() <= KNOWN:
             return orbit
     return None
 
@@ -145,10 +144,10 @@ def _branch(
         away = Tangent(found.unknown - begin.unknown, found.parameter - 1.0, 1.0)
         start = point_on_path(orbits, found.unknown, found.parameter, away)
         low, high = sorted(omega / doubling.omega for omega in span)
+        away_by = distance(orbits, begin, found)
         options = PathOptions(
-            distance(orbits, begin, found), longest_step, max_steps=MOST, min_cosine=STRAIGHT,
-            span=(low, high),
-        )  # fmt: skip
+            away_by, longest_step, max_steps=MOST, min_cosine=STRAIGHT, span=(low, high)
+        )
         for point in Path(orbits, start, options).points():
             if not is_new(point, TOLERANCE):
                 return

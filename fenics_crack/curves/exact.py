@@ -19,7 +19,6 @@ import numpy as np
 import scipy.optimize
 
 from fenics_crack.balance.judgement import BELIEVED, FARTHEST, relative
-from fenics_crack.balance.orbits import FlowOrbits, Patience
 from fenics_crack.curves.by_waves import FOLLOWED, judged_by_waves, place_on
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.orbit_branch import (
@@ -37,6 +36,7 @@ from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import is_unilateral
 from fenics_crack.motion.flow import Budget, ContactFlow, exact_flow
 from fenics_crack.motion.orbit import FORMED, KNOWN, PIECES
+from fenics_crack.motion.shooting import FlowOrbits, Patience
 from fenics_crack.numerics.bordered import PathPoint, solve_at
 from fenics_crack.numerics.path import PathOptions
 from fenics_crack.stability.floquet import leaves, stability_of

@@ -14,9 +14,8 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.beginnings import same_problem
 from fenics_crack.curves.continuation import LONGEST_STEP, Continuation
-from fenics_crack.curves.curve import Bifurcation, ResponseCurve
+from fenics_crack.curves.curve import Bifurcation, CurvePoint, ResponseCurve
 from fenics_crack.curves.doubled import next_to_doubled_orbits
-from fenics_crack.curves.points import CurvePoint
 from fenics_crack.errors import (
     ConvergenceError,
     InputError,
@@ -26,15 +25,14 @@ from fenics_crack.errors import (
 )
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.path import PathOptions
 from fenics_crack.stages import begin
 from fenics_crack.table import RPM
 
 __all__ = ["CurveOptions", "continue_frequency", "continue_parameter", "follow_branch"]
 
 ATTEMPTS = 4
-"""Places, from the end on, from which another curve is sought that leads to the start,"""
-MORE_POINTS = 2000
-"""and how many more points it may have than the one that came back."""
+"""Places, from the end on, from which another curve is sought that leads to the start."""
 
 BAR = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}{postfix}"
 """Of a curve; how long it is going to take cannot be told from how far it has come."""
@@ -176,7 +174,7 @@ def continue_parameter(
         from between: where the first solution found lies on a curve that comes back to the start,
         such as a closed loop of the truncated equations."""
         first = growing.followed
-        points = len(first) + MORE_POINTS
+        points = len(first) + PathOptions.max_steps
         given: CurveOptions = {
             **options,
             "most_points": min(points, options.get("most_points", points)),

@@ -9,9 +9,8 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
 
-from fenics_crack.balance.compliance import ModalCompliance
-from fenics_crack.balance.contact_integrals import PairIntegrals, apply_to_pairs
-from fenics_crack.balance.coupled_integrals import CoupledIntegrals
+from fenics_crack.balance.compliance import DEFLATION_BAND, ModalCompliance
+from fenics_crack.balance.contact_integrals import CoupledIntegrals, PairIntegrals, apply_to_pairs
 from fenics_crack.balance.search import rounding_left
 from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw, gauss
@@ -28,10 +27,6 @@ __all__ = [
     "StiffnessMotion",
     "cosine_rows",
 ]
-
-
-RESONANT = 1e-3
-"""|omega_j^2 - (k w)^2| relative to the sum below which an entry is kept, not eliminated."""
 
 
 NEAR = 0.05
@@ -278,7 +273,7 @@ class MotionPoint(Linearisation):
     @cached_property
     def _resonant(self) -> np.ndarray:
         """Entries that are kept, (H+1, n_modes) bool; the others are eliminated."""
-        return np.abs(self._stiffness) < RESONANT
+        return np.abs(self._stiffness) < DEFLATION_BAND
 
     @cached_property
     def _inverse(self) -> np.ndarray:

@@ -17,7 +17,6 @@ from dataclasses import replace
 import numpy as np
 
 from fenics_crack.balance.contact_system import SOFT
-from fenics_crack.balance.problem import NARROW
 from fenics_crack.balance.search import halved
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.free_motion import (
@@ -30,15 +29,15 @@ from fenics_crack.curves.free_motion import (
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.numerics.bordered import PathPoint, point_on_path, solve_at
 from fenics_crack.numerics.fourier import resized, to_complex
-from fenics_crack.numerics.path import STRAIGHT, Ended, Path, PathOptions, Target
+from fenics_crack.numerics.path import NARROW, STRAIGHT, Ended, Path, PathOptions, Target
 
 __all__ = ["ELSEWHERE", "MotionPath", "alike", "first_motion", "solve_motion"]
 
 FAST = 0.5
 """Rate of the parameter along a path at which arc-length is left again."""
-ELSEWHERE = "the path ended in the motion of another mode"
 MORE = 1.25
 """How many harmonics there are after a step, relative to those before; one more at least."""
+ELSEWHERE = "the path ended in the motion of another mode"
 
 
 def solve_motion(family: FreeMotion, guess: np.ndarray, parameter: float) -> PathPoint | None:

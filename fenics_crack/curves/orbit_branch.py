@@ -1,9 +1,9 @@
 """The branch of exact orbits along a curve: nodes, and the bifurcations between them.
 
-Next to every eighth point of the curve an orbit F(x, p) = 0 (:mod:`fenics_crack.balance.orbits`) is
-found by Newton's method, from the point's own motion and what had to be added to that of the node
-beside: at the point's parameter, or, next to folds, in the plane across the curve. A node has the
-tangent of the branch and the leading multipliers mu of its orbit, and of all multipliers
+Next to every eighth point of the curve an orbit F(x, p) = 0 (:mod:`fenics_crack.motion.shooting`)
+is found by Newton's method, from the point's own motion and what had to be added to that of the
+node beside: at the point's parameter, or, next to folds, in the plane across the curve. A node has
+the tangent of the branch and the leading multipliers mu of its orbit, and of all multipliers
 
     r = number of real mu > 1,    d = number of real mu < -1,    c = pairs with |mu| > 1.
 
@@ -46,9 +46,9 @@ import scipy.optimize
 from scipy.interpolate import barycentric_interpolate
 from scipy.linalg.lapack import dgeqrf, dorgqr
 
-from fenics_crack.balance.orbits import FlowOrbits, Homotopy, OrbitPoint
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.orbit import KNOWN, eigenvalues
+from fenics_crack.motion.shooting import FlowOrbits, Homotopy, OrbitPoint
 from fenics_crack.numerics.bordered import (
     FULL_STEPS,
     PATIENCE,

@@ -24,17 +24,16 @@ from typing import Protocol
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from fenics_crack.balance.family import Family
-from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.curves.curve import SPREAD, CurvePoint, ResponseCurve, columns
 from fenics_crack.curves.exact import verified
+from fenics_crack.curves.family import Family
 from fenics_crack.curves.orbit_branch import ALIKE, KINDS, TOLERANCE, Node, OrbitBranch
-from fenics_crack.curves.points import CurvePoint, columns
 from fenics_crack.errors import ConvergenceError, InputError, check_count, check_number
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
+from fenics_crack.motion.shooting import FlowOrbits
 from fenics_crack.numerics.bordered import (
     FULL_STEPS,
     LEAST_STEP,
@@ -47,11 +46,6 @@ from fenics_crack.numerics.path import STRAIGHT, Path, PathOptions
 from fenics_crack.stability.floquet import orbits_near
 
 __all__ = ["filled", "refine_bifurcation", "refine_curve"]
-
-MAX_BETWEEN = 1000
-PICTURE = 0.025
-"""Largest distance between neighbours in a picture, relative to the range of the frequencies and to
-the size of the solutions there."""
 
 
 def filled(curve: ResponseCurve) -> ResponseCurve:
@@ -95,8 +89,6 @@ def refine_curve(curve: ResponseCurve, between: int | None = None) -> ResponseCu
     """
     if between is not None:
         check_count("between", between, 1)
-        if between > MAX_BETWEEN:
-            raise InputError("between", between, f"at most {MAX_BETWEEN}")
     if len(curve) < 4:
         raise InputError("curve", f"{len(curve)} points", "at least 4")
     whole = curve.equations(int(curve.harmonics[0]))
@@ -109,7 +101,7 @@ def refine_curve(curve: ResponseCurve, between: int | None = None) -> ResponseCu
     along = np.concatenate([[0.0], np.cumsum(distance)])
     added = np.full(len(distance), between or 0)
     if between is None:
-        added = np.minimum(_for_a_picture(flat, parameters), MAX_BETWEEN)
+        added = _for_a_picture(flat, parameters)
     spline, points = CubicSpline(along, place), list[CurvePoint]()
     for index, more in enumerate(added):
         points.append(curve.point(index))
@@ -140,12 +132,13 @@ def _split(place: np.ndarray, family: Family) -> tuple[np.ndarray, float]:
 
 
 def _for_a_picture(flat: np.ndarray, parameter: np.ndarray) -> np.ndarray:
-    """How many points a picture needs between each two of n: (n-1,)."""
+    """How many points a picture needs between each two of n, (n-1,), by their distance relative to
+    the range of the frequencies and to the size of the solutions there."""
     lengths = np.linalg.norm(flat, axis=1)
     sizes = np.maximum(np.maximum(lengths[1:], lengths[:-1]), 1e-300)
     change = np.linalg.norm(np.diff(flat, axis=0), axis=1) / sizes
     distance = np.hypot(change, np.diff(parameter))
-    return np.maximum(np.ceil(distance / PICTURE).astype(int) - 1, 0)
+    return np.maximum(np.ceil(distance * SPREAD).astype(int) - 1, 0)
 
 
 class _Special(Protocol):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenics_crack.balance.family import Family
-from fenics_crack.balance.orbits import FlowOrbits, OrbitPoint
+from fenics_crack.curves.family import Family
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, exact_flow
+from fenics_crack.motion.shooting import FlowOrbits, OrbitPoint
 from fenics_crack.numerics.equations import DIFFERENCE
 
 __all__ = ["VariedOrbits"]

@@ -20,7 +20,6 @@ of a crack that is closed is zero.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -131,11 +130,11 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
     assert structure.nodes is not None
     dofs: Dofs = structure.nodes.numbered
     tips, sides, points = find_tips(dofs), _sides(dofs), dofs.points
-    row_of, rows, pressed = _form(scene, dofs), [], []
+    rows, pressed = [], []
     for tip in tips:
         for kind in range(2):
             field = _nodal(scene, tip, kind, points, sides)
-            rows.append(row_of(tip, kind, field))
+            rows.append(_assembled(scene, dofs, tip, kind, field))
             pressed.append(_of_forces(scene, structure, tip, kind, field.ravel()[dofs.free]))
     return tips, np.array(rows), np.array(pressed)
 
@@ -193,13 +192,15 @@ def _nodal(
     return found
 
 
-def _form(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray], np.ndarray]:
-    """A function of a tip, a kind and a field: what the displacement of this rank's free dofs is
-    multiplied by, (n_local,). The form is the same for all of them but for its constants."""
+def _assembled(scene: Scene, dofs: Dofs, tip: Tip, kind: int, field: np.ndarray) -> np.ndarray:
+    """What the displacement of this rank's free dofs is multiplied by: (n_local,)."""
     space = dofs.space
     moved = dolfinx.fem.Function(space)
-    given = constants(space, *(0.0,) * 6, *_scale(scene), scene.material.young)
-    x0, y0, a, b, radius, which, kappa, scale, young = given
+    moved.x.array[: field.size] = field.ravel()
+    moved.x.scatter_forward()
+    kappa, scale = _scale(scene)
+    values = (*tip.point, *tip.ahead, tip.radius, kappa, scale, float(kind), scene.material.young)
+    x0, y0, a, b, radius, kappa, scale, which, young = constants(space, *values)
     place = ufl.SpatialCoordinate(space.mesh)
     to = place - ufl.as_vector([x0, y0])
     ahead, across = ufl.as_vector([a, b]), ufl.as_vector([-b, a])
@@ -218,16 +219,7 @@ def _form(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray], np.ndarr
     betti -= ufl.inner(stress(scene, space, own), ufl.outer(test, falling))
     form = 0.5 * young * betti * ufl.dx(metadata={"quadrature_degree": QUADRATURE_DEGREE})
     form -= 0.5 * young * ufl.inner(stress(scene, space, at_nodes), strained) * ufl.dx
-    compiled = compat.compiled(form)
-
-    def row_of(tip: Tip, kind: int, field: np.ndarray) -> np.ndarray:
-        moved.x.array[: field.size] = field.ravel()
-        moved.x.scatter_forward()
-        for constant, value in zip(given, (*tip.point, *tip.ahead, tip.radius, kind), strict=False):
-            constant.value = value
-        return compat.assembled_vector(compiled)[dofs.free]
-
-    return row_of
+    return compat.assembled_vector(form)[dofs.free]
 
 
 def _of_forces(

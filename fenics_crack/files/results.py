@@ -11,10 +11,10 @@ import numpy as np
 
 from fenics_crack.balance.compliance import dynamic_compliance
 from fenics_crack.balance.error_report import ErrorReport
-from fenics_crack.balance.family import FAMILIES
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.curves.backbone import Backbone
 from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.curves.family import FAMILIES
 from fenics_crack.errors import InputError
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.files.store import Stored, check_shapes, read, write

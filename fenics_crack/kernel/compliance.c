@@ -1,12 +1,14 @@
 #include "compliance.h"
 
+#include <float.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "lapack.h"
 
-const double NUDGE = 1e-10, SINGULAR = 1e-15;
+/* SINGULAR: the roundings of s, w and k w. */
+const double NUDGE = 1e-10, SINGULAR = DBL_EPSILON * 4.0;
 
 struct compliance {
     seen_structure of;

@@ -5,10 +5,9 @@
 
 #include "lapack.h"
 
-/* Degree of the Taylor polynomials: 0.2^9 / 9! is 1e-12. Points of a bracket's search. Turns of all
- * wrong pairs together; after how many events rounding is looked for. BLOCK: cells whose answers are
- * found together. */
-enum { DEGREE = 8, TERMS = DEGREE + 1, POINTS = 6, TOGETHER = 30, OFTEN = 32, BLOCK = 16 };
+/* Degree of the Taylor polynomials: 0.2^9 / 9! is 1e-12. BLOCK: cells whose answers are found
+ * together. */
+enum { DEGREE = 8, TERMS = DEGREE + 1, BLOCK = 16 };
 
 static double value_at(const double *c, int degree, double x)
 {
@@ -88,13 +87,13 @@ static int candidates(const pivot_table *contact, const double *taylor, int *som
 }
 
 /* The first event behind `begun` in a cell: its place among `count` polynomials, -1 if there is
- * none, and where. */
+ * none, and where. Looked for in as many parts as a polynomial may have roots. */
 static int first_event(int count, const double *polynomials, double begun, double *where)
 {
     int first = -1;
-    for (int part = 0; part < POINTS && first < 0; part++) {
-        const double low = begun + (1.0 - begun) * part / POINTS;
-        const double high = begun + (1.0 - begun) * (part + 1) / POINTS;
+    for (int part = 0; part < DEGREE && first < 0; part++) {
+        const double low = begun + (1.0 - begun) * part / DEGREE;
+        const double high = begun + (1.0 - begun) * (part + 1) / DEGREE;
         for (int i = 0; i < count; i++) {
             const double *c = polynomials + (long)i * TERMS;
             const double end = negative_in(c, low, high);
@@ -319,7 +318,7 @@ static int record(walk *now, int pair, double theta, int terms)
 /* Looks for rounding now and then. */
 static void keep_sharp(walk *now)
 {
-    if (now->since < OFTEN) return;
+    if (now->since < PIVOTS) return;
     if (refresh(&now->of->contact)) answer_waves(now), forget(now);
     now->since = 0;
 }

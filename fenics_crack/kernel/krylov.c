@@ -6,7 +6,7 @@
 
 #include "lapack.h"
 
-enum { KEPT = 2, STAGES = 64 };
+enum { KEPT = 2, STAGES = KRYLOV_MOST / 2 }; /* of two vectors at least */
 
 struct krylov {
     int n, most, stages, kept;      /* vectors of all stages together */
@@ -106,7 +106,7 @@ static void rotate(krylov *k, int j, double *column)
 static void keep(krylov *k, int size)
 {
     const size_t row = k->most + 1, count = size + 1;
-    if (k->stages == STAGES || k->kept + size + 1 > k->most) {
+    if (k->kept + size + 1 > k->most) {
         begin_anew(k);
         return;
     }

@@ -3,8 +3,7 @@
 #include <math.h>
 
 enum {
-    FEW = 32,  /* numbers of a matrix for which a call of BLAS takes longer than the product */
-    SHORT = 256, /* products of numbers in a product of matrices for which it does */
+    FEW = 64,  /* products of numbers for which a call of BLAS takes longer (measured) */
     SMALL = 48 /* rows of a matrix up to which LAPACK takes longer to factor it */
 };
 
@@ -43,7 +42,7 @@ void multiply(int rows, int columns, const double *a, const double *x, double *y
 {
     const int one = 1;
     const double unit = 1.0, zero = 0.0;
-    if (rows * columns <= FEW) {
+    if ((long)rows * columns <= FEW) {
         for (int i = 0; i < rows; i++) {
             double sum = 0.0;
             for (int j = 0; j < columns; j++) sum += a[i * columns + j] * x[j];
@@ -69,7 +68,7 @@ void multiply_matrices(int rows, int inner, int columns, const double *a, const 
         for (int i = 0; i < rows * columns; i++) c[i] = keep ? keep * c[i] : 0.0;
         return;
     }
-    if ((long)rows * inner * columns <= SHORT) {
+    if ((long)rows * inner * columns <= FEW) {
         for (int i = 0; i < rows; i++, a += inner)
             for (int j = 0; j < columns; j++, c++) {
                 double sum = keep ? keep * *c : 0.0;

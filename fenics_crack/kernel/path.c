@@ -9,9 +9,10 @@ enum {
     DOUBTED = FAILED + 1, /* of points: they do not go with the next sign */
     UNSURE = 8            /* points without a sign in a row: a branch that crosses twice is missed */
 };
-#define BRANCHING 1e-3 /* of the longest step: below it a change of sign straight on is a branch */
-#define CORNER 1e-7    /* shortest and longest step, of the longest of all, around a corner */
-#define AROUND 1e-2
+/* Of the longest step: within as little a path that changes its sign straight on crosses a branch, and
+ * a corner is passed. CORNER: the shortest step around one. */
+#define LOCAL 1e-2
+#define CORNER 1e-7
 
 /* x, p += the quadratic and cubic terms of Hermite's polynomial through the last two points, in the
  * distance along the last tangent; none where these could not help. */
@@ -134,7 +135,7 @@ static int round_corner(equations *at, int n, const stepping *how, path *points,
     double *x = points->unknowns + (size_t)points->known * n;
     double *tangent = points->tangents + (size_t)points->known * n, *way = room + 3 * (n + 1);
     double step = fmax(CORNER * how->longest, how->shortest);
-    for (; step <= AROUND * how->longest; step *= sqrt(10.0)) {
+    for (; step <= LOCAL * how->longest; step *= sqrt(10.0)) {
         double weight, own, p = points->parameters[last] + step * old_slope;
         memcpy(x, here, n * sizeof(double)), add_to(n, x, step, old);
         const int outcome = at->evaluate(at, x, p);
@@ -188,7 +189,7 @@ static int advance(equations *at, int n, const stepping *how, path *points, trus
     const double cosine = cosine_of(at, weight, tangent, slope, old, old_slope);
     if (!(cosine > how->least_cosine)) {
         if (in->sure < last && cosine < 0.0) return DOUBTED;
-        if (!(cosine < -0.999 && step < BRANCHING * how->longest)) return NOT_FOUND;
+        if (!(cosine < -0.999 && step < LOCAL * how->longest)) return NOT_FOUND;
         /* A short step straight on, but the sign has changed: another branch crosses. */
         crossing = 1, points->orientation = -points->orientation;
         turn_round(n, tangent, &slope);

@@ -6,8 +6,6 @@
 
 #include "lapack.h"
 
-enum { TURNS = 100 }; /* to a zero, at most */
-
 static double larger(double a, double b) { return a > b ? a : b; }
 
 WIDE void add_rows(int count, int n, const double *restrict rows, const double *restrict weights,
@@ -95,7 +93,7 @@ double column_at(int n, const double *terms, int column, int order, double time,
 double column_zero(int n, const double *terms, int column, int order, double low, double high)
 {
     double slope, zero = 0.5 * (low + high);
-    for (int turn = 0; turn < TURNS && high - low > 0.5 * DBL_EPSILON * high; turn++) {
+    for (int turn = 0; turn < DBL_MANT_DIG && high - low > 0.5 * DBL_EPSILON * high; turn++) {
         const double now = column_at(n, terms, column, order, zero, &slope);
         const double newton = zero - now / slope;
         if (now == 0.0) return zero;

@@ -5,10 +5,8 @@
 #include <string.h>
 
 #include "lapack.h"
+#include "pivots.h"
 #include "rounding.h"
-
-/* PIVOTS: after so many changes by one pair rounding is left behind by factors again. */
-enum { TOGETHER = 30, PIVOTS = 50 };
 
 typedef struct known {
     struct known *next;
@@ -133,7 +131,7 @@ static int turn(sets *s, signed char *closed, int k, double *a)
         multiply(n, n, s->d, own, p);
         for (int i = 0; i < n; i++) p[i] = closed[i] ? -own[i] : -p[i];
     }
-    const double pivot = p[k], least = closed[k] ? 0.0 : 1e-12 * s->d[(long)k * n + k];
+    const double pivot = p[k], least = closed[k] ? 0.0 : ACCURATE * s->d[(long)k * n + k];
     if (!(pivot > least)) return 1;
     for (int j = 0; j < n; j++) row[j] = -own[j] / pivot;
     for (int i = 0; i < n; i++) {

@@ -9,6 +9,7 @@
  *   largest |g|. */
 #include "switching.h"
 
+#include <float.h>
 #include <math.h>
 #include <stdlib.h>
 
@@ -16,8 +17,8 @@
 #include "rounding.h"
 #include "waves.h"
 
-#define PARTS 4           /* into which a cell that is not settled is divided */
-#define DEEPEST 64        /* divisions: long before, a cell is shorter than all that counts */
+#define PARTS 4              /* into which a cell that is not settled is divided, */
+#define DEEPEST DBL_MANT_DIG /* as often at most: long before, it is shorter than rounding */
 
 typedef struct {
     double left, width, low, high; /* [left, left + width], g at both ends */

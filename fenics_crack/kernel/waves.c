@@ -6,7 +6,7 @@
 
 #include "lapack.h"
 
-enum { KINDS = 4 }; /* even cosines, odd cosines, even sines, odd sines */
+enum { EVEN_COSINES, ODD_COSINES, EVEN_SINES, ODD_SINES, KINDS };
 
 struct waves {
     int harmonics, instants, quarter;      /* quarter: its instants, both ends among them */
@@ -16,7 +16,7 @@ struct waves {
 };
 
 /* Orders k = first, first + 2, ... of a kind. */
-static int first_of(int kind) { return kind == 2 ? 2 : kind % 2; }
+static int first_of(int kind) { return kind == EVEN_SINES ? 2 : kind % 2; }
 
 static int orders_of(int harmonics, int kind)
 {
@@ -25,7 +25,7 @@ static int orders_of(int harmonics, int kind)
 }
 
 /* Row of a coefficient a_k or b_k. */
-static int row_of(int kind, int k) { return k ? 2 * k - (kind < 2) : 0; }
+static int row_of(int kind, int k) { return k ? 2 * k - (kind < EVEN_SINES) : 0; }
 
 waves *new_waves(int harmonics, int instants, int columns)
 {
@@ -49,7 +49,7 @@ waves *new_waves(int harmonics, int instants, int columns)
             for (int j = 0; j < orders; j++) {
                 const long k = first_of(kind) + 2 * j, turned = k * (long)i % instants;
                 const double phase = TWO_PI * turned / instants;
-                const double wave = kind < 2 ? cos(phase) : sin(phase);
+                const double wave = kind < EVEN_SINES ? cos(phase) : sin(phase);
                 const double share = (k ? 2.0 : 1.0) / instants;
                 const int shared = i == 0 || i + 1 == quarter; /* by two quarters */
                 at->there[kind][i * orders + j] = wave;
@@ -79,8 +79,8 @@ void values_of(waves *at, int columns, const double *coefficients, double *value
                           at->sum[kind]);
     }
     for (size_t i = 0; i < (size_t)at->quarter; i++) {
-        const double *ce = at->sum[0] + i * row, *co = at->sum[1] + i * row;
-        const double *se = at->sum[2] + i * row, *so = at->sum[3] + i * row;
+        const double *ce = at->sum[EVEN_COSINES] + i * row, *co = at->sum[ODD_COSINES] + i * row;
+        const double *se = at->sum[EVEN_SINES] + i * row, *so = at->sum[ODD_SINES] + i * row;
         double *first = values + i * row, *second = values + (half - i) * row;
         double *third = values + (half + i) * row, *fourth = values + (all - i) % all * row;
         for (size_t j = 0; j < row; j++) {
@@ -98,8 +98,8 @@ void coefficients_of(waves *at, int columns, const double *values, double *coeff
     for (size_t i = 0; i < (size_t)at->quarter; i++) {
         const double *first = values + i * row, *second = values + (half - i) * row;
         const double *third = values + (half + i) * row, *fourth = values + (all - i) % all * row;
-        double *ce = at->sum[0] + i * row, *co = at->sum[1] + i * row;
-        double *se = at->sum[2] + i * row, *so = at->sum[3] + i * row;
+        double *ce = at->sum[EVEN_COSINES] + i * row, *co = at->sum[ODD_COSINES] + i * row;
+        double *se = at->sum[EVEN_SINES] + i * row, *so = at->sum[ODD_SINES] + i * row;
         for (size_t j = 0; j < row; j++) {
             const double ends = first[j] + fourth[j], middle = second[j] + third[j];
             const double rising = first[j] - fourth[j], falling = second[j] - third[j];

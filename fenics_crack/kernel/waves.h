@@ -2,7 +2,7 @@
 #ifndef WAVES_H
 #define WAVES_H
 
-#define TWO_PI 6.283185307179586
+#define TWO_PI (acos(-1.0) * 2.0)
 
 /* Coefficients (2H+1, columns) stand as in switching.h, rows a0, a1, b1, ...; values (instants,
  * columns) at theta = 2 pi i / instants. The quarters of a period share their cosines and sines:

@@ -42,6 +42,7 @@ from fenics_crack.numerics.equations import ROUNDING
 
 __all__ = [
     "KEPT",
+    "REGULAR",
     "ActiveSets",
     "by_least_squares",
     "is_regular",
@@ -55,7 +56,8 @@ KEPT = 2**26
 MAX_NEWTON = 200
 """Iterations for forces that are not piecewise linear in the gaps."""
 REGULAR = 1e-6
-"""Smallest eigenvalue of R_inf, relative to the largest, with which a constraint is solved."""
+"""Smallest eigenvalue of R_inf, relative to the largest, with which a constraint is solved; the
+softness of a penalty that stands for one."""
 
 
 def is_regular(matrix: np.ndarray) -> bool:

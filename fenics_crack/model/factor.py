@@ -24,10 +24,13 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 from petsc4py import PETSc
 
-__all__ = ["AT_A_TIME", "Factor", "distributed", "factored_sum", "weighted_sum"]
+__all__ = ["AT_A_TIME", "TOLERATED", "Factor", "distributed", "factored_sum", "weighted_sum"]
 
 AT_A_TIME = 16
 """Columns that a factor solves for, or a matrix multiplies, at a time: PETSc copies them."""
+TOLERATED = 1e-10
+"""Asymmetry relative to a matrix's size; eigenvalues of K and M that are none, to K_ii / M_ii; sums
+of a mass's rows that are zero, to the largest."""
 PLANE = 40
 """Entries a row: matrices of a plane have 18 to 32, of solids 45 or more. With rows ordered for
 minimum fill the former are factored in 0.6 of MUMPS's own time, the latter in more, and larger."""

@@ -13,7 +13,7 @@ from petsc4py import PETSc
 
 from fenics_crack.errors import InputError, reading
 from fenics_crack.exchange.matrix_market import read_matrix_market
-from fenics_crack.model.factor import Factor, distributed, factored_sum, weighted_sum
+from fenics_crack.model.factor import TOLERATED, Factor, distributed, factored_sum, weighted_sum
 from fenics_crack.parallel import gather_rows, raise_together
 from fenics_crack.scene.fields import LARGEST
 from fenics_crack.table import counted
@@ -28,10 +28,6 @@ __all__ = [
     "whole_rows",
     "with_springs",
 ]
-
-TOLERATED = 1e-10
-"""Asymmetry relative to a matrix's size; negative eigenvalues, to the largest K_ii / M_ii; sums of
-a mass's rows that are zero, to the largest."""
 
 
 def numbers(given: Any) -> np.ndarray:

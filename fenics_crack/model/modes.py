@@ -21,7 +21,7 @@ from slepc4py import SLEPc
 
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
-from fenics_crack.model.factor import AT_A_TIME, Factor, factored_sum
+from fenics_crack.model.factor import AT_A_TIME, TOLERATED, Factor, factored_sum
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import EPSILON
 from fenics_crack.parallel import gather_rows
@@ -49,14 +49,13 @@ __all__ = [
 ]
 
 LIPS = ("open", "tied")
-SINGULAR = 1e-10
-"""Squares of frequencies, relative to the smallest K_ii / M_ii, that are null pivots missed."""
 AS_ZERO = 1e-14
 """Relative to the largest: what counts as zero of squares of frequencies (to K_ii / M_ii), static
 responses and gaps."""
 NEGLIGIBLE = 1e-12
 """What solutions with K leave of zero, relative to the largest: squares of frequencies of motions
-as a rigid body, eigenvalues of static compliances, weights of directions in a Gram matrix."""
+as a rigid body, eigenvalues of static compliances, weights of directions in a Gram matrix, gaps of
+lips that the load presses together."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -245,7 +244,7 @@ def _nearest_zero(
     where K is singular by that of K + s M."""
     if not factor.null_pivots:
         squares, shapes = _krylov(factor, structure, count, 0.0)
-        if np.abs(squares).min() > SINGULAR * scale:
+        if np.abs(squares).min() > TOLERATED * scale:
             return squares, shapes
     shift = -1e-6 * scale
     shifted = factored_sum(structure.stiffness, -shift, structure.mass, definite=True, border=ties)

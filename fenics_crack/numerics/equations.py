@@ -23,22 +23,23 @@ from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import Struct, ffi, kernel
 
 __all__ = [
-    "DIFFERENCE", "EPSILON", "MAX_ROUNDING", "ROUNDING", "DenseLinearisation", "Equations",
+    "DIFFERENCE", "EPSILON", "NEARLY_SOLVED", "ROUNDING", "DenseLinearisation", "Equations",
     "Linearisation", "System", "determinant_sign", "equations_of", "factored", "least_residual",
     "solve_factored",
 ]  # fmt: skip
 
 EPSILON, ROUNDING = float(np.finfo(float).eps), 1e-13
-DIFFERENCE = EPSILON ** (1.0 / 3.0)
+DIFFERENCE = float(np.cbrt(EPSILON))
 """Of a parameter, for a derivative by central differences: what they leave out is then as small as
 their rounding."""
-MAX_ROUNDING = 1e-5
-"""|F| / |x| that rounding may leave at most; equations that ask for more are refused."""
+NEARLY_SOLVED = 1e-5
+"""|F| / |x| of a solution with which another one begins, or by which it is judged; and the most
+that rounding may leave: equations that ask for more are refused."""
 
 
 def least_residual(slope: float) -> float:
     """What rounding leaves of |F| / |x| where F changes by at most so much times |x|."""
-    return max(ROUNDING, min(MAX_ROUNDING, EPSILON * slope))
+    return max(ROUNDING, min(NEARLY_SOLVED, EPSILON * slope))
 
 
 class Linearisation(ABC):

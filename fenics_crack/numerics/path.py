@@ -49,6 +49,7 @@ from fenics_crack.numerics.equations import EPSILON, ROUNDING, System, equations
 
 __all__ = [
     "LOCATED",
+    "NARROW",
     "STRAIGHT",
     "BranchPoint",
     "Closed",
@@ -67,9 +68,9 @@ STRAIGHT = 0.9
 """Cosine of an angle up to which two directions are taken for one."""
 LOCATED = 1e-11
 """|F| / |x| of what is located between two points."""
-ARRIVED = EPSILON**0.5
-"""Distance to a point of a path at which it counts as found: where the parameter turns, it is then
-known to the square of that."""
+ARRIVED = math.sqrt(EPSILON)
+"""Distance to a point of a path at which it counts as found, and the shortest step: where the
+parameter turns, it is then known to the square of that."""
 
 
 @dataclass(frozen=True)
@@ -77,8 +78,8 @@ class PathOptions:
     """How a path is followed, with steps measured in the norm of the tangent."""
 
     initial_step: float
-    max_step: float = 1.0
-    min_step: float = 1e-7
+    max_step: float
+    min_step: float = ARRIVED
     """The path ends where steps would be shorter."""
     max_steps: int = 1000
     rtol: float = 1e-9
@@ -91,6 +92,10 @@ class PathOptions:
     """Points that one call of the kernel follows at most."""
     span: tuple[float, float] = (-np.inf, np.inf)
     """Of the parameter: the path ends where it is left."""
+
+
+NARROW = PathOptions(0.3, 0.3, min_cosine=0.5, span=(0.0, 2.0))
+"""For paths whose parameter runs from 0 to 1; one that goes as far beyond is left."""
 
 
 class Ended(Enum):

@@ -20,8 +20,7 @@ from dataclasses import replace
 import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.balance.judgement import CLOSE, UNKNOWN, Judgement
-from fenics_crack.balance.orbits import FlowOrbits, in_the_long_run, orbit_next_to
+from fenics_crack.balance.judgement import BELIEVED, UNKNOWN, Judgement
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.errors import ConvergenceError, InputError, check_count
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
@@ -29,6 +28,7 @@ from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import exact_flow
 from fenics_crack.motion.orbit import FORMED, KNOWN, PeriodicOrbit, eigenvalues, find_orbit
+from fenics_crack.motion.shooting import LATER, FlowOrbits, in_the_long_run, orbit_next_to
 from fenics_crack.stability.waves import hill_root, monodromy
 from fenics_crack.time.march import initial_state
 
@@ -36,9 +36,8 @@ __all__ = [
     "PeriodicOrbit", "Stability", "floquet", "leaves", "orbits_near", "shoot", "stability_of",
 ]  # fmt: skip
 
-FOLLOWED, LAST, AWAY = 30, 10, 3.0
-"""Periods that a motion is followed, those of them by which it ends, and how many times farther
-away than the linearised motion it has left its orbit."""
+FOLLOWED = 30
+"""Periods that a motion is followed."""
 
 
 def leaves(
@@ -55,11 +54,11 @@ def leaves(
             motion, linear = orbits.moved(motion, parameter), monodromy @ linear
             away.append(np.linalg.norm(motion - orbit))
             expected.append(np.linalg.norm(linear))
-            if away[-1] > AWAY * max(expected[0], expected[-1]):
+            if away[-1] > BELIEVED * max(expected[0], expected[-1]):
                 return True
     except ConvergenceError:  # pairs chatter without end
         return True
-    return bool(max(away[-LAST:]) > AWAY * max(*expected[-LAST:], KNOWN * expected[0]))
+    return bool(max(away[-LATER:]) > BELIEVED * max(*expected[-LATER:], KNOWN * expected[0]))
 
 
 def orbits_near(
@@ -224,7 +223,7 @@ def stability_of(judged: Judgement) -> Stability:
 def _left(orbit: PeriodicOrbit, judged: Judgement) -> bool:
     """Whether the exact motion that begins with a wave leaves the stable orbit next to it, as that
     of pairs with mass, which bounce, may."""
-    if judged.wave.structure.light_lips or judged.distance <= CLOSE:
+    if judged.wave.structure.light_lips or judged.distance <= KNOWN:
         return False
     orbits = FlowOrbits(orbit.flow, orbit.omega, orbit.state, orbit.subharmonic)
     return leaves(orbits, orbits.unknown(judged.states[0]), orbits.start)

@@ -26,28 +26,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenics_crack.balance.contact_integrals import SampledIntegrals
-from fenics_crack.balance.coupled_integrals import CoupledIntegrals
+from fenics_crack.balance.contact_integrals import CoupledIntegrals
+from fenics_crack.balance.judgement import FARTHEST
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.coupled import smooth_forces
 from fenics_crack.model.flow import transition
-from fenics_crack.model.modal import AllModes, all_modes
+from fenics_crack.model.modal import CACHED, AllModes, all_modes
 from fenics_crack.model.structure import Structure
+from fenics_crack.motion.orbit import KNOWN
 from fenics_crack.numerics.fourier import resized, sampled, to_complex
 
 __all__ = ["hill_root", "monodromy"]
 
 HILL_STEPS = 2**13
 """In a period."""
-HILL_SETTLED = 1e-5
-"""Change of M, relative, that is the last one."""
-HILL_TOGETHER = 2**16
-"""Numbers of the matrices that are advanced at once, as a cache holds them."""
-MAX_SECANTS = 12
-HILL_FARTHEST = 0.05
-"""From a multiplier's exponent to the root of Hill's determinant, relative to the frequency."""
 
 
 def monodromy(
@@ -75,7 +69,7 @@ def monodromy(
     count = 1 << (4 * len(gap)).bit_length()
     coarse = found = _product(modes, contact, gap, base_omega, count)
     change = whole = np.inf
-    while count < HILL_STEPS and not change <= HILL_SETTLED * whole < np.inf:
+    while count < HILL_STEPS and not change <= KNOWN * whole < np.inf:
         count *= 2
         fine = _product(modes, contact, gap, base_omega, count)
         before, found, coarse = found, fine + (fine - coarse) / 3.0, fine
@@ -98,7 +92,7 @@ def _product(
     else:
         kicks = h * smooth_forces(contact, modes.residual, values)[1]
     stretches = 1
-    while stretches**2 < count and stretches * (2 * n) ** 2 < HILL_TOGETHER:
+    while stretches**2 < count and stretches * (2 * n) ** 2 < CACHED:
         stretches *= 2
     along = kicks.reshape(stretches, count // stretches, *kicks.shape[1:])
     moved = transition(modes, h)[0]
@@ -164,7 +158,7 @@ def hill_root(
             vector[:] = found.conj() / np.linalg.norm(found)
 
         def bordering(exponent: complex) -> complex:
-            if not abs(exponent - start) < HILL_FARTHEST * omega:
+            if not abs(exponent - start) < FARTHEST * omega:
                 return complex(np.nan)
             bordered[:size, :size] = matrix(exponent)
             return complex(np.linalg.solve(bordered, last)[-1])
@@ -173,8 +167,8 @@ def hill_root(
 
         with np.errstate(invalid="ignore", divide="ignore"):  # NaN: too far from the start
             root, report = scipy.optimize.newton(
-                bordering, start, x1=start + 1e-7 * omega, tol=1e-10 * omega, maxiter=MAX_SECANTS,
-                full_output=True, disp=False,
+                bordering, start, x1=start + 1e-7 * omega, tol=1e-10 * omega, full_output=True,
+                disp=False,
             )  # fmt: skip
     except (np.linalg.LinAlgError, OverflowError):  # the latter of Python's complex numbers
         return complex(np.nan)
@@ -213,6 +207,5 @@ def _stiffness_means(solution: PeriodicSolution, contact: ContactLaw) -> np.ndar
         integrals = CoupledIntegrals(contact, solution.harmonics, residual=solution.residual)
         return np.moveaxis(to_complex(integrals.linearise(gap).means()).conj(), 0, -1)
     samples = max(1024, 8 * highest)
-    sampled = SampledIntegrals(contact, highest, samples)
-    slopes = contact.tangent(sampled.sample(resized(gap, highest)))
+    slopes = contact.tangent(sampled(resized(gap, highest), samples))
     return np.fft.rfft(slopes, axis=0)[: highest + 1].T.conj() / samples

@@ -14,7 +14,7 @@ from mpi4py import MPI
 from fenics_crack.balance.harmonic_balance import solve_harmonic_balance, solve_linear
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Solver
-from fenics_crack.balance.to_tolerance import FEWEST, FIRST_MODES, solve_to_tolerance
+from fenics_crack.balance.to_tolerance import FIRST_MODES, solve_to_tolerance
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.peak import Peak
 from fenics_crack.errors import InputError
@@ -279,7 +279,7 @@ def _solve_to_tolerance(
 
     large = table.method == "massless" and not is_small(structure)
     modes = FIRST_MODES if large else modes_of(scene, table)
-    solver = Solver(Problem(structure, omega, law, FEWEST), throw=False)
+    solver = Solver(Problem(structure, omega, law), throw=False)
     found = solve_to_tolerance(solver, tolerance, reduced_to=reduced_to, modes=modes)
     return next(study for study in studies if study.structure is found.structure), found
 

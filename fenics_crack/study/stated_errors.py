@@ -39,7 +39,6 @@ import numpy as np
 from fenics_crack.balance.harmonic_balance import solve_linear
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Solver
-from fenics_crack.balance.to_tolerance import FEWEST
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.model.bilinear import KINDS, bilinear_frequencies
 from fenics_crack.model.modal import is_small
@@ -219,7 +218,7 @@ def _coarser_mesh(study: Study, near: PeriodicSolution, own: Numbers, of_peak: b
     if isinstance(coarse, str):
         return coarse
     twin, counts = coarse
-    few = max(near.harmonics // 2, min(near.harmonics, FEWEST))
+    few = max(near.harmonics // 2, min(near.harmonics, 3))  # numbers are of up to the third
     half = _solved(study, near.omega, few, near)
     with_few = numbers_of(study, half, own.mode)
     moved = resonance_of(twin.structure, own.mode) / resonance_of(study.structure, own.mode)

@@ -50,7 +50,7 @@ from fenics_crack.kernel import Struct, doubles, kernel
 from fenics_crack.model.contact import ContactLaw, check_law, is_piecewise_linear, is_rigid
 from fenics_crack.model.coupled import ActiveSets, solve_complementarity
 from fenics_crack.model.factor import weighted_sum
-from fenics_crack.model.modal import all_modes, is_small
+from fenics_crack.model.modal import CACHED, all_modes, is_small
 from fenics_crack.model.modes import largest_frequency
 from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import Structure
@@ -61,8 +61,6 @@ from fenics_crack.time.steps import LoopedSteps
 __all__ = ["integrate_central_difference", "stable_steps_per_period"]
 
 NAME, REMEDY = "central differences", "take more steps per period"
-KEPT_NUMBERS = 2**17
-"""Of modal coordinates, until they are recorded."""
 
 
 def stable_steps_per_period(structure: Structure, omega: float, contact: ContactLaw) -> int:
@@ -249,7 +247,7 @@ class _ModalDifferences(Scheme):
 
     def fill(self, window: Window, number: int) -> None:
         modes, asked, steps = self._modes, self._asked, len(window.gap)
-        some = max(1, KEPT_NUMBERS // len(modes.squares))
+        some = max(1, CACHED // len(modes.squares))
         for first in range(0, steps, some):
             place = slice(first, min(first + some, steps))
             shape = np.empty((place.stop - first, len(modes.squares)))

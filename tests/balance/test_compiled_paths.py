@@ -16,7 +16,7 @@ from fenics_crack import Continuation
 from fenics_crack.balance import contact_system
 from fenics_crack.balance.contact_integrals import ExactIntegrals, respond_to_columns
 from fenics_crack.balance.contact_system import CompiledEquations
-from fenics_crack.balance.family import FAMILIES, Family
+from fenics_crack.curves.family import FAMILIES, Family
 from fenics_crack.numerics.bordered import (
     PathPoint,
     point_on_path,

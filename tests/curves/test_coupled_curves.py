@@ -10,8 +10,8 @@ import pytest
 from helpers import chain, oscillator
 
 import fenics_crack as fc
-from fenics_crack.balance.family import FAMILIES
 from fenics_crack.balance.solution import Solver
+from fenics_crack.curves.family import FAMILIES
 from fenics_crack.numerics import path as paths
 from fenics_crack.numerics.bordered import point_on_path
 

@@ -11,9 +11,9 @@ import pytest
 from helpers import chain, oscillator, relative
 
 import fenics_crack as fc
-from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.motion.flow import Budget, flow_of
 from fenics_crack.motion.orbit import find_orbit
+from fenics_crack.motion.shooting import FlowOrbits
 from fenics_crack.numerics.bordered import PathPoint, point_on_path, solve_in_plane, tangent_of
 from fenics_crack.numerics.equations import DenseLinearisation
 from fenics_crack.numerics.path import Closed, Crossing, Ended, Fold, Path, PathOptions, Target
@@ -140,7 +140,7 @@ def test_path_ends_where_there_is_no_more() -> None:
     """x = -p as far as p = 0, where the function ends: so does the path, by itself, close to it."""
     plane = Plane(lambda x, p: x + p if p < 0.0 else np.nan, lambda x, p: 1.0, lambda x, p: 1.0)
     start = point_on_path(plane, np.array([1.0, 2.0]), -1.0)
-    path = Path(plane, start, PathOptions(0.05, max_steps=500))
+    path = Path(plane, start, PathOptions(0.05, 1.0, max_steps=500))
     points = list(path.points())
     assert 3 < len(points) < 500 and path.ended is Ended.SHORT
     assert -1e-3 < points[-1].parameter < 0.0
@@ -186,7 +186,7 @@ def test_path_ends_where_it_leaves_its_range_and_after_its_steps() -> None:
     path = Path(plane, start, PathOptions(0.05, max_step=0.3, span=(-0.5, 2.0)))
     assert min(point.parameter for point in path.points()) > -0.5
     assert path.ended is Ended.LEFT and path.run() is None
-    path = Path(plane, start, PathOptions(0.05, max_steps=7))
+    path = Path(plane, start, PathOptions(0.05, 1.0, max_steps=7))
     assert len(list(path.points())) == 7 and path.ended is Ended.MANY
 
 
@@ -224,7 +224,8 @@ def test_what_equations_raise_ends_a_path() -> None:
         return x - p
 
     plane = Plane(fails, lambda x, p: 1.0, lambda x, p: -1.0)
-    path, met = Path(plane, point_on_path(plane, np.array([0.0, 2.0]), 0.0), PathOptions(0.1)), 0
+    start = point_on_path(plane, np.array([0.0, 2.0]), 0.0)
+    path, met = Path(plane, start, PathOptions(0.1, 1.0)), 0
     with pytest.raises(KeyboardInterrupt):
         for _ in path.points():
             met += 1

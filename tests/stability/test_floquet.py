@@ -19,7 +19,7 @@ from scipy.integrate import solve_ivp
 
 import fenics_crack as fc
 from fenics_crack import floquet
-from fenics_crack.balance.orbits import orbit_next_to
+from fenics_crack.motion.shooting import orbit_next_to
 
 NEW = ROOT / "benchmarks" / "plate.toml"
 BLADE = Path(__file__).parents[2] / "demos" / "blade.toml"

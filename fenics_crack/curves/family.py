@@ -23,7 +23,7 @@ from fenics_crack.errors import InputError, check_number, check_omega
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.equations import least_residual
+from fenics_crack.numerics.equations import DIFFERENCE, least_residual
 
 __all__ = ["FAMILIES", "Family", "FrequencyFamily"]
 
@@ -325,7 +325,7 @@ class SpeedFamily(Family):
         return problem.system(compliance)
 
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
-        step = float(np.cbrt(np.finfo(float).eps)) * value  # least error of a central difference
+        step = DIFFERENCE * value
         ends = (self._make(v).linearise(at.unknown).residual for v in (value - step, value + step))
         below, above = ends
         return np.asarray((above - below) / (2.0 * step))

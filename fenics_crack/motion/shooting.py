@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -43,19 +43,17 @@ from fenics_crack.motion.orbit import (
 from fenics_crack.numerics.bordered import PathPoint, point_on_path, solve_in_plane
 from fenics_crack.numerics.equations import DenseLinearisation, Equations
 from fenics_crack.numerics.fourier import derivative, evaluate
-from fenics_crack.numerics.path import Path, PathOptions, Target
+from fenics_crack.numerics.path import NARROW, Path, Target
 from fenics_crack.stages import begin
 from fenics_crack.table import counted
 
 __all__ = [
-    "PARTS", "FlowOrbits", "Homotopy", "OrbitPoint", "Patience", "in_the_long_run", "orbit_next_to",
-    "predicted", "recurrences", "recurring", "wave_states",
+    "LATER", "PARTS", "FlowOrbits", "Homotopy", "OrbitPoint", "Patience", "in_the_long_run",
+    "orbit_next_to", "predicted", "recurrences", "recurring", "wave_states",
 ]  # fmt: skip
 
 PARTS = 32
 """Of the period, whose starts' states are corrected together."""
-SWITCHES, STEP = 100_000, 0.3
-"""Openings and closings that a homotopy to an orbit may pass, a second or two; its longest step."""
 WANDERING, PASSED, SETTLING, LATER = 1000, 100, 60, 8
 """Periods that a motion is followed for, its nearest recurrences from which an orbit is sought, the
 least periods, of large states, and those after which it may be where it was."""
@@ -276,13 +274,14 @@ class Homotopy:
     Attributes
     ----------
     left : int
-        Switching instants that may still be passed, from all starts together.
+        Switching instants that may still be passed, from all starts together: as many as a motion
+        may have pieces, a second or two.
     """
 
     def __init__(self, orbits: FlowOrbits) -> None:
         self._orbits, self.shape = orbits, orbits.shape
         self._start, self._at = orbits.start, 1.0
-        self.left = int(min(1.0, (FEW / orbits.flow.size) ** 2) * SWITCHES)
+        self.left = int(_share(orbits.flow) * Budget.pieces)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> _HomotopyPoint:
         """The equations at a point; raises as :meth:`FlowOrbits.linearise`, and where all switching
@@ -301,9 +300,7 @@ class Homotopy:
         """Where the path from a start leads, with the orbits' own parameter; None where it is lost,
         or that takes too long."""
         self._start, self._at = start, parameter
-        options = PathOptions(
-            STEP, max_step=STEP, max_steps=SWITCHES, span=(0.0, 2.0), min_cosine=0.5
-        )
+        options = replace(NARROW, max_steps=Budget.pieces)
         try:
             met = Path(self, point_on_path(self, start, 0.0), options, [Target(1.0)]).run()
         except (ConvergenceError, np.linalg.LinAlgError):
