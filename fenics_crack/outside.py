@@ -18,6 +18,7 @@ import stat
 import subprocess
 import sys
 import zipfile
+from array import array
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -134,10 +135,12 @@ def run_reader(reader: Path, path: Path, seconds: int) -> dict[str, np.ndarray] 
 
 def _asked(reader: Path, words: bytes, handed: int) -> int:
     """How a copy of a reader has ended; the reader waits for the next file."""
+    rights = socket.SOL_SOCKET, socket.SCM_RIGHTS, array("i", [handed])
     for _ in range(2):  # the one that waits may have been killed meanwhile
         line, answer = _started(reader, os.getpid(), get_ident())[1], b""
         try:
-            socket.send_fds(line, [words], [handed])
+            # PETSc ends the program at a signal of a line that is broken.
+            line.sendmsg([words], [rights], socket.MSG_NOSIGNAL)
             answer = line.recv(64)
         except OSError:
             continue

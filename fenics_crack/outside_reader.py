@@ -32,6 +32,7 @@ def serve(reader: str, line: socket.socket) -> None:
         if copy == 0:
             end = 1
             try:
+                line.close()  # no file answers for the next one
                 attempt(reader, handed[0], **json.loads(words))
                 end = 0
             finally:

@@ -285,7 +285,8 @@ class Judgement:
         if self.orbit is None and self.prediction < FAR:
             return "no exact orbit was found next to it; with more harmonics one may be"
         if self.orbit is None:
-            return f"the harmonics left out change it by {self.prediction:.0%}; take more"
+            size = f"{self.prediction:.0%}" if self.prediction < UNKNOWN else "more than its size"
+            return f"the harmonics left out change it by {size}; take more"
         if self.believes(self.distance):
             return (
                 f"the exact orbit next to it, {100.0 * self.distance:.2g}% away, may be another "

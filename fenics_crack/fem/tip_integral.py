@@ -20,6 +20,7 @@ of a crack that is closed is zero.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -130,11 +131,11 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
     assert structure.nodes is not None
     dofs: Dofs = structure.nodes.numbered
     tips, sides, points = find_tips(dofs), _sides(dofs), dofs.points
-    rows, pressed = [], []
+    row_of, rows, pressed = _form(scene, dofs), [], []
     for tip in tips:
         for kind in range(2):
             field = _nodal(scene, tip, kind, points, sides)
-            rows.append(_assembled(scene, dofs, tip, kind, field))
+            rows.append(row_of(tip, kind, field))
             pressed.append(_of_forces(scene, structure, tip, kind, field.ravel()[dofs.free]))
     return tips, np.array(rows), np.array(pressed)
 
@@ -192,15 +193,13 @@ def _nodal(
     return found
 
 
-def _assembled(scene: Scene, dofs: Dofs, tip: Tip, kind: int, field: np.ndarray) -> np.ndarray:
-    """What the displacement of this rank's free dofs is multiplied by: (n_local,)."""
+def _form(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray], np.ndarray]:
+    """A function of a tip, a kind and a field: what the displacement of this rank's free dofs is
+    multiplied by, (n_local,). The form is the same for all of them but for its constants."""
     space = dofs.space
     moved = dolfinx.fem.Function(space)
-    moved.x.array[: field.size] = field.ravel()
-    moved.x.scatter_forward()
-    kappa, scale = _scale(scene)
-    values = (*tip.point, *tip.ahead, tip.radius, kappa, scale, float(kind), scene.material.young)
-    x0, y0, a, b, radius, kappa, scale, which, young = constants(space, *values)
+    given = constants(space, *(0.0,) * 6, *_scale(scene), scene.material.young)
+    x0, y0, a, b, radius, which, kappa, scale, young = given
     place = ufl.SpatialCoordinate(space.mesh)
     to = place - ufl.as_vector([x0, y0])
     ahead, across = ufl.as_vector([a, b]), ufl.as_vector([-b, a])
@@ -219,7 +218,16 @@ def _assembled(scene: Scene, dofs: Dofs, tip: Tip, kind: int, field: np.ndarray)
     betti -= ufl.inner(stress(scene, space, own), ufl.outer(test, falling))
     form = 0.5 * young * betti * ufl.dx(metadata={"quadrature_degree": QUADRATURE_DEGREE})
     form -= 0.5 * young * ufl.inner(stress(scene, space, at_nodes), strained) * ufl.dx
-    return compat.assembled_vector(form)[dofs.free]
+    compiled = compat.compiled(form)
+
+    def row_of(tip: Tip, kind: int, field: np.ndarray) -> np.ndarray:
+        moved.x.array[: field.size] = field.ravel()
+        moved.x.scatter_forward()
+        for constant, value in zip(given, (*tip.point, *tip.ahead, tip.radius, kind), strict=False):
+            constant.value = value
+        return compat.assembled_vector(compiled)[dofs.free]
+
+    return row_of
 
 
 def _of_forces(

@@ -345,6 +345,8 @@ def test_one_reader_reads_every_file(home: Path) -> None:
     first, second = ids(), ids()
     assert first[0] == second[0] and first[1] != second[1]
     os.kill(first[0], signal.SIGKILL)
+    while Path(f"/proc/{first[0]}/stat").read_text().rpartition(")")[2].split()[0] != "Z":
+        time.sleep(0.01)  # nobody is at the other end of the line then
     assert ids()[0] != first[0]
 
 

@@ -30,6 +30,7 @@ STRIP: dict[str, Any] = {
     "excitation": {"omega": SLOW},
     "contact": {"law": "unilateral"},
     "mesh": {"layout": "graded", "order": 2, "size": 0.02, "lip_elements": 8, "grading": 12.0},
+    "reduction": {"modes": 4},
 }
 """0.1 x 0.4 m, clamped below."""
 STRESS = 1e6
