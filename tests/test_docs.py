@@ -50,14 +50,20 @@ BLOCKS = [
 ]
 
 
-COARSER = {"size = 0.005, lip_elements = 4": "size = 0.01, lip_elements = 3"}
-"""Of the measured beams, of which 150 are solved."""
+COARSER = {
+    "size = 0.005, lip_elements = 4": "size = 0.01, lip_elements = 3",
+    "stop = 0.012, count = 6": "stop = 0.012, count = 5",
+    "stop = 0.28, count = 10": "stop = 0.28, count = 7",
+    "(0.0, 6e-8, 7), np.linspace(372.0, 396.0, 17)": "(0.0, 6e-8, 3), np.linspace(372.0, 396.0, 6)",
+    "np.linspace(0.0, 4800.0, 7)": "np.linspace(0.0, 4800.0, 3)",
+}
+"""Of the measured beams, of which 150 are solved, and of the gallery's 119 cases and 7 speeds."""
 
 
 @pytest.mark.parametrize("code", BLOCKS)
 def test_python_block_runs(code: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each block, or page that is one program, is a whole program, run in the project's folder;
-    that of measured beams on a coarser mesh."""
+    those of measured beams and of the gallery with fewer and coarser ones."""
     monkeypatch.chdir(ROOT)
     for written, coarse in COARSER.items():
         code = code.replace(written, coarse)
