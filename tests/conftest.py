@@ -10,6 +10,7 @@ import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy: results to the bit need one number
 
+import gc
 import importlib
 import subprocess
 from collections.abc import Callable, Iterator
@@ -27,6 +28,8 @@ import fenics_crack as fc
 if TYPE_CHECKING:
     from fenics_crack import Scene, Structure
 
+# 700 by default: with what all tests have imported, to look through it takes 6 % of the time.
+gc.set_threshold(10_000)
 # The same examples in every run; the first call of a form may compile for seconds.
 settings.register_profile("repeatable", derandomize=True, deadline=None, database=None)
 settings.load_profile("repeatable")
