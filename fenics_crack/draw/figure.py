@@ -21,7 +21,7 @@ from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
-from matplotlib.ticker import Formatter, FuncFormatter, LogFormatter, NullLocator
+from matplotlib.ticker import Formatter, FuncFormatter, LogFormatter, LogLocator, NullLocator
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError
@@ -46,6 +46,8 @@ COLOURS["grey"] = "#5C5C5C"
 """Okabe and Ito's palette, which colour-blind readers can tell apart, and a grey."""
 FEW_DECADES = 1e5
 """Ratio of the ends of a logarithmic axis beyond which its labels are powers of ten."""
+UNLABELLED = 1e2
+"""The same beyond which only decades have labels."""
 LETTERS = 42
 """Of a line of a label along the height of a panel, at most."""
 NO_PREFIX = ("1", "-", "%", "Hz", "rad/s")
@@ -184,9 +186,11 @@ def label_axis(axis: Axis, quantity: str, unit: str) -> None:
     elif high > FEW_DECADES * low:
         axis.set_minor_locator(NullLocator())
         axis.set_major_formatter(FuncFormatter(lambda x, _: _power(factor * x)))
-    else:  # few decades: labels within them, too
+    else:  # few decades: labels within them, too, or a few small ticks, of which each takes time
+        if high > UNLABELLED * low:
+            axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
         axis.set_major_formatter(_Decades(factor))
-        axis.set_minor_formatter(_Decades(factor, minor_thresholds=(2.0, 0.8)))
+        axis.set_minor_formatter(_Decades(factor, minor_thresholds=(np.log10(UNLABELLED), 0.8)))
 
 
 class _Decades(LogFormatter):

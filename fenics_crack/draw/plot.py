@@ -365,7 +365,7 @@ def _colour(
     """Draw values (len(y), len(x)) as coloured cells; masked ones are grey."""
     axes.set_facecolor(grey)
     image = axes.pcolormesh(x, y, values, cmap="viridis", shading="nearest", **options)
-    axes.figure.colorbar(image, ax=axes, label=upright(label))
+    axes.figure.colorbar(image, ax=axes, label=upright(label)).minorticks_off()
 
 
 DOUBTFUL = f"not stable, or estimated error above {100 * LARGE_ERROR:g} %"
