@@ -43,6 +43,9 @@ FIRST_MODES, MAX_MODES = 10, 100
 """Modes with which a large structure is tried first, and at most."""
 RUNGS = (5, 10, 20, 40)
 """Harmonics of the load's frequency with which a solution is sought whose orbit is known."""
+SAFETY = 0.7
+"""Part of what modes leave of a tolerance that harmonics may take: forces and K are known less well
+than gaps. A part SLIGHT of the modes' error is not worth any."""
 MAX_HARMONICS = 500
 """That are solved for, or kept of an orbit, for each period of the load."""
 
@@ -87,8 +90,8 @@ def _without_mass(whole: Structure, modes: int) -> Structure:
 
 
 def _goal(tolerance: float, reduction: float) -> float:
-    """What harmonics and samples may leave out; a slight part of what modes do is not worth any."""
-    return max(tolerance - reduction, SLIGHT * reduction)
+    """What harmonics and samples may leave out."""
+    return max(SAFETY * (tolerance - reduction), SLIGHT * reduction)
 
 
 def _told(solver: Solver, found: PeriodicSolution, tolerance: float) -> PeriodicSolution:
@@ -205,7 +208,7 @@ def _kept(solver: Solver, orbit: PeriodicOrbit, tolerance: float) -> PeriodicSol
         return _wave(problem.with_harmonics(harmonics), orbit, known)
 
     reduction, at_load = _lost(solver, wave_with(RUNGS[0] * problem.subharmonic))
-    goal = _goal(tolerance - orbit.residual, reduction)
+    goal = _goal(tolerance, reduction)
     fewer, found = 0, wave_with(problem.harmonics)
     while not found.judged.distance <= goal and found.harmonics < most:
         fewer, found = found.harmonics, wave_with(min(2 * found.harmonics, most))
@@ -277,7 +280,7 @@ def _by_harmonics(
 def _finer(problem: Problem, report: ErrorReport, tolerance: float) -> Problem | None:
     """The problem with more harmonics, and the samples that go with them; None where no more are
     needed, or allowed."""
-    harmonics, goal = problem.harmonics, (1.0 - SLIGHT) * _goal(tolerance, report.reduction)
+    harmonics, goal = problem.harmonics, _goal(tolerance, report.reduction)
     left = report.truncation + report.sampling
     unknown = left >= UNKNOWN and harmonics >= RUNGS[-1] * problem.subharmonic
     more = None if unknown else more_harmonics(harmonics, left, goal, MAX_HARMONICS)
