@@ -300,7 +300,6 @@ def test_tolerance_that_says_that_it_is_missed() -> None:
     assert judged("converged") == judged(missed + "modes", 0.1) == campaign.WRONG
 
 
-@pytest.mark.slow
 def test_motion_that_does_not_repeat_itself_says_so() -> None:
     """9 pairs with mass, k R = 54: in 1,000 periods it comes back to within 24 % at best; nor does
     the judge's; a motion that settles is not said to wander."""
