@@ -79,7 +79,7 @@ def refine_curve(curve: ResponseCurve, between: int | None = None) -> ResponseCu
     Raises
     ------
     InputError
-        The curve is too short.
+        The curve is too short; more points are asked for than a path may take steps.
     ConvergenceError
         A point lies at an undamped resonance that the load drives.
 
@@ -89,6 +89,8 @@ def refine_curve(curve: ResponseCurve, between: int | None = None) -> ResponseCu
     """
     if between is not None:
         check_count("between", between, 1)
+        if between > (most := PathOptions.max_steps):
+            raise InputError("between", between, f"at most {most}")
     if len(curve) < 4:
         raise InputError("curve", f"{len(curve)} points", "at least 4")
     whole = curve.equations(int(curve.harmonics[0]))

@@ -39,6 +39,8 @@ def test_refined_curve_over_folds() -> None:
     assert_solutions(fine, 13)
     peak = fc.continue_frequency(structure, 2.0, 0.3, law, harmonics=6, longest_step=0.004)
     assert fine.amplitude(0).max() == pytest.approx(peak.amplitude(0).max(), rel=1e-4)
+    with pytest.raises(fc.InputError, match="between = 1000000"):
+        fc.refine_curve(coarse, 1_000_000)
 
 
 def test_as_many_points_as_a_picture_needs() -> None:
