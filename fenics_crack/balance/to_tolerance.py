@@ -173,7 +173,7 @@ def _by_itself(solver: Solver, fewer: int) -> PeriodicSolution | None:
     """A solution with more harmonics, and with its own orbit, that no other one leads to: with few
     harmonics it may be another motion's."""
     for more in _rungs(solver, fewer):
-        found = more.attempt(None, patient=False, reported=False)[1]
+        found = more.attempt(None, reported=False)[1]
         if not found.converged:
             return None
         judged = found.judged
