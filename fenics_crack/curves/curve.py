@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, ClassVar
@@ -107,7 +107,7 @@ class CurvePoint:
     unknown: np.ndarray
     iterations: int
     truncation: float = math.nan
-    bifurcations: tuple[tuple[str, float], ...] = field(default_factory=tuple)
+    bifurcations: tuple[tuple[str, float], ...] = ()
 
 
 def columns(points: Sequence[CurvePoint]) -> dict[str, np.ndarray]:

@@ -188,24 +188,14 @@ def _mark_superharmonics(
 ) -> None:
     """Write at each peak the order of its largest harmonic, if that is above the load's."""
     style = {"ha": "center", "fontsize": 8, "color": COLOURS["grey"]}
-    peaks = _prominent(np.log10(np.maximum(amplitude, 1e-300)), 0.05)
+    from scipy.signal import find_peaks  # takes as long to load as matplotlib
+
+    peaks, _ = find_peaks(np.log10(np.maximum(amplitude, 1e-300)), prominence=0.05)
     for peak, sizes in zip(peaks, _harmonic_amplitudes(curve, dof)[peaks], strict=True):
         order, rest = divmod(int(np.argmax(sizes)) + 1, curve.subharmonic)
         if order > 1 and not rest:
             at = factor * curve.omega[peak], amplitude[peak]
             axes.annotate(f"{order}ω", at, (0, 5), textcoords="offset points", **style)
-
-
-def _prominent(height: np.ndarray, least: float) -> list[int]:
-    """Peaks from which it goes down so far on both sides before, if ever, it is as high again."""
-    found = []
-    for peak in np.flatnonzero((height[1:-1] > height[:-2]) & (height[1:-1] >= height[2:])) + 1:
-        before, after = height[peak - 1 :: -1], height[peak + 1 :]
-        ends = [np.argmax(np.append(side > height[peak], True)) for side in (before, after)]
-        sides = zip((before, after), ends, strict=True)
-        if max(side[:end].min() for side, end in sides) <= height[peak] - least:
-            found.append(int(peak))
-    return found
 
 
 def _factor(curve: ResponseCurve, in_hertz: bool) -> float:
