@@ -8,6 +8,7 @@ import shlex
 import subprocess
 import sys
 import tomllib
+import typing
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,6 @@ from helpers import MPI_ENVIRONMENT, ROOT, few_frames
 from surroundings import main
 
 import fenics_crack as fc
-import fenics_crack.scene.scene
-from fenics_crack.cli.command_line import parser
-from fenics_crack.scene import tables
 
 NEWCOMER = ("first_hour", "program", "cluster", "solids")
 """Pages whose lines for the shell are run one after the other."""
@@ -58,6 +56,13 @@ COARSER = {
     "np.linspace(0.0, 4800.0, 7)": "np.linspace(0.0, 4800.0, 3)",
 }
 """Of the measured beams, of which 150 are solved, and of the gallery's 119 cases and 7 speeds."""
+
+
+TABLES: dict[str, Any] = {
+    name: next(kind for kind in (hint, *typing.get_args(hint)) if dataclasses.is_dataclass(kind))
+    for name, hint in typing.get_type_hints(fc.Scene).items()
+}
+"""Classes of a scene's tables."""
 
 
 @pytest.mark.parametrize("code", BLOCKS)
@@ -161,21 +166,19 @@ def test_toml_blocks_are_tables_of_scenes(page: Path) -> None:
     """Blocks of TOML parse, and their keys are known; what is missing is another matter."""
     for block in re.findall(r"```toml\n(.*?)```", page.read_text(), re.S):
         for name, found in tomllib.loads(block).items():
-            known = {field.name: field for field in dataclasses.fields(fc.Scene)}
-            assert name in known
-            listed = isinstance(found, list)
-            words = (name.removesuffix("s") if listed else name).split("_")
-            kind = getattr(fenics_crack.scene.scene, "".join(word.capitalize() for word in words))
-            for table in found if listed else [found]:
+            kind = TABLES[name]
+            for table in found if isinstance(found, list) else [found]:
                 assert isinstance(kind.from_mapping(table), kind)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_commands_exist(page: Path) -> None:
+def test_commands_exist(page: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Commands that are shown without being run: their arguments and their scripts exist."""
-    text = page.read_text()
+    text, read = page.read_text(), list[Any]()
+    monkeypatch.setattr("fenics_crack.cli.command_line._run", read.append)
     for line in re.findall(r"^    (?:mpirun -n \d+ )?fenics-crack (.*)$", text, re.M):
-        assert parser().parse_args(shlex.split(line, comments=True)).command
+        main(shlex.split(line, comments=True))
+        assert read.pop().command
     for script, words in re.findall(r"python ((?:demos|benchmarks)/\w+\.py)(.*)$", text, re.M):
         source = (ROOT / script).read_text()
         for option in re.findall(r"--(\w+)", words):
@@ -194,13 +197,10 @@ def test_links_lead_somewhere() -> None:
 
 def test_names_exist() -> None:
     """Public names and keys of a scene that the pages mention."""
-    kinds = {name: kind for name, kind in vars(tables).items() if dataclasses.is_dataclass(kind)}
-    del kinds["Curve"]  # also a variable of many programs
     keys = {
-        re.sub("(?<!^)(?=[A-Z])", "_", name).lower(): {
-            field.name for field in dataclasses.fields(kind)
-        }
-        for name, kind in kinds.items()
+        name: {field.name for field in dataclasses.fields(kind)}
+        for name, kind in (TABLES | {"load": TABLES["loads"]}).items()
+        if name != "curve"  # also a variable of many programs
     }
     for page in PAGES:
         text = page.read_text()

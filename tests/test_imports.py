@@ -52,7 +52,7 @@ def test_help_imports_nothing(words: str) -> None:
     """It answers at once."""
     program = f"""
 import sys
-from fenics_crack.cli.command_line import main
+from surroundings import main
 try:
     main({words.split()})
 except SystemExit as left:
@@ -105,19 +105,20 @@ print(sum(name.startswith("fenics_crack") for name in sys.modules))
 
 def test_check_needs_no_solver() -> None:
     """Neither it nor the plan of a sweep."""
-    program = """
+    program = f"""
 import sys
-from fenics_crack.cli import scenes
+from surroundings import main
+assert main(["check", {str(DEMOS / "paper_plate.toml")!r}, "--quiet"]) == 0
 print([name for name in ("fenics_crack.balance.solution", "scipy.optimize") if name in sys.modules])
 """
-    assert fresh(program) == "[]"
+    assert fresh(program).splitlines()[-1] == "[]"
 
 
 def test_what_takes_longer_after_mpi_is_loaded_before_it() -> None:
     """gmsh, where a scene has a mesh; and UFL comes without setuptools, which tells its version."""
     program = f"""
 import sys
-from fenics_crack.cli.command_line import main
+from surroundings import main
 assert main(["check", {str(DEMOS / "paper_plate.toml")!r}, "--quiet"]) == 0
 places = [[*sys.modules].index(name) for name in ("gmsh", "mpi4py.MPI", "petsc4py.PETSc", "ufl")]
 print(places == sorted(places), "pkg_resources" in sys.modules)
