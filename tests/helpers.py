@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+import pkgutil
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
@@ -64,6 +65,12 @@ def changed(path: Path) -> Iterator[h5py.File]:
             words = h5py.check_string_dtype(item.dtype) is not None
             parts[name] = item.asstr()[()] if words else item[()]
         file.attrs["digest"] = digest(texts(file), parts)
+
+
+def wrap(patch: pytest.MonkeyPatch, name: str, around: Callable[..., Any]) -> None:
+    """Let calls of a function of the package, by its dotted name, be ``around(function, ...)``."""
+    function = pkgutil.resolve_name(name)
+    patch.setattr(name, lambda *given, **options: around(function, *given, **options))
 
 
 # --- structures -----------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from helpers import two_masses
 import fenics_crack as fc
 from fenics_crack.scene.tables import Sweep
 from fenics_crack.sweep.file import COLUMNS
-from fenics_crack.table import Described, Table, Tabular, quantity
+from fenics_crack.table import Described, Table, Tabular, quantity, readable
 
 TABLES = ("modes", "curve", "backbone", "sweep")
 RESULTS = ("solution", "judged", "linear", "report", "stability", "bifurcation", "orbit", *TABLES)
@@ -165,3 +165,12 @@ def test_quantities() -> None:
     """A number with a prefix that suits it."""
     shown = {1.4514e-6: "1.451 µm", 0.0: "0 m", -2e-9: "-2 nm", 999.97e-6: "1000 µm", 12.0: "12 m"}
     assert {value: quantity(value, "m") for value in shown} == shown
+
+
+def test_units_that_read_well() -> None:
+    """Three digits before the point at most."""
+    for largest, unit, factor, found in (
+        (2e-7, "m", 1e9, "nm"), (1.7e-6, "m", 1e6, "µm"), (0.0, "m", 1.0, "m"),
+        (3.3e4, "Pa", 1e-3, "kPa"), (5e-14, "m", 1e15, "10^-15 m"),
+    ):  # fmt: skip
+        assert readable(largest, unit) == (pytest.approx(factor), found)

@@ -6,7 +6,7 @@ or two, into this folder or into another one:
     .venv/bin/python fenics_crack/kernel/build.py [--sanitize] [FOLDER]
 
 With ``--sanitize`` the compiler adds checks of addresses and of undefined behaviour: so
-``tests/test_kernel.py`` runs once more.
+``tests/balance/test_kernel.py`` runs once more.
 """
 
 from __future__ import annotations

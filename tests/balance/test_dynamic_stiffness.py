@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.linalg
-from helpers import dense, dense_matrices
+from helpers import chain, dense, dense_matrices, relative
 from mpi4py import MPI
 
+import fenics_crack as fc
 from fenics_crack import (
     ConvergenceError,
     InputError,
@@ -352,3 +353,32 @@ def test_damping_matrix_on_two_ranks(on_ranks: Callable[..., Any]) -> None:
         gap = structure.gap.toarray()
         expected = gap.T @ np.linalg.solve(dense_stiffness(structure, 7.77), gap)
         assert relative_error(found, expected) < 1e-10
+
+
+def test_reduced_chain_that_is_not_fixed() -> None:
+    """A chain that is not fixed: K is singular; compliance at w > 0, and the linear response."""
+    for damping in ("matrix", "none"):
+        whole = chain(damping, 60, unconstrained=True)
+        elastic = fc.solve_modes(whole, 2).omega
+        assert elastic[0] < 1e-4 * elastic[1]
+        for method in ("free_interface", "craig_bampton"):
+            previous = np.inf
+            for modes in (6, 12, 40):
+                reduced = fc.reduce_structure(whole, modes=modes, method=method)
+                errors = []
+                for factor in (0.5, 1.3, 2.5):
+                    omega = factor * elastic[1]
+                    with (
+                        DynamicStiffness(reduced, omega) as small,
+                        DynamicStiffness(whole, omega) as large,
+                    ):
+                        errors.append(relative(small.compliance(), large.compliance()))
+                assert max(errors) < previous
+                previous = max(errors)
+            assert previous < 1e-5
+            dofs = list(range(whole.n_dofs))
+            motions = [
+                fc.solve_linear(made, 1.3 * elastic[1]).coefficients_at(dofs)
+                for made in (reduced, whole)
+            ]
+            assert relative(*motions) < 1e-3

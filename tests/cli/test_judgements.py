@@ -1,4 +1,5 @@
-"""What is printed of a result: few lines, one of each kind, and no advice that is followed."""
+"""What is printed of a result: few lines, one of each kind, and no advice that is followed; keys
+and values in words, and pictures of sweeps."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -11,9 +12,12 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack import ErrorReport, ResponseCurve, SweepResult
+from fenics_crack.cli import pictures
 from fenics_crack.cli.account import of_error, of_stability
 from fenics_crack.cli.of_curve import _undecided_stretches, few_special_points
 from fenics_crack.cli.of_sweep import few_cases, stepped_over, warnings_of
+from fenics_crack.scene.fields import Axis
+from fenics_crack.scene.words import differences, key_in_words, value_in_words
 from fenics_crack.study.remarks import remarks_on_scene
 from fenics_crack.sweep import result
 from fenics_crack.sweep.file import COLUMNS, CONVERGED, FAILED
@@ -225,3 +229,76 @@ def test_large_displacements_are_said(tmp_path: Path, capsys: pytest.CaptureFixt
         change = f"excitation.force_sin=[{force}, 0.0]"
         assert main(["solve", str(path), "--set", change, "--output", str(tmp_path / "out")]) == 0
         assert ("beyond small displacements" in capsys.readouterr().err) == warns
+
+
+# --- pictures of sweeps ---------------------------------------------------------------------------
+
+
+def test_lines_and_maps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two axes: few values of the second make lines, many a map, some both; words on the axes."""
+    drawn: list[tuple[str, dict[str, Any]]] = []
+    for name in ("draw_map", "draw_response"):
+        monkeypatch.setattr(pictures, name, lambda *a, name=name, **how: drawn.append((name, how)))
+    for count, expected in (
+        (3, ["draw_response"]),
+        (5, ["draw_response", "draw_map"]),
+        (8, ["draw_map"]),
+    ):
+        drawn.clear()
+        lengths = tuple(0.02 + 0.002 * n for n in range(count))
+        axes = Axis("excitation.frequency", (1.0, 2.0, 3.0, 4.0)), Axis("crack.length", lengths)
+        values, doubtful = np.ones((4, count)), np.zeros((4, count), bool)
+        words = "largest opening", "m"
+        pictures.draw_swept(axes, values, doubtful, words, tmp_path.joinpath, "a")
+        assert [name for name, _ in drawn] == expected
+    assert drawn[0][1]["x_label"] == "load frequency [Hz]"
+    assert drawn[0][1]["y_label"] == "crack length [mm]"
+
+
+# --- keys and values in words ---------------------------------------------------------------------
+
+
+def test_what_differs(paper_scene: fc.Scene) -> None:
+    """Each scene with its own values, also where one is the default; units read well."""
+    base = {"excitation.force_cos": (0.0, 0.0)}
+    scenes = [
+        paper_scene.replace(base | {"excitation.force_sin": (size, 0.0)}) for size in (5.0, 20.0)
+    ]
+    assert differences(scenes) == ["excitation.force_sin = 5 N", "excitation.force_sin = 20 N"]
+    closed = paper_scene.replace({"crack.clearance": -2e-7})
+    assert differences([paper_scene.replace({"crack.clearance": 0.0}), closed]) == [
+        "crack.clearance = 0 m",
+        "crack.clearance = -200 nm",
+    ]
+    assert differences([paper_scene, paper_scene]) == ["", ""]
+
+
+def test_hertz_and_ranges(paper_scene: fc.Scene) -> None:
+    """A frequency in Hz stands for both twins; ranges count where nothing else differs."""
+    one, two = (
+        paper_scene.replace({"excitation.frequency": f, "curve.start": f, "curve.stop": 9.0})
+        for f in (300.0, 310.0)
+    )
+    assert differences([one, two]) == [
+        "excitation.frequency = 300 Hz",
+        "excitation.frequency = 310 Hz",
+    ]
+    ranges = [paper_scene.replace({"curve.start": at, "curve.stop": 9.0}) for at in (1.0, 2.0)]
+    assert differences(ranges) == ["curve.start = 1", "curve.start = 2"]
+
+
+def test_words() -> None:
+    """As axes and lines are named."""
+    assert key_in_words("crack.length") == "crack length"
+    assert key_in_words("excitation.omega") == "load frequency"
+    for key, value, words in (
+        ("crack.length", 0.035, "35 mm"),
+        ("excitation.omega", 4420.0, "4420 rad/s"),
+        ("material.young", 2.1e11, "210 GPa"),
+        ("excitation.force_sin", (0.0, 3.0), "3 N"),
+        ("excitation.point", (0.1, 0.2), "[0.1, 0.2] m"),
+        ("harmonic_balance.harmonics", 7, "7"),
+        ("contact.law", "unilateral", "unilateral"),
+        ("crack.length", None, "none"),
+    ):
+        assert value_in_words(key, value) == words

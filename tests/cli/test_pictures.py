@@ -16,12 +16,9 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 import fenics_crack as fc
-from fenics_crack.draw import animation
-from fenics_crack.draw.figure import COLOURS
-from fenics_crack.draw.paraview import PeriodFields
-from fenics_crack.table import readable
 
-ORANGE = tuple(int(COLOURS["orange"][i : i + 2], 16) for i in (1, 3, 5))
+ORANGE = (0xD5, 0x5E, 0x00)
+"""Of Okabe and Ito's palette."""
 PLATE = (slice(110, 530), slice(0, 530))
 """Rows and columns of the plate in the animation."""
 
@@ -81,15 +78,14 @@ def test_animation(
     path = tmp_path / "new" / "crack.gif"
     material = small_scene.material if with_stress else None
     magnification = fc.animate_period(breathing, path, frames=10, material=material)
-    fields = PeriodFields(breathing, 10)
-    assert magnification == pytest.approx(fields.magnification)
+    time = np.arange(10) * breathing.period / 10
     with Image.open(path) as picture:
         assert picture.n_frames == 10 and picture.size == (640, 740)
         assert picture.info["loop"] == 0 and picture.info["duration"] == 300
         said = picture.info["comment"].decode("latin-1").rpartition("×")[2]
         assert float(said) == pytest.approx(magnification, rel=5e-3)
     assert path.stat().st_size < 1e6
-    gap = breathing.gap(fields.time)[:, 0]
+    gap = breathing.gap(time)[:, 0]
     apart, touching = int(gap.argmin()), int(gap.argmax())
     assert gap[apart] < 0.0 < gap[touching]
     shown = [pixels(path, frame)[PLATE] for frame in (apart, touching)]
@@ -113,25 +109,6 @@ def test_animation_of_twice_the_period_without_a_crack(
     fc.animate_period(twice, tmp_path / "twice.gif", frames=2)
     for name in ("plain", "twice"):
         assert_drawn(tmp_path / f"{name}.gif", (640, 740))
-
-
-def test_window(breathing: fc.PeriodicSolution, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its slider moves the plate; without a screen there is none."""
-    fields = PeriodFields(breathing, 10)
-    plotter = animation.off_screen_plotter(window_size=(600, 600))
-    slider = animation._with_slider(plotter, breathing, fields)
-    pictures = []
-    for frame in (2, 7):
-        slider.GetRepresentation().SetValue(frame / 10)
-        slider.InvokeEvent("InteractionEvent")
-        plotter.render()
-        pictures.append(plotter.screenshot(None, return_img=True))
-    plotter.close()
-    assert np.mean(np.any(pictures[0] != pictures[1], axis=2)) > 0.05
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    with pytest.raises(fc.InputError, match="screen"):
-        fc.show_period(breathing)
 
 
 def test_window_after_dolfinx() -> None:
@@ -192,15 +169,6 @@ def test_spectrum_and_orbits(breathing: fc.PeriodicSolution, tmp_path: Path) -> 
     for draw in (fc.draw_spectrum, fc.draw_orbits):
         with pytest.raises(fc.InputError, match="dof"):
             draw(free)
-
-
-def test_units_that_read_well() -> None:
-    """Three digits before the point at most."""
-    for largest, unit, factor, found in (
-        (2e-7, "m", 1e9, "nm"), (1.7e-6, "m", 1e6, "µm"), (0.0, "m", 1.0, "m"),
-        (3.3e4, "Pa", 1e-3, "kPa"), (5e-14, "m", 1e15, "10^-15 m"),
-    ):  # fmt: skip
-        assert readable(largest, unit) == (pytest.approx(factor), found)
 
 
 # --- maps -----------------------------------------------------------------------------------------

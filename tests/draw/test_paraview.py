@@ -11,7 +11,8 @@ from helpers import log_slope, relative
 from matplotlib.image import imread
 
 import fenics_crack as fc
-from fenics_crack.draw.paraview import moved_grid, nodal_stress, von_mises
+from fenics_crack.draw import animation
+from fenics_crack.draw.paraview import PeriodFields, moved_grid, nodal_stress, von_mises
 from fenics_crack.fem.nodal_mesh import NodalMesh
 
 
@@ -337,3 +338,22 @@ def test_what_has_no_mesh_cannot_be_drawn(tmp_path: Path) -> None:
     solution = fc.solve_linear(structure, 0.5)
     with pytest.raises(fc.InputError, match="pairs"):
         fc.draw_contact_map(solution)
+
+
+def test_window(breathing: fc.PeriodicSolution, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its slider moves the plate; without a screen there is none."""
+    fields = PeriodFields(breathing, 10)
+    plotter = animation.off_screen_plotter(window_size=(600, 600))
+    slider = animation._with_slider(plotter, breathing, fields)
+    pictures = []
+    for frame in (2, 7):
+        slider.GetRepresentation().SetValue(frame / 10)
+        slider.InvokeEvent("InteractionEvent")
+        plotter.render()
+        pictures.append(plotter.screenshot(None, return_img=True))
+    plotter.close()
+    assert np.mean(np.any(pictures[0] != pictures[1], axis=2)) > 0.05
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(fc.InputError, match="screen"):
+        fc.show_period(breathing)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ from mpi4py import MPI
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
-from fenics_crack.study.timing import tip_direction
 
 SIDE, LENGTH, YOUNG, DENSITY = 0.01, 0.2, 2.1e11, 7850.0
 BAR: dict[str, Any] = {
@@ -104,32 +102,6 @@ def test_ranks_share_the_blade(on_ranks: Callable[..., Any]) -> None:
     assert shared[:4] == pytest.approx(alone[:4], rel=1e-9)
     assert shared[4:] == pytest.approx(alone[4:], rel=2e-8)
     assert 0.05 < alone[-1] < 0.3
-
-
-def test_a_tip_passes_probes_by_its_circumferential_motion() -> None:
-    """Normal to the axis and to the radius; what is given by hand stays; a tip on the axis has no
-    such direction."""
-    tip = [0.0, LENGTH, SIDE]
-    scene = Scene.from_mapping(
-        BAR
-        | PUSHED
-        | {
-            "rotation": {"speed": 100.0, "axis": [2.0, 0.0, 0.0], "center": [0.0, -0.1, 0.0]},
-            "tip_timing": {"probes": [0.0, 50.0], "tip_radius": 0.3, "order": 1},
-            "output": {"points": {"tip": tip}},
-        }
-    )
-    run = fc.solve(scene)
-    structure, table = run.structure.whole, scene.given("tip_timing")
-    radius = math.hypot(LENGTH + 0.1, SIDE)
-    shares = {"y": -SIDE / radius, "z": (LENGTH + 0.1) / radius}
-    expected = {structure.find_dof(tip, axis): share for axis, share in shares.items()}
-    assert tip_direction(table, run) == pytest.approx(expected, rel=1e-12)
-    by_hand = scene.replace({"tip_timing.tangential": -0.5}).given("tip_timing")
-    assert tip_direction(by_hand, run) == {run.watched_dof: -0.5}
-    through_it = replace(run, scene=scene.replace({"rotation.center": [1.0, LENGTH, SIDE]}))
-    with pytest.raises(InputError, match="off the axis"):
-        tip_direction(table, through_it)
 
 
 def test_a_phase_delays_cosine_and_sine() -> None:

@@ -15,12 +15,14 @@ from mpi4py import MPI
 from numpy.polynomial import Polynomial
 from rotating import DENSITY, HEIGHT, STRIP, UNIT, WIDTH, YOUNG, cracked, strip
 from surroundings import main
+from test_rotating_solids import BAR, LENGTH, PUSHED, SIDE
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
 from fenics_crack.fem.build import assemble
 from fenics_crack.model.modes import times
 from fenics_crack.model.rotation import static_state
+from fenics_crack.study.timing import tip_direction
 from fenics_crack.table import RPM
 
 PUBLISHED = {
@@ -255,3 +257,32 @@ def test_the_length_found_from_a_frequency_is_that_at_rest() -> None:
     crack = {"edge": "left", "height": 0.05, "first_omega": first}
     found = fc.find_crack_length(cracked(500.0, crack=crack, mesh=mesh))
     assert found == pytest.approx(0.006, rel=2e-3)
+
+
+# --- tips of solids -------------------------------------------------------------------------------
+
+
+def test_a_tip_passes_probes_by_its_circumferential_motion() -> None:
+    """Normal to the axis and to the radius; what is given by hand stays; a tip on the axis has no
+    such direction."""
+    tip = [0.0, LENGTH, SIDE]
+    scene = Scene.from_mapping(
+        BAR
+        | PUSHED
+        | {
+            "rotation": {"speed": 100.0, "axis": [2.0, 0.0, 0.0], "center": [0.0, -0.1, 0.0]},
+            "tip_timing": {"probes": [0.0, 50.0], "tip_radius": 0.3, "order": 1},
+            "output": {"points": {"tip": tip}},
+        }
+    )
+    run = fc.solve(scene)
+    structure, table = run.structure.whole, scene.given("tip_timing")
+    radius = math.hypot(LENGTH + 0.1, SIDE)
+    shares = {"y": -SIDE / radius, "z": (LENGTH + 0.1) / radius}
+    expected = {structure.find_dof(tip, axis): share for axis, share in shares.items()}
+    assert tip_direction(table, run) == pytest.approx(expected, rel=1e-12)
+    by_hand = scene.replace({"tip_timing.tangential": -0.5}).given("tip_timing")
+    assert tip_direction(by_hand, run) == {run.watched_dof: -0.5}
+    through_it = replace(run, scene=scene.replace({"rotation.center": [1.0, LENGTH, SIDE]}))
+    with pytest.raises(InputError, match="off the axis"):
+        tip_direction(table, through_it)

@@ -20,7 +20,6 @@ from test_responses import file_of as universal_file
 
 import fenics_crack as fc
 from fenics_crack import SweepResult
-from fenics_crack.identification.identify import remarks_on
 
 PLATE = """
 geometry = { width = 0.1, height = 0.2, thickness = 0.01 }
@@ -223,17 +222,6 @@ def test_no_crack_is_claimed(scene: fc.Scene, folder: Path, seed: int) -> None:
     """On plates without one."""
     rows = measured(scene, {"crack": None, "contact": None}, seed)
     assert fc.identify(scene, rows, folder=folder).verdict != "crack"
-
-
-def test_remark_on_the_size_of_the_load(scene: fc.Scene) -> None:
-    """With a clearance or a steady force the shape of a motion depends on it; amplitudes always."""
-    row = fc.Measurement("ratio_2_1", 0.1, 0.01, frequency=700.0)
-    assert remarks_on(scene, fc.Measurements((row,))) == ()
-    for key, value in {"crack.clearance": 1e-6, "excitation.force_mean": (0.0, 5.0)}.items():
-        changed = scene.replace({key: value})
-        [remark] = remarks_on(changed, fc.Measurements((row,)))
-        assert remark.startswith("a clearance or a steady load")
-        assert remarks_on(changed, fc.Measurements((replace(row, quantity="harmonic_1"),))) == ()
 
 
 def test_coarser_mesh_for_most(scene: fc.Scene, tmp_path: Path) -> None:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import identification
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
 import fenics_crack as fc
+from fenics_crack.identification.identify import remarks_on
 from fenics_crack.identification.interpolation import Cube, Interpolation, left_out_errors
 from fenics_crack.identification.model import Prediction
+from fenics_crack.identification.nuisance import act_as
 from fenics_crack.identification.posterior import Likelihood, Posterior, explore
 from fenics_crack.identification.probes import Passages
 from fenics_crack.identification.where_to_measure import worth_of
@@ -304,3 +307,44 @@ def test_lines_that_cannot_be_used(tmp_path: Path, line: str, message: str) -> N
     with pytest.raises(fc.InputError) as error:
         fc.Measurements.from_csv(path)
     assert message in str(error.value)
+
+
+# --- what is said, and what is not known --------------------------------------------------------
+
+
+def test_remark_on_the_size_of_the_load() -> None:
+    """With a clearance or a steady force the shape of a motion depends on it; amplitudes always."""
+    scene = fc.Scene.from_text(identification.SCENE)
+    row = fc.Measurement("ratio_2_1", 0.1, 0.01, frequency=700.0)
+    assert remarks_on(scene, fc.Measurements((row,))) == ()
+    for key, value in {"crack.clearance": 1e-6, "excitation.force_mean": (0.0, 5.0)}.items():
+        changed = scene.replace({key: value})
+        [remark] = remarks_on(changed, fc.Measurements((row,)))
+        assert remark.startswith("a clearance or a steady load")
+        assert remarks_on(changed, fc.Measurements((replace(row, quantity="harmonic_1"),))) == ()
+
+
+def test_an_inclined_crack_acts_at_its_tip(tmp_path: Path) -> None:
+    """What 10 degrees change of four frequencies is what a straight crack at the height of the tip
+    changes; so much is its height less sure by an angle."""
+    scene = fc.Scene.from_text(identification.SCENE)
+    length, height, rise = 0.025, 0.1, np.tan(np.radians(10.0))
+    keys = ("geometry.width", "geometry.height", "crack.edge", "crack.height", "crack.length",
+            "mesh.size", "mesh.lip_elements", "identify", "output")  # fmt: skip
+    files = dict.fromkeys(keys) | {"mesh.layout": "file"}
+
+    def logs(changes: dict[str, object]) -> np.ndarray:
+        modes = fc.solve_modes(fc.build_structure(scene.replace(changes)), 4)
+        return np.log(modes.omega)
+
+    changed = []
+    for side in (1.0, -1.0):
+        path = tmp_path / "inclined.msh"
+        identification.inclined_mesh(np.array([length, height]), side * 10.0, path)
+        tilted = logs(files | {"mesh.file": str(path)})
+        straight = logs({"crack.length": length, "crack.height": height + side * rise * length})
+        changed.append((side * tilted, side * straight))
+    tilted, straight = np.sum(changed, axis=0)
+    assert 0.8 < tilted @ straight / (straight @ straight) < 1.15
+    spread = act_as(np.array([[length, height]]), ("crack.length", "crack.height"), scene)
+    assert spread[0, 1] == pytest.approx(length * np.tan(np.radians(5.0)))

@@ -6,15 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import gmsh
-import identification
+import h5py
 import numpy as np
 import pytest
 from mpi4py import MPI
 from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack.identification.nuisance import act_as
-from fenics_crack.scene.scene import files_of
 
 LENGTHS, HEIGHTS = (0.01, 0.018, 0.026, 0.034), (0.04, 0.07, 0.1, 0.13)
 PLATE = """
@@ -86,7 +84,10 @@ def test_as_the_program_s_own_meshes(own: Path, rows: fc.Measurements, tmp_path:
     assert Path(found.mesh) in {own.parent / f"{name}.msh" for name in ("18_70", "26_70")}
     assert fc.Scene.from_text(scene.as_toml()) == scene
     # Results of the scene itself do not depend on the others.
-    assert files_of(scene) == [("mesh.file", str(own.parent / "10_40.msh"))]
+    modes = fc.solve_modes(fc.prepare(scene, MPI.COMM_SELF).structure, 1)
+    fc.save(modes, tmp_path / "modes.h5", scene)
+    with h5py.File(tmp_path / "modes.h5") as file:
+        assert len(file.attrs["meshes"].split()) == 1
 
 
 def test_command_names_the_mesh(
@@ -199,28 +200,3 @@ uncracked = "0.msh"
     low, high = found.intervals["notch"]
     assert low < 10.0 < high < 16.0 and found.verdict == "crack"
     assert "notch = " in str(found) and found.mesh in {f"{tmp_path}/8.msh", f"{tmp_path}/12.msh"}
-
-
-def test_an_inclined_crack_acts_at_its_tip(tmp_path: Path) -> None:
-    """What 10 degrees change of four frequencies is what a straight crack at the height of the tip
-    changes; so much is its height less sure by an angle."""
-    scene = fc.Scene.from_text(identification.SCENE)
-    length, height, rise = 0.025, 0.1, np.tan(np.radians(10.0))
-    keys = [*OF_FILES, "identify", "output"]
-    files = dict.fromkeys(keys) | {"mesh.layout": "file"}
-
-    def logs(changes: dict[str, object]) -> np.ndarray:
-        modes = fc.solve_modes(fc.build_structure(scene.replace(changes)), 4)
-        return np.log(modes.omega)
-
-    changed = []
-    for side in (1.0, -1.0):
-        path = tmp_path / "inclined.msh"
-        identification.inclined_mesh(np.array([length, height]), side * 10.0, path)
-        tilted = logs(files | {"mesh.file": str(path)})
-        straight = logs({"crack.length": length, "crack.height": height + side * rise * length})
-        changed.append((side * tilted, side * straight))
-    tilted, straight = np.sum(changed, axis=0)
-    assert 0.8 < tilted @ straight / (straight @ straight) < 1.15
-    spread = act_as(np.array([[length, height]]), ("crack.length", "crack.height"), scene)
-    assert spread[0, 1] == pytest.approx(length * np.tan(np.radians(5.0)))

@@ -8,15 +8,11 @@ import numpy as np
 import pytest
 import pyvista
 import scipy.linalg
-from helpers import DAMPINGS, ROOT, chain, log_slope, relative, true_error
+from helpers import DAMPINGS, ROOT, chain, log_slope, relative, true_error, wrap
 from matplotlib.image import imread
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack.balance.compliance import DynamicStiffness, dynamic_compliance
-from fenics_crack.model import modes as model_modes
-from fenics_crack.model import reduction
-from fenics_crack.model.factor import Factor
 
 GOOD = ("free_interface", "craig_bampton")
 METHODS = (*GOOD, "truncation")
@@ -24,7 +20,7 @@ METHODS = (*GOOD, "truncation")
 
 def compliances(structure: fc.Structure, base: float, harmonics: int) -> tuple[np.ndarray, ...]:
     """R_k, k = 0 to H, and the linear gap."""
-    found = dynamic_compliance(structure, base, harmonics)
+    found = fc.Problem(structure, base, fc.UnilateralPenalty(1.0), harmonics).compliance()
     return found.matrices, found.linear_gap
 
 
@@ -128,35 +124,6 @@ def test_truncation_lacks_the_residual_flexibility(
     ]
     errors = {name: relative(gap, gaps[0]) for name, gap in zip(METHODS, gaps[1:], strict=True)}
     assert errors["truncation"] > 10.0 * max(errors[method] for method in GOOD)
-
-
-def test_unconstrained_chain() -> None:
-    """A chain that is not fixed: K is singular; compliance at w > 0, and the linear response."""
-    for damping in ("matrix", "none"):
-        whole = chain(damping, 60, unconstrained=True)
-        elastic = fc.solve_modes(whole, 2).omega
-        assert elastic[0] < 1e-4 * elastic[1]
-        for method in GOOD:
-            previous = np.inf
-            for modes in (6, 12, 40):
-                reduced = fc.reduce_structure(whole, modes=modes, method=method)
-                errors = []
-                for factor in (0.5, 1.3, 2.5):
-                    omega = factor * elastic[1]
-                    with (
-                        DynamicStiffness(reduced, omega) as small,
-                        DynamicStiffness(whole, omega) as large,
-                    ):
-                        errors.append(relative(small.compliance(), large.compliance()))
-                assert max(errors) < previous
-                previous = max(errors)
-            assert previous < 1e-5
-            dofs = list(range(whole.n_dofs))
-            motions = [
-                fc.solve_linear(made, 1.3 * elastic[1]).coefficients_at(dofs)
-                for made in (reduced, whole)
-            ]
-            assert relative(*motions) < 1e-3
 
 
 # --- estimated error ------------------------------------------------------------------------------
@@ -365,14 +332,15 @@ def fine_plate(paper_scene: fc.Scene) -> fc.Structure:
 def counts(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """How many modes are asked for from now on."""
     asked: list[int] = []
-    solve = model_modes.modes_by
 
-    def counted(factor: Factor, structure: fc.Structure, count: int, *ties: Any) -> fc.Modes:
+    def counted(
+        solve: Callable[..., fc.Modes], factor: Any, structure: Any, count: int, *ties: Any
+    ) -> fc.Modes:
         asked.append(count)
         return solve(factor, structure, count, *ties)
 
-    monkeypatch.setattr(reduction, "modes_by", counted)
-    monkeypatch.setattr(model_modes, "modes_by", counted)
+    for module in ("reduction", "modes"):
+        wrap(monkeypatch, f"fenics_crack.model.{module}.modes_by", counted)
     return asked
 
 
@@ -456,7 +424,7 @@ def reductions(scene: fc.Scene, comm: MPI.Comm) -> list[np.ndarray]:
     found = []
     for method in METHODS:
         reduced = fc.reduce_structure(plate, modes=8, method=method)
-        found += [reduced.omega, np.abs(dynamic_compliance(reduced, 1500.0, 4).matrices)]
+        found += [reduced.omega, np.abs(compliances(reduced, 1500.0, 4)[0])]
     return found
 
 

@@ -6,15 +6,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import islice, pairwise
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers import chain, oscillator, relative
+from helpers import Cubic, chain, oscillator, relative
 from laboratory import BlockSystem
 
 import fenics_crack as fc
 from fenics_crack.balance.compliance import FactoredCompliance
+from fenics_crack.balance.contact_integrals import contact_integrals
+from fenics_crack.curves import free_motion
+from fenics_crack.curves.family import FAMILIES
 from fenics_crack.motion.flow import Budget, flow_of
 from fenics_crack.motion.orbit import find_orbit
 from fenics_crack.motion.shooting import FlowOrbits
@@ -25,7 +29,7 @@ from fenics_crack.numerics.bordered import (
     solve_in_plane,
     tangent_of,
 )
-from fenics_crack.numerics.equations import DenseLinearisation
+from fenics_crack.numerics.equations import DenseLinearisation, System
 from fenics_crack.numerics.newton import Newton, gmres
 from fenics_crack.numerics.path import Closed, Crossing, Ended, Fold, Path, PathOptions, Target
 from fenics_crack.stability.floquet import orbits_near
@@ -320,6 +324,86 @@ def test_point_between_two_is_judged_once() -> None:
     assert met is not None
     assert met.parameter == pytest.approx(before.parameter + 0.004 * tangent.p, rel=1e-11)
     assert len(set(asked)) == len(asked)
+
+
+class Narrow:
+    """x = f(p), once around a narrow circle at p = 0; the sign of det J is not told."""
+
+    width, size = 0.003, 0.3
+
+    def linearise(self, unknown: np.ndarray, parameter: float) -> SimpleNamespace:
+        """J = I."""
+        wave = 1.0 / (1.0 + 1j * parameter / self.width)
+        rate = -1j * wave**2 / self.width
+        value = np.array([1.0 + self.size * wave.real, self.size * wave.imag, parameter])
+        slope = np.array([self.size * rate.real, self.size * rate.imag, 1.0])
+        return SimpleNamespace(
+            residual=unknown - value, by_parameter=-slope, solve=np.copy, sign=np.nan
+        )  # fmt: skip
+
+    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
+        """Of R^3."""
+        return float(first @ second)
+
+
+@pytest.mark.parametrize("number", range(12))
+def test_without_a_sign_no_way_back(number: int) -> None:
+    """A step may land on the far side of a narrow resonance, where the path seems to come back."""
+    begin, system = -1.0 - 0.013 * number, Narrow()
+    first = -system.linearise(np.zeros(3), begin).residual
+    reached = begin
+    start = point_on_path(system, first, begin)  # type: ignore[arg-type]
+    options = PathOptions(0.1, max_step=0.1, min_cosine=0.85, max_steps=200)
+    for point in Path(system, start, options).points():  # type: ignore[arg-type]
+        assert point.parameter > reached
+        reached = point.parameter
+    assert reached > 1.0
+
+
+@pytest.mark.parametrize(
+    "law",
+    [fc.UnilateralPenalty(3.0), Cubic(0.5), fc.SmoothedPenalty(3.0, 20.0)],
+    ids=["penalty", "cubic", "smoothed"],
+)
+@pytest.mark.parametrize("parameter", ["stiffness", "energy", "share"])
+def test_jacobian_of_free_motions(law: fc.UnilateralPenalty, parameter: str) -> None:
+    """Its inverse, the sign of its determinant and dF/dp against finite differences."""
+    rest = free_motion.Equilibrium(chain("none"), law)
+    given = rest, contact_integrals(law, 4), float(rest.frequencies[1])
+    system: System = free_motion.EnergyMotion(*given)
+    if parameter == "stiffness":
+        system = free_motion.StiffnessMotion(*given, energy=2.0)
+    if parameter == "share":
+        system = free_motion.FadedMotion(free_motion.StiffnessMotion(*given, energy=2.0), 2)
+    rng = np.random.default_rng(0)
+    unknown = 0.3 * rng.normal(size=51)
+    unknown[-1] = 0.5 * rest.frequencies[4] / rest.frequencies[1] * (1.0 + 1e-6)  # in resonance
+    step = 1e-6
+
+    def residual(unknown: np.ndarray, parameter: float = 0.1) -> np.ndarray:
+        return system.linearise(unknown, parameter).residual
+
+    matrix = np.array([
+        (residual(unknown + step * row) - residual(unknown - step * row)) for row in np.eye(51)
+    ]).T / (2.0 * step)  # fmt: skip
+    at = system.linearise(unknown, 0.1)
+    right = rng.normal(size=51)
+    assert np.allclose(matrix @ at.solve(right), right, atol=2e-6)
+    assert at.sign == np.sign(np.linalg.det(matrix))
+    slope = (residual(unknown, 0.1 + step) - residual(unknown, 0.1 - step)) / (2.0 * step)
+    assert np.allclose(at.by_parameter, slope, atol=1e-8)
+
+
+def test_rounding_does_not_grow_with_the_stiffness() -> None:
+    """The slope is bounded by the inverse of R_inf: a stiffer law is solved as sharply."""
+    structure = fc.reduce_structure(chain("modal", pairs=3), modes=6, method="massless")
+    first = structure.omega[0]
+    sharp = []
+    for law in (fc.UnilateralPenalty(0.1), fc.UnilateralPenalty(1e20), fc.UnilateralConstraint()):
+        problem = fc.Problem(structure.varied(damping=1e-4), first, law, 5)  # in resonance
+        family = FAMILIES["omega"](problem, 0.99 * first, 1.01 * first)
+        sharp.append(family.rounding(0.5))
+    assert sharp[1:] == pytest.approx(sharp[2] * np.ones(2)) and sharp[0] < sharp[2] < 1e-7
 
 
 # --- full steps -----------------------------------------------------------------------------------

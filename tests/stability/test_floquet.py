@@ -1,5 +1,6 @@
 """Floquet multipliers."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,12 +15,12 @@ from helpers import (
     period_two_orbit,
     random_stiffness,
     relative,
+    wrap,
 )
 from scipy.integrate import solve_ivp
 
 import fenics_crack as fc
 from fenics_crack import floquet
-from fenics_crack.motion.shooting import orbit_next_to
 
 NEW = ROOT / "benchmarks" / "plate.toml"
 BLADE = Path(__file__).parents[2] / "demos" / "blade.toml"
@@ -236,12 +237,12 @@ def test_error_and_verdict_of_a_blade() -> None:
     law, omega = fc.UnilateralConstraint(), 2.0 * np.pi * 121.12
     searches: list[int] = []
 
-    def counted(*args: object, **options: object) -> object:
+    def counted(search: Callable[..., object], *args: object, **options: object) -> object:
         searches.append(1)
-        return orbit_next_to(*args, **options)  # type: ignore[arg-type]
+        return search(*args, **options)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fenics_crack.balance.judgement.orbit_next_to", counted)
+        wrap(patch, "fenics_crack.balance.judgement.orbit_next_to", counted)
         solution = fc.solve_harmonic_balance(blade, omega, law, harmonics=15)
         verdict = floquet(blade, replace(solution, status="known"))
     assert len(searches) == 1

@@ -15,13 +15,12 @@ from helpers import (
     random_stiffness,
     relative,
     sampled_harmonics,
+    wrap,
 )
 from mpi4py import MPI
 from scipy.linalg import expm
 
 import fenics_crack as fc
-from fenics_crack.model.modes import largest_frequency
-from fenics_crack.time import central_differences, flows, implicit
 
 LAW = fc.UnilateralPenalty(1e9)
 
@@ -153,11 +152,9 @@ def test_paper_data_does_not_settle(paper_structure: fc.Structure) -> None:
 
 def test_step_beyond_the_stable_one_is_refused(soft_plate: fc.Structure) -> None:
     """dt <= 2 / omega_max with the pairs closed; the error names the least number of steps."""
-    highest = largest_frequency(soft_plate.tied(1e9))
+    highest = fc.solve_modes(soft_plate.tied(1e9), soft_plate.n_dofs).omega[-1]
     least = fc.stable_steps_per_period(soft_plate, 2000.0, LAW)
     assert (2.0 * np.pi / 2000.0) / least < 2.0 / highest < (2.0 * np.pi / 2000.0) / (least - 1)
-    modes = fc.solve_modes(soft_plate.tied(1e9), soft_plate.n_dofs)
-    assert highest == pytest.approx(modes.omega[-1], rel=1e-6)
     with pytest.raises(fc.InputError, match=f"steps_per_period.*>= {least}"):
         fc.integrate_central_difference(
             soft_plate, 2000.0, LAW, periods=1, steps_per_period=least - 1
@@ -364,21 +361,21 @@ def test_a_stopped_run_loses_nothing(
         return march(structure, 0.8, law, periods=periods, steps_per_period=steps, **options)
 
     whole, handler = run(8), signal.getsignal(signal.SIGINT)
-    owner: Any = {
-        "central": central_differences._ModalDifferences,
-        "implicit": implicit._GeneralisedAlpha,
-        "events": flows._ByEvents,
+    owner = {
+        "central": "central_differences._ModalDifferences",
+        "implicit": "implicit._GeneralisedAlpha",
+        "events": "flows._ByEvents",
     }[integrate]
-    fill, count = owner.fill, 0
+    count = 0
 
-    def interrupted(self: Any, *arguments: Any, **options: Any) -> Any:
+    def interrupted(fill: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
         nonlocal count
         count += 1
         if count == 4:
             signal.raise_signal(signal.SIGINT)
-        return fill(self, *arguments, **options)
+        return fill(*arguments, **options)
 
-    monkeypatch.setattr(owner, "fill", interrupted)
+    wrap(monkeypatch, f"fenics_crack.time.{owner}.fill", interrupted)
     part = run(8)
     assert part.periods == 4 and signal.getsignal(signal.SIGINT) == handler
     assert np.array_equal(part.gap, whole.gap[: 4 * steps])
