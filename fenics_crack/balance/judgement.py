@@ -111,7 +111,10 @@ class Judgement:
         assert self.flow is not None
         omega, periods = self.wave.omega, self.wave.subharmonic
         patient = self.prediction < FAR and self._patient
-        return orbit_next_to(self.flow, omega, self.states[0], periods, patient=patient)
+        return orbit_next_to(
+            self.flow, omega, self.states[0], periods, patient=patient,
+            inverse=self.predicted.inverse,
+        )  # fmt: skip
 
     @cached_property
     def finer(self) -> Judgement | None:

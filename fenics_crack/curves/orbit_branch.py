@@ -47,7 +47,7 @@ from scipy.interpolate import barycentric_interpolate
 from scipy.linalg.lapack import dgeqrf, dorgqr
 
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.motion.orbit import KNOWN, eigenvalues
+from fenics_crack.motion.orbit import KNOWN, SHRINKING, eigenvalues
 from fenics_crack.motion.shooting import FlowOrbits, Homotopy, OrbitPoint
 from fenics_crack.numerics.bordered import (
     FULL_STEPS,
@@ -69,9 +69,6 @@ NARROWEST, ALONE = 1.0 / 8.0, 1.0 / 32.0
 where several numbers change."""
 TOLERANCE = 1e-8
 """|F| / |x| of nodes, and to what part of a segment bifurcations are located."""
-SHRINKING = 0.1
-"""By how much a Newton step has to shrink the residual that another one with the same derivative
-may follow."""
 ALIKE = 0.5
 """Farthest orbit from the motion of its point; whether it is the point's own is asked later."""
 REACH = 5e-3

@@ -9,6 +9,9 @@ and the eigenvalues of M are its Floquet multipliers. A step of Newton's method 
 the *natural* test accepts it: the simplified step from there, with the same M, is shorter. It does
 not depend on how the state is measured.
 
+The derivative of one step is kept for the next ones as long as they shrink the residual enough; a
+first one may be that of a motion nearby.
+
 With many modes M is not formed: GMRES takes products with it, in the norm of the energy, each for
 the time of half a period followed. Damping leaves little of fast modes: some dozen are enough.
 
@@ -38,8 +41,9 @@ from fenics_crack.numerics.newton import gmres
 from fenics_crack.table import Described, counted
 
 __all__ = [
-    "FLOWS", "FORMED", "INSTANTS", "KNOWN", "PIECES", "OrbitCoefficients", "PeriodicOrbit",
-    "Prediction", "affordable", "doubling_test", "eigenvalues", "find_orbit", "predict",
+    "FLOWS", "FORMED", "INSTANTS", "KNOWN", "PIECES", "SHRINKING", "Inverse", "OrbitCoefficients",
+    "PeriodicOrbit", "Prediction", "affordable", "doubling_test", "eigenvalues", "find_orbit",
+    "predict",
 ]  # fmt: skip
 
 FLOWS, SHORTEST = 20, 1e-3
@@ -49,6 +53,9 @@ PIECES = 20_000
 CLOSED, NEARLY, HURRIED = 1e-11, 1e-8, 0.1
 """Relative length of a step behind which an orbit is found: of one by factors of M, by products;
 and how short one by products may become."""
+SHRINKING = 0.1
+"""By how much a Newton step has to shrink the residual that another one with the same derivative
+may follow."""
 FORMED = 240
 """Numbers of a state up to which M is formed."""
 PRODUCTS, SHARP, BLUNT = 60, 1e-2, 0.25
@@ -65,6 +72,10 @@ GAUSS_NODES = 20
 GAUSS_TURN = 12.0
 
 
+Inverse = Callable[[np.ndarray, float], np.ndarray]
+"""b to (I - M)^-1 b, to a relative residual where M is not formed."""
+
+
 @dataclass(frozen=True)
 class Prediction:
     """What one step of Newton's method makes of a wave.
@@ -77,11 +88,14 @@ class Prediction:
         Z + d.
     track : Track
         Of all parts, one behind the other.
+    inverse : Inverse
+        (I - M)^-1, M that of the track.
     """
 
     error: float
     states: np.ndarray
     track: Track
+    inverse: Inverse
 
     @property
     def monodromy(self) -> np.ndarray:
@@ -256,17 +270,15 @@ def predict(
     moved, track, ends = flow.steps(states, omega, 2.0 * np.pi * subharmonic / omega)
     excess = moved - np.roll(states, -1, axis=0)
     change = track.carried(np.zeros(flow.size), excess, ends)[-1]
-    start = _inverse(flow, track, flow.weights(omega / subharmonic))(change, SHARP)
-    changes = track.carried(start, excess, ends)[:-1]
+    inverse = _inverse(flow, track, flow.weights(omega / subharmonic))
+    changes = track.carried(inverse(change, SHARP), excess, ends)[:-1]
     count = flow.size // 2
     size = float(np.linalg.norm(states[:, :count] @ flow.modes.pairs))
     error = float(np.linalg.norm(changes[:, :count] @ flow.modes.pairs)) / (size or 1.0)
-    return Prediction(error, states + changes, track)
+    return Prediction(error, states + changes, track, inverse)
 
 
-def _inverse(
-    flow: ContactFlow, track: Track, weights: np.ndarray
-) -> Callable[[np.ndarray, float], np.ndarray]:
+def _inverse(flow: ContactFlow, track: Track, weights: np.ndarray) -> Inverse:
     """b to (I - M)^-1 b, exactly, or of large states to a relative residual in the norm of the
     energy."""
     if flow.size <= FORMED:
@@ -286,13 +298,14 @@ def find_orbit(
     *,
     subharmonic: int = 1,
     budget: Budget | None = None,
+    inverse: Inverse | None = None,
 ) -> PeriodicOrbit | None:
     """The orbit that Newton's method leads to from a state at phase zero; None where it leads to
     none, or takes more than the budget allows: pieces of all motions together, and intervals of
-    each."""
+    each. It may begin with the inverse of a motion nearby."""
     search = _Search(flow, omega, subharmonic, state, budget)
     try:
-        if not search.leads_to_orbit():
+        if not search.leads_to_orbit(inverse):
             return None
     except (ConvergenceError, np.linalg.LinAlgError, ValueError):
         return None
@@ -324,15 +337,17 @@ class _Search:
         """In the norm of the energy."""
         return float(np.linalg.norm(self._weights * change))
 
-    def leads_to_orbit(self) -> bool:
+    def leads_to_orbit(self, inverse: Inverse | None) -> bool:
         """Whether it ends with an orbit."""
-        share, inverse = 1.0, None
         formed = self._flow.size <= FORMED
         closed, shortest = (CLOSED, SHORTEST) if formed else (NEARLY, HURRIED)
         self.motion = self._follow(self.state)
+        share, own, step = 1.0, False, None  # whether the derivative is that of the motion here
+        if formed and inverse is not None:
+            step = inverse(self.motion.state - self.state, SHARP)
         while self.flows < FLOWS:
-            if inverse is None:
-                inverse = _inverse(self._flow, self.motion.track, self._weights)
+            if inverse is None or step is None:
+                inverse, own = _inverse(self._flow, self.motion.track, self._weights), True
                 step = inverse(self.motion.state - self.state, SHARP)
             trial = self.state + share * step
             moved = self._follow(trial)
@@ -343,14 +358,18 @@ class _Search:
             if not after <= (1.0 - 0.25 * share) * before:
                 if before <= ROUNDED * goal:
                     return True
+                if not own:
+                    step = None
+                    continue
                 share = min(0.5 * share, 0.5 * share**2 * before / bent)
                 if share < shortest:
                     return False
                 continue
-            self.state, self.motion, inverse = trial, moved, None
+            self.state, self.motion, own = trial, moved, False
             if after <= goal:
                 return True
             share = min(1.0, 0.5 * share**2 * before / bent)
+            step = simplified if formed and after <= SHRINKING * before else None
         return False
 
     def _follow(self, state: np.ndarray) -> Motion:

@@ -35,6 +35,7 @@ from fenics_crack.motion.orbit import (
     FORMED,
     INSTANTS,
     KNOWN,
+    Inverse,
     PeriodicOrbit,
     Prediction,
     find_orbit,
@@ -342,13 +343,15 @@ def orbit_next_to(
     subharmonic: int = 1,
     *,
     patient: bool | Patience = True,
+    inverse: Inverse | None = None,
 ) -> PeriodicOrbit | None:
     """The orbit next to a state: by Newton's method, or else, if ``patient``, where the homotopy
-    from the state leads, where M is formed; None where these lead to none.
+    from the state leads, where M is formed; None where these lead to none. Newton's method may
+    begin with the inverse of a motion nearby.
 
     Where stiff pairs open and close many times, Newton's method finds an orbit only from very near.
     """
-    orbit = find_orbit(flow, omega, start, subharmonic=subharmonic)
+    orbit = find_orbit(flow, omega, start, subharmonic=subharmonic, inverse=inverse)
     left = patient.left if isinstance(patient, Patience) else patient
     if orbit is not None or not left or flow.size > FORMED:
         return orbit
