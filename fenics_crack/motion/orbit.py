@@ -9,8 +9,8 @@ and the eigenvalues of M are its Floquet multipliers. A step of Newton's method 
 the *natural* test accepts it: the simplified step from there, with the same M, is shorter. It does
 not depend on how the state is measured.
 
-The derivative of one step is kept for the next ones as long as they shrink the residual enough; a
-first one may be that of a motion nearby.
+The derivative of one step is kept for the next ones, with what these tell of it (Broyden's "good"
+method), as long as they shrink the residual enough; a first one may be that of a motion nearby.
 
 With many modes M is not formed: GMRES takes products with it, in the norm of the energy, each for
 the time of half a period followed. Damping leaves little of fast modes: some dozen are enough.
@@ -29,6 +29,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -342,16 +343,20 @@ class _Search:
         formed = self._flow.size <= FORMED
         closed, shortest = (CLOSED, SHORTEST) if formed else (NEARLY, HURRIED)
         self.motion = self._follow(self.state)
-        share, own, step = 1.0, False, None  # whether the derivative is that of the motion here
+        share, own = 1.0, False  # whether the derivative is that of the motion here
+        steps: list[np.ndarray] = []  # with one derivative
         if formed and inverse is not None:
-            step = inverse(self.motion.state - self.state, SHARP)
+            steps = [inverse(self.motion.state - self.state, SHARP)]
         while self.flows < FLOWS:
-            if inverse is None or step is None:
+            if inverse is None or not steps:
                 inverse, own = _inverse(self._flow, self.motion.track, self._weights), True
-                step = inverse(self.motion.state - self.state, SHARP)
+                steps = [inverse(self.motion.state - self.state, SHARP)]
+            step = steps[-1]
             trial = self.state + share * step
             moved = self._follow(trial)
             simplified = inverse(moved.state - trial, BLUNT)
+            for one, behind in pairwise(steps):
+                simplified = simplified + self._part(simplified, one) * behind
             before, after = self.size(step), self.size(simplified)
             bent = self.size(simplified - (1.0 - share) * step) + sys.float_info.min
             goal = closed * self.size(trial)
@@ -359,7 +364,7 @@ class _Search:
                 if before <= ROUNDED * goal:
                     return True
                 if not own:
-                    step = None
+                    steps = []
                     continue
                 share = min(0.5 * share, 0.5 * share**2 * before / bent)
                 if share < shortest:
@@ -368,9 +373,17 @@ class _Search:
             self.state, self.motion, own = trial, moved, False
             if after <= goal:
                 return True
+            if formed and share == 1.0 and after <= SHRINKING * before:
+                steps.append(simplified / (1.0 - self._part(simplified, step)))
+                continue
+            steps = []
             share = min(1.0, 0.5 * share**2 * before / bent)
-            step = simplified if formed and after <= SHRINKING * before else None
         return False
+
+    def _part(self, change: np.ndarray, step: np.ndarray) -> float:
+        """Of a step in a change, by the energy."""
+        weighted = self._weights**2 * step
+        return float(change @ weighted / (step @ weighted))
 
     def _follow(self, state: np.ndarray) -> Motion:
         self.flows += 1
