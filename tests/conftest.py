@@ -51,6 +51,11 @@ def pytest_configure(config: pytest.Config) -> None:
         importlib.import_module("fenics_crack.parallel")
 
 
+def pytest_collection_finish() -> None:
+    """What is imported and collected stays to the end: no garbage is looked for in it any more."""
+    gc.freeze()
+
+
 @pytest.fixture(autouse=True)
 def no_signs_of_life(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a program says every few seconds depends on the machine's load, which no test is of."""

@@ -90,7 +90,7 @@ def test_bad_input_is_refused_before_all_is_loaded(tmp_path: Path) -> None:
     program = f"""
 import sys
 sys.stderr = sys.stdout
-from fenics_crack.cli.command_line import main
+from surroundings import main
 print([int(main(words)) for words in {commands}])
 print([name for name in {ALL} if name in sys.modules])
 print(sum(name.startswith("fenics_crack") for name in sys.modules))

@@ -87,9 +87,10 @@ def test_loaded_libraries_are_found() -> None:
     """Debian's, which NumPy, SciPy and PETSc share, in a program without settings."""
     program = """
 import sys
+from unittest.mock import patch
 import fenics_crack as fc
 from fenics_crack import one_thread
-from fenics_crack.cli import command_line
+from surroundings import main
 fc.prepare, fc.Scene
 
 def threads():
@@ -98,8 +99,8 @@ def threads():
         pool("get_num_threads") for pool, _ in pools}
 
 print(threads()[:2])
-command_line._command = lambda *_: print(threads()[::2])
-command_line.main(["check", "demos/paper_plate.toml"])
+with patch("fenics_crack.cli.command_line._command", lambda *_: print(threads()[::2])):
+    main(["check", "demos/paper_plate.toml"])
 print(threads()[:2])
 """
     assert run(program).splitlines() == ["(1, {True})", "(1, {1})", "(1, {True})"]
@@ -138,7 +139,7 @@ def run(program: str, chosen: dict[str, str] | None = None) -> str:
     environment = {name: value for name, value in os.environ.items() if name not in settings}
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=120, cwd=ROOT,
-        env=environment | {"PYTHONPATH": str(ROOT)} | (chosen or {}),
+        env=environment | {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}"} | (chosen or {}),
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()

@@ -1,8 +1,6 @@
 """Pictures of one vibration: its animation, harmonics and orbit; maps; and several ranks."""
 
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -109,21 +107,6 @@ def test_animation_of_twice_the_period_without_a_crack(
     fc.animate_period(twice, tmp_path / "twice.gif", frames=2)
     for name in ("plain", "twice"):
         assert_drawn(tmp_path / f"{name}.gif", (640, 740))
-
-
-def test_window_after_dolfinx() -> None:
-    """Numbers that VTK formats itself crash it where DOLFINx was loaded first."""
-    program = """
-import dolfinx
-import fenics_crack as fc
-from fenics_crack.draw import animation
-scene = fc.Scene.load("demos/paper_plate.toml").replace({"mesh.columns": 4, "mesh.rows": 4})
-found = fc.solve_harmonic_balance(fc.build_structure(scene), 2000.0, fc.UnilateralPenalty(1e9))
-plotter = animation.off_screen_plotter(window_size=(300, 300))
-slider = animation._with_slider(plotter, found, animation.PeriodFields(found, 2))
-plotter.render()
-"""
-    subprocess.run([sys.executable, "-c", program], cwd=DEMOS.parent, check=True, timeout=300)
 
 
 def test_animation_refuses(breathing: fc.PeriodicSolution, tmp_path: Path) -> None:

@@ -1,13 +1,15 @@
 """Files for ParaView, and pictures."""
 
 import ast
+import subprocess
+import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import numpy as np
 import pytest
 import pyvista
-from helpers import log_slope, relative
+from helpers import ROOT, log_slope, relative
 from matplotlib.image import imread
 
 import fenics_crack as fc
@@ -357,3 +359,18 @@ def test_window(breathing: fc.PeriodicSolution, monkeypatch: pytest.MonkeyPatch)
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(fc.InputError, match="screen"):
         fc.show_period(breathing)
+
+
+def test_window_after_dolfinx() -> None:
+    """Numbers that VTK formats itself crash it where DOLFINx was loaded first."""
+    program = """
+import dolfinx
+import fenics_crack as fc
+from fenics_crack.draw import animation
+scene = fc.Scene.load("demos/paper_plate.toml").replace({"mesh.columns": 4, "mesh.rows": 4})
+found = fc.solve_harmonic_balance(fc.build_structure(scene), 2000.0, fc.UnilateralPenalty(1e9))
+plotter = animation.off_screen_plotter(window_size=(300, 300))
+slider = animation._with_slider(plotter, found, animation.PeriodFields(found, 2))
+plotter.render()
+"""
+    subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=True, timeout=300)

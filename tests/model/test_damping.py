@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import chain, dense, relative
+from helpers import chain, dense, dense_matrices, relative
+from test_reduced import flexibility, reduced
 
 import fenics_crack as fc
 from fenics_crack.model.modal import all_modes
@@ -255,3 +256,72 @@ def test_range_of_a_reduced_structure(method: str) -> None:
         assert damped_range(reduced.damped(None)) == (0, 0.0)
     for rule in (fc.ModalDamping(0.02), RAYLEIGH):
         assert damped_range(fc.reduce_structure(structure.damped(rule), modes=8)) is None
+
+
+# --- lips without mass ----------------------------------------------------------------------------
+
+
+def three_rigid_modes(damping: Any = None) -> fc.Structure:
+    """20 dofs, two pairs, a load on the rigid modes too."""
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(20, 17))
+    gap = np.zeros((20, 2))
+    gap[[3, 7], 0], gap[[11, 2], 1] = (1.0, -1.0), (1.0, -1.0)
+    return fc.Structure.from_matrices(
+        np.diag(rng.uniform(1.0, 2.0, 20)), root @ root.T, gap, force_cos=rng.normal(size=20),
+        damping=damping,
+    )  # fmt: skip
+
+
+def test_damping_matrix_couples_the_modes() -> None:
+    """Phi^T C Phi, of dense matrices."""
+    structure = chain("matrix", 20)
+    _, damping, _ = dense_matrices(structure)
+    made = reduced(structure, 6)
+    assert made.rate.shape == (6, 6)
+    assert relative(made.rate, made.basis.T @ damping @ made.basis) < 1e-9
+    assert relative(all_modes(made.varied(damping=3.0)).damping, 3.0 * made.rate) < 1e-12
+
+
+def test_motions_as_a_rigid_body() -> None:
+    """Three of them: kept at frequency zero, with what a matrix damps of them; fewer modes than
+    that are refused."""
+    structure = three_rigid_modes(0.1 * np.eye(20))
+    for modes in (1, 2):
+        with pytest.raises(fc.InputError, match=r"^modes = .*at least 3"):
+            reduced(structure, modes)
+    for modes in (3, 6):
+        made = reduced(structure, modes)
+        assert np.array_equal(made.omega == 0.0, np.arange(modes) < 3)
+        assert all_modes(made).unconstrained
+        rate = all_modes(made).damping
+        rate = rate if rate.ndim == 2 else np.diag(rate)
+        assert relative(rate, 0.1 * made.basis.T @ made.basis) < 1e-8
+        gap = structure.gap.toarray()
+        assert relative(made.residual, gap.T @ flexibility(structure, modes) @ gap) < 1e-9
+        for found, expected in zip(
+            (row[1:] for row in made_seen(made)), (row[1:] for row in made_seen(structure)),
+            strict=True,
+        ):  # fmt: skip
+            assert relative(found, expected) < (0.3 if modes == 3 else 0.1)
+    assert all_modes(reduced(chain("none", 9, unconstrained=True), 1)).unconstrained
+
+
+def made_seen(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray]:
+    """R_1 and the gap's first harmonic at a low frequency (the mean would fly off), as rows."""
+    mass, damping, stiffness = dense_matrices(structure.whole)
+    gap, omega = structure.whole.gap.toarray(), 0.1
+    if structure is structure.whole:
+        solved = np.linalg.solve(
+            stiffness - omega**2 * mass + 1j * omega * damping,
+            np.column_stack([gap, structure.force[1]]),
+        )
+        moved = gap.T @ solved
+        return np.array([moved[:, :2] * 0.0, moved[:, :2]]), np.array([moved[:, 2], moved[:, 2]])
+    modes = all_modes(structure)
+    receptance = modes.receptance(np.array([omega]))
+    matrix = modes.seen_by_pairs(receptance)[0] + structure.residual  # type: ignore[attr-defined]
+    load = structure.force[1] @ modes.shapes
+    shape = modes.respond(receptance[0], load + 0j)
+    linear = shape @ modes.pairs + structure.force[1] @ modes.static_pairs
+    return np.array([0.0 * matrix, matrix]), np.array([linear, linear])
