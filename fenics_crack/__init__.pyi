@@ -1,6 +1,7 @@
 # The names of fenics_crack and where they are from: for __init__.py, editors and mypy.
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes as ArrivalTimes
+from fenics_crack.arrivals.arrival_times import read_record as read_record
 from fenics_crack.arrivals.fit_frequency import fit_frequency as fit_frequency
 from fenics_crack.arrivals.fit_order import TipTrack as TipTrack
 from fenics_crack.arrivals.fit_order import fit_order as fit_order
@@ -9,7 +10,6 @@ from fenics_crack.arrivals.harmonics import TipFit as TipFit
 from fenics_crack.arrivals.passages import PassageFit as PassageFit
 from fenics_crack.arrivals.passages import find_passages as find_passages
 from fenics_crack.arrivals.passages import fit_passage as fit_passage
-from fenics_crack.arrivals.records import read_record as read_record
 from fenics_crack.arrivals.simulate import tip_timing as tip_timing
 from fenics_crack.balance.error_report import ErrorReport as ErrorReport
 from fenics_crack.balance.harmonic_balance import linear_response as linear_response
@@ -34,6 +34,7 @@ from fenics_crack.curves.refine import refine_bifurcation as refine_bifurcation
 from fenics_crack.curves.refine import refine_curve as refine_curve
 from fenics_crack.draw.animation import animate_period as animate_period
 from fenics_crack.draw.animation import show_period as show_period
+from fenics_crack.draw.paraview import stress_at as stress_at
 from fenics_crack.draw.paraview import write_modes as write_modes
 from fenics_crack.draw.paraview import write_period as write_period
 from fenics_crack.draw.plot import Wave as Wave
@@ -45,13 +46,13 @@ from fenics_crack.draw.plot import draw_waves as draw_waves
 from fenics_crack.draw.plot_curve import draw_content as draw_content
 from fenics_crack.draw.plot_curve import draw_curve as draw_curve
 from fenics_crack.draw.plot_curve import draw_multipliers as draw_multipliers
-from fenics_crack.draw.plot_growth import draw_growth as draw_growth
-from fenics_crack.draw.plot_growth import draw_stress_intensity as draw_stress_intensity
 from fenics_crack.draw.plot_mesh import draw_mesh as draw_mesh
 from fenics_crack.draw.plot_mesh import draw_modes as draw_modes
+from fenics_crack.draw.plot_motion import draw_growth as draw_growth
 from fenics_crack.draw.plot_motion import draw_orbits as draw_orbits
 from fenics_crack.draw.plot_motion import draw_spectra as draw_spectra
 from fenics_crack.draw.plot_motion import draw_spectrum as draw_spectrum
+from fenics_crack.draw.plot_motion import draw_stress_intensity as draw_stress_intensity
 from fenics_crack.draw.plot_rotor import draw_arrivals as draw_arrivals
 from fenics_crack.draw.plot_rotor import draw_campbell as draw_campbell
 from fenics_crack.draw.plot_rotor import draw_passages as draw_passages
@@ -59,7 +60,6 @@ from fenics_crack.draw.plot_rotor import draw_tip_fit as draw_tip_fit
 from fenics_crack.draw.plot_rotor import draw_tip_track as draw_tip_track
 from fenics_crack.draw.plot_study import draw_posterior as draw_posterior
 from fenics_crack.draw.plot_study import draw_verification as draw_verification
-from fenics_crack.draw.stress import stress_at as stress_at
 from fenics_crack.errors import ConvergenceError as ConvergenceError
 from fenics_crack.errors import InputError as InputError
 from fenics_crack.fem.build import build_structure as build_structure
@@ -98,11 +98,13 @@ from fenics_crack.study.campbell import Campbell as Campbell
 from fenics_crack.study.campbell import campbell as campbell
 from fenics_crack.study.grid_convergence import GridConvergence as GridConvergence
 from fenics_crack.study.grid_convergence import grid_convergence as grid_convergence
+from fenics_crack.study.over_time import Reaction as Reaction
+from fenics_crack.study.over_time import StressIntensity as StressIntensity
+from fenics_crack.study.over_time import reaction as reaction
+from fenics_crack.study.over_time import stress_intensity as stress_intensity
 from fenics_crack.study.prepare import Study as Study
 from fenics_crack.study.prepare import contact_law as contact_law
 from fenics_crack.study.prepare import prepare as prepare
-from fenics_crack.study.reaction import Reaction as Reaction
-from fenics_crack.study.reaction import reaction as reaction
 from fenics_crack.study.refinement import verify as verify
 from fenics_crack.study.run import Run as Run
 from fenics_crack.study.run import curve as curve
@@ -110,8 +112,6 @@ from fenics_crack.study.run import integrate as integrate
 from fenics_crack.study.run import load_run as load_run
 from fenics_crack.study.run import modes as modes
 from fenics_crack.study.run import solve as solve
-from fenics_crack.study.stress_intensity import StressIntensity as StressIntensity
-from fenics_crack.study.stress_intensity import stress_intensity as stress_intensity
 from fenics_crack.study.verification import Verification as Verification
 from fenics_crack.sweep.result import SweepResult as SweepResult
 from fenics_crack.sweep.result import run_sweep as run_sweep

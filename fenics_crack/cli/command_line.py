@@ -10,7 +10,7 @@ import resource
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
@@ -393,12 +393,10 @@ class Completion(argparse.Action):
 
     def __call__(self, parser: argparse.ArgumentParser, *given: Any) -> NoReturn:
         """Called by argparse: the namespace, the shell, and the option."""
-        from fenics_crack.cli.completion import script
         from fenics_crack.scene.scene import known_keys
 
-        commands = {name: (text, options_of(name)) for name, (text, _) in COMMANDS.items()}
-        forms = ARGUMENTS["--format"][1]["choices"]
-        sys.stdout.write(script(given[1], commands, {"--set": known_keys(), "--format": forms}))
+        known = {"--set": known_keys(), "--format": ARGUMENTS["--format"][1]["choices"]}
+        sys.stdout.write(_script(given[1], known))
         parser.exit()
 
 
@@ -432,3 +430,43 @@ def parser() -> argparse.ArgumentParser:
         loud.add_argument("--quiet", action="store_true", help="print the table and nothing else")
         loud.add_argument("--verbose", action="store_true", help="say how long each part took")
     return whole
+
+
+# --- what the shell completes ---------------------------------------------------------------------
+
+BASH = """\
+_fenics_crack() {{
+    local words=""
+    case "$3" in
+{before}
+        fenics-crack) words="{commands}" ;;
+        *) case "${{COMP_WORDS[1]}}" in
+{options}
+        esac
+        [[ "$2" == -* ]] || words="" ;;
+    esac
+    COMPREPLY=($(compgen -W "$words" -- "$2"))
+}}
+complete -o default -F _fenics_crack fenics-crack
+"""
+ZSH = "autoload -Uz compinit bashcompinit && compinit && bashcompinit\n"
+FISH = "complete -c fenics-crack -n "
+
+
+def _script(shell: str, known: Mapping[str, Sequence[str]]) -> str:
+    """What a shell reads once, so that nothing of the program runs when a key is pressed: commands,
+    their options, and the words that are known behind some options. Zsh reads bash's."""
+    if shell == "fish":
+        return "".join(_fish(known))
+    before = [f'        {name}) words="{" ".join(words)}" ;;' for name, words in known.items()]
+    options = [f'            {name}) words="{" ".join(options_of(name))}" ;;' for name in COMMANDS]
+    parts = {"before": "\n".join(before), "options": "\n".join(options)}
+    return (ZSH if shell == "zsh" else "") + BASH.format(commands=" ".join(COMMANDS), **parts)
+
+
+def _fish(known: Mapping[str, Sequence[str]]) -> Iterator[str]:
+    for name, (text, _) in COMMANDS.items():
+        yield f"{FISH}__fish_use_subcommand -f -a {name} -d {text!r}\n"
+        for option in options_of(name):
+            words = f" -x -a {' '.join(known[option])!r}" if option in known else ""
+            yield f"{FISH}'__fish_seen_subcommand_from {name}' -l {option[2:]}{words}\n"

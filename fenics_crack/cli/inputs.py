@@ -68,7 +68,7 @@ def _arrivals(scene: Scene, source: Path | None) -> ArrivalTimes | Path | None:
     if source is None or source.suffix.lower() == ".h5":
         return source
     table = scene.given("tip_timing")
-    from fenics_crack.arrivals.records import read_record
+    from fenics_crack.arrivals.arrival_times import read_record
 
     blades = read_record(source, tip_radius=table.tip_radius, probes=np.radians(table.probes))
     if len(blades) > 1:

@@ -23,9 +23,14 @@ from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw.figure import Picture, distinct_colours
 from fenics_crack.draw.plot import Wave, draw_contact_map, draw_map, draw_response, draw_waves
 from fenics_crack.draw.plot_curve import draw_content, draw_curve, draw_multipliers
-from fenics_crack.draw.plot_growth import draw_growth, draw_stress_intensity
 from fenics_crack.draw.plot_mesh import draw_modes
-from fenics_crack.draw.plot_motion import draw_orbits, draw_spectra, draw_spectrum
+from fenics_crack.draw.plot_motion import (
+    draw_growth,
+    draw_orbits,
+    draw_spectra,
+    draw_spectrum,
+    draw_stress_intensity,
+)
 from fenics_crack.errors import FEW_MODES, InputError
 from fenics_crack.files.store import read
 from fenics_crack.growth.result import Growth
@@ -34,9 +39,9 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import without_tips
 from fenics_crack.scene.words import WHOLE, differences, key_in_words, unit_of, value_in_words
+from fenics_crack.study.over_time import stress_intensity
 from fenics_crack.study.prepare import prepare
 from fenics_crack.study.run import Run
-from fenics_crack.study.stress_intensity import stress_intensity
 from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.plan import FREQUENCIES
 from fenics_crack.sweep.result import SweepResult

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from fenics_crack.arrivals.arrival_times import read_record
 from fenics_crack.arrivals.fit_order import TipTrack
 from fenics_crack.arrivals.harmonics import ORDERS, UNITS, TipFit
 from fenics_crack.arrivals.passages import PassageFit, find_passages
-from fenics_crack.arrivals.records import read_record
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import Account, in_one_unit, of_error, of_stability
 from fenics_crack.cli.commands import tell

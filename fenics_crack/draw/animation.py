@@ -26,9 +26,8 @@ from PIL import Image
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.draw.figure import COLOURS, label_axis
-from fenics_crack.draw.paraview import PeriodFields, in_space
+from fenics_crack.draw.paraview import PeriodFields, in_space, pyvista
 from fenics_crack.draw.solid import lines, look_from_corner, off_screen_plotter, outline, surface
-from fenics_crack.draw.vtk import pyvista
 from fenics_crack.errors import InputError
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.tables import Material

@@ -1,15 +1,21 @@
-"""Files for ParaView: mode shapes and one period of the breathing crack (VTK XML).
+"""Files for ParaView: mode shapes and one period of the breathing crack (VTK XML); and stresses.
 
 Rank 0 writes all nodes, also those of quadratic elements. Stresses follow from the gradient of the
 displacement in the cells at each node, averaged; the lips have nodes of their own, so nothing is
 averaged across the crack.
+
+pyvista is loaded without mypy, which it would load for a plugin of its own where that is installed:
+a third of the time that it takes to load.
 """
 
 from __future__ import annotations
 
 import itertools
+import sys
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -17,25 +23,43 @@ from scipy.sparse import csr_matrix
 from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.draw.vtk import pyvista
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.fem.nodal_mesh import NodalMesh
+from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.parallel import gather_rows, on_root
 from fenics_crack.scene.tables import Material
 from fenics_crack.stages import begin
+from fenics_crack.study.run import Run, check_motion
+from fenics_crack.time.march import TimeHistory
 from fenics_crack.whole import write_together, write_whole
 
 __all__ = [
-    "PeriodFields", "in_space", "moved_grid", "nodal_stress", "von_mises", "write_modes",
+    "PeriodFields",
+    "in_space",
+    "moved_grid",
+    "nodal_stress",
+    "pyvista",
+    "stress_at",
+    "von_mises",
+    "write_modes",
     "write_period",
-]  # fmt: skip
+]
 
+modules: dict[str, Any] = sys.modules
+absent = modules.setdefault("mypy", None) is None
+try:
+    import pyvista
+finally:
+    if absent:
+        del modules["mypy"]
 
 COMPONENTS = {2: ("xx", "yy", "xy"), 3: ("xx", "yy", "zz", "xy", "yz", "xz")}
 """Stresses in a plane and in space."""
+STRESS_INSTANTS = 128
+"""Of a period, at which stresses are found."""
 
 
 def write_modes(modes: Modes, path: str | Path) -> None:
@@ -389,3 +413,59 @@ def _tenth(vectors: np.ndarray, size: float) -> float:
     """Factor that makes the longest of some vectors (..., 2) a tenth of a size; 1 if all are 0."""
     largest = np.linalg.norm(vectors, axis=-1).max()
     return float(0.1 * size / largest) if largest > 0.0 else 1.0
+
+
+def stress_at(
+    run: Run[PeriodicSolution] | Run[TimeHistory], points: Sequence[Any] | np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Find stresses at some points over time (collective).
+
+    Those of the nodes, where the cells' own are averaged, but not across a crack; between the nodes
+    as displacements are. At the tip of a crack and under a force at a point they grow without bound
+    as the mesh is refined: there :func:`stress_intensity` is the number to ask for.
+
+    Parameters
+    ----------
+    run : Run
+        What :func:`solve` or :func:`integrate` returns, of a mesh.
+    points : (m, d) [m]
+        Where; of a line its points, ``np.linspace(start, stop, 50)``.
+
+    Returns
+    -------
+    time : (n,) [s]
+        128 instants of a period, or those of the record.
+    stress : (n, m, 3) [Pa]
+        xx, yy, xy; of a solid xx, yy, zz, xy, yz, xz: (n, m, 6).
+
+    Raises
+    ------
+    InputError
+        The structure has no mesh, or a point is not on it.
+
+    Examples
+    --------
+    >>> time, stress = fc.stress_at(fc.solve(scene), [[0.1, 0.02], [0.1, 0.04]])
+    """
+    check_motion(run)
+    found, structure = run.result, run.structure
+    mesh, places = NodalMesh(structure), numbers(points)
+    if places.ndim != 2 or places.shape[1] != mesh.dimension or not np.all(np.isfinite(places)):
+        raise InputError("points", points, f"rows of {mesh.dimension} finite numbers [m]")
+    if isinstance(found, TimeHistory):
+        time = found.time
+        if len(found.recorded_dofs) < structure.n_local:
+            raise InputError("dofs", "some", "None, to record all displacements")
+        moved = structure.expand(found.recorded)
+    else:
+        time = np.arange(STRESS_INSTANTS) * found.period / STRESS_INSTANTS
+        moved = found.displacement_field(time)
+    nodal = nodal_stress(mesh, mesh.field(moved), run.scene.material)
+    grid, columns = moved_grid(mesh), np.moveaxis(nodal, -2, 0)
+    grid["stress"] = columns.reshape(len(columns), -1)
+    seen = pyvista.PolyData(in_space(places)).sample(grid)
+    off = np.flatnonzero(np.asarray(seen["vtkValidPointMask"]) == 0)
+    if len(off):
+        raise InputError("points", places[off[0]].tolist(), "on the mesh")
+    stress = np.asarray(seen["stress"]).reshape(len(places), len(time), -1)
+    return time, np.moveaxis(stress, 0, 1)

@@ -11,7 +11,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import Patch
 
 from fenics_crack.draw.figure import COLOURS
-from fenics_crack.draw.vtk import pyvista
+from fenics_crack.draw.paraview import pyvista
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.nodes import AXES
 from fenics_crack.table import readable

@@ -22,8 +22,7 @@ from pathlib import Path
 import numpy as np
 import scipy.sparse as sparse
 
-from fenics_crack.exchange.lines import numbered_lines, rows_of
-from fenics_crack.exchange.matrix_market import read_matrix_market
+from fenics_crack.exchange.numbers import numbered_lines, read_matrix_market, rows_of
 
 __all__ = ["LabelledMatrix", "read_labels", "read_matrix"]
 

@@ -33,8 +33,7 @@ from fenics_crack.fem.interface import pair_lips
 from fenics_crack.fem.loads import assemble_loads, clamp_of
 from fenics_crack.fem.matrix_files import read_structure
 from fenics_crack.fem.msh_file import check_there
-from fenics_crack.fem.numbering import Dofs
-from fenics_crack.fem.plate import build_mesh
+from fenics_crack.fem.plate import Dofs, build_mesh
 from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.nodes import Pairs

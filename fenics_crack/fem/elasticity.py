@@ -50,7 +50,7 @@ from petsc4py import PETSc
 
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import dolfinx, ufl
-from fenics_crack.fem.numbering import Dofs
+from fenics_crack.fem.plate import Dofs
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.rotation import Rotation, static_state
 from fenics_crack.model.structure import Structure

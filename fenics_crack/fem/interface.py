@@ -26,8 +26,7 @@ from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.elasticity import thickness
 from fenics_crack.fem.lips import along
-from fenics_crack.fem.numbering import Dofs
-from fenics_crack.fem.plate import Lips
+from fenics_crack.fem.plate import Dofs, Lips
 from fenics_crack.model.nodes import Pairs
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene

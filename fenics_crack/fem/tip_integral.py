@@ -30,7 +30,7 @@ from fenics_crack.fem import compat
 from fenics_crack.fem.compat import dolfinx, ufl
 from fenics_crack.fem.elasticity import constants, stress
 from fenics_crack.fem.lips import Lip
-from fenics_crack.fem.numbering import Dofs
+from fenics_crack.fem.plate import Dofs
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene

@@ -36,7 +36,7 @@ class Nodes:
         This rank's cells in VTK's node order; nodes are numbered through all ranks.
     vtk_type : int
         VTK's number of the cell type; 0: no cells of one kind.
-    numbered : fenics_crack.fem.numbering.Dofs or None
+    numbered : fenics_crack.fem.plate.Dofs or None
         DOLFINx's mesh and the dofs on it, for what is integrated over it later: ranks may share a
         mesh that is made again in another way. None where there is none.
     """

@@ -1,24 +1,34 @@
 """What a scene's ``[output] quantities`` ask for beside points, lips and frequencies: numbers of
-the tips of cracks and of the clamp, which cost something and are found for those who ask."""
+the tips of cracks and of the clamp, which cost something and are found for those who ask.
+
+Stress intensities are found by rows that motions are multiplied by.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import PHASES, ResponseCurve
+from fenics_crack.errors import InputError
+from fenics_crack.fem.tip_integral import Tip, tip_functionals
 from fenics_crack.model.clamp import Clamp
 from fenics_crack.model.damping import RayleighDamping
+from fenics_crack.model.factor import AT_A_TIME
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.scene.quantities import OF_CLAMP, OF_TIPS
-from fenics_crack.scene.scene import asked_quantities
+from fenics_crack.scene.scene import Scene, asked_quantities, check_known, without_tips
 from fenics_crack.study.prepare import Study
-from fenics_crack.study.tips import tip_rows, tips_along_curve, tips_of_motion
 from fenics_crack.table import TURN
 from fenics_crack.time.march import TimeHistory
 
 __all__ = [
-    "asked_along_curve", "asked_of_motion", "clamp_of_motion", "numbers_at_clamp", "prepare_asked",
+    "asked_along_curve", "asked_of_motion", "clamp_of_motion", "numbers_at_clamp",
+    "numbers_at_tips", "prepare_asked", "tip_rows",
 ]  # fmt: skip
 
 
@@ -36,7 +46,7 @@ def asked_of_motion(study: Study, motion: PeriodicSolution | TimeHistory) -> dic
     names = asked_quantities(study.scene)
     found: dict[str, float] = {}
     if OF_TIPS.keys() & names:
-        found |= tips_of_motion(study, motion)
+        found |= _of_leading(tip_rows(study).of_motion(motion)[1])
     if OF_CLAMP.keys() & names:
         found |= numbers_at_clamp(*clamp_of_motion(motion)[1:])
     return {name: found[name] for name in names}
@@ -47,7 +57,9 @@ def asked_along_curve(study: Study, curve: ResponseCurve) -> dict[str, np.ndarra
     names = asked_quantities(study.scene)
     found: list[dict[str, float]] = [{} for _ in range(len(curve))]
     if OF_TIPS.keys() & names:
-        found = tips_along_curve(study, curve)
+        tips = tip_rows(study)
+        for index, _, seen, _, force in curve.seen_through(tips.of_coordinates):
+            found[index] |= _of_leading(tips.in_time(seen, force))
     if OF_CLAMP.keys() & names:
         rows = curve.structure.once(_inertia_rows)
         for index, waves, *_ in curve.seen_through(rows):
@@ -105,3 +117,101 @@ def _inertia_rows(structure: Structure) -> np.ndarray:
     rows = whole.sum_over_ranks(structure.expand(shapes.T) @ inertia.T).T @ shapes.T
     mass = structure.mass.getValues(range(structure.n_dofs), range(structure.n_dofs))
     return np.asarray(rows @ mass)
+
+
+# --- the tips -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class TipRows:
+    """What the coordinates of a structure and its contact forces are multiplied by for K_I and K_II
+    of one tip after the other.
+
+    Of a reduced structure the rows are those of all that its coordinates expand to, static
+    responses to load and contact among them: K converges as the load's and the pairs' statics do
+    and not as a sum over modes.
+
+    Attributes
+    ----------
+    tips : tuple of Tip
+    of_coordinates : (2 n_tips, n_local) [Pa m^1/2 / m]
+    of_forces : (2 n_tips, n_pairs) [Pa m^1/2 / N]
+    """
+
+    tips: tuple[Tip, ...]
+    of_coordinates: np.ndarray
+    of_forces: np.ndarray
+
+    def in_time(self, seen: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """K_I and K_II (n, n_tips, 2) [Pa m^1/2] from the products of ``of_coordinates`` with a
+        motion (n, 2 n_tips), and its contact forces (n, n_pairs)."""
+        return np.asarray(seen + force @ self.of_forces.T).reshape(len(seen), -1, 2)
+
+    def of_motion(self, motion: PeriodicSolution | TimeHistory) -> tuple[np.ndarray, np.ndarray]:
+        """Instants (n,) [s], and K_I and K_II then (n, n_tips, 2) (collective)."""
+        structure, rows = motion.structure, self.of_coordinates
+        if isinstance(motion, TimeHistory):
+            return motion.time, self.in_time(motion.seen_through(rows), motion.contact_force)
+        time = motion.instants()
+        if motion.residual is None:
+            waves = structure.sum_over_ranks(motion.displacement_coefficients @ rows.T)
+            seen = evaluate(waves, motion.base_omega, time)
+        else:
+            seen = structure.sum_over_ranks(motion.coordinates(time) @ rows.T)
+        return time, self.in_time(seen, motion.contact_force(time))
+
+
+def tip_rows(study: Study) -> TipRows:
+    """The rows of a study's structure; made once for it and all that share its matrices
+    (collective).
+
+    Raises
+    ------
+    InputError
+        The scene is no plate, or has no crack with tips.
+    """
+    scene = study.scene
+    check_known(without_tips(scene), "output.quantities")
+    pairs = None if scene.contact is None else scene.contact.pairs
+    plate = scene.geometry, scene.crack, scene.cracks, scene.material, scene.mesh, pairs
+    return study.structure.once(_OfScene(plate, scene))
+
+
+@dataclass(frozen=True)
+class _OfScene:
+    """The rows of a structure of a scene; equal for scenes of the same plate."""
+
+    plate: tuple[object, ...]
+    scene: Scene = field(compare=False)
+
+    def __call__(self, structure: Structure) -> TipRows:
+        tips, columns, forces = tip_functionals(self.scene, structure.whole)
+        if not tips:
+            raise InputError("crack", "a crack without a tip", "one that ends in the plate")
+        if structure is not structure.whole:
+            units = np.eye(structure.n_dofs)
+            blocks = [units[n : n + AT_A_TIME] for n in range(0, len(units), AT_A_TIME)]
+            products = np.vstack([structure.expand(block) @ columns.T for block in blocks])
+            columns = structure.whole.sum_over_ranks(products).T
+        return TipRows(tuple(tips), columns, forces)
+
+
+def numbers_at_tips(found: np.ndarray) -> Mapping[str, np.ndarray]:
+    """The quantities of each tip by their names, each (n_tips,), from K_I and K_II in time
+    (n, n_tips, 2)."""
+    one, two = found[..., 0], found[..., 1]
+    largest, smallest = one.max(axis=0), one.min(axis=0)
+    return {
+        "K_max": largest,
+        "K_min": smallest,
+        "delta_K": largest - smallest,
+        "delta_K_effective": np.maximum(largest, 0.0) - np.maximum(smallest, 0.0),
+        "K_II_max": np.abs(two).max(axis=0),
+    }
+
+
+def _of_leading(found: np.ndarray) -> dict[str, float]:
+    """Those of the tip whose effective range is the largest."""
+    numbers = numbers_at_tips(found)
+    leading = int(np.argmax(numbers["delta_K_effective"]))
+    return {name: float(values[leading]) for name, values in numbers.items()}

@@ -1,4 +1,4 @@
-"""Matrix Market files, read strictly.
+"""Text files of numbers: rows of them, and Matrix Market files, read strictly.
 
 SciPy's reader believes what a file announces: depending on its version it does not end, asks for
 all memory, or crashes where the file is damaged. Here no file has more entries than it has bytes
@@ -22,7 +22,7 @@ import scipy.sparse as sparse
 
 from fenics_crack.outside import allowance, bytes_of, lines_of
 
-__all__ = ["matrix_market_shape", "read_matrix_market"]
+__all__ = ["matrix_market_shape", "numbered_lines", "read_matrix_market", "rows_of"]
 
 SHORTEST = {"coordinate": 4, "array": 2}
 """Bytes of an entry and the end of its line."""
@@ -157,3 +157,37 @@ def _sparse(
         rows, columns = np.append(rows, columns[below]), np.append(columns, rows[below])
         values = np.append(values, sign * values[below])
     return sparse.csr_matrix((values, (rows, columns)), shape=shape)
+
+
+def numbered_lines(path: Path, comment: str) -> Iterator[tuple[int, str]]:
+    """Lines that hold more than a comment, without it, and their numbers from 1."""
+    bytes_of(path)
+    with path.open(encoding="utf-8", errors="replace") as file:
+        for number, line in enumerate(file, 1):
+            if text := line.partition(comment)[0].rstrip():
+                yield number, text
+
+
+def rows_of(path: Path, columns: int, comment: str, delimiter: str | None = None) -> np.ndarray:
+    """Rows of so many numbers: (n, columns).
+
+    Raises
+    ------
+    OSError, ValueError
+        The file cannot be read; or the line that is no such row.
+    """
+    bytes_of(path)
+    try:
+        rows = np.loadtxt(path, comments=comment, delimiter=delimiter, ndmin=2, encoding="utf-8")
+        if rows.shape[1] == columns and len(rows) and np.all(np.isfinite(rows)):
+            return rows
+    except ValueError:  # its words count other lines than an editor does
+        pass
+    for number, line in numbered_lines(path, comment):
+        try:
+            values = [float(word) for word in line.split(delimiter)]
+        except ValueError:
+            values = []
+        if len(values) != columns or not np.all(np.isfinite(values)):
+            raise ValueError(f"line {number}: {line[:80]!r} instead of {columns} numbers")
+    raise ValueError("it holds no numbers")
