@@ -14,6 +14,7 @@ import tempfile
 from argparse import Namespace
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from importlib import resources
 from pathlib import Path
 from string import Template
 
@@ -39,7 +40,7 @@ from fenics_crack.table import Table
 from fenics_crack.version import VERSION
 from fenics_crack.whole import write_whole
 
-__all__ = ["folded", "page", "paragraph", "report", "write_report"]
+__all__ = ["report"]
 
 CAPTIONS = {
     "mesh": "The mesh with its named parts.",
@@ -192,7 +193,8 @@ def _made(path: Path) -> str:
 def page(title: str, under: str, blocks: Sequence[str]) -> str:
     """A whole page."""
     words = {"title": html.escape(title), "under": html.escape(under)}
-    return PAGE.substitute(words, body="\n".join(blocks))
+    whole = resources.files("fenics_crack.cli").joinpath("report.html").read_text("utf-8")
+    return Template(whole).substitute(words, body="\n".join(blocks))
 
 
 def section(name: str, title: str, blocks: Sequence[str]) -> str:
@@ -240,55 +242,3 @@ def _picture(path: Path) -> str:
     words = html.escape(CAPTIONS.get(path.stem, ""))
     image = f'<img alt="{words}" src="data:image/{path.suffix[1:]};base64,{data}">'
     return f"<figure>{image}<figcaption>{words}</figcaption></figure>"
-
-
-PAGE = Template("""\
-<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>$title</title>
-<style>
-:root { --ink: #1b1f24; --soft: #5c6570; --line: #d8dde3; --blue: #0072b2; }
-* { box-sizing: border-box; }
-body { margin: 0 auto; max-width: 62rem; padding: 2rem 1.5rem 4rem; color: var(--ink);
-  font: 16px/1.5 "DejaVu Sans", "Segoe UI", Helvetica, Arial, sans-serif; background: white; }
-h1 { font-size: 1.8rem; margin: 0 0 .2rem; }
-h2 { font-size: 1.3rem; margin: 2.6rem 0 .8rem; padding-bottom: .3rem;
-  border-bottom: 2px solid var(--blue); }
-.under, figcaption, caption, .small { color: var(--soft); font-size: .88rem; }
-nav { margin: 1rem 0; }
-nav a { display: inline-block; margin: 0 .9rem .3rem 0; color: var(--blue); text-decoration: none; }
-section { display: flow-root; }
-figure { margin: 1rem 0; text-align: center; break-inside: avoid; clear: both; }
-img { max-width: min(100%, 46rem); max-height: 42rem; }
-.beside { display: flex; flex-wrap: wrap; gap: 0 3rem; align-items: center; }
-.beside img { max-height: 30rem; }
-figcaption { margin: .2rem auto 0; max-width: 46rem; }
-.table { overflow-x: auto; }
-table { border-collapse: collapse; margin: 1rem 0; font-size: .82rem;
-  font-variant-numeric: tabular-nums; break-inside: avoid; }
-caption { text-align: left; padding-bottom: .3rem; }
-th, td { padding: .25rem .7rem .25rem 0; text-align: left; border-bottom: 1px solid var(--line); }
-td { white-space: nowrap; }
-th { border-bottom: 2px solid var(--ink); }
-details { margin: 1rem 0; border: 1px solid var(--line); border-radius: 4px; padding: .5rem .9rem; }
-summary { cursor: pointer; }
-pre { overflow-x: auto; font-size: .82rem; line-height: 1.35; margin: .6rem 0 .2rem; }
-.good, .bad, .doubtful { padding: .5rem .9rem; border-left: 5px solid; margin: 1rem 0; }
-ul.doubtful { padding-left: 2rem; }
-.good { border-color: #009e73; background: #eaf7f2; }
-.bad { border-color: #d55e00; background: #fdf0e7; }
-.doubtful { border-color: #e0a100; background: #fdf7e3; }
-@media print { body { max-width: none; padding: 0; font-size: 11pt; } nav { display: none; }
-  h2 { break-after: avoid; } img { max-height: 18cm; } }
-</style>
-</head>
-<body>
-<h1>$title</h1>
-<p class="under">$under</p>
-$body
-</body>
-</html>
-""")

@@ -44,12 +44,13 @@ SHOWN_LENGTHS = 9
 
 def account_of_verification(found: Verification) -> Account:
     """A convergence study."""
+    told = found.statement[: -len(found.warnings) or None]
     return Account(
         "verify",
         found.table(),
         shown=found.totals(),
-        facts=found.statement[: -len(found.warnings) or None],
-        notes=found.statement[: -len(found.warnings) or None],
+        facts=told,
+        notes=told,
         warnings=found.warnings,
         tables={"Contributions": found.totals()},
         done=not found.failures,

@@ -14,6 +14,7 @@ import itertools
 import sys
 from collections.abc import Sequence
 from functools import cached_property
+from importlib import resources
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -336,7 +337,10 @@ def write_period(
         colours["mode"] = f"{fields.mesh.dimension}D"
         colours["camera"] = CAMERAS[fields.mesh.dimension]
         colours["caption"] = f"displacement x {fields.magnification:.3g}"
-        about = [(target, series), (script, STATE.format(**words, **colours))]
+        state = (
+            resources.files("fenics_crack.draw").joinpath("paraview_state.txt").read_text("utf-8")
+        )
+        about = [(target, series), (script, state.format(**words, **colours))]
         frames = ((target.parent / name, _vtu(fields.grid(n))) for n, name in enumerate(names))
         write_together(itertools.chain(about, frames))
 
@@ -346,47 +350,6 @@ def write_period(
 
 CAMERAS = {2: "view.ResetActiveCameraToNegativeZ()", 3: "view.ApplyIsometricView()"}
 """How a plate and a solid are looked at."""
-STATE = """\
-# Shows one period of the vibration in ParaView:
-#     paraview --script={script}        or File > Load State
-import os
-
-from paraview.simple import *
-
-# Beside this file; where ParaView does not tell where that is, where it was written.
-folder = os.path.dirname(os.path.abspath(__file__)) if "__file__" in globals() else {folder!r}
-field = {field!r}
-
-paraview.simple._DisableFirstRenderCameraReset()
-series = PVDReader(registrationName={pvd!r}, FileName=os.path.join(folder, {pvd!r}))
-view = GetActiveViewOrCreate("RenderView")
-view.InteractionMode = {mode!r}
-scene = GetAnimationScene()
-scene.UpdateAnimationUsingDataTimeSteps()
-scene.PlayMode = "Snap To TimeSteps"
-scene.GoToFirst()
-
-display = Show(series, view)
-display.NonlinearSubdivisionLevel = 2
-ColorBy(display, ("POINTS", field))
-colours = GetColorTransferFunction(field)
-colours.ApplyPreset("Viridis (matplotlib)", True)
-colours.RescaleTransferFunction(0.0, {end!r})
-display.SetScalarBarVisibility(view, True)
-bar = GetScalarBar(colours, view)
-bar.Title = {title!r}
-bar.ComponentTitle = ""
-
-caption = Text(registrationName="magnification", Text={caption!r})
-shown = Show(caption, view)
-shown.WindowLocation = "Lower Center"
-
-{camera}
-view.ResetCamera(False)
-Render(view)
-scene.Play()
-scene.Loop = 1  # from now on; the play button starts it again
-"""
 
 
 def _vtu(grid: pyvista.UnstructuredGrid) -> str:

@@ -71,7 +71,8 @@ class CrackSurface:
             some = slice(first, first + step)
             off[some] = np.linalg.norm(_to_triangles(points[some], self.triangles), axis=2).min(1)
             farther = 2.0 * self.size  # than any point of it from a front
-            position[some] = _to_edges(points[some], self.front).min(axis=1, initial=farther)
+            to_front = np.linalg.norm(_to_edges(points[some], self.front), axis=2)
+            position[some] = to_front.min(axis=1, initial=farther)
         return off, position
 
     def beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
@@ -87,12 +88,11 @@ class CrackSurface:
 
 
 def _to_edges(points: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Distances of points (n, 3) from edges (m, 2, 3): (n, m)."""
+    """Vectors to points (n, 3) from the nearest points of edges (m, 2, 3): (n, m, 3)."""
     span = edges[:, 1] - edges[:, 0]
     to = points[:, None] - edges[:, 0]
     share = np.clip((to * span).sum(axis=2) / (span**2).sum(axis=1), 0.0, 1.0)
-    found: np.ndarray = np.linalg.norm(to - share[..., None] * span, axis=2)
-    return found
+    return np.asarray(to - share[..., None] * span)
 
 
 def _to_triangles(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -106,10 +106,7 @@ def _to_triangles(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     outside = (u < 0.0) | (v < 0.0) | (u + v > 1.0)
     size = np.where(outside, np.inf, np.linalg.norm(best, axis=2))
     for first, second in ((0, 1), (1, 2), (2, 0)):
-        start, span = triangles[:, first], triangles[:, second] - triangles[:, first]
-        away = points[:, None] - start
-        share = np.clip((away * span).sum(2) / (span**2).sum(1), 0.0, 1.0)
-        away = away - share[..., None] * span
+        away = _to_edges(points, triangles[:, [first, second]])
         nearer = np.linalg.norm(away, axis=2) < size
         best[nearer], size[nearer] = away[nearer], np.linalg.norm(away, axis=2)[nearer]
     return best

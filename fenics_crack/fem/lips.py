@@ -74,20 +74,20 @@ class Lip:
 
     def beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
         """Points below and above one that lies on the crack, and not at its tip; else None."""
-        start, steps = self.points[:-1], np.diff(self.points, axis=0)
-        share = np.sum((point - start) * steps, axis=1) / np.sum(steps**2, axis=1)
-        feet = start + np.clip(share, 0.0, 1.0)[:, None] * steps
-        edge, length = int(np.argmin(np.linalg.norm(feet - point, axis=1))), self.position[-1]
-        tips = self.points[-1:] if self.has_mouth else self.points[[0, -1]]
-        on_lips, at_tip = (
-            np.linalg.norm(places - point, axis=1).min() <= SAME * length for places in (feet, tips)
-        )
-        if at_tip or not on_lips:
+        (off,), (place,) = self.locate(np.array([point]))
+        length = self.position[-1]
+        from_tip = length - place if self.has_mouth else min(place, length - place)
+        if off > SAME * length or from_tip <= SAME * length:
             return None
-        across = np.array([-1.0, 1.0]) * steps[edge, ::-1] / np.linalg.norm(steps[edge])
+        edge = np.searchsorted(self.position[1:-1], place)
+        step = np.diff(self.points, axis=0)[edge]
+        ahead = step / np.linalg.norm(step)
+        foot, across = (
+            self.points[edge] + (place - self.position[edge]) * ahead,
+            ahead[::-1] * (-1, 1),
+        )
         across *= np.copysign(BESIDE * length, across[1] or across[0])
-        low, high = (np.round(feet[edge] + side * across, 9).tolist() for side in (-1.0, 1.0))
-        return low, high
+        return np.round(foot - across, 9).tolist(), np.round(foot + across, 9).tolist()
 
 
 def find_lips(lower: np.ndarray, upper: np.ndarray, positions: np.ndarray) -> list[Lip]:

@@ -36,7 +36,7 @@ from fenics_crack.scene.fields import Vector
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Load
 
-__all__ = ["assemble_loads", "clamp_of"]
+__all__ = ["assemble_loads", "clamp_of", "rigid_motions"]
 
 
 def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.ndarray | None]:
@@ -188,12 +188,12 @@ def clamp_of(dofs: Dofs, mass: Any, force: np.ndarray) -> Clamp:
     nodes = dofs.nodes_on("clamp")
     held = gather_rows(dofs.comm, dofs.points[nodes[nodes < dofs.n_nodes]])
     center = np.round(0.5 * (held.min(axis=0) + held.max(axis=0)), 12) + 0.0
-    rigid = _rigid_motions(dofs.points - center)
+    rigid = rigid_motions(dofs.points - center)
     rows = np.array([_inertia(mass, motion)[dofs.free] for motion in rigid])
     return Clamp(center, rows, dofs.comm.allreduce(force @ rigid.T))
 
 
-def _rigid_motions(points: np.ndarray) -> np.ndarray:
+def rigid_motions(points: np.ndarray) -> np.ndarray:
     """Translations, and rotations about the origin by e x r, of points (n, d): (n_rigid, n d)."""
     dimension = points.shape[1]
     placed = np.zeros((len(points), 3))

@@ -25,8 +25,8 @@ from fenics_crack.mesher import gmsh
 from fenics_crack.outside import bytes_of, run_reader
 
 __all__ = [
-    "CRACK", "Group", "Names", "Point", "check_there", "filled", "groups_of", "named_groups",
-    "points_in", "read_file", "tags_of",
+    "CRACK", "Given", "Group", "Names", "cells_of", "check_there", "facets_of", "filled",
+    "groups_of", "named_groups", "points_in", "read_file", "tags_of",
 ]  # fmt: skip
 
 Point = tuple[float, ...]
@@ -60,7 +60,7 @@ def read_file(path: Path) -> Names:
         if not condition:
             raise InputError("mesh.file", str(path), allowed)
 
-    numbers, positions, groups = groups_of(path)
+    given = _, positions, groups = groups_of(path)
     flat = len(positions) > 0 and np.ptp(positions[:, 2]) == 0.0
     require(
         flat and np.all(np.abs(positions) < FARTHEST_NODE),
@@ -73,50 +73,44 @@ def read_file(path: Path) -> Names:
         f" (it holds {len(kinds)} kinds)",
     )
     kind = kinds.pop()
-    cells = _cells(kind, [nodes for dimension, *_, nodes in groups if dimension == 2])
+    used, cells, places = cells_of(kind, given)
+    ordered = np.sort(cells, axis=1)
     require(
-        _have_different_nodes(cells) and np.isin(cells, numbers).all(),
+        places is not None and not np.any(ordered[:, 1:] == ordered[:, :-1]),
         "a mesh whose cells have different nodes",
     )
+    assert places is not None
+    flat_places = places[:, :2]
     expected = {0: _POINT, 1: _EDGES[kind]}
     parts = [group for group in groups if group[0] != 2]
     require(
-        all(k == expected.get(d) and np.isin(nodes, cells).all() for d, *_, k, nodes in parts),
+        all(k == expected.get(d) and np.isin(nodes, used).all() for d, *_, k, nodes in parts),
         "a mesh whose physical curves and points hold edges and corners of its cells",
     )
-    numbers, first = np.unique(numbers, return_index=True)
-    used = np.isin(numbers, cells)
-    numbers, positions = numbers[used], positions[first[used]]
-    curves: dict[str, np.ndarray] = {}
-    per_edge = gmsh.model.mesh.getElementProperties(_EDGES[kind])[3]
-    for dimension, _, name, _, nodes in parts:
-        if dimension == 1 and name:
-            edges = np.concatenate([curves.get(name, nodes[:0]), nodes])
-            curves[name] = edges
-    curves = {name: nodes.reshape(-1, per_edge) for name, nodes in curves.items()}
-    curves = _with_lips(curves, kind, cells, numbers, positions[:, :2])
+    curves = _with_lips(facets_of(parts, _EDGES[kind], used), kind, cells, flat_places)
     require("clamp" in curves, "a mesh with a physical curve named 'clamp'")
     require(
         ("lower_lip" in curves) == ("upper_lip" in curves),
         "a mesh with both 'lower_lip' and 'upper_lip', or none",
     )
+    lips = [curves[name][:, :2] for name in ("lower_lip", "upper_lip") if name in curves]
+    edges = np.concatenate([*lips, cells[:0, :2]])
     try:
-        _check(kind, cells, curves, numbers, positions[:, :2])
-        points = points_in(parts, numbers, positions[:, :2])
+        check_mesh(kind, cells, flat_places, np.unique(curves["clamp"]), edges)
+        points = points_in(given, 2)
     except InputError as error:
         raise InputError("mesh.file", f"{path} ({error.value})", error.allowed) from None
     tags, sets = tags_of(curves)
     filled(
-        numbers,
-        positions,
-        [(2, 1, "plate", kind, cells.ravel())]
-        + [(1, tag, name, _EDGES[kind], edges.ravel()) for tag, name, edges in sets]
-        + [group for group in parts if group[0] == 0],
+        places,
+        [(2, 1, "plate", kind, cells)]
+        + [(1, tag, name, _EDGES[kind], edges) for tag, name, edges in sets]
+        + [(0, *group[1:4], np.searchsorted(used, group[4])) for group in parts if group[0] == 0],
     )
     return tags, points
 
 
-def groups_of(path: Path) -> tuple[np.ndarray, np.ndarray, list[Group]]:
+def groups_of(path: Path) -> Given:
     """Numbers and positions of a file's nodes, and its groups.
 
     Raises
@@ -137,40 +131,23 @@ def check_there(key: str, path: Path | str) -> None:
         raise InputError(key, str(path), "an existing gmsh mesh file")
 
 
-def points_in(groups: list[Group], numbers: np.ndarray, positions: np.ndarray) -> dict[str, Point]:
-    """Positions of the named points among some groups, of as many numbers as are left."""
+def points_in(given: Given, size: int) -> dict[str, Point]:
+    """Positions of the named points, of so many numbers."""
+    numbers, positions, groups = given
     points: dict[str, Point] = {}
     for dimension, _, name, _, nodes in groups:
         if dimension != 0 or not name:
             continue
         if name == "load" and len(nodes) != 1:
             raise InputError("mesh", f"{len(nodes)} points in the group 'load'", "one with one")
-        places = np.unique(positions[np.searchsorted(numbers, nodes)], axis=0)
+        places = np.unique(positions[np.isin(numbers, nodes), :size], axis=0)
         if len(places) == 1:
             points[name] = tuple(places[0].tolist())
     return points
 
 
-def _check(
-    kind: int,
-    cells: np.ndarray,
-    curves: dict[str, np.ndarray],
-    numbers: np.ndarray,
-    positions: np.ndarray,
-) -> None:
-    """Check a mesh by :func:`check_mesh`, for nodes by gmsh's numbers."""
-    lips = [curves[name][:, :2] for name in ("lower_lip", "upper_lip") if name in curves]
-    parts = cells, np.unique(curves["clamp"]), np.concatenate([*lips, cells[:0, :2]])
-    own, clamp, edges = (np.searchsorted(numbers, nodes) for nodes in parts)
-    check_mesh(kind, own, positions, clamp, edges)
-
-
 def _with_lips(
-    curves: dict[str, np.ndarray],
-    kind: int,
-    cells: np.ndarray,
-    numbers: np.ndarray,
-    positions: np.ndarray,
+    curves: dict[str, np.ndarray], kind: int, cells: np.ndarray, places: np.ndarray
 ) -> dict[str, np.ndarray]:
     """The curves, those named ``crack`` replaced by the lips that are found along them."""
     cracks = [edges for name, edges in curves.items() if CRACK.match(name)]
@@ -181,14 +158,12 @@ def _with_lips(
     order = next(iter(curves.values())).shape[1] - 1 if curves else cracks[0].shape[1] - 1
     edges, owners, uses = cell_edges(cells, corners, order)
     edges, owners = edges[uses == 1], owners[uses == 1]
-    place = np.zeros((int(numbers.max()) + 1, 2))
-    place[numbers] = positions
     if cracks:
-        centres = place[cells[owners, :corners]].mean(axis=1)
-        lips = split_crack(np.concatenate(cracks)[:, :2], edges, centres, place)
+        centres = places[cells[owners, :corners]].mean(axis=1)
+        lips = split_crack(np.concatenate(cracks)[:, :2], edges, centres, places)
         for name, lip in zip(("lower_lip", "upper_lip"), lips, strict=True):
             curves[name] = np.concatenate([curves.get(name, lip[:0]), lip])
-    check_mouths(curves["lower_lip"], curves["upper_lip"], edges, place)
+    check_mouths(curves["lower_lip"], curves["upper_lip"], edges, places)
     return curves
 
 
@@ -215,33 +190,51 @@ def tags_of(
     return groups, sets
 
 
-def _cells(kind: int, nodes: list[np.ndarray]) -> np.ndarray:
-    """Cells and their nodes, each cell once: a surface may be in several groups."""
-    cells = np.concatenate(nodes).reshape(-1, gmsh.model.mesh.getElementProperties(kind)[3])
-    return cells[np.sort(np.unique(np.sort(cells, axis=1), axis=0, return_index=True)[1])]
+def cells_of(kind: int, given: Given) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Numbers of the nodes of the cells of a kind, in ascending order; the cells, each once (it may
+    be in several groups), by the places of their nodes in that order; and the positions of these,
+    None where one does not exist."""
+    numbers, positions, groups = given
+    _, dimension, _, size, *_ = gmsh.model.mesh.getElementProperties(kind)
+    numbers, first = np.unique(numbers, return_index=True)
+    raw = np.concatenate([nodes for own, *_, nodes in groups if own == dimension])
+    used, places = np.unique(raw, return_inverse=True)
+    cells = places.reshape(-1, size)
+    cells = cells[np.sort(np.unique(np.sort(cells, axis=1), axis=0, return_index=True)[1])]
+    there = bool(np.isin(used, numbers).all())
+    return used, cells, positions[first][np.searchsorted(numbers, used)] if there else None
 
 
-def _have_different_nodes(cells: np.ndarray) -> bool:
-    """Tell whether no cell has a node twice."""
-    ordered = np.sort(cells, axis=1)
-    return not np.any(ordered[:, 1:] == ordered[:, :-1])
+def facets_of(groups: list[Group], kind: int, used: np.ndarray) -> dict[str, np.ndarray]:
+    """Facets of a kind in each named curve or surface, by the places of their nodes among those
+    that are used."""
+    _, dimension, _, size, *_ = gmsh.model.mesh.getElementProperties(kind)
+    found: dict[str, np.ndarray] = {}
+    for own, _, name, _, nodes in groups:
+        if own == dimension and name:
+            rows = np.searchsorted(used, nodes).reshape(-1, size)
+            found[name] = np.concatenate([found.get(name, rows[:0]), rows])
+    return found
 
 
 Group = tuple[int, int, str, int, np.ndarray]
 """Dimension, tag and name, and elements of one kind: gmsh's number of it and the nodes."""
+Given = tuple[np.ndarray, np.ndarray, list[Group]]
+"""Numbers and positions of all nodes, and the groups."""
 
 
-def filled(numbers: np.ndarray, positions: np.ndarray, groups: list[Group]) -> None:
-    """Put nodes and the elements of physical groups into the current model."""
+def filled(positions: np.ndarray, groups: list[Group]) -> None:
+    """Put nodes and the elements of physical groups, by the places of their nodes, into the current
+    model."""
     model = gmsh.model
     dimension = max(group[0] for group in groups)
     holder = model.addDiscreteEntity(dimension)
-    model.mesh.addNodes(dimension, holder, numbers, positions.ravel())
+    model.mesh.addNodes(dimension, holder, 1 + np.arange(len(positions)), positions.ravel())
     entities: dict[tuple[int, int], list[int]] = {}
     names = {}
     for dimension, tag, name, kind, nodes in groups:
         entity = model.addDiscreteEntity(dimension)
-        model.mesh.addElementsByType(entity, kind, [], nodes)
+        model.mesh.addElementsByType(entity, kind, [], nodes.ravel() + 1)
         entities.setdefault((dimension, tag), []).append(entity)
         names[dimension, tag] = name
     for (dimension, tag), tags in entities.items():
@@ -249,7 +242,7 @@ def filled(numbers: np.ndarray, positions: np.ndarray, groups: list[Group]) -> N
         model.setPhysicalName(dimension, tag, names[dimension, tag])
 
 
-def _read_by_child(path: Path) -> tuple[np.ndarray, np.ndarray, list[Group]] | str:
+def _read_by_child(path: Path) -> Given | str:
     """Numbers and positions of a file's nodes and its groups, or why it cannot be read."""
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "mesh.msh"

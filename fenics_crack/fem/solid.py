@@ -33,14 +33,16 @@ from fenics_crack.fem.crack_surface import (
 from fenics_crack.fem.mesh_checks import DEGENERATE, determinants, parts_of
 from fenics_crack.fem.msh_file import (
     CRACK,
-    Group,
+    Given,
     Names,
+    cells_of,
+    facets_of,
     filled,
     groups_of,
     named_groups,
     points_in,
     tags_of,
-)
+)  # fmt: skip
 from fenics_crack.fem.msh_reader import groups
 from fenics_crack.mesher import gmsh
 from fenics_crack.scene.scene import Scene
@@ -81,11 +83,9 @@ def solid_model(scene: Scene) -> tuple[Names, tuple[CrackSurface, ...]]:
     return _filled((numbers, positions.reshape(-1, 3), named))
 
 
-def _filled(
-    given: tuple[np.ndarray, np.ndarray, list[Group]],
-) -> tuple[Names, tuple[CrackSurface, ...]]:
+def _filled(given: Given) -> tuple[Names, tuple[CrackSurface, ...]]:
     """Split the cracks of a mesh and put it into the current model."""
-    numbers, positions, named = given
+    _, _, named = given
     kinds = {kind for dimension, _, _, kind, _ in named if dimension == 3}
     for kind in kinds & SERENDIPITY.keys():
         allowed = (
@@ -97,17 +97,15 @@ def _filled(
         allowed = "one whose physical volumes hold one kind of cells, tetrahedra or hexahedra"
         raise InputError("mesh", f"{len(kinds)} kinds of cells", allowed)
     kind = kinds.pop()
-    numbers, first = np.unique(numbers, return_index=True)
-    positions = positions[first]
-    raw = np.concatenate([nodes for dimension, *_, nodes in named if dimension == 3])
-    used, nodes = np.unique(raw, return_inverse=True)
-    if not np.isin(used, numbers).all():
+    used, nodes, places = cells_of(kind, given)
+    if places is None:
         raise InputError("mesh", "cells with nodes that do not exist", "a whole file")
-    places = positions[np.searchsorted(numbers, used)]
-    nodes = nodes.reshape(-1, gmsh.model.mesh.getElementProperties(kind)[3])
-    nodes = nodes[np.sort(np.unique(np.sort(nodes, axis=1), axis=0, return_index=True)[1])]
     cells = _cells(kind, nodes)
-    surfaces = _surfaces(named, KINDS[kind], used)
+    for dimension, _, name, own, corners in named:
+        if dimension == 2 and name and (own != KINDS[kind] or not np.isin(corners, used).all()):
+            allowed = "one whose physical surfaces hold facets of its cells"
+            raise InputError("mesh", f"a surface {name!r} of other cells", allowed)
+    surfaces = facets_of(named, KINDS[kind], used)
     if "clamp" not in surfaces:
         raise InputError("mesh", "no clamp", "with a physical surface named 'clamp'")
     _check_cells(kind, nodes, places)
@@ -127,29 +125,10 @@ def _filled(
         lower, upper = (side[:, : cells.facets.shape[1]] for side in sides)
         lips = tuple(cracks_between(lower, upper, places))
     parts_of(nodes, places, surfaces["clamp"], np.concatenate([*sides, surfaces["clamp"][:0]]))
-    points = points_in(named, numbers, positions)
     tags, sets = tags_of(surfaces)
-    filled(
-        np.arange(1, len(places) + 1), places,
-        [(3, 1, "solid", kind, nodes.ravel() + 1)]
-        + [(2, tag, name, KINDS[kind], rows.ravel() + 1) for tag, name, rows in sets],
-    )  # fmt: skip
-    return (tags, points), lips
-
-
-def _surfaces(named: list[Group], kind: int, used: np.ndarray) -> dict[str, np.ndarray]:
-    """Facets in each named surface, by the places of their nodes among those that are used."""
-    found: dict[str, np.ndarray] = {}
-    for dimension, _, name, own, nodes in named:
-        if dimension != 2 or not name:
-            continue
-        if own != kind or not np.isin(nodes, used).all():
-            allowed = "one whose physical surfaces hold facets of its cells"
-            raise InputError("mesh", f"a surface {name!r} of other cells", allowed)
-        size = gmsh.model.mesh.getElementProperties(kind)[3]
-        rows = np.searchsorted(used, nodes).reshape(-1, size)
-        found[name] = np.concatenate([found.get(name, rows[:0]), rows])
-    return found
+    facets = [(2, tag, name, KINDS[kind], rows) for tag, name, rows in sets]
+    filled(places, [(3, 1, "solid", kind, nodes), *facets])
+    return (tags, points_in(given, 3)), lips
 
 
 def _cells(kind: int, nodes: np.ndarray) -> SolidCells:

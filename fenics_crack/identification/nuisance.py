@@ -28,7 +28,6 @@ first mode.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -36,6 +35,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.errors import FEW_MODES, InputError
+from fenics_crack.fem.loads import rigid_motions
 from fenics_crack.identification.features import Feature, poles
 from fenics_crack.identification.measurements import Measurements
 from fenics_crack.model.modes import Modes, solve_modes, times
@@ -139,19 +139,13 @@ def _by_clamp(modes: Modes) -> np.ndarray:
     clamped = nodes.points[(nodes.dofs < 0).all(axis=1)]
     if len(clamped) < 2:
         return np.ones(len(modes.omega))
-    axes = range(nodes.points.shape[1])
-    turns = list(itertools.combinations(axes, 2))
-    off = nodes.points - clamped.mean(axis=0)
-    moved = np.zeros((*nodes.dofs.shape, len(axes) + len(turns)))
-    moved[:, axes, axes] = 1.0
-    for place, (first, second) in enumerate(turns, len(axes)):
-        moved[:, first, place], moved[:, second, place] = -off[:, second], off[:, first]
-    rigid = np.zeros((modes.structure.n_local, moved.shape[2]))
-    free = nodes.dofs >= 0
-    rigid[nodes.dofs[free]] = moved[free]
-    squares = (rigid.T @ times(modes.structure.mass, modes.shapes)) ** 2
-    gyration = np.sum(np.var(clamped, axis=0))
-    pushed, turned = squares[: len(axes)].sum(axis=0), squares[len(axes) :].sum(axis=0)
+    moved = rigid_motions(nodes.points - clamped.mean(axis=0))
+    rigid = np.zeros((len(moved), modes.structure.n_local))
+    dofs = nodes.dofs.ravel()
+    rigid[:, dofs[dofs >= 0]] = moved[:, dofs >= 0]
+    squares = (rigid @ times(modes.structure.mass, modes.shapes)) ** 2
+    gyration, d = np.sum(np.var(clamped, axis=0)), nodes.points.shape[1]
+    pushed, turned = squares[:d].sum(axis=0), squares[d:].sum(axis=0)
     taken = modes.omega**2 * (turned + gyration * pushed)
     return np.asarray(taken / taken[0])
 

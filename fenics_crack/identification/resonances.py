@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.signal import find_peaks
 
 from fenics_crack.errors import InputError
 from fenics_crack.exchange.universal import FrequencyResponse
@@ -49,7 +50,9 @@ def resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
     omega = TURN * lines[kept]
     values = np.stack([one.values[kept] / (1j * omega) ** one.derived for one in responses])
     power, found = omega**2 * np.sum(np.abs(values) ** 2, axis=0), []
-    for peak in _peaks(power):
+    # A peak falls to half of its power on both sides, before that is higher there.
+    peaks, seen = find_peaks(power, prominence=0.0)
+    for peak in peaks[seen["prominences"] > HALF * power[peaks]].tolist():
         wide, half = (
             _fitted(omega, values, peak, _around(power, peak, share * power[peak]))
             for share in (FITTED_DOWN_TO, HALF)
@@ -66,21 +69,6 @@ def resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
         allowed = "with peaks that fall to half their power on both sides, of 4 lines or more"
         raise InputError("responses", f"{len(lines)} lines", allowed)
     return np.array(found)
-
-
-def _peaks(power: np.ndarray) -> list[int]:
-    """Places of the peaks of a power (n,) that fall to half of it on both sides, before it is
-    higher there."""
-    found = []
-    for place in np.flatnonzero((power[1:-1] > power[:-2]) & (power[1:-1] >= power[2:])) + 1:
-        sides = power[place::-1], power[place:]
-        ends = [np.flatnonzero((one > power[place]) | (one < HALF * power[place])) for one in sides]
-        low = [
-            bool(len(end) and one[end[0]] < power[place])
-            for one, end in zip(sides, ends, strict=True)
-        ]
-        found += [int(place)] * all(low)
-    return found
 
 
 def _around(power: np.ndarray, peak: int, least: float) -> slice:
