@@ -9,7 +9,6 @@ then the median arrival.
 from __future__ import annotations
 
 import csv
-import io
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -177,7 +176,7 @@ class ArrivalTimes(Tabular):
             The file cannot be read, a column is missing, or rows contradict each other or the
             radius given.
         """
-        (turn, angle, mark, after, arrival), radius = _columns(path)
+        (turn, angle, mark, after, arrival), radius = _passages(path)
         tip_radius = one_radius(path, radius, tip_radius)
         turns, row = np.unique(turn, return_inverse=True)
         probes, where = np.unique(angle, return_inverse=True)
@@ -267,25 +266,32 @@ def one_radius(path: str | Path, of_file: np.ndarray | None, given: float | None
     return float(values[0])
 
 
-def _columns(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
-    """The columns of a file that are needed: (5, rows), and the radii (rows,) if it has them."""
+def _table(path: str | Path) -> tuple[list[str], np.ndarray]:
+    """Headings of a CSV file and its columns, nan where there is no number; lines that begin with #
+    are left out."""
     with reading("path", path, "a table of numbers"):
-        with io.StringIO(text_of(path)) as file:
-            names = [name.strip() for name in next(csv.reader(file), [])]
-            for name in COLUMNS:
-                if name not in names:
-                    has = f"it has {', '.join(names)}" if any(names) else "it is empty"
-                    allowed = f"a file with the column '{name}'; {has}"
-                    raise InputError("path", str(path), allowed)
-            wanted = [*COLUMNS, *([RADIUS] if RADIUS in names else [])]
-            places = [names.index(name) for name in wanted]
-            lines = [line for line in file if line.strip()]
-        rows = np.genfromtxt(lines, delimiter=",", usecols=places, ndmin=2) if lines else None
-    finite = rows is not None and np.all(np.isfinite(rows[:, :4]))
-    if rows is None or not finite or np.any(rows[:, 0] % 1.0) or np.abs(rows[:, 0]).max() >= 2**53:
+        lines = [line for line in text_of(path).splitlines() if line.strip()[:1] not in ("", "#")]
+        names = [name.strip() for name in next(csv.reader(lines), [])]
+        if not lines[1:]:
+            return names, np.empty((len(names), 0))
+        rows = np.genfromtxt(lines[1:], delimiter=",", usecols=range(len(names)), ndmin=2)
+    return names, rows.T
+
+
+def _passages(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
+    """The columns of a file that are needed: (5, rows), and the radii (rows,) if it has them."""
+    names, columns = _table(path)
+    for name in COLUMNS:
+        if name not in names:
+            has = f"it has {', '.join(names)}" if any(names) else "it is empty"
+            raise InputError("path", str(path), f"a file with the column '{name}'; {has}")
+    found = columns[[names.index(name) for name in COLUMNS]]
+    turns = found[0]
+    fine = turns.size and np.all(np.isfinite(found[:4])) and not np.any(turns % 1.0)
+    if not fine or np.abs(turns).max() >= 2**53:
         allowed = "a file whose rows have finite numbers but for the arrival, and whole revolutions"
         raise InputError("path", str(path), allowed)
-    return rows.T[:5], rows.T[5] if len(wanted) > 5 else None
+    return found, columns[names.index(RADIUS)] if RADIUS in names else None
 
 
 # --- records --------------------------------------------------------------------------------------
@@ -349,20 +355,17 @@ def read_record(
     >>> arrivals.to_csv("record.csv")
     >>> blades = fc.read_record("record.csv")
     """
-    with reading("path", path, "a table of numbers"):
-        lines = [line for line in text_of(path).splitlines() if line.strip()[:1] not in ("", "#")]
-        names = [name.strip() for name in next(csv.reader(lines), [])]
-        if not any(map(PASSAGE.search, names)):
-            return {1: ArrivalTimes.from_csv(path, tip_radius=tip_radius)}
-        table = np.genfromtxt(lines[1:], delimiter=",", ndmin=2) if lines[1:] else np.empty((0, 1))
-    columns = dict(zip(names, table.T, strict=False))
+    names, table = _table(path)
+    if not any(map(PASSAGE.search, names)):
+        return {1: ArrivalTimes.from_csv(path, tip_radius=tip_radius)}
+    columns = dict(zip(names, table, strict=True))
     passages: dict[int, dict[int, str]] = {}
     for name in names:
         if found := PASSAGE.search(name):
             passages.setdefault(int(found[1] or 1), {})[int(found[2])] = name
-    if len(columns) != len(names) or len(table) < 2:
+    if len(columns) != len(names) or table.shape[1] < 2:
         raise InputError("path", str(path), f"{HAS}; it has {', '.join(names)}")
-    turns = _turns(path, columns.get("revolution", np.arange(float(len(table)))))
+    turns = _turns(path, columns.get("revolution", np.arange(float(table.shape[1]))))
     marks = _marks(path, columns, turns)
     tip_radius = one_radius(path, columns.get(RADIUS), tip_radius)
     found_blades = {}

@@ -76,7 +76,7 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
     with console.stage("natural frequencies"):
         figures = find_key_figures(study)
     rows: dict[str, object] = {
-        **({} if whole.nodes is None else {_extents(figures): _size(figures)}),
+        **({} if whole.nodes is None else _extents(figures)),
         "degrees of freedom": whole.n_dofs,
         **_frequencies(study.scene, figures),
         **_errors_by_mesh(study, figures),
@@ -111,13 +111,10 @@ def draw_scene(scene: Scene, folder: Path, structure: Structure | None = None) -
     return [file]
 
 
-def _extents(figures: KeyFigures) -> str:
-    """What the sizes of the mesh are called."""
-    return " x ".join(("width", "height", "thickness")[: len(figures.size)]) + " [m]"
-
-
-def _size(figures: KeyFigures) -> str:
-    return " x ".join(f"{extent:g}" for extent in figures.size)
+def _extents(figures: KeyFigures) -> dict[str, object]:
+    """The sizes of the mesh."""
+    names = ("width", "height", "thickness")[: len(figures.size)]
+    return {" x ".join(names) + " [m]": " x ".join(f"{extent:g}" for extent in figures.size)}
 
 
 def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:

@@ -32,6 +32,8 @@ KEYS = ("tip_radius", "orders", "probes")
 """Of [tip_timing], with a record in place of a scene."""
 MISSING = "harmonics are missing (tip_timing.fitted_harmonics), and folded onto those kept"
 UNTESTED = "as many unknowns as probes: neither the order nor the harmonics kept are tested"
+EMPTY = ("blade", "rpm", "order", "frequency")
+"""Columns of a table without a resonance."""
 SHOWN_ORDERS = 6
 """Of those that are as good, and of those that cannot be measured."""
 
@@ -116,25 +118,19 @@ def _record(given: Namespace, console: Console) -> Exit:
 
 def _account_of_passages(found: Mapping[int, Sequence[PassageFit]]) -> Account:
     """Resonances of each blade, and what is in doubt."""
-    tables = {blade: [fit.to_dict() for fit in fits] for blade, fits in found.items()}
-    units = UNITS | {"blade": ""}
-    rows = [{"blade": blade} | row for blade, several in tables.items() for row in several]
-    for row in rows:
-        row.pop("speed")
-    names = list(rows[0]) if rows else ["blade", "rpm", "order", "frequency"]
-    table = Table.of({name: [row[name] for row in rows] for name in names}, units)
-    warnings = []
-    for blade, fits in found.items():
-        for fit in fits:
-            name = f"blade {blade}, {fit.speed / RPM:.5g} rpm"
-            if fit.ambiguous:
-                told = ", ".join(f"{order:g}" for order in fit.ambiguous)
-                warnings.append(f"{name}: orders that explain the arrivals as well: {told}")
-            if fit.disagree:
-                warnings.append(f"{name}: passages differ by {fit.apart:.2%}, more than errors")
-    if not rows:
-        warnings.append("no resonance stands out")
-    biases = [row["steady_bias"] for row in rows]
+    every = [(blade, fit) for blade, fits in found.items() for fit in fits]
+    rows = [{"blade": blade} | fit.to_dict() for blade, fit in every]
+    names = [name for name in rows[0] if name != "speed"] if rows else [*EMPTY]
+    table = Table.of({name: [row[name] for row in rows] for name in names}, UNITS)
+    warnings = [] if every else ["no resonance stands out"]
+    for blade, fit in every:
+        name = f"blade {blade}, {fit.speed / RPM:.5g} rpm"
+        if fit.ambiguous:
+            told = ", ".join(f"{order:g}" for order in fit.ambiguous)
+            warnings.append(f"{name}: orders that explain the arrivals as well: {told}")
+        if fit.disagree:
+            warnings.append(f"{name}: passages differ by {fit.apart:.2%}, more than errors")
+    biases = [fit.steady_bias for _, fit in every]
     note = "fits of steady vibrations would be off by {:.2%} to {:.2%}"
     notes = [note.format(min(biases), max(biases))] * bool(biases)
     return Account("timing", table, notes=notes, warnings=warnings)

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from fenics_crack.errors import InputError
-from fenics_crack.fem.lips import cell_edges, check_mouths, split_crack
+from fenics_crack.fem.lips import Lip, cell_edges, check_mouths, find_lips, split_crack
 from fenics_crack.fem.mesh_checks import check_mesh
 from fenics_crack.mesher import gmsh
 from fenics_crack.outside import bytes_of, run_reader
@@ -46,8 +46,9 @@ CRACK = re.compile(r"crack([ _.-]?\d+)?$", re.IGNORECASE)
 """Names of curves along which the nodes exist twice."""
 
 
-def read_file(path: Path) -> Names:
-    """Read a mesh file into gmsh's current model; return its named curves and points.
+def read_file(path: Path) -> tuple[Names, tuple[Lip, ...]]:
+    """Read a mesh file into gmsh's current model; return its named curves and points, and its lips
+    from bottom to top.
 
     Raises
     ------
@@ -100,6 +101,7 @@ def read_file(path: Path) -> Names:
         points = points_in(given, 2)
     except InputError as error:
         raise InputError("mesh.file", f"{path} ({error.value})", error.allowed) from None
+    found = find_lips(lips[0], lips[1], flat_places) if lips else []
     tags, sets = tags_of(curves)
     filled(
         places,
@@ -107,7 +109,7 @@ def read_file(path: Path) -> Names:
         + [(1, tag, name, _EDGES[kind], edges) for tag, name, edges in sets]
         + [(0, *group[1:4], np.searchsorted(used, group[4])) for group in parts if group[0] == 0],
     )
-    return tags, points
+    return (tags, points), tuple(found)
 
 
 def groups_of(path: Path) -> Given:

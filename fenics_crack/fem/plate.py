@@ -162,33 +162,31 @@ def _gmsh_on_root(comm: MPI.Comm) -> Iterator[None]:
 
 def _model(scene: Scene) -> tuple[Groups, Points, Lips]:
     """Fill the current gmsh model with a mesh; return what is in it by its name, and the lips."""
-    points: Points = {}
+    lips: Lips
     if scene.dimension == 3:
         from fenics_crack.fem.solid import solid_model  # with what takes surfaces apart
 
         (groups, points), lips = solid_model(scene)
-        gmsh.model.mesh.renumberNodes()
-        return groups, points, lips
-    if scene.mesh.layout == "file":
+    elif scene.mesh.layout == "file":
         from fenics_crack.fem.msh_file import read_file  # with what checks meshes of others
 
-        groups, points = read_file(Path(str(scene.mesh.file)))
+        (groups, points), lips = read_file(Path(str(scene.mesh.file)))
     else:
-        groups = _draw(scene)
+        groups, points, lips = _draw(scene), {}, ()
         gmsh.model.mesh.generate(2)
     gmsh.model.mesh.renumberNodes()
-    return groups, points, _lips(scene, groups) if "lower_lip" in groups else ()
+    return groups, points, lips or _lips(scene, groups)
 
 
 def _lips(scene: Scene, groups: Groups) -> tuple[Lip, ...]:
-    """The lips in the current model, in the order of the scene."""
+    """The lips in the current model that is made here, in the order of the scene."""
+    if "lower_lip" not in groups:
+        return ()
     numbers, positions, _ = gmsh.model.mesh.getNodes()
     places = np.empty((len(numbers) + 1, 2))
     places[numbers.astype(int)] = positions.reshape(-1, 3)[:, :2]
     lower, upper = (_edges(groups[name]) for name in ("lower_lip", "upper_lip"))
     lips = find_lips(lower, upper, places)
-    if scene.mesh.layout == "file":
-        return tuple(lips)
     width = scene.geometry.width
     assert width
     found = []

@@ -142,7 +142,7 @@ def find_key_figures(study: Study) -> KeyFigures:
         change = _dynamic_part(modes.omega, ratios, omega)
         load = change * (loads[:, 1] - 1j * loads[:, 2])
         motion = static[1] - 1j * static[2] + load @ modes.shapes.T
-        largest = max(largest, _largest(whole, motion))
+        largest = max(largest, *whole.comm.allgather(float(np.abs(motion).max(initial=0.0))))
         if not whole.n_pairs:
             continue
         gap = gaps[1] - 1j * gaps[2] + load @ psi
@@ -234,11 +234,6 @@ def _dynamic_part(natural: np.ndarray, ratios: np.ndarray, omega: float) -> np.n
     below = squares - omega**2 + 2j * ratios * natural * omega
     static = np.divide(1.0, squares, out=np.zeros_like(squares), where=squares > 0.0)
     return 1.0 / np.where(below == 0.0, 1e-12 * squares, below) - static
-
-
-def _largest(whole: Structure, motion: np.ndarray) -> float:
-    own = np.abs(motion).max(initial=0.0)
-    return float(np.max(whole.comm.allgather(own)))
 
 
 def _count_below(whole: Structure, omega: float) -> int:
