@@ -1,7 +1,9 @@
 """The demos run, and reproduce the numbers that are known."""
 
+import contextlib
 import csv
 import importlib.util
+import io
 import json
 import sys
 from collections.abc import Callable
@@ -70,19 +72,18 @@ def test_breathing_plate(tmp_path: Path) -> None:
 
 
 @pytest.mark.mpi
-def test_sweep_over_two_ranks(mpirun: Callable[..., str], tmp_path: Path) -> None:
-    """Ranks share the cases; the table is whole and sorted, and a second run only draws."""
+def swept(folder: Path, comm: object) -> str:
+    """What the demo of sweeps says with fewer cases (collective)."""
     over = {"crack.length": [0.03, 0.05], "excitation.omega": [1600.0, 1800.0, 2000.0]}
-    program = f"""
-import sys
-sys.path.insert(0, {str(DEMOS)!r})
-from pathlib import Path
-import fenics_crack as fc
-import sweep
-scene = fc.Scene.load(sweep.SCENE).replace({{"sweep.over": {over!r}}})
-sweep.main(Path({str(tmp_path)!r}), scene)
-"""
-    assert "6 of 6 cases converged" in mpirun(program, 2)
+    demo = load("sweep")
+    with contextlib.redirect_stdout(io.StringIO()) as said:
+        demo.main(folder, fc.Scene.load(demo.SCENE).replace({"sweep.over": over}))
+    return said.getvalue()
+
+
+def test_sweep_over_two_ranks(on_ranks: Callable[..., str], tmp_path: Path) -> None:
+    """Ranks share the cases; the table is whole and sorted, and a second run only draws."""
+    assert "6 of 6 cases converged" in on_ranks(swept, tmp_path)
     with open(tmp_path / "table.csv", newline="") as file:
         table = list(csv.DictReader(file))
     assert [float(row["excitation.omega [rad/s]"]) for row in table] == 2 * [1600, 1800, 2000]
@@ -93,7 +94,7 @@ sweep.main(Path({str(tmp_path)!r}), scene)
         assert (tmp_path / name).stat().st_size > 10_000
         (tmp_path / name).unlink()
     before = (tmp_path / "table.csv").read_bytes()
-    mpirun(program, 2)
+    on_ranks(swept, tmp_path)
     assert (tmp_path / "table.csv").read_bytes() == before and (tmp_path / "map.png").exists()
 
 

@@ -49,9 +49,10 @@ BLOCKS = [
 
 
 COARSER = {
-    "size = 0.005, lip_elements = 4": "size = 0.01, lip_elements = 3",
-    "stop = 0.012, count = 6": "stop = 0.012, count = 5",
-    "stop = 0.28, count = 10": "stop = 0.28, count = 7",
+    "finer = 1.5": "finer = 1.0",
+    "size = 0.005, lip_elements = 4": "size = 0.02, lip_elements = 5",
+    "stop = 0.012, count = 6": "stop = 0.012, count = 7",
+    "stop = 0.28, count = 10": "stop = 0.28, count = 6",
     "(0.0, 6e-8, 7), np.linspace(372.0, 396.0, 17)": "(0.0, 6e-8, 3), np.linspace(372.0, 396.0, 6)",
     "np.linspace(0.0, 4800.0, 7)": "np.linspace(0.0, 4800.0, 3)",
 }
