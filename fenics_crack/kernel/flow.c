@@ -15,11 +15,15 @@ enum { LOAD = 3, ANSWERS = 64 };
 
 /* Length of a step of the search for events, times the largest frequency. */
 static const double GRID = 0.5;
+/* How much longer than an interval between events the next one is taken to be: those in which a crack
+ * closes are short, and a short series has few terms. */
+static const double LONGER = 4.0;
 /* When pairs that should have changed with the one before do so, as a part of a piece. */
 static const double BEHIND = 1e-12;
 
 struct flow {
     flow_parts of;
+    int order; /* of the series of a piece */
     sets *contact;
     closed_sets *known;
     exponentials *exponential;
@@ -61,7 +65,7 @@ static void wave(flow *f, double omega, double now, double length, int by_time)
 {
     const double c = cos(omega * now), s = sin(omega * now);
     double *w = f->weights, size = 1.0;
-    for (int n = 0; n < TERMS; n++, w += LOAD) {
+    for (int n = 0; n <= f->order; n++, w += LOAD) {
         const double sign = n & 2 ? -size : size;
         w[0] = n == 0;
         w[1] = n & 1 ? -sign * s : sign * c;
@@ -69,21 +73,21 @@ static void wave(flow *f, double omega, double now, double length, int by_time)
         size *= omega * length / (n + 1);
     }
     if (!by_time) return;
-    for (int n = ORDER; n >= 0; n--)
+    for (int n = f->order; n >= 0; n--)
         for (int k = 0; k < LOAD; k++) {
             double *own = f->weights + n * LOAD + k;
             *own = now * *own + (n ? length * *(own - LOAD) : 0.0);
         }
 }
 
-/* Terms of a series over a length, times the largest frequency x, the next of which is rounding:
+/* Of a series over a length, times the largest frequency x, behind which the terms are rounding:
  * x^n / n!. */
-static int terms_for(double x)
+static int order_for(double x)
 {
     double term = 1.0;
     int n = 0;
-    while (n < TERMS && term > 1e-18) term *= x / ++n;
-    return n < 2 ? 2 : n;
+    while (n < ORDER && term > 1e-18) term *= x / ++n;
+    return n;
 }
 
 /* pulled = what a load and its gaps, through the forces of the closed pairs, drive. */
@@ -98,9 +102,9 @@ static void pull(flow *f, const closed_set *a, const double *force, const double
     for (int j = 0; j < LOAD * m; j++) f->pulled[j] = force[j] - f->pulled[j];
 }
 
-/* Series of q of a piece, from a state; the last terms are zero. */
+/* Series of q of a piece, from a state. */
 WIDE static void expand(flow *f, const closed_set *a, const double *force, const double *gap,
-                        double length, int terms, const double *state)
+                        double length, const double *state)
 {
     const int m = f->of.modes, size = a->size;
     const double *restrict squares = f->of.squares, *restrict damping = f->of.damping;
@@ -109,8 +113,7 @@ WIDE static void expand(flow *f, const closed_set *a, const double *force, const
     pull(f, a, force, gap);
     memcpy(f->series, state, bytes(m));
     for (int j = 0; j < m; j++) f->series[m + j] = length * state[m + j];
-    memset(f->series + (long)terms * m, 0, bytes((long)(TERMS - terms) * m));
-    for (int n = 0; n + 2 < terms; n++) {
+    for (int n = 0; n + 2 <= f->order; n++) {
         const double *restrict now = f->series + (long)n * m, *restrict rate = now + m;
         double *restrict next = f->series + (long)(n + 2) * m;
         const double *w = f->weights + n * LOAD, c = w[1], s = w[2];
@@ -137,10 +140,10 @@ WIDE static void expand(flow *f, const closed_set *a, const double *force, const
 /* Series of the gaps s and of the answers, and what is rounding in these where the series holds. */
 static void answer(flow *f, const closed_set *a, const double *gap)
 {
-    const int m = f->of.modes, p = f->of.pairs;
-    multiply_matrices(TERMS, LOAD, p, f->weights, gap, 0.0, f->gaps);
-    multiply_matrices(TERMS, m, p, f->series, f->columns, 1.0, f->gaps);
-    multiply_matrices(TERMS, p, p, f->gaps, a->answer, 0.0, f->answers);
+    const int m = f->of.modes, p = f->of.pairs, terms = f->order + 1;
+    multiply_matrices(terms, LOAD, p, f->weights, gap, 0.0, f->gaps);
+    multiply_matrices(terms, m, p, f->series, f->columns, 1.0, f->gaps);
+    multiply_matrices(terms, p, p, f->gaps, a->answer, 0.0, f->answers);
 }
 
 static void round_off(flow *f, const closed_set *a, const double *sizes, double length)
@@ -153,7 +156,7 @@ static void round_off(flow *f, const closed_set *a, const double *sizes, double 
 static void state_at(const flow *f, double length, double time, double *state)
 {
     const int m = f->of.modes;
-    series_at(m, f->series, time, state, state + m);
+    series_at(m, f->order, f->series, time, state, state + m);
     for (int j = m; j < 2 * m; j++) state[j] /= length;
 }
 
@@ -172,19 +175,19 @@ static double falls(const flow *f, int pair, double low, double high, double bef
         /* Both ends positive, but a minimum between them may not be. */
         if (!(slope[0] < 0.0 && slope[p] > 0.0 && value[0] + (high - low) * slope[0] < 0.0))
             return NAN;
-        high = column_zero(p, f->answers, pair, 1, low, high);
-        bottom = column_at(p, f->answers, pair, 0, high, &other);
+        high = column_zero(p, f->order, f->answers, pair, 1, low, high);
+        bottom = column_at(p, f->order, f->answers, pair, 0, high, &other);
         if (bottom >= -f->allowed[pair]) return NAN;
     }
     if (value[0] <= f->allowed[pair]) {
         low = fmax(low, BEHIND);
-        if (low >= high || column_at(p, f->answers, pair, 0, low, &other) <= 0.0) return low;
+        if (low >= high || column_at(p, f->order, f->answers, pair, 0, low, &other) <= 0.0) return low;
     }
     if (before < high) {
-        if (column_at(p, f->answers, pair, 0, before, &other) > 0.0) return NAN;
+        if (column_at(p, f->order, f->answers, pair, 0, before, &other) > 0.0) return NAN;
         high = before;
     }
-    return column_zero(p, f->answers, pair, 0, low, high);
+    return column_zero(p, f->order, f->answers, pair, 0, low, high);
 }
 
 /* The first pair that changes its state, and when; -1: none before `end`. */
@@ -196,8 +199,8 @@ static int next_event(flow *f, double step, double end, double *when)
     memcpy(slope, f->answers + p, bytes(p));
     for (int first = 0; p && first * step < end; first += many) {
         for (int k = 0; k < many; k++) at[k + 1] = fmin((first + k + 1) * step, end);
-        if (many > 1) series_at_times(p, f->answers, at + 1, value + p, slope + p);
-        else series_at(p, f->answers, at[1], value + p, slope + p);
+        if (many > 1) series_at_times(p, f->order, f->answers, at + 1, value + p, slope + p);
+        else series_at(p, f->order, f->answers, at[1], value + p, slope + p);
         for (int k = 0; k < many && at[k] < end; k++) {
             int found = -1;
             for (int i = k * p; i < (k + 1) * p; i++) {
@@ -241,7 +244,7 @@ static void sample(const flow *f, flow_motion *m, const signed char *closed, dou
         const long row = m->sampled;
         if (!last && at >= end) break;
         state_at(f, length, fmin(at, end), m->states + row * 2 * n);
-        series_at(p, f->answers, fmin(at, end), m->answers + row * p, f->value);
+        series_at(p, f->order, f->answers, fmin(at, end), m->answers + row * p, f->value);
         memcpy(m->closed + row * p, closed, (size_t)p);
     }
 }
@@ -267,35 +270,41 @@ static int finite_state(int count, const double *state)
 int flow_advance(flow *f, flow_motion *m)
 {
     const int p = f->of.pairs;
-    const double length = FLOW_REACH / fastest(f, m->omega);
-    double sizes[TERMS];
+    const double rate = fastest(f, m->omega), longest = FLOW_REACH / rate;
+    double sizes[TERMS], stayed = 0.0, allowed = longest;
     signed char *closed = f->closed;
     if (contact_at(f, m->omega, m->now, m->state, closed)) return FLOW_LOST;
     for (; m->now < m->end; m->pieces++) {
-        const double left = (m->end - m->now) / length; /* pieces at least */
-        if (m->pieces + left > m->most_pieces) return FLOW_PIECES;
+        const double length = fmin(allowed, m->end - m->now);
+        const double left = (m->end - m->now) / length;
+        if (m->pieces + (m->end - m->now) / longest > m->most_pieces) return FLOW_PIECES;
         if (m->passed == m->most) return FLOW_INTERVALS;
+        f->order = order_for(length * rate);
         const closed_set *a = closed_set_of(f->known, closed);
         if (!a) return FLOW_MEMORY;
         wave(f, m->omega, m->now, length, 0);
-        expand(f, a, f->of.force, f->of.gap, length, TERMS, m->state);
+        expand(f, a, f->of.force, f->of.gap, length, m->state);
         answer(f, a, f->of.gap);
-        series_sizes(f->of.modes, f->series, sizes);
+        series_sizes(f->of.modes, f->order, f->series, sizes);
         double end = series_reach(sizes, fmin(1.0, left));
-        series_sizes(p, f->gaps, sizes);
+        series_sizes(p, f->order, f->gaps, sizes);
         end = series_reach(sizes, end);
         if (!(end > 0.0)) return FLOW_LOST;
         round_off(f, a, sizes, end);
         double when = end;
-        const int pair = next_event(f, GRID / FLOW_REACH, end, &when);
+        const int pair = next_event(f, GRID / (length * rate), end, &when);
         const int last = pair < 0 && end == left;
         sample(f, m, closed, length, when, last);
         state_at(f, length, when, m->state);
         if (!finite_state(2 * f->of.modes, m->state)) return FLOW_LOST;
         passed(m, p, closed, when * length);
         m->now = last ? m->end : m->now + when * length;
+        stayed += when * length;
+        allowed = longest;
         if (pair < 0) continue;
         closed[pair] = !closed[pair];
+        allowed = fmin(longest, fmax(GRID / rate, LONGER * stayed));
+        stayed = 0.0;
         m->events++;
     }
     return FLOW_DONE;
@@ -309,12 +318,12 @@ int flow_column(flow *f, const flow_track *track, const double *force, const dou
     for (int k = 0; k < track->intervals; k++) {
         const closed_set *a = closed_set_of(f->known, track->sets + (long)k * f->of.pairs);
         if (!a) return FLOW_MEMORY;
-        const double length = fmin(longest, track->lengths[k]);
-        const int terms = terms_for(length * fastest(f, track->omega));
+        const double length = track->lengths[k] / ceil(track->lengths[k] / longest);
+        f->order = order_for(length / longest * FLOW_REACH);
         for (double left = length > 0.0 ? track->lengths[k] / length : 0.0; left > 0.0;) {
             wave(f, track->omega, now, length, by_time);
-            expand(f, a, force, gap, length, terms, state);
-            series_sizes(f->of.modes, f->series, sizes);
+            expand(f, a, force, gap, length, state);
+            series_sizes(f->of.modes, f->order, f->series, sizes);
             const double end = series_reach(sizes, fmin(1.0, left));
             if (!(end > 0.0)) return FLOW_LOST;
             state_at(f, length, end, state);

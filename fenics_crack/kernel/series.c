@@ -34,12 +34,12 @@ WIDE void add_rows(int count, int n, const double *restrict rows, const double *
 
 /* Of `count` functions at once, as many as a processor finishes while it waits for the first. */
 static inline __attribute__((always_inline)) void
-some_at(int count, int n, const double *restrict row, double time, double *restrict value,
-        double *restrict slope)
+some_at(int count, int n, int order, const double *restrict row, double time,
+        double *restrict value, double *restrict slope)
 {
     double v[4 * BLOCK] = {0.0}, d[4 * BLOCK] = {0.0};
-    row += (long)ORDER * n;
-    for (int k = ORDER; k >= 0; k--, row -= n)
+    row += (long)order * n;
+    for (int k = order; k >= 0; k--, row -= n)
         for (int i = 0; i < count; i++) {
             d[i] = d[i] * time + v[i];
             v[i] = v[i] * time + row[i];
@@ -48,25 +48,27 @@ some_at(int count, int n, const double *restrict row, double time, double *restr
     memcpy(slope, d, (size_t)count * sizeof(double));
 }
 
-WIDE void series_at(int n, const double *restrict terms, double time, double *restrict value,
-                    double *restrict slope)
+WIDE void series_at(int n, int order, const double *restrict terms, double time,
+                    double *restrict value, double *restrict slope)
 {
     int i = 0;
     for (; i + 4 * BLOCK <= n; i += 4 * BLOCK)
-        some_at(4 * BLOCK, n, terms + i, time, value + i, slope + i);
+        some_at(4 * BLOCK, n, order, terms + i, time, value + i, slope + i);
     for (; i + 2 * BLOCK <= n; i += 2 * BLOCK)
-        some_at(2 * BLOCK, n, terms + i, time, value + i, slope + i);
-    for (; i + BLOCK <= n; i += BLOCK) some_at(BLOCK, n, terms + i, time, value + i, slope + i);
-    if (i < n) some_at(n - i, n, terms + i, time, value + i, slope + i);
+        some_at(2 * BLOCK, n, order, terms + i, time, value + i, slope + i);
+    for (; i + BLOCK <= n; i += BLOCK)
+        some_at(BLOCK, n, order, terms + i, time, value + i, slope + i);
+    if (i < n) some_at(n - i, n, order, terms + i, time, value + i, slope + i);
 }
 
-WIDE void series_at_times(int n, const double *restrict terms, const double *restrict times,
-                          double *restrict value, double *restrict slope)
+WIDE void series_at_times(int n, int order, const double *restrict terms,
+                          const double *restrict times, double *restrict value,
+                          double *restrict slope)
 {
     for (int i = 0; i < n; i++) {
-        const double *row = terms + (long)ORDER * n + i;
+        const double *row = terms + (long)order * n + i;
         double v[BLOCK] = {0.0}, d[BLOCK] = {0.0};
-        for (int k = ORDER; k >= 0; k--, row -= n)
+        for (int k = order; k >= 0; k--, row -= n)
             for (int j = 0; j < BLOCK; j++) {
                 d[j] = d[j] * times[j] + v[j];
                 v[j] = v[j] * times[j] + *row;
@@ -78,26 +80,28 @@ WIDE void series_at_times(int n, const double *restrict terms, const double *res
     }
 }
 
-double column_at(int n, const double *terms, int column, int order, double time, double *slope)
+double column_at(int n, int order, const double *terms, int column, int slopes, double time,
+                 double *slope)
 {
     double v = 0.0, d = 0.0;
-    for (int k = ORDER; k >= order; k--) {
+    for (int k = order; k >= slopes; k--) {
         const double term = terms[(long)k * n + column];
         d = d * time + v;
-        v = v * time + (order ? k * term : term);
+        v = v * time + (slopes ? k * term : term);
     }
     *slope = d;
     return v;
 }
 
-double column_zero(int n, const double *terms, int column, int order, double low, double high)
+double column_zero(int n, int order, const double *terms, int column, int slopes, double low,
+                   double high)
 {
     double slope, zero = 0.5 * (low + high);
     for (int turn = 0; turn < DBL_MANT_DIG && high - low > 0.5 * DBL_EPSILON * high; turn++) {
-        const double now = column_at(n, terms, column, order, zero, &slope);
+        const double now = column_at(n, order, terms, column, slopes, zero, &slope);
         const double newton = zero - now / slope;
         if (now == 0.0) return zero;
-        if ((now > 0.0) == (order == 0)) low = zero;
+        if ((now > 0.0) == !slopes) low = zero;
         else high = zero;
         if (fabs(newton - zero) <= 4.0 * DBL_EPSILON * high) return zero;
         zero = newton > low && newton < high ? newton : 0.5 * (low + high);
@@ -105,9 +109,10 @@ double column_zero(int n, const double *terms, int column, int order, double low
     return zero;
 }
 
-WIDE void series_sizes(int n, const double *restrict terms, double *restrict sizes)
+WIDE void series_sizes(int n, int order, const double *restrict terms, double *restrict sizes)
 {
-    for (int k = 0; k < TERMS; k++, terms += n) {
+    for (int k = order + 1; k < TERMS; k++) sizes[k] = 0.0;
+    for (int k = 0; k <= order; k++, terms += n) {
         double most[4] = {0.0};
         int i = 0;
         for (; i + 3 < n; i += 4)

@@ -9,25 +9,27 @@
 #define WIDE
 #endif
 
-/* ORDER: of the polynomials. BLOCK: numbers that a processor works on together. */
+/* ORDER: of the polynomials, at most. BLOCK: numbers that a processor works on together. */
 enum { ORDER = 38, TERMS = ORDER + 1, BLOCK = 8 };
 
 /* sum (n) += weights (count) times rows (count, n). */
 void add_rows(int count, int n, const double *rows, const double *weights, double *sum);
 
-/* Values (n) and slopes (n) at a time. */
-void series_at(int n, const double *terms, double time, double *value, double *slope);
+/* Of polynomials of an order, values (n) and slopes (n) at a time. */
+void series_at(int n, int order, const double *terms, double time, double *value, double *slope);
 /* The same (BLOCK, n) at BLOCK times. */
-void series_at_times(int n, const double *terms, const double *times, double *value,
+void series_at_times(int n, int order, const double *terms, const double *times, double *value,
                      double *slope);
-/* Value of one function (order 0), or of its slope (1), and the slope of that. */
-double column_at(int n, const double *terms, int column, int order, double time, double *slope);
-/* Where one function falls through zero (order 0), or its slope rises through it (1), between two
- * times: Newton's method, kept between by bisection. */
-double column_zero(int n, const double *terms, int column, int order, double low, double high);
+/* Value of one function, or with `slopes` of its slope, and the slope of that. */
+double column_at(int n, int order, const double *terms, int column, int slopes, double time,
+                 double *slope);
+/* Where one function falls through zero, or its slope rises through it, between two times: Newton's
+ * method, kept between by bisection. */
+double column_zero(int n, int order, const double *terms, int column, int slopes, double low,
+                   double high);
 
-/* Largest numbers (TERMS) of the rows. */
-void series_sizes(int n, const double *terms, double *sizes);
+/* Largest numbers (TERMS) of the rows, 0 of those that the order has not. */
+void series_sizes(int n, int order, const double *terms, double *sizes);
 /* Up to which time series with rows of these sizes hold, at most `within`. */
 double series_reach(const double *sizes, double within);
 
