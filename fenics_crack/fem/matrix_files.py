@@ -14,9 +14,8 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError, reading
-from fenics_crack.exchange.matrices import LabelledMatrix, read_matrix
+from fenics_crack.exchange.matrices import LabelledMatrix, matrix_market_shape, read_matrix
 from fenics_crack.exchange.models import Model, read_model
-from fenics_crack.exchange.numbers import matrix_market_shape
 from fenics_crack.fem.found_pairs import coincident, find_pairs
 from fenics_crack.model.damping import DampingRule
 from fenics_crack.model.factor import distributed

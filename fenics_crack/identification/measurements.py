@@ -333,8 +333,7 @@ class Measurements(Tabular):
         InputError
             The file cannot be read or shows no modes, or others than so many.
         """
-        from fenics_crack.exchange.universal import read_responses
-        from fenics_crack.identification.resonances import resonances
+        from fenics_crack.identification.responses import read_responses, resonances
 
         with reading("measurements", path, "a universal file with frequency responses"):
             responses = read_responses(Path(path))

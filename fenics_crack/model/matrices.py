@@ -12,7 +12,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenics_crack.errors import InputError, reading
-from fenics_crack.exchange.numbers import read_matrix_market
+from fenics_crack.exchange.matrices import read_matrix_market
 from fenics_crack.model.factor import TOLERATED, Factor, distributed, factored_sum, weighted_sum
 from fenics_crack.parallel import gather_rows, raise_together
 from fenics_crack.scene.fields import LARGEST

@@ -16,7 +16,7 @@ Modal damping C = M Phi diag(c) Phi^T M is inverted exactly: with s = dt c / (2 
 
 where q is carried along, so that one step costs a product with K, a solution with M and two
 products with Phi. Small structures are marched in the coordinates of all their modes instead, by
-the kernel (:mod:`fenics_crack.time.steps`). The scheme is second order. Steps beyond
+the kernel (:mod:`fenics_crack.time.march`). The scheme is second order. Steps beyond
 dt = 2 / omega_max, omega_max the largest natural frequency with every pair closed, are unstable and
 refused. Below that the scheme conserves energy as long as no pair changes its state; a contact from
 step a to step b creates
@@ -55,8 +55,7 @@ from fenics_crack.model.modes import largest_frequency
 from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import collect_garbage
-from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
-from fenics_crack.time.steps import LoopedSteps
+from fenics_crack.time.march import LoopedSteps, March, Scheme, TimeHistory, Window, march
 
 __all__ = ["integrate_central_difference", "stable_steps_per_period"]
 

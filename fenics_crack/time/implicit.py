@@ -66,8 +66,7 @@ from fenics_crack.model.coupled import solve_complementarity, solve_forces
 from fenics_crack.model.factor import factored_sum, weighted_sum
 from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import Structure
-from fenics_crack.time.march import EnergyBalance, March, TimeHistory, Window, march
-from fenics_crack.time.steps import LoopedSteps
+from fenics_crack.time.march import EnergyBalance, LoopedSteps, March, TimeHistory, Window, march
 
 __all__ = ["integrate_implicit"]
 
