@@ -140,8 +140,7 @@ def clearance_of(scene: Scene, pairs: Pairs) -> np.ndarray:
             "file: [crack] and then [[cracks]], from bottom to top"
         )
         raise InputError("cracks", f"{len(given)} tables with [crack]", allowed)
-    found: np.ndarray = given[pairs.cracks]
-    return found
+    return np.asarray(given[pairs.cracks])
 
 
 def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:

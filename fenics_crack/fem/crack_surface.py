@@ -114,10 +114,8 @@ def _to_triangles(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 def _normals(triangles: np.ndarray) -> np.ndarray:
     """Twice the areas, as vectors: (n, 3)."""
-    found: np.ndarray = np.cross(
-        triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    )
-    return found
+    one, two = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    return np.asarray(np.cross(one, two))
 
 
 def _upwards(normal: np.ndarray) -> float:
@@ -291,8 +289,7 @@ def _parts(surface: np.ndarray) -> np.ndarray:
     count, k = surface.shape
     rows = np.repeat(np.arange(count), k)
     touches = sparse.csr_matrix((np.ones(count * k), (rows, surface.ravel())))
-    found: np.ndarray = connected_components(touches @ touches.T)[1]
-    return found
+    return np.asarray(connected_components(touches @ touches.T)[1])
 
 
 def _triangles(surface: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -330,8 +327,7 @@ def _stars(
     one, other = (owner[i][:, None] * cells.n_corners + at[i] for i in (first, first + 1))
     size = len(cells.nodes) * cells.n_corners
     links = np.ones(int(wanted.sum()), dtype=np.int8), (one[wanted], other[wanted])
-    found: np.ndarray = connected_components(sparse.coo_matrix(links, (size, size)))[1]
-    return found
+    return np.asarray(connected_components(sparse.coo_matrix(links, (size, size)))[1])
 
 
 def _renumbered(

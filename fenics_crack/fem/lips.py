@@ -273,5 +273,4 @@ def rows_in(rows: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Which rows of nodes, in ascending order, are among others: (n,) bool."""
     _, which = np.unique(np.concatenate([others, rows]), axis=0, return_inverse=True)
     kinds = which.ravel()
-    found: np.ndarray = np.isin(kinds[len(others) :], kinds[: len(others)])
-    return found
+    return np.asarray(np.isin(kinds[len(others) :], kinds[: len(others)]))

@@ -190,7 +190,8 @@ class Measurements(Tabular):
         """
         count = len(values)
         columns = {"value": values, **where}
-        columns["deviation"] = [deviations] * count if _is_one(deviations) else deviations
+        several = isinstance(deviations, Iterable)
+        columns["deviation"] = deviations if several else [deviations] * count
         for name, column in columns.items():
             if name not in {item.name for item in fields(Measurement)} or len(column) != count:
                 raise InputError(name, column, f"{count} values of {', '.join(OPTIONAL)}")
@@ -285,8 +286,8 @@ class Measurements(Tabular):
             The file cannot be read, or a line cannot be used.
         """
         with reading("measurements", path, "a CSV file"):
-            text = text_of(path)
-            lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if _counts(line)]
+            every = enumerate(text_of(path).splitlines(), 1)
+            lines = [(n, line) for n, line in every if line.strip()[:1] not in ("", "#")]
             table = list(csv.reader(line for _, line in lines))
         names = [cell.split("[")[0].strip() for cell in table[0]] if table else []
         known = (*NEEDED, *OPTIONAL)
@@ -402,15 +403,6 @@ def without_crack(scene: Scene) -> dict[str, Any] | None:
         return changes | {"mesh.file": scene.identify.uncracked}
     own = scene.structure is None and scene.mesh.layout != "file" and len(scene.all_cracks) == 1
     return changes if own else None
-
-
-def _is_one(value: Any) -> bool:
-    """Tell whether a standard deviation is given for all values at once."""
-    return not isinstance(value, Iterable)
-
-
-def _counts(line: str) -> bool:
-    return bool(line.strip()) and not line.lstrip().startswith("#")
 
 
 def _row(cells: Mapping[str, str]) -> Measurement:

@@ -105,8 +105,7 @@ def worth_of(
         rows = (*model.candidates(), *_more_probes(made))
     count = len(made)
     quantities = model.quantities(made, rows)
-    predicted = quantities(x[None])
-    values = predicted.values[0]
+    values = quantities(x[None]).values[0]
     noise = np.array([row.deviation for row in rows])
     if measurements is None:
         of_row = {True: deviations[0], False: deviations[1]}
@@ -115,10 +114,8 @@ def worth_of(
         noise = np.where(at_probe, noise, shares * values[count:])
     fit = np.isfinite(values[count:]) & (noise > 0.0)
     every = np.concatenate([likelihood.deviations, np.where(fit, noise, 1.0)])
-    covariance = scaled_covariance(predicted, np.nan_to_num(values), every)[0]
+    covariance, slopes = _seen(quantities, x, every)
     span = model.cube.high - model.cube.low
-    slopes = _slopes(quantities, x, span, model.cube.low, model.cube.high) / every[:, None]
-    slopes[~np.isfinite(slopes).all(axis=1)] = 0.0
     # What is new in one more measurement, given those that were made.
     mine, mixed = covariance[:count, :count], covariance[:count, count:]
     weights = np.linalg.solve(mine, np.hstack([slopes[:count], mixed]))
@@ -181,12 +178,9 @@ def _left_with(
     """Standard deviation of each unknown, with some measurements more, all of them."""
     model = likelihood.quantities.model
     quantities = model.quantities(likelihood.quantities.rows, more)
-    predicted = quantities(x[None])
     every = np.concatenate([likelihood.deviations, [row.deviation for row in more]])
-    covariance = scaled_covariance(predicted, np.nan_to_num(predicted.values[0]), every)[0]
+    covariance, slopes = _seen(quantities, x, every)
     span = model.cube.high - model.cube.low
-    slopes = _slopes(quantities, x, span, model.cube.low, model.cube.high) / every[:, None]
-    slopes = np.nan_to_num(slopes)
     information = slopes.T @ np.linalg.solve(covariance, slopes) + PRIOR * np.eye(len(x))
     left = np.hypot(np.sqrt(np.diag(np.linalg.inv(information))) * span, model.act_as(x[None])[0])
     return dict(zip(model.keys, left.tolist(), strict=True))
@@ -209,12 +203,17 @@ def _more_probes(made: Sequence[Measurement]) -> list[Measurement]:
     ]  # fmt: skip
 
 
-def _slopes(
-    quantities: Quantities, x: np.ndarray, span: np.ndarray, low: np.ndarray, high: np.ndarray
-) -> np.ndarray:
-    """Derivatives by the unknowns over their ranges: (q, d)."""
-    steps = np.diag(WORTH_STEP * span)
-    above, below = np.minimum(x + steps, high), np.maximum(x - steps, low)
-    distance = np.diag(above - below) / span
+def _seen(
+    quantities: Quantities, x: np.ndarray, deviations: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Covariance (q, q) of measurements and predictions, over standard deviations (q,), and the
+    derivatives of these by the unknowns over their ranges (q, d); 0 of what is not known."""
+    predicted, cube = quantities(x[None]), quantities.model.cube
+    covariance = scaled_covariance(predicted, np.nan_to_num(predicted.values[0]), deviations)[0]
+    steps = np.diag(WORTH_STEP * (cube.high - cube.low))
+    above, below = np.minimum(x + steps, cube.high), np.maximum(x - steps, cube.low)
+    distance = np.diag(above - below) / (cube.high - cube.low)
     difference = quantities(above).values - quantities(below).values
-    return np.asarray((difference / distance[:, None]).T)
+    slopes = (difference / distance[:, None]).T / deviations[:, None]
+    slopes[~np.isfinite(slopes).all(axis=1)] = 0.0
+    return covariance, slopes

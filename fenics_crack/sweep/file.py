@@ -275,16 +275,12 @@ def _image(
         store.write_header(file, KIND, scene)
         for name, (unit, kind, size) in sizes.items():
             plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-            plan.set_layout(h5py.h5d.CONTIGUOUS)
             plan.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
             plan.set_fill_time(h5py.h5d.FILL_TIME_NEVER)  # a new file is zero: pending
-            plan.set_obj_track_times(False)
-            space = h5py.h5s.create_simple(size)
-            kept = h5py.h5t.py_create(np.dtype(kind))
-            h5py.h5d.create(file.id, name.encode(), kept, space, plan)
-            file[name].attrs["unit"] = unit
+            column = file.create_dataset(name, size, kind, dcpl=plan)
+            column.attrs["unit"] = unit
             if words := _words(name):
-                file[name].attrs["about"] = words
+                column.attrs["about"] = words
         columns = store.columns_of(file)
         file.attrs["digest"] = store.digest(store.texts(file), store.places(columns))
         return store.Stored(path, store.texts(file), {}, columns)

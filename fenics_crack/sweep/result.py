@@ -9,7 +9,7 @@ built once and is then a small structure in plain arrays that any rank can solve
 *Chunks.* The cases of a geometry are cut into chunks of up to 16 along the frequency (if it is not
 swept, along the last axis that leaves the geometry alone). The first case of a chunk starts from
 the linear solution, each further one from its neighbour; along the frequency they share their
-equations (:mod:`fenics_crack.balance.neighbours`). Chunks depend on the scene alone, and so do the
+equations (:class:`fenics_crack.sweep.case.Cases`). Chunks depend on the scene alone, and so do the
 results, to the bit with the same number of BLAS threads: neither interruptions nor the number of
 ranks change them, as long as the ranks share the cases and not a mesh.
 
