@@ -22,8 +22,8 @@ the gaps that modes can make, and steps are found in its coordinates:
 
     J^-1 r = r - U (I + R' U^T T U)^-1 R' U^T T r,       det J = det(I + R' U^T T U).
 
-With many coupled unknowns J is not formed: J v takes v to instants of the period and back, and GMRES
-needs some dozens of them.
+With many coupled unknowns J is not formed: J v takes v to instants of the period and back, and
+GMRES needs some dozens of such products.
 
 With exact integrals paths are followed by the kernel (``kernel/contact.h``, ``compliance.h``):
 along p the contact stiffness grows like e^(growth p), g_lin linearly, the softness falls, or the
