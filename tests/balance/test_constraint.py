@@ -7,6 +7,8 @@ from helpers import evaluate, log_slope, mean_square, oscillator, relative, resi
 
 import fenics_crack as fc
 
+pytestmark = pytest.mark.usefixtures("predicted_errors")
+
 COUNTS = (5, 10, 20, 40, 80)
 
 

@@ -12,6 +12,8 @@ from petsc4py import PETSc
 import fenics_crack as fc
 from fenics_crack import ContactLaw
 
+pytestmark = pytest.mark.usefixtures("predicted_errors")
+
 NAN, INF = float("nan"), float("inf")
 
 

@@ -21,6 +21,8 @@ from helpers import (
 import fenics_crack as fc
 from fenics_crack import continue_frequency
 
+pytestmark = pytest.mark.usefixtures("predicted_errors")
+
 
 def folds(curve: fc.ResponseCurve) -> list[float]:
     """Frequencies of the folds, in order."""

@@ -16,6 +16,8 @@ from mpi4py import MPI
 import fenics_crack as fc
 from fenics_crack import InputError, Scene, run_sweep
 
+pytestmark = pytest.mark.usefixtures("predicted_errors")
+
 WIDTH, HEIGHT, THICKNESS, DENSITY = 0.01, 0.4, 0.005, 7800.0
 STRIP: dict[str, Any] = {
     "geometry": {"width": WIDTH, "height": HEIGHT, "thickness": THICKNESS},
