@@ -47,6 +47,7 @@ LAWS = {
 }
 
 
+@pytest.mark.usefixtures("predicted_errors")
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("damping", DAMPINGS)
 @pytest.mark.parametrize("subharmonic", [1, 2])

@@ -144,6 +144,7 @@ def replace_linear(system: Any, linear: np.ndarray) -> Any:
 # --- solutions ------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("predicted_errors")
 @pytest.mark.parametrize("law", LAWS)
 def test_law_holds_at_every_instant(law: str, short_chain: fc.Structure) -> None:
     """The force is that of the gap in time, each pair with its own stiffness; or no penetration."""

@@ -280,9 +280,6 @@ def test_another_modes_motion_is_no_backbone(paper_structure: fc.Structure) -> N
         fc.follow_backbone(paper_structure, fc.UnilateralPenalty(1e9), 2, 1e-4, 1e-3)
 
 
-# --- the equations --------------------------------------------------------------------------------
-
-
 # --- files, bad input -----------------------------------------------------------------------------
 
 

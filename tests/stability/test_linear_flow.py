@@ -63,6 +63,7 @@ def test_against_an_integrator(damping: str) -> None:
     assert stability.uncertainty < 1e-3
 
 
+@pytest.mark.usefixtures("predicted_errors")
 def test_pairs_behind_a_compliance() -> None:
     """Lips without mass: modes alone move, tied by the slopes of lambda(s)."""
     structure = fc.reduce_structure(chain("modal"), modes=4, method="massless")

@@ -109,6 +109,7 @@ def test_against_dense_algebra() -> None:
     assert figures.gap_motion == pytest.approx(np.abs(gap.T @ motion).max(), rel=2e-2)
 
 
+@pytest.mark.usefixtures("predicted_errors")
 @pytest.mark.parametrize("share", [0.8, 1.2])
 def test_lips_that_never_meet_or_part(share: float) -> None:
     """One pair: a clearance, or a preload, just below and just above what the load moves."""

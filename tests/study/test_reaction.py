@@ -127,6 +127,7 @@ def momentum(structure: fc.Structure, moved: np.ndarray, about: np.ndarray) -> n
     ],
     ids=["whole", "reduced", "rayleigh", "base"],
 )  # fmt: skip
+@pytest.mark.usefixtures("predicted_errors")
 def test_newtons_law_of_the_whole_body(changes: dict[str, Any]) -> None:
     """Forces of the clamp, the load and the drag make the momentum and the angular momentum change:
     summed by another quadrature, from velocities at two instants."""
@@ -166,6 +167,7 @@ def test_lips_without_mass_and_few_modes() -> None:
         np.testing.assert_allclose(one, other, atol=0.01 * np.abs(other).max())
 
 
+@pytest.mark.usefixtures("predicted_errors")
 def test_far_below_the_resonance_it_is_the_load() -> None:
     """A slow load passes through to the clamp, while the crack opens and closes."""
     held = fc.reaction(solved(plate(excitation__omega=3.0)))
