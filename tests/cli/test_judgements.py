@@ -25,6 +25,7 @@ from fenics_crack.table import Table
 
 ZERO = {"residual": 0.0, "truncation": 0.0, "sampling": 0.0, "reduction": 0.0, "penetration": 0.0}
 FIXED = {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 15}
+COARSE = {"mesh.size": 0.03, "mesh.lip_elements": 6}
 STIFF = {"contact.law": "penalty", "contact.stiffness": 1e14}
 
 
@@ -33,7 +34,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> fc.Scene:
     """A new one: steel, with a tolerance."""
     path = tmp_path_factory.mktemp("new") / "plate.toml"
     assert main(["new", str(path), "--quiet"]) == 0
-    return fc.Scene.load(path)
+    return fc.Scene.load(path).replace(COARSE)
 
 
 @pytest.mark.parametrize(
@@ -225,6 +226,7 @@ def test_large_displacements_are_said(tmp_path: Path, capsys: pytest.CaptureFixt
     """The equations are linear but for the contact, and the errors say nothing about that."""
     path = tmp_path / "plate.toml"
     assert main(["new", str(path), "--quiet"]) == 0
+    path.write_text(fc.Scene.load(path).replace(COARSE).as_toml())
     for force, warns in ((10.0, False), (1e6, True)):
         change = f"excitation.force_sin=[{force}, 0.0]"
         assert main(["solve", str(path), "--set", change, "--output", str(tmp_path / "out")]) == 0
