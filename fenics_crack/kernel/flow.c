@@ -15,9 +15,6 @@ enum { LOAD = 3, ANSWERS = 64 };
 
 /* Length of a step of the search for events, times the largest frequency. */
 static const double GRID = 0.5;
-/* How much longer than an interval between events the next one is taken to be: those in which a crack
- * closes are short, and a short series has few terms. */
-static const double LONGER = 4.0;
 /* When pairs that should have changed with the one before do so, as a part of a piece. */
 static const double BEHIND = 1e-12;
 
@@ -303,7 +300,8 @@ int flow_advance(flow *f, flow_motion *m)
         allowed = longest;
         if (pair < 0) continue;
         closed[pair] = !closed[pair];
-        allowed = fmin(longest, fmax(GRID / rate, LONGER * stayed));
+        /* Those between which a crack closes are short, and a short series has few terms. */
+        allowed = fmin(longest, fmax(GRID / rate, 2.0 * stayed));
         stayed = 0.0;
         m->events++;
     }

@@ -37,8 +37,9 @@ import scipy.linalg
 from scipy.linalg.lapack import dgeev
 
 from fenics_crack.errors import ConvergenceError
+from fenics_crack.kernel import kernel
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples, Track
-from fenics_crack.numerics.newton import gmres
+from fenics_crack.numerics.newton import FORCING, gmres
 from fenics_crack.table import Described, counted
 
 __all__ = [
@@ -59,9 +60,8 @@ SHRINKING = 0.1
 may follow."""
 FORMED = 240
 """Numbers of a state up to which M is formed."""
-PRODUCTS, SHARP, BLUNT = 60, 1e-2, 0.25
-"""With M that a solution may take, its relative residual, and that of a step which is only
-compared."""
+PRODUCTS, BLUNT = 60, 0.25
+"""With M that a solution may take, and the relative residual of a step which is only compared."""
 ROUNDED = 1e3
 """Times that, below which steps are rounding."""
 KNOWN = 1e-6
@@ -69,8 +69,7 @@ KNOWN = 1e-6
 INSTANTS = 512
 """At which the gaps of an orbit are kept."""
 GAUSS_NODES = 20
-"""Of Gauss's rule on an interval in which nothing turns by more than GAUSS_TURN."""
-GAUSS_TURN = 12.0
+"""Of Gauss's rule on an interval in which nothing turns by more than in a piece of the flow."""
 
 
 Inverse = Callable[[np.ndarray, float], np.ndarray]
@@ -195,7 +194,7 @@ class PeriodicOrbit(Described):
         or closes."""
         base = self.omega / self.subharmonic
         turn = self.motion.track.lengths * (self.flow.fastest + harmonics * base)
-        parts = np.maximum(np.ceil(turn / GAUSS_TURN), 1).astype(int)
+        parts = np.maximum(np.ceil(turn / kernel.FLOW_REACH), 1).astype(int)
         length = np.repeat(self.motion.track.lengths / parts, parts)
         start = np.concatenate([[0.0], np.cumsum(length)[:-1]])
         nodes, weights = np.polynomial.legendre.leggauss(GAUSS_NODES)
@@ -272,7 +271,7 @@ def predict(
     excess = moved - np.roll(states, -1, axis=0)
     change = track.carried(np.zeros(flow.size), excess, ends)[-1]
     inverse = _inverse(flow, track, flow.weights(omega / subharmonic))
-    changes = track.carried(inverse(change, SHARP), excess, ends)[:-1]
+    changes = track.carried(inverse(change, FORCING), excess, ends)[:-1]
     count = flow.size // 2
     size = float(np.linalg.norm(states[:, :count] @ flow.modes.pairs))
     error = float(np.linalg.norm(changes[:, :count] @ flow.modes.pairs)) / (size or 1.0)
@@ -346,11 +345,11 @@ class _Search:
         share, own = 1.0, False  # whether the derivative is that of the motion here
         steps: list[np.ndarray] = []  # with one derivative
         if formed and inverse is not None:
-            steps = [inverse(self.motion.state - self.state, SHARP)]
+            steps = [inverse(self.motion.state - self.state, FORCING)]
         while self.flows < FLOWS:
             if inverse is None or not steps:
                 inverse, own = _inverse(self._flow, self.motion.track, self._weights), True
-                steps = [inverse(self.motion.state - self.state, SHARP)]
+                steps = [inverse(self.motion.state - self.state, FORCING)]
             step = steps[-1]
             trial = self.state + share * step
             moved = self._follow(trial)

@@ -19,7 +19,7 @@ from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import kernel
 from fenics_crack.numerics.equations import Linearisation, System
 
-__all__ = ["RESTART", "DistributedSystem", "Newton", "gmres", "kernel_solves"]
+__all__ = ["FORCING", "RESTART", "DistributedSystem", "Newton", "gmres", "kernel_solves"]
 
 SELF = PETSc.COMM_SELF
 RESTART: int = kernel.KRYLOV_MOST
