@@ -11,6 +11,7 @@ struct closed_sets {
     sets *contact;
     long most, kept;
     double *matrix; /* (p, p + m) */
+    int next;       /* bucket that is emptied */
     closed_set *bucket[BUCKETS];
 };
 
@@ -31,23 +32,35 @@ closed_sets *new_closed_sets(int modes, int pairs, const double *rows, sets *con
     return NULL;
 }
 
-static void forget(closed_sets *s)
+/* Whether products with P_A S P_A^T are shorter than with its factors. */
+static int has_many(const closed_sets *s, int size) { return 2 * size > s->modes; }
+
+static long numbers_of(const closed_sets *s, int size)
 {
-    for (int b = 0; b < BUCKETS; b++) {
-        closed_set *first = s->bucket[b], *next;
+    const long m = s->modes, p = s->pairs;
+    return p * p + 2 * m * size + p + (has_many(s, size) ? m * m : 0);
+}
+
+/* Forgets sets, bucket by bucket, until so many numbers are kept: of a motion that passes more sets
+ * than there is room for, some are known when it is followed again. */
+static void forget(closed_sets *s, long left)
+{
+    for (int tried = 0; s->kept > left && tried < BUCKETS; tried++) {
+        closed_set *first = s->bucket[s->next], *next;
         for (; first; first = next) {
             next = first->next;
+            s->kept -= numbers_of(s, first->size);
             free(first->answer);
             free(first);
         }
-        s->bucket[b] = NULL;
+        s->bucket[s->next] = NULL;
+        s->next = (s->next + 1) % BUCKETS;
     }
-    s->kept = 0;
 }
 
 void free_closed_sets(closed_sets *s)
 {
-    forget(s);
+    forget(s, -1);
     free(s->matrix);
     free(s);
 }
@@ -77,15 +90,6 @@ static int fill(closed_sets *s, closed_set *a)
             *other = held;
         }
     return 0;
-}
-
-/* Whether products with P_A S P_A^T are shorter than with its factors. */
-static int has_many(const closed_sets *s, int size) { return 2 * size > s->modes; }
-
-static long numbers_of(const closed_sets *s, int size)
-{
-    const long m = s->modes, p = s->pairs;
-    return p * p + 2 * m * size + p + (has_many(s, size) ? m * m : 0);
 }
 
 /* NULL without memory. */
@@ -118,7 +122,7 @@ const closed_set *closed_set_of(closed_sets *s, const signed char *closed)
     int size = 0;
     for (int i = 0; i < p; i++) size += closed[i];
     const long needed = numbers_of(s, size);
-    if (s->kept + needed > s->most) forget(s);
+    forget(s, s->most - needed);
     closed_set *made = room_for(s, size, closed);
     if (!made) return NULL;
     if (fill(s, made)) {

@@ -51,7 +51,7 @@ __all__ = [
     "solve_forces",
 ]
 
-KEPT = 2**26
+KEPT = 2**27
 """Bytes of what is kept of sets of closed pairs."""
 MAX_NEWTON = 200
 """Iterations for forces that are not piecewise linear in the gaps."""
