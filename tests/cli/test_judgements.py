@@ -56,6 +56,9 @@ def test_advice_is_by_the_largest_part(
     report = ErrorReport(**(ZERO | {part: 0.2}))
     [text] = of_error(scene.replace(changes), report, harmonics, " at 800 Hz")
     assert f"0.2 of the gap at 800 Hz, most of it by {part}" in text and advice in text
+    unknown = ErrorReport(**(ZERO | {part: 1.5}))
+    [text] = of_error(scene.replace(changes), unknown, harmonics, " at 800 Hz")
+    assert f"unknown at 800 Hz, its estimate by {part} did not settle" in text and advice in text
     small = ErrorReport(**(ZERO | {part: 0.02}))
     assert not [*of_error(scene, small, harmonics)]
 
