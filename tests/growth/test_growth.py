@@ -53,7 +53,6 @@ def plate(**growth: Any) -> fc.Scene:
         "harmonic_balance.tolerance": None,
         "harmonic_balance.harmonics": 40,
         "mesh.size": 0.05,
-        "reduction.modes": 8,
     }
     keys = {"until": 0.043, "rate": 6.9e-12, "exponent": 3.0} | growth
     return fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(
