@@ -1,4 +1,4 @@
-"""Natural modes by SLEPc, many of large structures by block Lanczos, and damping on them.
+"""Natural modes by SLEPc, and damping on them.
 
     K phi_j = omega_j^2 M phi_j,     phi_i^T M phi_j = delta_ij
 
@@ -24,7 +24,6 @@ from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDampin
 from fenics_crack.model.factor import AT_A_TIME, TOLERATED, Factor, factored_sum
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import EPSILON
-from fenics_crack.numerics.lanczos import Pencil, nearest_to
 from fenics_crack.parallel import gather_rows
 from fenics_crack.stages import begin
 from fenics_crack.table import Tabular, counted
@@ -55,11 +54,8 @@ AS_ZERO = 1e-14
 responses and gaps."""
 NEGLIGIBLE = 1e-12
 """What solutions with K leave of zero, relative to the largest: squares of frequencies of motions
-as a rigid body, residuals of modes, eigenvalues of static compliances, weights of directions in a
-Gram matrix, gaps of lips that the load presses together."""
-QUICK = 4_000_000
-"""Numbers of a Krylov space, 32 MB, up to which SLEPc is as quick as blocks: 400 modes of 51,000
-dofs take it three times as long."""
+as a rigid body, eigenvalues of static compliances, weights of directions in a Gram matrix, gaps of
+lips that the load presses together."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -266,19 +262,10 @@ def _krylov(
     factor: Factor, structure: Structure, count: int, shift: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues, ascending, and mass-normalised shapes of the modes closest to a shift, by the
-    factor of K - shift M: by SLEPc, vector by vector, as long as a processor's cache holds these,
-    else block by block."""
-    held = krylov_vectors(count)
-    if held * structure.n_dofs > QUICK:
-        pencil = Pencil(
-            factor.solve, lambda rows: times(structure.mass, rows.T).T, structure.sum_over_ranks,
-            structure.n_local, structure.first_dof,
-        )  # fmt: skip
-        squares, rows = nearest_to(shift, pencil, count, held, NEGLIGIBLE)
-        return squares, rows.T
-    solver = _solver(structure, "crack_modes_", count, held)
+    factor of K - shift M."""
+    solver = _solver(structure, "crack_modes_", count, krylov_vectors(count))
     solver.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
-    solver.setTolerances(NEGLIGIBLE, 500)
+    solver.setTolerances(1e-12, 500)
     solver.setTarget(shift)
     transformation = solver.getST()
     transformation.setType(SLEPc.ST.Type.SINVERT)
