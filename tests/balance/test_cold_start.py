@@ -9,8 +9,6 @@ from helpers import oscillator, true_error, wrap
 
 import fenics_crack as fc
 
-pytestmark = pytest.mark.usefixtures("predicted_errors")
-
 FREQUENCIES = np.linspace(0.3, 2.0, 300)
 
 
