@@ -319,7 +319,7 @@ def next_to_resonance(quick: bool) -> Iterator[Case]:
     stiffness_ = np.array([[2.0, -1.0], [-1.0, 2.0]])
     for distance in (1e-2, 1e-6, 1e-10, 0.0):
         structure = fc.Structure.from_matrices(
-            np.eye(2), stiffness_, [1.0, 0.0], force_cos=[1.0, 0.0], clearance=1e20
+            np.eye(2), stiffness_, [1.0, 0.0], force_cos=[1.0, 0.0], clearance=1e10
         )
         omega = 1.0 + distance
 
