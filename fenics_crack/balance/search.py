@@ -250,7 +250,7 @@ class Search:
     def _slow_gaps(self, system: ContactSystem, problem: Problem) -> Iterator[np.ndarray]:
         """Of a motion that is marched."""
         harmonics, periods = problem.harmonics, problem.subharmonic
-        steps = 1 << max(7, (4 * harmonics // periods).bit_length())
+        steps = 1 << max(8, (4 * harmonics // periods).bit_length())
         try:
             flow = ExponentialFlow(
                 problem.structure, problem.omega, problem.contact, steps,
