@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -33,9 +33,11 @@ from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.parallel import gather_rows, on_root
 from fenics_crack.scene.tables import Material
 from fenics_crack.stages import begin
-from fenics_crack.study.run import Run, check_motion
 from fenics_crack.time.march import TimeHistory
 from fenics_crack.whole import write_together, write_whole
+
+if TYPE_CHECKING:
+    from fenics_crack.study.run import Run
 
 __all__ = [
     "PeriodFields",
@@ -410,6 +412,8 @@ def stress_at(
     --------
     >>> time, stress = fc.stress_at(fc.solve(scene), [[0.1, 0.02], [0.1, 0.04]])
     """
+    from fenics_crack.study.run import check_motion  # loads DOLFINx
+
     check_motion(run)
     found, structure = run.result, run.structure
     mesh, places = NodalMesh(structure), numbers(points)

@@ -4,7 +4,7 @@ the tips of cracks, and the growth of these."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Unpack
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,10 +21,12 @@ from fenics_crack.draw.figure import (
     label_axis,
 )
 from fenics_crack.errors import InputError
-from fenics_crack.growth.result import Growth
 from fenics_crack.numerics.fourier import derivative, evaluate, to_complex
-from fenics_crack.study.over_time import StressIntensity
 from fenics_crack.table import frequency_axis
+
+if TYPE_CHECKING:  # spectra of matrices of one's own need no DOLFINx
+    from fenics_crack.growth.result import Growth
+    from fenics_crack.study.over_time import StressIntensity
 
 __all__ = ["draw_growth", "draw_orbits", "draw_spectra", "draw_spectrum", "draw_stress_intensity"]
 
