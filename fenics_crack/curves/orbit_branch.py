@@ -198,35 +198,38 @@ class OrbitBranch:
             found, linked = [], self.linked
             segments = list(pairwise(self.nodes))
             places = [(first.place, last.place) for first, last in segments]
-            halved = [
-                number
-                for number in np.flatnonzero(self._in_doubt(linked))
-                if places[number] not in self._halved
-            ]
+            whole = np.array([one not in self._halved for one in places], dtype=bool)
+            halved = np.flatnonzero(self._in_doubt(linked, whole))
             self._halved.update(places[number] for number in halved)
-            self.motions(np.array([round(sum(places[number]) / 2) for number in halved], dtype=int))
+            apart = [round(sum(places[number]) / 2) for number in halved if not linked[number]]
+            self.motions(np.array(apart, dtype=int))
             for number in halved:
                 middle = self._middle(segments[number], bool(linked[number]))
                 found += [] if middle is None else [middle]
             self.nodes = sorted([*self.nodes, *found], key=lambda one: one.place)
 
-    def _in_doubt(self, linked: np.ndarray) -> np.ndarray:
-        """Whether orbits or multipliers on each segment may be others than those between its ends:
-        (n - 1,) bool."""
+    def _in_doubt(self, linked: np.ndarray, whole: np.ndarray) -> np.ndarray:
+        """Whether orbits or multipliers on each segment that is still ``whole`` may be others than
+        those between its ends: (n - 1,) bool."""
         nodes, doubt = self.nodes, np.zeros_like(linked)
         if len(nodes) < 2:
             return doubt
         wide = np.diff([one.place for one in nodes])
         if len(nodes) > 2:
             lengths, moduli = _chords(nodes)[2], np.array([one.moduli for one in nodes])
-            bent = _bent(nodes, moduli, lengths) & (np.maximum(wide[:-1], wide[1:]) <= EVERY)
-            doubt[:-1] |= bent & (wide[:-1] >= wide[1:])
-            doubt[1:] |= bent & (wide[1:] >= wide[:-1])
+            before, behind = wide[:-1] >= wide[1:], wide[1:] >= wide[:-1]
+            left = whole & (wide > NARROWEST)
+            asked = (left[:-1] & before) | (left[1:] & behind)
+            asked &= np.maximum(wide[:-1], wide[1:]) <= EVERY
+            bent = _bent(nodes, moduli, lengths, asked)
+            doubt[:-1] |= bent & before
+            doubt[1:] |= bent & behind
             doubt[1:] |= _pass_one(moduli, lengths)
             doubt[:-1] |= _pass_one(moduli[::-1], lengths[::-1])[::-1]
         doubt[[0, -1]] |= wide[[0, -1]] > EVERY // 2
         several = ~linked | (_steps(nodes).sum(axis=1) > 1)
-        return (wide > EVERY) | (doubt & (wide > NARROWEST)) | (several & (wide > ALONE))
+        doubt &= wide > NARROWEST
+        return whole & ((wide > EVERY) | doubt | (several & (wide > ALONE)))
 
     @property
     def linked(self) -> np.ndarray:
@@ -606,15 +609,17 @@ def _line(begin: np.ndarray, end: np.ndarray, share: float | np.ndarray) -> np.n
     return np.multiply.outer(begin[:count], rest) + np.multiply.outer(end[:count], share)
 
 
-def _bent(nodes: list[Node], moduli: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-    """Whether the moduli at each inner node are not those between its neighbours', to what they
-    differ from 1: (n - 2,) bool."""
+def _bent(
+    nodes: list[Node], moduli: np.ndarray, lengths: np.ndarray, asked: np.ndarray
+) -> np.ndarray:
+    """Whether the moduli at each inner node that is asked for are not those between its
+    neighbours', to what they differ from 1: (n - 2,) bool."""
     shares = lengths[:-1] / np.maximum(lengths[:-1] + lengths[1:], 1e-300)
     away = np.abs(1.0 - moduli)
     away = np.minimum(np.minimum(away[:-2], away[2:]), away[1:-1])
     allowed = np.maximum(away, RESOLVED)
     line = moduli[:-2] + shares[:, None] * (moduli[2:] - moduli[:-2])
-    bent = np.any(np.abs(moduli[1:-1] - line) > allowed, axis=1)
+    bent = asked & np.any(np.abs(moduli[1:-1] - line) > allowed, axis=1)
     for place in np.flatnonzero(bent):
         smooth = blended(nodes[place], nodes[place + 2], shares[place])[: moduli.shape[1]]
         off = np.abs(moduli[place + 1, : len(smooth)] - smooth)

@@ -266,14 +266,42 @@ static void swing(const exponentials *e, double length, double *product)
     }
 }
 
-void multiply_exponential(exponentials *e, const closed_set *a, double length, double *product)
+/* product = (I + change) product, of a product in which modes are still apart: of each row and column
+ * of its blocks only the diagonal's number is not zero. */
+static void multiply_apart(const exponentials *e, double *product)
+{
+    const long m = e->modes, size = 2 * m;
+    double *q = e->product, *v = q + m, *by_rate = v + m, *rate = by_rate + m;
+    for (long j = 0; j < m; j++) {
+        q[j] = product[j * (size + 1)];
+        by_rate[j] = product[j * (size + 1) + m];
+        v[j] = product[(m + j) * (size + 1) - m];
+        rate[j] = product[(m + j) * (size + 1)];
+    }
+    for (long i = 0; i < size; i++) {
+        const double *restrict f = e->change + i * size;
+        double *restrict row = product + i * size;
+        for (long j = 0; j < m; j++) {
+            row[j] += f[j] * q[j] + f[m + j] * v[j];
+            row[m + j] += f[j] * by_rate[j] + f[m + j] * rate[j];
+        }
+    }
+}
+
+int multiply_exponential(exponentials *e, const closed_set *a, double length, int apart,
+                         double *product)
 {
     const int size = 2 * e->modes;
     if (!a->size && !e->coupled) {
         swing(e, length, product);
-        return;
+        return apart;
     }
     exponential_of(e, a, length);
+    if (apart) {
+        multiply_apart(e, product);
+        return 0;
+    }
     memcpy(e->product, product, bytes((long)size * size));
     multiply_matrices(size, size, size, e->change, e->product, 1.0, product);
+    return 0;
 }

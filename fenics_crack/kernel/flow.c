@@ -365,15 +365,17 @@ int flow_rate(flow *f, double omega, double time, const double *state, double *r
     return 0;
 }
 
-int flow_tangent(flow *f, const flow_track *track, double *product)
+int flow_tangent(flow *f, const flow_track *track, double *tangent)
 {
-    const long half = 2L * f->of.modes * f->of.modes, p = f->of.pairs;
+    const long size = 2L * f->of.modes, half = size * f->of.modes, p = f->of.pairs;
     const double unit = fastest(f, 0.0);
+    int apart = 1;
     if (!f->exponential)
         f->exponential = new_exponentials(f->of.modes, f->of.coupled, f->of.squares,
                                           f->of.damping, unit);
     if (!f->exponential) return FLOW_MEMORY;
-    for (long i = 0; i < half; i++) product[i] *= unit;
+    memset(tangent, 0, bytes(2 * half));
+    for (long i = 0; i < size; i++) tangent[i * (size + 1)] = i < f->of.modes ? unit : 1.0;
     for (int k = 0, next; k < track->intervals; k = next) {
         const signed char *closed = track->sets + k * p;
         const closed_set *a = closed_set_of(f->known, closed);
@@ -383,10 +385,10 @@ int flow_tangent(flow *f, const flow_track *track, double *product)
             if (memcmp(track->sets + next * p, closed, (size_t)p)) break;
             length += track->lengths[next];
         }
-        multiply_exponential(f->exponential, a, length, product);
+        apart = multiply_exponential(f->exponential, a, length, apart, tangent);
     }
-    for (long i = 0; i < half; i++) product[i] /= unit;
-    return finite_state((int)(2 * half), product) ? FLOW_DONE : FLOW_LOST;
+    for (long i = 0; i < half; i++) tangent[i] /= unit;
+    return finite_state((int)(2 * half), tangent) ? FLOW_DONE : FLOW_LOST;
 }
 
 int flow_wave(flow *f, flow_motion *m, int nodes, double period, const double *states,

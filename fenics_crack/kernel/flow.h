@@ -64,9 +64,9 @@ typedef struct {
     const double *lengths;
 } flow_track;
 
-/* product = (derivative of the flow over a track) product, (2 m, 2 m). Forces are continuous, so it
- * is the product of the sets' exponentials. FLOW_DONE, FLOW_LOST or FLOW_MEMORY. */
-int flow_tangent(flow *f, const flow_track *track, double *product);
+/* The derivative of the flow over a track, (2 m, 2 m). Forces are continuous, so it is the product of
+ * the sets' exponentials. FLOW_DONE, FLOW_LOST or FLOW_MEMORY. */
+int flow_tangent(flow *f, const flow_track *track, double *tangent);
 /* The derivative of the state by a parameter of the load, whose derivatives are given as the load
  * is, or with `by_time` those divided by the time: state (2 m) at the start and at the end of a
  * track. */

@@ -52,11 +52,8 @@ static flow_track track_of(const shooting_point *at)
 static void know(shooting_point *at)
 {
     const int n = at->common.size;
-    const long square = (long)n * n;
     if (at->known) return;
     const flow_track track = track_of(at);
-    memset(at->tangent, 0, bytes(square));
-    for (long i = 0; i < n; i++) at->tangent[i * (n + 1)] = 1.0;
     const int outcome = flow_tangent(at->of.flow, &track, at->tangent);
     for (long i = 0; i < n; i++)
         for (long j = 0; j < n; j++)

@@ -246,10 +246,10 @@ class Track:
     @cached_property
     def tangent(self) -> np.ndarray:
         """dz(end) / dz(start): (2 n_modes, 2 n_modes)."""
-        product = np.eye(self.flow.size)
-        outcome = kernel.flow_tangent(self.flow.handle, self._known.at, doubles(product))
+        found = np.empty((self.flow.size, self.flow.size))
+        outcome = kernel.flow_tangent(self.flow.handle, self._known.at, doubles(found))
         _check(outcome, len(self.lengths) - 1)
-        return product
+        return found
 
     def __matmul__(self, change: np.ndarray) -> np.ndarray:
         """dz(end) of a change dz(start), without the matrix: (2 n_modes,)."""
