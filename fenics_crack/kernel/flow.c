@@ -143,10 +143,9 @@ static void answer(flow *f, const closed_set *a, const double *gap)
     multiply_matrices(terms, p, p, f->gaps, a->answer, 0.0, f->answers);
 }
 
-static void round_off(flow *f, const closed_set *a, const double *sizes, double length)
+static void round_off(flow *f, const closed_set *a, double length)
 {
-    double largest = 0.0, power = 1.0;
-    for (int n = 0; n < TERMS; n++, power *= length) largest = fmax(power * sizes[n], largest);
+    const double largest = series_size(f->of.pairs, f->order, f->gaps, length);
     for (int i = 0; i < f->of.pairs; i++) f->allowed[i] = ROUNDING * largest * a->scale[i];
 }
 
@@ -268,7 +267,7 @@ int flow_advance(flow *f, flow_motion *m)
 {
     const int p = f->of.pairs;
     const double rate = fastest(f, m->omega), longest = FLOW_REACH / rate;
-    double sizes[TERMS], stayed = 0.0, allowed = longest;
+    double stayed = 0.0, allowed = longest;
     signed char *closed = f->closed;
     if (contact_at(f, m->omega, m->now, m->state, closed)) return FLOW_LOST;
     for (; m->now < m->end; m->pieces++) {
@@ -282,12 +281,10 @@ int flow_advance(flow *f, flow_motion *m)
         wave(f, m->omega, m->now, length, 0);
         expand(f, a, f->of.force, f->of.gap, length, m->state);
         answer(f, a, f->of.gap);
-        series_sizes(f->of.modes, f->order, f->series, sizes);
-        double end = series_reach(sizes, fmin(1.0, left));
-        series_sizes(p, f->order, f->gaps, sizes);
-        end = series_reach(sizes, end);
+        double end = series_reach(f->of.modes, f->order, f->series, fmin(1.0, left));
+        end = series_reach(p, f->order, f->gaps, end);
         if (!(end > 0.0)) return FLOW_LOST;
-        round_off(f, a, sizes, end);
+        round_off(f, a, end);
         double when = end;
         const int pair = next_event(f, GRID / (length * rate), end, &when);
         const int last = pair < 0 && end == left;
@@ -312,7 +309,7 @@ int flow_column(flow *f, const flow_track *track, const double *force, const dou
                 int by_time, double *state)
 {
     const double longest = FLOW_REACH / fastest(f, track->omega);
-    double now = track->start, sizes[TERMS];
+    double now = track->start;
     for (int k = 0; k < track->intervals; k++) {
         const closed_set *a = closed_set_of(f->known, track->sets + (long)k * f->of.pairs);
         if (!a) return FLOW_MEMORY;
@@ -321,8 +318,7 @@ int flow_column(flow *f, const flow_track *track, const double *force, const dou
         for (double left = length > 0.0 ? track->lengths[k] / length : 0.0; left > 0.0;) {
             wave(f, track->omega, now, length, by_time);
             expand(f, a, force, gap, length, state);
-            series_sizes(f->of.modes, f->order, f->series, sizes);
-            const double end = series_reach(sizes, fmin(1.0, left));
+            const double end = series_reach(f->of.modes, f->order, f->series, fmin(1.0, left));
             if (!(end > 0.0)) return FLOW_LOST;
             state_at(f, length, end, state);
             left -= end;

@@ -2,11 +2,10 @@
 
 #include <float.h>
 #include <math.h>
+#include <stdint.h>
 #include <string.h>
 
 #include "lapack.h"
-
-static double larger(double a, double b) { return a > b ? a : b; }
 
 WIDE void add_rows(int count, int n, const double *restrict rows, const double *restrict weights,
                    double *restrict sum)
@@ -48,17 +47,23 @@ some_at(int count, int n, int order, const double *restrict row, double time,
     memcpy(slope, d, (size_t)count * sizeof(double));
 }
 
-WIDE void series_at(int n, int order, const double *restrict terms, double time,
-                    double *restrict value, double *restrict slope)
+/* The same of all in turn; the last ones overlap those before. */
+static inline __attribute__((always_inline)) void
+all_at(int count, int n, int order, const double *terms, double time, double *value, double *slope)
 {
-    int i = 0;
-    for (; i + 4 * BLOCK <= n; i += 4 * BLOCK)
-        some_at(4 * BLOCK, n, order, terms + i, time, value + i, slope + i);
-    for (; i + 2 * BLOCK <= n; i += 2 * BLOCK)
-        some_at(2 * BLOCK, n, order, terms + i, time, value + i, slope + i);
-    for (; i + BLOCK <= n; i += BLOCK)
-        some_at(BLOCK, n, order, terms + i, time, value + i, slope + i);
-    if (i < n) some_at(n - i, n, order, terms + i, time, value + i, slope + i);
+    for (int i = 0; i < n; i += count) {
+        const int at = i + count <= n ? i : n - count;
+        some_at(count, n, order, terms + at, time, value + at, slope + at);
+    }
+}
+
+WIDE void series_at(int n, int order, const double *terms, double time, double *value,
+                    double *slope)
+{
+    if (n >= 4 * BLOCK) all_at(4 * BLOCK, n, order, terms, time, value, slope);
+    else if (n >= 2 * BLOCK) all_at(2 * BLOCK, n, order, terms, time, value, slope);
+    else if (n >= BLOCK) all_at(BLOCK, n, order, terms, time, value, slope);
+    else some_at(n, n, order, terms, time, value, slope);
 }
 
 WIDE void series_at_times(int n, int order, const double *restrict terms,
@@ -109,25 +114,36 @@ double column_zero(int n, int order, const double *terms, int column, int slopes
     return zero;
 }
 
-WIDE void series_sizes(int n, int order, const double *restrict terms, double *restrict sizes)
+/* The largest number's size, by its bits: compilers do not take the largest of doubles in blocks. */
+WIDE static double largest_of(long count, const double *x)
 {
-    for (int k = order + 1; k < TERMS; k++) sizes[k] = 0.0;
-    for (int k = 0; k <= order; k++, terms += n) {
-        double most[4] = {0.0};
-        int i = 0;
-        for (; i + 3 < n; i += 4)
-            for (int j = 0; j < 4; j++) most[j] = larger(fabs(terms[i + j]), most[j]);
-        for (; i < n; i++) most[0] = larger(fabs(terms[i]), most[0]);
-        sizes[k] = larger(larger(most[0], most[1]), larger(most[2], most[3]));
+    int64_t most = 0;
+    double found;
+    for (long i = 0; i < count; i++) {
+        int64_t bits;
+        memcpy(&bits, x + i, sizeof bits);
+        bits &= INT64_MAX; /* without the sign */
+        most = bits > most ? bits : most;
     }
+    memcpy(&found, &most, sizeof found);
+    return found;
 }
 
-double series_reach(const double *sizes, double within)
+double series_size(int n, int order, const double *terms, double time)
 {
-    double largest = 0.0;
-    for (int k = 0; k < TERMS; k++) largest = larger(sizes[k], largest);
+    double largest = 0.0, power = 1.0;
+    for (int k = 0; k <= order; k++, power *= time, terms += n)
+        largest = fmax(power * largest_of(n, terms), largest);
+    return largest;
+}
+
+double series_reach(int n, int order, const double *terms, double within)
+{
     /* The last terms are to be less than the largest one's rounding. */
-    const double tail = larger(sizes[ORDER - 1], sizes[ORDER]), least = 0.5 * DBL_EPSILON * largest;
-    if (tail * pow(within, ORDER - 1) <= least) return within;
-    return fmin(within, pow(least / tail, 1.0 / (ORDER - 1)));
+    const int last = ORDER - 1;
+    if (order < last) return within;
+    const double least = 0.5 * DBL_EPSILON * largest_of((long)n * (order + 1), terms);
+    const double tail = largest_of((long)n * (order + 1 - last), terms + (long)n * last);
+    if (tail * pow(within, last) <= least) return within;
+    return fmin(within, pow(least / tail, 1.0 / last));
 }

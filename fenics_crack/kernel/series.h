@@ -28,9 +28,9 @@ double column_at(int n, int order, const double *terms, int column, int slopes, 
 double column_zero(int n, int order, const double *terms, int column, int slopes, double low,
                    double high);
 
-/* Largest numbers (TERMS) of the rows, 0 of those that the order has not. */
-void series_sizes(int n, int order, const double *terms, double *sizes);
-/* Up to which time series with rows of these sizes hold, at most `within`. */
-double series_reach(const double *sizes, double within);
+/* The largest term of all at a time. */
+double series_size(int n, int order, const double *terms, double time);
+/* Up to which time series hold, at most `within`. */
+double series_reach(int n, int order, const double *terms, double within);
 
 #endif
