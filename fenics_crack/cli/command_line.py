@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import atexit
 import contextlib
+import gc
 import os
 import re
 import resource
@@ -32,6 +34,9 @@ LAUNCHERS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
 ALONE = {"OMPI_MCA_pml": "ob1", "OMPI_MCA_ess_singleton_isolated": "1"}
 """Settings of Open MPI for one process: it looks for no network and starts no daemon, which would
 take as long as all else before the first command."""
+FEW_COLLECTIONS = 10_000
+"""Objects between two searches for garbage, of Python's own 700: what is loaded makes more than a
+hundred thousand that stay, which would be looked through again and again."""
 OUT_OF_MEMORY = ("PetscMalloc", "failed to map segment")
 """In what PETSc says, and the system of a library that it cannot load."""
 TABLES = {
@@ -73,6 +78,8 @@ Ctrl-C; 1 a full disk, too little memory, or a fault of the program.
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return the exit code; the same on every rank."""
+    gc.set_threshold(FEW_COLLECTIONS)
+    atexit.register(gc.freeze)  # the system takes back what is left, garbage or not
     if any(os.environ.get(name, "0") != "0" for name in LAUNCHERS):
         _be_silent()
     if sys.stdout is None:
