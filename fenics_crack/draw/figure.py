@@ -23,6 +23,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.ticker import Formatter, FuncFormatter, LogFormatter, LogLocator, NullLocator
 from mpi4py import MPI
+from PIL import Image
 
 from fenics_crack.errors import InputError
 from fenics_crack.parallel import on_root
@@ -145,7 +146,10 @@ class Picture:
 
             def save() -> None:
                 if file.suffix == ".png":  # without the draft that savefig draws before
-                    FigureCanvasAgg(self.figure).print_png(picture)
+                    canvas = FigureCanvasAgg(self.figure)
+                    canvas.draw()
+                    drawn = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+                    drawn.save(picture, "PNG", compress_level=3, dpi=2 * (self.figure.dpi,))
                 else:
                     self.figure.savefig(picture, format=file.suffix.removeprefix(".") or None)
                 write_whole(file, picture.getvalue())
