@@ -2,19 +2,20 @@
 
 The plate is drawn magnified and coloured by von Mises stress or displacement, with the lips as
 thick lines, a dot on every pair that is in contact, and an arrow for the load. Everything is
-gathered first; rank 0 draws.
+gathered first; rank 0 draws. The frames are drawn by VTK alone: pyvista's plotter, which the window
+needs, takes as long to load as they take.
 """
 
 from __future__ import annotations
 
 import os
-from functools import partial
 from io import BytesIO
 from pathlib import Path
 from textwrap import fill
 from typing import Any
 
 import numpy as np
+import vtkmodules.vtkRenderingOpenGL2  # noqa: F401  what VTK draws with
 from matplotlib import colormaps
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
@@ -23,11 +24,21 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
+from vtkmodules.vtkCommonCore import vtkLookupTable, vtkUnsignedCharArray
+from vtkmodules.vtkCommonDataModel import vtkPolyData
+from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper, vtkRenderer, vtkRenderWindow
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.draw.figure import COLOURS, label_axis
 from fenics_crack.draw.paraview import PeriodFields, in_space, pyvista
-from fenics_crack.draw.solid import lines, look_from_corner, off_screen_plotter, outline, surface
+from fenics_crack.draw.solid import (
+    lines,
+    look_from_corner,
+    outline,
+    seen_parallel,
+    surface,
+    without_screen,
+)
 from fenics_crack.errors import InputError
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.tables import Material
@@ -154,48 +165,47 @@ class _Colours:
         self.beyond = bool(self.factor * highest > self.levels[-1])
         self.map = ListedColormap(colormaps["viridis"](np.linspace(0.0, 1.0, self.steps)))
         ends = self.levels[0], self.levels[-1]
-        self.scale = {"cmap": self.map, "n_colors": self.steps, "clim": ends}
+        self.table = vtkLookupTable()
+        self.table.SetNumberOfTableValues(self.steps)
+        for step, colour in enumerate(self.map.colors):
+            self.table.SetTableValue(step, *colour)
+        self.table.SetRange(*ends)
 
 
 class _Plate:
-    """The plate in a plotter: what moves from frame to frame are the points of its parts."""
+    """The plate in a renderer: what moves from frame to frame are the points of its parts."""
 
-    def __init__(self, plotter: Any, fields: PeriodFields) -> None:
+    def __init__(self, renderer: vtkRenderer, fields: PeriodFields) -> None:
         self.fields, mesh = fields, fields.mesh
         self.colours, self.height = _Colours(fields), 1e-3 * mesh.size  # of lines above the plate
-        add = partial(plotter.add_mesh, lighting=False)
         solid = mesh.dimension == 3
         boundary = outline(mesh) if solid else mesh.boundary
 
         def line(edges: np.ndarray, ink: str, width: float) -> pyvista.PolyData:
             drawn = lines(self._above(mesh.points), edges)
             if len(edges):
-                add(drawn, color=INK[ink], line_width=width)
+                _part(renderer, drawn, ink).SetLineWidth(width)
             return drawn
 
         line(boundary, "rest", 2)
         drawn = mesh.boundary_facets if solid else mesh.triangles
         self.surface = surface(in_space(mesh.points), drawn)
-        self.surface["shown"] = fields.colour_values[0]
-        add(self.surface, scalars="shown", show_scalar_bar=False, **self.colours.scale)
+        _part(renderer, self.surface, self.colours.table)
         self.lines = [line(boundary, "lips", 2)]
         if not solid:  # whose outline has the mouth
             self.lines.append(line(mesh.lips, "lips", 5))
         line(boundary[mesh.clamped[boundary].all(axis=1)], "rest", 9)
         self.dots = pyvista.PolyData(np.zeros((len(fields.areas), 3)))
         if len(fields.areas):
-            round_ = {"style": "points", "point_size": 16, "render_points_as_spheres": True}
-            add(self.dots, color=INK["contact"], **round_)
+            look = _part(renderer, self.dots, "contact")
+            look.SetPointSize(16)
+            look.RenderPointsAsSpheresOn()
         self.arrow = pyvista.Arrow(**ARROW)  # along x, of length 1
         self.unit_arrow = self.arrow.points.copy()
         self.room = np.zeros(3) if solid else np.array([0.0, 0.0, 2.0 * self.height])
         self.starts, self.arrows = _load_arrows(fields)
         if np.any(fields.load):
-            add(self.arrow, color=INK["load"])
-        plotter.background_color = "white"
-        plotter.enable_parallel_projection()
-        if not solid:
-            plotter.view_xy()
+            _part(renderer, self.arrow, "load")
         self.move(0)
 
     def _above(self, points: np.ndarray) -> np.ndarray:
@@ -217,6 +227,26 @@ class _Plate:
         _, size, axes = np.linalg.svd(arrow[None])
         axes[0] *= np.sign(axes[0] @ arrow)
         self.arrow.points = start + self.room + size * (self.unit_arrow @ axes)
+
+
+def _part(renderer: vtkRenderer, data: vtkPolyData, ink: str | vtkLookupTable) -> Any:
+    """Add what is drawn in one ink, or by its values "shown" in colours; return how it looks."""
+    mapper, actor = vtkPolyDataMapper(), vtkActor()
+    mapper.SetInputData(data)
+    actor.SetMapper(mapper)
+    renderer.AddActor(actor)
+    look = actor.GetProperty()
+    look.LightingOff()
+    mapper.SetScalarVisibility(not isinstance(ink, str))
+    if isinstance(ink, str):
+        look.SetColor(to_rgb(INK[ink]))
+    else:
+        mapper.SetScalarModeToUsePointFieldData()
+        mapper.SelectColorArray("shown")
+        mapper.SetLookupTable(ink)
+        mapper.UseLookupTableScalarRangeOn()
+        mapper.InterpolateScalarsBeforeMappingOn()
+    return look
 
 
 def _load_arrows(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
@@ -241,7 +271,7 @@ def _with_slider(plotter: Any, solution: PeriodicSolution, fields: PeriodFields)
     """
     from vtkmodules.vtkInteractionWidgets import vtkSliderRepresentation2D, vtkSliderWidget
 
-    plate = _Plate(plotter, fields)
+    plate = _Plate(plotter.renderer, fields)
     figure = Figure(facecolor="white")
     _draw_bar(figure, (0.1, 0.05, 0.2, 0.87), plate.colours)
     chart = pyvista.ChartMPL(figure, size=(0.14, 0.6), loc=(0.85, 0.25))
@@ -275,7 +305,8 @@ def _with_slider(plotter: Any, solution: PeriodicSolution, fields: PeriodFields)
     widget.AddObserver("InteractionEvent", lambda *_: turn(slider.GetValue()))
     widget.SetEnabled(True)
     turn(0.0)
-    _look_at_all(plotter, fields, room=1.35)
+    _look_at_all(plotter.renderer, fields, room=1.35)
+    plotter.camera_set = True
     return widget
 
 
@@ -293,17 +324,22 @@ def _caption(solution: PeriodicSolution, fields: PeriodFields) -> str:
 
 def _write(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> None:
     """Draw all frames and write the GIF."""
-    plotter = off_screen_plotter(window_size=np.multiply(OVERSAMPLING, PLATE[2:]))
-    plotter.render_window.SetMultiSamples(0)  # the page shrinks what it draws, which smooths it
-    plate = _Plate(plotter, fields)
-    _look_at_all(plotter, fields)
+    without_screen()
+    window, renderer = vtkRenderWindow(), vtkRenderer()
+    window.SetOffScreenRendering(True)
+    window.SwapBuffersOff()
+    window.SetMultiSamples(0)  # the page shrinks what it draws, which smooths it
+    window.SetSize(OVERSAMPLING * PLATE[2], OVERSAMPLING * PLATE[3])
+    window.AddRenderer(renderer)
+    plate = _Plate(renderer, fields)
+    _look_at_all(renderer, fields)
     page = _Page(solution, fields, plate.colours)
     pictures = []
     for frame in range(len(fields.time)):
         plate.move(frame)
-        plotter.render()
-        pictures.append(page.draw(frame, plotter.screenshot(None, return_img=True)))
-    plotter.close()
+        window.Render()
+        pictures.append(page.draw(frame, _image_of(window)))
+    window.Finalize()
     palette = _palette(plate.colours)
     shown = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     duration = max(20, 10 * round(100.0 * SECONDS / len(shown)))  # [ms], in steps of 10
@@ -328,20 +364,29 @@ def _palette(colours: _Colours) -> Image.Image:
     return palette
 
 
-def _look_at_all(plotter: Any, fields: PeriodFields, room: float = 1.03) -> None:
+def _image_of(window: vtkRenderWindow) -> Image.Image:
+    """What a window shows."""
+    (width, height), pixels = window.GetSize(), vtkUnsignedCharArray()
+    window.GetPixelData(0, 0, width - 1, height - 1, 0, pixels, 0)
+    from_below = ("raw", "RGB", 0, -1)
+    return Image.frombytes("RGB", (width, height), bytes(pixels), *from_below)
+
+
+def _look_at_all(renderer: vtkRenderer, fields: PeriodFields, room: float = 1.03) -> None:
     """Set the camera so that the plate stays in the picture for the whole period."""
     moved = fields.mesh.points + fields.magnification * fields.displacement
     if fields.mesh.dimension == 3:
-        look_from_corner(plotter, fields.mesh.points)
+        look_from_corner(renderer, fields.mesh.points)
         return
     heads = np.add(*_load_arrows(fields)) if np.any(fields.load) else np.empty((0, 2))
     points = np.concatenate([fields.mesh.points, *moved, heads])
     low, high = points.min(axis=0), points.max(axis=0)
-    size, camera, (width, height) = fields.mesh.size, plotter.camera, plotter.window_size
-    middle = 0.5 * (low + high)
-    camera.focal_point, camera.position = (*middle, 0.0), (*middle, 10.0 * size)
-    camera.parallel_scale = 0.5 * room * max(high[1] - low[1], (high[0] - low[0]) * height / width)
-    camera.clipping_range = (size, 20.0 * size)
+    size, camera = fields.mesh.size, seen_parallel(renderer)
+    middle, (width, height) = 0.5 * (low + high), renderer.GetVTKWindow().GetSize()
+    camera.SetFocalPoint(*middle, 0.0)
+    camera.SetPosition(*middle, 10.0 * size)
+    camera.SetParallelScale(0.5 * room * max(high[1] - low[1], (high[0] - low[0]) * height / width))
+    camera.SetClippingRange(size, 20.0 * size)
 
 
 def _draw_bar(figure: Figure, place: tuple[float, float, float, float], colours: _Colours) -> None:
@@ -371,7 +416,7 @@ class _Page:
         self.canvas.draw()
         self.still = self.canvas.copy_from_bbox(self.figure.bbox)
 
-    def draw(self, frame: int, plate: np.ndarray) -> Image.Image:
+    def draw(self, frame: int, plate: Image.Image) -> Image.Image:
         """The page of a frame: what moves is drawn over the rest, which is drawn once."""
         self.canvas.restore_region(self.still)
         at = self.loads[frame]
@@ -381,7 +426,7 @@ class _Page:
         for artist in (self.line, self.dot, self.text):
             self.figure.draw_artist(artist)
         page = Image.fromarray(np.asarray(self.canvas.buffer_rgba())).convert("RGB")
-        page.paste(Image.fromarray(plate).reduce(OVERSAMPLING), PLATE[:2])
+        page.paste(plate.reduce(OVERSAMPLING), PLATE[:2])
         return page
 
     def _legend(self, fields: PeriodFields) -> None:

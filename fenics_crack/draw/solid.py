@@ -28,10 +28,16 @@ ARROW = 0.2
 """Length of the arrow of a load, relative to the size."""
 
 
+def without_screen() -> None:
+    """Spare VTK the search for a screen where there is none, and its warning."""
+    if not os.environ.get("DISPLAY"):
+        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
+
+
 def off_screen_plotter(**options: Any) -> pyvista.Plotter:
     """A plotter that draws into memory."""
-    if not os.environ.get("DISPLAY"):  # spares VTK the search for a screen, and its warning
-        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
+    without_screen()
+    if not os.environ.get("DISPLAY"):
         os.environ.setdefault("ALLOW_PLOTTING", "true")  # pyvista would open a window to know
     return pyvista.Plotter(off_screen=True, **options)
 
@@ -57,16 +63,25 @@ def lines(points: np.ndarray, edges: np.ndarray) -> pyvista.PolyData:
     return pyvista.PolyData(points.copy(), lines=cells.ravel())
 
 
-def look_from_corner(plotter: Any, points: np.ndarray) -> None:
+def seen_parallel(renderer: Any) -> Any:
+    """The camera of a renderer, which draws on white and makes nothing smaller that is far."""
+    renderer.SetBackground(1.0, 1.0, 1.0)
+    camera = renderer.GetActiveCamera()
+    camera.ParallelProjectionOn()
+    return camera
+
+
+def look_from_corner(renderer: Any, points: np.ndarray) -> None:
     """Set the camera so that all of a solid is seen, y up, and what moves across it."""
-    plotter.background_color = "white"
-    plotter.enable_parallel_projection()
+    camera = seen_parallel(renderer)
     flat = points[:, [0, 2]] - points[:, [0, 2]].mean(axis=0)
     x, z = np.linalg.eigh(flat.T @ flat)[1][:, 0]  # where it is thinnest
     x, z = (x, z) if z > 0.0 else (-x, -z)
     seen = VIEW[0] * z + VIEW[2] * x, VIEW[1], VIEW[2] * z - VIEW[0] * x
-    plotter.view_vector(seen, viewup=(0.0, 1.0, 0.0))
-    plotter.reset_camera()
+    camera.SetFocalPoint(0.0, 0.0, 0.0)
+    camera.SetPosition(seen)
+    camera.SetViewUp(0.0, 1.0, 0.0)
+    renderer.ResetCamera()
 
 
 def draw_over_crack(
@@ -96,7 +111,8 @@ def draw_over_crack(
 
 def _drawn(axes: Axes, plotter: Any, points: np.ndarray) -> None:
     """The image of a plotter with a solid, without its white margins, in a panel."""
-    look_from_corner(plotter, points)
+    look_from_corner(plotter.renderer, points)
+    plotter.camera_set = True
     image = plotter.screenshot(None, return_img=True)
     plotter.close()
     ink = np.argwhere((image < 250).any(axis=2))

@@ -15,6 +15,7 @@ from matplotlib.image import imread
 import fenics_crack as fc
 from fenics_crack.draw import animation
 from fenics_crack.draw.paraview import PeriodFields, moved_grid, nodal_stress, von_mises
+from fenics_crack.draw.solid import off_screen_plotter
 from fenics_crack.fem.nodal_mesh import NodalMesh
 
 
@@ -345,7 +346,7 @@ def test_what_has_no_mesh_cannot_be_drawn(tmp_path: Path) -> None:
 def test_window(breathing: fc.PeriodicSolution, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its slider moves the plate; without a screen there is none."""
     fields = PeriodFields(breathing, 10)
-    plotter = animation.off_screen_plotter(window_size=(600, 600))
+    plotter = off_screen_plotter(window_size=(600, 600))
     slider = animation._with_slider(plotter, breathing, fields)
     pictures = []
     for frame in (2, 7):
@@ -367,9 +368,10 @@ def test_window_after_dolfinx() -> None:
 import dolfinx
 import fenics_crack as fc
 from fenics_crack.draw import animation
+from fenics_crack.draw.solid import off_screen_plotter
 scene = fc.Scene.load("demos/paper_plate.toml").replace({"mesh.columns": 4, "mesh.rows": 4})
 found = fc.solve_harmonic_balance(fc.build_structure(scene), 2000.0, fc.UnilateralPenalty(1e9))
-plotter = animation.off_screen_plotter(window_size=(300, 300))
+plotter = off_screen_plotter(window_size=(300, 300))
 slider = animation._with_slider(plotter, found, animation.PeriodFields(found, 2))
 plotter.render()
 """
