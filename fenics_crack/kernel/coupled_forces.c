@@ -101,11 +101,10 @@ void forces_by_gap(coupled_forces *at, const double *change, double *found)
     const int p = at->pairs, n = at->instants, events = at->events;
     values_of(at->gaps, p, change, at->values);
     multiply_matrices(n, p, p, at->values, m->stiffness, 0.0, at->forces);
+    multiply_transposed(n, p, events, at->values, m->vectors, at->jumps);
     for (long i = 0; i < n; i++)
-        for (long e = 0; e < events; e++) {
-            const double jump = dot(p, at->values + i * p, m->vectors + e * p);
-            at->jumps[i * events + e] = at->shares[i * events + e] * m->gain[e] * jump;
-        }
+        for (long e = 0; e < events; e++)
+            at->jumps[i * events + e] *= at->shares[i * events + e] * m->gain[e];
     if (events) multiply_matrices(n, events, p, at->jumps, m->vectors, 1.0, at->forces);
     coefficients_of(at->gaps, p, at->forces, found);
 }

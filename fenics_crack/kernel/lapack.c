@@ -82,6 +82,20 @@ void multiply_matrices(int rows, int inner, int columns, const double *a, const 
                              &keep, c, &columns);
 }
 
+void multiply_transposed(int rows, int inner, int columns, const double *a, const double *b,
+                         double *c)
+{
+    const double unit = 1.0, zero = 0.0;
+    if (!rows || !columns) return;
+    if ((long)rows * inner * columns <= FEW) {
+        for (int i = 0; i < rows; i++)
+            for (int j = 0; j < columns; j++) *c++ = dot(inner, a + i * inner, b + j * inner);
+        return;
+    }
+    ((gemm_t *)bound[DGEMM])("T", "N", &columns, &rows, &inner, &unit, b, &inner, a, &inner, &zero,
+                             c, &columns);
+}
+
 static void swap(double *x, double *y)
 {
     const double kept = *x;

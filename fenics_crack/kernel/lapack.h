@@ -16,6 +16,9 @@ void multiply_each(int count, int n, const double *a, const double *x, double *y
 /* C = A B + keep C with A (rows, inner), B (inner, columns), all in C's order. */
 void multiply_matrices(int rows, int inner, int columns, const double *a, const double *b,
                        double keep, double *c);
+/* C = A B^T with A (rows, inner), B (columns, inner). */
+void multiply_transposed(int rows, int inner, int columns, const double *a, const double *b,
+                         double *c);
 /* LU factors of a matrix (n, n) in C's order, in place: 0, or where its pivot vanishes. */
 int factor(int n, double *a, int *pivots);
 /* x = A^-1 x from these, for one right-hand side. */
