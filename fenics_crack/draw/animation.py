@@ -2,8 +2,7 @@
 
 The plate is drawn magnified and coloured by von Mises stress or displacement, with the lips as
 thick lines, a dot on every pair that is in contact, and an arrow for the load. Everything is
-gathered first; rank 0 draws. The frames are drawn by VTK alone: pyvista's plotter, which the window
-needs, takes as long to load as they take.
+gathered first; rank 0 draws.
 """
 
 from __future__ import annotations
@@ -24,17 +23,22 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
+from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkCommonCore import vtkLookupTable, vtkUnsignedCharArray
 from vtkmodules.vtkCommonDataModel import vtkPolyData
+from vtkmodules.vtkFiltersSources import vtkArrowSource
 from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper, vtkRenderer, vtkRenderWindow
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.draw.figure import COLOURS, label_axis
-from fenics_crack.draw.paraview import PeriodFields, in_space, pyvista
-from fenics_crack.draw.solid import (
+from fenics_crack.draw.paraview import PeriodFields
+from fenics_crack.draw.vtk_parts import (
+    add_values,
+    cells_of,
+    in_space,
     lines,
     look_from_corner,
-    outline,
+    place,
     seen_parallel,
     surface,
     without_screen,
@@ -60,8 +64,6 @@ LABEL_LETTERS = 17
 """Of a line of the label beside the wave, for which the page has room."""
 OVERSAMPLING = 2
 """Pixels of the plate's drawing for one of the page, each way, which smooths it."""
-ARROW: dict[str, Any] = {"tip_length": 0.45, "tip_radius": 0.16, "shaft_radius": 0.055}
-"""Of the load, relative to its length."""
 INK = {"lips": "#000000", "contact": COLOURS["orange"], "load": COLOURS["pink"], "rest": "#8a8a8a"}
 
 
@@ -140,6 +142,8 @@ def show_period(
     def show() -> None:
         if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
             raise InputError("screen", None, "there (DISPLAY is set), or use animate_period")
+        from fenics_crack.draw.solid import pyvista
+
         plotter = pyvista.Plotter(title="fenics_crack", window_size=(900, 900))
         slider = _with_slider(plotter, solution, fields)
         plotter.show()
@@ -179,9 +183,13 @@ class _Plate:
         self.fields, mesh = fields, fields.mesh
         self.colours, self.height = _Colours(fields), 1e-3 * mesh.size  # of lines above the plate
         solid = mesh.dimension == 3
-        boundary = outline(mesh) if solid else mesh.boundary
+        boundary = mesh.boundary
+        if solid:
+            from fenics_crack.draw.solid import outline
 
-        def line(edges: np.ndarray, ink: str, width: float) -> pyvista.PolyData:
+            boundary = outline(mesh)
+
+        def line(edges: np.ndarray, ink: str, width: float) -> vtkPolyData:
             drawn = lines(self._above(mesh.points), edges)
             if len(edges):
                 _part(renderer, drawn, ink).SetLineWidth(width)
@@ -189,19 +197,18 @@ class _Plate:
 
         line(boundary, "rest", 2)
         drawn = mesh.boundary_facets if solid else mesh.triangles
-        self.surface = surface(in_space(mesh.points), drawn)
+        self.surface = surface(mesh.points, drawn)
         _part(renderer, self.surface, self.colours.table)
         self.lines = [line(boundary, "lips", 2)]
         if not solid:  # whose outline has the mouth
             self.lines.append(line(mesh.lips, "lips", 5))
         line(boundary[mesh.clamped[boundary].all(axis=1)], "rest", 9)
-        self.dots = pyvista.PolyData(np.zeros((len(fields.areas), 3)))
+        self.dots = vtkPolyData()
         if len(fields.areas):
             look = _part(renderer, self.dots, "contact")
             look.SetPointSize(16)
             look.RenderPointsAsSpheresOn()
-        self.arrow = pyvista.Arrow(**ARROW)  # along x, of length 1
-        self.unit_arrow = self.arrow.points.copy()
+        self.arrow, self.unit_arrow = _unit_arrow()
         self.room = np.zeros(3) if solid else np.array([0.0, 0.0, 2.0 * self.height])
         self.starts, self.arrows = _load_arrows(fields)
         if np.any(fields.load):
@@ -216,17 +223,31 @@ class _Plate:
         """Show another frame."""
         fields = self.fields
         moved = fields.mesh.points + fields.shown(frame)
-        for part in (self.surface, *self.lines):
-            part.points[:, : moved.shape[1]] = moved
-        self.surface["shown"] = self.colours.factor * fields.colour_values[frame]
+        place(self.surface, moved)
+        for part in self.lines:
+            place(part, self._above(moved))
+        colours = self.colours.factor * fields.colour_values[frame]
+        add_values(self.surface.GetPointData(), "shown", colours)
         pairs = (fields.pair_nodes / fields.pair_nodes.sum(axis=0)).T
-        self.dots.points = in_space(pairs @ moved) + self.room
-        closed = np.flatnonzero(fields.force[frame] > 0.0)
-        self.dots.verts = np.column_stack([np.ones_like(closed), closed]).ravel()
+        place(self.dots, in_space(pairs @ moved) + self.room)
+        self.dots.SetVerts(cells_of(np.argwhere(fields.force[frame] > 0.0)))
         start, arrow = (in_space(part[frame][None])[0] for part in (self.starts, self.arrows))
         _, size, axes = np.linalg.svd(arrow[None])
         axes[0] *= np.sign(axes[0] @ arrow)
-        self.arrow.points = start + self.room + size * (self.unit_arrow @ axes)
+        place(self.arrow, start + self.room + size * (self.unit_arrow @ axes))
+
+
+def _unit_arrow() -> tuple[vtkPolyData, np.ndarray]:
+    """An arrow along x, of length 1, and its points."""
+    source = vtkArrowSource()
+    source.SetTipLength(0.45)
+    source.SetTipRadius(0.16)
+    source.SetTipResolution(20)
+    source.SetShaftRadius(0.055)
+    source.SetShaftResolution(20)
+    source.Update()
+    arrow = source.GetOutput()
+    return arrow, vtk_to_numpy(arrow.GetPoints().GetData()).copy()
 
 
 def _part(renderer: vtkRenderer, data: vtkPolyData, ink: str | vtkLookupTable) -> Any:
@@ -270,6 +291,8 @@ def _with_slider(plotter: Any, solution: PeriodicSolution, fields: PeriodFields)
     crashes if DOLFINx was loaded first, because each brings its own part of libstdc++.
     """
     from vtkmodules.vtkInteractionWidgets import vtkSliderRepresentation2D, vtkSliderWidget
+
+    from fenics_crack.draw.solid import pyvista
 
     plate = _Plate(plotter.renderer, fields)
     figure = Figure(facecolor="white")

@@ -3,15 +3,11 @@
 Rank 0 writes all nodes, also those of quadratic elements. Stresses follow from the gradient of the
 displacement in the cells at each node, averaged; the lips have nodes of their own, so nothing is
 averaged across the crack.
-
-pyvista is loaded without mypy, which it would load for a plugin of its own where that is installed:
-a third of the time that it takes to load.
 """
 
 from __future__ import annotations
 
 import itertools
-import sys
 from collections.abc import Sequence
 from functools import cached_property
 from importlib import resources
@@ -21,9 +17,13 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from scipy.sparse import csr_matrix
+from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkCommonDataModel import vtkDataObject, vtkUnstructuredGrid
+from vtkmodules.vtkFiltersGeneral import vtkGradientFilter
 from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
 from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.draw.vtk_parts import add_values, grid_of, in_space
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.matrices import numbers
@@ -41,23 +41,13 @@ if TYPE_CHECKING:
 
 __all__ = [
     "PeriodFields",
-    "in_space",
     "moved_grid",
     "nodal_stress",
-    "pyvista",
     "stress_at",
     "von_mises",
     "write_modes",
     "write_period",
 ]
-
-modules: dict[str, Any] = sys.modules
-absent = modules.setdefault("mypy", None) is None
-try:
-    import pyvista
-finally:
-    if absent:
-        del modules["mypy"]
 
 COMPONENTS = {2: ("xx", "yy", "xy"), 3: ("xx", "yy", "zz", "xy", "yz", "xz")}
 """Stresses in a plane and in space."""
@@ -95,8 +85,10 @@ def write_modes(modes: Modes, path: str | Path) -> None:
         grid = moved_grid(mesh)
         for number, (omega, shape) in enumerate(zip(modes.omega, shapes, strict=True), 1):
             factor = _tenth(shape, mesh.size)
-            grid[f"mode {number}: {omega:.1f} rad/s"] = in_space(factor * shape)
-            grid.field_data[f"magnification of mode {number}"] = [factor]
+            moved, name = in_space(factor * shape), f"mode {number}: {omega:.1f} rad/s"
+            add_values(grid.GetPointData(), name, moved)
+            factors = np.array([factor])
+            add_values(grid.GetFieldData(), f"magnification of mode {number}", factors)
         write_whole(path, _vtu(grid))
 
     on_root(mesh.structure.comm, write)
@@ -186,7 +178,7 @@ class PeriodFields:
         assert self.material is not None
         return nodal_stress(self.mesh, self.displacement, self.material)
 
-    def grid(self, frame: int) -> pyvista.UnstructuredGrid:
+    def grid(self, frame: int) -> vtkUnstructuredGrid:
         """The magnified mesh of a frame with the point fields of :func:`write_period`."""
         force, displacement = self.force[frame], self.displacement[frame]
         grid = moved_grid(self.mesh, self.shown(frame))
@@ -201,25 +193,18 @@ class PeriodFields:
             fields["stress"] = self.stress[frame]
             fields["von Mises stress"] = von_mises(self.stress[frame])
         for name, values in fields.items():
-            grid[name] = values.astype(np.float32)  # as VTK's own, in half the time and space
-        if self.material is not None:
-            array = grid.GetPointData().GetAbstractArray("stress")
-            for component, name in enumerate(COMPONENTS[self.mesh.dimension]):
-                array.SetComponentName(component, name)
-        grid.field_data["magnification"] = [self.magnification]
+            # as VTK's own, in half the time and space
+            array = add_values(grid.GetPointData(), name, values.astype(np.float32))
+            if name == "stress":
+                for component, axes in enumerate(COMPONENTS[self.mesh.dimension]):
+                    array.SetComponentName(component, axes)
+        add_values(grid.GetFieldData(), "magnification", np.array([self.magnification]))
         return grid
 
 
-def moved_grid(mesh: NodalMesh, displacement: np.ndarray | float = 0.0) -> pyvista.UnstructuredGrid:
+def moved_grid(mesh: NodalMesh, displacement: np.ndarray | float = 0.0) -> vtkUnstructuredGrid:
     """The cells, moved by nodal vectors (n_nodes, d) [m]."""
-    return pyvista.UnstructuredGrid(
-        {mesh.vtk_type: mesh.cells}, in_space(mesh.points + displacement)
-    )
-
-
-def in_space(vectors: np.ndarray) -> np.ndarray:
-    """Vectors (n, d) as VTK has them: (n, 3)."""
-    return np.pad(vectors, ((0, 0), (0, 3 - vectors.shape[1])))
+    return grid_of(mesh.points + displacement, mesh.cells, mesh.vtk_type)
 
 
 def nodal_stress(mesh: NodalMesh, displacement: np.ndarray, material: Material) -> np.ndarray:
@@ -248,9 +233,13 @@ def _slopes(mesh: NodalMesh) -> list[csr_matrix]:
     """
     of_cell = mesh.cells.shape[1]
     places = np.reshape(moved_grid(mesh).GetCell(0).GetParametricCoords(), (of_cell, 3))
-    unit = pyvista.UnstructuredGrid({mesh.vtk_type: np.arange(of_cell)[None]}, places)
-    unit["shape"] = np.eye(of_cell)
-    found = unit.compute_derivative("shape", gradient="gradient")["gradient"]
+    unit, slopes = grid_of(places, np.arange(of_cell)[None], mesh.vtk_type), vtkGradientFilter()
+    add_values(unit.GetPointData(), "shape", np.eye(of_cell))
+    slopes.SetInputData(unit)
+    slopes.SetInputScalars(vtkDataObject.FIELD_ASSOCIATION_POINTS, "shape")
+    slopes.SetResultArrayName("gradient")
+    slopes.Update()
+    found = vtk_to_numpy(slopes.GetOutput().GetPointData().GetArray("gradient"))
     shape = found.reshape(of_cell, of_cell, 3)[..., : mesh.dimension]  # node, function, axis
     mapped = np.einsum("cbx,nbX->cnxX", mesh.points[mesh.cells], shape)
     slope = np.einsum("nbX,cnXx->xcnb", shape, np.linalg.inv(mapped))
@@ -354,9 +343,10 @@ CAMERAS = {2: "view.ResetActiveCameraToNegativeZ()", 3: "view.ApplyIsometricView
 """How a plate and a solid are looked at."""
 
 
-def _vtu(grid: pyvista.UnstructuredGrid) -> str:
+def _vtu(grid: vtkUnstructuredGrid) -> str:
     """The text of a .vtu file; VTK itself says nothing of a file that it cannot finish."""
-    writer = vtkXMLUnstructuredGridWriter()
+    fields, writer = grid.GetPointData(), vtkXMLUnstructuredGridWriter()
+    fields.SetActiveScalars(fields.GetArrayName(0))  # what is coloured by at first
     writer.SetInputData(grid)
     writer.SetDataModeToBinary()
     writer.SetCompressionLevel(1)  # three times as quick, a hundredth larger; LZ4 not all read
@@ -412,6 +402,7 @@ def stress_at(
     --------
     >>> time, stress = fc.stress_at(fc.solve(scene), [[0.1, 0.02], [0.1, 0.04]])
     """
+    from fenics_crack.draw.solid import pyvista
     from fenics_crack.study.run import check_motion  # loads DOLFINx
 
     check_motion(run)
@@ -428,7 +419,7 @@ def stress_at(
         time = np.arange(STRESS_INSTANTS) * found.period / STRESS_INSTANTS
         moved = found.displacement_field(time)
     nodal = nodal_stress(mesh, mesh.field(moved), run.scene.material)
-    grid, columns = moved_grid(mesh), np.moveaxis(nodal, -2, 0)
+    grid, columns = pyvista.wrap(moved_grid(mesh)), np.moveaxis(nodal, -2, 0)
     grid["stress"] = columns.reshape(len(columns), -1)
     seen = pyvista.PolyData(in_space(places)).sample(grid)
     off = np.flatnonzero(np.asarray(seen["vtkValidPointMask"]) == 0)

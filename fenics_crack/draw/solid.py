@@ -1,8 +1,13 @@
-"""Solids in matplotlib's panels: VTK draws their surface, seen from a corner, into an image."""
+"""Solids in matplotlib's panels: VTK draws their surface, seen from a corner, into an image.
+
+pyvista is loaded without mypy, which it would load for a plugin of its own where that is installed:
+a third of the time that it takes to load.
+"""
 
 from __future__ import annotations
 
 import os
+import sys
 from typing import Any
 
 import numpy as np
@@ -11,27 +16,34 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import Patch
 
 from fenics_crack.draw.figure import COLOURS
-from fenics_crack.draw.paraview import pyvista
+from fenics_crack.draw.vtk_parts import lines, look_from_corner, surface, without_screen
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.nodes import AXES
 from fenics_crack.table import readable
 
-__all__ = ["draw_over_crack", "draw_parts", "draw_shape", "off_screen_plotter"]
+__all__ = [
+    "draw_over_crack",
+    "draw_parts",
+    "draw_shape",
+    "off_screen_plotter",
+    "outline",
+    "pyvista",
+]
+
+modules: dict[str, Any] = sys.modules
+absent = modules.setdefault("mypy", None) is None
+try:
+    import pyvista
+finally:
+    if absent:
+        del modules["mypy"]
 
 PIXELS = (900, 1000)
 """Of an image."""
-VIEW = (-1.3, 0.55, 1.6)
-"""Where the camera stands, seen from the middle: y goes up, z where a solid is thinnest."""
 BENT = 25.0
 """Angle between facets at which there is an edge [degrees]."""
 ARROW = 0.2
 """Length of the arrow of a load, relative to the size."""
-
-
-def without_screen() -> None:
-    """Spare VTK the search for a screen where there is none, and its warning."""
-    if not os.environ.get("DISPLAY"):
-        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
 
 
 def off_screen_plotter(**options: Any) -> pyvista.Plotter:
@@ -42,46 +54,14 @@ def off_screen_plotter(**options: Any) -> pyvista.Plotter:
     return pyvista.Plotter(off_screen=True, **options)
 
 
-def surface(points: np.ndarray, facets: np.ndarray) -> pyvista.PolyData:
-    """Some facets."""
-    return pyvista.PolyData.from_regular_faces(points.copy(), facets)
-
-
 def outline(mesh: NodalMesh) -> np.ndarray:
     """Edges at which the surface of a solid at rest bends: (n, 2) nodes."""
-    whole = surface(mesh.points, mesh.boundary_facets)
+    whole = pyvista.wrap(surface(mesh.points, mesh.boundary_facets))
     whole["node"] = np.arange(len(mesh.points))
     edges = whole.extract_feature_edges(
         feature_angle=BENT, boundary_edges=False, non_manifold_edges=False, manifold_edges=False
     )
     return np.asarray(edges["node"])[edges.lines.reshape(-1, 3)[:, 1:]]
-
-
-def lines(points: np.ndarray, edges: np.ndarray) -> pyvista.PolyData:
-    """Some edges."""
-    cells = np.pad(edges, ((0, 0), (1, 0)), constant_values=edges.shape[1])
-    return pyvista.PolyData(points.copy(), lines=cells.ravel())
-
-
-def seen_parallel(renderer: Any) -> Any:
-    """The camera of a renderer, which draws on white and makes nothing smaller that is far."""
-    renderer.SetBackground(1.0, 1.0, 1.0)
-    camera = renderer.GetActiveCamera()
-    camera.ParallelProjectionOn()
-    return camera
-
-
-def look_from_corner(renderer: Any, points: np.ndarray) -> None:
-    """Set the camera so that all of a solid is seen, y up, and what moves across it."""
-    camera = seen_parallel(renderer)
-    flat = points[:, [0, 2]] - points[:, [0, 2]].mean(axis=0)
-    x, z = np.linalg.eigh(flat.T @ flat)[1][:, 0]  # where it is thinnest
-    x, z = (x, z) if z > 0.0 else (-x, -z)
-    seen = VIEW[0] * z + VIEW[2] * x, VIEW[1], VIEW[2] * z - VIEW[0] * x
-    camera.SetFocalPoint(0.0, 0.0, 0.0)
-    camera.SetPosition(seen)
-    camera.SetViewUp(0.0, 1.0, 0.0)
-    renderer.ResetCamera()
 
 
 def draw_over_crack(
@@ -160,7 +140,7 @@ def draw_shape(axes: Axes, mesh: NodalMesh, displacement: np.ndarray) -> None:
     solid at rest."""
     plotter = off_screen_plotter(window_size=PIXELS)
     facets = mesh.boundary_facets
-    moved = surface(mesh.points + displacement, facets)
+    moved = pyvista.wrap(surface(mesh.points + displacement, facets))
     moved["amplitude"] = np.linalg.norm(displacement, axis=1)
     plotter.add_mesh(moved, scalars="amplitude", cmap="viridis", show_scalar_bar=False)
     edges = outline(mesh)
