@@ -13,6 +13,7 @@ from fenics_crack.balance.harmonic_balance import solve_linear
 from fenics_crack.balance.indicators import indicators_of
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Solver, solve_beside
+from fenics_crack.curves.peak import top_and_damping
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.fem.build import clearance_of
 from fenics_crack.model.bilinear import BilinearFrequencies, bilinear_frequencies
@@ -234,8 +235,8 @@ class Cases:
         """The largest response of a case over the frequency, in the norm of its modes, next to the
         bilinear frequency that is nearest to the case's; raises as :meth:`solve`.
 
-        It is looked for with few harmonics, from below. Of a single mode the inverse square of the
-        response is a parabola: with all harmonics three neighbours have its top between them.
+        It is looked for with few harmonics, from below; with all of them three neighbours have its
+        top between them.
         """
         natural, table = self._geometry.natural, case.harmonic_balance
         nearest = natural.nearest(case.excitation.omega)
@@ -262,10 +263,8 @@ class Cases:
             if sizes[1] >= sizes.max():
                 break
             top = sides[int(sizes[2] > sizes[0])] or top
-        below, here, above = 1.0 / np.maximum(sizes, 1e-9 * sizes.max()) ** 2
-        move = 0.5 * (below - above) / max(below + above - 2.0 * here, 1e-9 * here)
         self._near = top
-        omega = top.omega + float(np.clip(move, -0.5, 0.5)) * step
+        omega = top_and_damping(top.omega + step * np.array([-1.0, 0.0, 1.0]), sizes, 1)[0]
         return self.solve(case.replace({"excitation.omega": omega}))
 
     def _first_of(self, case: Scene, places: list[PeriodicSolution]) -> PeriodicSolution:
