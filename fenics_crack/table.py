@@ -43,10 +43,23 @@ TURN = 2.0 * math.pi
 """Of Hz in rad/s."""
 RPM = TURN / 60.0
 """Of revolutions per minute in rad/s."""
-UNITS = {"omega": "rad/s", "frequency": "Hz", "energy": "J"}
-UNITS |= {"speed": "rad/s", "rpm": "rpm"}
-UNITS |= dict.fromkeys(("contact_force", "crack_force"), "N")
-UNITS |= dict.fromkeys(("opening", "penetration", "clearance"), "m")
+UNITS = {
+    name: unit
+    for unit, names in {
+        "rad/s": "omega omega_open omega_tied omega_bilinear speed",
+        "Hz": "frequency frequency_open frequency_tied frequency_bilinear frequency_error",
+        "rpm": "rpm",
+        "rad": "angle phase",
+        "s": "time mark next_mark arrival",
+        "m": "amplitude amplitude_error displacement response opening penetration clearance "
+        "crack_length tip_radius",
+        "m/cycle": "rate",
+        "N": "contact_force crack_force",
+        "J": "energy",
+        "Pa m^0.5": "K_max K_min delta_K_effective K_II_max",
+    }.items()
+    for name in names.split()
+}
 """Units of the entries of ``to_dict``; all others have none."""
 
 

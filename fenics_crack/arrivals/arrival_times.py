@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -24,8 +24,6 @@ from fenics_crack.table import RPM, TURN, Tabular, counted
 
 __all__ = ["MOST_PASSAGES", "ArrivalTimes", "check_probes", "read_record"]
 
-UNITS = {"angle": "rad", "mark": "s", "next_mark": "s", "arrival": "s", "displacement": "m"}
-UNITS |= {"speed": "rad/s", "tip_radius": "m"}
 COLUMNS = ("revolution", "angle [rad]", "mark [s]", "next_mark [s]", "arrival [s]")
 """What a CSV file must have."""
 STEADY = 1e-2
@@ -211,9 +209,6 @@ class ArrivalTimes(Tabular):
             "speed": np.repeat(self.speed, probes).tolist(),
             "tip_radius": [float(self.tip_radius)] * self.time.size,
         }
-
-    def _units(self) -> Mapping[str, str]:
-        return UNITS
 
     def _title(self) -> str:
         speed, missing = self.speed, int(np.isnan(self.time).sum())

@@ -22,7 +22,6 @@ __all__ = [
     "LARGER",
     "MISFIT",
     "ORDERS",
-    "UNITS",
     "Candidates",
     "TipFit",
     "condition",
@@ -32,9 +31,6 @@ __all__ = [
     "wanted",
 ]
 
-UNITS = {"omega": "rad/s", "frequency": "Hz", "phase": "rad", "residual": "m"}
-UNITS |= {"amplitude": "m", "amplitude_error": "m", "frequency_error": "Hz"}
-UNITS |= {"speed": "rad/s", "rpm": "rpm"}
 ORDERS = range(1, 25)
 """Engine orders that are tried where none are given."""
 MISFIT = 0.001
@@ -85,7 +81,7 @@ class Candidates(Tabular):
         }
 
     def _units(self) -> Mapping[str, str]:
-        return UNITS
+        return {"residual": "m"}
 
     def _title(self) -> str:
         counts = f"{int(self.alike.sum())} alike, {int(self.hidden.sum())} hidden"
@@ -245,9 +241,6 @@ class TipFit(Tabular):
             "phase": np.concatenate([[0.0], np.arctan2(sines, cosines)]).tolist(),
         }
         return with_frequency(values)
-
-    def _units(self) -> Mapping[str, str]:
-        return UNITS
 
     def _title(self) -> str:
         parts = [f"order {self.order:.6g}, {self.omega:.6g} rad/s"]

@@ -24,7 +24,7 @@ errors are those of :mod:`fenics_crack.arrivals.robust`. The envelope is the ave
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,7 +33,7 @@ from scipy.linalg import block_diag
 
 from fenics_crack.arrivals.arrival_times import FEWEST_REVOLUTIONS, ArrivalTimes
 from fenics_crack.arrivals.fit_frequency import LOWEST, find_lines
-from fenics_crack.arrivals.harmonics import AS_GOOD, ORDERS, UNITS, TipFit, rounding, wanted
+from fenics_crack.arrivals.harmonics import AS_GOOD, ORDERS, TipFit, rounding, wanted
 from fenics_crack.arrivals.robust import FREEDOMS, ROBUST_ROUNDS, ROBUST_SETTLED, SEEN, reweighted
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.table import RPM, TURN, Tabular, quantity
@@ -395,9 +395,6 @@ class PassageFit(Tabular):
             "steady_bias": self.steady_bias,
             "whiteness": self.whiteness,
         }
-
-    def _units(self) -> Mapping[str, str]:
-        return UNITS
 
     def _title(self) -> str:
         parts = [f"order {self.order:g}, {self.speed / RPM:.6g} rpm"]

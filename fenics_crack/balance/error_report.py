@@ -107,6 +107,9 @@ class ErrorReport(Described):
         """All of them by their names, and the total."""
         return {**asdict(self), "total": self.total}
 
+    def _units(self) -> dict[str, str]:
+        return {}  # relative
+
     def _title(self) -> str:
         return ", ".join(
             f"{name} {value:.2g}" + (" (unknown)" if value >= UNKNOWN else "")

@@ -11,7 +11,7 @@ import numpy as np
 
 from fenics_crack.arrivals.arrival_times import read_record
 from fenics_crack.arrivals.fit_order import TipTrack
-from fenics_crack.arrivals.harmonics import ORDERS, UNITS, TipFit
+from fenics_crack.arrivals.harmonics import ORDERS, TipFit
 from fenics_crack.arrivals.passages import PassageFit, find_passages
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import Account, in_one_unit, of_error, of_stability
@@ -24,7 +24,7 @@ from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import TipTiming
 from fenics_crack.study.timing import arrivals_of, vibration_in
-from fenics_crack.table import RPM, TURN, Table, counted, quantity, speed_axis
+from fenics_crack.table import RPM, TURN, UNITS, Table, counted, quantity, speed_axis
 
 __all__ = ["timing"]
 

@@ -13,13 +13,12 @@ clearance keeps this, as its response is proportional to the load.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from fenics_crack.table import UNITS, Described, quantity, with_frequency
+from fenics_crack.table import Described, quantity, with_frequency
 
 __all__ = ["Peak", "top_and_damping"]
 
@@ -70,9 +69,6 @@ class Peak(Described):
     def to_dict(self) -> dict[str, Any]:
         """The attributes, and the frequency [Hz]."""
         return with_frequency(dict(vars(self)))
-
-    def _units(self) -> Mapping[str, str]:
-        return UNITS | {"amplitude": "m"}
 
     def _title(self) -> str:
         width = "no half-power width" if math.isnan(self.damping) else f"damping {self.damping:.3g}"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar
@@ -127,12 +126,6 @@ class Growth(Tabular):
         if self.repeats is not None:
             found = {"repeats": self.repeats} | found
         return with_frequency({name: values.tolist() for name, values in found.items()})
-
-    def _units(self) -> Mapping[str, str]:
-        units = {"time": "s", "crack_length": "m", "rate": "m/cycle", "omega": "rad/s"}
-        units |= {"omega_open": "rad/s", "omega_bilinear": "rad/s", "frequency": "Hz"}
-        tips = ("K_max", "K_min", "delta_K_effective", "K_II_max")
-        return units | {"response": "m"} | dict.fromkeys(tips, "Pa m^0.5")
 
     def _title(self) -> str:
         ends = f"{self.length[0]:.4g} to {self.length[-1]:.4g} m"

@@ -379,9 +379,6 @@ class Measurements(Tabular):
             found[name] = ["" if math.isnan(one) else one for one in found[name]]
         return found
 
-    def _units(self) -> Mapping[str, str]:
-        return {"frequency": "Hz", "phase": "rad"}
-
     def _title(self) -> str:
         natural = sum(row.natural for row in self.rows)
         parts = [(natural, "natural frequencies"), (len(self) - natural, "at loads")]

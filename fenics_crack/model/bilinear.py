@@ -77,9 +77,6 @@ class BilinearFrequencies(Tabular):
             "omega_bilinear": self.omega_bilinear.tolist(),
         }
 
-    def _units(self) -> dict[str, str]:
-        return dict.fromkeys(("omega_open", "omega_tied", "omega_bilinear"), "rad/s")
-
     def _title(self) -> str:
         first = f"first {self.omega_open[0]:.6g} open, {self.omega_tied[0]:.6g} rad/s tied"
         return f"{counted(len(self.omega_open), 'mode')}, {first}"

@@ -29,7 +29,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import check_scene
 from fenics_crack.study.key_figures import damping_ratios
-from fenics_crack.table import RPM, UNITS, Tabular, counted, with_frequency
+from fenics_crack.table import RPM, Tabular, counted, with_frequency
 
 __all__ = ["STATES", "Campbell", "campbell"]
 
@@ -141,12 +141,6 @@ class Campbell(Tabular):
             found[f"omega_{kind}"] = omega.tolist()
             found[f"frequency_{kind}"] = (omega / (2.0 * np.pi)).tolist()
         return with_frequency(found)
-
-    def _units(self) -> dict[str, str]:
-        found = {**UNITS}
-        for kind in KINDS:
-            found |= {f"omega_{kind}": "rad/s", f"frequency_{kind}": "Hz"}
-        return found
 
     def _title(self) -> str:
         span = f"speed {self.speed[0]:.6g} to {self.speed[-1]:.6g} rad/s"

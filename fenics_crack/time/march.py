@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time as clock
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -211,9 +211,6 @@ class TimeHistory(Tabular):
             found["opening"] = np.maximum(0.0, -self.gap.min(axis=1))
             found["contact_force"] = self.contact_force.max(axis=1)
         return {name: column.tolist() for name, column in found.items()}
-
-    def _units(self) -> Mapping[str, str]:
-        return {"time": "s", "displacement": "m", "opening": "m", "contact_force": "N"}
 
     def _title(self) -> str:
         periods = counted(self.periods, "period")
