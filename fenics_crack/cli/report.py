@@ -14,7 +14,6 @@ import tempfile
 from argparse import Namespace
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from importlib import resources
 from pathlib import Path
 from string import Template
 
@@ -37,7 +36,7 @@ from fenics_crack.scene.words import (
 )
 from fenics_crack.study.run import Run
 from fenics_crack.table import Table
-from fenics_crack.version import VERSION
+from fenics_crack.version import VERSION, packaged
 from fenics_crack.whole import write_whole
 
 __all__ = ["report"]
@@ -193,7 +192,7 @@ def _made(path: Path) -> str:
 def page(title: str, under: str, blocks: Sequence[str]) -> str:
     """A whole page."""
     words = {"title": html.escape(title), "under": html.escape(under)}
-    whole = resources.files("fenics_crack.cli").joinpath("report.html").read_text("utf-8")
+    whole = packaged("cli/report.html")
     return Template(whole).substitute(words, body="\n".join(blocks))
 
 

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection
-from importlib import resources
+
+from fenics_crack.version import packaged
 
 __all__ = ["KINDS", "lines_of", "measured", "scene", "solid"]
 
+COMMENTED = "cli/new_scene.toml"
 KINDS = ("blade", "timing", "identify")
 """What ``new`` writes besides a plate."""
 ASKED_FOR = ("curve", "growth", "identify", "rotation", "sweep", "tip_timing")
@@ -22,7 +24,8 @@ def scene(name: str, rows: str, kinds: Collection[str]) -> str:
     """The scene of some :data:`KINDS`, written under a name, beside a file of measurements."""
     marks = [f"(--{kind})" for kind in {*kinds, *(["blade"] if "timing" in kinds else [])}]
     lines = (
-        _turned(line) if line.endswith(tuple(marks)) else line for line in _template().splitlines()
+        _turned(line) if line.endswith(tuple(marks)) else line
+        for line in packaged("cli/new_scene.toml").splitlines()
     )
     whole = "\n".join([*map(_without_mark, lines), ""])
     return whole.replace("SCENE", name).replace("MEASURED", rows)
@@ -30,19 +33,19 @@ def scene(name: str, rows: str, kinds: Collection[str]) -> str:
 
 def solid(name: str) -> str:
     """The scene of a solid, written under a name."""
-    return _template("new_solid.toml").replace("SCENE", name)
+    return packaged("cli/new_solid.toml").replace("SCENE", name)
 
 
 def measured() -> str:
     """Measurements of the plate: a CSV file for ``identify``."""
-    return resources.files("fenics_crack.cli").joinpath("new_measured.csv").read_text("utf-8")
+    return packaged("cli/new_measured.csv")
 
 
 def lines_of(table: str) -> str:
     """The lines by which the template gives a scene a table of :data:`ASKED_FOR`; else empty."""
     if table not in ASKED_FOR:
         return ""
-    for block in _template().split("\n\n"):
+    for block in packaged(COMMENTED).split("\n\n"):
         lines = block.splitlines()
         for place, line in enumerate(lines):
             if line.removeprefix("# ").startswith((f"[{table}]", f"[{table}.")):
@@ -50,10 +53,6 @@ def lines_of(table: str) -> str:
                 chosen = (one for one in lines[place:] if one.startswith("#") == asleep)
                 return "\n".join(_without_mark(_turned(one) if asleep else one) for one in chosen)
     raise KeyError(table)
-
-
-def _template(name: str = "new_scene.toml") -> str:
-    return resources.files("fenics_crack.cli").joinpath(name).read_text("utf-8")
 
 
 def _without_mark(line: str) -> str:

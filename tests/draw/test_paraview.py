@@ -14,8 +14,9 @@ from matplotlib.image import imread
 
 import fenics_crack as fc
 from fenics_crack.draw import animation
-from fenics_crack.draw.paraview import PeriodFields, moved_grid, nodal_stress, von_mises
+from fenics_crack.draw.paraview import PeriodFields
 from fenics_crack.draw.solid import off_screen_plotter
+from fenics_crack.draw.stresses import moved_grid, nodal_stress, von_mises
 from fenics_crack.fem.nodal_mesh import NodalMesh
 
 
