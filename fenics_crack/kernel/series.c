@@ -31,39 +31,34 @@ WIDE void add_rows(int count, int n, const double *restrict rows, const double *
         for (int i = 0; i < n; i++) sum[i] += weights[k] * rows[i];
 }
 
-/* Of `count` functions at once, as many as a processor finishes while it waits for the first. */
-static inline __attribute__((always_inline)) void
-some_at(int count, int n, int order, const double *restrict row, double time,
-        double *restrict value, double *restrict slope)
-{
-    double v[4 * BLOCK] = {0.0}, d[4 * BLOCK] = {0.0};
-    row += (long)order * n;
-    for (int k = order; k >= 0; k--, row -= n)
-        for (int i = 0; i < count; i++) {
-            d[i] = d[i] * time + v[i];
-            v[i] = v[i] * time + row[i];
-        }
-    memcpy(value, v, (size_t)count * sizeof(double));
-    memcpy(slope, d, (size_t)count * sizeof(double));
-}
+typedef double block __attribute__((vector_size(BLOCK * sizeof(double))));
 
-/* The same of all in turn; the last ones overlap those before. */
-static inline __attribute__((always_inline)) void
-all_at(int count, int n, int order, const double *terms, double time, double *value, double *slope)
+/* Four blocks of functions at once: a processor works on the others while it waits for the first.
+ * Those behind the last function are the last block once more. */
+WIDE void series_at(int n, int order, const double *restrict terms, double time,
+                    double *restrict value, double *restrict slope)
 {
-    for (int i = 0; i < n; i += count) {
-        const int at = i + count <= n ? i : n - count;
-        some_at(count, n, order, terms + at, time, value + at, slope + at);
+    if (n < BLOCK) {
+        for (int i = 0; i < n; i++) value[i] = column_at(n, order, terms, i, 0, time, slope + i);
+        return;
     }
-}
-
-WIDE void series_at(int n, int order, const double *terms, double time, double *value,
-                    double *slope)
-{
-    if (n >= 4 * BLOCK) all_at(4 * BLOCK, n, order, terms, time, value, slope);
-    else if (n >= 2 * BLOCK) all_at(2 * BLOCK, n, order, terms, time, value, slope);
-    else if (n >= BLOCK) all_at(BLOCK, n, order, terms, time, value, slope);
-    else some_at(n, n, order, terms, time, value, slope);
+    for (int first = 0; first < n; first += 4 * BLOCK) {
+        block v[4] = {{0.0}}, d[4] = {{0.0}}, term;
+        int at[4];
+        for (int j = 0; j < 4; j++)
+            at[j] = first + (j + 1) * BLOCK <= n ? first + j * BLOCK : n - BLOCK;
+        const double *row = terms + (long)order * n;
+        for (int k = order; k >= 0; k--, row -= n)
+            for (int j = 0; j < 4; j++) {
+                memcpy(&term, row + at[j], sizeof term);
+                d[j] = d[j] * time + v[j];
+                v[j] = v[j] * time + term;
+            }
+        for (int j = 0; j < 4; j++) {
+            memcpy(value + at[j], v + j, sizeof term);
+            memcpy(slope + at[j], d + j, sizeof term);
+        }
+    }
 }
 
 WIDE void series_at_times(int n, int order, const double *restrict terms,
