@@ -148,14 +148,15 @@ print(PETSc.Sys.isInitialized(), MPI.Query_thread() == MPI.THREAD_MULTIPLE)
     assert fresh(program) == "True True"
 
 
-def test_own_matrices_need_no_meshes_and_no_pictures() -> None:
-    """From matrices to a curve, a motion in time and a file, with those imports blocked."""
-    program = f"""
+def chain_without(blocked: tuple[str, ...]) -> str:
+    """The beginning of a program that may not import some libraries: a chain of one's own matrices,
+    and its solution."""
+    return f"""
 import sys, tempfile
 
 class Blocked:
     def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] in {HEAVY}:
+        if name.split(".")[0] in {blocked}:
             raise ImportError(name + " is blocked")
 
 sys.meta_path.insert(0, Blocked())
@@ -171,6 +172,12 @@ whole = fc.Structure.from_matrices(
 )
 structure, law = fc.reduce_structure(whole, modes=6), fc.UnilateralPenalty(2.0)
 solution = fc.solve_harmonic_balance(structure, 0.3, law, harmonics=7)
+"""
+
+
+def test_own_matrices_need_no_meshes_and_no_pictures() -> None:
+    """From matrices to a curve, a motion in time and a file, with those imports blocked."""
+    program = f"""{chain_without(HEAVY)}
 assert fc.floquet(structure, solution).verdict == "stable"
 curve = fc.continue_frequency(structure, 0.3, 0.31, law, harmonics=5)
 history = fc.integrate_events(structure, 0.3, law, periods=3)
@@ -182,3 +189,37 @@ with tempfile.TemporaryDirectory() as folder:
 print("done")
 """
     assert fresh(program) == "done"
+
+
+def test_pictures_of_own_matrices_need_no_meshes() -> None:
+    """Spectra, orbits and curves come without DOLFINx and VTK; files for ParaView, which want
+    a mesh, are refused without DOLFINx."""
+    libraries = ("dolfinx", "ufl", "basix", "ffcx", "gmsh", "pyvista")
+    program = f"""{chain_without(libraries)}
+fc.draw_spectrum(solution)
+fc.draw_orbits(solution)
+fc.draw_curve(fc.continue_frequency(structure, 0.3, 0.31, law, harmonics=5), n - 1)
+assert "vtkmodules" not in sys.modules
+with tempfile.TemporaryDirectory() as folder:
+    try:
+        fc.write_period(solution, f"{{folder}}/period.pvd")
+    except fc.InputError as error:
+        print(error)
+"""
+    assert fresh(program) == "structure = 'made from matrices': must be made from a mesh"
+
+
+def test_plates_are_drawn_without_pyvista() -> None:
+    """It takes as long to load as a GIF of a plate takes: solids and windows alone need it."""
+    program = f"""
+import sys, tempfile
+import fenics_crack as fc
+scene = fc.Scene.load({str(DEMOS / "paper_plate.toml")!r})
+plate = fc.build_structure(scene.replace({{"mesh.columns": 4, "mesh.rows": 4}}))
+solution = fc.solve_linear(plate, 2000.0)
+with tempfile.TemporaryDirectory() as folder:
+    fc.write_period(solution, f"{{folder}}/period.pvd", frames=2, material=scene.material)
+    fc.animate_period(solution, f"{{folder}}/period.gif", frames=2, material=scene.material)
+print([name for name in ("pyvista", "matplotlib.pyplot") if name in sys.modules])
+"""
+    assert fresh(program) == "[]"
