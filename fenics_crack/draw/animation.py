@@ -60,6 +60,8 @@ PAGE = (640, 740)
 """Width and height [pixels]."""
 PLATE = (6, 92, 532, 444)
 """Its place on the page: left, top, width and height [pixels]."""
+MARGIN = 10
+"""Beside the plate, for its lines and dots, at least [pixels]."""
 LABEL_LETTERS = 17
 """Of a line of the label beside the wave, for which the page has room."""
 OVERSAMPLING = 2
@@ -355,7 +357,9 @@ def _write(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> None
     window.SetSize(OVERSAMPLING * PLATE[2], OVERSAMPLING * PLATE[3])
     window.AddRenderer(renderer)
     plate = _Plate(renderer, fields)
-    _look_at_all(renderer, fields)
+    across = _look_at_all(renderer, fields)
+    aside = max(0, int(0.5 * (PLATE[2] - across * PLATE[3])) - MARGIN)  # where nothing is drawn
+    window.SetSize(OVERSAMPLING * (PLATE[2] - 2 * aside), OVERSAMPLING * PLATE[3])
     page = _Page(solution, fields, plate.colours)
     pictures = []
     for frame in range(len(fields.time)):
@@ -395,21 +399,25 @@ def _image_of(window: vtkRenderWindow) -> Image.Image:
     return Image.frombytes("RGB", (width, height), bytes(pixels), *from_below)
 
 
-def _look_at_all(renderer: vtkRenderer, fields: PeriodFields, room: float = 1.03) -> None:
-    """Set the camera so that the plate stays in the picture for the whole period."""
+def _look_at_all(renderer: vtkRenderer, fields: PeriodFields, room: float = 1.03) -> float:
+    """Set the camera so that the plate stays in the picture for the whole period; return the width
+    that it takes, relative to the height of the picture."""
     moved = fields.mesh.points + fields.magnification * fields.displacement
+    width, height = renderer.GetVTKWindow().GetSize()
     if fields.mesh.dimension == 3:
         look_from_corner(renderer, fields.mesh.points)
-        return
+        return float(width / height)
     heads = np.add(*_load_arrows(fields)) if np.any(fields.load) else np.empty((0, 2))
     points = np.concatenate([fields.mesh.points, *moved, heads])
     low, high = points.min(axis=0), points.max(axis=0)
     size, camera = fields.mesh.size, seen_parallel(renderer)
-    middle, (width, height) = 0.5 * (low + high), renderer.GetVTKWindow().GetSize()
+    middle, (across, up) = 0.5 * (low + high), high - low
+    seen = room * max(up, across * height / width)
     camera.SetFocalPoint(*middle, 0.0)
     camera.SetPosition(*middle, 10.0 * size)
-    camera.SetParallelScale(0.5 * room * max(high[1] - low[1], (high[0] - low[0]) * height / width))
+    camera.SetParallelScale(0.5 * seen)
     camera.SetClippingRange(size, 20.0 * size)
+    return float(across / seen)
 
 
 def _draw_bar(figure: Figure, place: tuple[float, float, float, float], colours: _Colours) -> None:
@@ -449,7 +457,8 @@ class _Page:
         for artist in (self.line, self.dot, self.text):
             self.figure.draw_artist(artist)
         page = Image.fromarray(np.asarray(self.canvas.buffer_rgba())).convert("RGB")
-        page.paste(plate.reduce(OVERSAMPLING), PLATE[:2])
+        plate = plate.reduce(OVERSAMPLING)
+        page.paste(plate, (PLATE[0] + (PLATE[2] - plate.width) // 2, PLATE[1]))
         return page
 
     def _legend(self, fields: PeriodFields) -> None:
