@@ -104,7 +104,7 @@ WIDE static void expand(flow *f, const closed_set *a, const double *force, const
                         double length, const double *state)
 {
     const int m = f->of.modes, size = a->size;
-    const double *restrict squares = f->of.squares, *restrict damping = f->of.damping;
+    const double *restrict squares = f->of.squares;
     const double *restrict cosine = f->pulled + m, *restrict sine = cosine + m;
     double *restrict seen = f->seen, *restrict drag = f->drag;
     pull(f, a, force, gap);
@@ -113,24 +113,21 @@ WIDE static void expand(flow *f, const closed_set *a, const double *force, const
     for (int n = 0; n + 2 <= f->order; n++) {
         const double *restrict now = f->series + (long)n * m, *restrict rate = now + m;
         double *restrict next = f->series + (long)(n + 2) * m;
-        const double *w = f->weights + n * LOAD, c = w[1], s = w[2];
         const double gain = length * length / ((n + 1) * (n + 2)), loss = length / (n + 2);
-        for (int j = 0; j < m; j++) next[j] = c * cosine[j] + s * sine[j] - squares[j] * now[j];
-        if (w[0] != 0.0) add_rows(1, m, f->pulled, w, next);
+        const double *w = f->weights + n * LOAD, mean = gain * w[0], c = gain * w[1], s = gain * w[2];
+        damp(f, rate, drag);
+        for (int j = 0; j < m; j++)
+            next[j] = c * cosine[j] + s * sine[j] - gain * squares[j] * now[j] - loss * drag[j];
+        if (mean != 0.0) add_rows(1, m, f->pulled, &mean, next);
         if (a->stiffness) {
-            for (int j = 0; j < m; j++) drag[j] = -now[j];
+            for (int j = 0; j < m; j++) drag[j] = -gain * now[j];
             add_rows(m, m, a->stiffness, drag, next);
         } else if (size) {
             memset(seen, 0, bytes(size));
             add_rows(m, size, a->pairs, now, seen);
-            for (int i = 0; i < size; i++) seen[i] = -seen[i];
+            for (int i = 0; i < size; i++) seen[i] *= -gain;
             add_rows(size, m, a->pushed, seen, next);
         }
-        if (f->of.coupled) {
-            multiply(m, m, damping, rate, drag);
-            for (int j = 0; j < m; j++) next[j] = gain * next[j] - loss * drag[j];
-        } else
-            for (int j = 0; j < m; j++) next[j] = gain * next[j] - loss * damping[j] * rate[j];
     }
 }
 
