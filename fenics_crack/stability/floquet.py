@@ -5,9 +5,9 @@ within the unit circle (:mod:`fenics_crack.motion.orbit`); :func:`shoot` finds t
 It is the orbit that the solution's error was found by (:mod:`fenics_crack.balance.judgement`),
 which says whether it is the solution's own.
 
-Laws that are not linear in contact have no exact flow. Their verdict is that of the leading
-multiplier of the linear flow (:mod:`fenics_crack.stability.waves`) along the wave with twice the
-harmonics, if the wave's error is small.
+Laws that are not linear in contact have no exact flow. Their verdict is that of the root of Hill's
+determinant (:mod:`fenics_crack.stability.waves`) next to the leading multiplier of the linear flow
+along the wave, if the wave's error is small.
 
 Source: Leine and Nijmeijer, Dynamics and Bifurcations of Non-Smooth Mechanical Systems, 2004,
 chapter 7.
@@ -21,8 +21,7 @@ import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.judgement import BELIEVED, UNKNOWN, Judgement
-from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import PeriodicSolution, Solver, Stability
+from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.errors import ConvergenceError, InputError, check_count
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
 from fenics_crack.model.modal import all_modes, is_small
@@ -30,7 +29,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import exact_flow
 from fenics_crack.motion.orbit import FORMED, KNOWN, PeriodicOrbit, eigenvalues, find_orbit
 from fenics_crack.motion.shooting import LATER, FlowOrbits, in_the_long_run, orbit_next_to
-from fenics_crack.stability.waves import monodromy
+from fenics_crack.stability.waves import hill_root, monodromy
 from fenics_crack.time.march import initial_state
 
 __all__ = [
@@ -168,8 +167,8 @@ def floquet(
 
     Notes
     -----
-    Source: Leine and Nijmeijer, Dynamics and Bifurcations of Non-Smooth Mechanical Systems, 2004,
-    chapter 7.
+    Sources: Leine and Nijmeijer, Dynamics and Bifurcations of Non-Smooth Mechanical Systems, 2004,
+    chapter 7; Lazarus and Thomas, Comptes Rendus Mecanique 338 (2010) 510-517.
 
     Examples
     --------
@@ -186,7 +185,7 @@ def floquet(
     if judged.flow is None:
         if is_rigid(contact) or not is_small(structure):
             exact_flow(structure, contact)  # says what is missing
-        return _along_waves(structure, solution, contact)
+        return _by_hill(structure, solution, contact)
     if not refine:
         return _along_the_wave(judged, "the multipliers of a wave, without its orbit")
     found = stability_of(judged)
@@ -239,46 +238,27 @@ def _along_the_wave(judged: Judgement, reason: str) -> Stability:
     return Stability(values, "undecided", np.nan, reason=reason)
 
 
-def _along_waves(
-    structure: Structure, solution: PeriodicSolution, contact: ContactLaw
-) -> Stability:
-    """By the leading multiplier of the flow along the wave with twice the harmonics; how far that
-    of the wave itself is from it is the uncertainty."""
-    values, largest = np.full(2 * len(all_modes(structure).squares), np.nan + 0j), np.nan
-    reason, left_out = "", solution.report.truncation
+def _by_hill(structure: Structure, solution: PeriodicSolution, contact: ContactLaw) -> Stability:
+    """By the root of Hill's determinant next to the leading multiplier of the flow along the wave;
+    how far these are apart is the uncertainty."""
+    gap, above = solution.slow_gap_coefficients, solution.static_above
     try:
-        values = _multipliers(structure, solution, contact)
-        finer = _with_twice_the_harmonics(structure, solution, contact)
-        largest = abs(_multipliers(structure, finer, contact)[0])
+        values = eigenvalues(monodromy(structure, contact, gap, solution.base_omega, above))
     except ConvergenceError as error:
-        reason = str(error)
-    off = float(abs(largest - abs(values[0])))
-    if not reason and left_out >= UNKNOWN:
-        reason = "the solution's error is not known"
-    elif not reason and left_out > LARGE_ERROR:
-        reason = f"the harmonics left out change it by {left_out:.0%}; take more"
-    elif abs(largest - 1.0) <= max(KNOWN, off):
+        unknown = np.full(2 * len(all_modes(structure).squares), np.nan + 0j)
+        return Stability(unknown, "undecided", np.nan, reason=str(error))
+    root = abs(hill_root(structure, solution, contact, values[0]))
+    off = float(abs(root - abs(values[0])))
+    verdict, reason = "stable" if root < 1.0 else "unstable", ""
+    if not np.isfinite(off):
+        reason = "Hill's determinant has no root next to the wave's multiplier"
+    elif abs(root - 1.0) <= max(KNOWN, off):
         reason = "its largest multiplier is 1 within its uncertainty"
-    verdict = "undecided" if reason else "stable" if largest < 1.0 else "unstable"
+    elif solution.report.truncation >= UNKNOWN:
+        reason = "the solution's error is not known"
+    elif solution.report.truncation > LARGE_ERROR:
+        left_out = solution.report.truncation
+        reason = f"the harmonics left out change it by {left_out:.0%}; take more"
+    if reason:
+        verdict = "undecided"
     return Stability(values, verdict, off, reason=reason)
-
-
-def _multipliers(structure: Structure, wave: PeriodicSolution, contact: ContactLaw) -> np.ndarray:
-    gap, above = wave.slow_gap_coefficients, wave.static_above
-    return eigenvalues(monodromy(structure, contact, gap, wave.base_omega, above))
-
-
-def _with_twice_the_harmonics(
-    structure: Structure, solution: PeriodicSolution, contact: ContactLaw
-) -> PeriodicSolution:
-    """The wave next to a solution; ConvergenceError where there is none."""
-    if not structure.n_pairs:
-        return solution
-    problem = Problem(
-        structure, solution.omega, contact, 2 * solution.harmonics,
-        subharmonic=solution.subharmonic,
-    )  # fmt: skip
-    found = Solver(problem).attempt(solution, patient=False, reported=False)[1]
-    if not found.converged:
-        raise ConvergenceError("with twice the harmonics no solution is found next to it")
-    return found

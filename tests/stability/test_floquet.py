@@ -28,7 +28,7 @@ BLADE = Path(__file__).parents[2] / "demos" / "blade.toml"
 
 @pytest.mark.verification
 def test_multiplier_of_the_unstable_orbit() -> None:
-    """Bilinear oscillator at W = 2 w0: multiplier -1.23694."""
+    """Bilinear oscillator at W = 2 w0: multiplier -1.23694; Hill's determinant agrees."""
     structure, law = oscillator(), fc.UnilateralPenalty(1.0)
     solution = fc.solve_harmonic_balance(structure, 2.0 * OMEGA_0, law, harmonics=20)
     found = floquet(structure, solution, law)
