@@ -155,7 +155,7 @@ def advice(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> list[str]:
         modes = ", ".join(map(str, missing))
         what = f"natural frequencies {modes} before there was a crack (frequency_uncracked)"
         left = _left_with(likelihood, x, more)
-        found.append(f"{what}, to {BASELINE:.1%}: {_gained(_left_with(likelihood, x, ()), left)}")
+        found.append(f"{what}, to {BASELINE:.1%}: {_gained(worth.now, left)}")
     if worth.measurements:
         left = {key: float(values[0]) for key, values in worth.deviations.items()}
         found.append(f"{worth.measurements[0].words}: {_gained(worth.now, left)}")

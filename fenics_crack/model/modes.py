@@ -34,6 +34,7 @@ __all__ = [
     "DampedModes",
     "Modes",
     "check_damped_modes",
+    "count_below",
     "damped_modes",
     "damped_range",
     "damping_in",
@@ -191,7 +192,7 @@ def modes_by(factor: Factor, structure: Structure, count: int, ties: Any = None)
         # A Krylov space holds one mode of a multiple frequency until rounding brings in the
         # others. So count the frequencies below the highest one; if some are missing, ask for more.
         bound = squares[count - 1] - 1e-6 * max(squares[count - 1], 0.01 * scale)
-        if asked == most or _count_below(structure, bound, ties) <= np.sum(squares < bound):
+        if asked == most or count_below(structure, bound, ties) <= np.sum(squares < bound):
             break
         asked = min(2 * asked + 2, most)
     squares[squares <= AS_ZERO * max(np.max(quotients), scale)] = 0.0
@@ -289,7 +290,7 @@ def _krylov(
     return squares[order], shapes.T
 
 
-def _count_below(structure: Structure, square: float, ties: Any) -> int:
+def count_below(structure: Structure, square: float, ties: Any = None) -> int:
     """Number of modes with omega^2 < square: the negative pivots of K - square M (Sylvester)."""
     with factored_sum(structure.stiffness, -square, structure.mass, border=ties) as factor:
         return int(factor.negative_pivots)

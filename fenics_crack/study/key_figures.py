@@ -21,8 +21,9 @@ import numpy as np
 from fenics_crack.model.bilinear import BilinearFrequencies, tied_frequencies
 from fenics_crack.model.coupled import solve_complementarity
 from fenics_crack.model.damping import ModalDamping, RayleighDamping
-from fenics_crack.model.factor import Factor, factored_sum
-from fenics_crack.model.modes import Modes, check_damped_modes, modes_by, times
+from fenics_crack.model.factor import Factor
+from fenics_crack.model.modes import Modes, check_damped_modes, count_below, modes_by, times
+from fenics_crack.model.reduced import ResidualFlexibility
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
@@ -172,7 +173,7 @@ def find_key_figures(study: Study) -> KeyFigures:
         gap_motion=moved,
         closed=int(closed.sum()),
         breathes=breathes,
-        modes_below=_count_below(whole, highest_omega(scene)) if crack else 0,
+        modes_below=count_below(whole, highest_omega(scene) ** 2) if crack else 0,
         modes_kept=kept,
     )
 
@@ -180,12 +181,9 @@ def find_key_figures(study: Study) -> KeyFigures:
 def _static(factor: Factor, modes: Modes, forces: np.ndarray) -> np.ndarray:
     """Static responses to forces (m, n_local); of a structure that can move as a
     rigid body the deformation alone, as it accelerates."""
-    free = modes.shapes[:, modes.omega == 0.0]
-    if not free.size:
-        return factor.solve(forces)
-    whole, inertia = modes.structure, times(modes.structure.mass, free)
-    found = factor.solve(forces - whole.sum_over_ranks(forces @ free) @ inertia.T)
-    return np.asarray(found - whole.sum_over_ranks(found @ inertia) @ free.T)
+    whole, free = modes.structure, modes.shapes[:, modes.omega == 0.0]
+    left = ResidualFlexibility(whole, free, np.zeros(free.shape[1]), whole.gap)
+    return left.solve(factor, forces) if free.size else factor.solve(forces)
 
 
 def _stiffening(whole: Structure, shape: np.ndarray) -> float:
@@ -234,12 +232,6 @@ def _dynamic_part(natural: np.ndarray, ratios: np.ndarray, omega: float) -> np.n
     below = squares - omega**2 + 2j * ratios * natural * omega
     static = np.divide(1.0, squares, out=np.zeros_like(squares), where=squares > 0.0)
     return 1.0 / np.where(below == 0.0, 1e-12 * squares, below) - static
-
-
-def _count_below(whole: Structure, omega: float) -> int:
-    """How many natural frequencies are below one: the negative pivots of K - w^2 M (Sylvester)."""
-    with factored_sum(whole.stiffness, -(omega**2), whole.mass) as factor:
-        return factor.negative_pivots
 
 
 # --- the frequencies that a scene asks for --------------------------------------------------------
