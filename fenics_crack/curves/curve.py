@@ -279,7 +279,7 @@ class _Waves(Tabular):
         ]
 
     @cached_property
-    def _seen(self) -> dict[int | None, tuple[np.ndarray, np.ndarray]]:
+    def _seen(self) -> dict[int, tuple[np.ndarray, np.ndarray]]:
         """Coefficients and half peak-to-peak values of dofs once they are known."""
         return {}
 
@@ -290,9 +290,10 @@ class _Waves(Tabular):
 
     def _seen_at(self, dofs: Sequence[int | None]) -> list[tuple[np.ndarray, np.ndarray]]:
         """Coefficients (n, 2H+1) and half peak-to-peak values (n,) [m] of some dofs."""
-        new = [dof for dof in dict.fromkeys(dofs) if dof not in self._seen]
+        structure = self.structure
+        asked = [structure.watched_dof if dof is None else dof for dof in dofs]
+        new = [dof for dof in dict.fromkeys(asked) if dof not in self._seen]
         if new:
-            structure = self.structure
             rows = structure.values_at(np.eye(structure.n_dofs), new).T  # u = T q
             seen = np.zeros((len(new), *self.unknowns.shape[:2]))
             sizes = np.zeros((len(new), len(self.omega)))
@@ -301,7 +302,7 @@ class _Waves(Tabular):
                 self._lips[index] = contact_extremes(gap, force, structure.pairs.cracks)
                 sizes[:, index] = np.ptp(motion, axis=0) / 2.0
             self._seen.update(zip(new, zip(seen, sizes, strict=True), strict=True))
-        return [self._seen[dof] for dof in dofs]
+        return [self._seen[dof] for dof in asked]
 
     def seen_through(
         self, rows: np.ndarray
