@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 # 700 by default: with what all tests have imported, to look through it takes 6 % of the time.
 gc.set_threshold(10_000)
+gc.disable()  # until all is collected
 # The same examples in every run; the first call of a form may compile for seconds.
 settings.register_profile("repeatable", derandomize=True, deadline=None, database=None)
 settings.load_profile("repeatable")
@@ -54,6 +55,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_finish() -> None:
     """What is imported and collected stays to the end: no garbage is looked for in it any more."""
     gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(autouse=True)
