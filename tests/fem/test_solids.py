@@ -59,8 +59,19 @@ def solid(crack: dict[str, Any] | None = None, **changes: Any) -> Scene:
 
 def frequencies(scene: Scene, count: int = 4) -> np.ndarray:
     """With open lips [Hz]."""
-    found: np.ndarray = fc.solve_modes(fc.build_structure(scene), count).omega / (2.0 * math.pi)
+    return frequencies_of(fc.build_structure(scene), count)
+
+
+def frequencies_of(structure: fc.Structure, count: int = 4) -> np.ndarray:
+    """Of a structure, with open lips [Hz]."""
+    found: np.ndarray = fc.solve_modes(structure, count).omega / (2.0 * math.pi)
     return found
+
+
+@pytest.fixture(scope="module")
+def fine() -> np.ndarray:
+    """Frequencies of the box with the through crack, on a fine mesh of the program's own."""
+    return frequencies(solid(THROUGH, **{"mesh.size": 0.006, "mesh.lip_elements": 4}), 3)
 
 
 # --- cracks ---------------------------------------------------------------------------------------
@@ -453,14 +464,12 @@ def of_file(path: Path) -> Scene:
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_mesh_files_are_split_at_their_crack(tmp_path: Path, order: int) -> None:
+def test_mesh_files_are_split_at_their_crack(tmp_path: Path, fine: np.ndarray, order: int) -> None:
     """Cells of first and second order; the frequencies are those of the box that is built in."""
     write_box(tmp_path / "box.msh", order)
-    scene = of_file(tmp_path / "box.msh")
-    structure = fc.build_structure(scene)
+    structure = fc.build_structure(of_file(tmp_path / "box.msh"))
     assert structure.n_pairs > 5
-    fine = frequencies(solid(THROUGH, **{"mesh.size": 0.006, "mesh.lip_elements": 4}), 3)
-    assert frequencies(scene, 3) == pytest.approx(fine, rel=0.015)
+    assert frequencies_of(structure, 3) == pytest.approx(fine, rel=0.015)
 
 
 @pytest.mark.parametrize("shape", [THROUGH, ELLIPSE], ids=["through", "ellipse"])
@@ -473,7 +482,7 @@ def test_a_mesh_that_is_written_is_read_again(tmp_path: Path, shape: dict[str, A
     assert read.pair_points == pytest.approx(own.pair_points, abs=1e-9)
     assert read.pair_areas == pytest.approx(own.pair_areas, rel=1e-9)
     assert read.watched_pairs == own.watched_pairs
-    assert frequencies(of_file(path)) == pytest.approx(frequencies(scene), rel=1e-9)
+    assert frequencies_of(read) == pytest.approx(frequencies_of(own), rel=1e-9)
     path.write_text(path.read_text().replace('"upper_lip"', '"other"'))
     with pytest.raises(InputError, match="one lip"):
         fc.build_structure(of_file(path))
@@ -537,14 +546,12 @@ def write_hexahedra(path: Path, *, incomplete: bool = False) -> None:
         gmsh.finalize()
 
 
-def test_hexahedra(tmp_path: Path) -> None:
+def test_hexahedra(tmp_path: Path, fine: np.ndarray) -> None:
     """They give the frequencies of tetrahedra; those with 20 nodes are refused, with the reason."""
     write_hexahedra(tmp_path / "box.msh")
     structure = fc.build_structure(of_file(tmp_path / "box.msh"))
     assert structure.n_pairs == 12  # four rows of three, those of the front left out
-    fine = frequencies(solid(THROUGH, **{"mesh.size": 0.006, "mesh.lip_elements": 4}), 3)
-    found = fc.solve_modes(structure, 3).omega / (2.0 * math.pi)
-    assert found == pytest.approx(fine, rel=0.01)
+    assert frequencies_of(structure, 3) == pytest.approx(fine, rel=0.01)
     write_hexahedra(tmp_path / "20.msh", incomplete=True)
     with pytest.raises(InputError, match=r"20 nodes.*negative at corners"):
         fc.build_structure(of_file(tmp_path / "20.msh"))
