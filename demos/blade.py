@@ -52,7 +52,7 @@ def main(output: Path = Path("output/blade"), *, quick: bool = False) -> dict[st
     seen = curve.indicators(tip)
     peak = int(np.argmax(seen.amplitude))
 
-    shares = closing_map(scene, output, *((3, 3) if quick else (7, 8)))
+    shares = closing_map(scene, output, *((2, 2) if quick else (7, 8)))
     track = probes_see(run, order, output, 300 if quick else 1500)
     tangential = track.amplitudes[:, 0].max() / scene.tip_timing.tangential
     found = {

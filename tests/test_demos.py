@@ -98,6 +98,7 @@ def test_sweep_over_two_ranks(on_ranks: Callable[..., str], tmp_path: Path) -> N
     assert (tmp_path / "table.csv").read_bytes() == before and (tmp_path / "map.png").exists()
 
 
+@pytest.mark.usefixtures("predicted_errors")
 def test_resonances(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The curves through the first resonance: peaks between the open and the uncracked one.
 
