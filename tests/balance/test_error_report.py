@@ -320,8 +320,8 @@ def test_tolerance_with_several_stiff_pairs(
     """8 pairs, stiffer than the plate by far, 2e-2: also then the true error is below."""
     reduced = fc.reduce_structure(large_plate, modes=60)
     found = fc.solve_harmonic_balance(reduced, 2000.0, contact, tolerance=2e-2)
-    exact = fc.solve_harmonic_balance(reduced, 2000.0, contact, harmonics=60, initial=found)
-    assert 1e-4 < true_error(found, exact) < 2e-2
+    exact = fc.solve_harmonic_balance(reduced, 2000.0, contact, harmonics=46, initial=found)
+    assert found.harmonics <= 23 and 1e-4 < true_error(found, exact) < 2e-2
 
 
 def test_tolerance_out_of_reach_is_an_error() -> None:
