@@ -76,7 +76,7 @@ def test_motion_that_leaves_its_orbit_is_not_called_stable() -> None:
     case = campaign.draw(75, 95, None, "ends")
     curve = campaign.followed(case)
     one, *_ = [b for b in curve.bifurcations if b.kind == "period_doubling" and b.confirmed]
-    branch = fc.follow_branch(curve, one, throw=False, stability=True, most_points=60)
+    branch = fc.follow_branch(curve, one, throw=False, stability=True, most_points=49)
     verdicts = {"stable": 0, "undecided": 0}
     for place in [*range(3, 7), *range(44, 49)]:
         verdict, solution = branch.verdicts[place], branch.solution(place)
