@@ -158,7 +158,7 @@ def write_box(path: Path, length: float) -> None:
                 name = "crack" if inside else "clamp"
                 model.setPhysicalName(2, model.addPhysicalGroup(2, [tag]), name)
         model.addPhysicalGroup(3, [1])
-        gmsh.option.setNumber("Mesh.MeshSizeMax", 0.008)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", 0.012)
         model.mesh.generate(3)
         gmsh.write(str(path))
     finally:
