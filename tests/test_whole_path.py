@@ -128,7 +128,7 @@ def assert_drawn(folder: Path, results: Path) -> None:
     names = ("modes", "solution", "curve", "sweep")
     given = [f"output/plate/{name}.h5" for name in names]
     page = results / "report.html"
-    assert main(["report", *given, *curves, "--output", str(page), "--quiet"]) == 0
+    assert main(["report", *given, curves[0], "--output", str(page), "--quiet"]) == 0
     text = page.read_text()
     embedded = re.findall(r"data:image/(?:png|gif);base64,([A-Za-z0-9+/=]+)", text)
     assert len(embedded) >= 10
@@ -186,6 +186,9 @@ def test_what_is_answered(folder: Path, capsys: pytest.CaptureFixture[str]) -> N
             with contextlib.suppress(SystemExit):
                 main(shlex.split(written)[1:])
             said = "".join(capsys.readouterr())
+            if written.startswith("fenics-crack new blade.toml"):
+                blade = fc.Scene.load("blade.toml").replace(coarse)
+                Path("blade.toml").write_text(blade.as_toml())
         else:
             with pytest.raises(AttributeError) as caught:
                 eval(written, dict(things))
