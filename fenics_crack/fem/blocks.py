@@ -88,8 +88,7 @@ def plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Sli
     InputError
         Elements at a tip are too small.
     """
-    width, height = scene.geometry.width, scene.geometry.height
-    assert width and height
+    width, height = scene.geometry.sides
     cracks = list(scene.all_cracks.values())
     mirrored = bool(cracks) and all(crack.edge == "right" for crack in cracks)
     if mirrored:

@@ -46,8 +46,7 @@ def read_structure(scene: Scene, rule: DampingRule | None, comm: MPI.Comm) -> St
         A file cannot be read, a shape does not fit, an entry is not finite, a matrix is not
         symmetric, or the mass is not positive definite; no pairs are found.
     """
-    table = scene.structure
-    assert table is not None
+    table = scene.given("structure")
     try:
         return _made(scene, table, rule, comm)
     except InputError as error:

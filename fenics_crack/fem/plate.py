@@ -187,9 +187,7 @@ def _lips(scene: Scene, groups: Groups) -> tuple[Lip, ...]:
     places[numbers.astype(int)] = positions.reshape(-1, 3)[:, :2]
     lower, upper = (_edges(groups[name]) for name in ("lower_lip", "upper_lip"))
     lips = find_lips(lower, upper, places)
-    width = scene.geometry.width
-    assert width
-    found = []
+    width, found = scene.geometry.sides[0], []
     for crack in scene.all_cracks.values():
         start = crack.span(width)[1 if crack.edge == "right" else 0], crack.height
         found.append(min(lips, key=lambda lip: float(np.linalg.norm(lip.points[0] - start))))
@@ -212,8 +210,7 @@ def _edges(tags: tuple[int, ...]) -> np.ndarray:
 
 def _draw(scene: Scene) -> Groups:
     """Draw the plate, set how curves and surfaces are divided; return the tags of its sides."""
-    width = scene.geometry.width
-    assert width is not None
+    width = scene.geometry.sides[0]
     columns, rows, slits, mirrored = plate_blocks(scene)
     cells = math.prod(sum(interval.count for interval in side) for side in (columns, rows))
     _check_cells(scene, cells)

@@ -164,8 +164,7 @@ def _checked(scene: Scene) -> Scene:
     if law.drive == "spectrum" and scene.excitation.order is not None:
         allowed = "another one with excitation.order: the speed of the rotor sets the frequency"
         raise InputError("growth.drive", law.drive, allowed)
-    width = scene.geometry.width
-    assert width is not None and crack.length is not None
+    width = scene.geometry.sides[0]
     if not crack.length < law.until < width:
         allowed = f"between crack.length = {crack.length:g} and geometry.width = {width:g}"
         raise InputError("growth.until", law.until, allowed)
@@ -355,9 +354,8 @@ def _solve_lengths(
     ConvergenceError
         Ctrl-C has stopped it, or too few lengths were solved.
     """
-    assert scene.crack is not None and scene.crack.length is not None and scene.growth is not None
-    start, stop = scene.crack.length, scene.growth.until
-    law = scene.growth
+    law = scene.given("growth")
+    start, stop = scene.given("crack").length, law.until
     damping = math.nan if law.run_up is None else _least_damping(scene)
     levels, cycles = _levels(law, damping)
     wanted, missed, own = np.linspace(start, stop, FIRST), np.inf, np.zeros(0)

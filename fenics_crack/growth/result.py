@@ -92,8 +92,7 @@ class Growth(Tabular):
     @property
     def repeats(self) -> np.ndarray | None:
         """Run-ups, or repeats of the spectrum, until then (n,); None without a spectrum."""
-        assert self.scene.growth is not None
-        repeat = self.scene.growth.repeat
+        repeat = self.scene.given("growth").repeat
         return None if repeat is None else self.cycles / repeat[0]
 
     @property

@@ -153,8 +153,7 @@ def _likelihood(model: Model, measurements: Measurements) -> Likelihood:
 
 def remarks_on(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
     """Say what cannot be told whatever the numbers are."""
-    assert scene.identify is not None
-    sides = any(axis.key == "crack.edge" for axis in scene.identify.unknown)
+    sides = any(axis.key == "crack.edge" for axis in scene.given("identify").unknown)
     crack, rows = scene.crack, measurements.rows
     found = []
     if crack is not None and crack.edge is not None and all(row.natural for row in rows):
@@ -197,8 +196,7 @@ class Forward:
 
 def _whole(scene: Scene, comm: MPI.Comm) -> Whole:
     """The plate of a scene without its crack, on every rank (collective)."""
-    table = scene.identify
-    assert table is not None
+    table = scene.given("identify")
     plain = scene.replace(dict.fromkeys(ASKED) | (without_crack(scene) or {}))
     begin("plate without its crack")
     return on_root(comm, lambda: whole_plate(plain, table))
@@ -236,8 +234,7 @@ def solve_forward(
         As :func:`run_sweep`.
     """
     whole = whole or _whole(scene, comm)
-    table = scene.identify
-    assert table is not None
+    table = scene.given("identify")
     loads = tuple(sorted({float(one) for one in (*frequencies, *table.frequencies)}))
     plain = scene.replace(dict.fromkeys(ASKED))
     coarse, fine = _meshes(plain, table.finer)
@@ -295,8 +292,7 @@ def _models(
 ) -> dict[str, Model]:
     """Models of a sweep, and of a finer one if there is, by the words that tell them apart; and
     the sweeps of the plate without its crack, if there are."""
-    assert scene.identify is not None
-    axes, meshes = sweeps[0].axes[:-1], scene.identify.mesh_axes
+    axes, meshes = sweeps[0].axes[:-1], scene.given("identify").mesh_axes
     words = [
         range(len(a.values))
         if isinstance(a.values[0], str) and not (meshes and a.key == MESH)

@@ -60,8 +60,7 @@ class Model:
         *,
         fixed: Mapping[str, Any],
     ) -> None:
-        assert scene.identify is not None
-        self.table, self._damping, self.whole = scene.identify, scene.damping, whole
+        self.table, self._damping, self.whole = scene.given("identify"), scene.damping, whole
         self.scene = scene
         self.coarse, self.finer = coarse, finer
         self.fixed, self.keys, self.cube = dict(fixed), coarse.keys, coarse.cube

@@ -168,8 +168,7 @@ def relative_changes(
     whole : Whole
         The plate without a crack.
     """
-    table, count = scene.identify, whole.frequencies.size
-    assert table is not None
+    table, count = scene.given("identify"), whole.frequencies.size
     natural, cracked = (
         np.array([getattr(feature, name) for feature in features])[:, None]
         for name in ("natural", "of_crack")
@@ -201,8 +200,7 @@ def relative_changes(
 def act_as(x: np.ndarray, keys: Sequence[str], scene: Scene) -> np.ndarray:
     """How far a crack may be from the straight and sharp one that acts like it, at values (m, d) of
     the unknowns: standard deviations (m, d)."""
-    table, found, into = scene.identify, np.zeros_like(x), np.zeros(len(x))
-    assert table is not None
+    table, found, into = scene.given("identify"), np.zeros_like(x), np.zeros(len(x))
     for key in OF_SIZE:  # that of a part-through crack is its depth
         size = np.full(len(x), getattr(scene.crack, key.removeprefix("crack."), None) or 0.0)
         if key in keys:

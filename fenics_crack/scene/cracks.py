@@ -33,8 +33,7 @@ def check_cracks(cracks: dict[str, Crack], geometry: Geometry, mesh: Mesh) -> No
 
 
 def _check_one(crack: Crack, geometry: Geometry, names: list[str]) -> None:
-    width, height = geometry.width, geometry.height
-    assert width and height
+    width, height, *_ = geometry.sides
     margin = f"at least {LEAST_DISTANCE:g} of that from both"
     inside = crack.center is not None
     if inside:

@@ -354,8 +354,7 @@ def curve(
 
 def _prepare_curve(scene: Scene, comm: MPI.Comm) -> Study:
     """A scene prepared for its curve: of a run-up with a basis for all speeds."""
-    assert scene.curve is not None
-    parameter, start, stop = scene.curve.followed
+    parameter, start, stop = scene.given("curve").followed
     if parameter != "speed":
         return prepare(scene, comm)
     if scene.reduction is not None:

@@ -128,8 +128,7 @@ def run_sweep(
     ranks = _ranks_of_a_case(scene, comm)
     managers: list[Manager] = []
 
-    assert scene.sweep is not None
-    at_resonance = scene.sweep.at_resonance
+    at_resonance = scene.given("sweep").at_resonance
 
     def start() -> Asked:
         plan = Plan(scene)
