@@ -28,7 +28,7 @@ STRIP: dict[str, Any] = {
     "damping": {"ratio": 0.01, "modes": 5},
     "excitation": {"omega": SLOW},
     "contact": {"law": "unilateral"},
-    "mesh": {"layout": "graded", "order": 2, "size": 0.02, "lip_elements": 8, "grading": 12.0},
+    "mesh": {"layout": "graded", "order": 2, "size": 0.05, "lip_elements": 8, "grading": 12.0},
     "reduction": {"modes": 4},
 }
 """0.1 x 0.4 m, clamped below."""
@@ -309,7 +309,7 @@ def test_errors_are_stated() -> None:
         {"excitation.frequency": 400.0, "reduction.modes": 8}
     )
     found = of(scene)
-    finer = of(scene.replace({"mesh.lip_elements": 16, "mesh.size": 0.005}))
+    finer = of(scene.replace({"mesh.lip_elements": 16, "mesh.size": 0.01}))
     true = abs(finer.largest[0] / found.largest[0] - 1.0)
     stated, cause = found.errors.stated("K_max")
     assert cause == "mesh" and true / 3.0 < stated < 3.0 * true
