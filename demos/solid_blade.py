@@ -28,10 +28,13 @@ RPM = 2.0 * np.pi / 60.0
 
 
 def main(output: Path = Path("output/solid_blade"), *, quick: bool = False) -> dict[str, float]:
-    """Compute and draw all of it; return what a reader would quote. ``quick``: a coarser mesh."""
+    """Compute and draw all of it; return what a reader would quote. ``quick``: a coarser mesh,
+    and fewer modes."""
     begun = time.perf_counter()
     scene = fc.Scene.load(SCENE)
-    if not quick:
+    if quick:
+        scene = scene.replace({"reduction.modes": 8})
+    else:
         output.mkdir(parents=True, exist_ok=True)
         mesh_blade(output / "blade.msh", size=0.003, along_crack=0.0008)
         scene = scene.replace({"mesh.file": str(output / "blade.msh")})
