@@ -187,15 +187,18 @@ def _mark_superharmonics(
     axes: Axes, curve: ResponseCurve, dof: int | None, amplitude: np.ndarray, factor: float
 ) -> None:
     """Write at each peak the order of its largest harmonic, if that is above the load's."""
-    style = {"ha": "center", "fontsize": 8, "color": COLOURS["grey"]}
+    largest = np.argmax(_harmonic_amplitudes(curve, dof), axis=1) + 1
+    order, rest = np.divmod(largest, curve.subharmonic)
+    above = (order > 1) & (rest == 0)
+    if not above.any():
+        return
     from scipy.signal import find_peaks  # takes as long to load as matplotlib
 
+    style = {"ha": "center", "fontsize": 8, "color": COLOURS["grey"]}
     peaks, _ = find_peaks(np.log10(np.maximum(amplitude, 1e-300)), prominence=0.05)
-    for peak, sizes in zip(peaks, _harmonic_amplitudes(curve, dof)[peaks], strict=True):
-        order, rest = divmod(int(np.argmax(sizes)) + 1, curve.subharmonic)
-        if order > 1 and not rest:
-            at = factor * curve.omega[peak], amplitude[peak]
-            axes.annotate(f"{order}ω", at, (0, 5), textcoords="offset points", **style)
+    for peak in peaks[above[peaks]]:
+        at = factor * curve.omega[peak], amplitude[peak]
+        axes.annotate(f"{order[peak]}ω", at, (0, 5), textcoords="offset points", **style)
 
 
 def _factor(curve: ResponseCurve, in_hertz: bool) -> float:
