@@ -69,3 +69,4 @@ def attempt(
 
 if __name__ == "__main__":
     serve(sys.argv[1], socket.socket(fileno=int(sys.argv[2])))
+    os._exit(0)  # what is loaded needs no taking apart
