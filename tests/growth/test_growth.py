@@ -97,7 +97,7 @@ def test_run_up_through_the_resonance(tmp_path: Path) -> None:
     is too fast for a steady vibration is told."""
     span, rate = (760.0, 880.0), 0.5
     scene = plate(drive="spectrum", run_up=(*span, rate), until=0.0352, life_tolerance=1.0)
-    scene = scene.replace({"harmonic_balance.harmonics": 10})  # of both
+    scene = scene.replace({"harmonic_balance.harmonics": 10, "reduction.modes": 20})  # of both
     found = fc.grow(scene, comm=MPI.COMM_SELF)
     keys = {"parameter": "frequency", "start": span[0], "stop": span[1], "stability": False}
     followed = scene.replace({f"curve.{key}": value for key, value in keys.items()})
@@ -177,11 +177,13 @@ def test_brute_force_agrees(driven: fc.Growth) -> None:
 
 def test_resonance_that_moves() -> None:
     """The load follows the largest response: at each length that of a curve by itself."""
-    found = fc.grow(plate(drive="resonance", until=0.04), comm=MPI.COMM_SELF)
+    many = {"reduction.modes": 20}
+    found = fc.grow(plate(drive="resonance", until=0.04).replace(many), comm=MPI.COMM_SELF)
     assert np.all(np.diff(found.omega) < 0.0)
     assert found.omega == pytest.approx(found.omega_bilinear, rel=2e-3)
     scene = plate().replace(
-        {"crack.length": 0.04, "curve.parameter": "frequency", "curve.start": 795.0,
+        many
+        | {"crack.length": 0.04, "curve.parameter": "frequency", "curve.start": 795.0,
          "curve.stop": 820.0, "curve.stability": False}
     )  # fmt: skip
     peak = fc.curve(scene, MPI.COMM_SELF).result.peak()
