@@ -60,7 +60,7 @@ PAGE = (640, 740)
 """Width and height [pixels]."""
 PLATE = (6, 92, 532, 444)
 """Its place on the page: left, top, width and height [pixels]."""
-MARGIN = 10
+BESIDE = 10
 """Beside the plate, for its lines and dots, at least [pixels]."""
 LABEL_LETTERS = 17
 """Of a line of the label beside the wave, for which the page has room."""
@@ -358,7 +358,7 @@ def _write(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> None
     window.AddRenderer(renderer)
     plate = _Plate(renderer, fields)
     across = _look_at_all(renderer, fields)
-    aside = max(0, int(0.5 * (PLATE[2] - across * PLATE[3])) - MARGIN)  # where nothing is drawn
+    aside = max(0, int(0.5 * (PLATE[2] - across * PLATE[3])) - BESIDE)  # where nothing is drawn
     window.SetSize(OVERSAMPLING * (PLATE[2] - 2 * aside), OVERSAMPLING * PLATE[3])
     page = _Page(solution, fields, plate.colours)
     pictures = []
