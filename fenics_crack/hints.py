@@ -7,7 +7,6 @@ package and attributes of results.
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -61,6 +60,8 @@ NUMBER = re.compile(r"([+-]?\d*(?:[.,]\d*)?(?:[eE][+-]?\d+)?) *([^\d].*)?")
 
 def near(word: object, known: Iterable[str], likeness: float = 0.7) -> list[str]:
     """The known word that a misspelt one may stand for, or two that are as near; or none."""
+    import difflib  # takes a while, and mistakes alone need it
+
     by_lower, lower = {name.lower(): name for name in known}, str(word).lower()[:100]
     found = difflib.get_close_matches(lower, by_lower, 2, likeness)
     alike = [difflib.SequenceMatcher(None, name, lower).ratio() for name in found]

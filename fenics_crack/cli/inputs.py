@@ -10,14 +10,16 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.errors import InputError, check_count
-from fenics_crack.identification.measurements import Measurements
 from fenics_crack.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from fenics_crack.arrivals.arrival_times import ArrivalTimes
+    from fenics_crack.identification.measurements import Measurements
 
 __all__ = ["Inputs", "changes", "is_record", "read_inputs"]
 
@@ -44,23 +46,31 @@ def read_inputs(given: argparse.Namespace) -> Inputs | None:
     if "scene" not in given or is_record(given):
         return None
     scene = Scene.load(given.scene).replace(changes(given.set))
-    measured, before, seen = (
-        getattr(given, name, None) for name in ("measurements", "before", "arrivals")
-    )
-    if given.command == "identify" and not measured and seen is None:
+    seen = vars(given).get("arrivals")
+    if given.command == "identify" and not vars(given).get("measurements") and seen is None:
         allowed = "given: a CSV file (fenics-crack new --identify writes one), or --arrivals"
         raise InputError("measurements", None, allowed)
     if (count := vars(given).get("count")) is not None:
         check_count("--count", count, 1)
     folder = vars(given).get("output") or Path("output") / given.scene.stem
+    return Inputs(scene, folder, _measurements(given, scene), _arrivals(scene, seen))
+
+
+def _measurements(given: argparse.Namespace, scene: Scene) -> Measurements | None:
+    """Those of all files, and of responses before the crack."""
+    files, before = vars(given).get("measurements") or (), vars(given).get("before")
+    if not files and before is None:
+        return None
+    from fenics_crack.identification.measurements import Measurements
+
     modes = getattr(given, "modes", ())
-    parts = [Measurements.read(one, modes) for one in measured or ()]
+    parts = [Measurements.read(one, modes) for one in files]
     if before is not None:
         parts.append(Measurements.from_responses(before, modes, quantity="frequency_uncracked"))
-    rows = sum(parts[1:], parts[0]) if parts else None
-    if rows is not None and measured:
+    rows = sum(parts[1:], parts[0])
+    if files:
         rows.check(scene)
-    return Inputs(scene, folder, rows, _arrivals(scene, seen))
+    return rows
 
 
 def _arrivals(scene: Scene, source: Path | None) -> ArrivalTimes | Path | None:
