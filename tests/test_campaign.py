@@ -417,3 +417,21 @@ def test_undecided_verdict_says_what_the_motion_does() -> None:
     (row,) = [one for one in campaign.findings(78, wanders) if one["verdict"] == "undecided"]
     assert row["judgement"] == campaign.WANDERS
     assert "does not settle: followed for" in row["remark"]
+
+
+def test_fold_as_narrow_as_the_error() -> None:
+    """A curve that turns back over 6e-4 of its frequency, where three orbits are within 1e-3 of
+    each other: those of the outer branch followed it there and back, and judged all of it stable.
+    No point is wrong now; where orbits of both kinds are as near, it is open."""
+    case = campaign.draw(82, 225)
+    curve = campaign.followed(case)
+    verdicts = curve.verdicts
+    turned = np.flatnonzero(np.sign(np.diff(curve.omega)) != np.sign(np.diff(curve.omega)[0]))
+    places = [*turned[::4], turned[0] - 8, turned[-1] + 20]
+    rows = [
+        campaign.judge(case, curve.solution(int(place)), "point", str(verdicts[place]))
+        for place in places
+    ]
+    assert {row.judgement for row in rows} <= {campaign.RIGHT, campaign.UNDECIDED}
+    assert sum(row.verdict == "unstable" and row.exact > 1.3 for row in rows) >= 4
+    assert rows[-1].verdict == rows[-2].verdict == "stable"

@@ -19,6 +19,7 @@ import numpy as np
 import scipy.optimize
 
 from fenics_crack.balance.judgement import BELIEVED, FARTHEST, relative
+from fenics_crack.balance.solution import Stability
 from fenics_crack.curves.by_waves import FOLLOWED, judged_by_waves, place_on
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.orbit_branch import (
@@ -125,20 +126,25 @@ class _Judge:
         self._anchors = np.array(sorted(self._own))
 
     def _ask(self, nodes: list[Node]) -> None:
-        """Judge some nodes: beyond doubt where the gaps, or all the more the states, are near."""
+        """Judge some nodes: beyond doubt where the gaps, or all the more the states, are near; but
+        where the branch is broken, as it may have gone on along itself where the curve turns back,
+        none whose point has another verdict by itself."""
         self._own.update({one.place: True for one in nodes})
         self._away.update({one.place: one.away for one in nodes})
-        nodes = [one for one in nodes if one.away > NO_DOUBT**2]
-        if not nodes:
-            return
-        places = np.array([round(one.place) for one in nodes])
-        waves = self._curve.gaps_in_time(places)
-        for node, place, wave in zip(nodes, map(int, places), waves, strict=True):
+        apart = [one for one in nodes if one.away > NO_DOUBT**2]
+        places = np.array([round(one.place) for one in apart], dtype=int)
+        waves = self._curve.gaps_in_time(places) if apart else ()
+        for node, place, wave in zip(apart, map(int, places), waves, strict=True):
             gap = self.system.gap(node.unknown, node.parameter, len(wave))
             off = relative(gap - wave, gap + self._curve.structure.clearance)
             self._own[node.place] = off <= NO_DOUBT or (
                 not self.branch.is_broken(node) and self._is_own(node, place, off)
             )
+        for node in nodes:
+            if self._own[node.place] and self.branch.is_broken(node):
+                alone = self.by_itself(round(node.place))
+                agree = (abs(alone) > 1.0) == (sum(node.outside) > 0)
+                self._own[node.place] = bool(agree and not np.isnan(alone))
 
     def _is_own(self, node: Node, place: int, off: float) -> bool:
         """Whether a solution is judged by a node's orbit."""
@@ -237,24 +243,41 @@ class _Judge:
 
     def by_itself(self, place: int, patient: bool | Patience = True) -> complex:
         """Leading multiplier of a point judged as a single solution is, as ``patient`` as
-        :func:`orbit_next_to`; nan where that is open."""
+        :func:`orbit_next_to`; nan where that is open, or where the branch, which is broken, has an
+        orbit on the other side of 1 that is nearer."""
         alone = stability_of(self._curve.judged(place, self._flow, patient=patient))
-        return (
-            complex(np.nan)
-            if alone.verdict == "undecided"
-            else complex(_upper(alone.multipliers[0]))
-        )
+        if alone.verdict == "undecided":
+            return complex(np.nan)
+        if len(self.branch.breaks) and self._is_rivalled(place, alone):
+            return complex(np.nan)
+        return complex(_upper(alone.multipliers[0]))
+
+    def _is_rivalled(self, place: int, alone: Stability) -> bool:
+        """Whether an orbit of the branch at the parameter of a point, on the other side of 1, is
+        nearer than that by which the point is judged."""
+        here = np.arange(len(self._curve)) == place
+        segment, _, share = self._parts(here)
+        value = np.abs(_between(self.branch.nodes, segment, share))
+        other = (value < 1.0) if abs(alone.multipliers[0]) > 1.0 else (value > 1.0)
+        [wave] = self._curve.gaps_in_time(np.array([place]))
+        away = self._apart(wave, segment[other], share[other])
+        return bool(np.any(away <= alone.distance))
 
     def _tells(
         self, wave: np.ndarray, segment: np.ndarray, share: np.ndarray, outside: np.ndarray
     ) -> bool:
         """Whether of the parts next to a point none on the other side of 1 has gaps that are as
         near as the nearest: the error of a point next to a fold is that of both."""
+        away = self._apart(wave, segment, share)
+        return len(set(outside[away <= BELIEVED * away.min()])) == 1
+
+    def _apart(self, wave: np.ndarray, segment: np.ndarray, share: np.ndarray) -> np.ndarray:
+        """How far the gaps of a point are from those at parts of segments: (m,), relative."""
         away, nodes = np.zeros(len(segment)), self.branch.nodes
         for number, (one, part) in enumerate(zip(segment, share, strict=True)):
             gap = self.system.gap(*cubic(nodes[one], nodes[one + 1], part), len(wave))
             away[number] = relative(gap - wave, gap + self._curve.structure.clearance)
-        return len(set(outside[away <= BELIEVED * away.min()])) == 1
+        return away
 
     def _alone(self, place: int) -> complex:
         """Leading multiplier of the orbit next to a point at its value of the parameter; nan where
@@ -266,8 +289,8 @@ class _Judge:
         return complex(_upper(node.leading[0])) if self._own[place] else complex(np.nan)
 
     def _accepted(self) -> tuple[np.ndarray, np.ndarray]:
-        """Whether the orbits on both sides of a point are the points' own, (n,) bool, and how far
-        away its own orbit may be, by those: (n,)."""
+        """Whether the orbits on both sides of a point are the points' own and the branch is not
+        broken between them, (n,) bool, and how far away its own orbit may be, by those: (n,)."""
         places = np.arange(len(self._curve))
         if not len(self._anchors):
             return np.zeros(len(places), dtype=bool), np.zeros(len(places))
@@ -275,7 +298,10 @@ class _Judge:
         away = BELIEVED * np.array([self._away[place] for place in self._anchors])
         before = np.clip(np.searchsorted(self._anchors, places, "right") - 1, 0, None)
         after = np.clip(np.searchsorted(self._anchors, places), None, len(own) - 1)
-        return own[before] & own[after], np.maximum(away[before], away[after])
+        breaks = [self.branch.nodes[number].place for number in self.branch.breaks]
+        stretch = np.searchsorted(breaks, self._anchors)
+        accepted = own[before] & own[after] & (stretch[before] == stretch[after])
+        return accepted, np.maximum(away[before], away[after])
 
 
 def _budget(curve: ResponseCurve, flow: ContactFlow) -> Budget:

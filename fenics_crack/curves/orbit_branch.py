@@ -237,15 +237,22 @@ class OrbitBranch:
         nodes = self.nodes
         return _straight(nodes) & ~_broken(nodes) if len(nodes) > 1 else np.zeros(0, dtype=bool)
 
+    @property
+    def breaks(self) -> np.ndarray:
+        """Numbers of the nodes behind which the branch is broken."""
+        return np.flatnonzero(_broken(self.nodes))
+
     def is_broken(self, node: Node) -> bool:
         """Whether the nodes next to a node with its r end where the branch is broken: its orbit may
         be that of another part of the curve."""
+        ends = self.breaks
+        if not len(ends):
+            return False
         numbers = np.array([one.outside[0] for one in self.nodes])
         stretch = np.append(0, np.cumsum(np.diff(numbers) != 0))
         place = int(np.searchsorted([one.place for one in self.nodes], node.place))
         beside = np.arange(max(0, place - 1), min(place + 1, len(stretch)))
         own = stretch[beside[numbers[beside] == node.outside[0]]]
-        ends = np.flatnonzero(_broken(self.nodes))
         return bool(np.isin(own, stretch[[*ends, *ends + 1]]).any())
 
     def _middle(self, ends: tuple[Node, Node], linked: bool) -> Node | None:
