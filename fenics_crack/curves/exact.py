@@ -143,8 +143,8 @@ class _Judge:
         for node in nodes:
             if self._own[node.place] and self.branch.is_broken(node):
                 alone = self.by_itself(round(node.place))
-                agree = (abs(alone) > 1.0) == (sum(node.outside) > 0)
-                self._own[node.place] = bool(agree and not np.isnan(alone))
+                large = bool(np.abs(alone) > 1.0)  # Python's own abs may raise where it is nan
+                self._own[node.place] = not np.isnan(alone) and large == (sum(node.outside) > 0)
 
     def _is_own(self, node: Node, place: int, off: float) -> bool:
         """Whether a solution is judged by a node's orbit."""
