@@ -25,7 +25,7 @@ def scene(name: str, rows: str, kinds: Collection[str]) -> str:
     marks = [f"(--{kind})" for kind in {*kinds, *(["blade"] if "timing" in kinds else [])}]
     lines = (
         _turned(line) if line.endswith(tuple(marks)) else line
-        for line in packaged("cli/new_scene.toml").splitlines()
+        for line in packaged(COMMENTED).splitlines()
     )
     whole = "\n".join([*map(_without_mark, lines), ""])
     return whole.replace("SCENE", name).replace("MEASURED", rows)

@@ -131,20 +131,25 @@ class _Judge:
         none whose point has another verdict by itself."""
         self._own.update({one.place: True for one in nodes})
         self._away.update({one.place: one.away for one in nodes})
+        broken = self.branch.broken(nodes)
         apart = [one for one in nodes if one.away > NO_DOUBT**2]
         places = np.array([round(one.place) for one in apart], dtype=int)
         waves = self._curve.gaps_in_time(places) if apart else ()
         for node, place, wave in zip(apart, map(int, places), waves, strict=True):
-            gap = self.system.gap(node.unknown, node.parameter, len(wave))
-            off = relative(gap - wave, gap + self._curve.structure.clearance)
+            off = self._off(wave, node.unknown, node.parameter)
             self._own[node.place] = off <= NO_DOUBT or (
-                not self.branch.is_broken(node) and self._is_own(node, place, off)
+                node.place not in broken and self._is_own(node, place, off)
             )
         for node in nodes:
-            if self._own[node.place] and self.branch.is_broken(node):
+            if node.place in broken and self._own[node.place]:
                 alone = self.by_itself(round(node.place))
                 large = bool(np.abs(alone) > 1.0)  # Python's own abs may raise where it is nan
                 self._own[node.place] = not np.isnan(alone) and large == (sum(node.outside) > 0)
+
+    def _off(self, wave: np.ndarray, unknown: np.ndarray, parameter: float) -> float:
+        """How far the gaps of a point are from those of an orbit, relative."""
+        gap = self.system.gap(unknown, parameter, len(wave))
+        return relative(gap - wave, gap + self._curve.structure.clearance)
 
     def _is_own(self, node: Node, place: int, off: float) -> bool:
         """Whether a solution is judged by a node's orbit."""
@@ -273,11 +278,9 @@ class _Judge:
 
     def _apart(self, wave: np.ndarray, segment: np.ndarray, share: np.ndarray) -> np.ndarray:
         """How far the gaps of a point are from those at parts of segments: (m,), relative."""
-        away, nodes = np.zeros(len(segment)), self.branch.nodes
-        for number, (one, part) in enumerate(zip(segment, share, strict=True)):
-            gap = self.system.gap(*cubic(nodes[one], nodes[one + 1], part), len(wave))
-            away[number] = relative(gap - wave, gap + self._curve.structure.clearance)
-        return away
+        nodes = self.branch.nodes
+        parts = zip(segment, share, strict=True)
+        return np.array([self._off(wave, *cubic(nodes[k], nodes[k + 1], s)) for k, s in parts])
 
     def _alone(self, place: int) -> complex:
         """Leading multiplier of the orbit next to a point at its value of the parameter; nan where

@@ -242,18 +242,22 @@ class OrbitBranch:
         """Numbers of the nodes behind which the branch is broken."""
         return np.flatnonzero(_broken(self.nodes))
 
-    def is_broken(self, node: Node) -> bool:
-        """Whether the nodes next to a node with its r end where the branch is broken: its orbit may
-        be that of another part of the curve."""
+    def broken(self, nodes: list[Node]) -> set[float]:
+        """Places of those of some nodes beside which the nodes with their r end where the branch is
+        broken: their orbits may be those of another part of the curve."""
         ends = self.breaks
         if not len(ends):
-            return False
+            return set()
         numbers = np.array([one.outside[0] for one in self.nodes])
         stretch = np.append(0, np.cumsum(np.diff(numbers) != 0))
-        place = int(np.searchsorted([one.place for one in self.nodes], node.place))
-        beside = np.arange(max(0, place - 1), min(place + 1, len(stretch)))
-        own = stretch[beside[numbers[beside] == node.outside[0]]]
-        return bool(np.isin(own, stretch[[*ends, *ends + 1]]).any())
+        places, ended = [one.place for one in self.nodes], stretch[[*ends, *ends + 1]]
+        found = set()
+        for node in nodes:
+            place = int(np.searchsorted(places, node.place))
+            beside = np.arange(max(0, place - 1), min(place + 1, len(stretch)))
+            if np.isin(stretch[beside[numbers[beside] == node.outside[0]]], ended).any():
+                found.add(node.place)
+        return found
 
     def _middle(self, ends: tuple[Node, Node], linked: bool) -> Node | None:
         """A node between two others; None where none is found."""

@@ -30,7 +30,7 @@ from vtkmodules.vtkFiltersSources import vtkArrowSource
 from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper, vtkRenderer, vtkRenderWindow
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.draw.figure import COLOURS, label_axis
+from fenics_crack.draw.figure import COLOURS, drawn_on, label_axis
 from fenics_crack.draw.paraview import PeriodFields
 from fenics_crack.draw.vtk_parts import (
     add_values,
@@ -456,7 +456,7 @@ class _Page:
         self.text.set_text(f"{self.caption}, phase {360.0 * at:.0f}°")
         for artist in (self.line, self.dot, self.text):
             self.figure.draw_artist(artist)
-        page = Image.fromarray(np.asarray(self.canvas.buffer_rgba())).convert("RGB")
+        page = drawn_on(self.canvas)
         plate = plate.reduce(OVERSAMPLING)
         page.paste(plate, (PLATE[0] + (PLATE[2] - plate.width) // 2, PLATE[1]))
         return page

@@ -37,6 +37,7 @@ __all__ = [
     "Picture",
     "Where",
     "distinct_colours",
+    "drawn_on",
     "given_axes",
     "label_axis",
     "upright",
@@ -148,14 +149,19 @@ class Picture:
                 if file.suffix == ".png":  # without the draft that savefig draws before
                     canvas = FigureCanvasAgg(self.figure)
                     canvas.draw()
-                    drawn = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
-                    drawn.save(picture, "PNG", compress_level=3, dpi=2 * (self.figure.dpi,))
+                    resolution = 2 * (self.figure.dpi,)
+                    drawn_on(canvas).save(picture, "PNG", compress_level=3, dpi=resolution)
                 else:
                     self.figure.savefig(picture, format=file.suffix.removeprefix(".") or None)
                 write_whole(file, picture.getvalue())
 
             on_root(self._comm, save)
         return self.figure
+
+
+def drawn_on(canvas: FigureCanvasAgg) -> Image.Image:
+    """What a canvas shows, without its alpha channel."""
+    return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 
 
 def given_axes(axes: Any = None, ax: Any = None) -> Any:
