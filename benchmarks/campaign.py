@@ -8,6 +8,8 @@ any of them can be repeated by itself (``--family plate --first N --cases 1``). 
     whole       the same of the whole structure, whose modes are chosen, too
     peak        the largest point of a curve over a resonance, and floquet
     curve       continue_frequency(stability=True), up to 8 of its points, and its bifurcations
+    parameter   continue_parameter(stability=True) over the load, the stiffness of a penalty, the
+                damping or the clearance at one frequency: the same of it (by itself: --kind)
     branch      follow_branch from a period doubling of such a curve, up to 4 points
     ends        the same, the points next to both ends, and floquet of them once more
     backbone    follow_backbone of an undamped structure, up to 4 points
@@ -129,7 +131,7 @@ def exact_orbit(case: Case, found: fc.PeriodicSolution) -> tuple[Orbit | None, f
     """The orbit of the exact flow nearest to an answer, and its distance in the gap, relative to
     B^T u as the estimates are."""
     orbits: list[tuple[float, Orbit]] = []
-    flow = case.flow(found.structure)
+    flow = case.flow(found.structure, found.contact)
     for start in _starts(case, found, flow):
         try:
             orbit = flow.orbit(start(), found.omega, found.period)
@@ -171,7 +173,7 @@ def _starts(
 def finer(case: Case, found: fc.PeriodicSolution, factor: int) -> fc.PeriodicSolution:
     """A solution with more harmonics from an answer."""
     return fc.solve_harmonic_balance(
-        found.structure, found.omega, case.law, harmonics=min(factor * found.harmonics, 160),
+        found.structure, found.omega, found.contact, harmonics=min(factor * found.harmonics, 160),
         subharmonic=found.subharmonic, initial=found,
     )  # fmt: skip
 
@@ -192,7 +194,7 @@ def distance(found: fc.PeriodicSolution, orbit: Orbit) -> float:
 def leaves(case: Case, found: fc.PeriodicSolution, orbit: Orbit) -> bool:
     """Whether the exact motion that begins with an answer leaves its orbit: after many periods it
     is farther away than at first, than the linearised motion, and than the estimate allows."""
-    flow = case.flow(found.structure)
+    flow = case.flow(found.structure, found.contact)
     state = flow.states_of(found, np.zeros(1))[0]
     size = float(np.linalg.norm(orbit.state))
     first = linear = (state - orbit.state) / size
@@ -206,7 +208,7 @@ def leaves(case: Case, found: fc.PeriodicSolution, orbit: Orbit) -> bool:
 
 def wanders(case: Case, found: fc.PeriodicSolution) -> bool:
     """Whether the exact motion from rest does not repeat itself in the long run."""
-    flow = case.flow(found.structure)
+    flow = case.flow(found.structure, found.contact)
     state = flow.settled(
         np.zeros(2 * len(flow.system.squares)), found.omega, found.period, WANDERED
     )
@@ -287,7 +289,7 @@ def as_known(case: Case, row: Finding) -> Finding | None:
 
 def _pred(case: Case, found: fc.PeriodicSolution) -> float:
     try:
-        return predicted(case.flow(found.structure), found)
+        return predicted(case.flow(found.structure, found.contact), found)
     except (NoOrbit, np.linalg.LinAlgError):
         return float("nan")
 
@@ -439,9 +441,32 @@ def peaks(case: Case) -> Iterator[Finding]:
 
 
 def curves(case: Case) -> Iterator[Finding]:
+    """Points and bifurcations of a curve over the frequency."""
+    yield from along(case, followed(case, 0.1 if case.family == "few" else 0.03))
+
+
+def parameters(case: Case) -> Iterator[Finding]:
+    """Those of a curve over another parameter at one frequency, from up to a tenth of what is given
+    to up to ten times; of the clearance, by up to the size of the linear gap."""
+    rng = np.random.default_rng(case.number)
+    rigid = isinstance(case.law, fc.UnilateralConstraint)
+    name = str(rng.choice(["load", "damping", "clearance"] + ["stiffness"] * (not rigid)))
+    low, high = 10.0 ** -rng.random(), 10.0 ** rng.random()
+    if name == "clearance":
+        linear = fc.solve_linear(case.structure, case.omega).gap_coefficients
+        size = float(np.sqrt(np.sum(linear[1:] ** 2, axis=0)).max()) or 1.0
+        low, high = -low * size, 0.1 * high * size
+    start, end = (low, high) if rng.random() < 0.5 else (high, low)
+    curve = fc.continue_parameter(
+        case.structure, case.omega, case.law, name, start, end,
+        harmonics=case.harmonics, stability=True, throw=False, most_points=600,
+    )  # fmt: skip
+    yield from along(case, curve)
+
+
+def along(case: Case, curve: fc.ResponseCurve) -> Iterator[Finding]:
     """Points and bifurcations of a curve."""
     few = case.family == "few"
-    curve = followed(case, 0.1 if few else 0.03)
     if not curve.complete:
         status = f"curve: {curve.status}"
         yield Finding("curve", case.harmonics, case.omega, remark=status)
@@ -454,13 +479,15 @@ def curves(case: Case) -> Iterator[Finding]:
 
 def bifurcation(case: Case, curve: fc.ResponseCurve, one: fc.Bifurcation) -> Finding:
     """Whether the exact orbits next to a bifurcation have it."""
-    row = Finding(one.kind, one.problem.harmonics, one.value, true=one.exact / one.value - 1.0)
+    frequency = curve.parameter == "omega"
+    size = abs(one.value) if frequency else max(abs(one.value), float(np.ptp(curve.values)))
+    row = Finding(one.kind, one.problem.harmonics, one.value, true=(one.exact - one.value) / size)
     if (known := as_known(case, row)) is not None:
         return known
     if not one.confirmed:
         row.judgement = UNCONFIRMED
         return row
-    near = np.abs(curve.omega / one.exact - 1.0)
+    near = np.abs(curve.values - one.exact) / size
     seen = set()
     kind = KINDS_OF_BIFURCATION.index(one.kind)
     for count, place in enumerate(np.argsort(near, kind="stable")[:24]):
@@ -564,8 +591,8 @@ def free_motion(case: Case, found: fc.PeriodicSolution) -> Finding:
 
 ASKED = {
     "solution": solutions, "tolerance": tolerances, "whole": wholes, "peak": peaks,
-    "curve": curves, "branch": branches, "ends": ends, "backbone": backbones,
-    "reduction": reductions,
+    "curve": curves, "parameter": parameters, "branch": branches, "ends": ends,
+    "backbone": backbones, "reduction": reductions,
 }  # fmt: skip
 
 

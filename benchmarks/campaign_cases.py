@@ -38,11 +38,15 @@ from reference_flow import WHOLE, ReferenceFlow, SmoothFlow
 
 import fenics_crack as fc
 
-FEW_KINDS = {"solution": 0.6, "tolerance": 0.2, "curve": 0.12, "branch": 0.04, "backbone": 0.04}
+FEW_KINDS = {
+    "solution": 0.6, "tolerance": 0.2, "curve": 0.12, "branch": 0.04, "backbone": 0.04,
+    "parameter": 0.0,
+}  # fmt: skip
 TURNING_KINDS = {"solution": 0.6, "tolerance": 0.2, "curve": 0.15, "branch": 0.05}
 MASS_KINDS = {"solution": 0.6, "tolerance": 0.3, "curve": 0.1}
 PLATE_KINDS = {
     "solution": 0.5, "tolerance": 0.2, "whole": 0.05, "peak": 0.1, "curve": 0.1, "reduction": 0.05,
+    "parameter": 0.0,
 }  # fmt: skip
 FAMILIES: dict[str, tuple[float, dict[str, float]]] = {
     "few": (0.10, FEW_KINDS),
@@ -58,8 +62,8 @@ FAMILIES: dict[str, tuple[float, dict[str, float]]] = {
     "whole": (0.01, {"solution": 1.0}),
     "turning": (0.0, TURNING_KINDS),
 }
-"""How often each is drawn, and what is asked of it; one that came later is asked by itself, so that
-the other numbers stay the cases that they were."""
+"""How often each is drawn, and what is asked of it; what came later is asked by itself, so that the
+other numbers stay the cases that they were."""
 RIGID = 1e6
 """k times the static compliance of the penalty that stands for a rigid stop."""
 KINDS = list(dict.fromkeys(kind for _, kinds in FAMILIES.values() for kind in kinds))
@@ -80,18 +84,21 @@ class Case:
     product: float
     family: str = "few"
     known: list[dict] = field(default_factory=list)
-    _flows: dict[int, tuple[Any, ReferenceFlow]] = field(default_factory=dict)
+    _flows: dict[tuple[int, int], tuple[Any, Any, ReferenceFlow]] = field(default_factory=dict)
 
-    def flow(self, structure: fc.Structure) -> ReferenceFlow:
-        """The exact flow of a structure, its own or one with other modes; kept."""
-        if id(structure) not in self._flows:
-            flow, law = ReferenceFlow, self.law
+    def flow(self, structure: fc.Structure, law: Any = None) -> ReferenceFlow:
+        """The exact flow of a structure, its own or one with other modes, and of a law, its own or
+        one along a curve; kept."""
+        law = law or self.law
+        key = id(structure), id(law)
+        if key not in self._flows:
+            flow, exact = ReferenceFlow, law
             if isinstance(law, fc.SmoothedPenalty):
                 flow = SmoothFlow
             elif self.family == "rigid":
-                law = fc.UnilateralPenalty(self.product / _modes(structure)[1])
-            self._flows[id(structure)] = structure, flow(structure, law)
-        return self._flows[id(structure)][1]
+                exact = fc.UnilateralPenalty(self.product / _modes(structure)[1])
+            self._flows[key] = structure, law, flow(structure, exact)
+        return self._flows[key][-1]
 
 
 def family_of(seed: int, number: int) -> str:
