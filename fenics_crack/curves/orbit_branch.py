@@ -245,19 +245,7 @@ class OrbitBranch:
     def broken(self, nodes: list[Node]) -> set[float]:
         """Places of those of some nodes beside which the nodes with their r end where the branch is
         broken: their orbits may be those of another part of the curve."""
-        ends = self.breaks
-        if not len(ends):
-            return set()
-        numbers = np.array([one.outside[0] for one in self.nodes])
-        stretch = np.append(0, np.cumsum(np.diff(numbers) != 0))
-        places, ended = [one.place for one in self.nodes], stretch[[*ends, *ends + 1]]
-        found = set()
-        for node in nodes:
-            place = int(np.searchsorted(places, node.place))
-            beside = np.arange(max(0, place - 1), min(place + 1, len(stretch)))
-            if np.isin(stretch[beside[numbers[beside] == node.outside[0]]], ended).any():
-                found.add(node.place)
-        return found
+        return _beside(self.nodes, self.breaks, nodes) if len(self.breaks) else set()
 
     def _middle(self, ends: tuple[Node, Node], linked: bool) -> Node | None:
         """A node between two others; None where none is found."""
@@ -510,6 +498,20 @@ def _broken(nodes: list[Node]) -> np.ndarray:
     """Whether (-1)^r t_p changes its sign from each node to the next: (n - 1,) bool."""
     slopes = [0.0 if one.crossing else (-1.0) ** one.outside[0] * one.tangent.p for one in nodes]
     return np.asarray(np.array(slopes[:-1]) * slopes[1:] < 0.0)
+
+
+def _beside(nodes: list[Node], ends: np.ndarray, asked: list[Node]) -> set[float]:
+    """Places of those asked for beside which a stretch of nodes with their r ends at a break."""
+    numbers = np.array([one.outside[0] for one in nodes])
+    stretch = np.append(0, np.cumsum(np.diff(numbers) != 0))
+    places, ended = [one.place for one in nodes], stretch[[*ends, *ends + 1]]
+    found = set()
+    for node in asked:
+        place = int(np.searchsorted(places, node.place))
+        beside = np.arange(max(0, place - 1), min(place + 1, len(stretch)))
+        if np.isin(stretch[beside[numbers[beside] == node.outside[0]]], ended).any():
+            found.add(node.place)
+    return found
 
 
 def cubic(first: Node, last: Node, share: float) -> tuple[np.ndarray, float]:
