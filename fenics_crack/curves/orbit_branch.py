@@ -14,6 +14,8 @@ A segment between two nodes is halved, by the orbit next to Hermite's cubic thro
   those of pairs whose sums and products are (where a pair becomes real, moduli have a corner, but
   its sum and its product are smooth): the longer of the two segments;
 - where moduli that went on as they came would pass 1 before its middle;
+- where the angles of two pairs that went on as they came would pass each other, or that of one 0 or
+  pi: there pairs of a motion without damping leave the unit circle, and meet it again;
 - once at either end of the curve, where nothing comes from beyond;
 - where several of r, d and c change, or one by more than 1, until each changes by itself.
 
@@ -28,6 +30,11 @@ Neimark-Sacker point where c does. It is found by Brent's method on
 
 and becomes a node. Two real multipliers outside that meet and become a pair are no bifurcation.
 
+Angles that differ by g where the pairs do not act on each other are the same, and moduli r apart
+by factors of e^s, s^2 = e^2 - (g / 2)^2, where these act by e. One passes 1 if e > -ln r, so that a
+node as near to g = 0 as a quarter of -ln r shows it, all but where it passes 1 by less than 1 % of
+1 - r.
+
 What is not seen: two crossings of one kind on one segment that do not announce themselves.
 
 Source: Seydel, Practical Bifurcation and Stability Analysis, chapters 4, 5 and 7.
@@ -38,7 +45,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from itertools import pairwise
+from itertools import pairwise, permutations
 from typing import Any
 
 import numpy as np
@@ -112,6 +119,14 @@ class Node:
     outside: tuple[int, int, int]
     away: float = np.nan
     crossing: Crossing | None = None
+
+    @cached_property
+    def turns(self) -> np.ndarray:
+        """-ln r and angles in (0, pi) of the pairs of multipliers, nan behind the last: (4, 2)."""
+        upper = self.leading[self.leading.imag > 0.0]
+        found = np.full((LEADING // 2, 2), np.nan)
+        found[: len(upper)] = np.column_stack([-np.log(np.abs(upper)), np.angle(upper)])
+        return found
 
     @cached_property
     def moduli(self) -> np.ndarray:
@@ -226,6 +241,7 @@ class OrbitBranch:
             doubt[1:] |= bent & behind
             doubt[1:] |= _pass_one(moduli, lengths)
             doubt[:-1] |= _pass_one(moduli[::-1], lengths[::-1])[::-1]
+            doubt |= _pass_each_other(nodes, lengths)
         doubt[[0, -1]] |= wide[[0, -1]] > EVERY // 2
         several = ~linked | (_steps(nodes).sum(axis=1) > 1)
         doubt &= wide > NARROWEST
@@ -647,6 +663,38 @@ def _pass_one(moduli: np.ndarray, lengths: np.ndarray) -> np.ndarray:
     part = 0.5 * lengths[1:] / np.maximum(lengths[:-1], 1e-300)
     beyond = here + part[:, None] * (here - came)
     return np.asarray(np.any((here * ahead > 0.0) & (here * beyond < 0.0), axis=1))
+
+
+def _pass_each_other(nodes: list[Node], lengths: np.ndarray) -> np.ndarray:
+    """Whether between two nodes angles pass each other, or 0 or pi, if they go on as they come from
+    both sides, or from the one side that tells, and may do more there than the nodes show: (n - 1,)
+    bool."""
+    turns = np.array([one.turns for one in nodes])
+    cost = np.abs(turns[:-1, :, None] - turns[1:, None]).sum(axis=3)
+    cost[np.isnan(cost)] = 1.0 + np.nansum(cost)  # one that is not there is far from all others
+    ways = np.array(list(permutations(range(turns.shape[1]))))
+    total = cost[:, np.arange(turns.shape[1]), ways].sum(axis=2)
+    way = ways[total.argmin(axis=1)]  # numbers of the pairs of each node at the next
+    logs, here = np.moveaxis(turns[:-1], 2, 0)
+    there = np.take_along_axis(turns[1:, :, 1], way, 1)
+    came, ahead = np.full((2, *here.shape), np.nan)
+    change, part = there - here, (lengths[1:] / np.maximum(lengths[:-1], 1e-300))[:, None]
+    came[1:] = np.take_along_axis(change[:-1], np.argsort(way[:-1], axis=1), 1) * part
+    ahead[:-1] = np.take_along_axis(change[1:], way[:-1], 1) / np.maximum(part, 1e-300)
+    one, other = np.triu_indices(turns.shape[1], 1)
+
+    def apart(angles: np.ndarray) -> np.ndarray:
+        across = angles[:, one] - angles[:, other]
+        return np.concatenate([across, 2.0 * angles, 2.0 * (np.pi - angles)], axis=1)
+
+    begin, end = apart(here), apart(there)
+    on, back = begin * apart(here + came), end * apart(there - ahead)
+    damped = np.concatenate([0.5 * (logs[:, one] + logs[:, other]), logs, logs], axis=1)
+    ends = np.abs([begin, end])
+    hidden = (ends.min(axis=0) > 0.25 * damped) & (ends.sum(axis=0) > 2.0 * damped)
+    hidden &= damped > 0.0
+    both = ~(on >= 0.0) & ~(back >= 0.0) & ~(np.isnan(on) & np.isnan(back))
+    return np.asarray(np.any(hidden & both, axis=1))
 
 
 def _steps(nodes: list[Node]) -> np.ndarray:
