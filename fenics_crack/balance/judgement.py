@@ -47,8 +47,8 @@ __all__ = [
 
 BELIEVED, FARTHEST, FAR = 3.0, 0.1, 0.3
 """Times what the linearised motion predicts, beyond which a motion is another one; the distance and
-the prediction beyond which it is not taken for the same without more; and the prediction from which
-on it is no wonder if no orbit is found."""
+the prediction beyond which it is not taken for the same without more; and from where on it is no
+wonder if no orbit is found, and none decides: there may be several as near."""
 UNKNOWN = 1.0
 """An error that is not known."""
 
@@ -220,7 +220,7 @@ class Judgement:
         """Whether the orbit is the wave's own."""
         decisive = self.decisive
         own = decisive is self or (decisive is not None and self.believes(self.distance))
-        return self.of_orbit or (own and self.distance < UNKNOWN)
+        return self.of_orbit or (own and self.distance <= FAR)
 
     def believes(self, distance: float) -> bool:
         """Whether an orbit so far away may be the wave's own."""

@@ -195,6 +195,7 @@ class OrbitBranch:
         self._homotopy = Homotopy(system)
         self._turn = _to_turns(parameters)
         self._halved: set[tuple[float, float]] = set()
+        self._missed: set[tuple[float, float]] = set()
         self.nodes: list[Node] = []
         last = len(parameters) - 1
         places = np.unique(np.append(np.arange(0, last, every), last))
@@ -221,6 +222,7 @@ class OrbitBranch:
             for number in halved:
                 middle = self._middle(segments[number], bool(linked[number]))
                 found += [] if middle is None else [middle]
+                self._missed.update([places[number]] if middle is None else [])
             self.nodes = sorted([*self.nodes, *found], key=lambda one: one.place)
 
     def _in_doubt(self, linked: np.ndarray, whole: np.ndarray) -> np.ndarray:
@@ -249,9 +251,12 @@ class OrbitBranch:
 
     @property
     def linked(self) -> np.ndarray:
-        """Whether a smooth branch leads from each node to the next: (n - 1,) bool."""
+        """Whether a smooth branch leads from each node to the next, without doubt: (n - 1,) bool."""
         nodes = self.nodes
-        return _straight(nodes) & ~_broken(nodes) if len(nodes) > 1 else np.zeros(0, dtype=bool)
+        if len(nodes) < 2:
+            return np.zeros(0, dtype=bool)
+        missed = [(one.place, other.place) in self._missed for one, other in pairwise(nodes)]
+        return _straight(nodes) & ~_broken(nodes) & ~np.array(missed)
 
     @property
     def breaks(self) -> np.ndarray:
@@ -409,7 +414,10 @@ class OrbitBranch:
             if last.place - first.place <= EVERY:
                 kinds = [kind for kind, change in zip(KINDS, changes, strict=True) if change]
                 there = [_Test(self, kind, first, last).located() for kind in kinds]
-                found += sorted(there, key=lambda one: one.place)
+                there.sort(key=lambda one: one.place)
+                if (first.place, last.place) in self._missed:
+                    self._missed.update(pairwise(one.place for one in (first, *there, last)))
+                found += there
         self.nodes = [*found, *self.nodes[-1:]]
         return [one.crossing for one in self.nodes if one.crossing is not None]
 
