@@ -110,6 +110,35 @@ def test_two_orbits_that_lead_to_a_wave_give_it_no_verdict() -> None:
     assert row.verdict == "undecided" and row.judgement == campaign.TOO_LARGE
 
 
+def test_ranges_between_two_nodes_in_which_a_light_damping_is_overcome() -> None:
+    """Seven masses, one soft pair, 0.7 % a period: where the angle of a pair of multipliers passes
+    pi it is real, and outside, for three points; where two angles pass each other both pairs leave
+    the circles on which they are, for four. At the nodes around none is outside."""
+    case = campaign.draw(85, 11, "curve")
+    curve = campaign.followed(case)
+    kinds = [one.kind for one in curve.bifurcations if one.confirmed]
+    assert kinds == ["period_doubling"] * 2 + ["neimark_sacker"] * 2 + ["period_doubling"] * 2
+    outside = 0
+    for place in (18, 19, 20, 21, 22, 33, 34, 36, 37, 38):
+        orbit, off = campaign.exact_orbit(case, curve.solution(place))
+        assert orbit is not None and off < 1e-5
+        leaves = float(np.abs(orbit.multipliers).max()) > 1.0
+        assert curve.verdicts[place] == ("unstable" if leaves else "stable")
+        outside += leaves
+    assert outside == 6
+
+
+@pytest.mark.slow
+def test_segment_in_whose_middle_no_orbit_is_found_judges_no_points() -> None:
+    """Four masses, one stiff pair, H = 10, points 1 % apart: some pairs of multipliers leave the
+    circle between two nodes and others come back; a point between is on a stable orbit."""
+    case = campaign.draw(85, 6, "curve")
+    curve = campaign.followed(case)
+    place = int(np.argmin(np.abs(curve.omega - 1.063027)))
+    row = campaign.judge(case, curve.solution(place), "point", str(curve.verdicts[place]))
+    assert row.exact < 1.0 and row.verdict == "undecided"
+
+
 @pytest.mark.parametrize("number", [18, 90, 92])
 def test_wave_to_which_no_orbit_leads_has_no_verdict(number: int) -> None:
     """Stiff pairs with mass, H = 5: the orbit next to each, 11 to 16 % away, leads elsewhere."""
