@@ -19,7 +19,6 @@ import numpy as np
 import scipy.optimize
 
 from fenics_crack.balance.judgement import BELIEVED, FARTHEST, relative
-from fenics_crack.balance.solution import Stability
 from fenics_crack.curves.by_waves import FOLLOWED, judged_by_waves, place_on
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.orbit_branch import (
@@ -182,19 +181,19 @@ class _Judge:
         """Judge points that segments tell, of those accepted: no more where they do not tell."""
         count = len(found)
         segment, place, share = self._parts(accepted)
-        value = _between(self.branch.nodes, segment, share)
-        outside = np.abs(value) > 1.0
+        value = self._between(segment, share)
+        side = _side(value)
 
         def disagree(chosen: np.ndarray) -> np.ndarray:
-            """Whether multipliers of chosen parts beside each point lie on both sides of 1."""
-            large = np.bincount(place[chosen], outside[chosen], count)
-            return (large > 0) & (large < np.bincount(place[chosen], minlength=count))
+            """Whether multipliers of chosen parts beside each point may lie on both sides of 1."""
+            one_side = np.abs(np.bincount(place[chosen], side[chosen], count))
+            return one_side < np.bincount(place[chosen], minlength=count)
 
         sided = np.flatnonzero(disagree(np.ones(len(place), dtype=bool)))
         waves = self._curve.gaps_in_time(sided) if len(sided) else ()
         for one, wave in zip(sided, waves, strict=True):
             beside = place == one
-            accepted[one] = self._tells(wave, segment[beside], share[beside], outside[beside])
+            accepted[one] = self._tells(wave, segment[beside], share[beside], side[beside])
         places = np.array([one.place for one in self.branch.nodes])
         inside = (places[segment] <= place) & (place <= places[segment + 1])
         inside &= expected[place] <= FARTHEST
@@ -212,12 +211,12 @@ class _Judge:
         found[place[nearest[near]]] = value[nearest[near]]
 
     def _parts(self, accepted: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Where a segment has the parameter of a point near it that is accepted: the segment, the
-        point, and the part of the segment, (m,) each."""
+        """Where a segment, linked or not, has the parameter of a point near it that is accepted:
+        the segment, the point, and the part of the segment, (m,) each."""
         nodes, last = self.branch.nodes, len(self._curve) - 1
         parameters = np.array([one.parameter for one in nodes])
         places, rises = np.array([int(one.place) for one in nodes]), np.diff(parameters)
-        number = np.flatnonzero(self.branch.linked & (rises != 0.0))
+        number = np.flatnonzero(rises)
         first = np.maximum(0, places[number] - 2 * EVERY)
         counts = np.minimum(last, places[number + 1] + 2 * EVERY) - first + 1
         segment, begins = np.repeat(number, counts), np.cumsum(counts) - counts
@@ -248,33 +247,39 @@ class _Judge:
 
     def by_itself(self, place: int, patient: bool | Patience = True) -> complex:
         """Leading multiplier of a point judged as a single solution is, as ``patient`` as
-        :func:`orbit_next_to`; nan where that is open, or where the branch, which is broken, has an
-        orbit on the other side of 1 that is nearer."""
+        :func:`orbit_next_to`; nan where that is open, or where the branch has an orbit on the other
+        side of 1 that is as near."""
         alone = stability_of(self._curve.judged(place, self._flow, patient=patient))
         if alone.verdict == "undecided":
             return complex(np.nan)
-        if len(self.branch.breaks) and self._is_rivalled(place, alone):
-            return complex(np.nan)
-        return complex(_upper(alone.multipliers[0]))
+        return self._unless_rivalled(place, alone.multipliers[0], alone.distance)
 
-    def _is_rivalled(self, place: int, alone: Stability) -> bool:
-        """Whether an orbit of the branch at the parameter of a point, on the other side of 1, is
-        nearer than that by which the point is judged."""
-        here = np.arange(len(self._curve)) == place
-        segment, _, share = self._parts(here)
-        value = np.abs(_between(self.branch.nodes, segment, share))
-        other = (value < 1.0) if abs(alone.multipliers[0]) > 1.0 else (value > 1.0)
-        [wave] = self._curve.gaps_in_time(np.array([place]))
+    def _unless_rivalled(self, place: int, leading: complex, distance: float) -> complex:
+        """The leading multiplier of the orbit by which a point is judged, so far away; nan where
+        the branch has another one at the point's parameter that may be on the other side of 1 and
+        is as near: the error of a point next to a fold is that of both."""
+        segment, _, share = self._parts(np.arange(len(self._curve)) == place)
+        other = _side(self._between(segment, share)) != _side(leading)
+        [wave] = self._curve.gaps_in_time(np.array([place])) if other.any() else [np.zeros(0)]
         away = self._apart(wave, segment[other], share[other])
-        return bool(np.any(away <= alone.distance))
+        rivalled = bool(np.any(away <= BELIEVED * distance))
+        return complex(np.nan) if rivalled else complex(_upper(leading))
 
     def _tells(
-        self, wave: np.ndarray, segment: np.ndarray, share: np.ndarray, outside: np.ndarray
+        self, wave: np.ndarray, segment: np.ndarray, share: np.ndarray, side: np.ndarray
     ) -> bool:
         """Whether of the parts next to a point none on the other side of 1 has gaps that are as
         near as the nearest: the error of a point next to a fold is that of both."""
         away = self._apart(wave, segment, share)
-        return len(set(outside[away <= BELIEVED * away.min()])) == 1
+        near = side[away <= BELIEVED * away.min()]
+        return bool(np.abs(near.sum()) == len(near))
+
+    def _between(self, segment: np.ndarray, share: np.ndarray) -> np.ndarray:
+        """Leading multipliers at parts of segments, (n,) complex; nan where they are not told, as
+        on those that are not linked."""
+        value = _between(self.branch.nodes, segment, share)
+        value[~self.branch.linked[segment]] = np.nan
+        return value
 
     def _apart(self, wave: np.ndarray, segment: np.ndarray, share: np.ndarray) -> np.ndarray:
         """How far the gaps of a point are from those at parts of segments: (m,), relative."""
@@ -289,7 +294,11 @@ class _Judge:
         if node is None or abs(node.moduli[0] - 1.0) <= KNOWN:
             return complex(np.nan)
         self._ask([node])
-        return complex(_upper(node.leading[0])) if self._own[place] else complex(np.nan)
+        if not self._own[place]:
+            return complex(np.nan)
+        [wave] = self._curve.gaps_in_time(np.array([place]))
+        off = self._off(wave, node.unknown, node.parameter)
+        return self._unless_rivalled(place, node.leading[0], off)
 
     def _accepted(self) -> tuple[np.ndarray, np.ndarray]:
         """Whether the orbits on both sides of a point are the points' own and the branch is not
@@ -312,6 +321,11 @@ def _budget(curve: ResponseCurve, flow: ContactFlow) -> Budget:
     longest = 2.0 * np.pi * curve.subharmonic / float(curve.omega.min())
     formed = flow.size <= FORMED
     return Budget(pieces=FOR_EVENTS + (math.ceil(flow.pieces(longest)) if formed else 0))
+
+
+def _side(leading: np.ndarray) -> np.ndarray:
+    """Of the unit circle on which multipliers are: 1 outside, -1 inside; 0 where they are nan."""
+    return np.nan_to_num(np.sign(np.abs(leading) - 1.0))
 
 
 def _between(nodes: list[Node], segment: np.ndarray, share: np.ndarray) -> np.ndarray:

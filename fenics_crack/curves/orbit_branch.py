@@ -14,8 +14,11 @@ A segment between two nodes is halved, by the orbit next to Hermite's cubic thro
   those of pairs whose sums and products are (where a pair becomes real, moduli have a corner, but
   its sum and its product are smooth): the longer of the two segments;
 - where moduli that went on as they came would pass 1 before its middle;
-- where the angles of two pairs that went on as they came would pass each other, or that of one 0 or
-  pi: there pairs of a motion without damping leave the unit circle, and meet it again;
+- where the angles of two pairs that went on as they came from both sides would pass each other, or
+  that of one 0 or pi, or from one side before its middle: there pairs of a motion without damping
+  leave the unit circle, and meet it again;
+- where pairs of lips open and close at least twice as often at one end as at the other: multipliers
+  turn on like a square root where a motion begins to touch;
 - once at either end of the curve, where nothing comes from beyond;
 - where several of r, d and c change, or one by more than 1, until each changes by itself.
 
@@ -105,6 +108,8 @@ class Node:
         Multipliers of largest modulus, in their order; all where there are fewer.
     outside : tuple of int
         r, d and c.
+    events : int
+        How often pairs open and close in a period.
     away : float
         From the motion of its point, relative; nan where it has none.
     crossing : Crossing or None
@@ -117,6 +122,7 @@ class Node:
     tangent: Tangent
     leading: np.ndarray
     outside: tuple[int, int, int]
+    events: int
     away: float = np.nan
     crossing: Crossing | None = None
 
@@ -244,6 +250,9 @@ class OrbitBranch:
             doubt[1:] |= _pass_one(moduli, lengths)
             doubt[:-1] |= _pass_one(moduli[::-1], lengths[::-1])[::-1]
             doubt |= _pass_each_other(nodes, lengths)
+        events = np.array([one.events for one in nodes])
+        least, most = np.sort([events[:-1], events[1:]], axis=0)
+        doubt |= (most > least) & (most >= 2 * least) & (wide > 1.0)
         doubt[[0, -1]] |= wide[[0, -1]] > EVERY // 2
         several = ~linked | (_steps(nodes).sum(axis=1) > 1)
         doubt &= wide > NARROWEST
@@ -251,7 +260,7 @@ class OrbitBranch:
 
     @property
     def linked(self) -> np.ndarray:
-        """Whether a smooth branch leads from each node to the next, without doubt: (n - 1,) bool."""
+        """Whether a smooth branch leads beyond doubt from each node to the next: (n - 1,) bool."""
         nodes = self.nodes
         if len(nodes) < 2:
             return np.zeros(0, dtype=bool)
@@ -400,7 +409,14 @@ class OrbitBranch:
         values = _multipliers(found.at.monodromy)
         tangent = tangent_of(self.system, found.unknown, found.at, ahead)
         return Node(
-            place, found.unknown, found.parameter, tangent, values[:LEADING], _outside(values), away
+            place,
+            found.unknown,
+            found.parameter,
+            tangent,
+            values[:LEADING],
+            _outside(values),
+            found.at.events,
+            away,
         )
 
     # --- bifurcations -----------------------------------------------------------------------------
@@ -675,8 +691,8 @@ def _pass_one(moduli: np.ndarray, lengths: np.ndarray) -> np.ndarray:
 
 def _pass_each_other(nodes: list[Node], lengths: np.ndarray) -> np.ndarray:
     """Whether between two nodes angles pass each other, or 0 or pi, if they go on as they come from
-    both sides, or from the one side that tells, and may do more there than the nodes show: (n - 1,)
-    bool."""
+    both sides, or from the one side that tells, or before the middle from either, and may do more
+    there than the nodes show: (n - 1,) bool."""
     turns = np.array([one.turns for one in nodes])
     cost = np.abs(turns[:-1, :, None] - turns[1:, None]).sum(axis=3)
     cost[np.isnan(cost)] = 1.0 + np.nansum(cost)  # one that is not there is far from all others
@@ -696,13 +712,14 @@ def _pass_each_other(nodes: list[Node], lengths: np.ndarray) -> np.ndarray:
         return np.concatenate([across, 2.0 * angles, 2.0 * (np.pi - angles)], axis=1)
 
     begin, end = apart(here), apart(there)
-    on, back = begin * apart(here + came), end * apart(there - ahead)
+    on, soon = begin * apart(here + came), begin * apart(here + 0.5 * came)
+    back, late = end * apart(there - ahead), end * apart(there - 0.5 * ahead)
     damped = np.concatenate([0.5 * (logs[:, one] + logs[:, other]), logs, logs], axis=1)
     ends = np.abs([begin, end])
     hidden = (ends.min(axis=0) > 0.25 * damped) & (ends.sum(axis=0) > 2.0 * damped)
     hidden &= damped > 0.0
     both = ~(on >= 0.0) & ~(back >= 0.0) & ~(np.isnan(on) & np.isnan(back))
-    return np.asarray(np.any(hidden & both, axis=1))
+    return np.asarray(np.any(hidden & (both | (soon < 0.0) | (late < 0.0)), axis=1))
 
 
 def _steps(nodes: list[Node]) -> np.ndarray:
