@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.errors import InputError
+from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.files.store import scene_text
 from fenics_crack.identification.features import MESH, Part
 from fenics_crack.identification.measurements import Measurements, without_crack
@@ -93,6 +93,8 @@ def identify(
     InputError
         There are no unknowns, a measurement cannot be used or is not one of this scene, or as
         :func:`run_sweep`.
+    ConvergenceError
+        Ctrl-C has stopped a sweep.
 
     Examples
     --------
@@ -232,6 +234,8 @@ def solve_forward(
     ------
     InputError
         As :func:`run_sweep`.
+    ConvergenceError
+        Ctrl-C has stopped a sweep.
     """
     whole = whole or _whole(scene, comm)
     table = scene.given("identify")
@@ -244,7 +248,10 @@ def solve_forward(
         swept = replace(of, sweep=Sweep(over=over))
         digest = hashlib.sha256(scene_text(swept).encode()).hexdigest()[:8]
         path = folder / f"{name}_{digest}.h5"
-        return run_sweep(swept, path, comm, progress=progress, verdicts=False, judged=False)
+        found = run_sweep(swept, path, comm, progress=progress, verdicts=False, judged=False)
+        if not found.complete:
+            raise ConvergenceError("identification was stopped; the same command goes on with it")
+        return found
 
     numbers = sum(not isinstance(axis.values[0], str) for axis in table.unknown)
     count = FEW_NODES - (numbers > 2)

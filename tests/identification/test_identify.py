@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from test_responses import file_of as universal_file
 
 import fenics_crack as fc
 from fenics_crack import SweepResult
+from fenics_crack.sweep.file import SweepFile
 
 PLATE = """
 geometry = { width = 0.1, height = 0.2, thickness = 0.01 }
@@ -428,6 +431,42 @@ def test_killed_sweep_goes_on(scene: fc.Scene, tmp_path: Path) -> None:
     began = time.perf_counter()
     again = fc.identify(scene, tmp_path / "m.csv", folder=tmp_path)
     assert time.perf_counter() - began < 20.0 and again.estimate == found.estimate
+
+
+def test_stops_at_ctrl_c(
+    scene: fc.Scene,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Nothing is inferred from a part of a sweep, and no other sweep begins; the same call goes on
+    with it."""
+    few = {"crack.length": [0.01, 0.018, 0.026, 0.034]}
+    plain = scene.replace(EXACT | {"identify.unknown": few, "output": None})
+    (tmp_path / "plate.toml").write_text(plain.as_toml())
+    rows = fc.Measurements.from_arrays("frequency_open", [1700.0], 2.0, mode=[1])
+    rows.to_csv(tmp_path / "m.csv")
+    record, left = SweepFile.record, 2
+
+    def interrupted(*arguments: Any) -> None:
+        nonlocal left
+        left -= 1
+        if left == 0:
+            signal.raise_signal(signal.SIGINT)
+        record(*arguments)
+
+    monkeypatch.setattr(SweepFile, "record", interrupted)
+    words = ["identify", str(tmp_path / "plate.toml"), str(tmp_path / "m.csv")]
+    assert main([*words, "--output", str(tmp_path / "out")]) == 3
+    assert "identification was stopped; the same command goes on" in capsys.readouterr().err
+    [path] = (tmp_path / "out").iterdir()  # no file of what was found
+    assert np.count_nonzero(SweepResult.load(path)["state"]) == 2
+    left = 1
+    with pytest.raises(fc.ConvergenceError, match="identification was stopped"):
+        fc.identify(plain, rows, folder=tmp_path / "out")
+    assert np.count_nonzero(SweepResult.load(path)["state"]) == 3
+    assert main([*words, "--output", str(tmp_path / "out")]) == 0
+    assert (tmp_path / "out" / "identify.json").exists()
 
 
 def test_crack_from_frequency_responses(
