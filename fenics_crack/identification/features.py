@@ -24,7 +24,7 @@ import numpy as np
 
 from fenics_crack.errors import FEW_MODES, InputError
 from fenics_crack.identification.interpolation import Cube
-from fenics_crack.identification.measurements import Measurement, check_point
+from fenics_crack.identification.measurements import Measurement
 from fenics_crack.scene.fields import Axis
 from fenics_crack.sweep.file import CONVERGED, KEPT_ORDERS
 from fenics_crack.sweep.result import SweepResult
@@ -87,7 +87,6 @@ class Part:
 
     def harmonic(self, point: str, frequency: float, order: int) -> np.ndarray:
         """Complex amplitude of a harmonic at all nodes: (n,) [m]; 0 where a case has fewer."""
-        check_point(self.sweep.scene, point)
         parts = []
         for part in ("cosine", "sine"):
             name = f"{point}.{part}_{order}" if point else f"{part}_{order}"
@@ -135,9 +134,7 @@ class Feature:
             lips = row.quantity.removeprefix("frequency_")
             states = LIPS.get(lips, (lips,))
             return tuple(cls(state, row.mode) for state in states)
-        orders: Sequence[int] = KEPT_ORDERS
-        if row.quantity != "displacement":
-            orders = [int(part) for part in row.quantity.split("_")[1:]]
+        orders = row.orders or KEPT_ORDERS
         return tuple(cls("", 0, row.point, float(row.frequency), order) for order in orders)
 
     @property

@@ -20,7 +20,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.table import Tabular, counted
 
 __all__ = [
-    "AT_A_LOAD", "FREQUENCIES", "Measurement", "Measurements", "check_point", "without_crack",
+    "AT_A_LOAD", "FREQUENCIES", "Measurement", "Measurements", "without_crack",
 ]  # fmt: skip
 
 FREQUENCIES = (
@@ -131,6 +131,13 @@ class Measurement:
         return not self.natural and not self.quantity.startswith("harmonic")
 
     @property
+    def orders(self) -> tuple[int, ...]:
+        """Harmonics of which it is made, of a ratio the one above first; none of a natural
+        frequency, and of a displacement, which has all."""
+        found = self.quantity.split("_")[1:]
+        return () if self.natural else tuple(map(int, found))
+
+    @property
     def name(self) -> str:
         """Name in words: "frequency_open of mode 2", "ratio_2_1 at 250 Hz of tip.ux"."""
         if self.natural:
@@ -151,6 +158,20 @@ class Measurement:
         )
         where = self.point or "the point under the load"
         return f"{IN_WORDS[self.quantity]} of {where} at {self.frequency:g} Hz{when}"
+
+    def check(self, scene: Scene) -> None:
+        """Raise InputError unless it is one of a scene."""
+        known = scene.point_names
+        if self.point and self.point not in known:
+            allowed = f"empty, or one of [output.points]: {', '.join(known) or 'there are none'}"
+            raise InputError("measurements.point", self.point, allowed)
+        if self.quantity == "frequency_uncracked" and without_crack(scene) is None:
+            allowed = "left out where the crack cannot be taken out of the scene"
+            raise InputError("measurements.quantity", self.quantity, allowed)
+        least, harmonics = max(self.orders, default=0), scene.harmonic_balance.harmonics
+        if harmonics < least:
+            allowed = f"at least {least} for {self.quantity}"
+            raise InputError("harmonic_balance.harmonics", harmonics, allowed)
 
 
 @dataclass(frozen=True, repr=False)
@@ -359,10 +380,7 @@ class Measurements(Tabular):
         if all(row.quantity == "frequency_uncracked" for row in self.rows):
             raise InputError("measurements", "frequency_uncracked", "also some of the plate as is")
         for row in self.rows:
-            check_point(scene, row.point)
-            if row.quantity == "frequency_uncracked" and without_crack(scene) is None:
-                allowed = "left out where the crack cannot be taken out of the scene"
-                raise InputError("measurements.quantity", row.quantity, allowed)
+            row.check(scene)
 
     def __add__(self, other: Measurements) -> Measurements:
         return Measurements(self.rows + other.rows)
@@ -383,14 +401,6 @@ class Measurements(Tabular):
         natural = sum(row.natural for row in self.rows)
         parts = [(natural, "natural frequencies"), (len(self) - natural, "at loads")]
         return ", ".join(f"{count} {what}" for count, what in parts if count) or counted(0, "row")
-
-
-def check_point(scene: Scene, point: str) -> None:
-    """Raise InputError if a point is not one of the scene."""
-    known = scene.point_names
-    if point and point not in known:
-        allowed = f"empty, or one of [output.points]: {', '.join(known) or 'there are none'}"
-        raise InputError("measurements.point", point, allowed)
 
 
 def without_crack(scene: Scene) -> dict[str, Any] | None:

@@ -101,6 +101,8 @@ def worth_of(
         check_number(name, deviation, 0.0, above=True)
     model, made = likelihood.quantities.model, likelihood.quantities.rows
     rows = tuple(measurements or ())
+    for row in rows:
+        row.check(model.scene)
     if measurements is None:
         rows = (*model.candidates(), *_more_probes(made))
     count = len(made)

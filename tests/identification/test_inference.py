@@ -87,6 +87,10 @@ class Linear:
 
     rows: tuple[Any, ...] = ()
 
+    @property
+    def scene(self) -> fc.Scene:
+        return fc.Scene.from_text(identification.SCENE)
+
     def act_as(self, x: np.ndarray) -> np.ndarray:
         return np.zeros_like(x)
 
@@ -307,6 +311,23 @@ def test_lines_that_cannot_be_used(tmp_path: Path, line: str, message: str) -> N
     with pytest.raises(fc.InputError) as error:
         fc.Measurements.from_csv(path)
     assert message in str(error.value)
+
+
+def test_harmonics_that_the_model_does_not_have() -> None:
+    """A ratio of the third one is none of a scene with two; with a tolerance, which may choose two
+    for a case, it is not, either. A displacement is compared with what there is."""
+    scene = fc.Scene.from_text(identification.SCENE).replace({"harmonic_balance.harmonics": 2})
+    where = {"frequency": 700.0, "point": "tip.ux"}
+    third = fc.Measurement("ratio_3_1", 1e-3, 1e-4, **where)
+    for changed in (scene, scene.replace({"harmonic_balance.tolerance": 0.01})):
+        for row in (third, replace(third, quantity="harmonic_3")):
+            with pytest.raises(fc.InputError) as error:
+                fc.Measurements((row,)).check(changed)
+            told = f"harmonic_balance.harmonics = 2: must be at least 3 for {row.quantity}"
+            assert str(error.value) == told
+    fits = [fc.Measurement("ratio_2_1", 1e-3, 1e-4, **where), *displaced(np.zeros(1), np.ones(1))]
+    fc.Measurements(tuple(fits)).check(scene)
+    fc.Measurements((third,)).check(scene.replace({"harmonic_balance.harmonics": 3}))
 
 
 # --- what is said, and what is not known --------------------------------------------------------
