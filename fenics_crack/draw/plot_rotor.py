@@ -70,11 +70,12 @@ def draw_campbell(
     reach = max(orders, default=0) * factor / pace * speed[-1]
     real = real[:, : max(1, int(np.sum(real.min(axis=0) <= reach)))]
     colours = list(COLOURS.values())[:-1]
-    for mode, line in enumerate(real.T):
+    for mode in range(real.shape[1]):
+        along, line, kinds = zip(*diagram.real_line(mode + 1), strict=True)
         colour, label = colours[mode % len(colours)], f"mode {mode + 1}"
         if diagram.cracked:
-            label = ", ".join([label, *dict.fromkeys(STATES[k] for k in diagram.kind[:, mode])])
-        panel.plot(speed, line, color=colour, label=label)
+            label = ", ".join([label, *dict.fromkeys(STATES[kind] for kind in kinds)])
+        panel.plot(pace * np.array(along), factor * np.array(line), color=colour, label=label)
         if diagram.cracked:
             ends = (factor * ends[:, mode] for ends in (diagram.omega_open, diagram.omega_tied))
             panel.fill_between(speed, *ends, color=colour, alpha=0.25, lw=0.0)

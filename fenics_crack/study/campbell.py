@@ -14,10 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
 from mpi4py import MPI
+from scipy.optimize import brentq
 
 from fenics_crack.errors import InputError, check_count
 from fenics_crack.fem.build import assemble, with_crack_length
@@ -35,6 +37,8 @@ __all__ = ["STATES", "Campbell", "campbell"]
 
 STATES = {"open": "held open", "tied": "held shut", "bilinear": "breathing"}
 """What a crack does whose frequency is of a kind."""
+CHANGE = 1e-4
+"""Of the speed at which it changes, relative."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -53,6 +57,9 @@ class Campbell(Tabular):
     kind : (n, m) of "open", "tied" or "bilinear"
         Which frequency is that of the crack at this speed, under the scene's load: it is held open,
         held shut, or breathes.
+    changes : tuple of (mode, speed, kind)
+        Where between two speeds this changes: from which speed [rad/s] on the crack is of which
+        kind in which mode (from 1).
     """
 
     speed: np.ndarray
@@ -60,6 +67,7 @@ class Campbell(Tabular):
     omega_tied: np.ndarray
     cracked: bool
     kind: np.ndarray
+    changes: tuple[tuple[int, float, str], ...] = ()
 
     KIND: ClassVar[str] = "Campbell diagram"
 
@@ -91,7 +99,8 @@ class Campbell(Tabular):
         order : int
             Engine order n.
         kind : "open", "tied", "bilinear" or "real"
-            Of the frequencies; the last are those that the crack has at each speed.
+            Of the frequencies; the last are those that the crack has at each speed. Where it
+            changes and its frequency falls across the order's line, they meet at the change.
 
         Raises
         ------
@@ -101,6 +110,8 @@ class Campbell(Tabular):
         check_count("order", order, 1)
         if kind not in (*KINDS, "real"):
             raise InputError("kind", kind, "one of " + ", ".join(map(repr, (*KINDS, "real"))))
+        if kind == "real":
+            return self._real_crossings(order)
         squares, at = getattr(self, f"omega_{kind}") ** 2, self.speed**2
         over = squares - (order**2 * at)[:, None]
         found = []
@@ -110,22 +121,57 @@ class Campbell(Tabular):
                 found.append((mode, np.sqrt(at[place] + share * (at[place + 1] - at[place]))))
         return np.array(found).reshape(-1, 2)
 
+    def _real_crossings(self, order: int) -> np.ndarray:
+        """Those with each state's own line where the crack is in it, and those at its changes."""
+        found = []
+        for kind in self.kinds:
+            for mode, speed in self.crossings(order, kind):
+                if self._states(int(mode), speed)[1] == kind:
+                    found.append((mode, speed))
+        for mode, speed, _ in self.changes:
+            before, after = (self._omega(mode, speed, k) for k in self._states(mode, speed))
+            if before > order * speed > after:
+                found.append((mode, speed))
+        return np.array(sorted(found)).reshape(-1, 2)
+
+    def _states(self, mode: int, speed: float) -> tuple[str, str]:
+        """Which kind the crack is of just below a speed, and from it on."""
+        known = [*zip(self.speed.tolist(), self.kind[:, mode - 1].tolist(), strict=True)]
+        known = sorted([*known, *((at, kind) for which, at, kind in self.changes if which == mode)])
+        below = [kind for at, kind in known if at < speed] or [known[0][1]]
+        return below[-1], [kind for at, kind in known if at <= speed][-1]
+
+    def _omega(self, mode: int, speed: float, kind: str) -> float:
+        """A natural frequency at a speed, whose square is taken to be linear in W^2."""
+        squares = getattr(self, f"omega_{kind}")[:, mode - 1] ** 2
+        return float(np.sqrt(np.interp(speed**2, self.speed**2, squares)))
+
+    def real_line(self, mode: int) -> list[tuple[float, float, str]]:
+        """Speeds [rad/s], the crack's frequency in a mode (from 1) [rad/s] and its kind, along a
+        line: two points where the crack changes."""
+        speeds = {*self.speed.tolist(), *(at for which, at, _ in self.changes if which == mode)}
+        return [
+            (at, self._omega(mode, at, kind), kind)
+            for at in sorted(speeds)
+            for kind in dict.fromkeys(self._states(mode, at))
+        ]
+
     def meetings(self, order: int) -> Iterator[str]:
         """Each crossing of an engine order in words: with which mode, at which speed with the crack
         as it is there, and at which speeds it would be otherwise."""
         for mode, speed in self.crossings(order, "real"):
             text = f"engine order {order} meets mode {mode:.0f} at {_in_words(speed)}"
             if self.cracked:
-                at = int(np.argmin(np.abs(self.speed - speed)))
-                own = self.kind[at, int(mode) - 1]
+                own = [*dict.fromkeys(self._states(int(mode), speed))]
                 others = [
                     f"{STATES[kind]} at {_in_words(other)}"
                     for kind in KINDS
-                    if kind != own
+                    if kind != own[-1] or len(own) > 1
                     for which, other in self.crossings(order, kind)
                     if which == mode
                 ]
-                text += f" with the crack {STATES[own]}"
+                text += f" with the crack {' before and '.join(STATES[kind] for kind in own)}"
+                text += " after" if len(own) > 1 else ""
                 text += f"; it would be {', '.join(others)}" if others else ""
             yield text
 
@@ -192,26 +238,37 @@ def campbell(
         raise InputError("speeds", speeds, "two or more finite numbers, rising from 0 or more")
     scene = with_crack_length(scene.replace({"rotation.speed": float(wanted[-1])}), comm)
     top = assemble(scene, comm)
-    most = n_tied_modes(top) if top.n_pairs else top.n_modes
-    tied = min(count, most) if top.n_pairs else 0
-    small = Ritz.of_range(top.damped(None), wanted[0], wanted[-1], min(count, most), tied)
-    found = [_frequencies(small.at(float(speed)), top, min(count, most)) for speed in wanted]
-    is_open, tied, kind = (np.array(rows) for rows in zip(*found, strict=True))
-    return Campbell(wanted, is_open, tied, top.n_pairs > 0, kind)
+    count = min(count, n_tied_modes(top) if top.n_pairs else top.n_modes)
+    tied = count if top.n_pairs else 0
+    small = Ritz.of_range(top.damped(None), wanted[0], wanted[-1], count, tied)
+
+    @cache
+    def at(speed: float) -> tuple[np.ndarray, ...]:
+        return _frequencies(small.at(speed), top, count)
+
+    is_open, closed, *holds = (np.array(p) for p in zip(*map(at, wanted.tolist()), strict=True))
+    stays = [hold > 0.0 for hold in holds]
+    kind = np.select(stays, KINDS[:2], KINDS[2])
+    changes = []
+    for which, hold in enumerate(stays):
+        for place, mode in np.argwhere(hold[1:] != hold[:-1]).tolist():
+            ends = wanted[place], wanted[place + 1]
+            speed = brentq(lambda w, of=2 + which, m=mode: at(w)[of][m], *ends, rtol=CHANGE)
+            changes.append((mode + 1, speed, KINDS[which if hold[place + 1, mode] else 2]))
+    return Campbell(wanted, is_open, closed, top.n_pairs > 0, kind, tuple(sorted(changes)))
 
 
 def _in_words(speed: float) -> str:
     return f"{speed:.5g} rad/s = {speed / RPM:.5g} rpm"
 
 
-def _frequencies(
-    structure: Structure, whole: Structure, count: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _frequencies(structure: Structure, whole: Structure, count: int) -> tuple[np.ndarray, ...]:
     """The lowest natural frequencies with lips open and with lips tied: (count,) each [rad/s]; and
-    which the crack has, with the damping of the whole structure."""
+    by how much the crack is held open [m] and held shut [N] at resonance, with the damping of the
+    whole structure."""
     is_open = solve_modes(structure, count)
     if not structure.n_pairs:
-        return is_open.omega, is_open.omega, np.full(count, "open")
+        return is_open.omega, is_open.omega, np.ones(count), -np.ones(count)
     tied = solve_modes(structure, count, lips="tied")
     clearance = np.broadcast_to(structure.clearance, structure.n_pairs)
     moved, pressed = static_state(structure, structure.force[0], clearance)
@@ -221,9 +278,9 @@ def _frequencies(
     left = structure.apply_bt((heavy * tied.omega**2 - stiff).T)
     gram = structure.sum_over_ranks((structure.gap.T @ structure.gap).toarray())
     force = _at_resonance(tied, whole) * np.abs(np.linalg.lstsq(gram, left.T, rcond=None)[0])
-    stays_open = np.all(opening[:, None] > motion, axis=0)
-    stays_shut = np.all(pressed[:, None] > force, axis=0)
-    return is_open.omega, tied.omega, np.select([stays_open, stays_shut], KINDS[:2], KINDS[2])
+    held_open = (opening[:, None] - motion).min(axis=0)
+    held_shut = (pressed[:, None] - force).min(axis=0)
+    return is_open.omega, tied.omega, held_open, held_shut
 
 
 def _at_resonance(modes: Modes, whole: Structure) -> np.ndarray:

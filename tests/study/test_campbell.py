@@ -13,6 +13,7 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
+from fenics_crack.study.campbell import STATES
 
 
 def test_frequencies_are_those_of_each_speed() -> None:
@@ -66,6 +67,37 @@ def test_a_crack_that_is_held_is_not_bilinear(
     solution = fc.solve_harmonic_balance(blade.structure, omega, blade.contact, harmonics=8)
     share = solution.indicators(0).closed_share
     assert {"open": share == 0.0, "tied": share == 1.0}.get(does, 0.0 < share < 1.0)
+
+
+@pytest.mark.parametrize(
+    ("mean", "does"), [(0.0, "open"), (-300.0, "changes"), (-600.0, "bilinear"), (-900.0, "tied")]
+)
+def test_a_crossing_has_the_state_of_the_crack_at_it(mean: float, does: str) -> None:
+    """Whatever the speeds between which it lies: on the line of that state, or at the speed at
+    which the crack changes, which a diagram of two speeds next to it has, too; the drawn line goes
+    through it, and rises but where the crack changes."""
+    coarse = {"mesh.size": 0.01, "mesh.lip_elements": 3, "excitation.force_sin": [0.5, 0.0]}
+    scene = cracked(1.0, mean).replace(coarse)
+    wide = fc.campbell(scene, [0.0, 1200.0], 1)
+    [[_, speed]], [text] = wide.crossings(12, "real"), wide.meetings(12)
+    near = fc.campbell(scene, [0.99 * speed, 1.01 * speed], 1)
+    assert near.crossings(12, "real")[:, 1] == pytest.approx([speed], rel=1e-4)
+    if does == "changes":
+        assert near.kind[:, 0].tolist() == ["bilinear", "open"]
+        assert "with the crack breathing before and held open after" in text
+    else:
+        assert near.kind[:, 0].tolist() == [does, does]
+        assert wide.crossings(12, does)[0, 1] == speed
+        assert f"with the crack {STATES[does]}; it would be" in text
+    speeds, omega, kinds = map(np.array, zip(*wide.real_line(1), strict=True))
+    steps = np.diff(speeds) == 0.0
+    assert steps.sum() == len(wide.changes) > 0
+    assert np.all(np.diff(omega)[~steps] > 0.0) and np.all(np.diff(omega)[steps] < 0.0)
+    assert np.all(kinds[1:][~steps] == kinds[:-1][~steps])
+    [panel] = fc.draw_campbell(wide, [12], in_hertz=False, in_rpm=False).axes
+    [ring] = [line for line in panel.lines if line.get_marker() == "o"]
+    assert ring.get_xydata() == pytest.approx(np.array([[speed, 12.0 * speed]]))
+    assert panel.lines[0].get_xydata() == pytest.approx(np.column_stack([speeds, omega]))
 
 
 def test_bad_input() -> None:
