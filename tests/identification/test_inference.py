@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import identification
@@ -19,7 +21,7 @@ from fenics_crack.identification.model import Prediction
 from fenics_crack.identification.nuisance import act_as
 from fenics_crack.identification.posterior import Likelihood, Posterior, explore
 from fenics_crack.identification.probes import Passages
-from fenics_crack.identification.where_to_measure import worth_of
+from fenics_crack.identification.where_to_measure import Worth, advice, worth_of
 
 SQUARE = Cube((np.linspace(0.0, 2.0, 6), np.linspace(1.0, 3.0, 7)))
 
@@ -96,7 +98,7 @@ class Linear:
 
     def quantities(self, rows: Any, more: Any = ()) -> Any:
         places = [*range(len(self.matrix)), *range(len(more))]
-        return Linear(self.matrix[places], self.offset[places], self.cube)
+        return replace(self, matrix=self.matrix[places], offset=self.offset[places])
 
     def __call__(self, x: np.ndarray) -> Prediction:
         return exact(x @ self.matrix.T + self.offset)
@@ -142,6 +144,39 @@ def test_linear_model() -> None:
     before = np.linalg.inv(weights.T @ weights + np.diag([0.12, 0.03]))
     gain = 0.5 * math.log(np.linalg.det(before) / np.linalg.det(more))
     assert worth.information[0] == pytest.approx(gain, rel=1e-3)
+
+
+class Advised(Linear):
+    """The same, with a plate without a crack: what may be measured has the slopes of the first
+    row."""
+
+    @property
+    def coarse(self) -> Any:
+        return SimpleNamespace(bare=True)
+
+    @property
+    def whole(self) -> Any:
+        return SimpleNamespace(frequencies=np.array([100.0]))
+
+
+@pytest.mark.parametrize("slope", [0.0, 1000.0])
+def test_advice_that_gains_nothing_is_not_given(slope: float) -> None:
+    """To the digits that are printed, of each unknown; neither of the plate before it had a crack
+    nor of what tells most."""
+    cube = Cube((np.linspace(0.01, 0.02, 4), np.linspace(0.1, 0.2, 4)))
+    matrix, offset = np.array([[slope, 0.0], [30.0, 40.0]]), np.zeros(2)
+    rows = (fc.Measurement("frequency_open", 100.0, 0.1, 1),) * 2
+    model = Advised(matrix, offset, cube, rows=rows)
+    likelihood = Likelihood(np.zeros(2), np.array([0.1, 0.1]), model)  # type: ignore[arg-type]
+    more, x = fc.Measurement("frequency_tied", 100.0, 1e-4, 1), np.array([0.015, 0.15])
+    told = advice(likelihood, x, worth_of(likelihood, x, [more], (1e-3, 0.05)))
+    assert len(told) == (2 if slope else 0)
+    for text in told:
+        assert "crack length to " in text and len(set(re.findall(r"[\d.]+ [mµ]m", text))) > 1
+    now = {"crack.length": 1.00001e-3, "crack.height": 2e-3}
+    left = {"crack.length": np.array([1e-3]), "crack.height": np.array([1e-3])}
+    [*_, text] = advice(likelihood, x, Worth((more,), np.ones(1), left, now))
+    assert text.endswith("the crack held closed: height of the crack to 1 mm in place of 2 mm")
 
 
 class Even(Linear):
