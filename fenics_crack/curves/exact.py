@@ -262,7 +262,7 @@ class _Judge:
         other = _side(self._between(segment, share)) != _side(leading)
         [wave] = self._curve.gaps_in_time(np.array([place])) if other.any() else [np.zeros(0)]
         away = self._apart(wave, segment[other], share[other])
-        rivalled = bool(np.any(away <= BELIEVED * distance))
+        rivalled = bool(np.any(away <= (1.0 + FARTHEST) * distance))
         return complex(np.nan) if rivalled else complex(_upper(leading))
 
     def _tells(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fenics_crack.curves.family import Family
+from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, exact_flow
 from fenics_crack.motion.shooting import FlowOrbits, OrbitPoint
 from fenics_crack.numerics.equations import DIFFERENCE
@@ -32,7 +33,10 @@ class VariedOrbits(FlowOrbits):
     def _at(self, parameter: float) -> tuple[ContactFlow, np.ndarray]:
         """The flow where the parameter has a value, and its states by those of the first."""
         if self._there[0] != parameter:
-            problem = self._family.at(self._family.value(parameter))
+            try:
+                problem = self._family.at(self._family.value(parameter))
+            except InputError as error:  # Newton's method has left what the parameter may be
+                raise ConvergenceError(str(error)) from None
             flow = exact_flow(problem.structure, problem.contact)
             change = flow.modes.inverse @ self.flow.modes.shapes
             self._there = parameter, flow, np.kron(np.eye(2), change)
@@ -59,8 +63,10 @@ class VariedOrbits(FlowOrbits):
             return np.asarray(self.scale[:, None] * inner / self.scale)
 
         def by_parameter() -> np.ndarray:
-            ends = (self.moved(unknown, parameter + h) for h in (-DIFFERENCE, DIFFERENCE))
-            before, after = ends
-            return np.asarray((after - before) / (2.0 * DIFFERENCE))
+            # Not beyond the ends of the family: there may be no structure.
+            low = max(parameter - DIFFERENCE, min(parameter, 0.0))
+            high = min(parameter + DIFFERENCE, max(parameter, 1.0))
+            change = self.moved(unknown, high) - self.moved(unknown, low)
+            return np.asarray(change / (high - low))
 
         return OrbitPoint(unknown, residual, monodromy, by_parameter, motion.events)

@@ -111,8 +111,8 @@ class ContactFlow:
         stiffness = np.diag(modes.squares) + modes.pairs @ np.linalg.solve(
             compliance, modes.pairs.T
         )
-        self.fastest = float(np.sqrt(max(np.linalg.eigvalsh(stiffness)[-1], 0.0)))
-        """No set of closed pairs has a higher frequency [rad/s]."""
+        self.fastest = _fastest(float(np.linalg.eigvalsh(stiffness)[-1]), modes.damping)
+        """No set of closed pairs turns or decays faster [1/s]."""
         self.force = np.ascontiguousarray(structure.force @ modes.shapes)
         """f: mean, cosine and sine, (3, n_modes)."""
         self.gap = np.zeros((3, pairs))
@@ -330,6 +330,15 @@ class Motion:
     pieces: int
     track: Track
     samples: Samples
+
+
+def _fastest(square: float, damping: np.ndarray) -> float:
+    """At least the size of each root s of s^2 + c s + k = 0 where k <= square and c is a Rayleigh
+    quotient of the damping [1/s]."""
+    drag = float(np.linalg.norm(damping, 2 if damping.ndim == 2 else np.inf))
+    if damping.ndim == 2 and not np.allclose(damping, damping.T):  # c is complex
+        return 0.5 * (drag + float(np.sqrt(drag**2 + 4.0 * max(square, 0.0))))
+    return max(float(np.sqrt(max(square, 0.0))), drag)
 
 
 def _check(outcome: int, events: int) -> None:

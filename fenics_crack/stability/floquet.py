@@ -45,9 +45,10 @@ def leaves(
 ) -> bool:
     """Whether a motion, given by its x at phase zero, leaves a stable orbit given like that: it is
     much farther away within some periods than at first, or in the end, where it is not there to a
-    millionth, than a small disturbance would be."""
-    monodromy = orbits.linearise(orbit, parameter).monodromy
-    linear = motion - orbit
+    millionth, or as well as the orbit is known, than a small disturbance would be."""
+    there = orbits.linearise(orbit, parameter)
+    monodromy, linear = there.monodromy, motion - orbit
+    known = np.linalg.norm(np.linalg.solve(np.eye(len(orbit)) - monodromy, there.residual))
     away, expected = [np.linalg.norm(linear)], [np.linalg.norm(linear)]
     try:
         for _ in range(FOLLOWED):
@@ -58,7 +59,7 @@ def leaves(
                 return True
     except ConvergenceError:  # pairs chatter without end
         return True
-    return bool(max(away[-LATER:]) > BELIEVED * max(*expected[-LATER:], KNOWN * expected[0]))
+    return bool(max(away[-LATER:]) > BELIEVED * max(*expected[-LATER:], KNOWN * expected[0], known))
 
 
 def orbits_near(

@@ -36,6 +36,24 @@ def test_linear_motion(damping: str) -> None:
     assert np.allclose(history.displacement(range(n)), exact, atol=1e-10)
 
 
+@pytest.mark.parametrize("ratio", [1.5, 4.0, 20.0])
+def test_overdamped_motion(ratio: float) -> None:
+    """A mass that creeps at 2 ratio w, no contact: the matrix exponential; and a linear solution,
+    which has no error and is stable."""
+    one = np.ones((1, 1))
+    structure = fc.Structure.from_matrices(
+        one, one, one, force_cos=[1.0], damping=2.0 * ratio * one, clearance=100.0
+    )
+    law = fc.UnilateralPenalty(1.0)
+    history = integrate_events(structure, 1.0, law, periods=1, initial=(one[0] * 3.0, one[0]))
+    flow = np.zeros((4, 4))
+    flow[0, 1], flow[1, :3], flow[2, 3], flow[3, 2] = 1.0, (-1.0, -2.0 * ratio, 1.0), 1.0, -1.0
+    exact = [(expm(time * flow) @ (3.0, 1.0, 1.0, 0.0))[0] for time in history.time]
+    assert np.allclose(history.gap[:, 0] + 100.0, exact, atol=1e-12)
+    solution = fc.solve_harmonic_balance(structure, 1.0, law, harmonics=3)
+    assert solution.report.total < 1e-10 and floquet(structure, solution).verdict == "stable"
+
+
 def test_central_differences_converge_to_it() -> None:
     """Two pairs with a clearance and a preload; the difference falls like dt^2."""
     stiffness = np.array([[3.0, -1.0, 0.0], [-1.0, 3.0, -1.0], [0.0, -1.0, 2.0]])
