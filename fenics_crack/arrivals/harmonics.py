@@ -182,9 +182,16 @@ class TipFit(Tabular):
 
     @property
     def in_doubt(self) -> bool:
-        """Tell whether it does not fit, harmonics left out may be folded, or it has as many
-        unknowns as there are probes, which fits anything."""
-        return self.does_not_fit or self.may_be_folded or self.spare < 1
+        """Tell whether it does not fit, harmonics left out may be folded, it has as many unknowns
+        as there are probes, which fits anything, or no probe sees the vibration twice."""
+        return self.does_not_fit or self.may_be_folded or self.spare < 1 or self.seen_once
+
+    @property
+    def seen_once(self) -> bool:
+        """Tell whether no probe sees the same twice, as in one revolution: errors of arrivals are
+        then not known but from what the fit leaves, and nothing tests that its harmonics are
+        enough."""
+        return self.spare > 0 and bool(np.isnan(self.misfit)) and not self.order_error
 
     def ratio(self, multiple: float = 2.0) -> tuple[float, float]:
         """Amplitude at a multiple of the load's frequency relative to that at it, and its standard
@@ -252,6 +259,8 @@ class TipFit(Tabular):
             parts.append("harmonics left out may be folded")
         if self.spare < 1:
             parts.append("as many unknowns as probes")
+        elif self.seen_once:
+            parts.append("no probe sees it twice")
         parts += [f"beside {line.omega:.6g} rad/s" for line in self.asynchronous]
         for words, orders in (("as well", self.ambiguous), ("not measured", self.hidden)):
             if orders:

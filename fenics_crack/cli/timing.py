@@ -32,6 +32,10 @@ KEYS = ("tip_radius", "orders", "probes")
 """Of [tip_timing], with a record in place of a scene."""
 MISSING = "harmonics are missing (tip_timing.fitted_harmonics), and folded onto those kept"
 UNTESTED = "as many unknowns as probes: neither the order nor the harmonics kept are tested"
+ONCE = (
+    "no probe sees the vibration twice, so errors of arrivals are not known: neither the harmonics "
+    "kept nor the standard errors are tested (more revolutions)"
+)
 EMPTY = ("blade", "rpm", "order", "frequency")
 """Columns of a table without a resonance."""
 SHOWN_ORDERS = 6
@@ -180,6 +184,8 @@ def _account_of_fit(fit: TipFit, scene: Scene, warnings: list[str]) -> Account:
         )
     if fit.spare < 1:
         warnings.append(UNTESTED)
+    elif fit.seen_once:
+        warnings.append(ONCE)
     for orders, what in (
         (fit.ambiguous, "orders that explain the arrivals as well"),
         (fit.hidden, "orders that these probes cannot measure"),

@@ -92,6 +92,26 @@ def test_what_probes_cannot_tell(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "harmonics are missing (tip_timing.fitted_harmonics)" in capsys.readouterr().err
 
 
+def test_one_revolution_is_no_sure_fit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its probes see the vibration once: in doubt, and told why; so are two of twice the load's
+    period. With one more revolution they see it twice, and the warning is gone."""
+    scene = written(tmp_path, {"tip_timing.noise": 1e-9, "tip_timing.fitted_harmonics": 2})
+    assert main(["timing", scene, "--output", str(tmp_path), "--quiet"]) == 0
+    lines = (tmp_path / "arrivals.csv").read_text().splitlines()
+    capsys.readouterr()
+    for subharmonic, turns, once in ((1, 1, True), (1, 2, False), (2, 2, True), (2, 3, False)):
+        few = tmp_path / "few.csv"
+        few.write_text("\n".join(lines[: 1 + turns * len(PROBES)]) + "\n")
+        words = ["--output", str(tmp_path), "--set", f"tip_timing.subharmonic={subharmonic}"]
+        assert main(["timing", scene, str(few), *words]) == 0
+        told = capsys.readouterr().err
+        assert ("warning: no probe sees the vibration twice" in told) == once
+        how: dict[str, Any] = {"harmonics": 2, "subharmonic": subharmonic}
+        fit = fc.fit_order(fc.ArrivalTimes.from_csv(few), [5], **how)
+        assert fit.spare > 0 and fit.seen_once == once == ("no probe sees it twice" in repr(fit))
+        assert fit.in_doubt or not once
+
+
 def test_doubts_of_the_vibration_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Arrivals of an orbit that is not stable, or not exact, are told to be: solved or read."""
     resonance = {"excitation.omega": 5958.0, "harmonic_balance.harmonics": 8}  # twice the breathing
