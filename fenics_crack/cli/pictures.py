@@ -43,7 +43,7 @@ from fenics_crack.sweep.result import SweepResult
 from fenics_crack.table import ranging, readable, with_unit
 from fenics_crack.time.march import TimeHistory
 
-__all__ = ["draw_result", "draw_several", "draw_swept"]
+__all__ = ["can_be_drawn", "draw_result", "draw_several", "draw_swept"]
 
 MOST_PICTURES = 12
 """Results in one picture; pictures of a quantity of a sweep."""
@@ -63,6 +63,14 @@ def draw_result(result: Computed, folder: Path) -> list[Path]:
     files: list[Path] = []
     DRAW[result.KIND](result, _file_in(folder, files))
     return files
+
+
+def can_be_drawn(result: Computed) -> bool:
+    """Tell whether a result can be drawn: a sweep over two or more numbers, if a case of it has
+    converged."""
+    if not isinstance(result, SweepResult):
+        return True
+    return bool(_over_numbers(result) and result.converged.any())
 
 
 def _file_in(folder: Path, files: list[Path]) -> File:
@@ -204,17 +212,21 @@ def _sweep(found: SweepResult, file: File) -> None:
                 draw_swept(axes, values, doubtful[number], quantity, file, base, words)
 
 
+def _over_numbers(found: SweepResult) -> list[int]:
+    """Places of the axes of two or more numbers."""
+    return [
+        place
+        for place, axis in enumerate(found.axes)
+        if len(axis.values) > 1 and all(isinstance(value, float | int) for value in axis.values)
+    ]
+
+
 def _shown_axes(found: SweepResult) -> list[int]:
     """Places of the one or two axes that are drawn: the frequency, then the longest.
 
     Raises InputError if no axis has two or more numbers, or no case has converged.
     """
-    axes = found.axes
-    numbers = [
-        place
-        for place, axis in enumerate(axes)
-        if len(axis.values) > 1 and all(isinstance(value, float | int) for value in axis.values)
-    ]
+    axes, numbers = found.axes, _over_numbers(found)
     if not numbers:
         raise InputError("sweep.over", [a.key for a in axes], "over numbers, to be drawn")
     if not np.any(found.converged):

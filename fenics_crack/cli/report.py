@@ -21,8 +21,15 @@ import h5py
 
 from fenics_crack.cli.account import frequency_in_words
 from fenics_crack.cli.console import Console
-from fenics_crack.cli.pictures import draw_result
-from fenics_crack.cli.results import HEADINGS, Computed, account_of, result_of
+from fenics_crack.cli.pictures import can_be_drawn, draw_result
+from fenics_crack.cli.results import (
+    HEADINGS,
+    IDENTIFICATION,
+    IDENTIFIED,
+    Computed,
+    account_of,
+    result_of,
+)
 from fenics_crack.cli.scenes import draw_scene, harmonics_in_words
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import Stored, read, versions
@@ -65,8 +72,8 @@ def report(given: Namespace, _: None, console: Console) -> None:
     target = given.output or given.results[0].parent / "report.html"
     words = ["fenics-crack", *given.words]
     with console.stage("report"):
-        on_root(console.comm, lambda: write_report(given.results, target, words))
-    console.note(str(target))
+        left = on_root(console.comm, lambda: write_report(given.results, target, words))
+    console.note(str(target), *(f"{path} is left out: {IDENTIFIED}" for path in left))
 
 
 IN_SHORT = (
@@ -76,8 +83,8 @@ IN_SHORT = (
 """Tables of a scene whose keys stand above its text."""
 
 
-def write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) -> None:
-    """Write the page of some results.
+def write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) -> list[Path]:
+    """Write the page of some results; return the files that are left out beside others.
 
     Parameters
     ----------
@@ -96,7 +103,8 @@ def write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) ->
     if target.suffix.lower() not in (".html", ".htm"):
         raise InputError("--output", str(target), "a .html file")
     stored = [read(path) for path in dict.fromkeys(paths)]
-    both = [(file, result_of(file)) for file in stored]
+    shown = [file for file in stored if file.kind != IDENTIFICATION] or stored
+    both = [(file, result_of(file)) for file in shown]
     both.sort(key=lambda one: list(HEADINGS).index(one[0].kind))
     kinds, scenes = [file.kind for file, _ in both], [result.scene for _, result in both]
     titles, parts = {"short": "In short", "scene": "Scene"}, []
@@ -116,7 +124,8 @@ def write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) ->
             doubtful = [f"{text[0].upper()}{text[1:]}" for text in found.warnings]
             blocks += [points(told), points(doubtful, "doubtful")]
             blocks += [paragraph(*found.verdict)] if found.verdict else []
-            blocks += [_picture(path) for path in draw_result(result, place)]
+            if can_be_drawn(result):
+                blocks += [_picture(path) for path in draw_result(result, place)]
             blocks += [_table(rows, caption) for caption, rows in found.tables.items()]
             blocks.append(paragraph(f"From {file.path}, {_made(file.path)}.", "small"))
             titles[f"result-{number}"] = heading
@@ -133,6 +142,7 @@ def write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) ->
     under = f"{datetime.now(UTC).astimezone():%d %B %Y, %H:%M %Z}, fenics_crack {VERSION}"
     text = page(f"Breathing crack: {stem}", under, [contents(titles), *blocks])
     write_whole(target, text, "--output")
+    return [file.path for file in stored if file.kind == IDENTIFICATION]
 
 
 # --- parts ----------------------------------------------------------------------------------------

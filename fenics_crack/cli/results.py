@@ -23,7 +23,10 @@ from fenics_crack.sweep.result import SweepResult
 from fenics_crack.table import Table, quantity
 from fenics_crack.time.march import TimeHistory
 
-__all__ = ["HEADINGS", "Computed", "account_of", "account_of_verification", "result_of"]
+__all__ = [
+    "HEADINGS", "IDENTIFICATION", "IDENTIFIED", "Computed", "account_of", "account_of_verification",
+    "result_of",
+]  # fmt: skip
 
 Computed = Run[Any] | SweepResult | Verification | Growth
 """What commands write."""
@@ -38,6 +41,12 @@ HEADINGS = {
     Verification.KIND: "Convergence study",
 }
 """By kind, in the order of a report."""
+IDENTIFICATION = "identification"
+"""Kind of the file of ``identify``, which draws its picture itself."""
+IDENTIFIED = (
+    "what identify has found is in identify.json, fit.csv and, of two unknowns or more, "
+    "posterior.png beside it"
+)
 SHOWN_LENGTHS = 9
 """Rows that are printed; the file has all."""
 
@@ -109,6 +118,8 @@ def result_of(stored: Stored) -> Computed:
     InputError
         It is no result of a command.
     """
+    if stored.kind == IDENTIFICATION:
+        raise InputError("result", str(stored.path), f"another kind of result; {IDENTIFIED}")
     if stored.kind not in HEADINGS:
         allowed = f"a result of one of these kinds: {', '.join(HEADINGS)}"
         raise InputError("result", str(stored.path), allowed)

@@ -22,6 +22,7 @@ from test_responses import file_of as universal_file
 
 import fenics_crack as fc
 from fenics_crack import SweepResult
+from fenics_crack.cli.results import IDENTIFIED
 from fenics_crack.sweep.file import SweepFile
 
 PLATE = """
@@ -433,19 +434,26 @@ def test_killed_sweep_goes_on(scene: fc.Scene, tmp_path: Path) -> None:
     assert time.perf_counter() - began < 20.0 and again.estimate == found.estimate
 
 
+@pytest.fixture
+def little(scene: fc.Scene, tmp_path: Path) -> list[str]:
+    """The words of a command for one unknown and a frequency; its results are in "out"."""
+    few = {"crack.length": [0.01, 0.018, 0.026, 0.034]}
+    plain = scene.replace(EXACT | {"identify.unknown": few, "output": None})
+    (tmp_path / "plate.toml").write_text(plain.as_toml())
+    rows = fc.Measurements.from_arrays("frequency_open", [1700.0], 2.0, mode=[1])
+    rows.to_csv(tmp_path / "m.csv")
+    words = ["identify", str(tmp_path / "plate.toml"), str(tmp_path / "m.csv")]
+    return [*words, "--output", str(tmp_path / "out")]
+
+
 def test_stops_at_ctrl_c(
-    scene: fc.Scene,
+    little: list[str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Nothing is inferred from a part of a sweep, and no other sweep begins; the same call goes on
     with it."""
-    few = {"crack.length": [0.01, 0.018, 0.026, 0.034]}
-    plain = scene.replace(EXACT | {"identify.unknown": few, "output": None})
-    (tmp_path / "plate.toml").write_text(plain.as_toml())
-    rows = fc.Measurements.from_arrays("frequency_open", [1700.0], 2.0, mode=[1])
-    rows.to_csv(tmp_path / "m.csv")
     record, left = SweepFile.record, 2
 
     def interrupted(*arguments: Any) -> None:
@@ -456,17 +464,37 @@ def test_stops_at_ctrl_c(
         record(*arguments)
 
     monkeypatch.setattr(SweepFile, "record", interrupted)
-    words = ["identify", str(tmp_path / "plate.toml"), str(tmp_path / "m.csv")]
-    assert main([*words, "--output", str(tmp_path / "out")]) == 3
+    assert main(little) == 3
     assert "identification was stopped; the same command goes on" in capsys.readouterr().err
     [path] = (tmp_path / "out").iterdir()  # no file of what was found
     assert np.count_nonzero(SweepResult.load(path)["state"]) == 2
     left = 1
     with pytest.raises(fc.ConvergenceError, match="identification was stopped"):
-        fc.identify(plain, rows, folder=tmp_path / "out")
+        scene = fc.Scene.load(tmp_path / "plate.toml")
+        fc.identify(scene, tmp_path / "m.csv", folder=tmp_path / "out")
     assert np.count_nonzero(SweepResult.load(path)["state"]) == 3
-    assert main([*words, "--output", str(tmp_path / "out")]) == 0
+    assert main(little) == 0
     assert (tmp_path / "out" / "identify.json").exists()
+
+
+def test_beside_other_results(
+    little: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A report of all files in its folder has the sweeps, one of which is a single case and has no
+    picture, and says that what was inferred is left out; to ask for that alone is answered."""
+    assert main(little) == 0
+    files = sorted(map(str, (tmp_path / "out").glob("*.h5")))
+    [own] = [name for name in files if name.endswith("identify.h5")]
+    page = tmp_path / "page.html"
+    capsys.readouterr()
+    assert len(files) == 3 and main(["report", *files, "--output", str(page)]) == 0
+    told = capsys.readouterr().err.splitlines()
+    assert told == [str(page), f"{own} is left out: {IDENTIFIED}"]
+    text = page.read_text("utf-8")
+    assert text.count("of 1 cases") == text.count("of 4 cases") == 2
+    for command in ("plot", "report"):
+        assert main([command, own]) == 2
+        assert "another kind of result; what identify has found is in" in capsys.readouterr().err
 
 
 def test_crack_from_frequency_responses(
