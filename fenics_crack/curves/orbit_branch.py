@@ -17,7 +17,7 @@ A segment between two nodes is halved, by the orbit next to Hermite's cubic thro
 - where the angles of two pairs that went on as they came from both sides would pass each other, or
   that of one 0 or pi, or from one side before its middle: there pairs of a motion without damping
   leave the unit circle, and meet it again;
-- where pairs of lips open and close at least twice as often at one end as at the other: multipliers
+- where pairs of lips open and close a quarter more often at one end than at the other: multipliers
   turn on like a square root where a motion begins to touch;
 - once at either end of the curve, where nothing comes from beyond;
 - where several of r, d and c change, or one by more than 1, until each changes by itself.
@@ -48,7 +48,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from itertools import pairwise, permutations
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -104,8 +104,8 @@ class Node:
         Along the curve, in points.
     unknown, parameter, tangent
         x, p and the tangent onwards.
-    leading : (8,) complex
-        Multipliers of largest modulus, in their order; all where there are fewer.
+    multipliers : (k,) complex
+        Of largest modulus, in their order; of systems that are not large all.
     outside : tuple of int
         r, d and c.
     events : int
@@ -120,19 +120,22 @@ class Node:
     unknown: np.ndarray
     parameter: float
     tangent: Tangent
-    leading: np.ndarray
+    multipliers: np.ndarray
     outside: tuple[int, int, int]
     events: int
     away: float = np.nan
     crossing: Crossing | None = None
 
     @cached_property
+    def leading(self) -> np.ndarray:
+        """Those by which points are judged: (8,) complex, or fewer."""
+        return self.multipliers[:LEADING]
+
+    @cached_property
     def turns(self) -> np.ndarray:
-        """-ln r and angles in (0, pi) of the pairs of multipliers, nan behind the last: (4, 2)."""
-        upper = self.leading[self.leading.imag > 0.0]
-        found = np.full((LEADING // 2, 2), np.nan)
-        found[: len(upper)] = np.column_stack([-np.log(np.abs(upper)), np.angle(upper)])
-        return found
+        """-ln r and angles in (0, pi) of the pairs of multipliers: (k, 2)."""
+        upper = self.multipliers[self.multipliers.imag > 0.0]
+        return np.column_stack([-np.log(np.abs(upper)), np.angle(upper)])
 
     @cached_property
     def moduli(self) -> np.ndarray:
@@ -249,10 +252,10 @@ class OrbitBranch:
             doubt[1:] |= bent & behind
             doubt[1:] |= _pass_one(moduli, lengths)
             doubt[:-1] |= _pass_one(moduli[::-1], lengths[::-1])[::-1]
-            doubt |= _pass_each_other(nodes, lengths)
+            doubt |= _pass_each_other(nodes, lengths) | _leave_between(nodes, lengths)
         events = np.array([one.events for one in nodes])
         least, most = np.sort([events[:-1], events[1:]], axis=0)
-        doubt |= (most > least) & (most >= 2 * least) & (wide > 1.0)
+        doubt |= (most > least) & (most >= 1.25 * least) & (wide > 1.0)
         doubt[[0, -1]] |= wide[[0, -1]] > EVERY // 2
         several = ~linked | (_steps(nodes).sum(axis=1) > 1)
         doubt &= wide > NARROWEST
@@ -693,12 +696,7 @@ def _pass_each_other(nodes: list[Node], lengths: np.ndarray) -> np.ndarray:
     """Whether between two nodes angles pass each other, or 0 or pi, if they go on as they come from
     both sides, or from the one side that tells, or before the middle from either, and may do more
     there than the nodes show: (n - 1,) bool."""
-    turns = np.array([one.turns for one in nodes])
-    cost = np.abs(turns[:-1, :, None] - turns[1:, None]).sum(axis=3)
-    cost[np.isnan(cost)] = 1.0 + np.nansum(cost)  # one that is not there is far from all others
-    ways = np.array(list(permutations(range(turns.shape[1]))))
-    total = cost[:, np.arange(turns.shape[1]), ways].sum(axis=2)
-    way = ways[total.argmin(axis=1)]  # numbers of the pairs of each node at the next
+    turns, way = _followed([one.turns for one in nodes])
     logs, here = np.moveaxis(turns[:-1], 2, 0)
     there = np.take_along_axis(turns[1:, :, 1], way, 1)
     came, ahead = np.full((2, *here.shape), np.nan)
@@ -720,6 +718,42 @@ def _pass_each_other(nodes: list[Node], lengths: np.ndarray) -> np.ndarray:
     hidden &= damped > 0.0
     both = ~(on >= 0.0) & ~(back >= 0.0) & ~(np.isnan(on) & np.isnan(back))
     return np.asarray(np.any(hidden & (both | (soon < 0.0) | (late < 0.0)), axis=1))
+
+
+def _followed(rows: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """What nodes have of their pairs, (n, k, 2), nan behind the last; and which of the next node's
+    each of them is, by the smallest changes: (n - 1, k)."""
+    found = np.full((len(rows), max(map(len, rows)), 2), np.nan)
+    for own, row in zip(found, rows, strict=True):
+        own[: len(row)] = row
+    cost = np.abs(found[:-1, :, None] - found[1:, None]).sum(axis=3)
+    cost[np.isnan(cost)] = 1.0 + np.nansum(cost)  # one that is not there is far from all others
+    ways = [scipy.optimize.linear_sum_assignment(one)[1] for one in cost]
+    return found, np.array(ways, dtype=int).reshape(cost.shape[:2])
+
+
+def _leave_between(nodes: list[Node], lengths: np.ndarray) -> np.ndarray:
+    """Whether on segments with both ends on one side of 1 the parabolas through sums and products
+    of pairs at three nodes go to the other side: (n - 1,) bool."""
+    pairs, way = _followed([one.pairs for one in nodes])
+    before = np.take_along_axis(pairs[:-2], np.argsort(way[:-1], axis=1)[..., None], 1)
+    behind = np.take_along_axis(pairs[2:], way[1:, :, None], 1)
+    first, last = np.maximum(lengths[:-1], 1e-300), np.maximum(lengths[1:], 1e-300)
+    first, last = first[:, None, None], last[:, None, None]
+    slope = (pairs[1:-1] - before) / first
+    bend = ((behind - pairs[1:-1]) / last - slope) / (first + last)
+    shares = np.array([0.25, 0.5, 0.75])[:, None, None, None]
+    outside = np.array([one.moduli[0] > 1.0 for one in nodes])
+    counts = np.array([len(one.pairs) for one in nodes])
+    alike = (counts[:-2] == counts[1:-1]) & (counts[1:-1] == counts[2:])
+    found = np.zeros(len(lengths), dtype=bool)
+    for at, segment in ((first * shares, slice(0, -1)), (first + last * shares, slice(1, None))):
+        total, product = np.moveaxis(before + at * (slope + (at - first) * bend), -1, 0)
+        root = np.sqrt(0.25 * total**2 - product + 0j)
+        sizes = np.fmax(np.abs(0.5 * total + root), np.abs(0.5 * total - root))
+        leaves = np.any((np.fmax.reduce(sizes, axis=2) > 1.0) != outside[segment][:-1], axis=0)
+        found[segment] |= leaves & alike
+    return found & (outside[:-1] == outside[1:])
 
 
 def _steps(nodes: list[Node]) -> np.ndarray:
