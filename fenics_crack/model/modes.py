@@ -50,13 +50,16 @@ __all__ = [
 ]
 
 LIPS = ("open", "tied")
+LOST = (
+    "what is too slender, or held by too little, has frequencies below the rounding of its "
+    "stiffness; make it thicker, or what is left beside a crack wider"
+)
 AS_ZERO = 1e-14
-"""Relative to the largest: what counts as zero of squares of frequencies (to K_ii / M_ii), static
-responses and gaps."""
+"""Relative to what it is the rest of: what counts as zero of squares of frequencies (to sum K_ii
+phi_i^2), static responses and gaps."""
 NEGLIGIBLE = 1e-12
-"""What solutions with K leave of zero, relative to the largest: squares of frequencies of motions
-as a rigid body, eigenvalues of static compliances, weights of directions in a Gram matrix, gaps of
-lips that the load presses together."""
+"""What solutions with K leave of zero, relative to the largest: eigenvalues of static compliances,
+weights of directions in a Gram matrix, gaps of lips that the load presses together."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -123,7 +126,8 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
         lips is none of these, count is not between 1 and n_dofs (less one for each pair that is
         tied), or the number of modes with mass, or the stiffness has a negative eigenvalue.
     ConvergenceError
-        SLEPc found fewer modes than asked for.
+        SLEPc found fewer modes than asked for, or the lowest frequency of a clamped mesh is lost in
+        rounding.
 
     Examples
     --------
@@ -195,11 +199,25 @@ def modes_by(factor: Factor, structure: Structure, count: int, ties: Any = None)
         if asked == most or count_below(structure, bound, ties) <= np.sum(squares < bound):
             break
         asked = min(2 * asked + 2, most)
-    squares[squares <= AS_ZERO * max(np.max(quotients), scale)] = 0.0
-    omega, shapes = np.sqrt(squares[:count]), shapes[:, :count]
+    squares, shapes = squares[:count], shapes[:, :count]
+    squares[squares <= AS_ZERO * np.maximum(_unassembled(structure, shapes), scale)] = 0.0
+    if squares[0] == 0.0 and structure.clamp is not None:  # no part of a mesh is without one
+        raise ConvergenceError(f"modes: omega^2 of the lowest is rounding of the stiffness: {LOST}")
+    omega = np.sqrt(squares)
     shapes *= _signs(structure, shapes)
     kept[:] = omega, shapes
     return Modes(omega, shapes, structure)
+
+
+def _unassembled(structure: Structure, shapes: np.ndarray) -> np.ndarray:
+    """sum K_ii phi_i^2 of mass-normalised shapes: what each dof would add to omega^2 if it moved
+    alone, and so what rounding of K is relative to (collective).
+
+    The largest K_ii / M_ii is no measure: elements that shrink towards a tip make it as large as
+    one likes, while a low mode moves them hardly more than others.
+    """
+    own = structure.stiffness.getDiagonal().array_r @ shapes**2
+    return structure.sum_over_ranks(own)
 
 
 def _lowest(structure: Structure) -> list[np.ndarray]:
@@ -235,7 +253,7 @@ def _solve(solver: Any, count: int) -> None:
     found = solver.getConverged()
     if found < count:
         solver.destroy()
-        raise ConvergenceError(f"modes: only {found} of {count} converged")
+        raise ConvergenceError(f"modes: only {found} of {count} converged: {LOST}")
 
 
 def _nearest_zero(

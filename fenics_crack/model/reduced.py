@@ -28,6 +28,7 @@ from fenics_crack.model.damping import DampingRule
 from fenics_crack.model.factor import AT_A_TIME, Factor, distributed
 from fenics_crack.model.modes import NEGLIGIBLE, times
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.equations import EPSILON
 
 __all__ = [
     "INSTEAD",
@@ -156,7 +157,8 @@ class ResidualFlexibility:
         self.structure, self.shapes, self.squares = structure, shapes, squares
         self.sources = sparse.csr_matrix(sources)
         self.modal = structure.sum_over_ranks(self.sources.T @ shapes)
-        self._held = bool(np.all(squares > 0.0))
+        # Of a hinge that hardly resists, rounding of the modal part would be all that is left.
+        self._held = bool(np.all(squares > np.sqrt(EPSILON) * squares[-1:]))
         self._measured: dict[int, np.ndarray] = {}
 
     def solve(self, factor: Factor, forces: np.ndarray) -> np.ndarray:
@@ -172,7 +174,7 @@ class ResidualFlexibility:
         rows = [np.zeros((0, self.sources.shape[1]))]
         for start in range(0, columns.shape[1], AT_A_TIME):
             block = columns[:, start : start + AT_A_TIME].T.toarray()
-            # Where K^-1 exists its modal part is subtracted once, below.
+            # Where K^-1 is small enough its modal part is subtracted once, below.
             moved = factor.solve(block) if self._held else self.solve(factor, block)
             rows.append((self.sources.T @ moved.T).T)
         found: np.ndarray = self.structure.sum_over_ranks(np.concatenate(rows))

@@ -39,7 +39,6 @@ from fenics_crack.model.factor import AT_A_TIME, Factor, factored_sum
 from fenics_crack.model.modal import SMALL
 from fenics_crack.model.modes import (
     AS_ZERO,
-    NEGLIGIBLE,
     check_damped_modes,
     damped_modes,
     damping_in,
@@ -174,7 +173,6 @@ def _massless(structure: Structure, modes: int, *, judged: bool) -> MasslessStru
         found = modes_by(factor, structure, more)
         begin("static responses")
         squares, shapes = found.omega**2, found.shapes
-        squares[squares <= NEGLIGIBLE * squares[-1]] = 0.0
         if rigid := np.count_nonzero(squares[modes:] == 0.0):
             allowed = f"at least {modes + rigid}: all motions as a rigid body"
             raise InputError("modes", modes, allowed)
@@ -222,7 +220,7 @@ def _loaded_dofs(structure: Structure) -> np.ndarray:
 
 def _without_rounding(compliance: np.ndarray, seen: np.ndarray, squares: np.ndarray) -> np.ndarray:
     """S without the forces that the kept modes carry alone, of which rounding leaves something."""
-    elastic = squares > NEGLIGIBLE * squares[-1]
+    elastic = squares > 0.0
     carried = np.sum(seen[elastic] ** 2 / squares[elastic, None], axis=0)
     found = compliance.copy()
     lost = np.diag(compliance) <= AS_ZERO * carried

@@ -179,6 +179,21 @@ def test_motions_as_a_rigid_body_have_no_frequency() -> None:
     assert list(omega[:2]) == [0.0, 0.0] and omega[2] > 1e3
 
 
+def test_a_low_frequency_beside_light_dofs_is_none_of_a_rigid_body() -> None:
+    """However light other dofs are: a mass on two springs, 1e-17 of it between them."""
+    springs = np.array([[2.0, -1.0], [-1.0, 1.0]])
+    structure = Structure.from_matrices(np.diag([1e-17, 1.0]), springs, None)
+    np.testing.assert_allclose(solve_modes(structure, 1).omega, np.sqrt(0.5), rtol=1e-12)
+
+
+@pytest.mark.parametrize("height", [2000.0, 9000.0])
+def test_what_is_lost_in_rounding_is_said(height: float) -> None:
+    """A clamped beam so many times as long as wide has a frequency, not to be found: no zero."""
+    beam = plate(1, 40, **{"geometry.height": height, "mesh.order": 2})
+    with pytest.raises(fc.ConvergenceError, match="too slender"):
+        solve_modes(build_structure(beam), 1)
+
+
 @pytest.mark.parametrize("count", [0, -1, 31, 2.0, True, None, "all"])
 def test_count_that_cannot_be(count: Any) -> None:
     """The number of modes is a whole number from 1 to the number of dofs."""

@@ -53,6 +53,17 @@ def test_residual_is_what_the_modes_leave_out(modes: int, unconstrained: bool) -
     assert np.array_equal(residual, residual.T) and np.linalg.eigvalsh(residual)[0] > 0.0
 
 
+def test_residual_of_what_is_hardly_held() -> None:
+    """The same where a spring 1e-11 as stiff as others holds a chain: its mode is no part of it."""
+    free = chain("none", 24, unconstrained=True)
+    mass, _, stiffness = dense_matrices(free)
+    stiffness[0, 0] += 1e-11
+    structure = fc.Structure.from_matrices(mass, stiffness, free.gap)
+    found, gap = reduced(structure, 9), structure.gap.toarray()
+    assert 0.0 < found.omega[0] < 1e-6
+    assert relative(found.residual, gap.T @ flexibility(structure, 9) @ gap) < 1e-8
+
+
 @pytest.mark.parametrize("damping", DAMPINGS)
 def test_with_all_modes_nothing_is_left_out(damping: str) -> None:
     """R_inf = 0; R_k, the linear gap, and contact are those of the whole structure."""
