@@ -29,7 +29,7 @@ from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.model.matrices import numbers
 from fenics_crack.numerics.fourier import from_complex, sampled, to_complex
 
-__all__ = ["tip_timing"]
+__all__ = ["run_up_points", "tip_timing"]
 
 PASSAGES = 2**15
 """Solved at once."""
@@ -212,21 +212,30 @@ def _run_up(
     begin, end = float(curve.omega[0]), float(curve.omega[-1])
     if begin == end:
         raise InputError("result", f"a curve over {curve.parameter}", "one over the load frequency")
-    rising = np.sign(end - begin) * curve.omega
-    before = np.concatenate([[-np.inf], np.maximum.accumulate(rising)[:-1]])
-    kept = rising > before
-    if curve.multipliers is not None:
-        kept &= ~_next_to_folds(rising, kept, curve.verdicts != "stable")
-    if curve.multipliers is not None and np.any(curve.verdicts[kept] == "unstable"):
-        at = float(curve.omega[kept & (curve.verdicts == "unstable")][0])
-        allowed = "stable along the run-up, or a part that is, or its branch"
-        raise InputError("result", f"unstable at {at:.6g} rad/s", allowed)
+    kept, lost = run_up_points(curve)
+    if lost is not None:
+        at, allowed = float(curve.omega[lost]), "stable along the run-up, or a part that is, or "
+        raise InputError("result", f"unstable at {at:.6g} rad/s", f"{allowed}its branch")
     waves = sum(float(share) * curve.coefficients_at(dof) for dof, share in shares.items())
     speeds, harmonics = curve.omega[kept] / order, to_complex(np.asarray(waves)[kept].T).T
     if end < begin:
         speeds, harmonics = speeds[::-1], harmonics[::-1]
     rotor = _Rotor(begin / order, float(curve.omega[kept][-1]) / order, revolutions)
     return _TipMotion(rotor, speeds, harmonics, order / curve.subharmonic)
+
+
+def run_up_points(curve: ResponseCurve) -> tuple[np.ndarray, int | None]:
+    """Points of a curve that its run-up passes, (k,), up to the first one that is unstable; and
+    that one, None if there is none or the curve was followed without its stability."""
+    rising = np.sign(curve.omega[-1] - curve.omega[0]) * curve.omega
+    before = np.concatenate([[-np.inf], np.maximum.accumulate(rising)[:-1]])
+    kept = rising > before
+    if curve.multipliers is None:
+        return np.flatnonzero(kept), None
+    kept &= ~_next_to_folds(rising, kept, curve.verdicts != "stable")
+    points = np.flatnonzero(kept)
+    lost = points[curve.verdicts[points] == "unstable"]
+    return (points[points < lost[0]], int(lost[0])) if len(lost) else (points, None)
 
 
 def _next_to_folds(rising: np.ndarray, kept: np.ndarray, doubtful: np.ndarray) -> np.ndarray:

@@ -23,7 +23,7 @@ from fenics_crack.errors import Exit, InputError
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import TipTiming
-from fenics_crack.study.timing import arrivals_of, vibration_in
+from fenics_crack.study.timing import arrivals_of, of_another_scene, run_up_ends, vibration_in
 from fenics_crack.table import RPM, TURN, UNITS, Table, counted, quantity, speed_axis
 
 __all__ = ["timing"]
@@ -64,6 +64,8 @@ def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
     with console.stage("vibration"):
         fit = vibration_in(scene, arrivals)
     warnings: list[str] = []
+    if run is not None:
+        warnings += filter(None, (of_another_scene(scene, run), run_up_ends(scene, run)))
     if run is not None and isinstance(run.result, PeriodicSolution):
         found = run.result
         warnings += of_error(run.scene, found.report, found.harmonics)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,18 +14,35 @@ from fenics_crack.arrivals.fit_frequency import fit_frequency
 from fenics_crack.arrivals.fit_order import TipTrack, fit_order, track_order
 from fenics_crack.arrivals.harmonics import ORDERS, TipFit
 from fenics_crack.arrivals.passages import PassageFit, find_passages
-from fenics_crack.arrivals.simulate import tip_timing
+from fenics_crack.arrivals.simulate import run_up_points, tip_timing
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
+from fenics_crack.fem.build import with_crack_length
 from fenics_crack.fem.lips import SAME
 from fenics_crack.files.results import Result
 from fenics_crack.parallel import gather_rows
-from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.scene import LOOKED_AT, Scene
 from fenics_crack.scene.tables import TipTiming
+from fenics_crack.scene.words import differences
 from fenics_crack.study.run import Run, load_run, solve
+from fenics_crack.table import speed_axis
 
-__all__ = ["arrivals_of", "engine_order", "tip_direction", "vibration_in"]
+__all__ = [
+    "arrivals_of", "engine_order", "of_another_scene", "run_up_ends", "tip_direction",
+    "vibration_in",
+]  # fmt: skip
+
+DECIDED = (*LOOKED_AT, "reduction")
+"""Tables of a scene that may differ from those of a result: what is looked at, and what a run
+decides itself."""
+SHORTEST = 2
+"""Points of a run-up."""
+POINTWISE = (
+    "values", "omega", "unknowns", "harmonics", "iterations", "truncation", "multipliers",
+    "undecided",
+)  # fmt: skip
+"""Of a curve, by points."""
 
 
 def arrivals_of(
@@ -38,7 +56,8 @@ def arrivals_of(
     scene : Scene
         With the table.
     source : ArrivalTimes or path, optional
-        Measured ones; or a result of ``solve`` or ``curve``, whose own scene says how it turns.
+        Measured ones; or a result of ``solve`` or ``curve``, whose own scene says how it turns. A
+        run-up ends where the curve becomes unstable (:func:`run_up_ends`).
         Default: the steady vibration of the scene, which is solved.
 
     Raises
@@ -56,7 +75,7 @@ def arrivals_of(
     if isinstance(result, PeriodicSolution) and not result.converged:
         raise InputError("source", str(source or "the scene"), f"converged: {result.status}")
     arrivals = tip_timing(
-        result,
+        _stable_part(result) if isinstance(result, ResponseCurve) else result,
         tip_direction(table, run),
         probes=np.radians(table.probes),
         tip_radius=table.tip_radius,
@@ -67,6 +86,42 @@ def arrivals_of(
         seed=table.seed,
     )
     return arrivals, run
+
+
+def run_up_ends(scene: Scene, run: Run[Any]) -> str:
+    """Where along a run-up the curve becomes unstable, in words; "" if it does not, and of other
+    results."""
+    curve = run.result
+    if not isinstance(curve, ResponseCurve):
+        return ""
+    points, lost = run_up_points(curve)
+    if lost is None:
+        return ""
+    order = engine_order(scene.given("tip_timing"), run.scene)
+    pace, _, unit = speed_axis(scene.in_rpm)
+    last, at = (f"{pace * curve.omega[place] / order:.6g} {unit}" for place in (points[-1], lost))
+    return f"the vibration is unstable at {at}: the run-up ends before, at {last}"
+
+
+def _stable_part(curve: ResponseCurve) -> ResponseCurve:
+    """What a run-up passes of a curve before it becomes unstable; all where that is at once."""
+    points, lost = run_up_points(curve)
+    if lost is None or len(points) < SHORTEST:
+        return curve
+    parts = {name: getattr(curve, name) for name in POINTWISE}
+    kept: dict[str, Any] = {
+        name: None if part is None else part[points] for name, part in parts.items()
+    }
+    return replace(curve, **kept, bifurcations=())
+
+
+def of_another_scene(scene: Scene, run: Run[Any]) -> str:
+    """By what a result's own scene differs from this one, in words; "" if it is the same
+    (collective)."""
+    own = with_crack_length(scene, run.structure.comm)
+    here, there = differences([one.replace(dict.fromkeys(DECIDED)) for one in (own, run.scene)])
+    words = f"the arrivals are those of a result with {there}; what is sought in them follows this "
+    return words + f"scene, which has {here}" if here else ""
 
 
 def vibration_in(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -127,6 +128,26 @@ def test_doubts_of_the_vibration_itself(tmp_path: Path, capsys: pytest.CaptureFi
     assert "warning: the estimated error is" in capsys.readouterr().err
 
 
+def test_a_result_of_another_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its arrivals are of its own scene; a line tells what is otherwise here, but for what is
+    looked at and sought."""
+    scene, out = written(tmp_path), ["--output", str(tmp_path)]
+    assert main(["solve", scene, *out, "--quiet"]) == 0
+    other = "warning: the arrivals are those of a result with excitation.omega = 1800 rad/s; what "
+    other += "is sought in them follows this scene, which has excitation.omega = 1500 rad/s"
+    changed = {
+        "tip_timing.order=4": False,
+        'output.quantities=["opening"]': False,
+        "excitation.omega=1500.0": True,
+    }
+    for change, told in changed.items():
+        capsys.readouterr()
+        assert main(["timing", scene, str(tmp_path / "solution.h5"), *out, "--set", change]) == 0
+        assert (other in " ".join(capsys.readouterr().err.split())) == told
+    assert main(["timing", scene, *out]) == 0
+    assert "this scene" not in capsys.readouterr().err
+
+
 def test_a_run_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A curve's arrivals; the known order tracked through them, largest where the curve is."""
     run_up = {"curve.start": 1500.0, "curve.stop": 2300.0, "tip_timing.revolutions": 300}
@@ -149,6 +170,29 @@ def test_a_run_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     printed = capsys.readouterr().out.splitlines()
     assert printed[0].startswith("multiple, where it is largest  speed [rad/s]  omega [rad/s]")
     assert len(printed) == 2 + 3
+
+
+def test_a_run_up_that_becomes_unstable(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It ends at the last point before, and says so; one that is unstable at once is refused."""
+    scene = written(tmp_path, {"curve.start": 1500.0, "curve.stop": 1800.0})
+    out = ["--output", str(tmp_path)]
+    assert main(["curve", scene, *out, "--quiet"]) == 0
+    run = fc.load_run(tmp_path / "curve.h5")
+    assert isinstance(run.result, fc.ResponseCurve)
+    for last, code in ((len(run.result) - 3, 0), (0, 2)):
+        size = np.where(np.arange(len(run.result)) > last, 2.0, 0.5).astype(complex)
+        judged = replace(run, result=replace(run.result, multipliers=size, undecided=size > 9.0))
+        judged.save(tmp_path / "judged.h5")
+        capsys.readouterr()
+        assert main(["timing", scene, str(tmp_path / "judged.h5"), *out]) == code
+        told = capsys.readouterr().err
+        ends, lost = (float(f"{run.result.omega[last + one] / 5.0:.6g}") for one in (0, 1))
+        if code:
+            assert f"unstable at {run.result.omega[1]:.6g} rad/s" in told
+            continue
+        assert f"unstable at {lost:g} rad/s: the run-up ends before, at {ends:g} rad/s" in told
+        arrivals = fc.ArrivalTimes.from_csv(tmp_path / "arrivals.csv")
+        assert 0.99 * ends < arrivals.speed[-1] < ends
 
 
 def test_a_frequency_that_follows_no_order(
