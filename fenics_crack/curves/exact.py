@@ -21,16 +21,8 @@ import scipy.optimize
 from fenics_crack.balance.judgement import BELIEVED, FARTHEST, relative
 from fenics_crack.curves.by_waves import FOLLOWED, judged_by_waves, place_on
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
-from fenics_crack.curves.orbit_branch import (
-    ALIKE,
-    EVERY,
-    TOLERANCE,
-    Crossing,
-    Node,
-    OrbitBranch,
-    blended,
-    cubic,
-)
+from fenics_crack.curves.orbit_branch import ALIKE, TOLERANCE, OrbitBranch
+from fenics_crack.curves.orbit_nodes import EVERY, Crossing, Node, blended, cubic
 from fenics_crack.curves.varied_orbits import VariedOrbits
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import is_unilateral
@@ -157,12 +149,10 @@ class _Judge:
             found = PathPoint(node.unknown, node.parameter, 0, node.tangent)
             orbit = self.system.orbit(found)
         admitted = judged.admits(off, orbit)
-        return admitted and not (self._bounces and self._left(node, place))
-
-    def _left(self, node: Node, place: int) -> bool:
-        """Whether the exact motion that begins with a point leaves the stable orbit next to it."""
-        motion, orbit = self.branch.motion(place), node.unknown
-        return not sum(node.outside) and leaves(self.system, motion, orbit, node.parameter)
+        if not admitted or not self._bounces or any(node.outside):
+            return admitted
+        motion = self.branch.motion(place)  # the exact one may leave the stable orbit next to it
+        return not leaves(self.system, motion, node.unknown, node.parameter)
 
     # --- points -----------------------------------------------------------------------------------
 
@@ -181,7 +171,7 @@ class _Judge:
         """Judge points that segments tell, of those accepted: no more where they do not tell."""
         count = len(found)
         segment, place, share = self._parts(accepted)
-        value = self._between(segment, share)
+        value = _between(self.branch, segment, share)
         side = _side(value)
 
         def disagree(chosen: np.ndarray) -> np.ndarray:
@@ -259,7 +249,7 @@ class _Judge:
         the branch has another one at the point's parameter that may be on the other side of 1 and
         is as near: the error of a point next to a fold is that of both."""
         segment, _, share = self._parts(np.arange(len(self._curve)) == place)
-        other = _side(self._between(segment, share)) != _side(leading)
+        other = _side(_between(self.branch, segment, share)) != _side(leading)
         [wave] = self._curve.gaps_in_time(np.array([place])) if other.any() else [np.zeros(0)]
         away = self._apart(wave, segment[other], share[other])
         rivalled = bool(np.any(away <= (1.0 + FARTHEST) * distance))
@@ -273,13 +263,6 @@ class _Judge:
         away = self._apart(wave, segment, share)
         near = side[away <= BELIEVED * away.min()]
         return bool(np.abs(near.sum()) == len(near))
-
-    def _between(self, segment: np.ndarray, share: np.ndarray) -> np.ndarray:
-        """Leading multipliers at parts of segments, (n,) complex; nan where they are not told, as
-        on those that are not linked."""
-        value = _between(self.branch.nodes, segment, share)
-        value[~self.branch.linked[segment]] = np.nan
-        return value
 
     def _apart(self, wave: np.ndarray, segment: np.ndarray, share: np.ndarray) -> np.ndarray:
         """How far the gaps of a point are from those at parts of segments: (m,), relative."""
@@ -328,10 +311,11 @@ def _side(leading: np.ndarray) -> np.ndarray:
     return np.nan_to_num(np.sign(np.abs(leading) - 1.0))
 
 
-def _between(nodes: list[Node], segment: np.ndarray, share: np.ndarray) -> np.ndarray:
+def _between(branch: OrbitBranch, segment: np.ndarray, share: np.ndarray) -> np.ndarray:
     """Leading multipliers at parts of segments, (n,) complex, on the side of 1 of their ends that
     are no bifurcations; nan where these differ, or do not tell it from 1, or where one that is a
-    bifurcation is not located."""
+    bifurcation is not located, and on segments that are not linked."""
+    nodes = branch.nodes
     leading = np.array([one.leading[0] for one in nodes])
     size, met = np.abs(leading), np.array([one.crossing is not None for one in nodes])
     lost = np.array([one.crossing is not None and not one.crossing.located for one in nodes])
@@ -348,7 +332,7 @@ def _between(nodes: list[Node], segment: np.ndarray, share: np.ndarray) -> np.nd
     inside = np.minimum(moduli, 1.0 - 2.0 * KNOWN), np.maximum(moduli, 1.0 + 2.0 * KNOWN)
     found = np.where(begin > 1.0, inside[1], inside[0]) + 0j
     found *= (_upper(leading) / np.maximum(size, 1e-300))[np.where(share < 0.5, *sides)]
-    found[unknown] = np.nan
+    found[unknown | ~branch.linked[segment]] = np.nan
     return found
 
 

@@ -28,7 +28,8 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import SPREAD, CurvePoint, ResponseCurve, columns
 from fenics_crack.curves.exact import verified
 from fenics_crack.curves.family import Family
-from fenics_crack.curves.orbit_branch import ALIKE, KINDS, TOLERANCE, Node, OrbitBranch
+from fenics_crack.curves.orbit_branch import ALIKE, KINDS, TOLERANCE, OrbitBranch
+from fenics_crack.curves.orbit_nodes import Node
 from fenics_crack.errors import ConvergenceError, InputError, check_count, check_number
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure

@@ -14,7 +14,7 @@ from helpers import chain, oscillator, two_masses
 import fenics_crack as fc
 from fenics_crack.curves import exact, orbit_branch
 from fenics_crack.curves.exact import _Judge
-from fenics_crack.curves.orbit_branch import Crossing
+from fenics_crack.curves.orbit_nodes import Crossing
 from fenics_crack.motion.flow import Budget, exact_flow
 from fenics_crack.motion.orbit import eigenvalues, find_orbit
 from fenics_crack.time.march import initial_state
