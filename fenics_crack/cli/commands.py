@@ -169,7 +169,7 @@ def verification(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     return tell(account_of_verification(found), inputs.folder, console, draw)
 
 
-def identification(given: Namespace, inputs: Inputs, console: Console) -> None:
+def identification(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     """A crack from measurements: what it is, how sure, and where to measure next."""
     from fenics_crack.identification.identify import identify  # SciPy's optimize and interpolate
 
@@ -212,6 +212,7 @@ def identification(given: Namespace, inputs: Inputs, console: Console) -> None:
     console.note(f"{folder / 'identify.h5'}, .json; {drawn}fit.csv, where_to_measure.csv")
     _note_replaced(folder / "identify", before, console)
     console.warn(*found.warnings)
+    return Exit.NOT_CONVERGED if found.doubts else Exit.DONE
 
 
 def plot(given: Namespace, _: None, console: Console) -> None:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.cli.account import FINER, MORE, Account
-from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.words import key_in_words
 from fenics_crack.sweep.plan import FREQUENCIES
-from fenics_crack.sweep.result import SweepResult
+from fenics_crack.sweep.result import SweepResult, by_reason, in_words
 from fenics_crack.table import Table, counted, frequency_axis
 
 __all__ = ["account_of_sweep", "few_cases", "warnings_of"]
@@ -21,8 +19,6 @@ TERMINAL_WIDTH, SHOWN_CASES = 120, 12
 """Columns and rows of a table of cases that are printed; the file has all."""
 SHORT = ("response", "opening", "amplitude", "ratio_2_1")
 """Columns printed where the scene does not choose; the response is the amplitude at the load."""
-SHOWN_REASONS = 4
-"""Why cases failed or are undecided: so many kinds are told."""
 SPEEDS = ("rotation.speed", "rotation.rpm")
 
 
@@ -64,7 +60,7 @@ def account_of_sweep(found: SweepResult, note: str = "") -> Account:
 
 def warnings_of(found: SweepResult) -> Iterator[str]:
     """Failed cases, large errors, and what is not stable; one line for each kind."""
-    yield from _by_reason(found, found.failed, "failed")
+    yield from by_reason(found, found.failed, "failed")
     if large := int(np.sum(found.inexact)):
         given = found.scene.harmonic_balance.tolerance is not None
         wanted = FINER if given else MORE
@@ -77,7 +73,7 @@ def warnings_of(found: SweepResult) -> Iterator[str]:
         numbers = [f"{n} {word}" for n, word in ((unstable, "unstable"), (undecided, "undecided"))]
         told = " and ".join(text for text in numbers if not text.startswith("0 "))
         yield f"of {counted(verdicts.size, 'case')} {told}"
-    yield from _by_reason(found, found.undecided, "undecided")
+    yield from by_reason(found, found.undecided, "undecided")
     if not found.complete:
         yield "the sweep was stopped; the same command goes on with it"
 
@@ -99,7 +95,7 @@ def stepped_over(found: SweepResult) -> list[str]:
     factor, _, unit = frequency_axis(found.scene.in_hertz)
     low, high = factor * omega[(*place, at)], factor * omega[(*place, at + 1)]
     others = [axis for number, axis in enumerate(found.axes) if number != over[0]]
-    where = "".join(f", {words}" for words in [_place(others, place)] if words)
+    where = "".join(f", {words}" for words in [in_words(others, place)] if words)
     more = int(turns.sum()) - 1
     also = f", and at {counted(more, 'other place')}" if more else ""
     return [
@@ -107,32 +103,6 @@ def stepped_over(found: SweepResult) -> list[str]:
         "is narrower than the step: the largest response lies there; smaller steps or the command "
         "curve find it"
     ]
-
-
-def _by_reason(
-    found: SweepResult, told: Sequence[tuple[tuple[int, ...], str]], what: str
-) -> Iterator[str]:
-    """Cases that failed or are undecided, those of one reason together: reasons that differ in
-    numbers alone are one."""
-    kinds: dict[str, list[tuple[tuple[int, ...], str]]] = {}
-    for index, reason in told:
-        kinds.setdefault(re.sub(r"[-+]?\d[\d.e+-]*", "#", reason), []).append((index, reason))
-    ordered = sorted(kinds.values(), key=len, reverse=True)
-    for cases in ordered[:SHOWN_REASONS]:
-        index, reason = cases[0]
-        number = f"{counted(len(cases), 'case')} {what}, the first at"
-        yield f"{number} {_place(found.axes, index)}: {reason}"
-    if more := ordered[SHOWN_REASONS:]:
-        left = sum(map(len, more))
-        yield f"{counted(left, 'case')} {what} for other reasons: column status of the table"
-
-
-def _place(axes: Sequence[Axis], index: Sequence[int]) -> str:
-    """The swept values of a case on some axes."""
-    return ", ".join(
-        f"{axis.key.rpartition('.')[2]} = {axis.values[at]}"
-        for axis, at in zip(axes, index, strict=True)
-    )
 
 
 # --- what is printed ------------------------------------------------------------------------------

@@ -36,7 +36,7 @@ from fenics_crack.scene.words import check_scene
 from fenics_crack.stages import begin
 from fenics_crack.study.coarser_mesh import finer_mesh
 from fenics_crack.study.remarks import is_proportional
-from fenics_crack.sweep.result import SweepResult, run_sweep
+from fenics_crack.sweep.result import SweepResult, by_reason, run_sweep
 
 __all__ = ["Forward", "identify", "infer", "remarks_on", "solve_forward"]
 
@@ -94,7 +94,8 @@ def identify(
         There are no unknowns, a measurement cannot be used or is not one of this scene, or as
         :func:`run_sweep`.
     ConvergenceError
-        Ctrl-C has stopped a sweep.
+        Ctrl-C has stopped a sweep, or too few cases were solved for any measurement of the plate
+        as it is.
 
     Examples
     --------
@@ -130,8 +131,11 @@ def infer(forward: Forward, measurements: Measurements) -> Identification:
     ------
     InputError
         A measurement is not one of the model.
+    ConvergenceError
+        Too few cases of the model were solved for any measurement of the plate as it is.
     """
     measurements.check(forward.scene)
+    measurements, doubts = _predicted(forward, measurements)
     branches, plain = (
         {name: explore(_likelihood(model, measurements)) for name, model in models.items()}
         for models in (forward.cracked, forward.uncracked)
@@ -143,7 +147,40 @@ def infer(forward: Forward, measurements: Measurements) -> Identification:
         Posterior(branches),
         Posterior(plain) if plain else None,
         remarks,
+        doubts,
     )
+
+
+def _predicted(
+    forward: Forward, measurements: Measurements
+) -> tuple[Measurements, tuple[str, ...]]:
+    """Those that every model predicts, with a crack and without; and in words which cases failed
+    that were needed, and what cannot be used for that.
+
+    A measurement that one hypothesis leaves open would speak against the other alone.
+    """
+    models = [*forward.cracked.values(), *forward.uncracked.values()]
+    rows = measurements.rows
+    known = np.all([model.quantities(rows).known for model in models], axis=0)
+    parts = (part for model in models for part in (model.coarse, model.finer) if part)
+    sweeps = {part.sweep.path: part.sweep for part in parts}
+    loads = {row.frequency for row in rows}
+    doubts = []
+    for path, sweep in sweeps.items():
+        failed = [
+            (at, why)
+            for at, why in sweep.failed
+            if sweep.axes[-1].values[at[-1]] in loads or np.isnan(sweep["omega_open_1"][at])
+        ]
+        doubts += [f"{path.name}: {text}" for text in by_reason(sweep, failed, "failed")]
+    used = [row for row, tells in zip(rows, known, strict=True) if tells]
+    if all(row.quantity == "frequency_uncracked" for row in used):
+        told = "; ".join(doubts) or "no case has what was measured"
+        raise ConvergenceError(f"identification, no measurement can be predicted: {told}")
+    unused = (row for row, tells in zip(rows, known, strict=True) if not tells)
+    why = "too few cases have it, or only those on one side of what failed"
+    doubts += [f"{row.name} is not used: {why}" for row in unused]
+    return Measurements(tuple(used)), tuple(doubts)
 
 
 def _likelihood(model: Model, measurements: Measurements) -> Likelihood:

@@ -6,6 +6,11 @@ What each node between the ends of an axis differs by from the spline through al
 tells the error, along each axis: it is that of twice the spacing, 16 times too large where a
 quantity is smooth, and 4/3 times where meshes make it uneven; 0.3 of it is taken. The errors at the
 nodes around a place, of all quantities together, are the covariance that predictions have there.
+
+Where a case has failed, a thin plate through the others takes its place, if half of the nodes are
+known, and one more than a quadratic polynomial needs: of four none may fail. What the nearest known
+node differs by from such a plate without it is the error there, in full. That holds between known
+nodes; beyond them a pole of a harmonic is missed.
 """
 
 from __future__ import annotations
@@ -133,21 +138,25 @@ class Interpolation:
     ----------
     known : (q,) bool
         Whether a quantity is known at enough of the nodes.
+    between : (q,) bool
+        Whether every node at which it is not known is between two others on a line.
     """
 
     def __init__(self, cube: Cube, values: np.ndarray) -> None:
         self.cube = cube
-        values, self.known = _filled(cube, values)
+        self.between = _between(cube, np.isfinite(values))
+        values, self.known, of_filled = _filled(cube, values)
         self._constant = values
         if cube.axes:
             grid = values.reshape(*cube.shape, values.shape[1])
             self._splines = Splines.through(cube.axes, grid)
-            self._left = [
-                np.moveaxis(left_out_errors(line, np.moveaxis(grid, k, 0)), 0, k).reshape(
-                    values.shape
-                )
+            left = (
+                np.moveaxis(left_out_errors(line, np.moveaxis(grid, k, 0)), 0, k)
                 for k, line in enumerate(cube.axes)
-            ]
+            )
+            self._errors = [STATED * one.reshape(values.shape) for one in left]
+            if of_filled.any():
+                self._errors.append(of_filled)
 
     def at(self, x: np.ndarray) -> np.ndarray:
         """The quantities at values x (m, d) of the unknowns: (m, q), 0 where one is not known."""
@@ -157,7 +166,8 @@ class Interpolation:
 
     def scatter(self, x: np.ndarray) -> np.ndarray:
         """Errors of all quantities together at the nodes around values x (m, d), along each axis,
-        weighted so that their covariance is the sum of the squares: (m, k, q)."""
+        and where cases failed, weighted so that their covariance is the sum of the squares:
+        (m, k, q)."""
         if not self.cube.axes:
             return np.zeros((len(x), 0, len(self.known)))
         nodes = self.cube.places(self.cube.nodes)
@@ -167,19 +177,43 @@ class Interpolation:
         exponent = np.take_along_axis(exponent, near, axis=1)
         weights = np.exp(exponent - exponent.max(axis=1, keepdims=True))
         weights /= weights.sum(axis=1, keepdims=True)
-        errors = [STATED * np.sqrt(weights)[..., None] * left[near] for left in self._left]
+        errors = [np.sqrt(weights)[..., None] * own[near] for own in self._errors]
         return np.concatenate(errors, axis=1)
 
 
-def _filled(cube: Cube, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Values (n, q) with those that are not known taken from a thin plate through the others, and
-    whether enough of a quantity are known, (q,); 0 where not."""
+def _between(cube: Cube, known: np.ndarray) -> np.ndarray:
+    """Whether all nodes (n, q) that are not known have known ones on both sides, on a line along
+    some axis: (q,)."""
+    grid = known.reshape(*cube.shape, known.shape[1])
+    found = grid.copy()
+    for k in range(len(cube.axes)):
+        line = np.moveaxis(grid, k, 0)
+        below, above = (np.logical_or.accumulate(one) for one in (line, line[::-1]))
+        found |= np.moveaxis(below & above[::-1], 0, k)
+    return np.asarray(found.reshape(known.shape).all(axis=0))
+
+
+def _filled(cube: Cube, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Values (n, q) with those that are not known taken from a thin plate through the others,
+    whether enough of a quantity are known, (q,), 0 where not, and the errors of what was taken."""
     known, d = np.isfinite(values), len(cube.axes)
-    enough = known.sum(axis=0) > (d + 1) * (d + 2) // 2 if d else known.all(axis=0)
+    least = max((d + 1) * (d + 2) // 2 + 1, len(values) / 2)
+    enough = known.all(axis=0) | ((known.sum(axis=0) >= least) & (d > 0))
     found = np.where(known & enough, values, 0.0)
+    errors = np.zeros_like(found)
     for place in np.flatnonzero(enough & ~known.all(axis=0)):
-        own = known[:, place]
+        own, column = known[:, place], values[:, place]
         nodes = (cube.nodes - cube.low) / (cube.high - cube.low)
-        plate = RBFInterpolator(nodes[own], values[own, place], kernel="thin_plate_spline")
-        found[~own, place] = plate(nodes[~own])
-    return found, enough
+        found[~own, place] = _plate(nodes[own], column[own], nodes[~own])
+        for lost in np.flatnonzero(~own):
+            distance = np.linalg.norm(nodes - nodes[lost], axis=1)
+            near = np.argmin(np.where(own, distance, np.inf))
+            left = own & (np.arange(len(own)) != near)
+            around = _plate(nodes[left], column[left], nodes[near, None])
+            errors[lost, place] = column[near] - around[0]
+    return found, enough, errors
+
+
+def _plate(nodes: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """A thin plate through values (n,) at nodes (n, d), at other places (m, d): (m,)."""
+    return np.asarray(RBFInterpolator(nodes, values, kernel="thin_plate_spline")(at))

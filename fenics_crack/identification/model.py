@@ -134,7 +134,13 @@ class Prediction:
 
 
 class Quantities:
-    """Predictions of some measurements, and of some ``more`` that were not made, by a model."""
+    """Predictions of some measurements, and of some ``more`` that were not made, by a model.
+
+    Attributes
+    ----------
+    known : (q,) bool
+        Whether the model tells anything of a measurement.
+    """
 
     def __init__(
         self, model: Model, rows: Sequence[Measurement], more: Sequence[Measurement] = ()
@@ -155,7 +161,8 @@ class Quantities:
         self._is_plain = np.array([one.lips == "uncracked" for one in self._features])
         self._basis = Interpolation(model.cube, model.coarse.basis)
         self._coarse = Interpolation(model.cube, self._smooth(model.coarse))
-        known = self._coarse.known
+        harmonic = np.repeat([not one.natural for one in self._features], 2)
+        known = self._coarse.known & (self._coarse.between | ~harmonic)
         # An error of the first order leaves d / (f - 1) where a mesh finer by f changes d, one of
         # high order nothing: half of the former is added, and may be wrong.
         self._correction: Interpolation | None = None
@@ -165,10 +172,10 @@ class Quantities:
             fine = model.finer
             difference = self._smooth(fine) - self._coarse.at(fine.cube.nodes)
             self._correction = Interpolation(fine.cube, difference)
-            known = known & self._correction.known
+            known &= self._correction.known & (self._correction.between | ~harmonic)
         of_features = known.reshape(-1, 2).all(axis=1)
         of_features[self._own] &= of_features[self._plain]
-        self._known = np.array([bool(of_features[places].all()) for places in self._places])
+        self.known = np.array([bool(of_features[places].all()) for places in self._places])
 
     def _smooth(self, part: Part) -> np.ndarray:
         """The smooth forms of all features at the nodes of a sweep: (n, 2f), real and imaginary
@@ -212,14 +219,14 @@ class Quantities:
             moved = np.zeros((*values.shape, found.free.shape[2]))
             moved[:, passages.rows] = found.free
             free.append(moved)
-        turns[:, ~self._known] = 0.0
+        turns[:, ~self.known] = 0.0
         slopes = _pairs(turns.conj())
         errors = self._errors(smooth, left, scatter, slopes)
         unknown = slopes @ _pairs(changes.transpose(0, 2, 1)).transpose(0, 2, 1)
         errors = np.concatenate([errors, unknown, *beyond], axis=2)
         total = errors @ errors.transpose(0, 2, 1) + rest[:, :, None] * np.eye(len(self.rows))
-        values = np.where(self._known, values, np.nan)
-        return Prediction(values, total, np.concatenate(free, axis=2), self._known)
+        values = np.where(self.known, values, np.nan)
+        return Prediction(values, total, np.concatenate(free, axis=2), self.known)
 
     def _of_numbers(
         self, damping: np.ndarray, waves: np.ndarray, scale: np.ndarray
@@ -234,7 +241,7 @@ class Quantities:
         values, rest = np.zeros((2, len(waves), len(self.rows)))
         turns = np.zeros((*values.shape, len(self._features)), dtype=complex)
         for place, (row, at) in enumerate(zip(self.rows, self._places, strict=True)):
-            if row.quantity == "displacement":
+            if row.quantity == "displacement" or not self.known[place]:
                 continue
             values[:, place], weights = _together(row, sizes[:, at])
             turns[:, place, at] = weights * turned[:, at]

@@ -71,7 +71,7 @@ VAGUE = 10.0
 
 @dataclass(frozen=True)
 class Likelihood:
-    """Measured values with standard deviations, (q,) each, and what predicts them."""
+    """Measured values with standard deviations, (q,) each, and what predicts all of them."""
 
     values: np.ndarray
     deviations: np.ndarray
@@ -82,7 +82,7 @@ class Likelihood:
         chi^2, V = diag(e) L L^T diag(e); and the root of log(det L L^T)."""
         predicted = self.quantities(x)
         factor = np.linalg.cholesky(scaled_covariance(predicted, self.values, self.deviations))
-        differences = np.nan_to_num((self.values - predicted.values) / self.deviations)
+        differences = (self.values - predicted.values) / self.deviations
         logs = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
         root = np.sqrt(2.0 * np.maximum(logs, 0.0))  # below 0 by rounding alone
         return np.column_stack([np.linalg.solve(factor, differences[..., None])[..., 0], root])

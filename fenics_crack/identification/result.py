@@ -44,13 +44,15 @@ class Identification(Tabular):
     scene : Scene
         The scene with its table ``[identify]``.
     measurements : Measurements
-        What was measured.
+        What was measured, without what the forward model could not predict.
     posterior : Posterior
         The probability of the unknowns, on a grid.
     plain : Posterior, optional
         That of the plate without its crack; None where there is no such plate.
     remarks : tuple of str
         What these measurements cannot tell.
+    doubts : tuple of str
+        Which cases of the forward model failed, and measurements that are not used for that.
     """
 
     scene: Scene
@@ -58,6 +60,7 @@ class Identification(Tabular):
     posterior: Posterior
     plain: Posterior | None
     remarks: tuple[str, ...]
+    doubts: tuple[str, ...] = ()
 
     @property
     def unknown(self) -> tuple[str, ...]:
@@ -217,6 +220,7 @@ class Identification(Tabular):
             "chi_square": total,
             "probability_of_misfit": chance,
             "remarks": list(self.remarks),
+            "warnings": self.warnings,
             "advice": self.advice,
             "measurements": self.fit_table().rows,
         }
@@ -249,8 +253,9 @@ class Identification(Tabular):
 
     @property
     def warnings(self) -> list[str]:
-        """Points to be careful about: several cracks that fit, a misfit, an estimate at a bound."""
-        found = []
+        """Points to be careful about: cases that failed, several cracks that fit, a misfit, an
+        estimate at a bound."""
+        found = [*self.doubts]
         others = self.alternatives
         if len(others) > 1:
             told = [

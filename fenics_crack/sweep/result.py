@@ -25,8 +25,10 @@ from __future__ import annotations
 import atexit
 import itertools
 import operator
+import re
 import shutil
 import tempfile
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -66,9 +68,12 @@ from fenics_crack.sweep.file import (
 )
 from fenics_crack.sweep.jobs import Manager, Worker, serve
 from fenics_crack.sweep.plan import Plan
-from fenics_crack.table import Tabular
+from fenics_crack.table import Tabular, counted
 
-__all__ = ["SweepResult", "run_sweep"]
+__all__ = ["SweepResult", "by_reason", "in_words", "run_sweep"]
+
+SHOWN_REASONS = 4
+"""Why cases failed or are undecided: so many kinds are told."""
 
 DRAWN = ("amplitude", "opening", "ratio_2_1", "ratio_3_1", "closed_share", "mean_shift")
 """Quantities that are drawn where the scene does not choose."""
@@ -391,3 +396,32 @@ class SweepResult(Tabular):
         counts = zip(STATES, np.bincount(self["state"].ravel(), minlength=3), strict=True)
         swept = " x ".join(f"{len(axis.values)} {axis.key}" for axis in self.axes)
         return ", ".join([swept, *(f"{count} {state}" for state, count in counts if count)])
+
+
+# --- cases in words -------------------------------------------------------------------------------
+
+
+def by_reason(
+    found: SweepResult, told: Sequence[tuple[tuple[int, ...], str]], what: str
+) -> Iterator[str]:
+    """Cases that failed or are undecided, those of one reason together: reasons that differ in
+    numbers alone are one."""
+    kinds: dict[str, list[tuple[tuple[int, ...], str]]] = {}
+    for index, reason in told:
+        kinds.setdefault(re.sub(r"[-+]?\d[\d.e+-]*", "#", reason), []).append((index, reason))
+    ordered = sorted(kinds.values(), key=len, reverse=True)
+    for cases in ordered[:SHOWN_REASONS]:
+        index, reason = cases[0]
+        number = f"{counted(len(cases), 'case')} {what}, the first at"
+        yield f"{number} {in_words(found.axes, index)}: {reason}"
+    if more := ordered[SHOWN_REASONS:]:
+        left = sum(map(len, more))
+        yield f"{counted(left, 'case')} {what} for other reasons: column status of the table"
+
+
+def in_words(axes: Sequence[Axis], index: Sequence[int]) -> str:
+    """The swept values of a case on some axes."""
+    return ", ".join(
+        f"{axis.key.rpartition('.')[2]} = {axis.values[at]}"
+        for axis, at in zip(axes, index, strict=True)
+    )

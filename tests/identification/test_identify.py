@@ -477,6 +477,54 @@ def test_stops_at_ctrl_c(
     assert (tmp_path / "out" / "identify.json").exists()
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize(("lost", "used"), [([2], True), ([4], False), ([1, 2], False)])
+def test_cases_that_failed(
+    lost: list[int],
+    used: bool,
+    little: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """They are told, and the exit code is that of a sweep with failed cases. The harmonics of one
+    between others are made up for; of one at an end, or of too many, what needs them is left out,
+    and the answer, with its evidences, is that of the other measurements."""
+    record = SweepFile.record
+
+    def failing(file: SweepFile, numbers: np.ndarray, cases: list[dict[str, Any]]) -> None:
+        for case in (one for at, one in zip(numbers, cases, strict=True) if at in lost):
+            for name in [name for name in case if not name.startswith("omega_")]:
+                del case[name]
+            case["status"] = "no luck"
+        record(file, numbers, cases)
+
+    monkeypatch.setattr(SweepFile, "record", failing)
+    scene = fc.Scene.load(tmp_path / "plate.toml").replace(
+        {"identify.unknown": {"crack.length": [0.01, 0.015, 0.02, 0.025, 0.03]}}
+    )
+    (tmp_path / "plate.toml").write_text(scene.as_toml())
+    alone = fc.Measurements.read(tmp_path / "m.csv")
+    ratio = fc.Measurements.from_arrays("ratio_2_1", [0.01], 1e-3, frequency=[700.0])
+    (alone + ratio).to_csv(tmp_path / "m.csv")
+    assert main(little) == 3
+    told = capsys.readouterr().err
+    value = (0.01, 0.015, 0.02, 0.025, 0.03)[lost[0]]
+    assert f"failed, the first at length = {value}, frequency = 700.0: no luck" in told
+    assert ("ratio_2_1 at 700 Hz is not used: too few" in told) == (not used)
+    assert ("ratio_2_1" in (tmp_path / "out" / "fit.csv").read_text()) == used
+    summary = json.loads((tmp_path / "out" / "identify.json").read_text())
+    assert "no luck" in summary["warnings"][0] and "nan" not in str(summary).lower()
+    found = fc.identify(scene, alone, folder=tmp_path / "out")
+    same = (found.estimate, found.log_bayes_factor) == (
+        summary["estimate"], summary["log_bayes_factor"]
+    )  # fmt: skip
+    assert same == (not used) and not found.doubts
+    if not used:
+        with pytest.raises(fc.ConvergenceError, match=r"no measurement can be .* no luck"):
+            fc.identify(scene, ratio, folder=tmp_path / "out")
+
+
 def test_beside_other_results(
     little: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

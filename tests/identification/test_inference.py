@@ -74,6 +74,30 @@ def test_stated_error_of_the_interpolation() -> None:
     assert found.known.all() and not too_few.known.any()
 
 
+def test_what_failed_between_others() -> None:
+    """Is made up for, with an error that holds what is missed, unless fewer than half are left or
+    none of four may be spared; at an end it is told that nothing stands beyond."""
+    cube = Cube((np.linspace(0.0, 3.0, 8),))
+    values = np.exp(cube.nodes) * np.sin(2.0 * cube.nodes)
+    for lost in range(8):
+        found = Interpolation(cube, np.where(np.arange(8)[:, None] == lost, np.nan, values))
+        assert found.known.all() and found.between.all() == (0 < lost < 7)
+        at = cube.nodes[[lost]]
+        missed = abs(found.at(at) - values[lost]).item()
+        stated = np.sqrt(np.sum(found.scatter(at) ** 2)).item()
+        assert missed < 3.0 * stated or not found.between.all()
+    for count in (20, 21):
+        few = np.where(np.arange(42)[:, None] < count, 1.0, np.nan)
+        assert Interpolation(SQUARE, few).known.all() == (count == 21)
+    four = Cube((np.linspace(0.0, 3.0, 4),))
+    for count in (3, 4):
+        own = np.where(np.arange(4)[:, None] < count, 1.0, np.nan)
+        assert Interpolation(four, own).known.all() == (count == 4)
+    holes = np.ones((42, 3))
+    holes[[0, 3], [0, 1]] = np.nan  # a corner, and a place on a side
+    np.testing.assert_array_equal(Interpolation(SQUARE, holes).between, [False, True, True])
+
+
 @dataclass
 class Linear:
     """Predictions s = A x + b without an error, in place of those of a forward model."""
