@@ -45,7 +45,7 @@ def read_inputs(given: argparse.Namespace) -> Inputs | None:
     """
     if "scene" not in given or is_record(given):
         return None
-    scene = Scene.load(given.scene).replace(changes(given.set))
+    scene = Scene.load(given.scene, changes(given.set))
     seen = vars(given).get("arrivals")
     if given.command == "identify" and not vars(given).get("measurements") and seen is None:
         allowed = "given: a CSV file (fenics-crack new --identify writes one), or --arrivals"

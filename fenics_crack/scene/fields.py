@@ -484,10 +484,18 @@ class Table:
 
     def changed(self, values: Mapping[str, object]) -> Any:
         """The table with other values of some keys; a key takes the place of its twin."""
-        self.check_twins(values)
-        others = {key: twin for pair in self.twins().items() for key, twin in (pair, pair[::-1])}
+        held = {key: getattr(self, key) for key in self.keys()}
+        return replace(self, **self.without_twins(values, held))  # type: ignore[type-var]
+
+    @classmethod
+    def without_twins(
+        cls, values: Mapping[str, object], _held: Mapping[str, object]
+    ) -> dict[str, Any]:
+        """Changes of some keys of what a table holds, and None for what they take the place of."""
+        cls.check_twins(values)
+        others = {key: twin for pair in cls.twins().items() for key, twin in (pair, pair[::-1])}
         gone = {others[key]: None for key in values if others.get(key, key) not in values}
-        return replace(self, **gone, **values)  # type: ignore[type-var]
+        return {**gone, **values}
 
     @classmethod
     def check_twins(cls, values: Mapping[str, object]) -> None:

@@ -156,17 +156,30 @@ class Scene(Hinted):
         return name in PLATE_TABLES or (name == "damping" and self.structure.damping is not None)
 
     @classmethod
-    def from_mapping(cls, tables: Mapping[str, object], folder: Path = Path()) -> Scene:
-        """Make a scene from nested mappings; a relative ``mesh.file`` is one of ``folder``."""
+    def from_mapping(
+        cls,
+        tables: Mapping[str, object],
+        folder: Path = Path(),
+        changes: Mapping[str, object] | None = None,
+    ) -> Scene:
+        """Make a scene from nested mappings; a relative ``mesh.file`` is one of ``folder``.
+
+        ``changes`` are those of :meth:`replace`, made before anything is checked; their files are
+        as they stand.
+        """
+        changes = changes or {}
+        tables = _with_changes(tables, changes)
         for name, value in tables.items():
             if name not in _TABLES:
                 raise InputError(name, value, _instead_of(name))
         made = {name: _made(name, value) for name, value in tables.items()}
-        return with_files(cls(**made), lambda path: str(folder / path))
+        scene = with_files(cls(**made), lambda path: str(folder / path))
+        return scene.replace({name: changes[name] for name in changes if name in _WITH_FILES})
 
     @classmethod
-    def load(cls, path: str | Path) -> Scene:
-        """Read a scene from a TOML file.
+    def load(cls, path: str | Path, changes: Mapping[str, object] | None = None) -> Scene:
+        """Read a scene from a TOML file, with the changes of :meth:`replace`: what is wrong in the
+        file and changed does no harm.
 
         Raises
         ------
@@ -174,10 +187,16 @@ class Scene(Hinted):
             The file cannot be read, is not TOML, or holds a value that cannot be used.
         """
         with reading("scene", path, "a TOML file"):
-            return cls.from_text(text_of(path), str(path), Path(path).parent)
+            return cls.from_text(text_of(path), str(path), Path(path).parent, changes)
 
     @classmethod
-    def from_text(cls, text: str, name: str = "given as text", folder: Path = Path()) -> Scene:
+    def from_text(
+        cls,
+        text: str,
+        name: str = "given as text",
+        folder: Path = Path(),
+        changes: Mapping[str, object] | None = None,
+    ) -> Scene:
         """Make a scene from the text of a TOML file, which errors call ``name``."""
         with reading("scene", name, "a TOML file"):
             try:
@@ -185,7 +204,7 @@ class Scene(Hinted):
             except tomllib.TOMLDecodeError as error:
                 allowed = f"a TOML file ({error}){_hint_in(text, str(error))}"
                 raise InputError("scene", name, allowed) from error
-        return cls.from_mapping(tables, folder)
+        return cls.from_mapping(tables, folder, changes)
 
     @property
     def dimension(self) -> int:
@@ -268,20 +287,9 @@ class Scene(Hinted):
         a list are counted from 1, ``{"cracks.1.length": 0.02}``; the next one is made. A frequency
         in Hz takes the place of the one in rad/s, and the other way round.
         """
-        tables: dict[str, Any] = {item.name: getattr(self, item.name) for item in fields(self)}
-        changes: dict[tuple[str, int], dict[str, object]] = {}
-        for name, value in values.items():
-            table, number, key = _changed_key(name, value)
-            if not key:
-                tables[table] = () if table in _LISTS else None
-            else:
-                changes.setdefault((table, number or 0), {})[key] = value
-        for (table, number), change in sorted(changes.items(), key=lambda item: item[0][1]):
-            if number:
-                tables[table] = _changed_list(table, tables[table], number, change)
-            else:
-                tables[table] = _changed(table, tables[table], change)
-        return Scene(**tables)
+        given = {item.name: getattr(self, item.name) for item in fields(self)}
+        tables = _with_changes({name: one for name, one in given.items() if one}, values)
+        return Scene(**{name: _made(name, table) for name, table in tables.items()})
 
     def as_toml(self) -> str:
         """The scene as a file that :meth:`load` reads; paths as they are."""
@@ -550,16 +558,16 @@ def _parts(name: str) -> tuple[str, int | None, str]:
 
 
 def _made(name: str, value: object) -> Any:
-    """A table, or the tuple of a list of tables, from what a file holds."""
+    """A table, or the tuple of a list of tables, from what a file holds; one that is made stays."""
     kind = _TABLES[name]
     if name not in _LISTS:
-        return kind.from_mapping(value)
+        return value if isinstance(value, kind) else kind.from_mapping(value)
     if not isinstance(value, list | tuple):
         raise InputError(name, value, f"a list of tables: [[{name}]]")
     made = []
     for number, table in enumerate(value, 1):
         with named(f"{name}.{number}"):
-            made.append(kind.from_mapping(table))
+            made.append(table if isinstance(table, kind) else kind.from_mapping(table))
     return tuple(made)
 
 
@@ -584,13 +592,43 @@ def _changed_key(name: str, value: object) -> tuple[str, int | None, str]:
     return table, number, key
 
 
+def _with_changes(tables: Mapping[str, Any], values: Mapping[str, object]) -> dict[str, Any]:
+    """Tables, or what a file holds of them, with some keys changed."""
+    found = dict(tables)
+    changes: dict[tuple[str, int], dict[str, object]] = {}
+    for name, value in values.items():
+        table, number, key = _changed_key(name, value)
+        if key:
+            changes.setdefault((table, number or 0), {})[key] = value
+        else:
+            found.pop(table, None)
+    for (table, number), change in sorted(changes.items(), key=lambda item: item[0][1]):
+        if number:
+            found[table] = _changed_list(table, found.get(table, ()), number, change)
+        else:
+            found[table] = _changed(table, found.get(table), change)
+    return found
+
+
 def _changed(name: str, table: Any, change: dict[str, object]) -> Any:
-    return table.changed(change) if table else _TABLES[name].from_mapping(change)
+    """A table, or the mapping of one that is to be made, with other values; a new one."""
+    kind = _TABLES[name]
+    if isinstance(table, kind):
+        return table.changed(change)
+    if kind.WORD is not None and isinstance(table, str):
+        table = {kind.WORD: table}
+    if table is None:
+        return change
+    if not isinstance(table, Mapping):  # refused when it is made
+        return table
+    return {**table, **kind.without_twins(change, table)}
 
 
 def _changed_list(
-    name: str, tables: tuple[Any, ...], number: int, change: dict[str, object]
+    name: str, tables: Any, number: int, change: dict[str, object]
 ) -> tuple[Any, ...]:
+    if not isinstance(tables, list | tuple):
+        raise InputError(name, tables, f"a list of tables: [[{name}]]")
     if number > len(tables) + 1:
         key = f"{name}.{number}.{next(iter(change))}"
         allowed = f"one of the {len(tables)} [[{name}]], or of the next one"
@@ -632,4 +670,6 @@ _PATHS = tuple(
 """Keys that hold the path of a file."""
 _AXES = ("sweep", "over"), ("identify", "unknown")
 """Tables and their keys that hold axes."""
+_WITH_FILES = (*_PATHS, *(f"{name}.{key}" for name, key in _AXES), "identify.meshes")
+"""Keys that may hold paths."""
 _SWEPT = tuple(name for name in _TABLES if name not in LOOKED_AT)

@@ -261,14 +261,17 @@ class Excitation(Table):
         object.__setattr__(found, "omega", speed * (self.order or 0))
         return found
 
-    def changed(self, values: Mapping[str, object]) -> Any:
+    @classmethod
+    def without_twins(
+        cls, values: Mapping[str, object], held: Mapping[str, object]
+    ) -> dict[str, Any]:
         """As of every table; a frequency takes the place of the order, or it of that."""
         others = {key for key in ("omega", "frequency") if values.get(key) is not None}
         if others and "order" not in values:
             values = {"order": None, **values}
-        elif values.get("order", self.order) is not None:
+        elif values.get("order", held.get("order")) is not None:
             values = {"omega": None, **values}
-        return super().changed(values)
+        return super().without_twins(values, held)
 
     @property
     def force_given(self) -> str:

@@ -158,6 +158,31 @@ def test_a_mesh_file_is_looked_up_beside_the_scene(tmp_path: Path) -> None:
     assert Scene.load(path).mesh.file == str(tmp_path / "plate.msh")
     path.write_text(text.replace("FILE", "/elsewhere/plate.msh"))
     assert Scene.load(path).mesh.file == "/elsewhere/plate.msh"
+    assert Scene.load(path, {"mesh.file": "other.msh"}).mesh.file == "other.msh"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "changes"),
+    [
+        ("material.young", -1.0, {"material.young": 2e11}),
+        ("excitation.omega", 0.0, {"excitation.frequency": 100.0}),
+        ("crack.length", 0.3, {"crack.length": 0.05}),
+        ("crack.length", 0.3, {"crack": None, "contact": None}),
+        ("crack.length", "half", {"geometry.width": 0.2, "crack.length": 0.1}),
+    ],
+)
+def test_changes_are_made_before_the_check(
+    name: str, value: object, changes: dict[str, object]
+) -> None:
+    """What is wrong in a file and changed is not complained of."""
+    right, tables = tomllib.loads(GOOD_TOML), tomllib.loads(GOOD_TOML)
+    table, key = name.split(".")
+    tables[table][key] = value
+    with pytest.raises(InputError) as caught:
+        Scene.from_mapping(tables)
+    assert caught.value.key == name
+    changed = Scene.from_mapping(tables, changes=changes)
+    assert changed == Scene.from_mapping(right).replace(changes)
 
 
 # --- refused --------------------------------------------------------------------------------------
