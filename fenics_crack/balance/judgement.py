@@ -42,13 +42,17 @@ from fenics_crack.motion.shooting import PARTS, Patience, orbit_next_to, predict
 from fenics_crack.numerics.fourier import waves
 
 __all__ = [
-    "BELIEVED", "FARTHEST", "UNKNOWN", "Judgement", "MoreModes", "more_modes", "relative",
+    "BELIEVED", "FARTHEST", "NO_DOUBT", "UNKNOWN", "Judgement", "MoreModes", "more_modes",
+    "relative",
 ]  # fmt: skip
 
 BELIEVED, FARTHEST, FAR = 3.0, 0.1, 0.3
 """Times what the linearised motion predicts, beyond which a motion is another one; the distance and
 the prediction beyond which it is not taken for the same without more; and from where on it is no
 wonder if no orbit is found, and none decides: there may be several as near."""
+NO_DOUBT = 0.01
+"""Distance of an orbit's gaps from those of its wave at which nothing else is asked; its square, of
+their states: gaps are some per cent of what a plate moves."""
 UNKNOWN = 1.0
 """An error that is not known."""
 
@@ -139,8 +143,10 @@ class Judgement:
             return self
         believed, near = self.believes(self._to_near), self._to_near <= FARTHEST
         short = self.prediction <= FARTHEST
-        if believed and near and (short or (self._is_only() and self._leads_back())):
-            return self
+        beyond_doubt = short and self._to_near <= NO_DOUBT
+        if believed and near and (beyond_doubt or self._is_only()):
+            if short or self._leads_back():
+                return self
         if self.finer is None:
             return None
         if (believed or self._leaves_it_behind) and _alike(self.near, self.finer.near):

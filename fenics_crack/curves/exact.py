@@ -18,7 +18,7 @@ from itertools import pairwise
 import numpy as np
 import scipy.optimize
 
-from fenics_crack.balance.judgement import BELIEVED, FARTHEST, relative
+from fenics_crack.balance.judgement import BELIEVED, FARTHEST, NO_DOUBT, relative
 from fenics_crack.curves.by_waves import FOLLOWED, judged_by_waves, place_on
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.orbit_branch import ALIKE, TOLERANCE, OrbitBranch
@@ -36,9 +36,6 @@ from fenics_crack.stages import begin
 
 __all__ = ["judge_curve", "verified"]
 
-NO_DOUBT = 0.01
-"""Distance of an orbit's gaps from those of its point at which nothing else is asked; its square,
-of their states: gaps are some per cent of what a plate moves."""
 FOR_EVENTS = PIECES // 10
 """Pieces of a motion, beside those that it has without events where the derivatives of all are
 formed: ten may take what a search for an orbit may. Where the motions of none of some points keep

@@ -215,3 +215,36 @@ def test_cold_start_with_several_stiff_pairs() -> None:
         )
         solved += found.converged
     assert solved == 6
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.5 * np.pi])
+def test_verdict_does_not_depend_on_the_origin_of_time(phase: float) -> None:
+    """Three dofs, three pairs, H = 5, two orbits 1.6 and 2.9 % away, the nearer one stable. From
+    one origin of time the other one is found: no verdict, but never that it is unstable."""
+    rng = np.random.default_rng(76)
+    n, pairs = rng.integers(1, 5), rng.integers(1, 4)
+    rng.choice(7)
+    turned = np.linalg.qr(rng.normal(size=(n, n)))[0]
+    lower = np.eye(n) + 0.3 * np.tril(rng.normal(size=(n, n)), -1)
+    squares = np.sort(rng.uniform(0.3, 20.0, n))
+    inverse = np.linalg.inv(np.linalg.inv(lower).T @ turned)
+    stiffness = inverse.T @ np.diag(squares) @ inverse
+    rng.uniform(0.0, 2.0), rng.uniform(-6.0, -3.0)
+    damping = inverse.T @ np.diag(0.06 * np.sqrt(squares)) @ inverse
+    damping += 0.06 * rng.normal(size=(n, n))
+    gap = rng.normal(size=(n, pairs))
+    clearance = rng.choice([0, 0.1, -0.1, 0.5, -0.4], size=pairs) * rng.uniform(0, 1)
+    law = fc.UnilateralPenalty(10 ** rng.uniform(-0.5, 3) * rng.uniform(0.5, 2, pairs))
+    loads = [rng.normal(size=n) * rng.choice([0, 1]), rng.normal(size=n)]
+    mean, cosine = loads
+    sine = rng.normal(size=n) * rng.choice([0, 1])
+    omega = rng.uniform(0.15, 1.5) * np.sqrt(squares[rng.integers(n)])
+    c, s = np.cos(phase), np.sin(phase)
+    structure = fc.Structure.from_matrices(
+        lower @ lower.T, 0.5 * (stiffness + stiffness.T), gap, force_mean=mean,
+        force_cos=c * cosine + s * sine, force_sin=c * sine - s * cosine, clearance=clearance,
+        damping=damping,
+    )  # fmt: skip
+    solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=5)
+    assert 0.01 < solution.report.total < 0.03
+    assert fc.floquet(structure, solution).verdict == ("undecided" if phase == 0.0 else "stable")
