@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.special import fdtrc, ndtr
+from scipy.special import chdtri, fdtrc, ndtr
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.arrivals.fit_frequency import find_lines
@@ -55,6 +55,12 @@ OTHERS = 3
 """Harmonics beyond those kept that may be folded onto them."""
 WIDEST = 1e6
 """Of their deviation over the errors, beyond which nothing is told of them."""
+SHARES = np.array([0.0, *2.0 ** -np.arange(0.5, 8.0)])
+"""Of a harmonic kept, which one left out may have."""
+NEIGHBOURS = 16
+"""On either side of a group of revolutions, whose harmonics left out have alike shares."""
+QUIET = 0.25
+"""Of neighbouring groups, at least, without wrong arrivals."""
 LONGEST = 24
 """Revolutions after which a probe sees the same again, at most."""
 
@@ -191,64 +197,34 @@ class _Fit:
     slope: np.ndarray
 
 
-class _Means:
-    """What each probe sees alike, every so many revolutions: its means, with their covariance.
+class _Seen:
+    """Displacements at angles of the rotor, with the covariance of their errors.
 
     Parameters
     ----------
-    arrivals : ArrivalTimes
-        Of steady vibration.
-    period : int
-        After so many revolutions a probe sees the same again.
-    order : float
-        The largest of the candidates; up to it vibrations that follow none are sought.
-    angle_deviation : float [rad]
-        Of the probes.
-
-    Attributes
-    ----------
-    values : (g,) [m]
-        Means.
     nominal, angle : (g,) [rad]
-        Rotor's angles where they are expected, and where they are.
-    scatter : float [m]
-        Of a displacement about its mean; 1 where it is not known.
-    lines : tuple of TipFit
-        Vibrations beside them.
+        Rotor's angles where the tip is expected, and where it is.
+    values : (g,) [m]
+        Displacements.
+    covariance : (g, g) [m^2]
+        Of the values; of unknown scale where ``within`` is 0.
+    within : int
+        Degrees of freedom from which it is known.
+    radius : float [m]
+        Of the tip.
     """
 
     def __init__(
-        self, arrivals: ArrivalTimes, period: int, order: float, angle_deviation: float
+        self,
+        nominal: np.ndarray,
+        values: np.ndarray,
+        covariance: np.ndarray,
+        within: int,
+        radius: float,
     ) -> None:
-        count, probes = arrivals.time.shape
-        row = (arrivals.first + np.arange(count)) % period
-        constants = row[:, None] * probes + np.arange(probes)
-        ends = arrivals.mean_speed * 0.5, arrivals.mean_speed * (max(order, ORDERS[-1]) + 1.0)
-        self.lines, left = find_lines(arrivals, arrivals.displacement, constants, ends)
-        seen = np.isfinite(left)
-        turn, probe = np.nonzero(seen)
-        groups, where = np.unique(constants[seen], return_inverse=True)
-        self._data, self._where = left[seen], where
-        self.nominal = arrivals.probes[groups % probes] + TURN * (groups // probes)
-        self.within = len(where) - len(groups)
-
-        def solve(weights: np.ndarray) -> np.ndarray:
-            self._share = np.bincount(where, weights)
-            self.values = np.bincount(where, weights * self._data) / self._share
-            return self._data - self.values[where]
-
-        noise = reweighted(solve, np.ones(len(where)), len(groups), rounding(arrivals))
-        own = np.eye(len(groups))[where]
-        self.scatter, covariance = 1.0, np.diag(1.0 / np.bincount(where))
-        if self.within > 0:
-            self.scatter = max(float(np.sqrt(noise.variance)), rounding(arrivals))
-            covariance = noise.covariance(own, turn, probe)
-            covariance += np.eye(len(groups)) * rounding(arrivals) ** 2
-            place = groups % probes
-            spread = (arrivals.tip_radius * angle_deviation) ** 2
-            covariance += spread * (place[:, None] == place)
-        self.angle = self.nominal - self.values / arrivals.tip_radius
-        self._radius, self._root = arrivals.tip_radius, np.linalg.cholesky(covariance)
+        self.nominal, self.values, self.within, self._radius = nominal, values, within, radius
+        self.angle = nominal - values / radius
+        self._root = np.linalg.cholesky(covariance)
 
     def fit(self, order: float, multiples: np.ndarray) -> _Fit | None:
         """Least squares at an order; None where the probes cannot measure it, or the tip would
@@ -280,10 +256,21 @@ class _Means:
         """-2 log likelihood (restricted) and fit beside the next harmonics, which are left out, as
         normal numbers of the variance that makes the means most likely: so far as they are seen,
         the errors hold what is folded from them onto the harmonics kept."""
-        alike = np.repeat(self._sizes(fit)[:, None], OTHERS, axis=1)
-        costs, found, covariance, least = self._beside(order, multiples, fit, alike)
+        costs, fits = self.beside_alike(order, multiples, fit, self._sizes(fit))
         best = int(np.argmin(costs))
-        return float(costs[best]), _Fit(found[best], covariance[best], least[best], fit.slope)
+        return float(costs[best]), fits[best]
+
+    def beside_alike(
+        self, order: float, multiples: np.ndarray, fit: _Fit, sizes: np.ndarray
+    ) -> tuple[np.ndarray, list[_Fit]]:
+        """The same for each deviation (n,) [m] of the next harmonics."""
+        alike = np.repeat(sizes[:, None], OTHERS, axis=1)
+        costs, *parts = self._beside(order, multiples, fit, alike)
+        found = [
+            _Fit(coefficients, covariance, float(least), fit.slope)
+            for coefficients, covariance, least in zip(*parts, strict=True)
+        ]
+        return costs, found
 
     def folded(self, order: float, multiples: np.ndarray, fit: _Fit) -> float:
         """Probability that an amplitude is more than three of its errors off, whatever the sizes of
@@ -301,9 +288,13 @@ class _Means:
 
     def _sizes(self, fit: _Fit) -> np.ndarray:
         """Deviations of the parts of a harmonic left out [m]: 0, or up to as large as the last."""
-        last = np.hypot(*fit.coefficients[-2:])
-        sizes = last * np.array([0.0, *2.0 ** -np.arange(0.5, 8.0)])
-        return np.asarray(sizes[sizes < WIDEST * np.diag(self._root).min()])
+        sizes = np.hypot(*fit.coefficients[-2:]) * SHARES
+        return np.asarray(sizes[sizes < self.widest])
+
+    @property
+    def widest(self) -> float:
+        """Deviation [m] beyond which nothing is told of a harmonic left out."""
+        return float(WIDEST * np.diag(self._root).min())
 
     def _beside(
         self, order: float, multiples: np.ndarray, fit: _Fit, sizes: np.ndarray
@@ -338,6 +329,61 @@ class _Means:
         chance = float(fdtrc(between, self.within, least / between))
         pooled = (self.within + least) / (self.within + between)
         return (least / between if chance < SIGNIFICANT else pooled), chance
+
+
+class _Means(_Seen):
+    """What each probe sees alike, every so many revolutions: its means, with their covariance.
+
+    Parameters
+    ----------
+    arrivals : ArrivalTimes
+        Of steady vibration.
+    period : int
+        After so many revolutions a probe sees the same again.
+    order : float
+        The largest of the candidates; up to it vibrations that follow none are sought.
+    angle_deviation : float [rad]
+        Of the probes.
+
+    Attributes
+    ----------
+    scatter : float [m]
+        Of a displacement about its mean; 1 where it is not known.
+    lines : tuple of TipFit
+        Vibrations beside them.
+    """
+
+    def __init__(
+        self, arrivals: ArrivalTimes, period: int, order: float, angle_deviation: float
+    ) -> None:
+        count, probes = arrivals.time.shape
+        row = (arrivals.first + np.arange(count)) % period
+        constants = row[:, None] * probes + np.arange(probes)
+        ends = arrivals.mean_speed * 0.5, arrivals.mean_speed * (max(order, ORDERS[-1]) + 1.0)
+        self.lines, left = find_lines(arrivals, arrivals.displacement, constants, ends)
+        seen = np.isfinite(left)
+        turn, probe = np.nonzero(seen)
+        groups, where = np.unique(constants[seen], return_inverse=True)
+        self._data, self._where = left[seen], where
+        nominal = arrivals.probes[groups % probes] + TURN * (groups // probes)
+        within = len(where) - len(groups)
+
+        def solve(weights: np.ndarray) -> np.ndarray:
+            self._share = np.bincount(where, weights)
+            self.values = np.bincount(where, weights * self._data) / self._share
+            return self._data - self.values[where]
+
+        noise = reweighted(solve, np.ones(len(where)), len(groups), rounding(arrivals))
+        own = np.eye(len(groups))[where]
+        self.scatter, covariance = 1.0, np.diag(1.0 / np.bincount(where))
+        if within > 0:
+            self.scatter = max(float(np.sqrt(noise.variance)), rounding(arrivals))
+            covariance = noise.covariance(own, turn, probe)
+            covariance += np.eye(len(groups)) * rounding(arrivals) ** 2
+            place = groups % probes
+            spread = (arrivals.tip_radius * angle_deviation) ** 2
+            covariance += spread * (place[:, None] == place)
+        super().__init__(nominal, self.values, covariance, within, arrivals.tip_radius)
 
     def unexplained(self, wave: np.ndarray, order: float, multiples: np.ndarray) -> float:
         """What an order leaves of a wave at the nominal angles, in variances."""
@@ -380,6 +426,8 @@ class TipTrack(Tabular):
         Probability that what is left is as alike from revolution to revolution by chance. If it is
         tiny, harmonics are missing, and what is left out is folded onto those that are kept. nan
         where there are no more probes than unknowns, which fit anything.
+    folded : float
+        As of :class:`TipFit`, where the harmonics are largest.
     """
 
     order: float
@@ -389,6 +437,7 @@ class TipTrack(Tabular):
     amplitudes: np.ndarray
     amplitude_errors: np.ndarray
     misfit: float
+    folded: float = np.nan
 
     @property
     def does_not_fit(self) -> bool:
@@ -396,9 +445,15 @@ class TipTrack(Tabular):
         return self.misfit < MISFIT
 
     @property
+    def may_be_folded(self) -> bool:
+        """As of :class:`TipFit`."""
+        return bool(self.folded > 2.0 * ndtr(-2.0))
+
+    @property
     def in_doubt(self) -> bool:
-        """Tell whether it does not fit, or has as many unknowns as there are probes."""
-        return self.does_not_fit or bool(np.isnan(self.misfit))
+        """Tell whether it does not fit, harmonics left out may be folded, or it has as many
+        unknowns as there are probes."""
+        return self.does_not_fit or self.may_be_folded or bool(np.isnan(self.misfit))
 
     @property
     def omega(self) -> np.ndarray:
@@ -419,7 +474,8 @@ class TipTrack(Tabular):
 
     def _title(self) -> str:
         speeds = f"{self.speed[0]:.6g} to {self.speed[-1]:.6g} rad/s"
-        doubt = ", DOES NOT FIT" * self.does_not_fit
+        doubt = ", harmonics left out may be folded" * self.may_be_folded
+        doubt = ", DOES NOT FIT" if self.does_not_fit else doubt
         return f"order {self.order:g}, {speeds}, {counted(len(self.speed), 'point')}{doubt}"
 
 
@@ -435,9 +491,12 @@ def track_order(
     """Fit the harmonics of a known engine order to each few revolutions of a run-up.
 
     The fit of :func:`fit_order` with one candidate, to ``revolutions`` revolutions at a time.
-    A vibration of twice the load's period and an odd order needs two or more. A harmonic that is
-    left out looks like some mixture of those kept; what remains of it shows as a misfit, and the
-    standard errors then follow from what the means of the probes leave.
+    A vibration of twice the load's period and an odd order needs two or more. The variance of an
+    arrival is that of what differs in what neighbouring fits leave. What is alike shows as a
+    misfit, and tells of harmonics that are left out: as in :func:`fit_order` they are further
+    unknowns, of a share of the vibration that is alike in neighbouring fits, so that what is folded
+    from them is in the standard errors so far as it is seen, and told where it may not be
+    (``folded``).
 
     Parameters
     ----------
@@ -483,24 +542,84 @@ def track_order(
         for part in (angle, nominal)
     )
     enough = np.linalg.matrix_rank(planned, tol=1e-6) == unknowns
-    inverse = np.linalg.pinv(columns)
-    found = np.where(enough[:, None], (inverse @ values[..., None])[..., 0], np.nan)
-    left = values - (columns @ found[..., None])[..., 0]
-    left = np.where(seen & enough[:, None], left, 0.0)
+    found = np.linalg.pinv(columns) @ values[..., None]
+    left = np.where(seen & enough[:, None], values - (columns @ found)[..., 0], 0.0)
     split = groups, revolutions, len(arrivals.probes)
     turn, probe = np.nonzero(seen.reshape(-1, split[2]))
     flat = left.reshape(-1, split[2])[turn, probe]
     own = split[2] * (subharmonic if revolutions > 1 else 1) - unknowns
     misfit = trend(flat, turn, probe) if own > 0 else np.nan
-    with np.errstate(divide="ignore", invalid="ignore"):
-        variance = np.where(count > unknowns, (left**2).sum(axis=1) / (count - unknowns), np.nan)
-        if misfit < MISFIT:
-            sizes = np.maximum(seen.reshape(split).sum(axis=1), 1)
-            lack = (left.reshape(split).sum(axis=1) ** 2 / sizes).sum(axis=1) / own
-            variance = np.maximum(variance, lack)
-    covariance = variance[:, None, None] * (inverse @ inverse.transpose(0, 2, 1))
-    each = inverse.reshape(groups, unknowns, *split[1:]).sum(axis=2)
-    covariance += (arrivals.tip_radius * angle_deviation) ** 2 * (each @ each.transpose(0, 2, 1))
+    variance, within = _not_alike(left, seen, np.where(enough, count - unknowns, 0))
+    variance = max(variance, rounding(arrivals) ** 2)
+    place = np.tile(np.arange(split[2]), revolutions)
+    spread = (arrivals.tip_radius * angle_deviation) ** 2 * (place[:, None] == place)
+    covariance = np.eye(len(place)) + spread / variance
+    covariance *= variance
+    found = np.full((groups, unknowns), np.nan)
+    errors = np.full((groups, unknowns, unknowns), np.nan)
+    parts = {}
+    for group in np.flatnonzero(enough).tolist():
+        there = seen[group]
+        near = covariance[np.ix_(there, there)]
+        part = _Seen(nominal[group, there], values[group, there], near, within, arrivals.tip_radius)
+        if (fit := part.fit(order, multiples)) is not None:
+            parts[group] = part, fit
+    if own > 1 and within > 0:
+        parts = _beside_alike(parts, order, multiples, unknowns)
+    for group, (part, fit) in parts.items():
+        found[group] = fit.coefficients
+        if count[group] > unknowns:
+            known = part.judged(fit.least, unknowns)[0]
+            errors[group] = (max(known, 1.0) if within else known) * fit.covariance
+    amplitudes, amplitude_errors = strengths(found, errors)
+    folded = np.nan
+    if own > 1 and within > 0 and parts:
+        largest = {int(np.nanargmax(sizes)) for sizes in amplitudes.T}
+        folded = max(parts[g][0].folded(order, multiples, parts[g][1]) for g in largest)
     times = arrivals.marks[: groups * revolutions + 1 : revolutions]
     speed = 2.0 * np.pi * revolutions / np.diff(times)
-    return TipTrack(order, speed, multiples, found, *strengths(found, covariance), misfit)
+    return TipTrack(order, speed, multiples, found, amplitudes, amplitude_errors, misfit, folded)
+
+
+def _beside_alike(
+    parts: dict[int, tuple[_Seen, _Fit]], order: float, multiples: np.ndarray, unknowns: int
+) -> dict[int, tuple[_Seen, _Fit]]:
+    """Fits of groups beside the next harmonics, whose share of the vibration is that which makes a
+    group and its neighbours most likely: few probes of one group tell hardly anything."""
+    costs, fits = [], []
+    for part, fit in parts.values():
+        sizes = np.minimum(np.linalg.norm(fit.coefficients[1:]) * SHARES, part.widest)
+        cost, beside = part.beside_alike(order, multiples, fit, sizes)
+        costs.append(cost)
+        fits.append(beside)
+    left = np.array([fit.least for _, fit in parts.values()])
+    spare = np.array([max(len(part.values) - unknowns, 1) for part, _ in parts.values()])
+    best = []
+    for place in range(len(fits)):
+        near = slice(max(place - NEIGHBOURS, 0), place + NEIGHBOURS + 1)
+        most = _usual(left[near], spare[near]) * chdtri(spare[near], MISFIT)
+        told = np.array(costs[near])[left[near] <= most]  # the others have wrong arrivals
+        best.append(int(np.argmin(told.sum(axis=0))))
+    return {
+        group: (part, fits[place][best[place]])
+        for place, (group, (part, _)) in enumerate(parts.items())
+    }
+
+
+def _not_alike(left: np.ndarray, seen: np.ndarray, spare: np.ndarray) -> tuple[float, int]:
+    """Variance of what groups (n, m) leave, so far as it differs from each to the next, by those
+    without wrong arrivals; and its degrees of freedom. 0 of them where there is nothing to compare:
+    the variance of what they leave, 1 where nothing is left to tell."""
+    total, both = spare.sum(), seen[1:] & seen[:-1]
+    spare = np.minimum(spare[1:], spare[:-1])
+    there = spare > 0
+    if not np.any(there):
+        return (float((left**2).sum()) / total if total else 1.0), 0
+    squares = 0.5 * (np.where(both, np.diff(left, axis=0), 0.0) ** 2).sum(axis=1)
+    return _usual(squares[there], spare[there]), int(spare[there].sum()) // 2
+
+
+def _usual(squares: np.ndarray, spare: np.ndarray) -> float:
+    """Variance that sums of squares (n,) of so many degrees of freedom (n,) have, where most of
+    them have wrong arrivals, too."""
+    return float(np.quantile(squares / chdtri(spare, 1.0 - QUIET), QUIET))

@@ -32,6 +32,10 @@ KEYS = ("tip_radius", "orders", "probes")
 """Of [tip_timing], with a record in place of a scene."""
 MISSING = "harmonics are missing (tip_timing.fitted_harmonics), and folded onto those kept"
 UNTESTED = "as many unknowns as probes: neither the order nor the harmonics kept are tested"
+FOLDED = (
+    "harmonics that are left out may be folded onto those kept by more than their errors "
+    "(tip_timing.fitted_harmonics, or more probes)"
+)
 ONCE = (
     "no probe sees the vibration twice, so errors of arrivals are not known: neither the harmonics "
     "kept nor the standard errors are tested (more revolutions)"
@@ -161,6 +165,8 @@ def _account_of_track(track: TipTrack, scene: Scene, warnings: list[str]) -> Acc
     doubts = [UNTESTED] if np.isnan(track.misfit) else []
     if track.does_not_fit:
         doubts.append(f"the fit leaves what is alike from revolution to revolution: {MISSING}")
+    elif track.may_be_folded:
+        doubts.append(FOLDED)
     return Account("timing", table, shown=shown, warnings=[*warnings, *doubts])
 
 
@@ -180,10 +186,7 @@ def _account_of_fit(fit: TipFit, scene: Scene, warnings: list[str]) -> Account:
             "out of place (tip_timing.angle_deviation), or the order is not among tip_timing.orders"
         )
     elif fit.may_be_folded and fit.spare > 0:
-        warnings.append(
-            "harmonics that are left out may be folded onto those kept by more than their errors "
-            "(tip_timing.fitted_harmonics, or more probes)"
-        )
+        warnings.append(FOLDED)
     if fit.spare < 1:
         warnings.append(UNTESTED)
     elif fit.seen_once:

@@ -12,6 +12,8 @@ import fenics_crack as fc
 
 RADIUS = 0.5
 FOUR = (0.1, 0.5, 1.3, 3.1)
+SEVEN = np.radians([0.0, 20.0, 41.0, 63.0, 88.0, 117.0, 150.0])
+TWELVE = np.radians([0.0, 17, 41, 58, 86, 113, 140, 178, 205, 251, 288, 330])
 EIGHT = tuple(np.radians([17, 35, 55, 70, 86, 108, 123, 284]))
 
 
@@ -181,7 +183,8 @@ def test_missing_arrivals(sine: fc.PeriodicSolution) -> None:
     assert track.coefficients.shape == (100, 3)
     both = fc.track_order(arrivals, 6, revolutions=2)
     assert np.allclose(both.coefficients[0], whole.coefficients, atol=1e-7)
-    assert both.amplitude_errors[0, 0] == pytest.approx(whole.amplitude_errors[0], rel=0.05)
+    every = fc.fit_order(arrivals, [6]).amplitude_errors[0] * np.sqrt(len(both.speed))
+    assert both.amplitude_errors[0, 0] == pytest.approx(every, rel=0.2)
 
 
 # --- asynchronous ---------------------------------------------------------------------------------
@@ -328,8 +331,7 @@ def test_a_second_harmonic_that_is_left_out(second: float, doubted: tuple[int, i
     off in some of 40 draws, all of which are in doubt; by twelve of them a sine is not, as a rule.
     """
     few = np.radians([0.0, 18.0, 47.0, 85.0, 131.0])
-    many = np.radians([0.0, 17, 41, 58, 86, 113, 140, 178, 205, 251, 288, 330])
-    probes, rng, deviation = few if second else many, np.random.default_rng(11), np.radians(0.01)
+    probes, rng, deviation = few if second else TWELVE, np.random.default_rng(11), np.radians(0.01)
     marks = 0.01 * np.arange(101)
     off, doubts = [], []
     for draw in range(40):
@@ -351,30 +353,60 @@ def test_a_second_harmonic_that_is_left_out(second: float, doubted: tuple[int, i
 
 
 def test_a_run_up_whose_fifth_harmonic_is_folded() -> None:
-    """Seven probes and two harmonics: 50 um of the fifth look like a second one; that is told, and
-    with enough harmonics it is not there. With three harmonics nothing is tested."""
+    """Seven probes and two harmonics: 50 um of the fifth look like a second one, within its errors;
+    that is told. Without them seven probes cannot be sure, and twelve are. With three harmonics
+    nothing is tested."""
     rng, turns = np.random.default_rng(1), 400
-    probes = np.radians([0.0, 20.0, 41.0, 63.0, 88.0, 117.0, 150.0])
 
     def time(angle: np.ndarray) -> np.ndarray:
         return 0.01 * angle * (1.0 - 2e-5 * angle)
 
     marks = time(2.0 * np.pi * np.arange(turns + 1))
-    targets = 2.0 * np.pi * np.arange(turns)[:, None] + probes
     size = 5e-5 / (1.0 + ((np.arange(turns) - 200.0) / 30.0) ** 2)[:, None]
 
-    def record(fifth: float) -> fc.ArrivalTimes:
+    def record(fifth: float, probes: np.ndarray = SEVEN) -> fc.ArrivalTimes:
+        targets = 2.0 * np.pi * np.arange(turns)[:, None] + probes
         moved = 1e-4 * np.cos(10.0 * targets) + fifth * size * np.cos(50.0 * targets)
         moved += 2e-6 * rng.standard_normal(targets.shape)
         angle = targets - moved / RADIUS
         return fc.ArrivalTimes(time(angle), marks, probes, RADIUS)
 
     folded = fc.track_order(record(1.0), 10, harmonics=2, revolutions=5)
-    assert folded.amplitudes[:, 1].max() > 1e-5  # where there is none
+    scores = folded.amplitudes[:, 1] / folded.amplitude_errors[:, 1]  # where there is none
+    assert folded.amplitudes[:, 1].max() > 5e-6 and scores.max() < 3.0
     assert folded.does_not_fit and "DOES NOT FIT" in repr(folded)
     without = fc.track_order(record(0.0), 10, harmonics=2, revolutions=5)
-    assert without.amplitudes[:, 1].max() < 1e-5 and not without.in_doubt
+    assert without.amplitudes[:, 1].max() < 3e-6 and not without.does_not_fit
+    assert without.in_doubt == without.may_be_folded == ("may be folded" in repr(without))
+    assert not fc.track_order(record(0.0, TWELVE), 10, harmonics=2, revolutions=5).in_doubt
     assert fc.track_order(record(0.0), 10, harmonics=3).in_doubt
+
+
+@pytest.mark.parametrize("revolutions", [1, 4])
+def test_errors_of_a_run_up_hold_what_is_folded(revolutions: int) -> None:
+    """One per cent of a fourth harmonic, at probes within 150 degrees that fold it 5 times larger
+    onto the two that are fitted: at the resonance they are within three errors in each of 12 draws,
+    and along the run-up nine in ten of all are within two."""
+    turns, order, noise = 400, 10, 2e-7
+    angle = 2.0 * np.pi * np.arange(turns)[:, None] + SEVEN
+    size = 1.0 / (1.0 + ((np.arange(turns) - 200.0) / 30.0) ** 2)
+    waves = np.array([1e-4, 5e-6, 0.0, 1e-6])
+    scores = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        phases = rng.uniform(0.0, 2.0 * np.pi, len(waves))
+        moved = noise * rng.standard_normal(angle.shape)
+        for number, (wave, phase) in enumerate(zip(waves, phases, strict=True), 1):
+            moved += wave * size[:, None] * np.cos(number * order * angle + phase)
+        turned = angle - moved / RADIUS
+        marks = 2.0 * np.pi * np.arange(turns + 1)
+        seen, marks = (0.01 * part * (1.0 - 2e-5 * part) for part in (turned, marks))
+        arrivals = fc.ArrivalTimes(seen, marks, SEVEN, RADIUS)
+        track = fc.track_order(arrivals, order, harmonics=2, revolutions=revolutions)
+        true = size.reshape(-1, revolutions).mean(axis=1)[:, None] * waves[:2]
+        scores.append(np.abs(track.amplitudes - true) / track.amplitude_errors)
+    middle = turns // revolutions // 2
+    assert np.max(scores, axis=0)[middle].max() < 3.0 and np.mean(np.array(scores) > 2.0) < 0.1
 
 
 def test_zero_from_quiet_revolutions(sine: fc.PeriodicSolution) -> None:
