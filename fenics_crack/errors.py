@@ -17,6 +17,7 @@ __all__ = [
     "ConvergenceError",
     "Exit",
     "InputError",
+    "StoppedError",
     "WriteError",
     "check_count",
     "check_number",
@@ -109,6 +110,10 @@ class ConvergenceError(RuntimeError):
         super().__init__(message)
         self.history = tuple(history)
         self.found = found
+
+
+class StoppedError(ConvergenceError):
+    """Ctrl-C has ended what the same command goes on with."""
 
 
 @contextlib.contextmanager

@@ -42,6 +42,11 @@ ON_PATH = 15_000
 MOST_FORMED = 1000
 """Unknowns up to which J is formed for such a motion: with 1,500 each point of a path takes
 seconds, and ten lead nowhere."""
+SINGULAR = (
+    "'penalty', with a stiffness, as some lips hardly give beside others: they lie on a strip too "
+    "thin for no penetration at all, or no modes are left out; or cracks farther apart"
+)
+"""What is allowed where R_inf, which answers a rigid contact at once, is singular to rounding."""
 STIFF = 100.0
 """k R_inf from which a penalty on lips with mass is seen through R_inf."""
 
@@ -228,9 +233,7 @@ class Problem:
                 return None
         if rigid and not is_regular(found):
             if light:
-                raise InputError(
-                    "contact", self.contact, "a penalty where R_inf, what modes leave out, is zero"
-                )
+                raise InputError("contact law", "unilateral", SINGULAR)
             return None
         return found
 

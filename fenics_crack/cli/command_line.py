@@ -17,7 +17,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
-from fenics_crack.errors import ConvergenceError, Exit, InputError, WriteError
+from fenics_crack.errors import ConvergenceError, Exit, InputError, StoppedError, WriteError
 from fenics_crack.hints import in_other_words, meant, near
 from fenics_crack.one_thread import alone
 from fenics_crack.version import VERSION
@@ -52,6 +52,7 @@ KEYS = {
     **{name: f"{table}.{name}" for table, names in TABLES.items() for name in names},
     **{f"damping {name}": f"damping.{name}" for name in DAMPING},
     **dict.fromkeys(("low", "high", "high - low"), "tip_timing.frequencies"),
+    "contact law": "contact.law",
     "contact stiffness": "contact.stiffness",
     "count": "--count",
     "end": "curve.stop",
@@ -96,7 +97,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             _show_lines_of(error.key)
         return Exit.FAULT if isinstance(error, WriteError) else Exit.BAD_INPUT
     except ConvergenceError as error:
-        _say(f"did not converge: {error}")
+        stopped = isinstance(error, StoppedError)
+        _say(str(error) if stopped else f"did not converge: {error}")
         return Exit.NOT_CONVERGED
     except KeyboardInterrupt:
         _say("stopped")

@@ -24,7 +24,7 @@ import numpy as np
 from mpi4py import MPI
 from scipy.interpolate import CubicSpline
 
-from fenics_crack.errors import FEW_MODES, ConvergenceError, InputError
+from fenics_crack.errors import FEW_MODES, ConvergenceError, InputError, StoppedError
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.growth.result import Growth
 from fenics_crack.model.modes import solve_modes
@@ -366,7 +366,7 @@ def _solve_lengths(
         swept = _swept(scene, wanted, levels)
         table = run_sweep(swept, file, comm, progress=progress, judged=False)
         if not table.complete:
-            raise ConvergenceError("growth was stopped; the same command goes on with it")
+            raise StoppedError("growth was stopped; the same command goes on with it")
         before, path = path, path.joined(table, law, cycles)
         if number == 1:
             if path.failed:

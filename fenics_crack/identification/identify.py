@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.errors import ConvergenceError, InputError, StoppedError
 from fenics_crack.files.store import scene_text
 from fenics_crack.identification.features import MESH, Part
 from fenics_crack.identification.measurements import Measurements, without_crack
@@ -287,7 +287,7 @@ def solve_forward(
         path = folder / f"{name}_{digest}.h5"
         found = run_sweep(swept, path, comm, progress=progress, verdicts=False, judged=False)
         if not found.complete:
-            raise ConvergenceError("identification was stopped; the same command goes on with it")
+            raise StoppedError("identification was stopped; the same command goes on with it")
         return found
 
     numbers = sum(not isinstance(axis.values[0], str) for axis in table.unknown)

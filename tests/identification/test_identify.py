@@ -465,7 +465,8 @@ def test_stops_at_ctrl_c(
 
     monkeypatch.setattr(SweepFile, "record", interrupted)
     assert main(little) == 3
-    assert "identification was stopped; the same command goes on" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "fenics-crack: identification was stopped; the same command goes on" in said
     [path] = (tmp_path / "out").iterdir()  # no file of what was found
     assert np.count_nonzero(SweepResult.load(path)["state"]) == 2
     left = 1

@@ -53,6 +53,14 @@ def test_residual_is_what_the_modes_leave_out(modes: int, unconstrained: bool) -
     assert np.array_equal(residual, residual.T) and np.linalg.eigvalsh(residual)[0] > 0.0
 
 
+def test_no_penetration_takes_what_modes_leave_out() -> None:
+    """Where that is nothing, the law is named as a scene does, and what to do."""
+    problem = fc.Problem(reduced(chain("none", 20), 20), 1.0, fc.UnilateralConstraint(), 3)
+    with pytest.raises(fc.InputError, match="cracks farther apart") as caught:
+        assert problem.residual
+    assert (caught.value.key, caught.value.value) == ("contact law", "unilateral")
+
+
 def test_residual_of_what_is_hardly_held() -> None:
     """The same where a spring 1e-11 as stiff as others holds a chain: its mode is no part of it."""
     free = chain("none", 24, unconstrained=True)
