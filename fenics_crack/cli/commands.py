@@ -53,8 +53,13 @@ def solved(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     with console.stage("errors"):
         run = replace(run, stated=run.errors)
     folder = inputs.folder
+    if name == "curve" and run.result.status == "interrupted":
+        older = folder / f"{name}.h5"
+        if on_root(console.comm, older.exists):  # a part takes the place of no result
+            name = "curve_interrupted"
+            console.note(f"{older} stays as it was; what was found until Ctrl-C is beside it")
     run.save(folder / f"{name}.h5")
-    return tell(account_of(run), folder, console)
+    return tell(replace(account_of(run), name=name), folder, console)
 
 
 def tell(

@@ -77,7 +77,14 @@ def _largest(run: Run[ResponseCurve]) -> str:
     """The largest response, and how well it is known."""
     found = run.result
     amplitude = found.amplitude(run.watched_dof)
-    peak, height, _ = top_and_damping(found.values, amplitude, int(np.argmax(amplitude)))
+    place = int(np.argmax(amplitude))
+    if not _passed(found, place):
+        return (
+            f"The response grows up to where the curve ended early, "
+            f"{quantity(amplitude[place], 'm')} half peak-to-peak ({run.watched_name}) at "
+            f"{_place(run, found.values[place])}."
+        )
+    peak, height, _ = top_and_damping(found.values, amplitude, place)
     known = known_to(run, run.watched[0].column("amplitude"))
     where = "" if run.stated is None else known_to(run, run.stated.resonance)
     return (
@@ -85,6 +92,11 @@ def _largest(run: Run[ResponseCurve]) -> str:
         f"({run.watched_name}{known and f', known to {known}'}), is at "
         f"{_place(run, peak)}{where and f', known to {where}'}."
     )
+
+
+def _passed(found: ResponseCurve, place: int) -> bool:
+    """Whether the largest response is none only because the curve ended early there."""
+    return bool(found.complete) or place < len(found) - 1
 
 
 def _place(run: Run[ResponseCurve], *values: float) -> str:
@@ -176,7 +188,8 @@ def special_points(run: Run[ResponseCurve]) -> Table:
     special = found.at_bifurcations if found.bifurcations else found
     there = _places(special) | _along(run, special)
     largest = int(np.argmax(found.amplitude(run.watched_dof)))
-    rows = [("start", 0, along), ("end", -1, along), ("largest", largest, along)]
+    top = "largest" if _passed(found, largest) else "largest so far"
+    rows = [("start", 0, along), ("end", -1, along), (top, largest, along)]
     for number, point in enumerate(found.bifurcations, 1):
         name = kind_in_words(point.kind)
         if found.undecided is not None:

@@ -8,6 +8,7 @@ import importlib
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -357,6 +358,30 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
                    "curve.stop=1600.0", "integration.method=events"]  # fmt: skip
         assert main([*words, *(word for change in changes for word in ("--set", change))]) == 0
     return folder
+
+
+def test_an_interrupted_curve_is_beside_a_complete_one(
+    results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    """It takes its place nowhere, and the point where Ctrl-C came is no largest response."""
+    shutil.copy(results / "curve.h5", tmp_path)
+    points = iter(range(3))
+
+    def progress(_: fc.Continuation) -> float:
+        if next(points, None) is None:
+            raise KeyboardInterrupt
+        return 0.5
+
+    monkeypatch.setattr(fc.Continuation, "progress", progress)
+    changes = ["contact.stiffness=1e9", "damping.ratio=0.02", "curve.start=2200.0",
+               "curve.stop=2300.0"]  # fmt: skip
+    words = ["curve", str(PAPER), "--verbose", "--output", str(tmp_path)]
+    assert main([*words, *(word for change in changes for word in ("--set", change))]) == 3
+    said = capsys.readouterr()
+    assert (tmp_path / "curve.h5").read_bytes() == (results / "curve.h5").read_bytes()
+    assert not fc.load_run(tmp_path / "curve_interrupted.h5").result.complete
+    assert "largest so far" in said.out and "The response grows up to where" in said.err
+    assert "The largest response" not in said.err
 
 
 def test_points_of_a_curve(results: Path) -> None:
