@@ -81,8 +81,12 @@ class ArrivalTimes(Tabular):
             object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float))
         check_number("tip_radius", self.tip_radius, 0.0, above=True)
         check_probes(self.probes)
-        if self.marks.ndim != 1 or len(self.marks) < 2 or not np.all(np.diff(self.marks) > 0.0):
-            raise InputError("marks", self.marks, "two or more increasing times")
+        if self.marks.ndim != 1 or len(self.marks) < 2:
+            found = f"of shape {self.marks.shape}"
+            raise InputError("marks", found, "two or more increasing times")
+        if not np.all(rising := np.diff(self.marks) > 0.0):
+            before, after = self.marks[int(np.argmin(rising)) :][:2]
+            raise InputError("marks", f"{after:.9g} s after {before:.9g} s", "increasing times")
         shape = (len(self.marks) - 1, len(self.probes))
         if self.time.shape != shape:
             allowed = f"of shape {shape}: a row for each revolution, a column for each probe"

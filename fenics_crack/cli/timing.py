@@ -40,6 +40,8 @@ ONCE = (
     "no probe sees the vibration twice, so errors of arrivals are not known: neither the harmonics "
     "kept nor the standard errors are tested (more revolutions)"
 )
+FAR = 2.0
+"""Ratio of speeds, of arrivals and of their scene, that is remarked."""
 EMPTY = ("blade", "rpm", "order", "frequency")
 """Columns of a table without a resonance."""
 SHOWN_ORDERS = 6
@@ -68,6 +70,15 @@ def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
     with console.stage("vibration"):
         fit = vibration_in(scene, arrivals)
     warnings: list[str] = []
+    if run is None and scene.speed > 0.0:
+        ratio = arrivals.mean_speed / scene.speed
+        if not 1.0 / FAR <= ratio <= FAR:
+            seen, own = (
+                f"{pace * speed:.6g} {unit}" for speed in (arrivals.mean_speed, scene.speed)
+            )
+            warnings.append(
+                f"the arrivals are of {seen}, [rotation] has {own}: are they in seconds?"
+            )
     if run is not None:
         warnings += filter(None, (of_another_scene(scene, run), run_up_ends(scene, run)))
     if run is not None and isinstance(run.result, PeriodicSolution):

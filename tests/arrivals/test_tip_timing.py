@@ -363,7 +363,8 @@ def test_bad_arrivals() -> None:
         ({"time": np.full((2, 1), np.nan)}, "time"),
         ({"time": np.array([[1.0], [1e300]])}, "time"),
         ({"time": np.array([[-1.1], [1.0]])}, "time"),
-        ({"marks": np.zeros(3)}, "marks"),
+        ({"marks": np.array([0.0, 1.0, -2.0])}, "marks = '-2 s after 1 s': must be increasing"),
+        ({"marks": np.zeros((3, 1))}, "marks = 'of shape "),
         ({"probes": np.array([-1.0])}, "probes"),
         ({"tip_radius": -1.0}, "tip_radius"),
     ):

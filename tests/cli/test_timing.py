@@ -148,6 +148,23 @@ def test_a_result_of_another_scene(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "this scene" not in capsys.readouterr().err
 
 
+def test_arrivals_of_another_speed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Times in milliseconds make the rotor 1000 times slower than the scene says: that is told."""
+    rotor = {"excitation.omega": None, "excitation.order": 5, "rotation.speed": 360.0}
+    rotor |= {"rotation.hub_radius": 0.1, "tip_timing.order": None}
+    scene, out = written(tmp_path, rotor), ["--output", str(tmp_path)]
+    angle = 2.0 * np.pi * np.arange(20)[:, None] + np.radians(PROBES)
+    for unit, told in ((1.0, False), (1e3, True)):
+        moved = 1e-4 * np.cos(5.0 * angle) / RADIUS
+        seen, marks = (angle - moved) / 360.0, 2.0 * np.pi * np.arange(21) / 360.0
+        arrivals = fc.ArrivalTimes(unit * seen, unit * marks, np.radians(PROBES), RADIUS)
+        arrivals.to_csv(tmp_path / "seen.csv")
+        capsys.readouterr()
+        assert main(["timing", scene, str(tmp_path / "seen.csv"), *out]) == 0
+        remark = "the arrivals are of 0.36 rad/s, [rotation] has 360 rad/s: are they in seconds?"
+        assert (remark in capsys.readouterr().err) == told
+
+
 def test_a_run_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A curve's arrivals; the known order tracked through them, largest where the curve is."""
     run_up = {"curve.start": 1500.0, "curve.stop": 2300.0, "tip_timing.revolutions": 300}
