@@ -27,7 +27,10 @@ from typing import TextIO
 
 import numpy as np
 
-__all__ = ["MOST_BYTES", "allowance", "bytes_of", "lines_of", "run_reader", "sha256", "text_of"]
+__all__ = [
+    "MOST_BYTES", "allowance", "bytes_of", "lines_of", "run_reader", "sha256", "table_lines",
+    "text_of",
+]  # fmt: skip
 
 MOST_BYTES = 2**31
 """Bytes of a file of a mesh, a matrix or a result, and of the numbers in it."""
@@ -101,6 +104,23 @@ def text_of(path: str | Path) -> str:
                 f"it begins with the byte order mark (BOM) of {name}; save it as UTF-8"
             )
     return content.decode("utf-8-sig")
+
+
+def table_lines(path: str | Path) -> list[tuple[int, str]]:
+    """Lines of a CSV file, with their numbers, without empty ones and those that begin with #.
+
+    Raises
+    ------
+    OSError, ValueError
+        As :func:`text_of`; or cells are separated by something else than commas.
+    """
+    every = enumerate(text_of(path).splitlines(), 1)
+    lines = [(number, line) for number, line in every if line.strip()[:1] not in ("", "#")]
+    heading = lines[0][1] if lines else ""
+    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
+        if separator in heading and "," not in heading:
+            raise ValueError(f"its cells are separated by {name}; use commas, and decimal points")
+    return lines
 
 
 def lines_of(file: TextIO, most: int) -> Iterator[str]:

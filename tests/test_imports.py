@@ -103,6 +103,22 @@ print(sum(name.startswith("fenics_crack") for name in sys.modules))
     assert libraries == "['numpy']" and int(count) <= 23
 
 
+def test_what_was_stopped_ends_without_noise() -> None:
+    """Not even that of a library which ends after Ctrl-C, in the middle of a step."""
+    program = """
+import atexit, sys
+from surroundings import main
+from fenics_crack.cli import command_line
+def interrupted(*_):
+    atexit.register(lambda: 1 / 0)
+    raise KeyboardInterrupt
+command_line._run = interrupted
+sys.stderr = sys.stdout
+assert main(["new", "x.toml"]) == 130
+"""
+    assert fresh(program) == "fenics-crack: stopped"
+
+
 def test_check_needs_no_solver() -> None:
     """Neither it nor the plan of a sweep."""
     program = f"""

@@ -19,7 +19,7 @@ from typing import Any, Self
 import numpy as np
 
 from fenics_crack.errors import InputError, check_count, check_number, reading
-from fenics_crack.outside import text_of
+from fenics_crack.outside import table_lines
 from fenics_crack.table import RPM, TURN, Tabular, counted
 
 __all__ = ["MOST_PASSAGES", "ArrivalTimes", "check_probes", "read_record"]
@@ -269,7 +269,7 @@ def _table(path: str | Path) -> tuple[list[str], np.ndarray]:
     """Headings of a CSV file and its columns, nan where there is no number; lines that begin with #
     are left out."""
     with reading("path", path, "a table of numbers"):
-        lines = [line for line in text_of(path).splitlines() if line.strip()[:1] not in ("", "#")]
+        lines = [line for _, line in table_lines(path)]
         names = [name.strip() for name in next(csv.reader(lines), [])]
         if not lines[1:]:
             return names, np.empty((len(names), 0))

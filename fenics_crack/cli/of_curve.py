@@ -56,7 +56,8 @@ def account_of_curve(run: Run[ResponseCurve]) -> Account:
     if seen.largest_order[peak] > 3:
         order = f"harmonic {seen.largest_order[peak]:.0f} is the largest of the higher ones"
         share = f"{seen.ratio_largest[peak]:.2g} of harmonic 1"
-        notes.append(f"at the largest response {order}, {share}")
+        where = "the largest response" if _passed(found, peak) else "its end"
+        notes.append(f"at {where} {order}, {share}")
     if scene.harmonic_balance.tolerance is not None and run.structure.n_pairs:
         notes.append(f"harmonics, by the truncation error: {ranging(found.harmonics)}")
     return Account(

@@ -14,7 +14,7 @@ import numpy as np
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.errors import FEW_MODES, InputError, check_count, check_number, reading
-from fenics_crack.outside import text_of
+from fenics_crack.outside import table_lines
 from fenics_crack.scene.fields import LARGEST, OR_ZERO, SMALLEST
 from fenics_crack.scene.scene import Scene
 from fenics_crack.table import Tabular, counted
@@ -307,8 +307,7 @@ class Measurements(Tabular):
             The file cannot be read, or a line cannot be used.
         """
         with reading("measurements", path, "a CSV file"):
-            every = enumerate(text_of(path).splitlines(), 1)
-            lines = [(n, line) for n, line in every if line.strip()[:1] not in ("", "#")]
+            lines = table_lines(path)
             table = list(csv.reader(line for _, line in lines))
         names = [cell.split("[")[0].strip() for cell in table[0]] if table else []
         known = (*NEEDED, *OPTIONAL)

@@ -428,3 +428,12 @@ def test_an_inclined_crack_acts_at_its_tip(tmp_path: Path) -> None:
     assert 0.8 < tilted @ straight / (straight @ straight) < 1.15
     spread = act_as(np.array([[length, height]]), ("crack.length", "crack.height"), scene)
     assert spread[0, 1] == pytest.approx(length * np.tan(np.radians(5.0)))
+
+
+@pytest.mark.parametrize(("separator", "name"), [(";", "semicolons"), ("\t", "tabs")])
+def test_cells_that_commas_do_not_separate(tmp_path: Path, separator: str, name: str) -> None:
+    """A spreadsheet's own separators are named, of measurements and of arrivals."""
+    (path := tmp_path / "table.csv").write_text(f"quantity{separator}value\n")
+    for read in (fc.Measurements.read, fc.read_record):
+        with pytest.raises(fc.InputError, match=f"separated by {name}"):
+            read(path)
