@@ -193,13 +193,16 @@ class Ritz:
             own = np.isclose(speed, rotation.speed, rtol=1e-12, atol=0.0)
             there = structure if own else rotation.at(float(speed))
             part = reduce_structure(there, modes=modes, method="free_interface", judged=False)
-            columns = part.basis / part.omega
+            shapes, omega = part.basis, part.omega
             if tied:
                 found = solve_modes(there, tied, lips="tied")
-                columns = np.hstack([columns, found.shapes / found.omega])
+                shapes, omega = np.hstack([shapes, found.shapes]), np.append(omega, found.omega)
                 del found
+            if not np.all(omega > 0.0):  # to rounding, which pivots need not see
+                raise InputError("rotation.speed", float(speed), too_fast(float(speed)))
+            columns = shapes / omega
             basis = np.hstack([basis, _new_part(structure, basis, columns)])
-            del there, part, columns
+            del there, part, shapes, columns
             collect_garbage(structure.comm)
 
         def projected(matrix: object) -> np.ndarray:
@@ -211,6 +214,10 @@ class Ritz:
         square = rotation.speed**2
         added = np.array([projected(part) for part in (rotation.stiffness, *rotation.displaced)])
         at_rest = np.eye(len(inverse)) - square * (added[0] + added[1] + square * added[2])
+        try:
+            np.linalg.cholesky(at_rest)
+        except np.linalg.LinAlgError:  # beside what rotation adds it is rounding
+            raise InputError("rotation.speed", rotation.speed, too_fast(rotation.speed)) from None
         return cls(
             structure,
             read_only(basis),  # shared by all speeds

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import csv
 import json
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 from rotating import CRACKED, UNIT, cracked, strip
-from surroundings import main
+from surroundings import DEMOS, main
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
@@ -115,6 +116,17 @@ def test_bad_input() -> None:
         with pytest.raises(InputError) as caught:
             call()
         assert caught.value.key == key
+
+
+def test_speeds_that_are_too_fast() -> None:
+    """However fast, the plate is said to be unstable, and NumPy has nothing to warn of."""
+    scene = Scene.load(DEMOS / "rotating_blade.toml")
+    for fastest in (1e5, 1e8):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", RuntimeWarning)
+            with pytest.raises(InputError, match="the plate is unstable at") as caught:
+                fc.campbell(scene, [0.0, 0.5 * fastest, fastest], 2)
+        assert caught.value.key == "rotation.speed" and caught.value.value > 0.0
 
 
 def test_picture_reaches_as_far_as_the_orders() -> None:
