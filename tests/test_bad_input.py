@@ -46,6 +46,7 @@ TABLE = [
     ("plot text.h5", "path = 'text.h5': must be a readable result file, one of the .h5 files"),
     ("plot folder", "path = 'folder': must be a readable result file, one of the .h5 files"),
     ("solve scene.toml crack.length", "--set = 'crack.length': must be key=value, for example contact.stiffness=1e9"),
+    ("check scene.toml sweep.over.x=1", "sweep.over.x = 1: must be changed as a whole: sweep.over={x=...}"),
     ("solve scene.toml crack=1", "crack = 1: must be changed key by key; only REMOVABLE can be removed, by none"),
     ("solve scene.toml colour=1", "colour = 1: must be left out; known tables: TABLES"),
     ("solve scene.toml mesh.colour=1", "mesh.colour = 1: must be left out; known keys: layout, cells, order, columns, rows, size, lip_elements, grading, file"),

@@ -588,6 +588,9 @@ def _changed_key(name: str, value: object) -> tuple[str, int | None, str]:
         known = ", ".join(f"{table}.1.{own}" for own in kind.keys())
         raise InputError(name, value, f"left out; known keys: {known}")
     elif key not in kind.keys():
+        whole, _, own = key.partition(".")
+        if whole in kind.keys() and own:
+            raise InputError(name, value, f"changed as a whole: {table}.{whole}={{{own}=...}}")
         raise InputError(name, value, kind.instead_of(key))
     return table, number, key
 

@@ -161,6 +161,12 @@ def test_a_mesh_file_is_looked_up_beside_the_scene(tmp_path: Path) -> None:
     assert Scene.load(path, {"mesh.file": "other.msh"}).mesh.file == "other.msh"
 
 
+def test_keys_that_are_tables_are_changed_as_a_whole() -> None:
+    """What to write is said."""
+    with pytest.raises(InputError, match=r'sweep\.over=\{"excitation\.omega"=\.\.\.\}'):
+        Scene.from_text(GOOD_TOML).replace({'sweep.over."excitation.omega"': [1.0, 2.0]})
+
+
 @pytest.mark.parametrize(
     ("name", "value", "changes"),
     [
