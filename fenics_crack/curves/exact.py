@@ -189,7 +189,8 @@ class _Judge:
         if asked.any():
             motions = self.branch.motions(place[asked])
             off = self.branch.at(segment[asked], share[asked]) - motions
-            apart[asked] = np.linalg.norm(off, axis=1) / np.linalg.norm(motions, axis=1)
+            sizes = np.maximum(np.linalg.norm(motions, axis=1), 1e-300)
+            apart[asked] = np.linalg.norm(off, axis=1) / sizes
         np.minimum.at(least, place, apart)
         order = np.lexsort((apart, place))
         nearest = order[np.unique(place[order], return_index=True)[1]]

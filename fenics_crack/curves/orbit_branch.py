@@ -33,6 +33,7 @@ import numpy as np
 import scipy.optimize
 from scipy.linalg.lapack import dgeqrf, dorgqr
 
+from fenics_crack.balance.judgement import relative
 from fenics_crack.curves.orbit_nodes import (
     EVERY,
     LEADING,
@@ -215,7 +216,7 @@ class OrbitBranch:
                 found = self._solved(start, parameter, chord)
                 if found is None:
                     continue
-                away = float(np.linalg.norm(found.unknown - motion) / np.linalg.norm(motion))
+                away = relative(found.unknown - motion, motion)
                 if away <= ALIKE:
                     return self._node(place, found, self._ahead(place, along=False), away)
         return None

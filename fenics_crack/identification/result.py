@@ -255,21 +255,18 @@ class Identification(Tabular):
     def warnings(self) -> list[str]:
         """Points to be careful about: cases that failed, several cracks that fit, a misfit, an
         estimate at a bound."""
-        found = [*self.doubts]
-        others = self.alternatives
+        found, others = [*self.doubts], self.alternatives
         if len(others) > 1:
-            told = [
+            cracks = [
                 " and ".join(f"{key_in_words(k)} {value_in_words(k, v)}" for k, v in values.items())
                 + f" ({mass:.0%})"
                 for values, mass in others
             ]
-            found.append(f"these cracks cannot be told apart: {'; '.join(told)}")
+            found.append(f"these cracks cannot be told apart: {'; '.join(cracks)}")
         total, chance = self.misfit
         if chance < MISFIT:
-            count = len(self.measurements)
-            found.append(
-                f"no crack of this kind explains the measurements: chi^2 = {total:.3g} of {count}"
-            )
+            told = f"chi^2 = {total:.3g} of {len(self.measurements)}"
+            found.append(f"no crack of this kind explains the measurements: {told}")
         cube = self._at[0].likelihood.quantities.model.cube
         bounds = zip(self.unknown, self.posterior.best[1], cube.low, cube.high, strict=True)
         for key, value, low, high in bounds:

@@ -904,7 +904,7 @@ class TipTiming(Table):
     """Probes in the casing that see when the tip of a blade passes, and what is sought in that.
 
     [tip_timing]
-    probes = [0.0, 20.0, 41.0, 63.0, 88.0, 117.0, 150.0]
+    probes = [0.0, 17.0, 41.0, 58.0, 86.0, 113.0, 140.0, 178.0, 205.0, 251.0, 288.0, 330.0]
     tip_radius = 0.45
     """
 
