@@ -12,6 +12,7 @@ without such an orbit beside them, are judged as :func:`floquet` does.
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 
@@ -75,11 +76,9 @@ class _Judge:
     def _is_affordable(self) -> bool:
         for place in np.unique([0, len(self._curve) // 2, len(self._curve) - 1]):
             [motion] = self._motions(np.array([place]))
-            try:
+            with suppress(ConvergenceError):
                 self.system.moved(motion, float(self.parameters[place]))
-            except ConvergenceError:
-                continue
-            return True
+                return True
         return False
 
     def value(self, parameter: float) -> float:
@@ -176,11 +175,12 @@ class _Judge:
             one_side = np.abs(np.bincount(place[chosen], side[chosen], count))
             return one_side < np.bincount(place[chosen], minlength=count)
 
-        sided = np.flatnonzero(disagree(np.ones(len(place), dtype=bool)))
+        sided = np.flatnonzero(disagree(told := np.full(len(place), True)))
         waves = self._curve.gaps_in_time(sided) if len(sided) else ()
         for one, wave in zip(sided, waves, strict=True):
             beside = place == one
-            accepted[one] = self._tells(wave, segment[beside], share[beside], side[beside])
+            told[beside] = self._told(wave, segment[beside], share[beside], side[beside])
+            accepted[one] = told[beside].any()
         places = np.array([one.place for one in self.branch.nodes])
         inside = (places[segment] <= place) & (place <= places[segment + 1])
         inside &= expected[place] <= FARTHEST
@@ -191,6 +191,7 @@ class _Judge:
             off = self.branch.at(segment[asked], share[asked]) - motions
             sizes = np.maximum(np.linalg.norm(motions, axis=1), 1e-300)
             apart[asked] = np.linalg.norm(off, axis=1) / sizes
+        apart[~told] = np.inf
         np.minimum.at(least, place, apart)
         order = np.lexsort((apart, place))
         nearest = order[np.unique(place[order], return_index=True)[1]]
@@ -253,14 +254,14 @@ class _Judge:
         rivalled = bool(np.any(away <= (1.0 + FARTHEST) * distance))
         return complex(np.nan) if rivalled else complex(_upper(leading))
 
-    def _tells(
+    def _told(
         self, wave: np.ndarray, segment: np.ndarray, share: np.ndarray, side: np.ndarray
-    ) -> bool:
-        """Whether of the parts next to a point none on the other side of 1 has gaps that are as
-        near as the nearest: the error of a point next to a fold is that of both."""
+    ) -> np.ndarray:
+        """Which parts next to a point are on the side of 1 of that with the nearest gaps; none
+        where one on the other has as near ones: the error next to a fold is that of both."""
         away = self._apart(wave, segment, share)
         near = side[away <= BELIEVED * away.min()]
-        return bool(np.abs(near.sum()) == len(near))
+        return (side == near[0]) & (np.abs(near.sum()) == len(near))
 
     def _apart(self, wave: np.ndarray, segment: np.ndarray, share: np.ndarray) -> np.ndarray:
         """How far the gaps of a point are from those at parts of segments: (m,), relative."""
