@@ -204,7 +204,7 @@ class _Judge:
         the segment, the point, and the part of the segment, (m,) each."""
         nodes, last = self.branch.nodes, len(self._curve) - 1
         parameters = np.array([one.parameter for one in nodes])
-        places, rises = np.array([int(one.place) for one in nodes]), np.diff(parameters)
+        places, rises = np.array([one.place for one in nodes]).astype(int), np.diff(parameters)
         number = np.flatnonzero(rises)
         first = np.maximum(0, places[number] - 2 * EVERY)
         counts = np.minimum(last, places[number + 1] + 2 * EVERY) - first + 1
@@ -315,6 +315,8 @@ def _between(branch: OrbitBranch, segment: np.ndarray, share: np.ndarray) -> np.
     are no bifurcations; nan where these differ, or do not tell it from 1, or where one that is a
     bifurcation is not located, and on segments that are not linked."""
     nodes = branch.nodes
+    if not len(segment):  # nor is there any node, perhaps
+        return np.zeros(0, dtype=complex)
     leading = np.array([one.leading[0] for one in nodes])
     size, met = np.abs(leading), np.array([one.crossing is not None for one in nodes])
     lost = np.array([one.crossing is not None and not one.crossing.located for one in nodes])
