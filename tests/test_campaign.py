@@ -128,13 +128,6 @@ def test_ranges_between_two_nodes_in_which_a_light_damping_is_overcome() -> None
     assert outside == 6
 
 
-def test_curve_along_which_no_orbit_is_found() -> None:
-    """Four stiff pairs, H = 10: each point is judged by itself, beside no node."""
-    case = campaign.draw(85, 49, "curve")
-    curve = campaign.followed(case)
-    assert curve.complete and "stable" not in set(curve.verdicts)
-
-
 @pytest.mark.slow
 def test_segment_in_whose_middle_no_orbit_is_found_judges_no_points() -> None:
     """Four masses, one stiff pair, H = 10, points 1 % apart: some pairs of multipliers leave the

@@ -368,6 +368,14 @@ def test_doublings_do_not_depend_on_the_range_and_its_direction(
         assert between.any() and set(curve.verdicts[between]) == {"unstable"}
 
 
+def test_a_curve_along_which_no_orbit_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each point is judged by itself, beside no node."""
+    monkeypatch.setattr(orbit_branch.OrbitBranch, "_next_to", lambda *_, **__: None)
+    curve = fc.continue_frequency(oscillator(), 0.7, 0.8, SOFT, harmonics=15, stability=True)
+    alone = [fc.floquet(one.structure, one).verdict for one in curve.solutions]
+    assert curve.verdicts.tolist() == alone and "stable" in alone
+
+
 @pytest.mark.parametrize(("start", "end"), [(1.0, 0.0), (0.0, 1.0)])
 def test_a_curve_to_no_damping_and_from_there(start: float, end: float) -> None:
     """Where the motion without damping has its multipliers on the unit circle it is open."""
