@@ -12,6 +12,7 @@ from typing import Any
 
 __all__ = [
     "FEW_MODES",
+    "INTERRUPTED",
     "MAX_SAMPLES",
     "MOST_HARMONICS",
     "ConvergenceError",
@@ -114,6 +115,10 @@ class ConvergenceError(RuntimeError):
 
 class StoppedError(ConvergenceError):
     """Ctrl-C has ended what the same command goes on with."""
+
+
+INTERRUPTED = "interrupted"
+"""Status of a curve that Ctrl-C has ended."""
 
 
 @contextlib.contextmanager

@@ -37,6 +37,7 @@ from fenics_crack.arrivals.harmonics import (
     Candidates,
     TipFit,
     condition,
+    may_be_off,
     refuse,
     rounding,
     strengths,
@@ -447,7 +448,7 @@ class TipTrack(Tabular):
     @property
     def may_be_folded(self) -> bool:
         """As of :class:`TipFit`."""
-        return bool(self.folded > 2.0 * ndtr(-2.0))
+        return may_be_off(self.folded)
 
     @property
     def in_doubt(self) -> bool:

@@ -25,6 +25,7 @@ __all__ = [
     "Candidates",
     "TipFit",
     "condition",
+    "may_be_off",
     "refuse",
     "rounding",
     "strengths",
@@ -178,7 +179,7 @@ class TipFit(Tabular):
     def may_be_folded(self) -> bool:
         """Tell whether three of the errors hold an amplitude with no more than the probability with
         which two should: too few probes for the harmonics that are left out."""
-        return bool(self.folded > 2.0 * ndtr(-2.0))
+        return may_be_off(self.folded)
 
     @property
     def in_doubt(self) -> bool:
@@ -267,6 +268,12 @@ class TipFit(Tabular):
                 shown = ", ".join(f"{one:.6g}" for one in orders[:6])
                 parts.append(f"{words}: {shown}{', ...' if len(orders) > 6 else ''}")
         return ", ".join(parts)
+
+
+def may_be_off(folded: float) -> bool:
+    """Whether a probability that three errors do not hold an amplitude is above that with which two
+    should not."""
+    return bool(folded > 2.0 * ndtr(-2.0))
 
 
 def strengths(coefficients: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

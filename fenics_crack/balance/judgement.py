@@ -144,9 +144,9 @@ class Judgement:
         believed, near = self.believes(self._to_near), self._to_near <= FARTHEST
         short = self.prediction <= FARTHEST
         beyond_doubt = short and self._to_near <= NO_DOUBT
-        if believed and near and (beyond_doubt or self._is_only()):
-            if short or self._leads_back():
-                return self
+        only = believed and near and (beyond_doubt or self._is_only())
+        if only and (short or self._leads_back()):
+            return self
         if self.finer is None:
             return None
         if (believed or self._leaves_it_behind) and _alike(self.near, self.finer.near):

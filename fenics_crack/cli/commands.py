@@ -18,7 +18,7 @@ from fenics_crack.cli.console import Console, make_writable
 from fenics_crack.cli.inputs import Inputs
 from fenics_crack.cli.results import Computed, account_of, account_of_verification, result_of
 from fenics_crack.cli.scenes import remark_on_sweep
-from fenics_crack.errors import FEW_MODES, Exit, InputError
+from fenics_crack.errors import FEW_MODES, INTERRUPTED, Exit, InputError
 from fenics_crack.files.store import read
 from fenics_crack.model.modes import Modes
 from fenics_crack.parallel import on_root
@@ -53,7 +53,7 @@ def solved(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     with console.stage("errors"):
         run = replace(run, stated=run.errors)
     folder = inputs.folder
-    if name == "curve" and run.result.status == "interrupted":
+    if name == "curve" and run.result.status == INTERRUPTED:
         older = folder / f"{name}.h5"
         if on_root(console.comm, older.exists):  # a part takes the place of no result
             name = "curve_interrupted"

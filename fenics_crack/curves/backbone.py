@@ -54,6 +54,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.free_motion import EnergyMotion, Equilibrium, MotionPoint, cosine_rows
 from fenics_crack.curves.motion_path import ELSEWHERE, MotionPath, first_motion
 from fenics_crack.errors import (
+    INTERRUPTED,
     ConvergenceError,
     InputError,
     check_count,
@@ -69,8 +70,6 @@ from fenics_crack.numerics.path import Ended
 from fenics_crack.table import Tabular, counted, with_frequency
 
 __all__ = ["Backbone", "BackboneOptions", "follow_backbone"]
-
-INTERRUPTED = "interrupted"
 
 
 @dataclass(frozen=True, repr=False)

@@ -12,6 +12,7 @@ without such an orbit beside them, are judged as :func:`floquet` does.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
@@ -236,23 +237,25 @@ class _Judge:
 
     def by_itself(self, place: int, patient: bool | Patience = True) -> complex:
         """Leading multiplier of a point judged as a single solution is, as ``patient`` as
-        :func:`orbit_next_to`; nan where that is open, or where the branch has an orbit on the other
-        side of 1 that is as near."""
+        :func:`orbit_next_to`; nan where that is open, or another orbit is as near."""
         alone = stability_of(self._curve.judged(place, self._flow, patient=patient))
         if alone.verdict == "undecided":
             return complex(np.nan)
-        return self._unless_rivalled(place, alone.multipliers[0], alone.distance)
+        return self._unless_rivalled(place, alone.multipliers[0], lambda _: alone.distance)
 
-    def _unless_rivalled(self, place: int, leading: complex, distance: float) -> complex:
-        """The leading multiplier of the orbit by which a point is judged, so far away; nan where
-        the branch has another one at the point's parameter that may be on the other side of 1 and
-        is as near: the error of a point next to a fold is that of both."""
+    def _unless_rivalled(
+        self, place: int, leading: complex, distance: Callable[[np.ndarray], float]
+    ) -> complex:
+        """The leading multiplier of the orbit by which a point is judged, so far from its gaps; nan
+        where the branch has one there that is as near and may be on the other side of 1: next to a
+        fold the error is that of both."""
         segment, _, share = self._parts(np.arange(len(self._curve)) == place)
         other = _side(_between(self.branch, segment, share)) != _side(leading)
-        [wave] = self._curve.gaps_in_time(np.array([place])) if other.any() else [np.zeros(0)]
-        away = self._apart(wave, segment[other], share[other])
-        rivalled = bool(np.any(away <= (1.0 + FARTHEST) * distance))
-        return complex(np.nan) if rivalled else complex(_upper(leading))
+        if other.any():
+            [wave] = self._curve.gaps_in_time(np.array([place]))
+            away = self._apart(wave, segment[other], share[other])
+            leading = np.nan if np.any(away <= (1.0 + FARTHEST) * distance(wave)) else leading
+        return complex(_upper(np.complex128(leading)))
 
     def _told(
         self, wave: np.ndarray, segment: np.ndarray, share: np.ndarray, side: np.ndarray
@@ -265,9 +268,8 @@ class _Judge:
 
     def _apart(self, wave: np.ndarray, segment: np.ndarray, share: np.ndarray) -> np.ndarray:
         """How far the gaps of a point are from those at parts of segments: (m,), relative."""
-        nodes = self.branch.nodes
-        parts = zip(segment, share, strict=True)
-        return np.array([self._off(wave, *cubic(nodes[k], nodes[k + 1], s)) for k, s in parts])
+        parts = ((*self.branch.nodes[k : k + 2], s) for k, s in zip(segment, share, strict=True))
+        return np.array([self._off(wave, *cubic(*part)) for part in parts])
 
     def _alone(self, place: int) -> complex:
         """Leading multiplier of the orbit next to a point at its value of the parameter; nan where
@@ -278,9 +280,8 @@ class _Judge:
         self._ask([node])
         if not self._own[place]:
             return complex(np.nan)
-        [wave] = self._curve.gaps_in_time(np.array([place]))
-        off = self._off(wave, node.unknown, node.parameter)
-        return self._unless_rivalled(place, node.leading[0], off)
+        x, p = node.unknown, node.parameter
+        return self._unless_rivalled(place, node.leading[0], lambda wave: self._off(wave, x, p))
 
     def _accepted(self) -> tuple[np.ndarray, np.ndarray]:
         """Whether the orbits on both sides of a point are the points' own and the branch is not

@@ -17,6 +17,7 @@ from fenics_crack.curves.continuation import LONGEST_STEP, Continuation
 from fenics_crack.curves.curve import Bifurcation, CurvePoint, ResponseCurve
 from fenics_crack.curves.doubled import next_to_doubled_orbits
 from fenics_crack.errors import (
+    INTERRUPTED,
     ConvergenceError,
     InputError,
     check_count,
@@ -352,7 +353,7 @@ def _run(
     except KeyboardInterrupt:
         throw = False
         if not growing.returned:
-            growing.status = "interrupted"
+            growing.status = INTERRUPTED
     except ConvergenceError as error:
         growing.status = str(error)
     finally:

@@ -264,9 +264,14 @@ def blended(first: Node, last: Node, share: float | np.ndarray) -> np.ndarray:
     if first.real == last.real and len(first.pairs) == len(last.pairs):
         return _line(first.moduli, last.moduli, share)
     found = _line(first.pairs, last.pairs, share)
-    half = 0.5 * found[:, 0]
-    root = np.sqrt(half**2 - found[:, 1] + 0j)
-    return -np.sort(-np.abs(np.concatenate([half + root, half - root])), axis=0)
+    return -np.sort(-np.concatenate(_sizes(found[:, 0], found[:, 1])), axis=0)
+
+
+def _sizes(sums: np.ndarray, products: np.ndarray) -> np.ndarray:
+    """Moduli of both multipliers of pairs with these sums and products: (2, ...)."""
+    half = 0.5 * sums
+    root = np.sqrt(half**2 - products + 0j)
+    return np.abs([half + root, half - root])
 
 
 def _line(begin: np.ndarray, end: np.ndarray, share: float | np.ndarray) -> np.ndarray:
@@ -359,10 +364,9 @@ def _leave_between(nodes: list[Node], lengths: np.ndarray) -> np.ndarray:
     alike = (counts[:-2] == counts[1:-1]) & (counts[1:-1] == counts[2:])
     found = np.zeros(len(lengths), dtype=bool)
     for at, segment in ((first * shares, slice(0, -1)), (first + last * shares, slice(1, None))):
-        total, product = np.moveaxis(before + at * (slope + (at - first) * bend), -1, 0)
-        root = np.sqrt(0.25 * total**2 - product + 0j)
-        sizes = np.fmax(np.abs(0.5 * total + root), np.abs(0.5 * total - root))
-        leaves = np.any((np.fmax.reduce(sizes, axis=2) > 1.0) != outside[segment][:-1], axis=0)
+        sums, products = np.moveaxis(before + at * (slope + (at - first) * bend), -1, 0)
+        largest = np.fmax.reduce(_sizes(sums, products), axis=(0, 3))
+        leaves = np.any((largest > 1.0) != outside[segment][:-1], axis=0)
         found[segment] |= leaves & alike
     return found & (outside[:-1] == outside[1:])
 

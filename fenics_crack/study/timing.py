@@ -16,7 +16,7 @@ from fenics_crack.arrivals.harmonics import ORDERS, TipFit
 from fenics_crack.arrivals.passages import PassageFit, find_passages
 from fenics_crack.arrivals.simulate import run_up_points, tip_timing
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.curves.curve import ResponseCurve, columns
 from fenics_crack.errors import InputError
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.fem.lips import SAME
@@ -38,11 +38,6 @@ DECIDED = (*LOOKED_AT, "reduction")
 decides itself."""
 SHORTEST = 2
 """Points of a run-up."""
-POINTWISE = (
-    "values", "omega", "unknowns", "harmonics", "iterations", "truncation", "multipliers",
-    "undecided",
-)  # fmt: skip
-"""Of a curve, by points."""
 
 
 def arrivals_of(
@@ -108,11 +103,14 @@ def _stable_part(curve: ResponseCurve) -> ResponseCurve:
     points, lost = run_up_points(curve)
     if lost is None or len(points) < SHORTEST:
         return curve
-    parts = {name: getattr(curve, name) for name in POINTWISE}
-    kept: dict[str, Any] = {
-        name: None if part is None else part[points] for name, part in parts.items()
-    }
-    return replace(curve, **kept, bifurcations=())
+    assert curve.multipliers is not None
+    return replace(
+        curve,
+        **columns([curve.point(place) for place in points.tolist()]),
+        bifurcations=(),
+        multipliers=curve.multipliers[points],
+        undecided=None if curve.undecided is None else curve.undecided[points],
+    )
 
 
 def of_another_scene(scene: Scene, run: Run[Any]) -> str:
