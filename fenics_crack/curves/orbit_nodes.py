@@ -344,8 +344,13 @@ def _followed(rows: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         own[: len(row)] = row
     cost = np.abs(found[:-1, :, None] - found[1:, None]).sum(axis=3)
     cost[np.isnan(cost)] = 1.0 + np.nansum(cost)  # one that is not there is far from all others
-    ways = [scipy.optimize.linear_sum_assignment(one)[1] for one in cost]
-    return found, np.array(ways, dtype=int).reshape(cost.shape[:2])
+    if not cost.size:
+        return found, np.zeros(cost.shape[:2], dtype=int)
+    ways = np.argmin(cost, axis=2)
+    shared = np.any(np.diff(np.sort(ways, axis=1), axis=1) == 0, axis=1)
+    for one in np.flatnonzero(shared):  # of the others each has its nearest
+        ways[one] = scipy.optimize.linear_sum_assignment(cost[one])[1]
+    return found, ways
 
 
 def _leave_between(nodes: list[Node], lengths: np.ndarray) -> np.ndarray:
