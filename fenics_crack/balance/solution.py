@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,8 +19,9 @@ from fenics_crack.balance.judgement import Judgement
 from fenics_crack.balance.problem import Problem, Wave
 from fenics_crack.balance.search import Search
 from fenics_crack.errors import MOST_HARMONICS, ConvergenceError
+from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.motion.orbit import PeriodicOrbit
-from fenics_crack.numerics.fourier import evaluate
+from fenics_crack.numerics.fourier import evaluate, resized
 from fenics_crack.table import Described, counted, quantity, with_frequency
 
 __all__ = [
@@ -141,6 +143,8 @@ class PeriodicSolution(Wave, Described):
 
     def amplitude(self, dof: int | None = None) -> float:
         """Half the peak-to-peak displacement of a dof, or of the watched one [m] (collective)."""
+        if self.still:
+            return 0.0
         return float(np.ptp(self.displacement(self.instants(), [dof])) / 2.0)
 
     def indicators(self, dof: int | None = None) -> Indicators:
@@ -161,7 +165,17 @@ class PeriodicSolution(Wave, Described):
 
     def coefficients_at(self, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
         """Coefficients of the displacement of dofs: (2H+1, len(dofs)) [m] (collective)."""
-        return self.structure.values_at(self.displacement_coefficients, dofs)
+        rows = self.displacement_coefficients
+        rows = resized(rows[:1], self.harmonics) if self.still else rows
+        return self.structure.values_at(rows, dofs)
+
+    @cached_property
+    def still(self) -> bool:
+        """Whether nothing vibrates: the load is steady, and what moves is rounding (collective)."""
+        rows = self.displacement_coefficients
+        parts = self.structure.force[1:], rows[1:], rows[:1]
+        sizes = self.structure.sum_over_ranks(np.array([np.sum(part**2) for part in parts]))
+        return bool(sizes[0] == 0.0 and sizes[1] <= NEGLIGIBLE**2 * sizes[2])
 
     def displacement_field(self, time: np.ndarray) -> np.ndarray:
         """Displacement of the whole structure's dofs on this rank: (len(time), n_local) [m]

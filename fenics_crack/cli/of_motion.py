@@ -81,6 +81,8 @@ def account_of_solution(run: Run[PeriodicSolution]) -> Account:
         warnings.append(f"{failed}{found.status}")
     elif run.structure.n_pairs:
         warnings += of_error(scene, found.report, found.harmonics)
+    if found.still:
+        warnings.append("nothing vibrates: no load changes in time")
     if found.converged and not missed and known:
         notes.insert(0, f"solved; the half peak-to-peak displacement is known to {known}")
     if found.converged:

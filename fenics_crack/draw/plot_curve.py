@@ -23,7 +23,7 @@ BEHIND = ("#8f8f8f", "#cc8fb1", "#6fb59a")
 """Other curves, drawn behind the one in question."""
 MARKERS = {"fold": "v", "branch_point": "s", "period_doubling": "D", "neimark_sacker": "^"}
 PER_MARK = 0.03
-"""Sides of a part of the picture that has one mark at most, relative to those of the picture."""
+"""Sides of a part of the picture that has one mark of a kind, relative to those of the picture."""
 FAINT = 0.3
 """Opacity of what has a large estimated error."""
 STYLES = {"stable": "-", "unstable": "--", "undecided": ":"}
@@ -152,8 +152,8 @@ def _mark_bifurcations(
     x = np.array([factor * one.value for one in found])
     y = curve.at_bifurcations.amplitude(dof)[1:-1]
     solid = np.array([one.confirmed or not judged for one in found])
-    shown = _apart(axes, x, y, ~solid)
     kinds = np.array([one.kind for one in found])
+    shown = _apart(axes, x, y, kinds, ~solid)
     for kind, marker in MARKERS.items():
         at, name = kinds == kind, kind_in_words(kind)
         if not at.any():
@@ -171,15 +171,19 @@ def _mark_bifurcations(
         axes.plot([], [], " ", label="hollow: not confirmed by exact orbits")
 
 
-def _apart(axes: Axes, x: np.ndarray, y: np.ndarray, later: np.ndarray) -> np.ndarray:
-    """Which of the places in a picture are marked, so that marks do not pile up: (n,) bool.
+def _apart(
+    axes: Axes, x: np.ndarray, y: np.ndarray, kinds: np.ndarray, later: np.ndarray
+) -> np.ndarray:
+    """Which of the places in a picture are marked, so that marks of a kind do not pile up: (n,)
+    bool.
 
     Those of ``later`` come after the others.
     """
     axes.autoscale_view()  # to what is drawn so far
     places = (axes.transData - axes.transAxes).transform(np.column_stack([x, y]))
     order = np.argsort(later, kind="stable")
-    _, first = np.unique(np.floor(places[order] / PER_MARK), axis=0, return_index=True)
+    cells = np.column_stack([np.floor(places / PER_MARK), np.unique(kinds, return_inverse=True)[1]])
+    _, first = np.unique(cells[order], axis=0, return_index=True)
     return np.isin(np.arange(len(x)), order[first])
 
 

@@ -79,6 +79,9 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
             watched = _farthest(dofs, scene.base.direction)
         for row, acceleration in enumerate(scene.base.accelerations(excitation.omega), 1):
             force[row] -= _inertia(mass, np.tile(acceleration, dofs.n_nodes))
+    if watched is None and point is not None and not any(map(any, parts)):
+        along_x = [np.eye(dofs.dimension)[0].tolist()]
+        watched = _point_force(scene, dofs, "excitation.point", point, along_x)[0, dofs.free]
     return force, watched
 
 

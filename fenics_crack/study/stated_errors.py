@@ -170,6 +170,9 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
                 stated.counts[cause], stated.parts[cause] = made
         except REFUSALS as error:
             stated.unknown[cause] = str(error)
+    for name in [*stated.values]:  # of some of the other runs it may be none
+        if not all(name in parts for parts in stated.parts.values()):
+            del stated.values[name]
     return stated
 
 

@@ -236,6 +236,23 @@ def test_large_displacements_are_said(tmp_path: Path, capsys: pytest.CaptureFixt
         assert ("beyond small displacements" in capsys.readouterr().err) == warns
 
 
+def test_a_steady_load_moves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    """Whether it opens the crack or closes it: amplitude and harmonics are 0, not rounding, and the
+    file is read again, though all gaps of closed lips are rounding."""
+    path, folder = tmp_path / "plate.toml", tmp_path / "out"
+    assert main(["new", str(path), "--quiet"]) == 0
+    still = {"excitation.force_sin": [0.0, 0.0], "mesh.error": False}
+    for force, closed in ((1400.0, 0.0), (-1400.0, 1.0)):
+        mean = {"excitation.force_mean": [force, 0.0]}
+        path.write_text(fc.Scene.load(path).replace(COARSE | still | mean).as_toml())
+        assert main(["solve", str(path), "--output", str(folder)]) == 0
+        assert "nothing vibrates" in capsys.readouterr().err
+        run = fc.load_run(folder / "solution.h5")
+        found = run.result.indicators(run.watched_dof)
+        assert found.amplitude == found.harmonic_1 == found.harmonic_2 == 0.0
+        assert found.closed_share == closed and abs(found.mean) > 1e-6
+
+
 # --- pictures of sweeps ---------------------------------------------------------------------------
 
 

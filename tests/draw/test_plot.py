@@ -229,6 +229,16 @@ def test_marks_do_not_pile_up(results: dict[str, Any]) -> None:
     assert sum(counts) == len(many.bifurcations)
 
 
+def test_every_kind_in_the_legend_is_marked(results: dict[str, Any]) -> None:
+    """Also a fold beside a doubling, at the same place in the picture."""
+    curve = results["touching"]
+    one = curve.bifurcations[0]
+    both = tuple(replace(one, kind=kind) for kind in ("fold", "period_doubling"))
+    panel = fc.draw_curve(replace(curve, bifurcations=both), 0).axes[0]
+    drawn = [line for line in panel.lines if line.get_marker() in "vsD^" and len(line.get_xdata())]
+    assert len(drawn) == 2 and not any("0 marked" in word for word in legend_of(panel))
+
+
 def test_the_largest_response_is_marked(results: dict[str, Any]) -> None:
     """By a ring where it is, whose legend has its place and size; no end of a curve is."""
     curve = results["touching"]

@@ -228,6 +228,12 @@ def test_two_point_loads_are_one() -> None:
         )
 
 
+def test_without_a_load_its_point_is_watched() -> None:
+    """A force of 0 has no direction: it is x that is watched."""
+    run = fc.prepare(strip(excitation={"omega": 200.0, "point": [0.0, HEIGHT]}))
+    assert run.watched[0].dof == run.structure.find_dof((0.0, HEIGHT), "x")
+
+
 def test_sweeps_over_loads(tmp_path: Path) -> None:
     """Keys are counted from 1; the response is the displacement of the excitation's point if it
     has a force, in its direction, else of the first load's."""
