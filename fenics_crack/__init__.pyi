@@ -42,8 +42,6 @@ from fenics_crack.draw.plot import draw_laws as draw_laws
 from fenics_crack.draw.plot import draw_map as draw_map
 from fenics_crack.draw.plot import draw_response as draw_response
 from fenics_crack.draw.plot import draw_waves as draw_waves
-from fenics_crack.draw.plot_crack import draw_growth as draw_growth
-from fenics_crack.draw.plot_crack import draw_stress_intensity as draw_stress_intensity
 from fenics_crack.draw.plot_curve import draw_content as draw_content
 from fenics_crack.draw.plot_curve import draw_curve as draw_curve
 from fenics_crack.draw.plot_curve import draw_multipliers as draw_multipliers
@@ -52,11 +50,13 @@ from fenics_crack.draw.plot_mesh import draw_modes as draw_modes
 from fenics_crack.draw.plot_motion import draw_orbits as draw_orbits
 from fenics_crack.draw.plot_motion import draw_spectra as draw_spectra
 from fenics_crack.draw.plot_motion import draw_spectrum as draw_spectrum
+from fenics_crack.draw.plot_motion import draw_stress_intensity as draw_stress_intensity
 from fenics_crack.draw.plot_rotor import draw_arrivals as draw_arrivals
 from fenics_crack.draw.plot_rotor import draw_campbell as draw_campbell
 from fenics_crack.draw.plot_rotor import draw_passages as draw_passages
 from fenics_crack.draw.plot_rotor import draw_tip_fit as draw_tip_fit
 from fenics_crack.draw.plot_rotor import draw_tip_track as draw_tip_track
+from fenics_crack.draw.plot_study import draw_growth as draw_growth
 from fenics_crack.draw.plot_study import draw_posterior as draw_posterior
 from fenics_crack.draw.plot_study import draw_verification as draw_verification
 from fenics_crack.draw.stresses import stress_at as stress_at

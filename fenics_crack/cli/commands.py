@@ -119,7 +119,7 @@ def sweep(_: Namespace, inputs: Inputs, console: Console) -> Exit:
 
 def growth(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     """The crack's growth: lengths that an earlier run has left, and the cycles between all."""
-    from fenics_crack.draw.plot_crack import draw_growth
+    from fenics_crack.draw.plot_study import draw_growth
     from fenics_crack.growth.grow import grow
 
     scene, folder = inputs.scene, inputs.folder

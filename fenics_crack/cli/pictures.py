@@ -22,10 +22,15 @@ from fenics_crack.cli.results import Computed, result_of
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw.figure import Picture, distinct_colours
 from fenics_crack.draw.plot import Wave, draw_contact_map, draw_map, draw_response, draw_waves
-from fenics_crack.draw.plot_crack import draw_growth, draw_stress_intensity
 from fenics_crack.draw.plot_curve import draw_content, draw_curve, draw_multipliers
 from fenics_crack.draw.plot_mesh import draw_modes
-from fenics_crack.draw.plot_motion import draw_orbits, draw_spectra, draw_spectrum
+from fenics_crack.draw.plot_motion import (
+    draw_orbits,
+    draw_spectra,
+    draw_spectrum,
+    draw_stress_intensity,
+)
+from fenics_crack.draw.plot_study import draw_growth, draw_verification
 from fenics_crack.errors import FEW_MODES, InputError
 from fenics_crack.files.store import read
 from fenics_crack.growth.result import Growth
@@ -282,8 +287,6 @@ def _axis_words(axis: Axis, values: np.ndarray) -> tuple[np.ndarray, str]:
 
 
 def _verification(found: Verification, file: File) -> None:
-    from fenics_crack.draw.plot_study import draw_verification  # SciPy's interpolation
-
     draw_verification(found, path=file("verify.png"))
 
 

@@ -1,9 +1,9 @@
-"""Pictures of vibrations: their spectra, and the orbit of one in the phase plane."""
+"""Pictures of motions: spectra, the orbit of one in the phase plane, what opens a crack's tips."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Unpack
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -22,12 +22,17 @@ from fenics_crack.draw.figure import (
 from fenics_crack.errors import InputError
 from fenics_crack.numerics.fourier import derivative, evaluate, to_complex
 
-__all__ = ["draw_orbits", "draw_spectra", "draw_spectrum"]
+if TYPE_CHECKING:  # which loads DOLFINx
+    from fenics_crack.study.over_time import StressIntensity
+
+__all__ = ["draw_orbits", "draw_spectra", "draw_spectrum", "draw_stress_intensity"]
 
 DECADES = 9
 """Range of a spectrum below its largest amplitude; what is smaller is rounding."""
 MANY_STEMS = 150
 """Harmonics beyond which a spectrum is points."""
+SHOWN_CLOSED = 0.01
+"""Part of the largest K_I below which a tip is shown as closed."""
 
 
 def draw_spectrum(
@@ -253,3 +258,44 @@ def _orbit(
     label_axis(axes.xaxis, quantity, "m")
     label_axis(axes.yaxis, "its velocity", "m/s")
     axes.margins(0.08)
+
+
+def draw_stress_intensity(found: StressIntensity, **where: Unpack[Where]) -> Figure:
+    """Draw K_I at each tip over time, grey and thick where the tip is closed, and K_II dashed.
+
+    Parameters
+    ----------
+    found : StressIntensity
+        Of :func:`stress_intensity`.
+    **where
+        ``axes``, ``path``, ``title``, as of :func:`draw_waves`.
+
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
+    Raises
+    ------
+    InputError
+        There are several axes.
+
+    Examples
+    --------
+    >>> figure = fc.draw_stress_intensity(fc.stress_intensity(fc.solve(scene)), path="tips.png")
+    """
+    [panel] = picture = Picture(**where)
+    time, shut = found.time - found.time[0], "the tip is closed"
+    styles = zip(found.tips, distinct_colours(len(found.tips)), strict=True)
+    for number, (tip, colour) in enumerate(styles):
+        one, two = found.one[:, number], found.two[:, number]
+        panel.plot(time, one, color=colour, lw=1.8, label=f"K_I, {tip}")
+        panel.plot(time, two, color=colour, lw=1.0, ls="--", label=f"K_II, {tip}")
+        closed = np.where(one <= SHOWN_CLOSED * max(one.max(), 0.0), one, np.nan)
+        if not np.all(np.isnan(closed)):
+            panel.plot(time, closed, color=COLOURS["grey"], lw=4.0, label=shut)
+            shut = "_" + shut.lstrip("_")  # once in the legend
+    panel.axhline(0.0, color="black", lw=0.6)
+    label_axis(panel.xaxis, "time", "s")
+    label_axis(panel.yaxis, "stress intensity", "Pa m^0.5")
+    return picture.finished()

@@ -1,22 +1,25 @@
-"""Pictures of what is known: the posterior of measurements, and the errors of a verification."""
+"""Pictures of studies: a posterior of measurements, errors by their causes, a crack that grows."""
 
 from __future__ import annotations
 
 from itertools import cycle
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from fenics_crack.draw.figure import COLOURS, Picture, Where, distinct_colours, label_axis
 from fenics_crack.errors import InputError
-from fenics_crack.identification.posterior import trapezoid
-from fenics_crack.identification.result import Identification
+from fenics_crack.growth.result import Growth
 from fenics_crack.scene.words import key_in_words, unit_of
 from fenics_crack.study.grid_convergence import SAFE, GridConvergence
 from fenics_crack.study.verification import CAUSES, Verification
+from fenics_crack.table import frequency_axis
 
-__all__ = ["draw_posterior", "draw_verification"]
+if TYPE_CHECKING:  # which loads SciPy's interpolation
+    from fenics_crack.identification.result import Identification
+
+__all__ = ["draw_growth", "draw_posterior", "draw_verification"]
 
 SHARES = (0.5, 0.95, 0.999)
 """Of the probability within each contour."""
@@ -69,9 +72,7 @@ def draw_posterior(
     posterior = found.posterior
     grids = {}
     for name, branch in posterior.branches.items():
-        right, up = branch.axes[first], branch.axes[second]
-        mass = posterior.pair(name, first, second)
-        grids[name] = right, up, mass, mass / np.multiply.outer(trapezoid(right), trapezoid(up))
+        grids[name] = branch.axes[first], branch.axes[second], *posterior.pair(name, first, second)
     levels = _levels(list(grids.values()))
     within = [np.array([[found.estimate[x], found.estimate[y]]])]
     for (name, (right, up, _, density)), colour in zip(
@@ -204,3 +205,59 @@ def _draw_contributions(panel: Any, found: Verification) -> None:
     panel.set(xscale="log", yticks=range(len(names)), ylim=(-0.6, len(names) - 0.4))
     panel.set_yticklabels(names)
     label_axis(panel.xaxis, "uncertainty of the scene's own value", "%")
+
+
+def draw_growth(found: Growth, *, in_hertz: bool = False, **where: Unpack[Where]) -> Figure:
+    """Draw a crack's length, the frequencies and its stress intensity over the cycles.
+
+    Dots are the lengths that were solved.
+
+    Parameters
+    ----------
+    found : Growth
+        Of :func:`grow`.
+    in_hertz : bool
+        Frequencies in Hz instead of rad/s.
+    **where
+        ``axes`` (three), ``path``, ``title``, as of :func:`draw_waves`.
+
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
+    Raises
+    ------
+    InputError
+        There are not three axes.
+
+    Examples
+    --------
+    >>> figure = fc.draw_growth(fc.grow(growing), path="growth.png")  # doctest: +SKIP
+    """
+    size, solved = (7.0, 8.6), found.solved[found.solved <= found.length[-1]]
+    picture = Picture(3, size=size, sharex=True, **where)
+    length, frequency, strength = picture.panels
+    at = np.interp(solved, found.length, found.cycles)
+    length.plot(found.cycles, found.length, color=COLOURS["blue"], label="crack")
+    length.plot(at, solved, "o", color=COLOURS["blue"], ms=4.0, label="solved")
+    factor, name, unit = frequency_axis(in_hertz)
+    lines = {
+        name: (found.omega, "black", "-"),
+        "natural frequency, crack breathing": (found.omega_bilinear, COLOURS["orange"], "-"),
+        "lips open": (found.omega_open, COLOURS["green"], "--"),
+    }
+    for label, (omega, colour, style) in lines.items():
+        frequency.plot(found.cycles, factor * omega, color=colour, ls=style, label=label)
+    strength.plot(
+        found.cycles, found.effective, color=COLOURS["blue"], label="effective range of K_I"
+    )
+    strength.plot(found.cycles, found.largest, color=COLOURS["pink"], ls=":", label="K_max")
+    there = np.interp(solved, found.length, found.effective)
+    strength.plot(at, there, "o", color=COLOURS["blue"], ms=4.0)
+    strength.set_yscale("log")
+    label_axis(length.yaxis, "length of the crack", "m")
+    label_axis(frequency.yaxis, "frequency", unit)
+    label_axis(strength.yaxis, "stress intensity", "Pa m^0.5")
+    strength.set_xlabel("cycles")
+    return picture.finished()

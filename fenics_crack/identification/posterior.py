@@ -30,16 +30,7 @@ from scipy.special import logsumexp
 
 from fenics_crack.identification.model import Prediction, Quantities
 
-__all__ = [
-    "PRIOR",
-    "Branch",
-    "Likelihood",
-    "Optimum",
-    "Posterior",
-    "explore",
-    "scaled_covariance",
-    "trapezoid",
-]
+__all__ = ["PRIOR", "Branch", "Likelihood", "Optimum", "Posterior", "explore", "scaled_covariance"]
 
 LOOK = {1: 200, 2: 45, 3: 17}
 """Values of each unknown of the first grid, by the number of unknowns; of more, 9."""
@@ -177,7 +168,7 @@ def explore(likelihood: Likelihood) -> Branch:
                 piece = optimum.x[place] + reach * np.linspace(-1.0, 1.0, CLOSER.get(d, 7))
                 pieces.append(piece[(piece > low) & (piece < high)])
         axes.append(np.unique(np.concatenate(pieces)))
-    weights = [trapezoid(axis) for axis in axes]
+    weights = [_trapezoid(axis) for axis in axes]
     weight = np.ones(())
     for own in weights:
         weight = np.multiply.outer(weight, own)
@@ -223,7 +214,7 @@ def _heights(likelihood: Likelihood, points: np.ndarray) -> np.ndarray:
     return np.concatenate([likelihood(piece) for piece in pieces])
 
 
-def trapezoid(axis: np.ndarray) -> np.ndarray:
+def _trapezoid(axis: np.ndarray) -> np.ndarray:
     """Weights of points that are not equally far apart, of sum 1."""
     steps = np.diff(axis)
     weights = 0.5 * (np.append(steps, 0.0) + np.insert(steps, 0, 0.0))
@@ -351,9 +342,11 @@ class Posterior:
         mean = float(values @ masses)
         return float(np.sqrt((values - mean) ** 2 @ masses))
 
-    def pair(self, name: str, first: int, second: int) -> np.ndarray:
-        """Mass of a branch by two of its unknowns: (n_first, n_second)."""
-        mass = self.mass[name]
-        others = tuple(k for k in range(mass.ndim) if k not in (first, second))
-        found = mass.sum(axis=others)
-        return found if first < second else found.T
+    def pair(self, name: str, first: int, second: int) -> tuple[np.ndarray, np.ndarray]:
+        """Mass of a branch by two of its unknowns, and its density: (n_first, n_second) each."""
+        parts = self.mass[name], self.branches[name].weight
+        others = tuple(k for k in range(parts[0].ndim) if k not in (first, second))
+        mass, weight = (part.sum(axis=others) for part in parts)
+        if first > second:
+            mass, weight = mass.T, weight.T
+        return mass, mass / weight
