@@ -39,6 +39,7 @@ __all__ = [
     "damped_range",
     "damping_in",
     "independent_part",
+    "independent_ties",
     "krylov_vectors",
     "largest_frequency",
     "mass_norms",
@@ -137,7 +138,7 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
         raise InputError("lips", lips, "one of " + ", ".join(map(repr, LIPS)))
     tied = lips == "tied" and structure.n_pairs > 0
     known = structure.known_modes(tied=tied)
-    ties = _independent_ties(structure) if tied and known is None else None
+    ties = independent_ties(structure) if tied and known is None else None
     words = "the number of tied modes" if tied else "n_dofs" if known is None else "n_modes"
     most = len(known[0]) if known is not None else _space(structure, ties)
     whole = isinstance(count, Integral) and not isinstance(count, bool)
@@ -155,10 +156,10 @@ def n_tied_modes(structure: Structure) -> int:
     if structure.n_pairs == 0:
         return structure.n_modes
     known = structure.known_modes(tied=True)
-    return len(known[0]) if known is not None else _space(structure, _independent_ties(structure))
+    return len(known[0]) if known is not None else _space(structure, independent_ties(structure))
 
 
-def _independent_ties(structure: Structure) -> sparse.csc_matrix:
+def independent_ties(structure: Structure) -> sparse.csc_matrix:
     """Columns of B that are linearly independent, on this rank: (n_local, n_ties) (collective)."""
     gap = sparse.csc_matrix(structure.gap)
     gram = structure.sum_over_ranks((gap.T @ gap).toarray())

@@ -28,6 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -43,9 +44,9 @@ from fenics_crack.model.modes import (
     damped_modes,
     damping_in,
     independent_part,
+    independent_ties,
     modes_by,
     n_tied_modes,
-    solve_modes,
     times,
 )
 from fenics_crack.model.reduced import (
@@ -130,32 +131,54 @@ def reduce_structure(
         return _massless(structure, int(modes), judged=judged)
 
     damped = damped_modes(structure) if modal else None
-    loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
-    sources = sparse.hstack([structure.gap, structure.force[loaded].T], "csc")
     begin("reduction")
-    kept, squares = np.zeros((structure.n_local, 0)), np.zeros(0)
-    with Factor(structure.stiffness, definite=method != "craig_bampton") as own:
-        held = own.null_pivots == 0
-        if method != "craig_bampton":
-            known = damped if damped is not None and len(damped.omega) >= modes else None
-            found = known or modes_by(own, structure, int(modes))
-            kept, squares = found.shapes[:, :modes], found.omega[:modes] ** 2
-            held = bool(squares[0] > 0.0)
-        with _regular(own, structure, held=held) as factor:
-            response = factor.solve(sources.T).T
-            extra = response if method == "free_interface" else response[:, :0]
-            if method == "craig_bampton":
-                count = min(modes, n_tied_modes(structure))
-                tied = solve_modes(structure, count, lips="tied").shapes
-                extra = np.hstack([response, tied])
+    ties, count = None, int(modes)
+    if method == "craig_bampton" and structure.n_pairs:
+        ties, count = independent_ties(structure), min(count, n_tied_modes(structure))
+    with Factor(structure.stiffness, definite=True, border=ties) as own:
+        known = damped if damped is not None and len(damped.omega) >= modes else None
+        found = known if known and ties is None else modes_by(own, structure, count, ties)
+        kept, squares = found.shapes[:, :count], found.omega[:count] ** 2
+        with _regular(own, structure, ties, held=bool(squares[0] > 0.0)) as factor:
+            static = independent_part(
+                structure, kept, _static_shapes(structure, factor, kept, squares, ties)
+            )
+            extra = static[:, :0] if method == "truncation" else static
+            if ties is not None:  # no modes of the structure with free lips
+                extra, kept, squares = np.hstack([kept, static]), kept[:, :0], squares[:0]
             if not judged:
                 return _reduced(structure, kept, squares, extra, None)
-            following = [extra, response, factor.solve(times(structure.mass, response).T).T]
+            following = [extra, static, factor.solve(times(structure.mass, static).T).T]
             if rule is None and structure.damping_matrix is not None:
-                damping = times(structure.damping_matrix, np.hstack([kept, extra, response]))
+                damping = times(structure.damping_matrix, np.hstack([kept, extra, static]))
                 following.append(factor.solve(damping.T).T)
     reference = _reduced(structure, kept, squares, np.hstack(following), None)
     return _reduced(structure, kept, squares, extra, reference)
+
+
+def _static_shapes(
+    structure: Structure, factor: Factor, kept: np.ndarray, squares: np.ndarray, ties: Any
+) -> np.ndarray:
+    """Static response to each pair's force and to each part of the load, without the part of the
+    kept modes: (n_local, m) (collective).
+
+    By the factor with tied pairs, shapes of the same span: the response to the load while these are
+    held, and those of gaps B^T x that are given, x = B - K_t^-1 K B. Where one soft motion carries
+    all pairs their responses are alike but for rounding, and these shapes are not.
+    """
+    loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
+    forces = structure.force[loaded]
+    if ties is None:
+        forces = np.vstack([structure.gap.T.toarray(), forces])
+    static = ResidualFlexibility(structure, kept, squares, forces.T)
+    found = static.solve(factor, forces).T
+    left = structure.sum_over_ranks((forces.T * found).sum(axis=0))
+    found = found[:, ~_rounding(left, static.modal.T, squares)]
+    if ties is None:
+        return found
+    given = ties.toarray()
+    moved = given - factor.solve(times(structure.stiffness, given).T).T
+    return np.hstack([moved, found])
 
 
 def _massless(structure: Structure, modes: int, *, judged: bool) -> MasslessStructure:
@@ -220,11 +243,17 @@ def _loaded_dofs(structure: Structure) -> np.ndarray:
 
 def _without_rounding(compliance: np.ndarray, seen: np.ndarray, squares: np.ndarray) -> np.ndarray:
     """S without the forces that the kept modes carry alone, of which rounding leaves something."""
+    found = compliance.copy()
+    lost = _rounding(np.diag(compliance), seen, squares)
+    found[lost] = found[:, lost] = 0.0
+    return found
+
+
+def _rounding(left: np.ndarray, seen: np.ndarray, squares: np.ndarray) -> np.ndarray:
+    """Which forces find nothing but rounding of the compliance of the modes left beside them."""
     elastic = squares > 0.0
     carried = np.sum(seen[elastic] ** 2 / squares[elastic, None], axis=0)
-    found = compliance.copy()
-    lost = np.diag(compliance) <= AS_ZERO * carried
-    found[lost] = found[:, lost] = 0.0
+    found: np.ndarray = left <= AS_ZERO * carried
     return found
 
 
@@ -248,14 +277,17 @@ def _rule_of_all(structure: Structure) -> DampingRule | None:
 
 
 @contextmanager
-def _regular(factor: Factor, structure: Structure, *, held: bool) -> Iterator[Factor]:
+def _regular(factor: Factor, structure: Structure, ties: Any, *, held: bool) -> Iterator[Factor]:
     """The factor of K; of a structure that nothing holds that of K + s M, s one of its lowest
     eigenvalues."""
     if held:
         yield factor
         return
-    elastic = modes_by(factor, structure, min(structure.n_dofs, 10)).omega[-1] ** 2 or 1.0
-    with factored_sum(structure.stiffness, elastic, structure.mass, definite=True) as regular:
+    count = min(structure.n_dofs if ties is None else n_tied_modes(structure), 10)
+    elastic = modes_by(factor, structure, count, ties).omega[-1] ** 2 or 1.0
+    with factored_sum(
+        structure.stiffness, elastic, structure.mass, definite=True, border=ties
+    ) as regular:
         yield regular
 
 

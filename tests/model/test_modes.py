@@ -28,7 +28,6 @@ from fenics_crack import (
 from fenics_crack.balance import compliance
 from fenics_crack.balance.compliance import FactoredCompliance, load_coefficients
 from fenics_crack.model import modes as model_modes
-from fenics_crack.model import reduction
 from fenics_crack.model.factor import distributed
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.modes import damped_modes, damped_range, largest_frequency, times
@@ -425,7 +424,7 @@ def eigensolutions(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         return call
 
     monkeypatch.setattr(scipy.linalg, "eigh", counted(scipy.linalg.eigh))
-    for module in (model_modes, reduction, compliance):
+    for module in (model_modes, compliance):
         monkeypatch.setattr(module, "solve_modes", counted(fc.solve_modes))
     return asked
 

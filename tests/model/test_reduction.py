@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import pyvista
 import scipy.linalg
-from helpers import DAMPINGS, ROOT, chain, log_slope, relative, true_error, wrap
+from helpers import DAMPINGS, ROOT, chain, dense_matrices, log_slope, relative, true_error, wrap
 from matplotlib.image import imread
 from mpi4py import MPI
 
@@ -44,6 +44,22 @@ def test_static_compliance_is_exact(
     assert np.allclose(linear[0], exact_linear[0], rtol=0.0, atol=1e-9 * np.abs(exact_linear).max())
     # At the first harmonic below the first mode the error is there, and small.
     assert 1e-15 < relative(matrices[1], exact[1]) < 1e-2
+
+
+@pytest.mark.parametrize("method", GOOD)
+def test_what_one_soft_motion_hides(method: str) -> None:
+    """A chain held by a spring 1e-11 as stiff as its others: a static response to any force is its
+    motion as a rigid body, but for 1e-10. All pairs and the load have their shapes in the basis,
+    and as many more in that of the reference."""
+    mass, _, stiffness = dense_matrices(chain("none", 24, unconstrained=True))
+    stiffness[0, 0] += 1e-11
+    gap, force = np.eye(24)[:, [3, 10, 17]], np.eye(24)[23]
+    whole = fc.Structure.from_matrices(mass, stiffness, gap, force_sin=force)
+    reduced = fc.reduce_structure(whole, modes=4, method=method)
+    assert reduced.reference is not None
+    assert (reduced.n_dofs, reduced.reference.n_dofs) == (8, 12)
+    exact = fc.solve_modes(whole, 4).omega
+    np.testing.assert_allclose(reduced.omega[1:4], exact[1:], rtol=1e-2)
 
 
 def test_free_interface_is_exact_to_the_second_order_in_frequency() -> None:
