@@ -11,7 +11,7 @@ import scipy.linalg
 
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import kernel
-from fenics_crack.model.modes import AS_ZERO, NEGLIGIBLE, damped_modes, damping_in
+from fenics_crack.model.modes import AS_ZERO, NEGLIGIBLE, damped_modes, damping_in, solve_modes
 from fenics_crack.model.reduced import MasslessInterface
 from fenics_crack.model.structure import Structure
 
@@ -193,7 +193,9 @@ def _all_modes(structure: Structure) -> AllModes:
     else:
         squares, shapes = scipy.linalg.eigh(*map(_dense, (structure.stiffness, structure.mass)))
         damping = damping_in(structure, shapes, squares)
-    unconstrained = bool(squares[0] <= AS_ZERO * squares[-1])
+    # Beside the largest it may be rounding of LAPACK's; to K itself it is told by one mode alone.
+    doubtful = squares[0] <= AS_ZERO * squares[-1]
+    unconstrained = bool(doubtful and solve_modes(structure, 1).omega[0] == 0.0)
     pairs = (structure.gap.T @ shapes).T
     return AllModes(squares, shapes, damping, pairs, unconstrained)
 

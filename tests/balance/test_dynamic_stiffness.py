@@ -22,7 +22,7 @@ from fenics_crack import (
     build_structure,
     solve_modes,
 )
-from fenics_crack.balance.compliance import DEFLATION_BAND, DynamicStiffness
+from fenics_crack.balance.compliance import DEFLATION_BAND, DynamicStiffness, dynamic_compliance
 from fenics_crack.model.modes import damped_modes, times
 from fenics_crack.parallel import gather_rows
 
@@ -257,6 +257,16 @@ def test_free_structure(damping: Any) -> None:
         inverse = np.linalg.inv(dense_stiffness(structure, 0.3))
     with np.errstate(all="raise"), DynamicStiffness(structure, 0.3) as stiffness:
         assert relative_error(stiffness.solve(np.eye(N)), inverse.T) < 1e-6
+
+
+def test_a_light_stiff_part_is_no_rigid_body() -> None:
+    """A sensor of 1e-9 kg on a mass, whose own frequency is 1e8 times the mass's: the static
+    answer is the spring's."""
+    mass, own = 1e-9, 1e7
+    stiffness = np.array([[1.0 + own, -own], [-own, own]])
+    sensor = Structure.from_matrices(np.diag([1.0, mass]), stiffness, [1.0, 0.0], damping=None)
+    compliance = dynamic_compliance(sensor, 0.5, 1)
+    assert compliance.matrices[:, 0, 0].real == pytest.approx([1.0, 1.0 / 0.75], rel=1e-6)
 
 
 @pytest.mark.parametrize("mode", [0, 4, N - 1])
