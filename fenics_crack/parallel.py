@@ -58,7 +58,8 @@ def gather_rows(comm: MPI.Comm, rows: np.ndarray) -> np.ndarray[Any, Any]:
 
 
 class StopRequest:
-    """Ctrl-C stops where nothing is lost; a second one stops at once.
+    """Ctrl-C stops where nothing is lost; a second one stops at once. Of two, one within the other,
+    the outer one is then asked, too.
 
     with StopRequest() as stop:
         while not stop.asked(comm): ...
@@ -76,6 +77,9 @@ class StopRequest:
     def __exit__(self, *exception: object) -> None:
         if self._handler is not None:
             signal.signal(signal.SIGINT, self._handler)
+        outer = getattr(self._handler, "__self__", None)
+        if self._asked and isinstance(outer, StopRequest):
+            outer._asked = True
 
     def _ask(self, number: int, frame: object) -> None:
         if self._asked:

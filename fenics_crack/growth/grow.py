@@ -28,7 +28,7 @@ from fenics_crack.errors import FEW_MODES, ConvergenceError, InputError, Stopped
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.growth.result import Growth
 from fenics_crack.model.modes import solve_modes
-from fenics_crack.parallel import on_root
+from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.quantities import OF_TIPS
 from fenics_crack.scene.scene import Scene, check_known, without_tips
 from fenics_crack.scene.tables import Growth as Law
@@ -364,8 +364,9 @@ def _solve_lengths(
     for number in range(1, ROUNDS + 1):
         file = None if folder is None else folder / f"growth_{number}.h5"
         swept = _swept(scene, wanted, levels)
-        table = run_sweep(swept, file, comm, progress=progress, judged=False)
-        if not table.complete:
+        with StopRequest() as stop:
+            table = run_sweep(swept, file, comm, progress=progress, judged=False)
+        if stop.asked(comm):
             raise StoppedError("growth was stopped; the same command goes on with it")
         before, path = path, path.joined(table, law, cycles)
         if number == 1:

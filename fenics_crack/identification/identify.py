@@ -28,7 +28,7 @@ from fenics_crack.identification.model import Model
 from fenics_crack.identification.nuisance import Whole, whole_plate
 from fenics_crack.identification.posterior import Likelihood, Posterior, explore
 from fenics_crack.identification.result import Identification
-from fenics_crack.parallel import on_root
+from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Identify, Sweep
@@ -285,8 +285,9 @@ def solve_forward(
         swept = replace(of, sweep=Sweep(over=over))
         digest = hashlib.sha256(scene_text(swept).encode()).hexdigest()[:8]
         path = folder / f"{name}_{digest}.h5"
-        found = run_sweep(swept, path, comm, progress=progress, verdicts=False, judged=False)
-        if not found.complete:
+        with StopRequest() as stop:
+            found = run_sweep(swept, path, comm, progress=progress, verdicts=False, judged=False)
+        if stop.asked(comm):
             raise StoppedError("identification was stopped; the same command goes on with it")
         return found
 

@@ -474,6 +474,9 @@ def test_stops_at_ctrl_c(
         scene = fc.Scene.load(tmp_path / "plate.toml")
         fc.identify(scene, tmp_path / "m.csv", folder=tmp_path / "out")
     assert np.count_nonzero(SweepResult.load(path)["state"]) == 3
+    left = 1  # in the sweep's last case
+    assert main(little) == 3
+    assert SweepResult.load(path).complete and [*(tmp_path / "out").iterdir()] == [path]
     assert main(little) == 0
     assert (tmp_path / "out" / "identify.json").exists()
 
