@@ -33,6 +33,7 @@ __all__ = [
     "ranging",
     "readable",
     "speed_axis",
+    "speed_in_words",
     "with_frequency",
     "with_unit",
 ]
@@ -228,6 +229,12 @@ def frequency_axis(in_hertz: bool) -> tuple[float, str, str]:
 def speed_axis(in_rpm: bool) -> tuple[float, str, str]:
     """The same of a rotor's speeds."""
     return (1.0 / RPM, "rotor speed", "rpm") if in_rpm else (1.0, "rotor speed", "rad/s")
+
+
+def speed_in_words(speed: float, in_rpm: bool) -> str:
+    """A rotor's speed [rad/s] with its unit: "3000 rpm"."""
+    factor, _, unit = speed_axis(in_rpm)
+    return f"{factor * speed:.6g} {unit}"
 
 
 def with_frequency(values: dict[str, Any]) -> dict[str, Any]:

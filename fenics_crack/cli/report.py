@@ -22,17 +22,10 @@ import h5py
 from fenics_crack.cli.account import frequency_in_words
 from fenics_crack.cli.console import Console
 from fenics_crack.cli.pictures import can_be_drawn, draw_result
-from fenics_crack.cli.results import (
-    HEADINGS,
-    IDENTIFICATION,
-    IDENTIFIED,
-    Computed,
-    account_of,
-    result_of,
-)
+from fenics_crack.cli.results import HEADINGS, IDENTIFIED, Computed, account_of, result_of
 from fenics_crack.cli.scenes import draw_scene, harmonics_in_words
 from fenics_crack.errors import InputError
-from fenics_crack.files.store import Stored, read, versions
+from fenics_crack.files.store import IDENTIFICATION, Stored, read, versions
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.words import (
     differences,

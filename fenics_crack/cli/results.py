@@ -14,7 +14,7 @@ from fenics_crack.cli.of_motion import account_of_history, account_of_modes, acc
 from fenics_crack.cli.of_sweep import account_of_sweep
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
-from fenics_crack.files.store import Stored
+from fenics_crack.files.store import IDENTIFICATION, Stored
 from fenics_crack.growth.result import ENDS, Growth
 from fenics_crack.model.modes import Modes
 from fenics_crack.study.run import Run, run_of
@@ -24,7 +24,7 @@ from fenics_crack.table import Table, quantity
 from fenics_crack.time.march import TimeHistory
 
 __all__ = [
-    "HEADINGS", "IDENTIFICATION", "IDENTIFIED", "Computed", "account_of", "account_of_verification",
+    "HEADINGS", "IDENTIFIED", "Computed", "account_of", "account_of_verification",
     "result_of",
 ]  # fmt: skip
 
@@ -41,8 +41,6 @@ HEADINGS = {
     Verification.KIND: "Convergence study",
 }
 """By kind, in the order of a report."""
-IDENTIFICATION = "identification"
-"""Kind of the file of ``identify``, which draws its picture itself."""
 IDENTIFIED = (
     "what identify has found is in identify.json, fit.csv and, of two unknowns or more, "
     "posterior.png beside it"

@@ -24,7 +24,7 @@ from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import TipTiming
 from fenics_crack.study.timing import arrivals_of, of_another_scene, run_up_ends, vibration_in
-from fenics_crack.table import RPM, TURN, UNITS, Table, counted, quantity, speed_axis
+from fenics_crack.table import RPM, TURN, UNITS, Table, counted, quantity, speed_in_words
 
 __all__ = ["timing"]
 
@@ -62,11 +62,9 @@ def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
 
     on_root(console.comm, write)
     size = f"{counted(len(arrivals), 'revolution')}, {counted(len(arrivals.probes), 'probe')}"
-    pace, _, unit = speed_axis(scene.in_rpm)
-    ends = f"{pace * arrivals.speed[0]:.6g}"
-    if not arrivals.steady:
-        ends += f" to {pace * arrivals.speed[-1]:.6g}"
-    console.note(f"arrivals of {size}, {ends} {unit}: {folder / 'arrivals.csv'}, .png")
+    first, last = (speed_in_words(arrivals.speed[end], scene.in_rpm) for end in (0, -1))
+    ends = first if arrivals.steady else f"{first} to {last}"
+    console.note(f"arrivals of {size}, {ends}: {folder / 'arrivals.csv'}, .png")
     with console.stage("vibration"):
         fit = vibration_in(scene, arrivals)
     warnings: list[str] = []
@@ -74,7 +72,7 @@ def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
         ratio = arrivals.mean_speed / scene.speed
         if not 1.0 / FAR <= ratio <= FAR:
             seen, own = (
-                f"{pace * speed:.6g} {unit}" for speed in (arrivals.mean_speed, scene.speed)
+                speed_in_words(speed, scene.in_rpm) for speed in (arrivals.mean_speed, scene.speed)
             )
             warnings.append(
                 f"the arrivals are of {seen}, [rotation] has {own}: are they in seconds?"

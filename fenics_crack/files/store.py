@@ -34,6 +34,7 @@ from fenics_crack.version import VERSION
 from fenics_crack.whole import write_whole
 
 __all__ = [
+    "IDENTIFICATION",
     "Column",
     "Stored",
     "about",
@@ -54,6 +55,8 @@ if TYPE_CHECKING:
     import h5py
 
 
+IDENTIFICATION = "identification"
+"""Kind of the file of ``identify``, which draws its picture itself."""
 PROGRAM = "fenics_crack"
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 QUICK, SLOWEST = 5, 10**7

@@ -14,7 +14,7 @@ from scipy.special import chdtrc
 
 from fenics_crack.arrivals.harmonics import MISFIT
 from fenics_crack.errors import InputError
-from fenics_crack.files.store import write
+from fenics_crack.files.store import IDENTIFICATION, write
 from fenics_crack.identification.measurements import Measurement, Measurements
 from fenics_crack.identification.posterior import Branch, Posterior
 from fenics_crack.identification.where_to_measure import BASELINE, Worth, advice, worth_of
@@ -197,7 +197,7 @@ class Identification(Tabular):
             parts[f"probability_{number}"] = self.posterior.mass[name]
             for key, axis in zip(self.unknown, branch.axes, strict=True):
                 parts[f"{key}_{number}"] = axis
-        write(parts, Path(folder) / "identify.h5", "identification", self.scene)
+        write(parts, Path(folder) / "identify.h5", IDENTIFICATION, self.scene)
         text = json.dumps(self.summary(), indent=1, ensure_ascii=False)
         write_whole(Path(folder) / "identify.json", text + "\n")
 

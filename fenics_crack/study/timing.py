@@ -26,7 +26,7 @@ from fenics_crack.scene.scene import LOOKED_AT, Scene
 from fenics_crack.scene.tables import TipTiming
 from fenics_crack.scene.words import differences
 from fenics_crack.study.run import Run, load_run, solve
-from fenics_crack.table import speed_axis
+from fenics_crack.table import speed_in_words
 
 __all__ = [
     "arrivals_of", "engine_order", "of_another_scene", "run_up_ends", "tip_direction",
@@ -93,8 +93,8 @@ def run_up_ends(scene: Scene, run: Run[Any]) -> str:
     if lost is None:
         return ""
     order = engine_order(scene.given("tip_timing"), run.scene)
-    pace, _, unit = speed_axis(scene.in_rpm)
-    last, at = (f"{pace * curve.omega[place] / order:.6g} {unit}" for place in (points[-1], lost))
+    speeds = curve.omega[[points[-1], lost]] / order
+    last, at = (speed_in_words(speed, scene.in_rpm) for speed in speeds)
     return f"the vibration is unstable at {at}: the run-up ends before, at {last}"
 
 
