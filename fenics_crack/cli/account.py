@@ -224,7 +224,7 @@ def in_short(table: Table, scene: Scene, default: Sequence[str]) -> Table:
     A table with a column "name" has a quantity in each row, another one in each column. What is not
     a quantity is printed too, where quantities are columns or the scene does not choose.
     """
-    chosen = None if scene.output is None else scene.output.quantities
+    chosen = scene.quantities
 
     def wanted(heading: str, unit: str) -> bool:
         name = heading.partition(" [")[0].rpartition(".")[2]

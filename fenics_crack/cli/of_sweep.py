@@ -115,8 +115,7 @@ def few_cases(found: SweepResult) -> tuple[Table, str]:
     of the others.
     """
     keys = [axis.key for axis in found.axes]
-    output = found.scene.output
-    chosen = SHORT if output is None or output.quantities is None else found.quantities
+    chosen = SHORT if found.scene.quantities is None else found.quantities
     shown = (n for n in found.quantities if n in chosen or n.rpartition(".")[2] in chosen)
     columns = [*keys, *shown, "verdict"]
     if not np.all(found.converged):
@@ -147,8 +146,7 @@ def _fitting(found: SweepResult, columns: list[str]) -> tuple[Table, str]:
 
     What a scene asks for by ``output.quantities`` is printed, whatever its width.
     """
-    output, left = found.scene.output, [*found.quantities]
-    chosen = output is not None and output.quantities is not None
+    left, chosen = [*found.quantities], found.scene.quantities is not None
     while True:
         table = found.table(*columns)
         width = len(table.formatted("text").splitlines()[1])

@@ -41,7 +41,6 @@ __all__ = [
     "number",
     "path",
     "positive",
-    "radians",
     "twin",
     "vector",
 ]
@@ -314,11 +313,6 @@ def twin(key: str, factor: float, allowed: str, accepts: Callable[[Any], bool], 
 def path(allowed: str, default: Any = None, unit: str = "") -> Any:
     """Field of the path of a file, relative to the scene's."""
     return holds(allowed, lambda value: value != "", default, unit, path=True)
-
-
-def radians(frequency: Any) -> Any:
-    """Frequencies [Hz] in rad/s: of one number, or of each of a tuple."""
-    return scaled(frequency, TURN)
 
 
 def scaled(value: Any, factor: float) -> Any:

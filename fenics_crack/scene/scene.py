@@ -19,7 +19,7 @@ from fenics_crack.errors import InputError, reading
 from fenics_crack.hints import Hinted, converted, meant, near, written
 from fenics_crack.outside import text_of
 from fenics_crack.scene.cracks import OF_SHAPES, check_cracks
-from fenics_crack.scene.fields import Axis, Table, components, named, radians
+from fenics_crack.scene.fields import Axis, Point, Table, components, named
 from fenics_crack.scene.quantities import OF_CLAMP, OF_TIPS
 from fenics_crack.scene.tables import (
     Base,
@@ -43,7 +43,7 @@ from fenics_crack.scene.tables import (
     Sweep,
     TipTiming,
 )
-from fenics_crack.table import RPM, frequency_axis
+from fenics_crack.table import RPM, TURN, frequency_axis
 
 __all__ = [
     "LOOKED_AT", "Scene", "asked_quantities", "check_known", "files_of", "known_keys", "unit_of",
@@ -234,8 +234,7 @@ class Scene(Hinted):
         table, key = name.split(".")
         given = getattr(getattr(self, table), key, None) is not None
         followed = self.curve is not None and self.curve.parameter == key
-        axes = () if self.sweep is None else self.sweep.over
-        return given or followed or any(axis.key == name for axis in axes)
+        return given or followed or name in self.swept
 
     @property
     def in_rpm(self) -> bool:
@@ -249,10 +248,23 @@ class Scene(Hinted):
         return by_order or self._asks_in("excitation.frequency")
 
     @property
-    def point_names(self) -> tuple[str, ...]:
-        """The points of ``[output.points]`` in each direction: "tip.ux", "tip.uy"."""
-        points = () if self.output is None else self.output.points
-        return tuple(f"{point.key}.u{axis}" for point in points for axis in "xyz"[: self.dimension])
+    def quantities(self) -> tuple[str, ...] | None:
+        """Those of ``[output]``; None where it does not choose."""
+        return None if self.output is None else self.output.quantities
+
+    @property
+    def points(self) -> tuple[Point, ...]:
+        """Those of ``[output.points]``."""
+        return () if self.output is None else self.output.points
+
+    @property
+    def point_names(self) -> dict[str, str]:
+        """The points in each direction, "tip.ux", "tip.uy", and their words."""
+        return {
+            f"{point.key}.u{axis}": f"{axis} displacement of {point.key}"
+            for point in self.points
+            for axis in "xyz"[: self.dimension]
+        }
 
     def at_rest(self) -> Scene:
         """The scene without rotation, its load at the same frequency."""
@@ -262,12 +274,17 @@ class Scene(Hinted):
         return self.replace(changes)
 
     @property
+    def swept(self) -> dict[str, tuple[Any, ...]]:
+        """The keys of a sweep, and their values."""
+        return {} if self.sweep is None else {axis.key: axis.values for axis in self.sweep.over}
+
+    @property
     def swept_omegas(self) -> tuple[float, ...]:
         """The load frequencies of a sweep [rad/s]; without one, or where it is the same for all
         cases, that of the excitation."""
-        swept = {axis.key: axis.values for axis in self.sweep.over} if self.sweep else {}
+        swept = self.swept
         if "excitation.frequency" in swept:
-            return tuple(radians(swept["excitation.frequency"]))
+            return tuple(TURN * hertz for hertz in swept["excitation.frequency"])
         orders = swept.get("excitation.order", (self.excitation.order,))
         if None in orders:
             return swept.get("excitation.omega", (self.excitation.omega,))
@@ -332,16 +349,15 @@ def check_known(without: str, key: str, value: object = None) -> None:
 
 def asked_quantities(scene: Scene) -> tuple[str, ...]:
     """What ``output.quantities`` asks for of tips and of the clamp."""
-    chosen = (scene.output.quantities if scene.output is not None else None) or ()
-    return tuple(name for name in chosen if name in OF_TIPS or name in OF_CLAMP)
+    return tuple(name for name in scene.quantities or () if name in OF_TIPS or name in OF_CLAMP)
 
 
 def files_of(scene: Scene) -> list[tuple[str, str]]:
     """The keys that name files, mesh or matrices, of the scene and its sweep, and the files."""
     found = [item for item in _paths(scene).items() if not item[0].startswith(LOOKED_AT)]
-    for axis in scene.sweep.over if scene.sweep is not None else ():
-        if axis.key in _PATHS:
-            found += [(axis.key, value) for value in axis.values if isinstance(value, str)]
+    for key, values in scene.swept.items():
+        if key in _PATHS:
+            found += [(key, value) for value in values if isinstance(value, str)]
     return found
 
 
@@ -460,7 +476,7 @@ def _check_vectors(scene: Scene) -> None:
             object.__setattr__(scene, name, tuple(found))
         elif held is not None:
             object.__setattr__(scene, name, held.with_vectors(dimension))
-    for point in () if scene.output is None else scene.output.points:
+    for point in scene.points:
         if len(point.values) != dimension:
             key = f"output.points.{point.key}"
             raise InputError(key, point.values, components("", dimension))

@@ -31,12 +31,11 @@ from fenics_crack.scene.fields import (
     number,
     path,
     positive,
-    radians,
     twin,
     vector,
 )
 from fenics_crack.scene.quantities import QUANTITIES
-from fenics_crack.table import RPM
+from fenics_crack.table import RPM, TURN
 
 __all__ = [
     "FORCES",
@@ -632,7 +631,7 @@ class Curve(Table):
         if self.parameter == "rpm":
             return "speed", RPM * self.start, RPM * self.stop
         if self.parameter == "frequency":
-            return "omega", radians(self.start), radians(self.stop)
+            return "omega", TURN * self.start, TURN * self.stop
         return self.parameter, self.start, self.stop
 
 

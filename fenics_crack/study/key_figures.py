@@ -253,7 +253,7 @@ def span_of(scene: Scene, command: str) -> tuple[float, float]:
         omegas = [*curve.followed[1:]]
     elif curve is not None and curve.followed[0] == "speed":
         omegas = [(scene.excitation.order or 1) * speed for speed in curve.followed[1:]]
-    if command == "sweep" and scene.sweep is not None:
+    if command == "sweep":
         omegas = [*scene.swept_omegas]
     return min(omegas), max(omegas)
 
@@ -264,7 +264,6 @@ def highest_omega(scene: Scene, command: str = "") -> float:
     if not command:
         return max(highest_omega(scene, one) for one in ("solve", "curve", "sweep"))
     harmonics = [scene.harmonic_balance.harmonics]
-    if command == "sweep" and scene.sweep is not None:
-        swept = {axis.key: axis.values for axis in scene.sweep.over}
-        harmonics = [*swept.get("harmonic_balance.harmonics", harmonics)]
+    if command == "sweep":
+        harmonics = [*scene.swept.get("harmonic_balance.harmonics", harmonics)]
     return span_of(scene, command)[1] * max(harmonics)

@@ -158,12 +158,11 @@ def _watched_dofs(scene: Scene, structure: Structure) -> tuple[Watched, ...]:
     InputError
         A point is not near a node of its own, or the structure has no nodes.
     """
-    points = () if scene.output is None else scene.output.points
-    if not points:
+    if not scene.points:
         dof = structure.watched_dof
         return (Watched("", structure.dof_name(dof), dof),)
     found = []
-    for point in points:
+    for point in scene.points:
         key = f"output.points.{point.key}"
         if structure.nodes is None:
             raise InputError(key, point.values, "left out: the structure has no positions")
@@ -171,8 +170,8 @@ def _watched_dofs(scene: Scene, structure: Structure) -> tuple[Watched, ...]:
         distance = float(np.linalg.norm(place - point.values).round(12))
         for axis, dof in zip(AXES, dofs, strict=False):
             if dof >= 0:
-                words = f"{axis} displacement of {point.key}"
-                found.append(Watched(f"{point.key}.u{axis}", words, int(dof), distance))
+                name = f"{point.key}.u{axis}"
+                found.append(Watched(name, scene.point_names[name], int(dof), distance))
     return tuple(found)
 
 

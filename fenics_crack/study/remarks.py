@@ -228,7 +228,7 @@ def _proportional(scene: Scene) -> Remarks:
     )
     if scene.curve is not None and scene.curve.parameter == "load" and is_proportional(scene):
         yield Remark("curve.parameter", "load", f"{text}: such a curve is a straight line")
-    swept = {} if scene.sweep is None else {axis.key: axis.values for axis in scene.sweep.over}
+    swept = scene.swept
     loads = [name for name in FORCES if f"excitation.{name}" in swept]
     others = [name for name in FORCES if np.any(getattr(scene.excitation, name))]
     if (

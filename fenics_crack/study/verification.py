@@ -272,10 +272,8 @@ class Verification(Tabular):
     def _under_a_force(self) -> bool:
         """Whether what is watched is where a force acts at a point."""
         scene = self.scene
-        if scene.output is not None and scene.output.points:
-            return False
         first = scene.loads[0].point if scene.loads else None
-        return bool(scene.excitation.force_given) or first is not None
+        return not scene.points and bool(scene.excitation.force_given or first)
 
     def _matters(self, name: str, cause: str) -> bool:
         """Whether a contribution is so large that a doubt of it is told."""

@@ -129,8 +129,7 @@ def columns_of(scene: Scene) -> dict[str, tuple[str, str]]:
 
 def shape_of(scene: Scene) -> tuple[int, ...]:
     """Number of values on each axis of a scene's sweep."""
-    assert scene.sweep is not None
-    return scene.sweep.shape
+    return tuple(scene.given("sweep").shape)
 
 
 class SweepFile:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -23,15 +24,14 @@ __all__ = ["FREQUENCIES", "Chunk", "Plan"]
 
 CHUNK = 16
 """Most cases of a chunk."""
-SAME_GEOMETRY = (
-    "excitation.omega", "excitation.frequency", "excitation.force_sin", "excitation.force_cos",
-    "excitation.force_mean",
-    "contact.stiffness", "contact.stiffness_per_area", "contact.law", "contact.sharpness",
-    "harmonic_balance.harmonics", "harmonic_balance.samples",
-    "harmonic_balance.tolerance",
-)  # fmt: skip
-"""Keys that change neither mesh, matrices and modes nor the place of the load; clearances, too."""
 FREQUENCIES = ("excitation.omega", "excitation.frequency")
+OF_FORCES = {f"excitation.{name}" for name in FORCES}
+SAME_GEOMETRY = {
+    *FREQUENCIES, *OF_FORCES,
+    "contact.stiffness", "contact.stiffness_per_area", "contact.law", "contact.sharpness",
+    "harmonic_balance.harmonics", "harmonic_balance.samples", "harmonic_balance.tolerance",
+}  # fmt: skip
+"""Keys that change neither mesh, matrices and modes nor the place of the load; clearances, too."""
 
 
 @dataclass(frozen=True)
@@ -46,31 +46,29 @@ class Plan:
     """Geometries and chunks of a scene."""
 
     def __init__(self, scene: Scene) -> None:
-        assert scene.sweep is not None
+        table, self._swept = scene.given("sweep"), scene.swept
         self._base = scene.replace({"sweep": None})
-        self._axes = scene.sweep.over
-        swept = {axis.key: axis.values for axis in self._axes}
-        keys = list(swept)
-        if scene.sweep.ranks > 1 and scene.reduction is None:  # on one rank too
+        if table.ranks > 1 and scene.reduction is None:  # on one rank too
             self._base = self._base.replace({"reduction.method": None})
-        self.shape = scene.sweep.shape  # of the table of cases
+        self.shape: tuple[int, ...] = table.shape  # of the table of cases
+        self.reduction_swept = "reduction.method" in self._swept
+        free = _free_keys(scene, self._swept)
         # Where the force is swept, geometries are built with unit loads.
-        forces = {f"excitation.{name}" for name in FORCES}
-        self.unit_loads = not forces.isdisjoint(keys) and not _has_other_loads(scene, keys)
-        self.reduction_swept = "reduction.method" in keys
-        self.geometries = self._chunks(keys, self._free_keys(scene, keys))
+        self.unit_loads = not free.isdisjoint(OF_FORCES & self._swept.keys())
+        self.geometries = self._chunks(free)
         """The chunks of each, as numbers of their cases."""
         base = scene.harmonic_balance  # upper bounds for all cases:
-        self.harmonics = max(swept.get("harmonic_balance.harmonics", (base.harmonics,)))
-        if base.tolerance is not None or "harmonic_balance.tolerance" in swept:
+        self.harmonics = max(self._swept.get("harmonic_balance.harmonics", (base.harmonics,)))
+        if base.tolerance is not None or "harmonic_balance.tolerance" in self._swept:
             self.harmonics = max(self.harmonics, MOST_HARMONICS)
         if not any(isinstance(self._case(n), Scene) for n in range(math.prod(self.shape))):
             reason = self._case(0)
             raise InputError("sweep.over", reason, "values of which a combination can be used")
 
-    def _chunks(self, keys: list[str], free: set[str]) -> list[list[np.ndarray]]:
+    def _chunks(self, free: set[str]) -> list[list[np.ndarray]]:
         """The cases by their geometries, cut along the frequency, or else along the last axis that
         leaves a geometry alone."""
+        keys = list(self._swept)
         same = [place for place, key in enumerate(keys) if key in free]
         along = ([place for place in same if keys[place] in FREQUENCIES] or same)[-1:]
         inner = [place for place in same if place not in along]
@@ -81,18 +79,6 @@ class Plan:
         rows = numbers.reshape(math.prod(self.shape[place] for place in fixed), -1, length)
         pieces = -(-length // CHUNK)
         return [[c for row in of_one for c in np.array_split(row, pieces)] for of_one in rows]
-
-    @staticmethod
-    def _free_keys(scene: Scene, keys: list[str]) -> set[str]:
-        """Keys whose values share a geometry; loads beside the force are part of it, and so is the
-        frequency where the clamp's displacement is given."""
-        free = {*SAME_GEOMETRY, *filter(_is_clearance_of_crack, keys)}
-        if _has_other_loads(scene, keys):
-            free -= {f"excitation.{name}" for name in FORCES}
-        given = scene.base is not None and scene.base.moves_by_displacement
-        if given or any(key.startswith("base.displacement") for key in keys):
-            free -= {*FREQUENCIES}
-        return free
 
     @property
     def pairs(self) -> int:
@@ -111,13 +97,9 @@ class Plan:
             if case is None:
                 found.append((0, 0.0))
                 continue
-            if case.structure is not None:
-                found.append((count_pairs(case.structure), 0.0))
-                bounds[case.structure.gap] = found[-1][0]
-                continue
             pairs = case.contact and case.contact.pairs
             cracks = tuple(replace(crack, clearance=0.0) for crack in case.all_cracks.values())
-            key = case.mesh, pairs, cracks, case.geometry
+            key = case.structure, case.mesh, pairs, cracks, case.geometry
             if key not in bounds:
                 bounds[key] = _most_pairs(case)
             found.append((bounds[key], cracks[0].length or 0.0 if cracks else 0.0))
@@ -125,7 +107,8 @@ class Plan:
 
     def case(self, index: Sequence[int]) -> Scene | str:
         """The scene of a case, or why there is none."""
-        changes = {axis.key: axis.values[at] for axis, at in zip(self._axes, index, strict=True)}
+        places = zip(self._swept.items(), index, strict=True)
+        changes = {key: values[at] for (key, values), at in places}
         try:
             return self._base.replace(changes)
         except InputError as error:
@@ -141,6 +124,8 @@ class Plan:
 
 def _most_pairs(scene: Scene) -> int:
     """Upper bound of the contact pairs of a scene; the mesh is made of a solid alone, or read."""
+    if scene.structure is not None:
+        return count_pairs(scene.structure)
     mesh, mouth = scene.mesh, scene.contact is not None and scene.contact.pairs == "mouth"
     if mesh.layout == "file" or scene.dimension == 3:
         try:
@@ -156,12 +141,15 @@ def _most_pairs(scene: Scene) -> int:
     return len(scene.all_cracks) if mouth else lip_pairs(scene)
 
 
-def _is_clearance_of_crack(key: str) -> bool:
-    """Those of matrices are part of these."""
-    return key.startswith("crack") and key.endswith(".clearance")
-
-
-def _has_other_loads(scene: Scene, keys: list[str]) -> bool:
-    """Whether a case may have a load beside the force at ``excitation.point``."""
-    given = scene.has_other_loads or scene.rotation is not None
-    return given or any(key.startswith(("base.", "loads.", "rotation.")) for key in keys)
+def _free_keys(scene: Scene, swept: Collection[str]) -> set[str]:
+    """Keys whose values share a geometry; loads beside the force at ``excitation.point`` are part
+    of it, and so are clearances of matrices, and the frequency where the clamp's displacement is
+    given."""
+    free = SAME_GEOMETRY | {key for key in swept if re.fullmatch(r"crack.*\.clearance", key)}
+    others = scene.has_other_loads or scene.rotation is not None
+    if others or any(key.startswith(("base.", "loads.", "rotation.")) for key in swept):
+        free -= OF_FORCES
+    given = scene.base is not None and scene.base.moves_by_displacement
+    if given or any(key.startswith("base.displacement") for key in swept):
+        free -= {*FREQUENCIES}
+    return free

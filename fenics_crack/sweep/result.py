@@ -44,7 +44,6 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import InputError
 from fenics_crack.files.results import solution_from
 from fenics_crack.files.store import Stored, header
-from fenics_crack.model.nodes import AXES
 from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.quantities import OF_POINTS, QUANTITIES
@@ -243,8 +242,7 @@ class SweepResult(Tabular):
     @property
     def axes(self) -> tuple[Axis, ...]:
         """The axes of the table."""
-        assert self.scene.sweep is not None
-        return self.scene.sweep.over
+        return tuple(self.scene.given("sweep").over)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -360,21 +358,13 @@ class SweepResult(Tabular):
     def quantities(self) -> dict[str, tuple[str, str]]:
         """The columns that are drawn and printed, in words and with units: those that the scene's
         ``[output] quantities`` chooses, or a few."""
-        output = self.scene.output
-        chosen = (output.quantities if output is not None else None) or DRAWN
-        points = output.points if output is not None else ()
-        seen = [
-            (f"{point.key}.u{axis}.", f", {axis} displacement of {point.key}")
-            for point in points
-            for axis in AXES[: self.scene.dimension]
-        ]
-        found = {}
-        for name in chosen:
+        seen, found = self.scene.point_names, {}
+        for name in self.scene.quantities or DRAWN:
             words, unit = QUANTITIES[name]
             if name not in OF_POINTS:
                 found[name] = words, unit
-            elif points:
-                found |= {before + name: (words + after, unit) for before, after in seen}
+            elif seen:
+                found |= {f"{at}.{name}": (f"{words}, {told}", unit) for at, told in seen.items()}
             else:
                 found[of_load(name)] = f"{words} at the load's point", unit
         return {name: how for name, how in found.items() if name in self.columns}
