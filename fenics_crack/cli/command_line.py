@@ -298,7 +298,7 @@ COMMANDS = {
 }
 """What each command does, and its own arguments."""
 FUNCTIONS = {
-    "new": "scenes.new",
+    "new": "template.new",
     "check": "scenes.check",
     "campbell": "commands.campbell_diagram",
     "verify": "commands.verification",

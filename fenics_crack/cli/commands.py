@@ -16,7 +16,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import Account
 from fenics_crack.cli.console import Console, make_writable
 from fenics_crack.cli.inputs import Inputs
-from fenics_crack.cli.results import Computed, account_of, account_of_verification, result_of
+from fenics_crack.cli.results import Computed, account_of, account_of_sweep, result_of
 from fenics_crack.cli.scenes import remark_on_sweep
 from fenics_crack.errors import FEW_MODES, INTERRUPTED, Exit, InputError
 from fenics_crack.files.store import read
@@ -108,7 +108,6 @@ def _note_replaced(path: Path, before: bytes | None, console: Console) -> None:
 
 def sweep(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     """All cases of a sweep, or those that an earlier run has left."""
-    from fenics_crack.cli.of_sweep import account_of_sweep
     from fenics_crack.sweep.result import run_sweep
 
     scene, folder = inputs.scene, inputs.folder
@@ -171,7 +170,7 @@ def verification(_: Namespace, inputs: Inputs, console: Console) -> Exit:
         found = verify(inputs.scene, console.comm)
     found.save(inputs.folder / "verify.h5", console.comm)
     draw = partial(draw_verification, found)
-    return tell(account_of_verification(found), inputs.folder, console, draw)
+    return tell(account_of(found), inputs.folder, console, draw)
 
 
 def identification(given: Namespace, inputs: Inputs, console: Console) -> Exit:

@@ -1,17 +1,15 @@
-"""The commands before anything is solved, ``new`` and ``check``, and what they say of damping."""
+"""The command before anything is solved, ``check``, and what commands say of damping."""
 
 from __future__ import annotations
 
 import contextlib
 import itertools
-import os
 from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.cli import template
 from fenics_crack.cli.console import Console
 from fenics_crack.cli.inputs import Inputs
 from fenics_crack.errors import ConvergenceError, InputError
@@ -27,41 +25,13 @@ from fenics_crack.study.prepare import Study, check_memory_of, prepare, reductio
 from fenics_crack.study.remarks import is_proportional, remarks_on, remarks_on_structure
 from fenics_crack.sweep.plan import Plan
 from fenics_crack.table import RPM, TURN, Table, counted
-from fenics_crack.whole import write_whole
 
 __all__ = [
-    "check", "draw_scene", "harmonics_in_words", "in_words", "new", "remark_on", "remark_on_sweep",
+    "check", "draw_scene", "harmonics_in_words", "in_words", "remark_on", "remark_on_sweep",
 ]  # fmt: skip
 
 MAX_CHECKED = 10_000
 """Cases of a sweep that are checked before it is run."""
-
-
-def new(given: Namespace, _: None, console: Console) -> None:
-    """Write a commented scene to start from."""
-    path: Path = given.file
-    kinds = [kind for kind in template.KINDS if vars(given)[kind]]
-    if given.solid and kinds:
-        raise InputError("--solid", f"with --{kinds[0]}", "asked for alone: the others are plates")
-    rows = path.with_name(f"{path.stem}_measured.csv")
-    if given.solid:
-        files = {path: template.solid(path.name)}
-    else:
-        files = {path: template.scene(path.name, rows.name, kinds)}
-    if "identify" in kinds:
-        files[rows] = template.measured()
-
-    def write() -> None:
-        for file in files:
-            if os.path.exists(file):  # False for a name too long, which writing will say
-                raise InputError("scene", str(file), "a new file; there is one already")
-        for file, text in files.items():
-            write_whole(file, text, "scene")
-
-    on_root(console.comm, write)
-    console.note(f"{path}: a scene to start from; now: fenics-crack check {path}")
-    if rows in files:
-        console.note(f"{rows}: what was measured; then: fenics-crack identify {path} {rows}")
 
 
 def check(_: Namespace, inputs: Inputs, console: Console) -> None:

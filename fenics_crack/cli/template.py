@@ -1,4 +1,4 @@
-"""The scene that ``new`` writes, and the lines of it that a scene without a table can be given.
+"""The command ``new``: the scene that it writes, and lines of it for a scene without a table.
 
 Lines of the template that end in a mark, ``(--blade)``, are commented out, or in, where that is
 asked for: a blade on a rotor in place of a plate, probes in its casing, a crack that is looked for.
@@ -6,18 +6,56 @@ asked for: a blade on a rotor in place of a plate, probes in its casing, a crack
 
 from __future__ import annotations
 
+import os
 import re
+from argparse import Namespace
 from collections.abc import Collection
+from pathlib import Path
+from typing import TYPE_CHECKING
 
+from fenics_crack.errors import InputError
 from fenics_crack.version import packaged
+from fenics_crack.whole import write_whole
 
-__all__ = ["KINDS", "lines_of", "measured", "scene", "solid"]
+if TYPE_CHECKING:  # which loads MPI
+    from fenics_crack.cli.console import Console
+
+__all__ = ["lines_of", "new", "scene"]
 
 COMMENTED = "cli/new_scene.toml"
 KINDS = ("blade", "timing", "identify")
 """What ``new`` writes besides a plate."""
 ASKED_FOR = ("curve", "growth", "identify", "rotation", "sweep", "tip_timing")
 """Tables that a scene may do without, and commands may not."""
+
+
+def new(given: Namespace, _: None, console: Console) -> None:
+    """Write a commented scene to start from."""
+    from fenics_crack.parallel import on_root  # PETSc, which lines for an error do without
+
+    path: Path = given.file
+    kinds = [kind for kind in KINDS if vars(given)[kind]]
+    if given.solid and kinds:
+        raise InputError("--solid", f"with --{kinds[0]}", "asked for alone: the others are plates")
+    rows = path.with_name(f"{path.stem}_measured.csv")
+    if given.solid:
+        files = {path: packaged("cli/new_solid.toml").replace("SCENE", path.name)}
+    else:
+        files = {path: scene(path.name, rows.name, kinds)}
+    if "identify" in kinds:
+        files[rows] = packaged("cli/new_measured.csv")
+
+    def write() -> None:
+        for file in files:
+            if os.path.exists(file):  # False for a name too long, which writing will say
+                raise InputError("scene", str(file), "a new file; there is one already")
+        for file, text in files.items():
+            write_whole(file, text, "scene")
+
+    on_root(console.comm, write)
+    console.note(f"{path}: a scene to start from; now: fenics-crack check {path}")
+    if rows in files:
+        console.note(f"{rows}: what was measured; then: fenics-crack identify {path} {rows}")
 
 
 def scene(name: str, rows: str, kinds: Collection[str]) -> str:
@@ -29,16 +67,6 @@ def scene(name: str, rows: str, kinds: Collection[str]) -> str:
     )
     whole = "\n".join([*map(_without_mark, lines), ""])
     return whole.replace("SCENE", name).replace("MEASURED", rows)
-
-
-def solid(name: str) -> str:
-    """The scene of a solid, written under a name."""
-    return packaged("cli/new_solid.toml").replace("SCENE", name)
-
-
-def measured() -> str:
-    """Measurements of the plate: a CSV file for ``identify``."""
-    return packaged("cli/new_measured.csv")
 
 
 def lines_of(table: str) -> str:
