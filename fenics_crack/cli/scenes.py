@@ -191,7 +191,7 @@ def _solved(scene: Scene, whole: Structure) -> str:
     reduction = reduction_of(scene, whole)
     if reduction is None:
         return "as it is"
-    modes = counted(int(reduction.modes or scene.damped_modes), "mode")
+    modes = counted(reduction.modes, "mode")
     if reduction.method == "massless":
         return f"{modes}, lips without mass"
     return f"reduced, {reduction.method}, {modes}"

@@ -155,8 +155,7 @@ def find_key_figures(study: Study) -> KeyFigures:
         breathes = breathes or bool(np.any(np.where(closed, pressed <= np.abs(force), opened)))
     own = 1.0 / np.maximum(np.diagonal(lips), 1e-300)
     stiffness = None if law is None or not np.all(np.isfinite(law.stiffness)) else law.stiffness
-    table = reduction_of(scene, whole)
-    kept = whole.n_dofs if table is None else int(table.modes or scene.damped_modes)
+    kept = reduction_of(scene, whole)
     crack = whole.n_pairs > 0
     return KeyFigures(
         size=extents(whole),
@@ -174,7 +173,7 @@ def find_key_figures(study: Study) -> KeyFigures:
         closed=int(closed.sum()),
         breathes=breathes,
         modes_below=count_below(whole, highest_omega(scene) ** 2) if crack else 0,
-        modes_kept=kept,
+        modes_kept=whole.n_dofs if kept is None else kept.modes,
     )
 
 

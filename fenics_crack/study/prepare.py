@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from mpi4py import MPI
@@ -203,16 +204,22 @@ def reduced(study: Study, *, judged: bool = True) -> Study:
     if whole.whole is not whole:
         return study
     check_memory_of(scene, whole)
-    table = reduction_of(scene, whole)
-    if table is None:
+    kept = reduction_of(scene, whole)
+    if kept is None:
         return study
-    assert table.method is not None
-    settled = scene.replace({f"reduction.{name}": value for name, value in asdict(table).items()})
-    structure = reduce_structure(whole, modes=table.modes, method=table.method, judged=judged)
+    settled = scene.replace({"reduction.method": kept.method, "reduction.modes": kept.modes})
+    structure = reduce_structure(whole, modes=kept.modes, method=kept.method, judged=judged)
     return replace(study, scene=settled, structure=structure)
 
 
-def reduction_of(scene: Scene, structure: Structure) -> Reduction | None:
+class Kept(NamedTuple):
+    """How a structure is reduced, and how many modes are kept."""
+
+    method: str
+    modes: int
+
+
+def reduction_of(scene: Scene, structure: Structure) -> Kept | None:
     """How the structure of a scene is reduced; None if it is not.
 
     Without the table ``[reduction]`` a structure of up to 100 dofs on one rank is not reduced. If
@@ -228,14 +235,11 @@ def reduction_of(scene: Scene, structure: Structure) -> Reduction | None:
         table = Reduction("free_interface" if few else None)
     if table.method == "off":
         return None
-    kept = scene.damped_modes if table.modes is None else table.modes
-    if isinstance(kept, str):  # "all"
-        kept = min(MODES, structure.n_dofs)
-        table = replace(table, modes=kept)
-    if table.method is None:
-        lips = structure.n_pairs > 0 and kept < structure.n_dofs
-        table = replace(table, method="massless" if lips else "free_interface")
-    return table
+    modes = table.modes or scene.damped_modes
+    if isinstance(modes, str):  # "all"
+        modes = min(MODES, structure.n_dofs)
+    lips = structure.n_pairs > 0 and modes < structure.n_dofs
+    return Kept(table.method or ("massless" if lips else "free_interface"), modes)
 
 
 def check_memory_of(scene: Scene, structure: Structure, *, run_up: bool = False) -> float:
@@ -246,14 +250,13 @@ def check_memory_of(scene: Scene, structure: Structure, *, run_up: bool = False)
     InputError
         This machine has not so much.
     """
-    table = reduction_of(scene, structure)
-    if table is None:
+    kept = reduction_of(scene, structure)
+    if kept is None:
         needed = whole_memory(structure, scene.harmonic_balance.harmonics)
     elif run_up:
-        needed = run_up_memory(structure, modes_of(scene, table))
+        needed = run_up_memory(structure, kept.modes)
     else:
-        assert table.method is not None
-        needed = reduction_memory(structure, modes_of(scene, table), table.method)
+        needed = reduction_memory(structure, kept.modes, kept.method)
     machine = machine_memory()
     if needed > MEMORY_SHARE * machine:
         sizes = (
@@ -267,11 +270,6 @@ def check_memory_of(scene: Scene, structure: Structure, *, run_up: bool = False)
         value = getattr(scene.mesh, key)
         raise InputError(f"mesh.{key}", value, f"that of a coarser mesh: {sizes}")
     return needed
-
-
-def modes_of(scene: Scene, table: Reduction) -> int:
-    """How many modes a reduction keeps."""
-    return int(scene.damped_modes if table.modes is None else table.modes)
 
 
 def law_of(scene: Scene, structure: Structure) -> ContactLaw | None:

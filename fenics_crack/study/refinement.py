@@ -34,7 +34,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.stages import within
 from fenics_crack.study.coarser_mesh import CLAMP, TIP, finer_mesh, n_elements, size_of
 from fenics_crack.study.grid_convergence import GridConvergence, grid_convergence
-from fenics_crack.study.prepare import REFUSALS, Study, modes_of, prepare, reduced, reduction_of
+from fenics_crack.study.prepare import REFUSALS, Study, prepare, reduced, reduction_of
 from fenics_crack.study.run import Run, solve_prepared
 from fenics_crack.study.stated_errors import Numbers, numbers_of, resonance_of, shifted
 from fenics_crack.study.verification import Verification
@@ -152,11 +152,10 @@ def _settled(run: Run[PeriodicSolution]) -> Scene:
     if scene.harmonic_balance.tolerance is not None:
         changes["harmonic_balance.tolerance"] = None
         changes["harmonic_balance.harmonics"] = run.result.harmonics
-    table = reduction_of(scene, whole)
-    if table is None or modes_of(scene, table) >= whole.n_dofs:
+    kept = reduction_of(scene, whole)
+    if kept is None or kept.modes >= whole.n_dofs:
         return scene.replace(changes | {"reduction.method": "off", "reduction.modes": None})
-    kept = {"reduction.method": table.method, "reduction.modes": modes_of(scene, table)}
-    return scene.replace(changes | kept)
+    return scene.replace(changes | {"reduction.method": kept.method, "reduction.modes": kept.modes})
 
 
 # --- what is made finer ---------------------------------------------------------------------------
@@ -200,13 +199,13 @@ def _meshes(study: Study, own: Study) -> _Ways | str:
 
 def _modes(study: Study, own: Study) -> _Ways | str:
     scene, whole = study.scene, study.structure
-    table = reduction_of(scene, whole)
-    if table is None:
+    kept = reduction_of(scene, whole)
+    if kept is None:
         return "the structure is not reduced"
-    kept, most = modes_of(scene, table), whole.n_dofs - whole.n_pairs
-    if kept >= most:
+    most = whole.n_dofs - whole.n_pairs
+    if kept.modes >= most:
         return "all are kept"
-    return _more(study, scene, "reduction.modes", kept, most, 1.0)
+    return _more(study, scene, "reduction.modes", kept.modes, most, 1.0)
 
 
 def _harmonics(study: Study, own: Study) -> _Ways | str:

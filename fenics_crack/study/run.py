@@ -37,7 +37,6 @@ from fenics_crack.study.prepare import (
     FEW_DOFS,
     Study,
     check_memory_of,
-    modes_of,
     prepare,
     reduced,
     reduction_of,
@@ -264,8 +263,8 @@ def _solve_to_tolerance(
 ) -> tuple[Study, PeriodicSolution]:
     """The solution to a tolerance, and its study with the modes that it takes."""
     scene, structure = whole.scene, whole.structure
-    omega, table = scene.excitation.omega, reduction_of(scene, structure)
-    if table is None or (scene.reduction is not None and scene.reduction.modes is not None):
+    omega, first = scene.excitation.omega, reduction_of(scene, structure)
+    if first is None or (scene.reduction is not None and scene.reduction.modes is not None):
         study = reduced(whole)
         return study, solve_harmonic_balance(
             study.structure, omega, law, tolerance=tolerance, throw=False
@@ -273,12 +272,12 @@ def _solve_to_tolerance(
     studies: list[Study] = []
 
     def reduced_to(modes: int) -> Structure:
-        kept = {"reduction.method": table.method, "reduction.modes": modes}
+        kept = {"reduction.method": first.method, "reduction.modes": modes}
         studies.append(reduced(replace(whole, scene=scene.replace(kept))))
         return studies[-1].structure
 
-    large = table.method == "massless" and not is_small(structure)
-    modes = FIRST_MODES if large else modes_of(scene, table)
+    large = first.method == "massless" and not is_small(structure)
+    modes = FIRST_MODES if large else first.modes
     solver = Solver(Problem(structure, omega, law), throw=False)
     found = solve_to_tolerance(solver, tolerance, reduced_to=reduced_to, modes=modes)
     return next(study for study in studies if study.structure is found.structure), found
@@ -362,8 +361,8 @@ def _prepare_curve(scene: Scene, comm: MPI.Comm) -> Study:
         scene.reduction.require(scene.reduction.method in (None, "massless"), "method", allowed)
     study = prepare(scene, comm, whole=True)
     check_memory_of(scene, study.structure, run_up=True)
-    table = reduction_of(study.scene, study.structure)
-    modes = min(MODES, study.structure.n_dofs) if table is None else modes_of(scene, table)
+    kept = reduction_of(study.scene, study.structure)
+    modes = min(MODES, study.structure.n_dofs) if kept is None else kept.modes
     structure = run_up_structure(study.structure, start, stop, modes)
     return replace(study, structure=structure.at_speed(start))
 

@@ -56,7 +56,7 @@ from fenics_crack.study.coarser_mesh import (
     natural_name,
 )
 from fenics_crack.study.grid_convergence import GridConvergence
-from fenics_crack.study.prepare import REFUSALS, Study, modes_of
+from fenics_crack.study.prepare import REFUSALS, Study
 from fenics_crack.study.verification import Verification
 from fenics_crack.table import frequency_axis
 
@@ -196,12 +196,12 @@ Varied = tuple[tuple[int, int], dict[str, GridConvergence]] | str
 def _more_modes(study: Study, near: PeriodicSolution, own: Numbers) -> Varied:
     structure, table = study.structure, study.scene.reduction
     reference = structure.reference if isinstance(structure, ReducedStructure) else None
-    if reference is None or table is None:
+    if reference is None or table is None or table.modes is None:
         return "all are kept"
     more = replace(study, structure=reference)
     start = near if structure.light_lips else None  # else these have other coordinates
     found = _solved(more, near.omega, near.harmonics, start)
-    counts = modes_of(study.scene, table), 2 * modes_of(study.scene, table)
+    counts = table.modes, 2 * table.modes
     other = numbers_of(more, found, own.mode).values
     return counts, expected("modes", counts, own.values, other, study.scene)
 
