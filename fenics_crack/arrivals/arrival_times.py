@@ -129,18 +129,14 @@ class ArrivalTimes(Tabular):
     @cached_property
     def angle(self) -> np.ndarray:
         """Rotor angle alpha at the arrivals: (revolutions, probes) [rad]."""
-        from scipy.interpolate import CubicSpline  # takes longer than to read the arrivals
-
         turns = self.first + np.arange(len(self.marks))
-        return np.asarray(CubicSpline(self.marks, 2.0 * np.pi * turns)(self.time))
+        return _between(self.marks, TURN * turns, self.time)
 
     @cached_property
     def expected(self) -> np.ndarray:
         """Times at the nominal angles, seen or not: (revolutions, probes) [s]."""
-        from scipy.interpolate import CubicSpline
-
         turns = self.first + np.arange(len(self.marks))
-        return np.asarray(CubicSpline(2.0 * np.pi * turns, self.marks)(self.nominal_angle))
+        return _between(TURN * turns, self.marks, self.nominal_angle)
 
     @cached_property
     def displacement(self) -> np.ndarray:
@@ -220,6 +216,13 @@ class ArrivalTimes(Tabular):
         steady = np.ptp(speed) <= 1e-6 * speed[0]
         parts.append(f"{speed[0]:.6g}{'' if steady else f' to {speed[-1]:.6g}'} rad/s")
         return ", ".join(parts + [f"{missing} missing"] * (missing > 0))
+
+
+def _between(places: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Values (n,) at rising places (n,), at others between these by cubic splines."""
+    from scipy.interpolate import CubicSpline  # takes longer than to read the arrivals
+
+    return np.asarray(CubicSpline(places, values)(at))
 
 
 def smoothed(values: np.ndarray) -> np.ndarray:
@@ -418,10 +421,8 @@ def _angles(
     """Angles from the mark to the arrivals: (rows,) [rad]."""
     if "[s]" not in name:
         return column * _unit(path, name, ANGLES)
-    from scipy.interpolate import CubicSpline
-
     every = np.arange(turns[0], turns[0] + len(marks))
-    return np.asarray(TURN * (CubicSpline(marks, every)(column) - turns))
+    return TURN * (_between(marks, every, column) - turns)
 
 
 def _arrivals(
@@ -432,8 +433,6 @@ def _arrivals(
     first: int,
 ) -> ArrivalTimes:
     """Arrivals of a blade from angles from the mark (revolutions, probes) [rad]."""
-    from scipy.interpolate import CubicSpline
-
     for column in seen.T:  # a blade at the mark is seen before it and after it
         column -= TURN * np.round((column - column[np.isfinite(column)][0]) / TURN)
     places = (
@@ -444,5 +443,5 @@ def _arrivals(
     order = np.argsort(places)
     seen = (seen - TURN * np.round((seen - places) / TURN))[:, order]
     turns = first + np.arange(len(marks))
-    time = CubicSpline(TURN * turns, marks)(TURN * turns[:-1, None] + seen)
+    time = _between(TURN * turns, marks, TURN * turns[:-1, None] + seen)
     return ArrivalTimes(time, marks, places[order], tip_radius, first)

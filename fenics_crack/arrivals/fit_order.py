@@ -35,9 +35,9 @@ from fenics_crack.arrivals.harmonics import (
     MISFIT,
     ORDERS,
     Candidates,
+    Fitted,
     TipFit,
     condition,
-    may_be_off,
     refuse,
     rounding,
     strengths,
@@ -46,7 +46,7 @@ from fenics_crack.arrivals.harmonics import (
 from fenics_crack.arrivals.robust import reweighted, trend
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.numerics.fourier import waves
-from fenics_crack.table import TURN, UNITS, Tabular, counted, with_frequency
+from fenics_crack.table import TURN, UNITS, counted, with_frequency
 
 __all__ = ["TipTrack", "fit_order", "track_order"]
 
@@ -407,7 +407,7 @@ class _Means(_Seen):
 
 
 @dataclass(frozen=True, repr=False)
-class TipTrack(Tabular):
+class TipTrack(Fitted):
     """Harmonics of a vibration of known engine order, revolution by revolution.
 
     Attributes
@@ -441,16 +441,6 @@ class TipTrack(Tabular):
     folded: float = np.nan
 
     @property
-    def does_not_fit(self) -> bool:
-        """Tell whether the misfit is below 0.001: harmonics are missing."""
-        return self.misfit < MISFIT
-
-    @property
-    def may_be_folded(self) -> bool:
-        """As of :class:`TipFit`."""
-        return may_be_off(self.folded)
-
-    @property
     def in_doubt(self) -> bool:
         """Tell whether it does not fit, harmonics left out may be folded, or it has as many
         unknowns as there are probes."""
@@ -475,9 +465,8 @@ class TipTrack(Tabular):
 
     def _title(self) -> str:
         speeds = f"{self.speed[0]:.6g} to {self.speed[-1]:.6g} rad/s"
-        doubt = ", harmonics left out may be folded" * self.may_be_folded
-        doubt = ", DOES NOT FIT" if self.does_not_fit else doubt
-        return f"order {self.order:g}, {speeds}, {counted(len(self.speed), 'point')}{doubt}"
+        points = counted(len(self.speed), "point")
+        return ", ".join([f"order {self.order:g}", speeds, points, *self._doubts])
 
 
 def track_order(

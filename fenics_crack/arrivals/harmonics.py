@@ -23,9 +23,9 @@ __all__ = [
     "MISFIT",
     "ORDERS",
     "Candidates",
+    "Fitted",
     "TipFit",
     "condition",
-    "may_be_off",
     "refuse",
     "rounding",
     "strengths",
@@ -89,8 +89,33 @@ class Candidates(Tabular):
         return f"{len(self.orders)} orders, {counts}"
 
 
+class Fitted(Tabular):
+    """Harmonics fitted to arrivals, and what tells whether to believe them."""
+
+    misfit: float
+    folded: float
+
+    @property
+    def does_not_fit(self) -> bool:
+        """Tell whether the misfit is below 0.001: harmonics are missing, or the order is wrong."""
+        return self.misfit < MISFIT
+
+    @property
+    def may_be_folded(self) -> bool:
+        """Tell whether three of the errors hold an amplitude with no more than the probability with
+        which two should: too few probes for the harmonics that are left out."""
+        return bool(self.folded > 2.0 * ndtr(-2.0))
+
+    @property
+    def _doubts(self) -> list[str]:
+        """The larger of them in words, as the one line has it."""
+        if self.does_not_fit:
+            return ["DOES NOT FIT"]
+        return ["harmonics left out may be folded"] * self.may_be_folded
+
+
 @dataclass(frozen=True, repr=False)
-class TipFit(Tabular):
+class TipFit(Fitted):
     """A periodic vibration fitted to arrival times.
 
         u = a0 + sum_k a_k cos(m_k p alpha) + b_k sin(m_k p alpha)
@@ -171,17 +196,6 @@ class TipFit(Tabular):
         return tuple(self.candidates.orders[self.candidates.hidden].tolist())
 
     @property
-    def does_not_fit(self) -> bool:
-        """Tell whether the misfit is below 0.001: harmonics are missing, or the order is wrong."""
-        return self.misfit < MISFIT
-
-    @property
-    def may_be_folded(self) -> bool:
-        """Tell whether three of the errors hold an amplitude with no more than the probability with
-        which two should: too few probes for the harmonics that are left out."""
-        return may_be_off(self.folded)
-
-    @property
     def in_doubt(self) -> bool:
         """Tell whether it does not fit, harmonics left out may be folded, it has as many unknowns
         as there are probes, which fits anything, or no probe sees the vibration twice."""
@@ -254,10 +268,7 @@ class TipFit(Tabular):
         parts = [f"order {self.order:.6g}, {self.omega:.6g} rad/s"]
         sizes = zip(self.multiples, self.amplitudes, self.amplitude_errors, strict=True)
         parts += [f"{m:g}x {quantity(a, 'm')} ± {quantity(e, 'm')}" for m, a, e in sizes]
-        if self.does_not_fit:
-            parts.append("DOES NOT FIT")
-        elif self.may_be_folded:
-            parts.append("harmonics left out may be folded")
+        parts += self._doubts
         if self.spare < 1:
             parts.append("as many unknowns as probes")
         elif self.seen_once:
@@ -268,12 +279,6 @@ class TipFit(Tabular):
                 shown = ", ".join(f"{one:.6g}" for one in orders[:6])
                 parts.append(f"{words}: {shown}{', ...' if len(orders) > 6 else ''}")
         return ", ".join(parts)
-
-
-def may_be_off(folded: float) -> bool:
-    """Whether a probability that three errors do not hold an amplitude is above that with which two
-    should not."""
-    return bool(folded > 2.0 * ndtr(-2.0))
 
 
 def strengths(coefficients: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
