@@ -96,9 +96,9 @@ def plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Sli
     spans = [crack.span(width) for crack in cracks]
     levels = [crack.height or 0.0 for crack in cracks]
     if scene.mesh.layout == "grid":
-        assert scene.mesh.columns and scene.mesh.rows
-        columns = _equal(width, scene.mesh.columns, [end for span in spans for end in span])
-        rows = _equal(height, scene.mesh.rows, levels)
+        ends = [end for span in spans for end in span]
+        columns = _equal(width, scene.mesh.given("columns"), ends)
+        rows = _equal(height, scene.mesh.given("rows"), levels)
     else:
         columns, rows = _graded_plate(scene, spans, levels)
     xs, ys = (np.array([side[0].start, *(i.stop for i in side)]) for side in (columns, rows))
@@ -145,10 +145,9 @@ def _graded_plate(
     scene: Scene, spans: list[tuple[float, float]], levels: list[float]
 ) -> tuple[list[Interval], list[Interval]]:
     """Columns and rows that are graded towards tips and cracks."""
-    mesh, width, height = scene.mesh, scene.geometry.width, scene.geometry.height
-    assert width and height and mesh.size
+    (width, height), size = scene.geometry.sides, scene.mesh.given("size")
     if not spans:
-        cells = [max(1, round(side / mesh.size)) for side in (width, height)]
+        cells = [max(1, round(side / size)) for side in (width, height)]
         return [Interval(0.0, width, cells[0])], [Interval(0.0, height, cells[1])]
     halves: list[_Half] = []
     fine: list[tuple[float, float]] = []
@@ -163,18 +162,15 @@ def _graded_plate(
         fine.append((level, min(half.tip_size for half in own)))
         halves += own
     tips = [(half.tip, half.tip_size) for half in halves]
-    return (
-        _Side(width, tips, halves, mesh.size).intervals(),
-        _Side(height, fine, [], mesh.size).intervals(),
-    )
+    return (_Side(width, tips, halves, size).intervals(), _Side(height, fine, [], size).intervals())
 
 
 def _half(scene: Scene, coarse: float, tip: float) -> _Half:
     """A lip of ``lip_elements`` from a mouth, or of half of them from the middle of a crack."""
-    mesh, width, height = scene.mesh, scene.geometry.width, scene.geometry.height
-    assert width and height and mesh.lip_elements
-    at_edge = coarse in (0.0, width)
-    count = mesh.lip_elements if at_edge else -(-mesh.lip_elements // 2)
+    mesh, (width, height) = scene.mesh, scene.geometry.sides
+    count = mesh.given("lip_elements")
+    if coarse not in (0.0, width):
+        count = -(-count // 2)
     ratio = mesh.grading ** (-1.0 / max(count - 1, 1))
     shares = ratio ** np.arange(count)
     tip_size = float(abs(tip - coarse) * shares[-1] / shares.sum())

@@ -233,8 +233,7 @@ def _ellipse(crack: Crack, width: float) -> tuple[float, float]:
 def _face(crack: Crack, width: float, thickness: float) -> list[tuple[int, int]]:
     """A surface in a crack's plane whose part inside the box is the crack."""
     occ, middle, half = gmsh.model.occ, *_ellipse(crack, width)
-    depth, height = crack.depth or 2.0 * thickness, crack.height
-    assert height
+    depth = crack.depth or 2.0 * thickness
     if crack.front == "elliptical":
         turned = depth > half
         face = [(2, occ.addDisk(0.0, 0.0, 0.0, max(half, depth), min(half, depth)))]
@@ -243,7 +242,7 @@ def _face(crack: Crack, width: float, thickness: float) -> list[tuple[int, int]]
     else:
         face = [(2, occ.addRectangle(-half, -depth, 0.0, 2.0 * half, 2.0 * depth))]
     occ.rotate(face, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.5 * math.pi)
-    occ.translate(face, middle, height, thickness)
+    occ.translate(face, middle, crack.given("height"), thickness)
     return face
 
 
@@ -251,16 +250,15 @@ def _size_of(
     scene: Scene, width: float, thickness: float
 ) -> Callable[[float, float, float], float]:
     """Length of elements at a place."""
-    mesh = scene.mesh
-    size, fronts = mesh.size, []
-    assert size
+    mesh, fronts = scene.mesh, []
+    size: float = mesh.given("size")
     for crack in scene.all_cracks.values():
-        assert mesh.lip_elements and crack.height
+        count = mesh.given("lip_elements")
         middle, half = _ellipse(crack, width)
         reach = min(half, crack.depth or half)
-        growth = mesh.grading ** (1.0 / max(mesh.lip_elements - 1, 1))
-        shortest = reach / float((growth ** np.arange(mesh.lip_elements)).sum())
-        front = *_front(crack, middle, half, thickness), crack.height
+        growth = mesh.grading ** (1.0 / max(count - 1, 1))
+        shortest = reach / float((growth ** np.arange(count)).sum())
+        front = *_front(crack, middle, half, thickness), crack.given("height")
         fronts.append((*front, shortest, max(growth - 1.0, GROWTH)))
 
     def at(x: float, y: float, z: float) -> float:
@@ -280,9 +278,8 @@ def _front(
     """Coordinates x and z along the front of a crack, and of what goes on outside: (n,) each."""
     share = np.linspace(0.0, 1.0, FRONT)
     if crack.front == "elliptical":
-        assert crack.depth
-        turn = np.pi * share
-        x, z = middle + half * np.cos(turn), thickness - crack.depth * np.sin(turn)
+        turn, depth = np.pi * share, crack.given("depth")
+        x, z = middle + half * np.cos(turn), thickness - depth * np.sin(turn)
     else:
         depth = crack.depth or thickness
         ends = [middle + sign * half * np.ones(FRONT) for sign in (-1.0, 1.0)]

@@ -75,17 +75,17 @@ def _check_front(crack: Crack, geometry: Geometry) -> None:
     elif crack.depth is None:
         crack.leave_out(("front",), "a crack through the thickness: there is no crack.depth")
     else:
-        assert geometry.thickness
-        thickness = f"geometry.thickness = {geometry.thickness:g}"
-        allowed = f"less than {thickness}, by {LEAST_DISTANCE:g} of that; left out: through it"
-        crack.require(_inside(crack.depth, geometry.thickness), "depth", allowed)
+        thickness = geometry.sides[2]
+        words = f"geometry.thickness = {thickness:g}"
+        allowed = f"less than {words}, by {LEAST_DISTANCE:g} of that; left out: through it"
+        crack.require(_inside(crack.depth, thickness), "depth", allowed)
 
 
 def _check_grid(crack: Crack, geometry: Geometry, mesh: Mesh) -> None:
     crack.given("length", "given with mesh.layout = 'grid'")
-    sides = {"length": (geometry.width, mesh.columns), "height": (geometry.height, mesh.rows)}
+    (width, height), columns = geometry.sides, mesh.given("columns")
+    sides = {"length": (width, columns), "height": (height, mesh.given("rows"))}
     for key, (extent, count) in sides.items():
-        assert extent and count
         cells = getattr(crack, key) / extent * count
         crack.require(
             0 < round(cells) < count and abs(cells - round(cells)) < 1e-9 * count,
@@ -93,29 +93,28 @@ def _check_grid(crack: Crack, geometry: Geometry, mesh: Mesh) -> None:
             f"a whole number of grid cells of {extent / count:g} m, at least one from each end",
         )
     if crack.center is not None:
-        assert geometry.width and mesh.columns
-        tip = crack.span(geometry.width)[0] / geometry.width * mesh.columns
+        tip = crack.span(width)[0] / width * columns
         crack.require(
-            abs(tip - round(tip)) < 1e-9 * mesh.columns,
+            abs(tip - round(tip)) < 1e-9 * columns,
             "center",
-            f"such that both tips are on grid lines, {geometry.width / mesh.columns:g} m apart",
+            f"such that both tips are on grid lines, {width / columns:g} m apart",
         )
 
 
 def _check_apart(cracks: dict[str, Crack], first: str, second: str, geometry: Geometry) -> None:
     """Raise InputError unless two cracks are far enough from each other."""
     one, other = cracks[first], cracks[second]
-    assert geometry.width and geometry.height and one.height and other.height
-    distance = abs(one.height - other.height)
-    if distance >= LEAST_DISTANCE * geometry.height:
+    width, height, *_ = geometry.sides
+    distance = abs(one.given("height") - other.given("height"))
+    if distance >= LEAST_DISTANCE * height:
         return
-    same = distance <= 1e-9 * geometry.height
-    spans = sorted(crack.span(geometry.width) for crack in (one, other))
+    same = distance <= 1e-9 * height
+    spans = sorted(crack.span(width) for crack in (one, other))
     ligament = spans[1][0] - spans[0][1]
-    if not same or ligament < LEAST_DISTANCE * geometry.width:
-        least = f"{LEAST_DISTANCE * geometry.height:g} m above or below"
+    if not same or ligament < LEAST_DISTANCE * width:
+        least = f"{LEAST_DISTANCE * height:g} m above or below"
         if same:
-            least += f", or with {LEAST_DISTANCE * geometry.width:g} m between their tips"
+            least += f", or with {LEAST_DISTANCE * width:g} m between their tips"
         allowed = f"apart from that of {first}: cracks may not touch; at least {least}"
         raise InputError(f"{second}.height", other.height, allowed)
 

@@ -127,11 +127,11 @@ class Crack(Table):
 
     def span(self, width: float) -> tuple[float, float]:
         """x of its left and its right end [m] in a plate of some width."""
-        assert self.length
+        length = self.given("length")
         if self.edge is None:
-            assert self.center
-            return self.center - 0.5 * self.length, self.center + 0.5 * self.length
-        return (0.0, self.length) if self.edge == "left" else (width - self.length, width)
+            center = self.given("center")
+            return center - 0.5 * length, center + 0.5 * length
+        return (0.0, length) if self.edge == "left" else (width - length, width)
 
 
 @dataclass(frozen=True)
