@@ -28,7 +28,7 @@ from fenics_crack.stability.floquet import floquet
 from fenics_crack.study.asked import asked_of_motion, prepare_asked
 from fenics_crack.study.key_figures import damping_ratios
 from fenics_crack.study.prepare import REFUSALS, Study, law_of, prepare
-from fenics_crack.sweep.file import AT_POINTS, COLUMNS, OPEN, PHASES, of_load
+from fenics_crack.sweep.file import AT_POINTS, OPEN, PHASES, of_load
 from fenics_crack.sweep.plan import Chunk
 from fenics_crack.table import with_frequency
 
@@ -155,7 +155,8 @@ def _at_load(scene: Scene, structure: Structure) -> dict[str, np.ndarray]:
 
 
 Found = dict[str, Any]
-"""The columns known of a case, and "gap" and "force" coefficients if it converged."""
+"""What is known of a case, columns of the file and others, which that does not keep; and "gap" and
+"force" coefficients if it converged."""
 
 
 def all_failed(chunk: Chunk, reason: str) -> list[Found]:
@@ -175,17 +176,13 @@ def solve_chunk(geometry: Geometry, chunk: Chunk, asked: Asked) -> list[Found]:
         started = time.perf_counter()
         harmonics = case.harmonic_balance.harmonics
         found: Found = {"crack_length": geometry.crack_length, "harmonics": harmonics}
-        found |= with_frequency({"omega": case.excitation.omega})
-        found |= _near(geometry.natural, case.excitation.omega)
-        found |= _numbered(geometry.natural)
+        found |= _at(case.excitation.omega, geometry.natural) | _numbered(geometry.natural)
         try:
             solution = cases.at_resonance(case) if asked.at_resonance else cases.solve(case)
-            found |= with_frequency({"omega": solution.omega})
-            found |= _near(geometry.natural, solution.omega)
-            measured = {name: v for name, v in solution.to_dict().items() if name in COLUMNS}
+            found |= _at(solution.omega, geometry.natural) | solution.to_dict()
             if not asked.judged:
-                measured.pop("reduction_error")
-            found |= measured | _seen(solution, case, geometry)
+                found.pop("reduction_error")
+            found |= _seen(solution, case, geometry)
             found |= asked_of_motion(geometry.study, solution)
             if asked.verdicts:
                 found |= cases.verdict(solution)
@@ -310,9 +307,9 @@ def _response(found: PeriodicSolution | None) -> float:
     return float(np.linalg.norm(found.displacement_coefficients[1:, : found.structure.n_modes]))
 
 
-def _near(natural: BilinearFrequencies, omega: float) -> Found:
-    """What a load frequency is next to."""
-    return {name: value for name, value in natural.nearest(omega).items() if name in COLUMNS}
+def _at(omega: float, natural: BilinearFrequencies) -> Found:
+    """A load frequency, and the natural ones that it is next to."""
+    return with_frequency({"omega": omega}) | natural.nearest(omega)
 
 
 def _numbered(natural: BilinearFrequencies) -> Found:
