@@ -33,8 +33,6 @@ __all__ = ["MESH", "Feature", "Part", "poles", "scales"]
 
 MESH = "mesh.file"
 """The axis of meshes with numbers."""
-LIPS = {"bilinear": ("open", "tied"), "resonance": ("open", "tied")}
-"""Of what natural frequencies are made."""
 
 
 @dataclass(frozen=True)
@@ -132,8 +130,10 @@ class Feature:
         """Features of a measurement; of a ratio both harmonics, the one above first."""
         if row.natural:
             lips = row.quantity.removeprefix("frequency_")
-            states = LIPS.get(lips, (lips,))
-            return tuple(cls(state, row.mode) for state in states)
+            of_both = lips in ("bilinear", "resonance")
+            return tuple(
+                cls(state, row.mode) for state in (("open", "tied") if of_both else (lips,))
+            )
         orders = row.orders or KEPT_ORDERS
         return tuple(cls("", 0, row.point, float(row.frequency), order) for order in orders)
 

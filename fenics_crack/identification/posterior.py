@@ -20,13 +20,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import label, maximum_filter
 from scipy.optimize import least_squares
-from scipy.special import logsumexp
+from scipy.special import chdtrc, logsumexp
 
 from fenics_crack.identification.model import Prediction, Quantities
 
@@ -287,6 +288,15 @@ class Posterior:
         """The words and the unknowns (d,) at which L is largest."""
         name = max(self.branches, key=lambda name: self.branches[name].optima[0].height)
         return name, self.branches[name].optima[0].x
+
+    @cached_property
+    def misfit(self) -> tuple[float, float]:
+        """chi^2 where L is largest, and the probability of more by chance."""
+        name, x = self.best
+        likelihood = self.branches[name].likelihood
+        total = float(np.sum(likelihood.residuals(x[None])[0, :-1] ** 2))
+        count = len(likelihood.values) - likelihood.quantities(x[None]).free.shape[2]
+        return total, float(chdtrc(max(count, 1), total))
 
     def level(self, share: float) -> float:
         """log L at the border of the region that holds a share of the mass."""

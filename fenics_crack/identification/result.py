@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtrc
 
 from fenics_crack.arrivals.harmonics import MISFIT
 from fenics_crack.errors import InputError
@@ -114,13 +113,26 @@ class Identification(Tabular):
 
     @cached_property
     def _judged(self) -> tuple[str, str]:
-        return _verdict_of(self.posterior, self.plain, self.log_bayes_factor)
+        """The verdict and its reason, by what both hypotheses explain and their evidences."""
+        open_question, ratio = "cannot be told", self.log_bayes_factor
+        if self.plain is None:
+            return open_question, "there is no plate without a crack to compare with"
+        fits, healthy = self.posterior.misfit[1], self.plain.misfit[1]
+        told = f"log Bayes factor {ratio:.3g}, crack over no crack"
+        if max(fits, healthy) < MISFIT:
+            why = "neither a crack of this kind nor a plate without one explains the measurements"
+            return open_question, f"{why} ({told})"
+        if ratio > STRONG and healthy >= EXPLAINS:
+            why = "a plate without a crack explains the measurements, as little as is known of it"
+            return open_question, f"{why} ({told})"
+        verdict = "crack" if ratio > STRONG else "no crack" if ratio < -STRONG else open_question
+        return verdict, told
 
     @property
     def misfit(self) -> tuple[float, float]:
         """chi^2 where the likelihood is largest, and the probability of more, by chance, with as
         many measurements (of displacements three fewer, for what is not known of the load)."""
-        return _misfit_of(self.posterior)
+        return self.posterior.misfit
 
     @property
     def advice(self) -> list[str]:
@@ -286,30 +298,3 @@ class Identification(Tabular):
         if len(self.alternatives) > 1:
             parts.append("NOT THE ONLY ONE")
         return ", ".join(parts)
-
-
-def _verdict_of(cracked: Posterior, plain: Posterior | None, ratio: float) -> tuple[str, str]:
-    """The verdict "crack", "no crack" or "cannot be told", and the reason for it, by what both
-    hypotheses explain and the logarithm of the ratio of their evidences."""
-    open_question = "cannot be told"
-    if plain is None:
-        return open_question, "there is no plate without a crack to compare with"
-    fits, healthy = _misfit_of(cracked)[1], _misfit_of(plain)[1]
-    told = f"log Bayes factor {ratio:.3g}, crack over no crack"
-    if max(fits, healthy) < MISFIT:
-        why = "neither a crack of this kind nor a plate without one explains the measurements"
-        return open_question, f"{why} ({told})"
-    if ratio > STRONG and healthy >= EXPLAINS:
-        why = "a plate without a crack explains the measurements, as little as is known of it"
-        return open_question, f"{why} ({told})"
-    verdict = "crack" if ratio > STRONG else "no crack" if ratio < -STRONG else open_question
-    return verdict, told
-
-
-def _misfit_of(posterior: Posterior) -> tuple[float, float]:
-    """chi^2 where a likelihood is largest, and the probability of more by chance."""
-    name, x = posterior.best
-    likelihood = posterior.branches[name].likelihood
-    total = float(np.sum(likelihood.residuals(x[None])[0, :-1] ** 2))
-    count = len(likelihood.values) - likelihood.quantities(x[None]).free.shape[2]
-    return total, float(chdtrc(max(count, 1), total))
