@@ -24,7 +24,7 @@ import scipy.sparse as sparse
 from fenics_crack.errors import InputError
 from fenics_crack.exchange.models import Model
 from fenics_crack.fem.crack_surface import FACETS
-from fenics_crack.fem.lips import SAME
+from fenics_crack.fem.lips import SAME, each_once
 from fenics_crack.model.nodes import Pairs
 
 __all__ = ["coincident", "find_pairs"]
@@ -205,10 +205,8 @@ def _facets(points: np.ndarray, cells: np.ndarray, corners: int, facets: np.ndar
 
 def _uses(rows: np.ndarray) -> np.ndarray:
     """How often each row, in any order, is among them."""
-    _, which, uses = np.unique(
-        np.sort(rows, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
-    return np.asarray(uses[which.ravel()])
+    _, which, uses = each_once(rows)
+    return np.asarray(uses[which])
 
 
 def _basis(corners: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

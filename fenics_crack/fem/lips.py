@@ -19,7 +19,8 @@ import scipy.sparse as sparse
 from fenics_crack.errors import InputError
 
 __all__ = [
-    "SAME", "Lip", "along", "cell_edges", "check_mouths", "find_lips", "rows_in", "split_crack",
+    "SAME", "Lip", "along", "cell_edges", "check_mouths", "each_once", "find_lips", "rows_in",
+    "split_crack",
 ]  # fmt: skip
 
 PLUGIN = (
@@ -169,9 +170,7 @@ def cell_edges(
     inner = corners + steps[:, None] * (order - 1) + np.arange(order - 1)
     turns = np.column_stack([steps, (steps + 1) % corners, inner])
     edges = cells[:, turns].reshape(-1, turns.shape[1])
-    _, first, uses = np.unique(
-        np.sort(edges[:, :2], axis=1), axis=0, return_index=True, return_counts=True
-    )
+    first, _, uses = each_once(edges[:, :2])
     place = np.argsort(first)
     return edges[first[place]], first[place] // corners, uses[place]
 
@@ -259,18 +258,24 @@ def check_mouths(
 ) -> None:
     """Raise InputError if a tip lies on the edge of the plate: a mouth whose node exists once."""
     shared = np.intersect1d(lower[:, :2], upper[:, :2])
-    lips = np.sort(np.concatenate([lower, upper])[:, :2], axis=1)
-    sides = np.sort(edges[:, :2], axis=1)
-    outer = sides[~rows_in(sides, lips)]
-    closed = np.intersect1d(shared, outer)
+    lips, sides = np.concatenate([lower, upper])[:, :2], edges[:, :2]
+    closed = np.intersect1d(shared, sides[~rows_in(sides, lips)])
     if len(closed):
         place = "({:g}, {:g})".format(*positions[closed[0]])
         allowed = f"open there: its node must exist twice; {PLUGIN}, does that"
         raise InputError("lips", f"a mouth at {place} that is closed", allowed)
 
 
+def each_once(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of different rows of nodes, in any order, the first places, and how often each is there; and
+    which of them each row (n,) is."""
+    _, first, which, uses = np.unique(
+        np.sort(rows, axis=1), axis=0, return_index=True, return_inverse=True, return_counts=True
+    )
+    return first, which.ravel(), uses
+
+
 def rows_in(rows: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Which rows of nodes, in ascending order, are among others: (n,) bool."""
-    _, which = np.unique(np.concatenate([others, rows]), axis=0, return_inverse=True)
-    kinds = which.ravel()
+    """Which rows of nodes, in any order, are among others: (n,) bool."""
+    _, kinds, _ = each_once(np.concatenate([others, rows]))
     return np.asarray(np.isin(kinds[len(others) :], kinds[: len(others)]))

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from fenics_crack.errors import InputError
-from fenics_crack.fem.lips import Lip, cell_edges, check_mouths, find_lips, split_crack
+from fenics_crack.fem.lips import Lip, cell_edges, check_mouths, each_once, find_lips, split_crack
 from fenics_crack.fem.mesh_checks import check_mesh
 from fenics_crack.mesher import gmsh
 from fenics_crack.outside import bytes_of, run_reader
@@ -175,11 +175,9 @@ def tags_of(
     """Tags of each curve; and tag, name and edges of each combination of curves."""
     edges = np.concatenate(list(curves.values()))
     owner = np.repeat(np.arange(len(curves)), [len(own) for own in curves.values()])
-    _, first, which = np.unique(
-        np.sort(edges, axis=1), axis=0, return_index=True, return_inverse=True
-    )
+    first, which, _ = each_once(edges)
     member = np.zeros((len(first), len(curves)), dtype=bool)
-    member[which.ravel(), owner] = True
+    member[which, owner] = True
     kinds, of_kind = np.unique(member, axis=0, return_inverse=True)
     sets, names = [], np.array(list(curves))
     for number, kind in enumerate(kinds):
@@ -202,7 +200,7 @@ def cells_of(kind: int, given: Given) -> tuple[np.ndarray, np.ndarray, np.ndarra
     raw = np.concatenate([nodes for own, *_, nodes in groups if own == dimension])
     used, places = np.unique(raw, return_inverse=True)
     cells = places.reshape(-1, size)
-    cells = cells[np.sort(np.unique(np.sort(cells, axis=1), axis=0, return_index=True)[1])]
+    cells = cells[np.sort(each_once(cells)[0])]
     there = bool(np.isin(used, numbers).all())
     return used, cells, positions[first][np.searchsorted(numbers, used)] if there else None
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from fenics_crack.errors import InputError
 from fenics_crack.fem.crack_surface import FACETS
-from fenics_crack.fem.lips import cell_edges
+from fenics_crack.fem.lips import cell_edges, each_once
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 
@@ -75,9 +75,7 @@ class NodalMesh:
         they are seen from outside: (n, 3 or 4)."""
         of_cell = FACETS[4 if self.cells.shape[1] in (4, 10) else 8]
         facets = self.cells[:, of_cell].reshape(-1, of_cell.shape[1])
-        _, first, uses = np.unique(
-            np.sort(facets, axis=1), axis=0, return_index=True, return_counts=True
-        )
+        first, _, uses = each_once(facets)
         own = np.sort(first[uses == 1])
         facets, cells = facets[own], self.cells[own // len(of_cell)]
         here = self.points[facets]
