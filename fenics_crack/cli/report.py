@@ -74,6 +74,8 @@ IN_SHORT = (
     "excitation", "loads", "base",
 )  # fmt: skip
 """Tables of a scene whose keys stand above its text."""
+Section = tuple[str, str, list[str]]
+"""Name of a part of the page, which links lead to, its heading, and its blocks of HTML."""
 
 
 def write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) -> list[Path]:
@@ -100,11 +102,11 @@ def write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) ->
     both = [(file, result_of(file)) for file in shown]
     both.sort(key=lambda one: list(HEADINGS).index(one[0].kind))
     kinds, scenes = [file.kind for file, _ in both], [result.scene for _, result in both]
-    titles, parts = {"short": "In short", "scene": "Scene"}, []
+    sections: list[Section] = []
     facts: list[str] = []
     doubts: list[str] = []
     with tempfile.TemporaryDirectory() as folder:
-        scene_part = _scene_part(both[0][1], Path(folder))
+        scene_part = _scene(both[0][1], Path(folder))
         own = differences([scene.replace({"reduction": None}) for scene in scenes])
         for number, ((file, result), differs) in enumerate(zip(both, own, strict=True), 1):
             found = account_of(result)
@@ -121,19 +123,17 @@ def write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) ->
                 blocks += [_picture(path) for path in draw_result(result, place)]
             blocks += [_table(rows, caption) for caption, rows in found.tables.items()]
             blocks.append(paragraph(f"From {file.path}, {_made(file.path)}.", "small"))
-            titles[f"result-{number}"] = heading
-            parts.append(section(f"result-{number}", heading, blocks))
+            sections.append((f"result-{number}", heading, blocks))
             facts += told[:1]
             doubts += [f"{heading}: {text}" for text in found.warnings]
-    titles["versions"] = "Versions"
     short = [points(facts), points(doubts, "doubtful")]
     if not doubts:
         short.append(paragraph("The program warned of nothing.", "good"))
-    blocks = [section("short", "In short", short), scene_part, *parts]
-    blocks.append(_versions_part([file for file, _ in both], command))
+    before: list[Section] = [("short", "In short", short), ("scene", "Scene", scene_part)]
+    after = "versions", "Versions", _versions([file for file, _ in both], command)
     stem = both[0][0].path.resolve().parent.name
     under = f"{datetime.now(UTC).astimezone():%d %B %Y, %H:%M %Z}, fenics_crack {VERSION}"
-    text = page(f"Breathing crack: {stem}", under, [contents(titles), *blocks])
+    text = page(f"Breathing crack: {stem}", under, [*before, *sections, after])
     write_whole(target, text, "--output")
     return [file.path for file in stored if file.kind == IDENTIFICATION]
 
@@ -141,7 +141,7 @@ def write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) ->
 # --- parts ----------------------------------------------------------------------------------------
 
 
-def _scene_part(result: Computed, folder: Path) -> str:
+def _scene(result: Computed, folder: Path) -> list[str]:
     """The scene of a result in short, its mesh if it has one, its text."""
     scene, blocks = result.scene, []
     if scene.geometry is not None:
@@ -157,8 +157,9 @@ def _scene_part(result: Computed, folder: Path) -> str:
         rows.append(("load frequency", frequency_in_words(scene, scene.excitation.omega)))
     rows.append(("harmonics", harmonics_in_words(scene)))
     blocks.append(_table(Table(("quantity", "value"), rows), "The first result's scene"))
-    text = folded("The whole scene (TOML)", scene.as_toml())
-    return section("scene", "Scene", [beside(blocks), text])
+    whole = f"<summary>The whole scene (TOML)</summary><pre>{html.escape(scene.as_toml())}</pre>"
+    beside = "\n".join(blocks)  # where there is room
+    return [f'<div class="beside">{beside}</div>', f"<details>{whole}</details>"]
 
 
 def _value(key: str, value: object) -> str:
@@ -168,7 +169,7 @@ def _value(key: str, value: object) -> str:
     return value_in_words(key, value)
 
 
-def _versions_part(files: Sequence[Stored], command: Sequence[str]) -> str:
+def _versions(files: Sequence[Stored], command: Sequence[str]) -> list[str]:
     """What made the results, and what made the page."""
     rows = []
     for file in files:
@@ -176,11 +177,10 @@ def _versions_part(files: Sequence[Stored], command: Sequence[str]) -> str:
         rows.append((str(file.path), made))
     drawn = f"Python {platform.python_version()}, {versions()}, h5py {h5py.__version__}"
     rows.append(("this page", f"fenics_crack {VERSION}, {drawn}"))
-    blocks = [
+    return [
         _table(Table(("file", "made with"), rows), "What computed the results"),
         paragraph(f"Command: {shlex.join(command)}"),
     ]
-    return section("versions", "Versions", blocks)
 
 
 def _made(path: Path) -> str:
@@ -192,23 +192,15 @@ def _made(path: Path) -> str:
 # --- blocks of HTML -------------------------------------------------------------------------------
 
 
-def page(title: str, under: str, blocks: Sequence[str]) -> str:
-    """A whole page."""
+def page(title: str, under: str, sections: Sequence[Section]) -> str:
+    """A whole page: links to its sections, and these."""
+    links = (f'<a href="#{name}">{html.escape(heading)}</a>' for name, heading, _ in sections)
+    body = [f"<nav>{' '.join(links)}</nav>"]
+    for name, heading, blocks in sections:
+        inside = "\n".join([f"<h2>{html.escape(heading)}</h2>", *blocks])
+        body.append(f'<section id="{name}">{inside}\n</section>')
     words = {"title": html.escape(title), "under": html.escape(under)}
-    whole = packaged("cli/report.html")
-    return Template(whole).substitute(words, body="\n".join(blocks))
-
-
-def section(name: str, title: str, blocks: Sequence[str]) -> str:
-    """A part of a page with its heading; ``name`` is what :func:`contents` leads to."""
-    heading = f"<h2>{html.escape(title)}</h2>"
-    return f'<section id="{html.escape(name)}">{heading}\n' + "\n".join(blocks) + "\n</section>"
-
-
-def contents(titles: dict[str, str]) -> str:
-    """Leads to sections: their titles by their names."""
-    links = (f'<a href="#{html.escape(n)}">{html.escape(title)}</a>' for n, title in titles.items())
-    return "<nav>" + " ".join(links) + "</nav>"
+    return Template(packaged("cli/report.html")).substitute(words, body="\n".join(body))
 
 
 def paragraph(text: str, kind: str = "") -> str:
@@ -225,17 +217,6 @@ def points(texts: Sequence[str], kind: str = "") -> str:
 def _table(rows: Table, caption: str) -> str:
     """A table, of a long one the first rows."""
     return f'<div class="table">{rows.html(caption)}</div>'
-
-
-def folded(title: str, text: str) -> str:
-    """Text as it is, behind a title that unfolds it."""
-    inside = f"<summary>{html.escape(title)}</summary><pre>{html.escape(text)}</pre>"
-    return f"<details>{inside}</details>"
-
-
-def beside(blocks: Sequence[str]) -> str:
-    """Blocks next to each other, where there is room."""
-    return '<div class="beside">' + "\n".join(blocks) + "</div>"
 
 
 def _picture(path: Path) -> str:
