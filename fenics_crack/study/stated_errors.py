@@ -5,6 +5,8 @@ Twice the modes and twice the harmonics are solved from the answer itself, and
     e = |f - f_2| / (1 - 2^-1),
 
 as both converge like N^-1 (:mod:`refinement`). The mesh is made coarser (:mod:`coarser_mesh`).
+The largest contact force stays where it is for many harmonics, until one sees its peak: what these
+leave out of it is known of the exact orbit.
 
 A mesh moves the resonances before all else. Next to one a small shift changes an answer by much, on
 one side up and on the other down, so that differences may vanish by chance. The coarse mesh is
@@ -37,6 +39,8 @@ from functools import partial
 import numpy as np
 
 from fenics_crack.balance.harmonic_balance import solve_linear
+from fenics_crack.balance.indicators import contact_extremes
+from fenics_crack.balance.judgement import Judgement
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.curves.curve import ResponseCurve
@@ -62,7 +66,10 @@ from fenics_crack.table import frequency_axis
 
 __all__ = ["Numbers", "errors_of", "numbers_of", "resonance_of", "shifted", "stated_errors"]
 
-ANSWER = ("amplitude", "ratio_2_1", "ratio_3_1", "mean_shift", "opening", "closed_share")
+FORCES = "contact_force", "crack_force"
+ANSWER = (
+    "amplitude", "ratio_2_1", "ratio_3_1", "mean_shift", "opening", FORCES[1], "closed_share",
+)  # fmt: skip
 """Quantities that are looked at where the scene does not choose."""
 LOWEST_MODES = (1, 2, 3)
 """Modes whose natural frequencies with lips open are looked at."""
@@ -160,7 +167,8 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
     near = _solved(study, found.omega, found.harmonics, found)
     own = numbers_of(study, near, numbers.mode)
     mesh = partial(_coarser_mesh, of_peak=of_peak)
-    varied: list[Callable[..., Varied]] = [_more_modes, _more_harmonics, mesh]
+    harmonics = partial(_more_harmonics, judged=found.judged)
+    varied: list[Callable[..., Varied]] = [_more_modes, harmonics, mesh]
     for cause, other in zip(VARIED, varied, strict=True):
         try:
             made = other(study, near, own)
@@ -206,12 +214,20 @@ def _more_modes(study: Study, near: PeriodicSolution, own: Numbers) -> Varied:
     return counts, expected("modes", counts, own.values, other, study.scene)
 
 
-def _more_harmonics(study: Study, near: PeriodicSolution, own: Numbers) -> Varied:
+def _more_harmonics(
+    study: Study, near: PeriodicSolution, own: Numbers, judged: Judgement
+) -> Varied:
     if study.contact is None:
         return "without contact there is one"
     counts = near.harmonics, 2 * near.harmonics
     other = numbers_of(study, _solved(study, near.omega, counts[1], near), own.mode).values
-    return counts, expected("harmonics", counts, own.values, other, study.scene)
+    parts = expected("harmonics", counts, own.values, other, study.scene)
+    if judged.affordable and judged.accepted and judged.orbit is not None:
+        samples, cracks = judged.orbit.sampled, study.structure.pairs.cracks
+        exact = contact_extremes(samples.gap, samples.force, cracks)
+        for name in parts.keys() & FORCES:
+            parts[name] = replace(parts[name], extrapolated=exact[name])
+    return counts, parts
 
 
 def _coarser_mesh(study: Study, near: PeriodicSolution, own: Numbers, of_peak: bool) -> Varied:

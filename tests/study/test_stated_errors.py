@@ -64,6 +64,19 @@ def test_true_errors_over_stated_ones(scene: fc.Scene, frequency: float) -> None
         assert cause == "mesh"
 
 
+def test_the_largest_force_is_that_of_the_exact_orbit(scene: fc.Scene) -> None:
+    """Harmonics leave out some of its peak; twice as many do so, too, and say that all is well."""
+    more = {"mesh.error": False, "reduction.modes": 20, "mesh.lip_elements": 10}
+    run = fc.solve(scene.replace(more), MPI.COMM_SELF)
+    orbit = fc.shoot(run.structure, run.result)
+    time = np.linspace(0.0, orbit.period, 20_000, endpoint=False)
+    exact = orbit.force_at(time).sum(axis=1).max()
+    found = run.result.indicators().crack_force
+    assert run.errors is not None and found / exact < 0.98
+    error, cause = run.errors.stated("crack_force")
+    assert abs(exact / found - 1.0) == pytest.approx(error, rel=0.2) and cause == "harmonics"
+
+
 def test_a_crack_that_closes_pair_by_pair(scene: fc.Scene) -> None:
     """With a preload some of eight pairs never part, and a coarse mesh of few pairs says next to
     nothing by chance: opening and 2/1 are known to within three times what is stated."""
