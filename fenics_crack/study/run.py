@@ -49,15 +49,13 @@ from fenics_crack.time.central_differences import (
 )
 from fenics_crack.time.flows import integrate_events, integrate_exponential
 from fenics_crack.time.implicit import integrate_implicit
-from fenics_crack.time.march import TimeHistory
+from fenics_crack.time.march import RECORDED_PERIODS, TimeHistory
 
 __all__ = [
     "Run", "check_motion", "curve", "integrate", "load_run", "modes", "run_of", "solve",
     "solve_prepared",
 ]  # fmt: skip
 
-RECORDED_PERIODS = 4
-"""Periods kept of a motion in time."""
 
 Found = TypeVar("Found", bound=Result, covariant=True)
 

@@ -30,6 +30,7 @@ from fenics_crack.stages import begin
 from fenics_crack.table import Tabular, counted
 
 __all__ = [
+    "RECORDED_PERIODS",
     "EnergyBalance",
     "LoopedSteps",
     "March",
@@ -42,6 +43,8 @@ __all__ = [
 
 HARMONICS = 10
 """Of a motion in time that are among its indicators."""
+RECORDED_PERIODS = 4
+"""Periods that commands keep of a motion in time, and of which its extremes are."""
 MEMORY_LIMIT = 2**31
 """Bytes of history on one rank beyond which recording is refused."""
 
@@ -261,13 +264,15 @@ class TimeHistory(Tabular):
 
     def indicators(self, dof: int | None = None) -> Indicators:
         """What a dof, or the watched one, and the lips show of a breathing crack: its harmonics and
-        mean in the last period, extremes of all that is recorded (collective)."""
-        motion = self.displacement([dof])[:, 0]
+        mean in the last period, extremes of the last four, where so many are recorded
+        (collective)."""
+        last = slice(-RECORDED_PERIODS * self.steps_per_period, None)
+        motion = self.displacement([dof])[last, 0]
         return indicators_of(
             2.0 * np.pi * (len(self.time) - 1) / self.steps_per_period / np.ptp(self.time),
             balanced(motion[-self.steps_per_period :], HARMONICS),
             float(np.ptp(motion) / 2.0),
-            contact_extremes(self.gap, self.contact_force, self.structure.pairs.cracks),
+            contact_extremes(self.gap[last], self.contact_force[last], self.structure.pairs.cracks),
         )
 
 

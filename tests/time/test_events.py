@@ -123,6 +123,24 @@ def test_the_papers_data_are_unstable(paper_structure: fc.Structure) -> None:
     assert np.abs(found.multipliers[0]) > 1.01
 
 
+def test_indicators_leave_out_the_beginning() -> None:
+    """Of a motion from rest that has settled they are those of the steady vibration, whatever is
+    recorded."""
+    stiffness = 1e4 * np.array([[2.0, -1.0], [-1.0, 1.0]])
+    masses = fc.Structure.from_matrices(
+        np.eye(2), stiffness, [0.0, 1.0], force_sin=[10.0, 0.0], clearance=1e-3,
+        damping=fc.ModalDamping(0.05),
+    )  # fmt: skip
+    law = fc.UnilateralPenalty(1e5)
+    history = integrate_events(masses, 48.0, law, periods=200)
+    assert np.ptp(history.displacement([1])) / 2.0 > 1.1 * history.indicators(1).amplitude
+    steady = fc.solve_harmonic_balance(masses, 48.0, law, harmonics=40).indicators(1)
+    for name in ("amplitude", "ratio_2_1", "opening", "contact_force"):
+        assert getattr(history.indicators(1), name) == pytest.approx(
+            getattr(steady, name), rel=2e-2
+        )
+
+
 def test_what_it_cannot_do_is_refused() -> None:
     """Other laws, and bad arguments, get one error that names them."""
     structure, law = oscillator(), fc.UnilateralPenalty(1.0)
