@@ -68,7 +68,11 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     plate = build_mesh(scene, comm)
     begin("matrices")
     if not plate.cracked and scene.mesh.layout == "file" and (scene.contact or scene.all_cracks):
-        allowed = "a mesh with curves named 'lower_lip' and 'upper_lip', as the scene has contact"
+        named = "curves" if scene.dimension == 2 else "surfaces"
+        allowed = (
+            f"a mesh with {named} named 'crack', or 'lower_lip' and 'upper_lip', as the scene has "
+            "contact"
+        )
         raise InputError("mesh.file", scene.mesh.file, allowed)
     space = compat.function_space(plate.mesh, scene.mesh.order)
     dofs = Dofs(plate, space, comm)

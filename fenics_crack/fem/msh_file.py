@@ -63,10 +63,7 @@ def read_file(path: Path) -> tuple[Names, tuple[Lip, ...]]:
 
     given = _, positions, groups = groups_of(path)
     flat = len(positions) > 0 and np.ptp(positions[:, 2]) == 0.0
-    require(
-        flat and np.all(np.abs(positions) < FARTHEST_NODE),
-        f"a plane mesh, z the same at every node, within {FARTHEST_NODE:g} m of the origin",
-    )
+    require(flat, "a plane mesh, z the same at every node")
     kinds = {kind for dimension, _, _, kind, _ in groups if dimension == 2}
     require(
         len(kinds) == 1 and kinds <= _EDGES.keys(),
@@ -118,12 +115,15 @@ def groups_of(path: Path) -> Given:
     Raises
     ------
     InputError
-        There is no such file, or gmsh cannot read it.
+        There is no such file, gmsh cannot read it, or a node is nowhere.
     """
     check_there("mesh.file", path)
     found = _read_by_child(path)
     if isinstance(found, str):
         raise InputError("mesh.file", str(path), f"readable by gmsh ({found})")
+    if not np.all(np.abs(found[1]) < FARTHEST_NODE):
+        allowed = f"a mesh whose nodes are within {FARTHEST_NODE:g} m of the origin"
+        raise InputError("mesh.file", str(path), allowed)
     return found
 
 

@@ -108,7 +108,7 @@ def _filled(given: Given) -> tuple[Names, tuple[CrackSurface, ...]]:
     surfaces = facets_of(named, KINDS[kind], used)
     if "clamp" not in surfaces:
         raise InputError("mesh", "no clamp", "with a physical surface named 'clamp'")
-    _check_cells(kind, nodes, places)
+    _check_cells(kind, cells, places)
     lips: tuple[CrackSurface, ...] = ()
     cracks = [name for name in surfaces if CRACK.match(name)]
     if cracks:
@@ -169,16 +169,28 @@ def _moved(
     return found
 
 
-def _check_cells(kind: int, nodes: np.ndarray, places: np.ndarray) -> None:
-    """Raise InputError where a cell is folded or has no volume."""
-    least, most, smallest = determinants(kind, nodes, places)
-    here = places[nodes]
+def _check_cells(kind: int, cells: SolidCells, places: np.ndarray) -> None:
+    """Raise InputError where a cell is folded or has no volume, or two lie on one side of the facet
+    that they share."""
+    least, most, smallest = determinants(kind, cells.nodes, places)
+    here = places[cells.nodes]
     size = np.ptp(here, axis=1).max(axis=1)
     wrong = (smallest <= DEGENERATE * size**3) | (least * most < 0.0)
     if np.any(wrong):
         x, y, z = here[np.argmax(wrong)].mean(axis=0)
         found = f"a folded cell, or one of no volume, at ({x:g}, {y:g}, {z:g})"
         raise InputError("mesh", found, "one of cells that are convex and have a volume")
+    facets, owner, _ = cells.all_facets
+    first, second, third = places[facets[:, :3]].swapaxes(0, 1)
+    normal = np.cross(second - first, third - first)
+    side = np.sign(np.sum((here[owner, : cells.n_corners].mean(axis=1) - first) * normal, axis=1))
+    same = np.all(facets[1:] == facets[:-1], axis=1)
+    folded = same & (side[1:] == side[:-1])
+    folded[1:] |= same[1:] & same[:-1]
+    if np.any(folded):
+        x, y, z = places[facets[np.argmax(folded)]].mean(axis=0)
+        allowed = "one of cells beside each other: these lie on one side of their common facet"
+        raise InputError("mesh", f"cells that overlap at ({x:g}, {y:g}, {z:g})", allowed)
 
 
 # --- a box ----------------------------------------------------------------------------------------

@@ -21,6 +21,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.stages import within
 from fenics_crack.study.grid_convergence import GridConvergence, grid_convergence
+from fenics_crack.study.key_figures import extents
 from fenics_crack.study.prepare import REFUSALS, Study, prepare
 from fenics_crack.study.verification import Verification
 from fenics_crack.table import frequency_axis
@@ -95,7 +96,13 @@ def coarser(study: Study) -> tuple[Study, tuple[int, int]] | str:
         whole = structure.whole is structure
         twin = prepare(coarse, structure.comm, whole=whole, judged=False)
     counts = n_elements(structure), n_elements(twin.structure)
-    return (twin, counts) if counts[1] < counts[0] else "a coarser one has as many elements"
+    if not counts[1] < counts[0]:
+        return "a coarser one has as many elements"
+    own, other = (np.array(extents(one.whole)) for one in (structure, twin.structure))
+    side = (other.prod() / counts[1]) ** (1.0 / len(other))
+    if np.any(np.abs(other - own) > side):  # curved sides differ by parts of an element
+        return f"mesh.coarser is another part, of {' x '.join(f'{size:.4g}' for size in other)} m"
+    return twin, counts
 
 
 def expected(

@@ -585,12 +585,53 @@ def test_files_without_what_is_needed(tmp_path: Path) -> None:
     """What lacks is named: a crack where there is contact; and one that cuts nothing."""
     path = tmp_path / "box.msh"
     write_box(path, 1, crack=False)
-    with pytest.raises(InputError, match="contact"):
+    with pytest.raises(InputError, match=r"surfaces named 'crack'.*contact"):
         fc.build_structure(of_file(path))
     text = path.read_text().replace('"clamp"', '"held"')
     path.write_text(text)
     with pytest.raises(InputError, match="clamp"):
         fc.build_structure(of_file(path))
+
+
+TWO_CELLS = """$MeshFormat
+2.2 0 8
+$EndMeshFormat
+$PhysicalNames
+2
+2 1 "clamp"
+3 2 "solid"
+$EndPhysicalNames
+$Nodes
+5
+1 0 0 0
+2 1 0 0
+3 0 0 1
+4 0.3 1 0.3
+5 0.3 {} 0.3
+$EndNodes
+$Elements
+3
+1 2 2 1 1 1 2 3
+2 4 2 2 1 1 2 3 4
+3 4 2 2 1 1 2 3 5
+$EndElements
+"""
+
+
+@pytest.mark.parametrize(
+    ("height", "words"), [("-0.5", ""), ("0.5", "overlap"), ("nan", "1e\\+06 m of the origin")]
+)
+def test_cells_lie_on_either_side_of_their_facet(tmp_path: Path, height: str, words: str) -> None:
+    """Two on one side overlap, and what has no place is none."""
+    path = tmp_path / "two.msh"
+    path.write_text(TWO_CELLS.format(height))
+    load = {"excitation.point": [0.3, 1.0, 0.3]}
+    scene = of_file(path).replace({"crack": None, "contact": None} | load)
+    if not words:
+        assert fc.build_structure(scene).n_dofs == 24
+        return
+    with pytest.raises(InputError, match=words):
+        fc.build_structure(scene)
 
 
 # --- what is refused ------------------------------------------------------------------------------

@@ -189,6 +189,11 @@ def test_two_files_of_one_part(scene: fc.Scene, run: fc.Run, tmp_path: Path) -> 
     unknown = fc.solve(same, MPI.COMM_SELF).errors
     assert unknown is not None
     assert unknown.unknown == {"mesh": "a coarser one has as many elements"}
+    larger = {"geometry.height": 2.0 * scene.geometry.height, "mesh.size": 2.0 * scene.mesh.size}
+    fc.write_msh(twin.replace(larger), tmp_path / "other.msh")
+    other = files.replace({"mesh.coarser": str(tmp_path / "other.msh")})
+    errors = fc.modes(other, 1, MPI.COMM_SELF).errors
+    assert errors is not None and "another part" in errors.unknown["mesh"]
 
 
 def test_of_modes_and_of_a_curve(scene: fc.Scene, run: fc.Run) -> None:
