@@ -48,7 +48,9 @@ DIRECTIONS = {"UX": 1, "UY": 2, "UZ": 3, "ROTX": 4, "ROTY": 5, "ROTZ": 6}
 SHORTEST = {"coordinate": 4, "array": 2}
 """Bytes of an entry and the end of its line."""
 LAYOUTS, FIELDS = ("coordinate", "array"), ("real", "integer", "pattern")
-SYMMETRIES = ("general", "symmetric", "skew-symmetric")
+MIRROR = {"symmetric": 1, "skew-symmetric": -1}
+"""What an entry below the diagonal is multiplied by above it."""
+SYMMETRIES = ("general", *MIRROR)
 _LABEL = re.compile(r"\s*(?:\d+\s+)?(\d+)[\s.,]+(\d|[A-Z]+)")
 """Node and direction of a row: "12.3", or with its number "7 12 UZ"."""
 
@@ -144,13 +146,13 @@ def read_labels(path: Path) -> np.ndarray:
     return np.array(found, dtype=np.int64)
 
 
-def _symmetric(
-    values: np.ndarray, rows: np.ndarray, columns: np.ndarray, n: int
+def _mirrored(
+    values: np.ndarray, rows: np.ndarray, columns: np.ndarray, n: int, sign: int = 1
 ) -> sparse.csr_matrix:
-    """A matrix of one triangle, n x n."""
+    """A symmetric or skew-symmetric matrix of one triangle, n x n."""
     off = rows != columns
     at = np.append(rows, columns[off]), np.append(columns, rows[off])
-    return sparse.csr_matrix((np.append(values, values[off]), at), (n, n))
+    return sparse.csr_matrix((np.append(values, sign * values[off]), at), (n, n))
 
 
 def _between_labels(ends: np.ndarray, values: np.ndarray, *, whole: bool) -> LabelledMatrix:
@@ -164,7 +166,7 @@ def _between_labels(ends: np.ndarray, values: np.ndarray, *, whole: bool) -> Lab
     n = len(labels)
     if whole:
         return LabelledMatrix(sparse.csr_matrix((values, (rows, columns)), (n, n)), labels)
-    return LabelledMatrix(_symmetric(values, rows, columns, n), labels)
+    return LabelledMatrix(_mirrored(values, rows, columns, n), labels)
 
 
 def _of_calculix(path: Path, labels: Path) -> LabelledMatrix:
@@ -179,7 +181,7 @@ def _of_calculix(path: Path, labels: Path) -> LabelledMatrix:
     missing = np.setdiff1d(np.arange(n), one[one == other])
     if len(missing):
         raise ValueError(f"it ends early: row {missing[0] + 1} of {n} has no diagonal")
-    return LabelledMatrix(_symmetric(entries[:, 2], one, other, n), rows)
+    return LabelledMatrix(_mirrored(entries[:, 2], one, other, n), rows)
 
 
 def _begins_as_abaqus(path: Path) -> bool:
@@ -290,7 +292,7 @@ def _of_op4(path: Path, kind: str) -> sparse.csr_matrix:
 
 def _of_matrix_market(path: Path, labels: Path | None, rows: int | None) -> LabelledMatrix:
     named = None if labels is None else read_labels(labels)
-    matrix = sparse.csr_matrix(read_matrix_market(path, rows if named is None else len(named)))
+    matrix = read_matrix_market(path, rows if named is None else len(named))
     if named is not None and matrix.shape[1] != len(named):
         raise ValueError(f"of shape {matrix.shape}, for {len(named)} rows that are named")
     return LabelledMatrix(matrix, named)
@@ -299,8 +301,8 @@ def _of_matrix_market(path: Path, labels: Path | None, rows: int | None) -> Labe
 # --- Matrix Market --------------------------------------------------------------------------------
 
 
-def read_matrix_market(path: Path, rows: int | None = None) -> np.ndarray | sparse.csr_matrix:
-    """Read a real matrix, dense or sparse as the file is, of ``rows`` rows; .gz and .bz2 too.
+def read_matrix_market(path: Path, rows: int | None = None) -> sparse.csr_matrix:
+    """Read a real matrix, dense or sparse, of ``rows`` rows; .gz and .bz2 too.
 
     Raises
     ------
@@ -317,13 +319,23 @@ def read_matrix_market(path: Path, rows: int | None = None) -> np.ndarray | spar
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of an empty body
             body = np.loadtxt(lines, comments="%", ndmin=2, max_rows=entries + 1)
+    found = body.size if layout == "array" else len(body)
+    if found != entries:
+        told = "more" if found > entries else found  # no more are read than one too many
+        raise ValueError(f"it has {told} entries instead of {entries}")
     if layout == "array":
-        return _dense(body.ravel(), shape, symmetry)
-    if len(body) != entries:
-        raise ValueError(f"it has {_count(body, entries)} entries instead of {entries}")
-    if max(shape) > max(len(body), rows or 1):
+        values, at = body.ravel(), _places_in_array(shape, symmetry)
+    elif max(shape) > max(len(body), rows or 1):
         raise ValueError(f"of shape {shape}, it has only {len(body)} entries")
-    return _sparse(body, shape, symmetry, field)
+    else:
+        values, at = _coordinates(body, shape, symmetry, field)
+    if symmetry == "general":
+        matrix = sparse.csr_matrix((values, at), shape)
+    else:
+        matrix = _mirrored(values, *at, shape[0], MIRROR[symmetry])
+    if layout == "array":
+        matrix.eliminate_zeros()
+    return matrix
 
 
 def matrix_market_shape(path: Path) -> tuple[int, int]:
@@ -382,34 +394,24 @@ def _header(line: str) -> tuple[str, str, str]:
 
 def _entries(rows: int, columns: int, symmetry: str) -> int:
     """Number of entries of a dense file: of a symmetric matrix from the diagonal down."""
-    sign = {"symmetric": 1, "skew-symmetric": -1}.get(symmetry)
+    sign = MIRROR.get(symmetry)
     return rows * columns if sign is None else rows * (rows + sign) // 2
 
 
-def _count(found: np.ndarray, expected: int) -> str:
-    """Number of entries found, in words; no more are read than one too many."""
-    return "more" if len(found) > expected else str(len(found))
-
-
-def _dense(values: np.ndarray, shape: tuple[int, int], symmetry: str) -> np.ndarray:
-    """Columns one after the other; of a symmetric matrix their part from the diagonal down."""
-    expected = _entries(*shape, symmetry)
-    if len(values) != expected:
-        raise ValueError(f"it has {_count(values, expected)} entries instead of {expected}")
+def _places_in_array(shape: tuple[int, int], symmetry: str) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of a dense file's entries: columns one after the other, of a symmetric
+    matrix their part from the diagonal down."""
     if symmetry == "general":
-        return values.reshape(shape, order="F")
-    sign = -1 if symmetry == "skew-symmetric" else 1
-    matrix = np.zeros(shape)
-    columns, rows = np.triu_indices(shape[0], 1 if sign < 0 else 0)
-    matrix[columns, rows] = sign * values
-    matrix[rows, columns] = values
-    return matrix
+        columns, rows = np.indices(shape[::-1]).reshape(2, -1)
+    else:
+        columns, rows = np.triu_indices(shape[0], symmetry == "skew-symmetric")
+    return rows, columns
 
 
-def _sparse(
+def _coordinates(
     body: np.ndarray, shape: tuple[int, int], symmetry: str, field: str
-) -> sparse.csr_matrix:
-    """Entries of row, column and value; of a symmetric matrix the lower triangle."""
+) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Values, rows and columns of a sparse file's entries."""
     width = 2 if field == "pattern" else 3
     if len(body) and body.shape[1] != width:
         raise ValueError(f"its entries have {body.shape[1]} numbers instead of {width}")
@@ -417,15 +419,9 @@ def _sparse(
     if not np.all((body[:, :2] >= 1) & (body[:, :2] <= shape) & (body[:, :2] % 1 == 0)):
         raise ValueError("an entry lies outside of the matrix")
     rows, columns = body[:, :2].astype(np.int64).T - 1
-    values = np.ones(len(body)) if field == "pattern" else body[:, 2]
-    if symmetry != "general":
-        if np.any(rows < columns):
-            raise ValueError(f"{symmetry}, but with entries above the diagonal")
-        below = rows > columns
-        sign = 1.0 if symmetry == "symmetric" else -1.0
-        rows, columns = np.append(rows, columns[below]), np.append(columns, rows[below])
-        values = np.append(values, sign * values[below])
-    return sparse.csr_matrix((values, (rows, columns)), shape=shape)
+    if symmetry != "general" and np.any(rows < columns):
+        raise ValueError(f"{symmetry}, but with entries above the diagonal")
+    return np.ones(len(body)) if field == "pattern" else body[:, 2], (rows, columns)
 
 
 # --- lines ----------------------------------------------------------------------------------------
