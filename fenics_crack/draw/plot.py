@@ -19,7 +19,7 @@ from fenics_crack.draw.figure import COLOURS, Picture, Where, label_axis, uprigh
 from fenics_crack.errors import InputError
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.contact import ContactLaw, is_rigid
-from fenics_crack.model.nodes import Pairs
+from fenics_crack.model.nodes import AXES, Pairs
 from fenics_crack.table import readable
 
 __all__ = ["Wave", "draw_contact_map", "draw_laws", "draw_map", "draw_response", "draw_waves"]
@@ -184,15 +184,13 @@ def draw_contact_map(
         values, label, unit = values / structure.pair_areas, "contact pressure", "Pa"
     scale, unit = readable(float(values.max()), unit)
     if points.shape[1] == 3:
-        from fenics_crack.draw.solid import draw_over_crack  # VTK
-
         pictured = NodalMesh(structure.whole)
         picture = Picture(2, columns=2, size=TWO_PANELS, **where)
         closed = (values[:-1] > 0.0).mean(axis=0)
         shown = {f"largest {label} [{unit}]": scale * values.max(axis=0)}
         shown["share of the period closed"] = closed
         for panel, (words, found) in zip(picture, shown.items(), strict=True):
-            draw_over_crack(panel, pictured, points, found, words)
+            _over_crack(panel, pictured, points, found, words)
         return picture.saved()
     depth, ends = _along_cracks(structure.pairs)
     loads = time * solution.omega / (2.0 * np.pi)
@@ -209,6 +207,31 @@ def draw_contact_map(
         of_crack = f"along cracks 1 to {len(ends) + 1}, one above the other"
     label_axis(panel.yaxis, f"distance {of_crack}", "m")
     return picture.saved()
+
+
+def _over_crack(
+    axes: Axes, mesh: NodalMesh, places: np.ndarray, values: np.ndarray, label: str
+) -> None:
+    """Values of pairs at their places over the plane of the cracks, zero at the fronts."""
+    from scipy.spatial import cKDTree
+
+    facets = mesh.boundary_facets[mesh.lip_facets]
+    triangles = facets if facets.shape[1] == 3 else facets[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+    nodes, corners = np.unique(triangles, return_inverse=True)
+    points = mesh.points[nodes]
+    distance, pair = cKDTree(places).query(points)
+    found = np.where(distance <= 1e-6 * mesh.size, values[pair], 0.0)
+    across = int(np.argmin(np.ptp(points, axis=0)))
+    one, other = (axis for axis in range(3) if axis != across)
+    scale, unit = readable(float(np.abs(points[:, [one, other]]).max()), "m")
+    at = scale * points[:, [one, other]].T
+    drawn = axes.tripcolor(*at, corners.reshape(-1, 3), found, shading="gouraud", cmap="viridis")
+    axes.triplot(*at, corners.reshape(-1, 3), color="black", lw=0.2)
+    axes.set_aspect("equal")
+    axes.set_xlabel(f"{AXES[one]} [{unit}]")
+    axes.set_ylabel(f"{AXES[other]} [{unit}]")
+    bar = axes.figure.colorbar(drawn, ax=axes, orientation="horizontal", pad=0.25)
+    bar.set_label(label)
 
 
 def _along_cracks(pairs: Pairs) -> tuple[np.ndarray, list[float]]:

@@ -18,17 +18,8 @@ from matplotlib.patches import Patch
 from fenics_crack.draw.figure import COLOURS
 from fenics_crack.draw.vtk_parts import lines, look_from_corner, surface, without_screen
 from fenics_crack.fem.nodal_mesh import NodalMesh
-from fenics_crack.model.nodes import AXES
-from fenics_crack.table import readable
 
-__all__ = [
-    "draw_over_crack",
-    "draw_parts",
-    "draw_shape",
-    "off_screen_plotter",
-    "outline",
-    "pyvista",
-]
+__all__ = ["draw_parts", "draw_shape", "off_screen_plotter", "outline", "pyvista"]
 
 modules: dict[str, Any] = sys.modules
 absent = modules.setdefault("mypy", None) is None
@@ -62,31 +53,6 @@ def outline(mesh: NodalMesh) -> np.ndarray:
         feature_angle=BENT, boundary_edges=False, non_manifold_edges=False, manifold_edges=False
     )
     return np.asarray(edges["node"])[edges.lines.reshape(-1, 3)[:, 1:]]
-
-
-def draw_over_crack(
-    axes: Axes, mesh: NodalMesh, places: np.ndarray, values: np.ndarray, label: str
-) -> None:
-    """Values of pairs at their places over the plane of the cracks, zero at the fronts."""
-    from scipy.spatial import cKDTree
-
-    facets = mesh.boundary_facets[mesh.lip_facets]
-    triangles = facets if facets.shape[1] == 3 else facets[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
-    nodes, corners = np.unique(triangles, return_inverse=True)
-    points = mesh.points[nodes]
-    distance, pair = cKDTree(places).query(points)
-    found = np.where(distance <= 1e-6 * mesh.size, values[pair], 0.0)
-    across = int(np.argmin(np.ptp(points, axis=0)))
-    one, other = (axis for axis in range(3) if axis != across)
-    scale, unit = readable(float(np.abs(points[:, [one, other]]).max()), "m")
-    at = scale * points[:, [one, other]].T
-    drawn = axes.tripcolor(*at, corners.reshape(-1, 3), found, shading="gouraud", cmap="viridis")
-    axes.triplot(*at, corners.reshape(-1, 3), color="black", lw=0.2)
-    axes.set_aspect("equal")
-    axes.set_xlabel(f"{AXES[one]} [{unit}]")
-    axes.set_ylabel(f"{AXES[other]} [{unit}]")
-    bar = axes.figure.colorbar(drawn, ax=axes, orientation="horizontal", pad=0.25)
-    bar.set_label(label)
 
 
 def _drawn(axes: Axes, plotter: Any, points: np.ndarray) -> None:

@@ -32,7 +32,7 @@ from fenics_crack.sweep.file import AT_POINTS, OPEN, PHASES, of_load
 from fenics_crack.sweep.plan import Chunk
 from fenics_crack.table import with_frequency
 
-__all__ = ["Asked", "Found", "Geometry", "all_failed", "build", "solve_chunk"]
+__all__ = ["Asked", "Found", "Geometry", "build", "solve_chunk"]
 
 
 PEAK_HARMONICS = 10
@@ -157,11 +157,6 @@ def _at_load(scene: Scene, structure: Structure) -> dict[str, np.ndarray]:
 Found = dict[str, Any]
 """What is known of a case, columns of the file and others, which that does not keep; and "gap" and
 "force" coefficients if it converged."""
-
-
-def all_failed(chunk: Chunk, reason: str) -> list[Found]:
-    """The cases of a chunk whose geometry cannot be built."""
-    return [{"status": case if isinstance(case, str) else reason} for case in chunk.cases]
 
 
 def solve_chunk(geometry: Geometry, chunk: Chunk, asked: Asked) -> list[Found]:

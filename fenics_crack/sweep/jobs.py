@@ -23,7 +23,7 @@ from fenics_crack.files.store import Stored
 from fenics_crack.parallel import StopRequest
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import REFUSALS
-from fenics_crack.sweep.case import Asked, Found, Geometry, all_failed, build, solve_chunk
+from fenics_crack.sweep.case import Asked, Found, Geometry, build, solve_chunk
 from fenics_crack.sweep.file import FAILED, PENDING, SweepFile
 from fenics_crack.sweep.plan import Chunk, Plan
 
@@ -117,7 +117,9 @@ class Worker:
                 return _unforeseen()
         large = isinstance(built, InputError) and built.key == "reduction.method"
         if built is None or (isinstance(built, REFUSALS) and not (large and self._asked.hopeless)):
-            return all_failed(chunk, str(built))
+            return [
+                {"status": case if isinstance(case, str) else str(built)} for case in chunk.cases
+            ]
         return built
 
 
