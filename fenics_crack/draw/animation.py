@@ -38,7 +38,9 @@ from fenics_crack.draw.vtk_parts import (
     in_space,
     lines,
     look_from_corner,
+    outline,
     place,
+    pyvista,
     seen_parallel,
     surface,
     without_screen,
@@ -144,9 +146,7 @@ def show_period(
     def show() -> None:
         if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
             raise InputError("screen", None, "there (DISPLAY is set), or use animate_period")
-        from fenics_crack.draw.solid import pyvista
-
-        plotter = pyvista.Plotter(title="fenics_crack", window_size=(900, 900))
+        plotter = pyvista().Plotter(title="fenics_crack", window_size=(900, 900))
         slider = _with_slider(plotter, solution, fields)
         plotter.show()
         del slider
@@ -187,8 +187,6 @@ class _Plate:
         solid = mesh.dimension == 3
         boundary = mesh.boundary
         if solid:
-            from fenics_crack.draw.solid import outline
-
             boundary = outline(mesh)
 
         def line(edges: np.ndarray, ink: str, width: float) -> vtkPolyData:
@@ -294,12 +292,10 @@ def _with_slider(plotter: Any, solution: PeriodicSolution, fields: PeriodFields)
     """
     from vtkmodules.vtkInteractionWidgets import vtkSliderRepresentation2D, vtkSliderWidget
 
-    from fenics_crack.draw.solid import pyvista
-
     plate = _Plate(plotter.renderer, fields)
     figure = Figure(facecolor="white")
     _draw_bar(figure, (0.1, 0.05, 0.2, 0.87), plate.colours)
-    chart = pyvista.ChartMPL(figure, size=(0.14, 0.6), loc=(0.85, 0.25))
+    chart = pyvista().ChartMPL(figure, size=(0.14, 0.6), loc=(0.85, 0.25))
     chart.border_color = "white"
     plotter.add_chart(chart)
     count, caption = len(fields.time), _caption(solution, fields)

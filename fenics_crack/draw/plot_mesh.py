@@ -1,4 +1,5 @@
-"""Pictures of the mesh: with its named parts, and moved by mode shapes."""
+"""Pictures of the mesh: with its named parts, and moved by mode shapes; of a solid VTK draws the
+surface, seen from a corner, into an image."""
 
 from __future__ import annotations
 
@@ -8,7 +9,9 @@ from typing import Unpack
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 from fenics_crack.draw.figure import COLOURS, Picture, Where, label_axis
 from fenics_crack.errors import InputError
@@ -24,6 +27,8 @@ SOLID = (5.5, 6.5)
 """Size of the picture of a solid's mesh [inch]."""
 DRAWN_LENGTH = 0.12
 """Of the arrows and of the displacements of modes, relative to the size of the structure."""
+ARROW = 0.2
+"""Length of the arrow of a load on a solid, likewise."""
 
 
 def draw_mesh(structure: Structure, **where: Unpack[Where]) -> Figure:
@@ -56,10 +61,8 @@ def draw_mesh(structure: Structure, **where: Unpack[Where]) -> Figure:
     mesh = NodalMesh(structure)
     load = mesh.field(mesh.structure.force)
     if mesh.dimension == 3:
-        from fenics_crack.draw.solid import draw_parts  # VTK
-
         [panel] = picture = Picture(size=SOLID, **where)
-        draw_parts(panel, mesh, load)
+        _solid(panel, mesh, load)
         return picture.finished()
     ratio = float(np.clip(np.divide(*np.maximum(np.ptp(mesh.points, axis=0), 1e-300)), 0.4, 2.5))
     size = (min(7.0, 3.6 + 2.0 * ratio), min(6.8, 1.6 + 3.6 / ratio))
@@ -163,9 +166,7 @@ def _mode_shape(axes: Axes, mesh: NodalMesh, shape: np.ndarray) -> None:
     amplitude = np.linalg.norm(shape, axis=1)
     drawn = DRAWN_LENGTH * mesh.size / amplitude.max() * shape
     if mesh.dimension == 3:
-        from fenics_crack.draw.solid import draw_shape  # VTK
-
-        draw_shape(axes, mesh, drawn)
+        _solid_shape(axes, mesh, drawn)
         return
     moved = mesh.points + drawn
     axes.tripcolor(*moved.T, mesh.triangles, amplitude, shading="gouraud", cmap="viridis")
@@ -177,4 +178,63 @@ def _mode_shape(axes: Axes, mesh: NodalMesh, shape: np.ndarray) -> None:
         axes.add_collection(LineCollection(points[edges], colors=colour, linewidths=width))
     axes.autoscale_view()
     axes.set_aspect("equal")
+    axes.axis("off")
+
+
+# --- of solids ------------------------------------------------------------------------------------
+
+
+def _solid(axes: Axes, mesh: NodalMesh, load: np.ndarray) -> None:
+    """The mesh with what is clamped, the lips, and the load (3, n_nodes, 3) [N]."""
+    from fenics_crack.draw import vtk_parts as vtk
+
+    plotter = vtk.off_screen_plotter()
+    points, facets = mesh.points, mesh.boundary_facets
+    clamped = mesh.clamped[facets].all(axis=1)
+    is_lip = np.isin(np.arange(len(facets)), mesh.lip_facets)
+    shown = vtk.surface(points, facets[~clamped & ~is_lip])
+    plotter.add_mesh(shown, color="#d8d8d8", opacity=0.35, show_edges=True, edge_color="#9a9a9a")
+    plotter.add_mesh(vtk.lines(points, vtk.outline(mesh)), color="black", line_width=3)
+    handles = []
+    for rows, colour, label in (
+        (facets[clamped], "green", "clamped"),
+        (facets[is_lip], "orange", "lips of the crack"),
+    ):
+        if len(rows):
+            plotter.add_mesh(
+                vtk.surface(points, rows), color=to_rgb(COLOURS[colour]), lighting=False
+            )
+            handles.append(Patch(color=COLOURS[colour], label=label))
+    for part in load:
+        total, share = part.sum(axis=0), np.abs(part).sum(axis=1)
+        if np.linalg.norm(total) > 0.0:
+            place = share @ points / share.sum()
+            length = ARROW * mesh.size
+            start = place - length * total / np.linalg.norm(total)
+            arrow = vtk.pyvista().Arrow(
+                start=start, direction=total, scale=length, shaft_radius=0.03, tip_radius=0.08
+            )
+            plotter.add_mesh(arrow, color=to_rgb(COLOURS["pink"]), lighting=False)
+    if np.any(load):
+        handles.append(Patch(color=COLOURS["pink"], label="load"))
+    axes.imshow(vtk.image_of(plotter, points), interpolation="antialiased")
+    axes.axis("off")
+    if handles:
+        axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncol=3)
+
+
+def _solid_shape(axes: Axes, mesh: NodalMesh, displacement: np.ndarray) -> None:
+    """A displacement (n_nodes, 3), as large as it is to be drawn, coloured by its length, and the
+    solid at rest."""
+    from fenics_crack.draw import vtk_parts as vtk
+
+    plotter = vtk.off_screen_plotter()
+    facets = mesh.boundary_facets
+    moved = vtk.pyvista().wrap(vtk.surface(mesh.points + displacement, facets))
+    moved["amplitude"] = np.linalg.norm(displacement, axis=1)
+    plotter.add_mesh(moved, scalars="amplitude", cmap="viridis", show_scalar_bar=False)
+    edges = vtk.outline(mesh)
+    plotter.add_mesh(vtk.lines(mesh.points + displacement, edges), color="black", line_width=2)
+    plotter.add_mesh(vtk.lines(mesh.points, edges), color="#8a8a8a", line_width=2)
+    axes.imshow(vtk.image_of(plotter, mesh.points), interpolation="antialiased")
     axes.axis("off")

@@ -16,7 +16,7 @@ from vtkmodules.vtkCommonDataModel import vtkDataObject, vtkUnstructuredGrid
 from vtkmodules.vtkFiltersGeneral import vtkGradientFilter
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.draw.vtk_parts import add_values, grid_of, in_space
+from fenics_crack.draw.vtk_parts import add_values, grid_of, in_space, pyvista
 from fenics_crack.errors import InputError
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.matrices import numbers
@@ -122,7 +122,6 @@ def stress_at(
     --------
     >>> time, stress = fc.stress_at(fc.solve(scene), [[0.1, 0.02], [0.1, 0.04]])
     """
-    from fenics_crack.draw.solid import pyvista
     from fenics_crack.study.run import check_motion  # loads DOLFINx
 
     check_motion(run)
@@ -139,9 +138,9 @@ def stress_at(
         time = np.arange(STRESS_INSTANTS) * found.period / STRESS_INSTANTS
         moved = found.displacement_field(time)
     nodal = nodal_stress(mesh, mesh.field(moved), run.scene.material)
-    grid, columns = pyvista.wrap(moved_grid(mesh)), np.moveaxis(nodal, -2, 0)
+    grid, columns = pyvista().wrap(moved_grid(mesh)), np.moveaxis(nodal, -2, 0)
     grid["stress"] = columns.reshape(len(columns), -1)
-    seen = pyvista.PolyData(in_space(places)).sample(grid)
+    seen = pyvista().PolyData(in_space(places)).sample(grid)
     off = np.flatnonzero(np.asarray(seen["vtkValidPointMask"]) == 0)
     if len(off):
         raise InputError("points", places[off[0]].tolist(), "on the mesh")
