@@ -215,7 +215,7 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     >>> given = {"crack.length": None, "crack.first_omega": 4700.0}
     >>> length = fc.find_crack_length(blade.replace(given))
     """
-    crack, width = scene.crack, scene.geometry.width
+    crack, width = scene.crack, None if scene.structure else scene.geometry.width
     if crack is None or crack.first_omega is None or width is None:
         raise InputError("crack.first_omega", None, "given: a finite number > 0")
     target, at_rest = crack.first_omega, scene.at_rest()

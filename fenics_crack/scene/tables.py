@@ -651,7 +651,7 @@ class Integration(Table):
     several times farther from the settled one, and the higher harmonics, mostly below a thousandth
     of the first, show it most."""
     steps_per_period: int | None = at_least_one(None)
-    """Default: 512; twice what is stable (central differences), 256 (events)."""
+    """Default: 512; at least twice what is stable (central differences), 256 (events)."""
 
 
 @dataclass(frozen=True)

@@ -422,10 +422,12 @@ def integrate(
         "events": (integrate_events, 256),
         "implicit": (integrate_implicit, 512),
         "exponential": (integrate_exponential, 512),
-        "central_difference": (integrate_central_difference, 0),  # twice those that are stable
+        "central_difference": (integrate_central_difference, 512),
     }
     march, usual = marches[method]
-    steps = table.steps_per_period or usual or 2 * stable_steps_per_period(structure, omega, law)
+    steps = table.steps_per_period or usual
+    if method == "central_difference" and table.steps_per_period is None:
+        steps = max(usual, 2 * stable_steps_per_period(structure, omega, law))
     history = march(structure, omega, law, steps_per_period=steps, **options)
     return Run(**vars(study), result=history)
 

@@ -146,6 +146,30 @@ def test_the_example_runs_from_the_shell(
     assert ("no mesh" in capsys.readouterr().err) == (name in ("solve", "modes"))
 
 
+def test_few_masses_take_more_steps_than_stability_asks_for(tmp_path: Path) -> None:
+    """Of two masses that is 18 of a period, and twice as many make a motion of two periods of one
+    that has one; a length of a crack is not sought in them."""
+    matrices = {"mass": np.eye(2), "stiffness": 1e4 * np.array([[2.0, -1.0], [-1.0, 1.0]])}
+    matrices |= {"gap": np.array([[0.0], [1.0]]), "force_sin": np.array([[10.0], [0.0]])}
+    for name, matrix in matrices.items():
+        scipy.io.mmwrite(tmp_path / f"{name}.mtx", sparse.coo_matrix(matrix))
+    files = {name: str(tmp_path / f"{name}.mtx") for name in matrices}
+    scene = Scene.from_mapping(
+        {
+            "structure": files | {"clearance": 1e-3},
+            "damping": {"ratio": 0.05},
+            "excitation": {"omega": 60.0},
+            "contact": {"stiffness": 1e5},
+            "harmonic_balance": {"harmonics": 40},
+        }
+    )
+    marched, solved = (way(scene, MPI.COMM_SELF).result for way in (fc.integrate, fc.solve))
+    assert marched.settled < 1e-4
+    assert marched.indicators(0).amplitude == pytest.approx(solved.amplitude(0), rel=1e-3)
+    with pytest.raises(InputError, match=r"crack\.first_omega"):
+        fc.find_crack_length(scene, MPI.COMM_SELF)
+
+
 def test_the_example_meets_its_stop() -> None:
     """The first natural frequency of a chain of n masses held at one end is
     2 sqrt(k / m) sin(pi / (2 (2 n + 1))); at resonance the stop takes most of the motion."""
