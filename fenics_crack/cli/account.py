@@ -173,8 +173,8 @@ def known_to(run: Run, name: str) -> str:
     if run.stated is None:
         return ""
     error, cause = run.stated.stated(name)
-    if not error > 0.0:
-        return run.stated.without
+    if not error > 0.0:  # of a plate at rest, or of what no cause changes
+        return ""
     by = f", most of it by the {cause}" if error > LEAST_TOLD else ""
     percent = format(100.0 * error, ".2g" if error < 1.0 else ".0f")
     return f"{percent} %{by}" + (f", {run.stated.without}" if run.stated.without else "")

@@ -89,7 +89,7 @@ def account_of_growth(found: Growth) -> Account:
     known = f"the cycles are known within a factor of {found.factor:.3g}"
     known += f", standard deviations of their logarithm: {', '.join(causes)}" if causes else ""
     drop = f"the natural frequency of the breathing crack falls by {found.frequency_drop[-1]:.2%}"
-    facts = [fact, known, drop]
+    facts = [fact, known, drop] if count > 1 else [fact]
     return Account(
         "growth",
         table,

@@ -180,6 +180,7 @@ def _integrated(path: LengthPath, law: Law) -> tuple[np.ndarray, np.ndarray, str
     """Lengths, the cycles until then, and how it ends."""
     length = np.linspace(path.lengths[0], path.lengths[-1], POINTS)
     arrested = path.at("delta_K_effective", length) < law.threshold
+    arrested |= _rate(path, law, length) == 0.0  # nothing opens it
     broken = path.at("K_max", length) >= (law.toughness or math.inf)
     over = np.flatnonzero(arrested | broken)
     end = "reached"

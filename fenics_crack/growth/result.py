@@ -20,7 +20,7 @@ __all__ = ["ENDS", "Growth"]
 
 ENDS = {
     "reached": "the length that was asked for is reached",
-    "arrested": "there it stops: the range falls below growth.threshold",
+    "arrested": "there it stops: the range falls below growth.threshold, or to nothing",
     "broken": "there the plate breaks: K_max is growth.toughness",
 }
 """How growth ends, in words."""

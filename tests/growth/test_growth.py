@@ -144,6 +144,8 @@ def test_threshold_and_toughness() -> None:
     stopped = fc.grow(coarse.replace({"growth.threshold": 1e8}), comm=MPI.COMM_SELF)
     assert stopped.end == "arrested" and stopped.length.tolist() == [0.02]
     assert stopped.life == 0.0 and math.isfinite(stopped.factor)
+    still = fc.grow(coarse.replace({"loads.1.traction_sin": [0.0, 0.0]}), comm=MPI.COMM_SELF)
+    assert still.end == "arrested" and still.length.tolist() == [0.02]
 
 
 @pytest.fixture(scope="module")
