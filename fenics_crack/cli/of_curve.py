@@ -147,6 +147,7 @@ def _warnings(run: Run[ResponseCurve]) -> Iterator[str]:
             f"the stability is undecided at {counted(more, 'other point')}, each for its own "
             "reason: curve.reason(index) in Python"
         )
+    yield from run.stated.dents if run.stated is not None else ()
     if not found.complete:
         yield f"the curve ended early: {found.status}"
 

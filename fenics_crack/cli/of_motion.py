@@ -88,6 +88,7 @@ def account_of_solution(run: Run[PeriodicSolution]) -> Account:
     if found.converged:
         warnings += of_stability(scene, run, found.stability)
         warnings += of_size(run, float(found.amplitude(run.watched_dof)))
+        warnings += run.stated.dents if run.stated is not None else ()
     return Account(
         "solution",
         table,

@@ -32,7 +32,7 @@ from fenics_crack.errors import InputError, check_number
 from fenics_crack.model.matrices import numbers
 from fenics_crack.table import Described
 
-__all__ = ["LEAST_ORDER", "SAFE", "GridConvergence", "grid_convergence"]
+__all__ = ["SAFE", "GridConvergence", "grid_convergence"]
 
 SAFE, CAUTIOUS = 1.25, 3.0
 """Factors of safety."""

@@ -18,7 +18,7 @@ from mpi4py import MPI
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import Stored, write
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.grid_convergence import LEAST_ORDER, GridConvergence
+from fenics_crack.study.grid_convergence import GridConvergence
 from fenics_crack.table import Table, Tabular, with_unit
 
 __all__ = ["CAUSES", "MESH", "Verification", "verification_of"]
@@ -32,6 +32,9 @@ LEVELS = 3
 """Runs of a cause, at most."""
 SHARE_TOLD, LEAST_OF_VALUE = 0.1, 1e-3
 """Shares of its total, and of a value, from which on a doubtful contribution is told."""
+DENTED = 0.01
+"""Share of an amplitude from which on it is told that a point force dents a structure without
+limit: of the size of errors that are asked for."""
 SPREAD = "not in the asymptotic range, 3 times the spread is taken"
 DOUBTS = {
     "outside": "the observed order is not near that of theory, a factor of 3 is taken",
@@ -255,12 +258,8 @@ class Verification(Tabular):
                 names = [n for n in parts if parts[n].behaviour == kind and self._matters(n, cause)]
                 if names:
                     found.append(f"{cause}, {', '.join(names)}: {what}")
-        mesh, contact = self.parts.get("mesh", {}), self.scene.contact
-        if "amplitude" in mesh and mesh["amplitude"].order < LEAST_ORDER and self._under_a_force:
-            found.append(
-                "amplitude: under a force at a point the displacement has no limit, it grows like "
-                "log(1/h); watch another place (output.points), or load an edge (loads)"
-            )
+        found += self.dents
+        contact = self.scene.contact
         if "mesh" in self.parts and contact is not None and contact.stiffness is not None:
             found.append(
                 "contact.stiffness is that of a pair, of which a finer mesh has more: the mesh "
@@ -269,11 +268,18 @@ class Verification(Tabular):
         return tuple(found)
 
     @property
-    def _under_a_force(self) -> bool:
-        """Whether what is watched is where a force acts at a point."""
-        scene = self.scene
-        first = scene.loads[0].point if scene.loads else None
-        return not scene.points and bool(scene.excitation.force_given or first)
+    def dents(self) -> tuple[str, ...]:
+        """That the displacement under a force at a point has no limit, where elements half as long
+        add to it what matters."""
+        value, added = abs(self.values.get("amplitude", 0.0)), _dent(self.scene)
+        if self.scene.points or not added > DENTED * value > 0.0:
+            return ()
+        growth = "log(1/h)" if self.scene.dimension == 2 else "1/h"
+        return (
+            "amplitude: under a force at a point the displacement has no limit, it grows like "
+            f"{growth}, by about {100.0 * added / value:.2g} % with elements half as long; watch "
+            "another place (output.points), or load an edge (loads)",
+        )
 
     def _matters(self, name: str, cause: str) -> bool:
         """Whether a contribution is so large that a doubt of it is told."""
@@ -323,6 +329,30 @@ def verification_of(stored: Stored) -> Verification | None:
         return Verification(
             scene, values, units, grids, counts, absent, unknown, failures, verdicts
         )
+
+
+def _dent(scene: Scene) -> float:
+    """What elements half as long add to the displacement under a force F at a point [m].
+
+    Of a plate F / (E t) ln 2 (1 / (a + sin a) + 1 / (a - sin a)) in a corner of the angle a, along
+    one of its edges; a = pi on an edge, and 2 pi inside, about. Of a solid F / (E h), about.
+    Source: Timoshenko, Goodier, Theory of Elasticity, sections 36 to 38.
+    """
+    at_points = [load for load in scene.loads if load.point is not None]
+    load = scene.excitation if scene.excitation.force_given else next(iter(at_points), None)
+    if load is None or scene.structure is not None:
+        return 0.0
+    mesh, sides, thickness = scene.mesh, scene.geometry.sides, scene.geometry.thickness
+    parts = [getattr(load, name) or () for name in ("force_sin", "force_cos")]
+    force = math.hypot(*(x for part in parts for x in part)) / scene.material.young
+    if scene.dimension == 3 or thickness is None:
+        return force / mesh.size if mesh.size else 0.0
+    edges = 1
+    if mesh.layout != "file":
+        edges = sum(x in (0.0, side) for x, side in zip(load.point or (), sides, strict=True))
+    angle = math.pi * 2.0 ** (1 - edges)
+    wedge = 1.0 / (angle + math.sin(angle)) + 1.0 / (angle - math.sin(angle))
+    return force / thickness * math.log(2.0) * wedge
 
 
 def _grid(found: dict[str, Any], count: int) -> GridConvergence:

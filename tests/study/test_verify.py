@@ -129,11 +129,32 @@ def test_force_at_a_point_is_told() -> None:
     changes = {"mesh.size": 0.01, "mesh.order": 2, "crack": None, "contact": None}
     found = fc.verify(plate(changes))
     assert abs(found.parts["mesh"]["amplitude"].order) < 0.2
-    assert any("log(1/h)" in text for text in found.warnings)
+    assert found.dents and "log(1/h), by about 8.2 %" in found.dents[0]
+    assert set(found.dents) <= set(found.warnings)
     edge = {"excitation.point": None, "excitation.force_sin": (0.0, 0.0), "loads.1.edge": "top"}
     found = fc.verify(plate(changes | edge | {"loads.1.traction_sin": (1e3, 0.0)}))
     assert found.parts["mesh"]["amplitude"].order > 1.0
     assert not found.warnings
+
+
+@pytest.mark.parametrize(
+    ("place", "share"), [((1.0, 1.0), 0.1), ((1.0, 0.5), 0.1), ((0.5, 0.5), 0.25)]
+)
+def test_dent(place: tuple[float, float], share: float) -> None:
+    """What a halving of the elements adds, in a corner, on an edge and, about, inside."""
+    scene = plate({"crack": None, "contact": None})
+    point = tuple(side * at for side, at in zip(scene.geometry.sides, place, strict=True))
+    scene = scene.replace({"excitation.point": point, "excitation.force_sin": (0.0, 9.0)})
+    grid = {"mesh.layout": "grid", "mesh.size": None, "mesh.lip_elements": None}
+    grid |= {"damping.ratio": None, "damping.stiffness": 1e-9}
+    sizes = []
+    for count in (16, 32):
+        finer = scene.replace(grid | {"mesh.columns": count, "mesh.rows": count})
+        structure = fc.build_structure(finer)
+        sizes.append(fc.solve_linear(structure, 1.0).amplitude(structure.watched_dof))
+    told = fc.Verification(scene, {"amplitude": sizes[1]}, {"amplitude": "m"}).dents[0]
+    added = 0.01 * float(told.partition("by about ")[2].partition(" %")[0])
+    assert sizes[1] - sizes[0] == pytest.approx(added * sizes[1], rel=share)
 
 
 def test_samples_of_a_smoothed_law() -> None:
