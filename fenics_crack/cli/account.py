@@ -33,6 +33,7 @@ __all__ = [
     "in_one_unit",
     "in_short",
     "known_to",
+    "largest_seen",
     "of_error",
     "of_size",
     "of_stability",
@@ -126,16 +127,24 @@ class Account:
 # --- sentences ------------------------------------------------------------------------------------
 
 
-def of_size(run: Run[Any], amplitude: float) -> list[str]:
-    """A warning of a vibration that is not small beside the structure (collective)."""
+def of_size(run: Run[Any], largest: Sequence[float]) -> list[str]:
+    """A warning of a motion that is not small beside the structure, from the largest displacement
+    of each dof that is watched [m], with its mean (collective)."""
     side = min(extents(run.structure.whole))
-    if not amplitude > SMALL_MOTION * side:
+    size, words = max((size, one.words) for size, one in zip(largest, run.watched, strict=True))
+    if not size > SMALL_MOTION * side:
         return []
     return [
-        f"{quantity(amplitude, 'm')} of {run.watched_name} is beyond small displacements, which "
-        f"the equations assume: the shortest side has {quantity(side, 'm')}, and the stated errors "
-        "leave that out"
+        f"{quantity(size, 'm')} of {words} is beyond small displacements, which the equations "
+        f"assume: the shortest side has {quantity(side, 'm')}, and the stated errors leave that out"
     ]
+
+
+def largest_seen(run: Run[Any]) -> list[float]:
+    """|a0| and half the peak-to-peak displacement of each dof that is watched, the largest along a
+    curve [m] (collective)."""
+    seen = [run.result.indicators(one.dof) for one in run.watched]
+    return [float(np.max(np.abs(one.mean) + one.amplitude)) for one in seen]
 
 
 def of_error(scene: Scene, report: ErrorReport, harmonics: int, where: str = "") -> Iterator[str]:

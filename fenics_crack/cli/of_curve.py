@@ -8,7 +8,15 @@ import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.indicators import Indicators
-from fenics_crack.cli.account import IN_A_TEST, Account, in_short, known_to, of_error, of_size
+from fenics_crack.cli.account import (
+    IN_A_TEST,
+    Account,
+    in_short,
+    known_to,
+    largest_seen,
+    of_error,
+    of_size,
+)  # fmt: skip
 from fenics_crack.cli.of_motion import with_hertz
 from fenics_crack.cli.scenes import remark_on
 from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, kind_in_words, parameter_axis
@@ -67,7 +75,7 @@ def account_of_curve(run: Run[ResponseCurve]) -> Account:
         shown=in_short(few, scene, SHORT),
         facts=_facts(run, largest),
         notes=notes,
-        warnings=[*_warnings(run), *of_size(run, float(seen.amplitude[peak]))],
+        warnings=[*_warnings(run), *of_size(run, largest_seen(run))],
         tables={"Special points": in_short(special, scene, SHORT)},
         done=bool(found.complete),
         run=run,

@@ -15,6 +15,7 @@ from fenics_crack.cli.account import (
     how_it_is_left,
     in_short,
     known_to,
+    largest_seen,
     of_error,
     of_size,
     of_stability,
@@ -87,7 +88,7 @@ def account_of_solution(run: Run[PeriodicSolution]) -> Account:
         notes.insert(0, f"solved; the half peak-to-peak displacement is known to {known}")
     if found.converged:
         warnings += of_stability(scene, run, found.stability)
-        warnings += of_size(run, float(found.amplitude(run.watched_dof)))
+        warnings += of_size(run, largest_seen(run))
         warnings += run.stated.dents if run.stated is not None else ()
     return Account(
         "solution",
@@ -181,7 +182,7 @@ def account_of_history(run: Run[TimeHistory]) -> Account:
         rows=_waves(run, found.time, motion, found.gap, found.contact_force),
         shown=in_short(table, scene, SHORT),
         facts=facts,
-        warnings=[*warnings, *of_size(run, float(np.abs(motion).max()))],
+        warnings=[*warnings, *of_size(run, np.abs(motion).max(axis=0))],
         tables={"In numbers": readable_rows(table)},
         done=bool(found.settled <= asked.settle),
         run=run,

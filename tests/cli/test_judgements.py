@@ -230,8 +230,8 @@ def test_large_displacements_are_said(tmp_path: Path, capsys: pytest.CaptureFixt
     path = tmp_path / "plate.toml"
     assert main(["new", str(path), "--quiet"]) == 0
     path.write_text(fc.Scene.load(path).replace(COARSE).as_toml())
-    for force, warns in ((10.0, False), (1e6, True)):
-        change = f"excitation.force_sin=[{force}, 0.0]"
+    for key, force, warns in (("sin", 10.0, False), ("sin", 1e6, True), ("mean", 1e6, True)):
+        change = f"excitation.force_{key}=[{force}, 0.0]"
         assert main(["solve", str(path), "--set", change, "--output", str(tmp_path / "out")]) == 0
         assert ("beyond small displacements" in capsys.readouterr().err) == warns
 
