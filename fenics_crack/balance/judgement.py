@@ -9,9 +9,10 @@ Where the step is long the orbit is the wave's own if its motion, balanced with 
 is the wave, to which Newton's method leads from the orbit's Fourier series, and none other is found
 from the state behind the step. Where it leads elsewhere, or is far away, the wave is balanced with
 twice the harmonics, from there on with twice as many again: the first of these waves that has its
-own orbit decides for all, as far as that is within three times the error predicted of each. An
-orbit that is farther away, though no farther than 10 %, is the wave's own where twice the harmonics
-leave no more than a third of the distance to it: next to grazing one step predicts too little.
+own orbit decides for all, as far as that is within three times the error predicted of each, and
+nearer than one that was found first. An orbit that is farther away, though no farther than 10 %, is
+the wave's own where twice the harmonics leave no more than a third of the distance to it: next to
+grazing one step predicts too little.
 
 What the modes that a reduction leaves out change of an exact motion is told by the reference of the
 structure, which has them (:mod:`fenics_crack.model.reduction`). The motion is one of
@@ -152,8 +153,9 @@ class Judgement:
         if (believed or self._leaves_it_behind) and _alike(self.near, self.finer.near):
             return self
         found = self.finer.decisive
-        contradicted = believed and found is not None and not _alike(self.near, found.near)
-        return None if contradicted else found
+        if found is None or not believed or _alike(self.near, found.near):
+            return found
+        return found if self.to(found.near) < self._to_near else None  # the first is the nearer one
 
     @property
     def _leaves_it_behind(self) -> bool:
@@ -167,7 +169,8 @@ class Judgement:
         """The orbit that decides, or else the nearest one known, if any is."""
         if self.decisive is not None:
             return self.decisive.near
-        return self.near or (None if self.finer is None else self.finer.orbit)
+        known = self.near, None if self.finer is None else self.finer.orbit
+        return min((one for one in known if one is not None), key=self.to, default=None)
 
     def _is_only(self) -> bool:
         """Whether no other orbit as near is found from the state behind the wave's step."""
