@@ -113,20 +113,7 @@ class Identification(Tabular):
 
     @cached_property
     def _judged(self) -> tuple[str, str]:
-        """The verdict and its reason, by what both hypotheses explain and their evidences."""
-        open_question, ratio = "cannot be told", self.log_bayes_factor
-        if self.plain is None:
-            return open_question, "there is no plate without a crack to compare with"
-        fits, healthy = self.posterior.misfit[1], self.plain.misfit[1]
-        told = f"log Bayes factor {ratio:.3g}, crack over no crack"
-        if max(fits, healthy) < MISFIT:
-            why = "neither a crack of this kind nor a plate without one explains the measurements"
-            return open_question, f"{why} ({told})"
-        if ratio > STRONG and healthy >= EXPLAINS:
-            why = "a plate without a crack explains the measurements, as little as is known of it"
-            return open_question, f"{why} ({told})"
-        verdict = "crack" if ratio > STRONG else "no crack" if ratio < -STRONG else open_question
-        return verdict, told
+        return _verdict_of(self.posterior, self.plain, self.log_bayes_factor)
 
     @property
     def misfit(self) -> tuple[float, float]:
@@ -298,3 +285,21 @@ class Identification(Tabular):
         if len(self.alternatives) > 1:
             parts.append("NOT THE ONLY ONE")
         return ", ".join(parts)
+
+
+def _verdict_of(cracked: Posterior, plain: Posterior | None, ratio: float) -> tuple[str, str]:
+    """The verdict and its reason, by what both hypotheses explain and the logarithm of the ratio of
+    their evidences."""
+    open_question = "cannot be told"
+    if plain is None:
+        return open_question, "there is no plate without a crack to compare with"
+    fits, healthy = cracked.misfit[1], plain.misfit[1]
+    told = f"log Bayes factor {ratio:.3g}, crack over no crack"
+    if max(fits, healthy) < MISFIT:
+        why = "neither a crack of this kind nor a plate without one explains the measurements"
+        return open_question, f"{why} ({told})"
+    if ratio > STRONG and healthy >= EXPLAINS:
+        why = "a plate without a crack explains the measurements, as little as is known of it"
+        return open_question, f"{why} ({told})"
+    verdict = "crack" if ratio > STRONG else "no crack" if ratio < -STRONG else open_question
+    return verdict, told
