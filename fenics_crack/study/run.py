@@ -327,6 +327,10 @@ def curve(
         why = "a curve over the frequency or speed, which takes base.acceleration_sin or _cos"
         scene.base.leave_out(keys, why)
     study = _prepare_curve(scene, comm)
+    if not study.structure.sum_over_ranks(np.abs(study.structure.force[1:]).sum()):
+        raise InputError(
+            "load", "steady", "one that changes in time, for a curve: nothing vibrates"
+        )
     law = _needed_law(study)
     if is_rigid(law) and not study.structure.light_lips:
         allowed = "'penalty' or 'smoothed', or used with reduction.method = 'massless', for a curve"

@@ -171,8 +171,9 @@ class TimeHistory(Tabular):
     gap : (n, n_pairs) [m]
         g = B^T u - g0; g > 0: penetration.
     settled : float
-        Relative change of the gaps (without pairs: of the load's displacement) over the last
-        period; a small number says that the motion repeats with the load.
+        Relative change of the gaps (without pairs, and where rigid lips are closed throughout, of
+        the load's displacement) over the last period; a small number says that the motion repeats
+        with the load.
     created_energy : float
         Net energy created, relative to the energy put in by the load and the initial state. Central
         differences: by contact that opens and closes between steps; it vanishes like dt^2. The
@@ -348,7 +349,7 @@ def march(asked: March, scheme: Scheme) -> TimeHistory:
     records: list[np.ndarray] = [np.empty((kept * steps, width)) for width in widths]
     gap, force, motion = records
     load_motion = np.empty((steps, len(asked.load_rows)))
-    settled, done, before = np.inf, 0, None
+    settled, done, before, held_before = np.inf, 0, None, False
     begin("")
     hidden = not asked.progress or structure.comm.rank != 0
     started = clock.perf_counter()
@@ -358,13 +359,13 @@ def march(asked: March, scheme: Scheme) -> TimeHistory:
             window = Window(gap[place], force[place], motion[place], load_motion)
             scheme.fill(window, number)
             done = number + 1
-            now = window.gap
-            if not structure.n_pairs:
+            now, held = window.gap, asked.rigid and bool(np.all(window.force > 0.0))
+            if not structure.n_pairs or held:
                 now = np.concatenate(structure.comm.allgather(load_motion), axis=1)
-            if before is not None:
+            if before is not None and held == held_before:
                 size = np.linalg.norm(now)
                 settled = float(np.linalg.norm(now - before) / size) if size > 0.0 else 0.0
-            before = now.copy()
+            before, held_before = now.copy(), held
             if settled < asked.settle or stop.asked(structure.comm):
                 break
     seconds = clock.perf_counter() - started

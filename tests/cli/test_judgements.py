@@ -252,6 +252,18 @@ def test_a_steady_load_moves_nothing(tmp_path: Path, capsys: pytest.CaptureFixtu
         found = run.result.indicators(run.watched_dof)
         assert found.amplitude == found.harmonic_1 == found.harmonic_2 == 0.0
         assert found.closed_share == closed and abs(found.mean) > 1e-6
+        assert main(["curve", str(path), "--output", str(folder)]) == 2
+        assert "nothing vibrates" in capsys.readouterr().err
+
+
+def test_a_motion_of_closed_lips_settles(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    """Their gaps are rounding, of which nothing repeats: the displacement of the load does."""
+    path = tmp_path / "plate.toml"
+    assert main(["new", str(path), "--quiet"]) == 0
+    pressed = {"excitation.force_mean": [-1400.0, 0.0], "damping.ratio": 0.02}
+    path.write_text(fc.Scene.load(path).replace(COARSE | pressed).as_toml())
+    assert main(["integrate", str(path), "--output", str(tmp_path)]) == 0
+    assert "not settled" not in capsys.readouterr().err
 
 
 # --- pictures of sweeps ---------------------------------------------------------------------------
