@@ -48,7 +48,7 @@ from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.model.bilinear import KINDS, bilinear_frequencies
 from fenics_crack.model.modal import is_small
-from fenics_crack.model.modes import Modes
+from fenics_crack.model.modes import NEGLIGIBLE, Modes
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.quantities import OF_LIPS, OF_POINTS, QUANTITIES
@@ -118,11 +118,13 @@ def numbers_of(study: Study, found: PeriodicSolution, mode: int | None = None) -
     units: dict[str, str] = {}
     for watched in study.watched:
         seen = found.indicators(watched.dof)
+        rounding = NEGLIGIBLE * (seen.amplitude + abs(seen.mean))  # of lips that are held closed
         for name in chosen:
             if name in OF_POINTS or name in OF_LIPS:
                 column = watched.column(name) if name in OF_POINTS else name
                 value, unit = float(getattr(seen, name)), QUANTITIES[name][1]
-                if abs(value) > (TINY if unit == "1" else 0.0):
+                least = rounding if unit == "m" and name in OF_LIPS else 0.0
+                if abs(value) > (TINY if unit == "1" else least):
                     values[column], units[column] = value, unit.replace("1", "")
     for name, value in asked_of_motion(study, found).items():
         values[name], units[name] = value, QUANTITIES[name][1]

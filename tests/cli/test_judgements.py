@@ -252,6 +252,7 @@ def test_a_steady_load_moves_nothing(tmp_path: Path, capsys: pytest.CaptureFixtu
         found = run.result.indicators(run.watched_dof)
         assert found.amplitude == found.harmonic_1 == found.harmonic_2 == 0.0
         assert found.closed_share == closed and abs(found.mean) > 1e-6
+        assert ("opening" in fc.solve(run.scene).errors.values) == (closed == 0.0)
         assert main(["curve", str(path), "--output", str(folder)]) == 2
         assert "nothing vibrates" in capsys.readouterr().err
 
