@@ -15,6 +15,7 @@ __all__ = [
     "INTERRUPTED",
     "MAX_SAMPLES",
     "MOST_HARMONICS",
+    "RECORDED_PERIODS",
     "ConvergenceError",
     "Exit",
     "InputError",
@@ -35,6 +36,8 @@ FEW_MODES = 6
 """Lowest modes whose frequencies with lips open and tied are looked at."""
 MAX_SAMPLES = 2**20
 """Samples of a period at which the contact force may be evaluated."""
+RECORDED_PERIODS = 4
+"""Periods that commands keep of a motion in time, and of which its extremes are."""
 MOST_HARMONICS = 100
 """Beyond these they are not raised along a curve or from case to case."""
 

@@ -17,7 +17,7 @@ from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.balance.to_tolerance import FIRST_MODES, solve_to_tolerance
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.peak import Peak
-from fenics_crack.errors import InputError
+from fenics_crack.errors import RECORDED_PERIODS, InputError
 from fenics_crack.files.results import Result, save, type_of, unpack
 from fenics_crack.files.store import Stored, read
 from fenics_crack.hints import no_attribute
@@ -49,7 +49,7 @@ from fenics_crack.time.central_differences import (
 )
 from fenics_crack.time.flows import integrate_events, integrate_exponential
 from fenics_crack.time.implicit import integrate_implicit
-from fenics_crack.time.march import RECORDED_PERIODS, TimeHistory
+from fenics_crack.time.march import TimeHistory
 
 __all__ = [
     "Run", "check_motion", "curve", "integrate", "load_run", "modes", "run_of", "solve",

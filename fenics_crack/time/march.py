@@ -16,7 +16,14 @@ from tqdm import tqdm
 
 from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.errors import ConvergenceError, InputError, check_count, check_number, check_omega
+from fenics_crack.errors import (
+    RECORDED_PERIODS,
+    ConvergenceError,
+    InputError,
+    check_count,
+    check_number,
+    check_omega,
+)
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
 from fenics_crack.model.coupled import solve_complementarity
 from fenics_crack.model.damping import RayleighDamping
@@ -30,7 +37,6 @@ from fenics_crack.stages import begin
 from fenics_crack.table import Tabular, counted
 
 __all__ = [
-    "RECORDED_PERIODS",
     "EnergyBalance",
     "LoopedSteps",
     "March",
@@ -43,8 +49,6 @@ __all__ = [
 
 HARMONICS = 10
 """Of a motion in time that are among its indicators."""
-RECORDED_PERIODS = 4
-"""Periods that commands keep of a motion in time, and of which its extremes are."""
 MEMORY_LIMIT = 2**31
 """Bytes of history on one rank beyond which recording is refused."""
 
