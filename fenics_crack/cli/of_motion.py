@@ -166,7 +166,9 @@ def account_of_history(run: Run[TimeHistory]) -> Account:
     table = _quantities(run, vars(found) | found.indicators().to_dict())
     asked = scene.integration or Integration()
     change = f"a period changes it by {found.settled:.2g}"
-    facts = [f"The motion in time has settled after {found.periods} periods: {change}."]
+    distance = found.distance
+    left = f", and it is {distance:.2g} from where it settles" if distance < 1.0 else ""
+    facts = [f"The motion in time has settled after {found.periods} periods: {change}{left}."]
     warnings = []
     if not found.settled <= asked.settle:
         facts = [f"The motion in time was followed over {found.periods} periods."]

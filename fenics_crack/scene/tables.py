@@ -647,9 +647,9 @@ class Integration(Table):
     periods: int = at_least_one(600)
     """Load periods at most."""
     settle: float = positive(1e-4)
-    """Relative change of the gaps from one period to the next at which to stop. The motion is then
-    several times farther from the settled one, and the higher harmonics, mostly below a thousandth
-    of the first, show it most."""
+    """Relative change from one period to the next at which to stop, of the gaps and of the
+    displacement where the load acts. How far the motion then is from the settled one is told; its
+    mean and its higher harmonics, mostly below a thousandth of the first, show it most."""
     steps_per_period: int | None = at_least_one(None)
     """Default: 512; at least twice what is stable (central differences), 256 (events)."""
 

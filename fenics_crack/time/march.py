@@ -3,9 +3,11 @@ share that go step by step with PETSc's matrices."""
 
 from __future__ import annotations
 
+import math
 import time as clock
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -29,7 +31,7 @@ from fenics_crack.model.coupled import solve_complementarity
 from fenics_crack.model.damping import RayleighDamping
 from fenics_crack.model.factor import Factor
 from fenics_crack.model.matrices import numbers
-from fenics_crack.model.modes import damped_modes, times
+from fenics_crack.model.modes import NEGLIGIBLE, damped_modes, times
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import balanced, derivative, evaluate, waves
 from fenics_crack.parallel import StopRequest, raise_together
@@ -72,7 +74,8 @@ class March:
     initial : PeriodicSolution, (displacement, velocity) or None
         State at time 0: a solution's, two arrays (n_local,) [m], [m/s], or rest.
     settle : float
-        Stop early when the relative change over a period is below this.
+        Stop early when the relative change over a period is below this, of the gaps and of the
+        displacement where the load acts; :attr:`TimeHistory.distance` tells what is left.
     record_periods : int, optional
         Keep only the last so many periods.
     dofs : sequence of int, optional
@@ -175,9 +178,8 @@ class TimeHistory(Tabular):
     gap : (n, n_pairs) [m]
         g = B^T u - g0; g > 0: penetration.
     settled : float
-        Relative change of the gaps (without pairs, and where rigid lips are closed throughout, of
-        the load's displacement) over the last period; a small number says that the motion repeats
-        with the load.
+        Relative change over the last period, of the gaps or of the displacement where the load
+        acts, whichever is larger; a small number says that the motion repeats with the load.
     created_energy : float
         Net energy created, relative to the energy put in by the load and the initial state. Central
         differences: by contact that opens and closes between steps; it vanishes like dt^2. The
@@ -233,6 +235,28 @@ class TimeHistory(Tabular):
         The mean over the first axis is the phase-averaged wave, the standard deviation its spread.
         """
         return values.reshape(-1, self.steps_per_period, *values.shape[1:])
+
+    @property
+    def distance(self) -> float:
+        """How far the motion is from the one that it settles to, relative, of the gaps or of the
+        displacement watched, if that is recorded, whichever is larger: the last four periods tell
+        where a motion goes that two multipliers are left of (minimal polynomial extrapolation;
+        Sidi, Vector Extrapolation Methods, chapter 2). nan with fewer than three periods kept
+        (collective)."""
+        parts = [self.gap]
+        with suppress(InputError):
+            parts.append(self.displacement())
+        kept = [self.by_period(one)[-RECORDED_PERIODS:] for one in parts]
+        last = [one[-1] for one in kept]
+        if len(kept[0]) < 3:
+            return math.nan
+        sizes = [float(np.linalg.norm(one)) or 1.0 for one in last]
+        rows = [one.reshape(len(one), -1) / size for one, size in zip(kept, sizes, strict=True)]
+        changes = np.diff(np.hstack(rows), axis=0)
+        weights = np.append(np.linalg.lstsq(changes[:-1].T, -changes[-1], rcond=None)[0], 1.0)
+        left = (np.tensordot(weights, one[:-1] - one[-1], 1) for one in kept)
+        whole = abs(float(weights.sum()))
+        return _largest(left, last) / whole if whole > 0.0 else math.inf
 
     def displacement(self, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
         """Displacement of recorded dofs, or of the watched one: (n, len(dofs)) [m] (collective).
@@ -353,7 +377,8 @@ def march(asked: March, scheme: Scheme) -> TimeHistory:
     records: list[np.ndarray] = [np.empty((kept * steps, width)) for width in widths]
     gap, force, motion = records
     load_motion = np.empty((steps, len(asked.load_rows)))
-    settled, done, before, held_before = np.inf, 0, None, False
+    settled, done = np.inf, 0
+    before: tuple[np.ndarray, np.ndarray] | None = None
     begin("")
     hidden = not asked.progress or structure.comm.rank != 0
     started = clock.perf_counter()
@@ -363,13 +388,12 @@ def march(asked: March, scheme: Scheme) -> TimeHistory:
             window = Window(gap[place], force[place], motion[place], load_motion)
             scheme.fill(window, number)
             done = number + 1
-            now, held = window.gap, asked.rigid and bool(np.all(window.force > 0.0))
-            if not structure.n_pairs or held:
-                now = np.concatenate(structure.comm.allgather(load_motion), axis=1)
-            if before is not None and held == held_before:
-                size = np.linalg.norm(now)
-                settled = float(np.linalg.norm(now - before) / size) if size > 0.0 else 0.0
-            before, held_before = now.copy(), held
+            moved = np.concatenate(structure.comm.allgather(load_motion), axis=1)
+            now = window.gap.copy(), moved  # slow modes may hardly move the lips
+            if before is not None:
+                changes = (one - other for one, other in zip(now, before, strict=True))
+                settled = _largest(changes, now)
+            before = now
             if settled < asked.settle or stop.asked(structure.comm):
                 break
     seconds = clock.perf_counter() - started
@@ -393,6 +417,17 @@ def march(asked: March, scheme: Scheme) -> TimeHistory:
         recorded_dofs=asked.recorded_dofs,
         final_state=final_state,
         contact_force=force,
+    )
+
+
+def _largest(changes: Iterable[np.ndarray], parts: Sequence[np.ndarray]) -> float:
+    """The largest of some changes, each relative to its part of a motion; but for parts that are
+    rounding beside the largest one, as the gaps of rigid lips that stay closed."""
+    sizes = [float(np.linalg.norm(part)) for part in parts]
+    least = NEGLIGIBLE * max(sizes)
+    pairs = zip(changes, sizes, strict=True)
+    return max(
+        (float(np.linalg.norm(one)) / size for one, size in pairs if size > least), default=0.0
     )
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import chain, oscillator, relative
+from helpers import chain, oscillator, relative, two_masses
 
 import fenics_crack as fc
 
@@ -109,6 +109,22 @@ def test_a_march_without_pairs_settles_by_the_motion_of_its_load(scheme: Scheme)
     history = scheme(bare, 0.7, law, periods=50, **options)
     assert 8 <= history.periods <= 14 and 1e-3 < history.settled < 1e-2
     assert history.gap.shape == history.contact_force.shape == (128 * history.periods, 0)
+
+
+@pytest.mark.parametrize(("omega", "settle"), [(0.9, 1e-4), (1.7, 1e-4), (1.7, 1e-2)])
+def test_distance_that_is_left(omega: float, settle: float) -> None:
+    """The last periods of a motion tell where it goes; one more period changes it by as much, or by
+    twice that."""
+    structure, law = two_masses(1.0), fc.UnilateralPenalty(1.0)
+    found, exact = (
+        fc.integrate_events(structure, omega, law, periods=4000, settle=left, record_periods=4)
+        for left in (settle, 1e-11)
+    )
+    left = []
+    for of in (lambda one: one.gap, lambda one: one.displacement()):
+        left.append(relative(*(one.by_period(of(one))[-1] for one in (found, exact))))
+    assert found.distance == pytest.approx(max(left), rel=0.02)
+    assert found.distance > 0.4 * found.settled
 
 
 @pytest.mark.parametrize("scheme", WITH_MASS, ids=NAMES)
