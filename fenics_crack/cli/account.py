@@ -47,6 +47,7 @@ OTHERS = {
     "periods": ("periods", "-"),
     "steps_per_period": ("steps in a period", "-"),
     "settled": ("change over the last period", "-"),
+    "distance": ("distance from where it settles", "-"),
     "created_energy": ("energy created", "-"),
     "verdict": ("verdict", "-"),
     "multiplier": ("largest multiplier", "-"),

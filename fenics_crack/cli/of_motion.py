@@ -163,10 +163,11 @@ def _verdict(found: PeriodicSolution) -> tuple[str, str]:
 def account_of_history(run: Run[TimeHistory]) -> Account:
     """A motion from rest, and whether it repeats (collective)."""
     found, scene = run.result, run.scene
-    table = _quantities(run, vars(found) | found.indicators().to_dict())
+    distance = found.distance
+    values = vars(found) | {"distance": distance} | found.indicators().to_dict()
+    table = _quantities(run, values)
     asked = scene.integration or Integration()
     change = f"a period changes it by {found.settled:.2g}"
-    distance = found.distance
     left = f", and it is {distance:.2g} from where it settles" if distance < 1.0 else ""
     facts = [f"The motion in time has settled after {found.periods} periods: {change}{left}."]
     warnings = []
