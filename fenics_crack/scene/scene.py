@@ -108,7 +108,7 @@ class Scene(Hinted):
             if name in _LISTS:
                 fine = isinstance(value, tuple) and all(isinstance(one, table) for one in value)
             else:
-                missing = value is None and (name in _OPTIONAL or self._not_needed(name))
+                missing = value is None and (name in _OPTIONAL or _not_needed(self, name))
                 fine = isinstance(value, table) or missing
             if not fine:
                 allowed = "given: a table" if value is None else f"a {table.__name__}"
@@ -148,12 +148,6 @@ class Scene(Hinted):
         """Every crack by its name: "crack", "cracks.1", "cracks.2"."""
         first = {} if self.crack is None else {"crack": self.crack}
         return first | {f"cracks.{number}": c for number, c in enumerate(self.cracks, 1)}
-
-    def _not_needed(self, name: str) -> bool:
-        """Whether a table that a plate needs may be missing, for there are matrices instead."""
-        if self.structure is None:
-            return False
-        return name in PLATE_TABLES or (name == "damping" and self.structure.damping is not None)
 
     @classmethod
     def from_mapping(
@@ -319,6 +313,13 @@ class Scene(Hinted):
             elif tables is not None:
                 parts.append(tables.as_toml())
         return "\n".join(parts)
+
+
+def _not_needed(scene: Scene, name: str) -> bool:
+    """Whether a table that a plate needs may be missing, for there are matrices instead."""
+    if scene.structure is None:
+        return False
+    return name in PLATE_TABLES or (name == "damping" and scene.structure.damping is not None)
 
 
 def without_tips(scene: Scene) -> str:
