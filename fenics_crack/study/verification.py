@@ -269,8 +269,7 @@ class Verification(Tabular):
 
     @property
     def dents(self) -> tuple[str, ...]:
-        """That the displacement under a force at a point has no limit, where elements half as long
-        add to it what matters."""
+        """That the displacement under a force at a point has no limit, where that matters."""
         value, added = abs(self.values.get("amplitude", 0.0)), _dent(self.scene)
         if self.scene.points or not added > DENTED * value > 0.0:
             return ()
