@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import time as clock
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -247,16 +247,15 @@ class TimeHistory(Tabular):
         with suppress(InputError):
             parts.append(self.displacement())
         kept = [self.by_period(one)[-RECORDED_PERIODS:] for one in parts]
-        last = [one[-1] for one in kept]
         if len(kept[0]) < 3:
             return math.nan
-        sizes = [float(np.linalg.norm(one)) or 1.0 for one in last]
+        sizes = _sizes([one[-1] for one in kept])
         rows = [one.reshape(len(one), -1) / size for one, size in zip(kept, sizes, strict=True)]
         changes = np.diff(np.hstack(rows), axis=0)
         weights = np.append(np.linalg.lstsq(changes[:-1].T, -changes[-1], rcond=None)[0], 1.0)
-        left = (np.tensordot(weights, one[:-1] - one[-1], 1) for one in kept)
+        left = (np.tensordot(weights, one[:-1] - one[-1], 1) for one in rows)
         whole = abs(float(weights.sum()))
-        return _largest(left, last) / whole if whole > 0.0 else math.inf
+        return max(float(np.linalg.norm(one)) for one in left) / whole if whole > 0.0 else math.inf
 
     def displacement(self, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
         """Displacement of recorded dofs, or of the watched one: (n, len(dofs)) [m] (collective).
@@ -391,8 +390,8 @@ def march(asked: March, scheme: Scheme) -> TimeHistory:
             moved = np.concatenate(structure.comm.allgather(load_motion), axis=1)
             now = window.gap.copy(), moved  # slow modes may hardly move the lips
             if before is not None:
-                changes = (one - other for one, other in zip(now, before, strict=True))
-                settled = _largest(changes, now)
+                parts = zip(now, before, _sizes(now), strict=True)
+                settled = max(float(np.linalg.norm(one - was)) / size for one, was, size in parts)
             before = now
             if settled < asked.settle or stop.asked(structure.comm):
                 break
@@ -420,15 +419,11 @@ def march(asked: March, scheme: Scheme) -> TimeHistory:
     )
 
 
-def _largest(changes: Iterable[np.ndarray], parts: Sequence[np.ndarray]) -> float:
-    """The largest of some changes, each relative to its part of a motion; but for parts that are
-    rounding beside the largest one, as the gaps of rigid lips that stay closed."""
+def _sizes(parts: Sequence[np.ndarray]) -> list[float]:
+    """Of parts of a motion; infinite, so that no change of it counts, where a part is rounding
+    beside the largest one, as the gaps of rigid lips that stay closed."""
     sizes = [float(np.linalg.norm(part)) for part in parts]
-    least = NEGLIGIBLE * max(sizes)
-    pairs = zip(changes, sizes, strict=True)
-    return max(
-        (float(np.linalg.norm(one)) / size for one, size in pairs if size > least), default=0.0
-    )
+    return [size if size > NEGLIGIBLE * max(sizes) else math.inf for size in sizes]
 
 
 def initial_state(

@@ -265,6 +265,12 @@ def test_a_motion_of_closed_lips_settles(tmp_path: Path, capsys: pytest.CaptureF
     path.write_text(fc.Scene.load(path).replace(COARSE | pressed).as_toml())
     assert main(["integrate", str(path), "--output", str(tmp_path)]) == 0
     assert "not settled" not in capsys.readouterr().err
+    found = fc.load_run(tmp_path / "integration.h5")
+    longer = {"integration.settle": 1e-10, "integration.periods": 2000}
+    exact = fc.integrate(found.scene.replace(longer))
+    last, limit = (one.by_period(one.displacement()[:, 0])[-1] for one in (found, exact))
+    away = np.linalg.norm(last - limit) / np.linalg.norm(limit)
+    assert found.distance == pytest.approx(away, rel=0.02)
 
 
 # --- pictures of sweeps ---------------------------------------------------------------------------
