@@ -112,6 +112,8 @@ class OrbitBranch:
         self._halved: set[tuple[float, float]] = set()
         self._missed: set[tuple[float, float]] = set()
         self.nodes: list[Node] = []
+        self._refined: list[int] = []
+        """Nodes between which no segment is in doubt, by their identities."""
         last = len(parameters) - 1
         places = np.unique(np.append(np.arange(0, last, every), last))
         self.motions(places)
@@ -124,8 +126,7 @@ class OrbitBranch:
 
     def _refine(self) -> None:
         """Halve segments until each that is in doubt has been."""
-        found: list[Node] | None = None
-        while found is None or found:
+        while self._refined != (now := list(map(id, self.nodes))):
             found, linked = [], self.linked
             segments = list(pairwise(self.nodes))
             places = [(first.place, last.place) for first, last in segments]
@@ -139,6 +140,7 @@ class OrbitBranch:
                 found += [] if middle is None else [middle]
                 self._missed.update([places[number]] if middle is None else [])
             self.nodes = sorted([*self.nodes, *found], key=lambda one: one.place)
+            self._refined = now
 
     @property
     def linked(self) -> np.ndarray:

@@ -246,8 +246,8 @@ def paired(values: np.ndarray) -> np.ndarray:
     of one sign, which leave a pair and meet again; one that is left has zero beside it."""
     upper = values[values.imag > 0.0]
     sums, products = [2.0 * upper.real], [np.abs(upper) ** 2]
-    for sign in (1.0, -1.0):
-        real = values.real[(values.imag == 0.0) & (sign * values.real > 0.0)]
+    alone = values.real[values.imag == 0.0]
+    for real in (alone[alone > 0.0], alone[alone < 0.0]) if len(alone) else ():
         if len(real) % 2:
             real = np.insert(real, len(real) // 2 + 1, 0.0)
         outer, inner = real[: len(real) // 2], real[: len(real) // 2 - 1 : -1]
