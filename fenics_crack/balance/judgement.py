@@ -38,7 +38,15 @@ from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import NEGLIGIBLE, times
 from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.motion.flow import ContactFlow, Samples, flow_of
-from fenics_crack.motion.orbit import FLOWS, INSTANTS, KNOWN, PeriodicOrbit, Prediction, affordable
+from fenics_crack.motion.orbit import (
+    FLOWS,
+    INSTANTS,
+    KNOWN,
+    PeriodicOrbit,
+    Prediction,
+    affordable,
+    too_slow,
+)
 from fenics_crack.motion.shooting import PARTS, Patience, orbit_next_to, predicted, wave_states
 from fenics_crack.numerics.fourier import waves
 
@@ -109,9 +117,9 @@ class Judgement:
 
     @cached_property
     def near(self) -> PeriodicOrbit | None:
-        """The orbit next to it; None where none is found, or the step is too long to look for
-        one."""
-        if self.predicted is None or not self.prediction < UNKNOWN:
+        """The orbit next to it; None where none is found, or the step or a period is too long to
+        look for one."""
+        if self.predicted is None or not self.prediction < UNKNOWN or self.too_slow:
             return None
         assert self.flow is not None
         omega, periods = self.wave.omega, self.wave.subharmonic
@@ -126,7 +134,8 @@ class Judgement:
         """That of the same motion with twice the harmonics; None where these are too many, or do
         not lead to one."""
         wave = self.wave
-        if self.predicted is None or 2 * wave.harmonics > MOST_HARMONICS * wave.subharmonic:
+        most = MOST_HARMONICS * wave.subharmonic
+        if self.predicted is None or 2 * wave.harmonics > most or self.too_slow:
             return None
         assert wave.contact is not None
         problem = Problem(
@@ -259,6 +268,12 @@ class Judgement:
         flow, wave = self.flow, self.wave
         return flow is not None and affordable(flow, wave.omega, wave.subharmonic)
 
+    @property
+    def too_slow(self) -> bool:
+        """Whether the load is too slow for exact motions of small states."""
+        flow, wave = self.flow, self.wave
+        return flow is not None and too_slow(flow, wave.omega, wave.subharmonic)
+
     def errors(self, *, search: bool = True) -> tuple[float, float]:
         """Of the gap, and of the displacement at the load in the direction of each of its parts:
         the distance to the wave's own orbit; what is predicted where none is looked for; else
@@ -292,6 +307,13 @@ class Judgement:
         """Why no orbit is accepted; "" where one is."""
         if self.accepted:
             return ""
+        if self.too_slow:
+            assert self.flow is not None
+            turns = self.flow.fastest * self.wave.period / (2.0 * np.pi)
+            return (
+                f"the load is so slow that the highest modes turn {turns / 1e3:.0f} thousand times "
+                "in a period, too often for exact motions to be followed; keep fewer modes"
+            )
         if self.predicted is None:
             return "its pairs open and close too often to be followed; lips without mass do less so"
         if self.orbit is None and self.prediction < FAR:
@@ -358,6 +380,12 @@ class MoreModes:
         """Whether Newton's step does not take long."""
         wave = self._judged.wave
         return affordable(self.flow, wave.omega, wave.subharmonic, FLOWS)
+
+    @property
+    def too_slow(self) -> bool:
+        """Whether the load is too slow for its exact motions."""
+        wave = self._judged.wave
+        return too_slow(self.flow, wave.omega, wave.subharmonic)
 
     @cached_property
     def _states(self) -> np.ndarray | None:
@@ -443,7 +471,7 @@ class MoreModes:
     @cached_property
     def orbit(self) -> PeriodicOrbit | None:
         """Next to the motion; None where none is found."""
-        if self._states is None:
+        if self._states is None or self.too_slow:
             return None
         wave = self._judged.wave
         return orbit_next_to(self.flow, wave.omega, self._states[0], wave.subharmonic)

@@ -246,7 +246,7 @@ def _lost(solver: Solver, found: PeriodicSolution) -> tuple[float, float]:
     if not isinstance(structure, ReducedStructure) or structure.reference is None:
         return 0.0, 0.0
     finer = more_modes(found.judged)
-    if finer is None:  # no flow: nothing is left without mass
+    if finer is None or finer.too_slow:  # no flow: nothing is left without mass; or a long one
         few = solver.problem.with_harmonics(RUNGS[-1] * found.subharmonic)
         report = replace(solver, problem=few).attempt(found, patient=False)[1].report
         return report.reduction, report.displacement

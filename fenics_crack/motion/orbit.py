@@ -25,6 +25,7 @@ Source: Deuflhard, Newton Methods for Nonlinear Problems, 2004, sections 2.1 and
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -45,13 +46,14 @@ from fenics_crack.table import Described, counted
 __all__ = [
     "FLOWS", "FORMED", "INSTANTS", "KNOWN", "PIECES", "SHRINKING", "Inverse", "OrbitCoefficients",
     "PeriodicOrbit", "Prediction", "affordable", "doubling_test", "eigenvalues", "find_orbit",
-    "predict",
+    "predict", "too_slow", "unhurried",
 ]  # fmt: skip
 
 FLOWS, SHORTEST = 20, 1e-3
 """Periods followed before an orbit is given up, and how short a step may become."""
 PIECES = 20_000
-"""Of the flow's series that a search may take: a second, with many pairs."""
+"""Of the flow's series that a search may take: a second, with many pairs; more where M is formed
+and a period of a slow load has many by itself."""
 CLOSED, NEARLY, HURRIED = 1e-11, 1e-8, 0.1
 """Relative length of a step behind which an orbit is found: of one by factors of M, by products;
 and how short one by products may become."""
@@ -248,12 +250,26 @@ class OrbitCoefficients:
 def affordable(
     flow: ContactFlow, omega: float, subharmonic: int = 1, periods: int = FLOWS + PRODUCTS
 ) -> bool:
-    """Whether a search does not take long at a frequency: M is formed, or so many periods have no
-    more pieces, but for events, than it may take. Large states of lips with mass, which bounce, are
-    not tried: from their waves Newton's method leads to no orbit."""
+    """Whether a search does not take long at a frequency: M is formed, and the load not too slow;
+    or so many periods have no more pieces, but for events, than it may take. Large states of lips
+    with mass, which bounce, are not tried: from their waves Newton's method leads to no orbit."""
+    if flow.size <= FORMED:
+        return not too_slow(flow, omega, subharmonic)
     pieces = flow.pieces(2.0 * np.pi * subharmonic / omega)
-    light = flow.structure.light_lips
-    return flow.size <= FORMED or (light and periods * pieces <= PIECES)
+    return flow.structure.light_lips and periods * pieces <= PIECES
+
+
+def too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> bool:
+    """Whether two periods of a small state have more pieces, but for events, than a motion may."""
+    pieces = flow.pieces(2.0 * np.pi * subharmonic / omega)
+    return flow.size <= FORMED and 2.0 * pieces > Budget.pieces
+
+
+def unhurried(flow: ContactFlow, omega: float, subharmonic: int = 1) -> float:
+    """Part of a search for which there is time at a frequency: 1, but where the load is so slow
+    that all periods of a search have more pieces, without events, than it may take."""
+    pieces = flow.pieces(2.0 * np.pi * subharmonic / omega)
+    return min(1.0, PIECES / FLOWS / pieces)
 
 
 def predict(
@@ -328,8 +344,12 @@ class _Search:
         self, flow: ContactFlow, omega: float, subharmonic: int, state: np.ndarray,
         budget: Budget | None,
     ) -> None:  # fmt: skip
-        self._flow, self._omega, self._left = flow, omega, budget or Budget(pieces=PIECES)
+        self._flow, self._omega = flow, omega
         self._period = 2.0 * np.pi * subharmonic / omega
+        most = PIECES
+        if flow.size <= FORMED and not too_slow(flow, omega, subharmonic):
+            most = math.ceil(PIECES / unhurried(flow, omega, subharmonic))
+        self._left = budget or Budget(pieces=most)
         self._weights = flow.weights(omega / subharmonic)
         self.state, self.flows = state, 0
 

@@ -40,6 +40,7 @@ from fenics_crack.motion.orbit import (
     Prediction,
     find_orbit,
     predict,
+    unhurried,
 )
 from fenics_crack.numerics.bordered import PathPoint, point_on_path, solve_in_plane
 from fenics_crack.numerics.equations import DenseLinearisation, Equations
@@ -178,6 +179,11 @@ class FlowOrbits(Equations):
         self._evaluate(unknown, parameter)
         return unknown + self._residual()
 
+    @property
+    def unhurried(self) -> float:
+        """Part of a search for which there is time (:func:`motion.orbit.unhurried`)."""
+        return unhurried(self.flow, self.omega, self.subharmonic)
+
     def followed(self, periods: int) -> np.ndarray:
         """The start after some periods of the response, nearer to what attracts it: (2n,)."""
         state = self.start
@@ -282,7 +288,7 @@ class Homotopy:
     def __init__(self, orbits: FlowOrbits) -> None:
         self._orbits, self.shape = orbits, orbits.shape
         self._start, self._at = orbits.start, 1.0
-        self.left = int(_share(orbits.flow) * Budget.pieces)
+        self.left = int(_share(orbits) * Budget.pieces)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> _HomotopyPoint:
         """The equations at a point; raises as :meth:`FlowOrbits.linearise`, and where all switching
@@ -389,7 +395,7 @@ def recurring(
     """
     orbits = FlowOrbits(flow, omega, start, subharmonic)
     passed = _followed(orbits)
-    for place in recurrences(passed, int(np.ceil(_share(flow) * PASSED))):
+    for place in recurrences(passed, int(np.ceil(_share(orbits) * PASSED))):
         orbit = find_orbit(flow, omega, orbits.state(passed[place]), subharmonic=subharmonic)
         # Where M is huge a step may be short and the motion does not close.
         if orbit is not None and orbit.residual <= KNOWN:
@@ -415,15 +421,16 @@ def in_the_long_run(
     return orbit, "settles to an orbit"
 
 
-def _share(flow: ContactFlow) -> float:
+def _share(orbits: FlowOrbits) -> float:
     """Of what a small structure's motion is followed, and of its recurrences that are tried."""
-    return min(1.0, (FEW / flow.size) ** 2)
+    return min(1.0, (FEW / orbits.flow.size) ** 2) * orbits.unhurried
 
 
 def _followed(orbits: FlowOrbits) -> np.ndarray:
     """The states a period apart of the motion from the start of some orbits, (n, 2 n_modes), as
     far as it can be followed."""
-    passed, periods = [orbits.start], max(int(_share(orbits.flow) * WANDERING), SETTLING)
+    least = max(LATER + 1, int(orbits.unhurried * SETTLING))
+    passed, periods = [orbits.start], max(int(_share(orbits) * WANDERING), least)
     begin(f"the exact motion over {periods} periods, and orbits that it passes")
     try:
         for _ in range(periods):

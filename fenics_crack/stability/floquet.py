@@ -190,7 +190,8 @@ def floquet(
     if not refine:
         return _along_the_wave(judged, "the multipliers of a wave, without its orbit")
     found = stability_of(judged)
-    if found.verdict == "undecided" and not judged.accepted and judged.flow.size <= FORMED:
+    told = judged.accepted or judged.too_slow or judged.flow.size > FORMED
+    if found.verdict == "undecided" and not told:
         return replace(found, reason=f"{found.reason}; {_from_it(judged)}")
     return found
 
