@@ -164,11 +164,12 @@ def check_count(key: str, value: object, least: int) -> None:
         raise InputError(key, value, f"at most {LARGEST_COUNT:.0e}")
 
 
-def check_options(options: Mapping[str, object], known: Iterable[str]) -> None:
-    """Raise InputError for a keyword that is no option."""
+def check_options(whose: str, options: Mapping[str, object], known: Iterable[str]) -> None:
+    """Raise InputError for a keyword that is no option of a function."""
     for key, value in options.items():
         if key not in known:
-            raise InputError(key, value, "left out; the options are " + ", ".join(known))
+            allowed = f"left out; the options of {whose} are " + ", ".join(known)
+            raise InputError(key, value, allowed)
 
 
 def check_two_ratios(key: str, ratios: Sequence[float], omegas: Sequence[float]) -> None:

@@ -359,7 +359,7 @@ def follow_backbone(
 
 def _complete(options: BackboneOptions) -> BackboneOptions:
     """Options with those left out at their defaults; raise InputError for what cannot be used."""
-    check_options(options, BackboneOptions.__annotations__)
+    check_options("follow_backbone", options, BackboneOptions.__annotations__)
     given: BackboneOptions = {
         "initial": None,
         "internal_resonances": False,

@@ -116,6 +116,7 @@ def continue_frequency(
     --------
     >>> curve = fc.continue_frequency(structure, 1900.0, 2100.0, contact, harmonics=5)
     """
+    check_options("continue_frequency", options, CurveOptions.__annotations__)
     check_omega(omega_start, "omega_start")
     return continue_parameter(
         structure, omega_start, contact, "omega", omega_start, omega_end,
@@ -167,6 +168,7 @@ def continue_parameter(
     >>> curve = fc.continue_parameter(
     ...     structure, 2000.0, contact, "load", 1.0, 2.0, harmonics=5)
     """
+    check_options("continue_parameter", options, CurveOptions.__annotations__)
     span = parameter, start, end
     growing = _continuation(structure, omega, contact, span, options)
 
@@ -247,7 +249,7 @@ def follow_branch(
     if not isinstance(bifurcation, Bifurcation) or bifurcation.kind not in kinds:
         kind = getattr(bifurcation, "kind", type(bifurcation).__name__)
         raise InputError("bifurcation", kind, "a Bifurcation of kind " + " or ".join(kinds))
-    check_options(options, CurveOptions.__annotations__)
+    check_options("follow_branch", options, CurveOptions.__annotations__)
     for key in ("harmonics", "samples", "subharmonic", "initial", "resume"):
         if key in options:
             raise InputError(key, options.get(key), "left out: it follows from the curve")
@@ -307,7 +309,6 @@ def _continuation(
     options: CurveOptions,
 ) -> Continuation:
     """The continuation that options ask for, from the start or of an unfinished curve."""
-    check_options(options, CurveOptions.__annotations__)
     given: dict[str, Any] = dict(options)
     resume = given.pop("resume", None)
     unset = {"harmonics": None, "samples": None, "subharmonic": 1}

@@ -25,7 +25,7 @@ from matplotlib.ticker import Formatter, FuncFormatter, LogFormatter, LogLocator
 from mpi4py import MPI
 from PIL import Image
 
-from fenics_crack.errors import InputError
+from fenics_crack.errors import InputError, check_options
 from fenics_crack.parallel import on_root
 from fenics_crack.stages import begin
 from fenics_crack.table import readable, with_unit
@@ -91,7 +91,8 @@ class Picture:
     Raises
     ------
     InputError
-        The number of axes is not that of the panels, or there are both axes and a path.
+        The number of axes is not that of the panels, there are both axes and a path, or a keyword
+        is none of these.
     """
 
     def __init__(
@@ -106,7 +107,9 @@ class Picture:
         ax: Any = None,
         path: str | Path | None = None,
         title: str | None = None,
+        **others: Any,
     ) -> None:
+        check_options("pictures", others, Where.__annotations__)
         self._path, self._title, self._comm = path, title, comm
         axes = given_axes(axes, ax)
         if axes is None:

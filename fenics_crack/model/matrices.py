@@ -137,6 +137,10 @@ def checked(
     _check_semidefinite("stiffness", stiffness, mass)
 
     gap = sparse.csr_matrix((n, 0)) if gap is None else whole_rows("gap", gap, n)
+    if len(empty := np.flatnonzero(abs(gap).sum(axis=0) == 0.0)):
+        value = f"zero in column {empty[0] + 1} of {gap.shape[1]}"
+        allowed = "a pair in each: a gap that depends on no displacement never opens or closes"
+        raise InputError("gap", value, allowed)
     force = np.zeros((3, n))
     for row, (name, part) in zip(force, forces.items(), strict=True):
         if part is not None:

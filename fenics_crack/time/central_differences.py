@@ -148,7 +148,8 @@ def integrate_central_difference(
     >>> history = fc.integrate_central_difference(
     ...     structure, 2000.0, contact, periods=2, steps_per_period=steps)
     """
-    asked = March(structure, omega, contact, periods, steps_per_period, **options)
+    given = structure, omega, contact, periods, steps_per_period
+    asked = March.of(integrate_central_difference, options, *given)
     least = stable_steps_per_period(structure, omega, contact)
     if steps_per_period < least:
         raise InputError(

@@ -59,7 +59,8 @@ def integrate_events(
     --------
     >>> history = fc.integrate_events(structure, 2000.0, contact, periods=2, initial=solution)
     """
-    asked = March(structure, omega, contact, periods, steps_per_period, **options)
+    given = structure, omega, contact, periods, steps_per_period
+    asked = March.of(integrate_events, options, *given)
     return march(asked, _ByEvents(asked))
 
 
@@ -110,7 +111,8 @@ def integrate_exponential(
     --------
     >>> history = fc.integrate_exponential(structure, 2000.0, contact, periods=2)
     """
-    asked = March(structure, omega, contact, periods, steps_per_period, **options)
+    given = structure, omega, contact, periods, steps_per_period
+    asked = March.of(integrate_exponential, options, *given)
     return march(asked, _ByExponentials(asked))
 
 

@@ -121,7 +121,8 @@ def integrate_implicit(
     check_number("spectral_radius", spectral_radius, 0.0)
     if spectral_radius > 1.0:
         raise InputError("spectral_radius", spectral_radius, "a number from 0 to 1")
-    asked = March(structure, omega, contact, periods, steps_per_period, **options)
+    given = structure, omega, contact, periods, steps_per_period
+    asked = March.of(integrate_implicit, options, *given)
     return march(asked, _GeneralisedAlpha(asked, float(spectral_radius)))
 
 

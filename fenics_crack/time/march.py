@@ -6,10 +6,11 @@ from __future__ import annotations
 import math
 import time as clock
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from functools import cached_property
+from inspect import signature
 from typing import Any, ClassVar
 
 import numpy as np
@@ -25,6 +26,7 @@ from fenics_crack.errors import (
     check_count,
     check_number,
     check_omega,
+    check_options,
 )
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
 from fenics_crack.model.coupled import solve_complementarity
@@ -118,6 +120,15 @@ class March:
                 f"{MEMORY_LIMIT // 2**30} GiB",
             )
         _ = self.start
+
+    @classmethod
+    def of(cls, function: Callable[..., Any], options: Mapping[str, Any], *given: Any) -> March:
+        """The request of a function, of what it is given and of options."""
+        named = signature(function).parameters.values()
+        known = [one.name for one in named if one.kind is one.KEYWORD_ONLY]
+        known += [one.name for one in fields(cls) if one.default is not MISSING]
+        check_options(function.__name__, options, known)
+        return cls(*given, **options)
 
     @property
     def kept(self) -> int:

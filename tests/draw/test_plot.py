@@ -137,6 +137,13 @@ def test_numbers_are_si_and_read_well() -> None:
     assert "0" in labels and "1" in labels
 
 
+def test_a_misspelt_keyword_is_named() -> None:
+    """With those that every picture takes."""
+    solution = fc.solve_linear(two_masses(), 1.0)
+    with pytest.raises(fc.InputError, match=r"^titel = 'x': .* are axes, ax, path, title$"):
+        fc.draw_spectrum(solution, titel="x")  # type: ignore[call-arg]
+
+
 def test_spectrum_fills_as_many_axes_as_it_is_given() -> None:
     """One without the contact force; two though nothing touches."""
     apart = fc.solve_linear(two_masses(), 1.0)

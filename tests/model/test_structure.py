@@ -193,6 +193,8 @@ SKEW = np.triu(np.ones((N, N)), 1)
         ("gap", np.ones((PAIRS, N))),
         ("gap", np.ones((N, PAIRS, 1))),
         ("gap", 1.0),
+        ("gap", good()["gap"] * np.arange(PAIRS)),
+        ("gap", sparse.csr_matrix(good()["gap"] * np.arange(PAIRS))),
         ("gap", with_entry("gap", np.nan)),
         ("gap", sparse.csr_matrix(with_entry("gap", np.nan))),
         ("gap", ["a"] * N),

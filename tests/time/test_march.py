@@ -70,8 +70,9 @@ def test_a_history_beyond_the_memory_is_refused(scheme: Scheme, soft_plate: fc.S
 
 @all_schemes
 def test_a_misspelt_option_is_named(scheme: Scheme, soft_plate: fc.Structure) -> None:
-    """It does not pass silently."""
-    with pytest.raises(TypeError, match="record_dofs"):
+    """With the function that was called, and what may be given."""
+    options = rf"the options of {scheme.__name__} are periods, .*, record_periods, dofs"
+    with pytest.raises(fc.InputError, match=f"^record_dofs = .*{options}"):
         scheme(soft_plate, 2000.0, LAW, periods=1, steps_per_period=512, record_dofs=[3])
 
 
