@@ -32,6 +32,8 @@ RADIUS = "tip_radius [m]"
 """What it may have."""
 FEWEST_REVOLUTIONS = 10
 """Whose speed is smoothed, and of a passage."""
+AROUND, UNEVEN = 2, 1.4
+"""Revolutions on each side of one, and the ratio to their median duration that no rotor has."""
 FOURTH = 70.0 * 0.455
 """Median of the squares of fourth differences of normal errors of variance 1."""
 
@@ -87,6 +89,7 @@ class ArrivalTimes(Tabular):
         if not np.all(rising := np.diff(self.marks) > 0.0):
             before, after = self.marks[int(np.argmin(rising)) :][:2]
             raise InputError("marks", f"{after:.9g} s after {before:.9g} s", "increasing times")
+        check_turns("marks", np.diff(self.marks), self.first)
         shape = (len(self.marks) - 1, len(self.probes))
         if self.time.shape != shape:
             allowed = f"of shape {shape}: a row for each revolution, a column for each probe"
@@ -247,6 +250,21 @@ def smoothed(values: np.ndarray) -> np.ndarray:
     return np.asarray(found)
 
 
+def check_turns(name: str, turns: np.ndarray, first: int = 0) -> None:
+    """Raise InputError where the durations of revolutions (n,) [s] show that a mark was missed, or
+    another signal taken for one: no rotor turns so unevenly."""
+    padded = np.pad(turns, AROUND, mode="edge")
+    around = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * AROUND + 1), axis=1)
+    wrong = np.abs(np.log(turns / around)) > np.log(UNEVEN)
+    if np.any(wrong):
+        at = int(np.argmax(wrong))
+        found = f"revolution {first + at} takes {turns[at] / around[at]:.3g} times as long as those"
+        allowed = (
+            "marks of which none was missed or seen twice; leave out such rows, and count the "
+        )
+        raise InputError(name, f"{found} around it", f"{allowed}revolutions that they stand for")
+
+
 def check_probes(probes: np.ndarray) -> None:
     """Raise InputError unless probes are angles from 0 to 2 pi, increasing."""
     fit = probes.ndim == 1 and len(probes) > 0 and np.all(np.isfinite(probes))
@@ -405,12 +423,17 @@ def _marks(path: str | Path, columns: dict[str, np.ndarray], turns: np.ndarray) 
     for name, column in columns.items():
         if re.match("mark", name, re.IGNORECASE):
             ends = np.append(turns, turns[-1] + 1), np.append(column, 2 * column[-1] - column[-2])
-            return smoothed(np.interp(np.append(every, every[-1] + 1), *ends))
+            marks = np.interp(np.append(every, every[-1] + 1), *ends)
+            if np.all((durations := np.diff(marks)) > 0.0):
+                check_turns(f"{path}: {name}", durations, int(turns[0]))
+            return smoothed(marks)
         if "speed" in name.lower() and not PASSAGE.search(name):
             speed = column * _unit(path, name, SPEEDS)
             if not np.all(speed > 0.0):
                 raise InputError("path", f"{path}: {name}", "numbers > 0")
-            durations = TURN / smoothed(np.interp(every, turns, speed))
+            speed = np.interp(every, turns, speed)
+            check_turns(f"{path}: {name}", TURN / speed, int(turns[0]))
+            durations = TURN / smoothed(speed)
             return np.concatenate([[0.0], np.cumsum(durations)])
     raise InputError("path", str(path), f"{HAS}; it has {', '.join(columns)}")
 

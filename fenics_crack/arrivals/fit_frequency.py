@@ -246,7 +246,10 @@ class _Sought:
         self._settle()
         candidates, self.omega = self._compared(np.sort([self.omega, *kept[1:]]))
         self._settle()
-        gain = max(self._none.cost - self.noise.cost, 0.0)
+        # Errors of a mark are those of all arrivals in a revolution, which tell so much less.
+        spread = self.noise.covariance(self.columns, *self._places)[:-1, :-1]
+        seen = float(self.found @ np.linalg.lstsq(spread, self.found, rcond=1e-10)[0])
+        gain = max(min(self._none.cost - self.noise.cost, seen), 0.0)
         cells = max((high - low) * self._span / TURN, 1.0)
         chance = min(cells * float(chdtrc(2 * len(self._multiples) + 1, gain)), 1.0)
         return self._described(candidates), 1.0 if self._held(self.columns) else chance

@@ -33,7 +33,7 @@ from scipy.linalg import block_diag
 
 from fenics_crack.arrivals.arrival_times import FEWEST_REVOLUTIONS, ArrivalTimes
 from fenics_crack.arrivals.fit_frequency import LOWEST, find_lines
-from fenics_crack.arrivals.harmonics import AS_GOOD, ORDERS, TipFit, rounding, wanted
+from fenics_crack.arrivals.harmonics import AS_GOOD, MISFIT, ORDERS, TipFit, rounding, wanted
 from fenics_crack.arrivals.robust import FREEDOMS, ROBUST_ROUNDS, ROBUST_SETTLED, SEEN, reweighted
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.table import RPM, TURN, Tabular, quantity
@@ -59,6 +59,9 @@ MEDIAN = 0.954
 """Median of the difference of two normal numbers, in their standard deviations."""
 PASSAGE_ROUNDS = 3
 """Of weights, there, without which single wrong arrivals look like resonances."""
+PASSAGE_TURNS, PASSAGE_SETTLED = 5, 0.1
+"""Of neighbours, each fitted beside the others, at most; and the change that is none, in standard
+errors."""
 CLEAR = 60.0
 """Difference of -2 log likelihood from which on a vibration is no chance: some 1e5 of them are
 tried, each of six numbers."""
@@ -313,7 +316,8 @@ class PassageFit(Tabular):
         Standard deviation of a displacement about the fit.
     whiteness : float
         Probability that errors without correlation from revolution to revolution leave what is
-        left. The standard errors hold with the correlation that is seen.
+        left. The standard errors hold with the correlation that is seen, not with what a vibration
+        beside it shifts (:attr:`in_doubt`).
     asynchronous : tuple of TipFit
         Vibrations of constant frequency, which follow no order, found in the record.
     """
@@ -363,6 +367,13 @@ class PassageFit(Tabular):
         return bool(np.any(apart > 3.0 * np.hypot(self.omega_errors[:, None], self.omega_errors)))
 
     @property
+    def in_doubt(self) -> bool:
+        """Tell whether something beside it, which is not chance, is left of the arrivals: another
+        vibration near this speed, drift, or a blade that is no linear mode. Frequency, damping and
+        order may then be off by more than is stated."""
+        return self.whiteness < MISFIT
+
+    @property
     def steady_bias(self) -> float:
         """Largest relative error that fits of steady vibrations make of the frequency."""
         return float(np.abs(self.steady_omegas / self.omega - 1.0).max())
@@ -404,6 +415,7 @@ class PassageFit(Tabular):
         parts.append(quantity(self.amplitude, "m"))
         if self.ambiguous:
             parts.append(f"as well: {', '.join(f'{one:g}' for one in self.ambiguous)}")
+        parts += ["something is beside it"] * self.in_doubt
         return ", ".join(parts)
 
 
@@ -453,7 +465,7 @@ def find_passages(
     orders: Iterable[float] = range(1, 25),
     *,
     most: int = 8,
-    asynchronous: int = 0,
+    asynchronous: int = 1,
 ) -> tuple[PassageFit, ...]:
     """Find the resonances that a record passes, about the largest one first.
 
@@ -471,7 +483,7 @@ def find_passages(
         So many at most.
     asynchronous : int
         So many vibrations of constant frequency at most are looked for beside them. They pass
-        every order, and look like resonances of no damping there; drift may look like them.
+        every order, and look like resonances of little damping there.
 
     Returns
     -------
@@ -506,6 +518,8 @@ def find_passages(
             break
         lines, rest = find_lines(arrivals, left + steady, constants, ends, most=asynchronous)
         steady += left - rest
+        if turn and not lines:
+            break
     return tuple(one.described(lines) for one in found)
 
 
@@ -528,15 +542,38 @@ def _search(
             continue
         found.append(new)
         new.add(arrivals, left, -1.0)
+        _settle(arrivals, left, found)
         near = (np.abs(centres / centre - 1.0) < 2.0 * WIDTH) & (gains[:, 1] > 0.0)
         for place in np.flatnonzero(near)[: len(near) * (len(found) < most)]:
             gains[place] = _clearness(arrivals, left, centres[place])
-    for place, one in enumerate(found):  # each beside the others, once more
-        if any(0.0 < abs(other.speed / one.speed - 1.0) < WIDTH for other in found):
+    for place, one in enumerate(found):  # of all orders, beside the others
+        if any(one.near(other) for other in found):
             one.add(arrivals, left, 1.0)
-            found[place] = _Compared(_runs(arrivals, left, one.speed), one.speed, orders)
+            if runs := _runs(arrivals, left, one.speed):
+                found[place] = _Compared(runs, one.speed, orders)
             found[place].add(arrivals, left, -1.0)
+    _settle(arrivals, left, found)
     return found, left
+
+
+def _settle(arrivals: ArrivalTimes, left: np.ndarray, found: list[_Compared]) -> None:
+    """Fit neighbours each beside the others, by turns until their frequencies settle; those that
+    are no more then, or one with a larger one, are taken out."""
+    crowd = [one for one in found if any(one.near(other) for other in found)]
+    for _ in range(PASSAGE_TURNS):
+        moved = False
+        for one in sorted(crowd, key=lambda one: -one.best.amplitude):
+            before = one.best.root
+            one.add(arrivals, left, 1.0)
+            if not one.again(arrivals, left) or any(one.within(other) for other in found):
+                found.remove(one)
+                crowd.remove(one)
+                moved = True
+                continue
+            one.add(arrivals, left, -1.0)
+            moved |= abs(one.best.root - before) > PASSAGE_SETTLED * float(one.best.errors[0])
+        if not moved:
+            break
 
 
 def _alike(found: Sequence[_Compared], before: Sequence[_Compared]) -> bool:
@@ -602,12 +639,11 @@ class _Compared:
     ----------
     best : _Fit
         The order that explains most.
-    clear : bool
-        Whether it is a resonance: no chance, and neither a line, of no damping within
-        its errors, nor as wide as drift.
     margins : dict of float to float
         By how much each order fits worse, in -2 log likelihood.
     """
+
+    best: _Fit
 
     def __init__(self, runs: Sequence[_Run], speed: float, orders: np.ndarray) -> None:
         self._runs = runs
@@ -615,32 +651,63 @@ class _Compared:
         self.margins: dict[float, float] = {}
         tried = [(0.0, float(order), 0j) for order in orders]
         fits: dict[tuple[float, complex], _Fit] = {}
-        # All without weights; then the better ones with those of the best fit.
-        for some, count in ((len(tried), 1), (2 * REFINED, REFINED)):
-            for place, (_, order, _) in enumerate(tried[:some]):
+        # First without weights, where single wrong arrivals may hide the order; then with those of
+        # the best fit, until it is the one that they make the best.
+        for last in (False, False, True):
+            for place, (_, order, _) in enumerate(tried):
                 roots = _pole(order * speed * (1.0 + SHIFTS), TYPICAL)
                 found = zip(runs, weights, strict=True)
                 gains = sum(run.gains(order, roots, weight) for run, weight in found)
                 tried[place] = float(gains.max()), order, roots[int(gains.argmax())]
             tried.sort(key=lambda one: -one[0])
-            for gain, order, root in tried[:count]:
+            last = last or (len(fits) > 0 and tried[0][1] == self.best.order)
+            for gain, order, root in tried[: REFINED if last else 1]:
                 if gain > LOWEST * tried[0][0] and (order, root) not in fits:
                     fits[order, root] = _Fit(runs, order, root, weights)
             self.best = min(fits.values(), key=lambda fit: fit.noise.cost)
-            self.clear = self.best.gain > CLEAR
-            if not self.clear:
-                return
+            if last:
+                break
             weights = self.best.weights
-        self.clear = SEEN * float(self.best.errors[1]) < self.best.damping < 0.5 * DAMPED[1]
+        if not self.clear:
+            return
         best, scale = tried[0][0], self.best.noise.scale
         self.margins = {order: (best - gain) / scale**2 for gain, order, _ in tried}
         for fit in sorted(fits.values(), key=lambda fit: -fit.noise.cost):
             self.margins[fit.order] = fit.noise.cost - self.best.noise.cost
 
     @property
+    def clear(self) -> bool:
+        """Whether it is a resonance: no chance, and neither a line, of no damping within its
+        errors, nor as wide as drift."""
+        best = self.best
+        if not best.gain > CLEAR:
+            return False
+        return SEEN * float(best.errors[1]) < best.damping < 0.5 * DAMPED[1]
+
+    @property
     def speed(self) -> float:
         """At which the order meets the frequency [rad/s]."""
         return self.best.omega / self.best.order
+
+    def near(self, other: _Compared) -> bool:
+        """Whether another one is in the speeds that are fitted."""
+        return other is not self and abs(other.speed / self.speed - 1.0) < 2.0 * WIDTH
+
+    def within(self, other: _Compared) -> bool:
+        """Whether it is no more than what is left of a larger one: of its order, nearer than its
+        width."""
+        larger, root = other.best, other.best.root
+        near = abs(root.imag - self.best.root.imag) < 2.0 * abs(root.real)
+        return near and larger.order == self.best.order and larger.amplitude > self.best.amplitude
+
+    def again(self, arrivals: ArrivalTimes, values: np.ndarray) -> bool:
+        """Fit it to other displacements (revolutions, probes), and tell whether it is clear."""
+        self._runs = _runs(arrivals, values, self.speed)
+        if not self._runs:
+            return False
+        weights = [run.seen.astype(float) for run in self._runs]
+        self.best = _Fit(self._runs, self.best.order, self.best.root, weights)
+        return self.clear
 
     def add(self, arrivals: ArrivalTimes, values: np.ndarray, factor: float) -> None:
         """Add the vibration, times a factor, to displacements (revolutions, probes): that of each

@@ -40,6 +40,10 @@ ONCE = (
     "no probe sees the vibration twice, so errors of arrivals are not known: neither the harmonics "
     "kept nor the standard errors are tested (more revolutions)"
 )
+BESIDE = (
+    "what is left is alike from revolution to revolution: another vibration, or drift, is beside "
+    "it, and frequency, damping and order may be off by more than their errors"
+)
 FAR = 2.0
 """Ratio of speeds, of arrivals and of their scene, that is remarked."""
 EMPTY = ("blade", "rpm", "order", "frequency")
@@ -149,10 +153,22 @@ def _account_of_passages(found: Mapping[int, Sequence[PassageFit]]) -> Account:
             warnings.append(f"{name}: orders that explain the arrivals as well: {told}")
         if fit.disagree:
             warnings.append(f"{name}: passages differ by {fit.apart:.2%}, more than errors")
+        if fit.in_doubt:
+            warnings.append(f"{name}: {BESIDE}")
     biases = [fit.steady_bias for _, fit in every]
     note = "fits of steady vibrations would be off by {:.2%} to {:.2%}"
     notes = [note.format(min(biases), max(biases))] * bool(biases)
+    for blade, fits in found.items():
+        lines = fits[0].asynchronous if fits else ()
+        notes += [f"blade {blade}: {_of_line(line)}" for line in lines]
     return Account("timing", table, notes=notes, warnings=warnings)
+
+
+def _of_line(line: TipFit) -> str:
+    """A vibration of constant frequency, in words."""
+    size, error = line.amplitudes[0], line.amplitude_errors[0]
+    of = f"{line.omega / TURN:.6g} Hz, {quantity(size, 'm')} ± {quantity(error, 'm')}"
+    return f"a vibration that follows no order: {of}"
 
 
 def _account_of_track(track: TipTrack, scene: Scene, warnings: list[str]) -> Account:
@@ -182,10 +198,7 @@ def _account_of_track(track: TipTrack, scene: Scene, warnings: list[str]) -> Acc
 def _account_of_fit(fit: TipFit, scene: Scene, warnings: list[str]) -> Account:
     """A fit, the ratio that tells of a crack, and warnings of what the probes cannot tell."""
     notes, warnings, table = [], [*warnings], fit.table()
-    for line in fit.asynchronous:
-        size, error = line.amplitudes[0], line.amplitude_errors[0]
-        of = f"{line.omega / TURN:.6g} Hz, {quantity(size, 'm')} ± {quantity(error, 'm')}"
-        notes.append(f"beside it a vibration that follows no order: {of}")
+    notes += [f"beside it {_of_line(line)}" for line in fit.asynchronous]
     if np.any(np.isclose(fit.multiples, 2.0)):
         ratio, error = fit.ratio()
         notes.append(f"second harmonic over first: {ratio:.4g} ± {error:.2g}")

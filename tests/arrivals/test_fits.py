@@ -283,6 +283,16 @@ def test_scan_finds_harmonics_too(breathing: fc.PeriodicSolution) -> None:
 # --- a laboratory's errors ------------------------------------------------------------------------
 
 
+def test_marks_that_jitter_are_no_vibration(sine: fc.PeriodicSolution) -> None:
+    """Marks ten times as uncertain as arrivals move all probes of a revolution: that is no
+    vibration of any frequency, in none of 20 records."""
+    for seed in range(20):
+        arrivals = measured(sine, order=5, seed=seed, revolutions=150, probes=SEVEN)
+        jitter = 1e-6 * np.random.default_rng(seed).standard_normal(151)
+        fit = fc.fit_order(replace(arrivals, marks=arrivals.marks + jitter))
+        assert fit.order == 5 and not fit.asynchronous
+
+
 def test_outliers_wander_and_errors_of_probes_and_marks(sine: fc.PeriodicSolution) -> None:
     """A frequency at a speed that wanders by 0.5 %, marks with errors of 5 ns, 1 % of arrivals
     wrong; and an order beside it whose interval knows of the probes' errors."""
