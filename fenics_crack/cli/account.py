@@ -58,7 +58,7 @@ OTHERS = {
     "truncation_error": ("estimated error: truncation", SHARE),
     "sampling_error": ("estimated error: sampling", SHARE),
     "reduction_error": ("estimated error: reduction", SHARE),
-    "displacement_error": ("estimated error: displacement at the load", SHARE),
+    "displacement_error": ("estimated error: displacement at the load", "of that displacement"),
     "total_error": ("estimated error: total", SHARE),
     "penetration_share": ("penetration", SHARE),
 }
