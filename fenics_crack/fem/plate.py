@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sparse
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -364,10 +365,9 @@ class Dofs:
         free = (self.dimension * self.first_node + self.free).astype(PETSc.IntType)
         rows = PETSc.IS().createGeneral(free, comm=matrix.comm)
         block = matrix.createSubMatrix(rows, rows)
-        starts, columns, values = block.getValuesCSR()
-        kept = values != 0.0
-        starts = np.append(0, np.cumsum(kept))[starts].astype(PETSc.IntType)
-        csr = starts, columns[kept], values[kept]
+        rows_here = sparse.csr_matrix(block.getValuesCSR()[::-1], block.sizes[0])
+        rows_here.eliminate_zeros()
+        csr = rows_here.indptr, rows_here.indices, rows_here.data
         found = PETSc.Mat().createAIJ(block.sizes, csr=csr, comm=self.comm)
         for used in (rows, block, matrix):
             used.destroy()
