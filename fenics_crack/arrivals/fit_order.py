@@ -37,6 +37,7 @@ from fenics_crack.arrivals.harmonics import (
     Candidates,
     Fitted,
     TipFit,
+    check_places,
     condition,
     refuse,
     rounding,
@@ -116,7 +117,21 @@ def fit_order(
     """
     tried, multiples = wanted(orders, harmonics, subharmonic)
     check_number("angle_deviation", angle_deviation, 0.0)
-    means = _Means(arrivals, _period(tried, multiples), float(tried.max()), angle_deviation)
+    check_places(arrivals)
+    period, highest = _period(tried, multiples), float(tried.max())
+    means = _Means(arrivals, period, highest, angle_deviation)
+    fit = _compared(arrivals, means, tried, multiples)
+    if means.lines:  # once more where the tip is that they move
+        moved = means.moved(arrivals, fit)
+        means = _Means(arrivals, period, highest, angle_deviation, moved)
+        fit = _compared(arrivals, means, tried, multiples)
+    return fit
+
+
+def _compared(
+    arrivals: ArrivalTimes, means: _Means, tried: np.ndarray, multiples: np.ndarray
+) -> TipFit:
+    """The candidate that fits the means best, with the smallest vibration, and the others."""
     unknowns = 2 * len(multiples) + 1
     fits = [means.fit(order, multiples) for order in tried]
     hidden = np.array([fit is None for fit in fits])
@@ -345,6 +360,8 @@ class _Means(_Seen):
         The largest of the candidates; up to it vibrations that follow none are sought.
     angle_deviation : float [rad]
         Of the probes.
+    moved : (revolutions, probes) [m]
+        Left out of the displacements.
 
     Attributes
     ----------
@@ -355,13 +372,18 @@ class _Means(_Seen):
     """
 
     def __init__(
-        self, arrivals: ArrivalTimes, period: int, order: float, angle_deviation: float
+        self,
+        arrivals: ArrivalTimes,
+        period: int,
+        order: float,
+        angle_deviation: float,
+        moved: np.ndarray | float = 0.0,
     ) -> None:
         count, probes = arrivals.time.shape
         row = (arrivals.first + np.arange(count)) % period
         constants = row[:, None] * probes + np.arange(probes)
         ends = arrivals.mean_speed * 0.5, arrivals.mean_speed * (max(order, ORDERS[-1]) + 1.0)
-        self.lines, left = find_lines(arrivals, arrivals.displacement, constants, ends)
+        self.lines, left = find_lines(arrivals, arrivals.displacement - moved, constants, ends)
         seen = np.isfinite(left)
         turn, probe = np.nonzero(seen)
         groups, where = np.unique(constants[seen], return_inverse=True)
@@ -385,6 +407,17 @@ class _Means(_Seen):
             spread = (arrivals.tip_radius * angle_deviation) ** 2
             covariance += spread * (place[:, None] == place)
         super().__init__(nominal, self.values, covariance, within, arrivals.tip_radius)
+
+    def moved(self, arrivals: ArrivalTimes, fit: TipFit) -> np.ndarray:
+        """What probes see of an order because the lines move the tip past its wave: to them it is
+        smaller, and there are lines at the sums and differences of the frequencies."""
+        angle = np.full(arrivals.time.shape, np.nan)
+        angle[np.isfinite(arrivals.time)] = self.angle[self._where]
+        beside = sum(
+            one.displacement(one.phases(arrivals)) - one.coefficients[0] for one in self.lines
+        )
+        passed = fit.displacement(angle - beside / arrivals.tip_radius)
+        return passed - fit.displacement(angle)
 
     def unexplained(self, wave: np.ndarray, order: float, multiples: np.ndarray) -> float:
         """What an order leaves of a wave at the nominal angles, in variances."""
@@ -514,6 +547,7 @@ def track_order(
     _, multiples = wanted([order], harmonics, subharmonic)
     check_count("revolutions", revolutions, 1)
     check_number("angle_deviation", angle_deviation, 0.0)
+    check_places(arrivals)
     groups, unknowns = len(arrivals) // revolutions, 2 * len(multiples) + 1
     if not groups:
         raise InputError("revolutions", revolutions, f"at most {len(arrivals)}, what there is")

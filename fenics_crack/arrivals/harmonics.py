@@ -5,6 +5,7 @@ Least squares of harmonics at a given order, and what tells two orders apart.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NoReturn
@@ -15,7 +16,7 @@ from scipy.special import ndtr
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.numerics.fourier import waves
-from fenics_crack.table import Tabular, counted, quantity, with_frequency
+from fenics_crack.table import TURN, Tabular, counted, quantity, with_frequency
 
 __all__ = [
     "AS_GOOD",
@@ -25,6 +26,7 @@ __all__ = [
     "Candidates",
     "Fitted",
     "TipFit",
+    "check_places",
     "condition",
     "refuse",
     "rounding",
@@ -328,6 +330,27 @@ def condition(columns: np.ndarray) -> float:
         return np.inf
     values = np.linalg.svd(columns / sizes, compute_uv=False)
     return np.inf if values[-1] < 1e-8 else float(values[0] / values[-1])
+
+
+def check_places(arrivals: ArrivalTimes) -> None:
+    """Raise InputError where a probe is passed, but for what moves the tip at all of them, nearer
+    to where another one is said to be: a fit would take that for a vibration."""
+    if len(arrivals.probes) < 2:
+        return
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a probe without arrivals
+        off = np.nanmedian(arrivals.nominal_angle - arrivals.angle, axis=0)
+    off -= np.nanmedian(off)
+    apart = np.abs(arrivals.probes - off - arrivals.probes[:, None])  # [said, passed]
+    apart = np.minimum(apart % TURN, -apart % TURN)
+    nearest = np.argmin(apart, axis=0)
+    wrong = np.flatnonzero(np.isfinite(off) & (nearest != np.arange(len(off))))
+    if len(wrong):
+        said, passed = np.degrees(arrivals.probes[[wrong[0], nearest[wrong[0]]]])
+        found = f"the one at {said:g} degrees is passed where that at {passed:g} degrees is"
+        raise InputError(
+            "probes", found, "where their arrivals are; two are swapped, or times too coarse"
+        )
 
 
 def refuse(arrivals: ArrivalTimes, unknowns: int) -> NoReturn:

@@ -163,9 +163,7 @@ def test_arrivals_that_are_the_marks() -> None:
     is said."""
     marks, probes = 0.005 * np.arange(4), np.radians([0.0, 20.0, 41.0, 63.0, 88.0, 117.0, 150.0])
     arrivals = fc.ArrivalTimes(np.tile(marks[:-1, None], 7), marks, probes, 0.5)
-    with pytest.raises(
-        ValueError, match=r"7 probes at 0, 20, .* degrees.*able to tell the 5 unknowns"
-    ):
+    with pytest.raises(ValueError, match=r"at 0 degrees is passed where that at 63 .*too coarse"):
         fc.fit_order(arrivals, harmonics=2)
 
 
@@ -293,6 +291,20 @@ def test_marks_that_jitter_are_no_vibration(sine: fc.PeriodicSolution) -> None:
         assert fit.order == 5 and not fit.asynchronous
 
 
+def test_probes_that_are_swapped(sine: fc.PeriodicSolution) -> None:
+    """Named with where they are passed, by a fit and by a track; what leans all of them is none."""
+    arrivals = measured(sine, order=5, probes=SEVEN)
+    time = arrivals.time.copy()
+    time[:, [1, 4]] = time[:, [4, 1]]
+    wrong = r"^probes = 'the one at 20 degrees is passed where that at 88 degrees is'.*swapped"
+    with pytest.raises(fc.InputError, match=wrong):
+        fc.fit_order(replace(arrivals, time=time))
+    with pytest.raises(fc.InputError, match=wrong):
+        fc.track_order(replace(arrivals, time=time), 5)
+    lean = np.radians(15.0) / arrivals.speed[0]
+    assert fc.fit_order(replace(arrivals, time=arrivals.time + lean)).order == 5
+
+
 def test_outliers_wander_and_errors_of_probes_and_marks(sine: fc.PeriodicSolution) -> None:
     """A frequency at a speed that wanders by 0.5 %, marks with errors of 5 ns, 1 % of arrivals
     wrong; and an order beside it whose interval knows of the probes' errors."""
@@ -320,11 +332,10 @@ def test_outliers_wander_and_errors_of_probes_and_marks(sine: fc.PeriodicSolutio
         assert arrivals.steady
         fits.append(fc.fit_order(arrivals, angle_deviation=deviation))
         assert fits[-1].order == 6 and not fits[-1].does_not_fit
-        line, *others = fits[-1].asynchronous  # others: the order seen at where that moves the tip
-        assert all(other.amplitudes[0] < 3e-6 for other in others)
+        [line] = fits[-1].asynchronous  # no others, of the order seen at where that moves the tip
         assert abs(line.omega - 1000.0) < 4.0 * line.order_error * line.speed < 0.05
         assert line.amplitudes[0] == pytest.approx(2e-4, rel=0.02)
-        assert "beside 1000" in repr(fits[-1])
+        assert f"beside {line.omega:.6g} rad/s" in repr(fits[-1])
     alone = fc.fit_frequency(arrivals, 900.0, 1100.0, angle_deviation=1.0)
     assert alone.omega == pytest.approx(1000.0, rel=1e-4)
     scores = [(fit.amplitudes[0] - 1e-3) / fit.amplitude_errors[0] for fit in fits]
