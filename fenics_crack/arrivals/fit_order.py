@@ -121,7 +121,7 @@ def fit_order(
     period, highest = _period(tried, multiples), float(tried.max())
     means = _Means(arrivals, period, highest, angle_deviation)
     fit = _compared(arrivals, means, tried, multiples)
-    if means.lines:  # once more where the tip is that they move
+    if means.lines and not fit.does_not_fit:  # once more where the tip is that they move
         moved = means.moved(arrivals, fit)
         means = _Means(arrivals, period, highest, angle_deviation, moved)
         fit = _compared(arrivals, means, tried, multiples)

@@ -189,7 +189,10 @@ def _account_of_track(track: TipTrack, scene: Scene, warnings: list[str]) -> Acc
     shown = in_one_unit(largest, scene)
     doubts = [UNTESTED] if np.isnan(track.misfit) else []
     if track.does_not_fit:
-        doubts.append(f"the fit leaves what is alike from revolution to revolution: {MISSING}")
+        doubts.append(
+            f"the fit leaves what is alike from revolution to revolution: {MISSING}, or the "
+            f"vibration is not of order {track.order:g}"
+        )
     elif track.may_be_folded:
         doubts.append(FOLDED)
     return Account("timing", table, shown=shown, warnings=[*warnings, *doubts])

@@ -217,6 +217,8 @@ def _draw_candidates(axes: Axes, tried: Candidates, order: float) -> None:
             axes.plot(place, height, marker, color=COLOURS[colour], ms=5.0, label=label)
     axes.set_ylim(bottom=bottom)
     axes.set_xlabel("periods of the load in a revolution")
+    if not np.any(tried.orders % 1.0):
+        axes.xaxis.get_major_locator().set_params(integer=True)
     label_axis(axes.yaxis, "what the fit leaves", "m")
 
 

@@ -291,6 +291,17 @@ def test_marks_that_jitter_are_no_vibration(sine: fc.PeriodicSolution) -> None:
         assert fit.order == 5 and not fit.asynchronous
 
 
+def test_a_wrong_order_makes_no_vibrations(sine: fc.PeriodicSolution) -> None:
+    """Order 16 alone is tried of order 5 and a line: it does not fit, by centimetres, and there is
+    one line, not what such a wave would have at sums and differences."""
+    arrivals = measured(sine, 3e-6, order=5, probes=SEVEN, revolutions=150)
+    late = 2e-4 * np.cos(873.1 * arrivals.time) / (RADIUS * arrivals.speed[0])
+    beside = replace(arrivals, time=arrivals.time - late)
+    fit = fc.fit_order(beside, [16], harmonics=2)
+    assert fit.does_not_fit
+    assert [round(one.omega) for one in fit.asynchronous] == [873]
+
+
 def test_probes_that_are_swapped(sine: fc.PeriodicSolution) -> None:
     """Named with where they are passed, by a fit and by a track; what leans all of them is none."""
     arrivals = measured(sine, order=5, probes=SEVEN)

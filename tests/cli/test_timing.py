@@ -187,6 +187,10 @@ def test_a_run_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     printed = capsys.readouterr().out.splitlines()
     assert printed[0].startswith("multiple, where it is largest  speed [rad/s]  omega [rad/s]")
     assert len(printed) == 2 + 3
+    # Of another order the fit is wrong by far, which may be why it does not fit.
+    other = ["--set", "tip_timing.order=7", "--output", str(tmp_path)]
+    assert main(["timing", scene, str(tmp_path / "arrivals.csv"), *other]) == 0
+    assert "or the vibration is not of order 7" in capsys.readouterr().err
 
 
 def test_a_run_up_that_becomes_unstable(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
