@@ -75,8 +75,8 @@ IN_A_TEST = {
 """What bifurcations are to somebody at a test rig, by their kinds."""
 LEAST_TOLD = 1e-4
 """Error whose cause is told."""
-WRITTEN_AS_ZERO = 1e-15
-"""Lengths [m] and forces [N] up to this are written as 0."""
+WRITTEN_AS_ZERO, MEASURED = 1e-15, ("m", "N", "Pa m^0.5")
+"""Lengths [m] and forces [N] up to this are written as 0; units of what is."""
 
 
 @dataclass(frozen=True)
@@ -187,7 +187,8 @@ def known_to(run: Run, name: str) -> str:
         return ""
     by = f", most of it by the {cause}" if error > LEAST_TOLD else ""
     percent = format(100.0 * error, ".2g" if error < 1.0 else ".0f")
-    return f"{percent} %{by}" + (f", {run.stated.without}" if run.stated.without else "")
+    why = "; ".join(dict.fromkeys(run.stated.unknown.values()))
+    return f"{percent} %{by}" + (f", {run.stated.without}: {why}" if why else "")
 
 
 def of_stability(scene: Scene, run: Run, stability: Stability | None) -> Iterator[str]:
@@ -234,7 +235,7 @@ def in_short(table: Table, scene: Scene, default: Sequence[str]) -> Table:
     A table with a column "name" has a quantity in each row, another one in each column. What is not
     a quantity is printed too, where quantities are columns or the scene does not choose.
     """
-    chosen = scene.quantities
+    chosen, table = scene.quantities, _rounded(table)
 
     def wanted(heading: str, unit: str) -> bool:
         name = heading.partition(" [")[0].rpartition(".")[2]
@@ -253,6 +254,27 @@ def in_short(table: Table, scene: Scene, default: Sequence[str]) -> Table:
         ]
         return Table(table.columns[1:], rows)
     return _with_columns(table, wanted)
+
+
+def _rounded(table: Table) -> Table:
+    """The same with lengths and forces that are rounding as 0."""
+    units = [heading.partition("[")[2].rstrip("]") for heading in table.columns]
+    place = table.columns.index("unit") if "unit" in table.columns else None
+
+    def rounded(value: Any, unit: str) -> Any:
+        known = isinstance(value, float) and unit in MEASURED
+        return 0.0 if known and abs(value) <= WRITTEN_AS_ZERO else value
+
+    return Table(
+        table.columns,
+        [
+            [
+                rounded(value, unit if place is None else str(row[place]))
+                for value, unit in zip(row, units, strict=True)
+            ]
+            for row in table.rows
+        ],
+    )
 
 
 def in_one_unit(table: Table, scene: Scene) -> Table:
@@ -288,7 +310,7 @@ def readable_rows(table: Table) -> Table:
 
 def _readable(name: str, value: Any, unit: str) -> tuple[str, Any]:
     known = isinstance(value, float) and np.isfinite(value)
-    if known and unit in ("m", "N", "Pa m^0.5"):
+    if known and unit in MEASURED:
         return name, quantity(value, unit) if abs(value) > WRITTEN_AS_ZERO else f"0 {unit}"
     if known and unit.startswith("of "):
         return name, f"{100.0 * value:.2g} % {unit}"

@@ -102,7 +102,45 @@ def coarser(study: Study) -> tuple[Study, tuple[int, int]] | str:
     side = (other.prod() / counts[1]) ** (1.0 / len(other))
     if np.any(np.abs(other - own) > side):  # curved sides differ by parts of an element
         return f"mesh.coarser is another part, of {' x '.join(f'{size:.4g}' for size in other)} m"
+    if scene.mesh.layout == "file" and (why := _other_cracks(structure, twin.structure)):
+        return why
     return twin, counts
+
+
+def _other_cracks(structure: Structure, coarse: Structure) -> str:
+    """What cracks a coarser mesh has that are not those of a structure, in words: their lips have
+    another area, or another middle, than the elements of the coarser one allow; or nothing."""
+    own, other = _lips(structure), _lips(coarse)
+    if len(own) != len(other):
+        return f"mesh.coarser has another number of cracks, {len(other)} instead of {len(own)}"
+    for number, (area, points) in enumerate(own, 1):
+        middle = _middle(area, points)
+        away, its, count = min(
+            (float(np.linalg.norm(_middle(areas, at) - middle)), areas.sum(), len(areas))
+            for areas, at in other
+        )
+        part = count ** (-1.0 / (points.shape[1] - 1))  # elements at its front have no pairs
+        size = np.linalg.norm(np.ptp(points, axis=0))
+        if abs(its - area.sum()) > part * area.sum() or away > part * size:
+            return (
+                f"mesh.coarser has another crack {number}: lips of {its:.3g} m^2 instead of "
+                f"{area.sum():.3g}, their middle {away:.2g} m away"
+            )
+    return ""
+
+
+def _lips(structure: Structure) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Areas [m^2] and places [m] of the pairs of each crack."""
+    pairs = structure.whole.pairs
+    if pairs.cracks is None or pairs.areas is None or pairs.points is None:
+        return []
+    each = (pairs.cracks == crack for crack in np.unique(pairs.cracks))
+    return [(pairs.areas[its], pairs.points[its]) for its in each]
+
+
+def _middle(areas: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Of lips."""
+    return np.asarray(areas @ points / areas.sum())
 
 
 def expected(

@@ -14,6 +14,8 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack import prepare
+from fenics_crack.cli.account import in_short
+from fenics_crack.table import Table
 
 POINTS = {"tip": [0.1, 0.1], "side": [0.098, 0.0625]}
 
@@ -166,3 +168,15 @@ def test_a_verdict_that_is_left_out_is_told(
     assert main([*words, "--set", "reduction.method=massless", "--set", "reduction.modes=6"]) == 0
     told = capsys.readouterr()
     assert "not judged" not in told.err and "verdict" in told.out
+
+
+def test_rounding_is_printed_as_zero(scene: fc.Scene) -> None:
+    """Of a crack that is held closed, in both forms of a table; smaller numbers without a unit of
+    length or force stay."""
+    each = [["opening", "largest opening", 1e-19, "m"], ["mean", "mean", -2e-9, "m"]]
+    each.append(["total_error", "error", 1e-19, "-"])
+    plain = scene.replace({"output.quantities": ["opening", "mean"]})
+    rows = in_short(Table(["name", "quantity", "value", "unit"], each), plain, ()).rows
+    assert [row[1] for row in rows] == [0.0, -2e-9, 1e-19]
+    point = Table(["opening [m]", "mean [m]", "error"], [[-1e-19, -2e-9, 1e-19]])
+    assert in_short(point, plain, ()).rows == [[0.0, -2e-9, 1e-19]]

@@ -224,6 +224,18 @@ def test_two_files_of_one_part(scene: fc.Scene, run: fc.Run, tmp_path: Path) -> 
     other = files.replace({"mesh.coarser": str(tmp_path / "other.msh")})
     errors = fc.modes(other, 1, MPI.COMM_SELF).errors
     assert errors is not None and "another part" in errors.unknown["mesh"]
+    crack, cracks = scene.given("crack"), tmp_path / "cracks.msh"
+    few = finer_mesh(scene, 0.25)
+    assert crack.length is not None and few is not None
+    second = {"edge": "right", "height": 0.5 * crack.height, "length": crack.length}
+    for changed in (
+        {"crack.length": 0.5 * crack.length}, {"crack.height": 0.5 * crack.height},
+        {f"cracks.1.{key}": value for key, value in second.items()},
+    ):  # fmt: skip
+        fc.write_msh(few.replace(changed), cracks)
+        other = files.replace({"mesh.coarser": str(cracks)})
+        errors = fc.modes(other, 1, MPI.COMM_SELF).errors
+        assert errors is not None and "mesh.coarser has another" in errors.unknown["mesh"]
 
 
 def test_of_modes_and_of_a_curve(scene: fc.Scene, run: fc.Run) -> None:
@@ -281,7 +293,7 @@ def test_words_and_files(
     assert "largest response of the curve" in (told := capsys.readouterr().err)
     assert told.count("known to") == 2
     assert main(["solve", str(path), *where, "--set", "mesh.error=false"]) == 0
-    assert "without the mesh" in capsys.readouterr().err
+    assert "without the mesh: mesh.error = false" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
