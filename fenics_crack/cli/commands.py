@@ -87,6 +87,7 @@ def tell(
         away = {w.name.partition(".")[0]: w.distance for w in account.run.watched if w.distance > 0}
         places = [f"{name} {quantity(distance, 'm')}" for name, distance in away.items()]
         told = f"watched at the nearest node, away by: {', '.join(places)}"
+        told += "; the stated errors leave that out" if account.run.stated is not None else ""
         console.note(told if places else "")
     console.note(*account.notes)
     console.warn(*account.warnings)
