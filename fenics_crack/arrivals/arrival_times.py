@@ -443,7 +443,11 @@ def _angles(
 ) -> np.ndarray:
     """Angles from the mark to the arrivals: (rows,) [rad]."""
     if "[s]" not in name:
-        return column * _unit(path, name, ANGLES)
+        angles = column * _unit(path, name, ANGLES)
+        if np.nanmedian(np.abs(angles)) > 2.0 * TURN:
+            allowed = "angles from the mark to the arrival, in a revolution; in degrees?"
+            raise InputError("path", f"{path}: {name} = {np.nanmedian(column):g}", allowed)
+        return angles
     every = np.arange(turns[0], turns[0] + len(marks))
     return TURN * (_between(marks, every, column) - turns)
 

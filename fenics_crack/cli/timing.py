@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fenics_crack.arrivals.arrival_times import read_record
+from fenics_crack.arrivals.arrival_times import ArrivalTimes, read_record
 from fenics_crack.arrivals.fit_order import TipTrack
 from fenics_crack.arrivals.harmonics import ORDERS, TipFit
 from fenics_crack.arrivals.passages import PassageFit, find_passages
@@ -23,6 +23,7 @@ from fenics_crack.errors import Exit, InputError
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import TipTiming
+from fenics_crack.study.remarks import remarks_on_arrivals
 from fenics_crack.study.timing import arrivals_of, of_another_scene, run_up_ends, vibration_in
 from fenics_crack.table import RPM, TURN, UNITS, Table, counted, quantity, speed_in_words
 
@@ -72,6 +73,8 @@ def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
     with console.stage("vibration"):
         fit = vibration_in(scene, arrivals)
     warnings: list[str] = []
+    if run is None and not isinstance(fit, tuple):
+        warnings += remarks_on_arrivals(arrivals)
     if run is None and scene.speed > 0.0:
         ratio = arrivals.mean_speed / scene.speed
         if not 1.0 / FAR <= ratio <= FAR:
@@ -88,7 +91,7 @@ def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
         warnings += of_error(run.scene, found.report, found.harmonics)
         warnings += of_stability(run.scene, run, found.stability)
     if isinstance(fit, tuple):
-        account = _account_of_passages({1: fit})
+        account = _account_of_passages({1: fit}, arrivals)
         draw = partial(draw_passages, fit, arrivals)
     elif isinstance(fit, TipTrack):
         account = _account_of_track(fit, scene, warnings)
@@ -136,16 +139,18 @@ def _record(given: Namespace, console: Console) -> Exit:
     ]
     console.note(f"{counted(len(blades), 'blade')}, {', '.join(size)}")
     draw = partial(draw_passages, found[first], blades[first])
-    return tell(_account_of_passages(found), folder, console, draw)
+    return tell(_account_of_passages(found, blades[first]), folder, console, draw)
 
 
-def _account_of_passages(found: Mapping[int, Sequence[PassageFit]]) -> Account:
+def _account_of_passages(
+    found: Mapping[int, Sequence[PassageFit]], arrivals: ArrivalTimes
+) -> Account:
     """Resonances of each blade, and what is in doubt."""
     every = [(blade, fit) for blade, fits in found.items() for fit in fits]
     rows = [{"blade": blade} | fit.to_dict() for blade, fit in every]
     names = [name for name in rows[0] if name != "speed"] if rows else [*EMPTY]
     table = Table.of({name: [row[name] for row in rows] for name in names}, UNITS)
-    warnings = [] if every else ["no resonance stands out"]
+    warnings = [*remarks_on_arrivals(arrivals), *["no resonance stands out"] * (not every)]
     for blade, fit in every:
         name = f"blade {blade}, {fit.speed / RPM:.5g} rpm"
         if fit.ambiguous:
@@ -155,9 +160,10 @@ def _account_of_passages(found: Mapping[int, Sequence[PassageFit]]) -> Account:
             warnings.append(f"{name}: passages differ by {fit.apart:.2%}, more than errors")
         if fit.in_doubt:
             warnings.append(f"{name}: {BESIDE}")
-    biases = [fit.steady_bias for _, fit in every]
-    note = "fits of steady vibrations would be off by {:.2%} to {:.2%}"
-    notes = [note.format(min(biases), max(biases))] * bool(biases)
+    biases, notes = [fit.steady_bias for _, fit in every], []
+    if biases:
+        ends = f"{min(biases):.2%} to {max(biases):.2%}"
+        notes.append(f"fits of steady vibrations would be off by {ends}")
     for blade, fits in found.items():
         lines = fits[0].asynchronous if fits else ()
         notes += [f"blade {blade}: {_of_line(line)}" for line in lines]

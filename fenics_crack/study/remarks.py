@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.fem.lips import SAME
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
@@ -22,7 +23,14 @@ from fenics_crack.study.key_figures import SMALL_MOTION, KeyFigures, span_of
 from fenics_crack.study.prepare import reduction_of
 from fenics_crack.table import RPM, TURN
 
-__all__ = ["Remark", "is_proportional", "remarks_on", "remarks_on_scene", "remarks_on_structure"]
+__all__ = [
+    "Remark",
+    "is_proportional",
+    "remarks_on",
+    "remarks_on_arrivals",
+    "remarks_on_scene",
+    "remarks_on_structure",
+]
 
 Remarks = Iterator["Remark"]
 
@@ -158,6 +166,18 @@ def _tip_speed(table: Rotation, radius: float) -> Remarks:
         if table.rpm is None and RPM * table.speed * radius <= FASTEST:
             text += "; in revolutions per minute? then use rotation.rpm"
         yield Remark(f"rotation.{key}", getattr(table, key), text)
+
+
+def remarks_on_arrivals(arrivals: ArrivalTimes) -> list[str]:
+    """What measured arrivals may be, but rarely are: numbers in another unit."""
+    found, speed = [], arrivals.mean_speed * arrivals.tip_radius
+    if speed > FASTEST:
+        text = f"the tip moves at {speed:.3g} m/s, where the fastest have 700: are the speed, or "
+        found.append(f"{text}times, and the tip's radius in the units of their headings?")
+    if len(arrivals.probes) > 1 and np.degrees(arrivals.probes[-1]) < TURN:
+        within = float(np.degrees(np.ptp(arrivals.probes)))
+        found.append(f"all probes are within {within:.3g} degrees: are angles in rad?")
+    return found
 
 
 def _probes(scene: Scene) -> Remarks:

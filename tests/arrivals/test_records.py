@@ -213,6 +213,7 @@ GOOD = [[1000.0, 0.1], [1000.0, 0.1], [1000.0, 0.1]]
         ),
         ("speed [rpm],probe 1 [rad]", [[1000.0, 0.1], [1.0]], r"table of numbers"),
         ("speed [rpm],probe 1 [rad]", [[1000.0, None]] * 3, r"finite"),
+        ("speed [rpm],probe 1 [rad]", [[1000.0, 41.0]] * 3, r"probe 1 \[rad\] = 41.*in degrees\?"),
         (
             "speed [rpm],probe 1 [rad]",
             [[1000.0, 0.1]] * 5 + [[500.0, 0.1]] + [[1000.0, 0.1]] * 5,
@@ -262,3 +263,25 @@ def test_a_record_from_the_shell(tmp_path: Path, capsys: pytest.CaptureFixture[s
     ):
         assert main([*words, *more]) == 2
         assert error in capsys.readouterr().err
+
+
+def test_units_of_a_record_without_a_resonance(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing stands out, which is said; so are a tip as fast as a planet and probes in radians."""
+    angles = [0.3, 1.1, 2.9]
+    rng = np.random.default_rng(1)
+    rows = [[100.0 + 0.1 * n, *(angles + 1e-5 * rng.standard_normal(3))] for n in range(200)]
+    names = ",".join(f"probe {place} [{{0}}]" for place in (1, 2, 3))
+    radius = ["--set", "tip_timing.tip_radius=0.5", "--output", str(tmp_path)]
+    narrow, fast = "all probes are within 2.6 degrees: are angles in rad?", "the tip moves at"
+    for speed, unit, doubted in (("Hz", "rad", False), ("Hz", "deg", True), ("rpm", "rad", False)):
+        path = written(tmp_path / "record.csv", f"speed [{speed}]," + names.format(unit), rows)
+        assert main(["timing", str(path), *radius]) == 0
+        told = capsys.readouterr().err
+        assert "no resonance stands out" in told
+        assert (narrow in told) == doubted and fast not in told
+    rows = [[60.0 * row[0], *row[1:]] for row in rows]
+    path = written(tmp_path / "record.csv", "speed [Hz]," + names.format("rad"), rows)
+    assert main(["timing", str(path), *radius]) == 0
+    assert f"{fast} 2.07e+04 m/s, where the fastest have 700" in capsys.readouterr().err
