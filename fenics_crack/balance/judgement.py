@@ -305,31 +305,34 @@ class Judgement:
     @property
     def reason(self) -> str:
         """Why no orbit is accepted; "" where one is."""
-        if self.accepted:
-            return ""
-        if self.too_slow:
-            assert self.flow is not None
-            turns = self.flow.fastest * self.wave.period / (2.0 * np.pi)
-            return (
-                f"the load is so slow that the highest modes turn {turns / 1e3:.0f} thousand times "
-                "in a period, too often for exact motions to be followed; keep fewer modes"
-            )
-        if self.predicted is None:
-            return "its pairs open and close too often to be followed; lips without mass do less so"
-        if self.orbit is None and self.prediction < FAR:
-            return "no exact orbit was found next to it; with more harmonics one may be"
-        if self.orbit is None:
-            size = f"{self.prediction:.0%}" if self.prediction < UNKNOWN else "more than its size"
-            return f"the harmonics left out change it by {size}; take more"
-        if self.believes(self.distance):
-            return (
-                f"the exact orbit next to it, {100.0 * self.distance:.2g}% away, may be another "
-                "motion's; take more harmonics"
-            )
+        return "" if self.accepted else _reason(self)
+
+
+def _reason(judged: Judgement) -> str:
+    """Why no orbit is accepted for a wave."""
+    if judged.too_slow:
+        assert judged.flow is not None
+        turns = judged.flow.fastest * judged.wave.period / (2.0 * np.pi)
         return (
-            f"the exact orbit next to it is another one, {100.0 * self.distance:.2g}% away where "
-            f"{100.0 * self.prediction:.2g}% were predicted; more harmonics tell these apart"
+            f"the load is so slow that the highest modes turn {turns / 1e3:.0f} thousand times "
+            "in a period, too often for exact motions to be followed; keep fewer modes"
         )
+    if judged.predicted is None:
+        return "its pairs open and close too often to be followed; lips without mass do less so"
+    if judged.orbit is None and judged.prediction < FAR:
+        return "no exact orbit was found next to it; with more harmonics one may be"
+    if judged.orbit is None:
+        size = f"{judged.prediction:.0%}" if judged.prediction < UNKNOWN else "more than its size"
+        return f"the harmonics left out change it by {size}; take more"
+    if judged.believes(judged.distance):
+        return (
+            f"the exact orbit next to it, {100.0 * judged.distance:.2g}% away, may be another "
+            "motion's; take more harmonics"
+        )
+    return (
+        f"the exact orbit next to it is another one, {100.0 * judged.distance:.2g}% away where "
+        f"{100.0 * judged.prediction:.2g}% were predicted; more harmonics tell these apart"
+    )
 
 
 def _alike(one: PeriodicOrbit | None, other: PeriodicOrbit | None) -> bool:
