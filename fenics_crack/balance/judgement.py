@@ -1,8 +1,8 @@
 """What the exact flow says of a wave: the orbit next to it, and how far away that is.
 
 An orbit is the wave's own where it is no farther away than three times what one step of Newton's
-method predicts (:mod:`fenics_crack.motion.orbit`), and this step is short: then the distance is
-the error, and the orbit's multipliers are the motion's. On 510 waves of 128 plates this was so for
+method predicts (:mod:`fenics_crack.motion.orbit`), by its gaps and, beyond 1 %, by its state, as
+pairs may hardly see a mode; and this step is short: then the distance is the error, and the orbit's multipliers are the motion's. On 510 waves of 128 plates this was so for
 every one with its own orbit, and for none of 26 next to another one.
 
 Where the step is long the orbit is the wave's own if its motion, balanced with as many harmonics,
@@ -151,7 +151,10 @@ class Judgement:
         doubt; None where none is."""
         if self.of_orbit:
             return self
-        believed, near = self.believes(self._to_near), self._to_near <= FARTHEST
+        believed = self.believes(self._to_near)
+        if near := self._to_near <= FARTHEST:
+            assert self.near is not None
+            near = not self.leads_elsewhere(_apart(self, self.near.state))
         short = self.prediction <= FARTHEST
         beyond_doubt = short and self._to_near <= NO_DOUBT
         only = believed and near and (beyond_doubt or self._is_only())
@@ -244,10 +247,17 @@ class Judgement:
         """Whether an orbit so far away may be the wave's own."""
         return distance <= max(BELIEVED * self.prediction, KNOWN)
 
-    def admits(self, distance: float, orbit: PeriodicOrbit | None) -> bool:
-        """Whether an orbit so far away is the wave's own: a near one, or, at the wave's frequency,
-        where it is given, one that leads back to it or that more harmonics confirm."""
-        if max(distance, self.prediction) <= FARTHEST:
+    def leads_elsewhere(self, away: float) -> bool:
+        """Whether an orbit whose state is so far away is another one, though gaps are near: pairs
+        may hardly see a mode."""
+        step = self.predicted
+        return away > NO_DOUBT and (step is None or away > BELIEVED * _apart(self, step.states[0]))
+
+    def admits(self, distance: float, away: float, orbit: PeriodicOrbit | None) -> bool:
+        """Whether an orbit so far away, by its gaps and by its state, is the wave's own: a near
+        one, or, at the wave's frequency, where it is given, one that leads back to it or that more
+        harmonics confirm."""
+        if max(distance, self.prediction) <= FARTHEST and not self.leads_elsewhere(away):
             return self.believes(distance)
         if orbit is None:
             return False
@@ -333,6 +343,13 @@ def _reason(judged: Judgement) -> str:
         f"the exact orbit next to it is another one, {100.0 * judged.distance:.2g}% away where "
         f"{100.0 * judged.prediction:.2g}% were predicted; more harmonics tell these apart"
     )
+
+
+def _apart(judged: Judgement, state: np.ndarray) -> float:
+    """How far a state at phase zero is from the wave's, by amplitudes."""
+    assert judged.flow is not None
+    weights, own = judged.flow.weights(judged.wave.base_omega), judged.states[0]
+    return relative(weights * (state - own), weights * own)
 
 
 def _alike(one: PeriodicOrbit | None, other: PeriodicOrbit | None) -> bool:

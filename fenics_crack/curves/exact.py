@@ -125,7 +125,7 @@ class _Judge:
         waves = self._curve.gaps_in_time(places) if apart else ()
         for node, place, wave in zip(apart, map(int, places), waves, strict=True):
             off = self._off(wave, node.unknown, node.parameter)
-            self._own[node.place] = off <= NO_DOUBT or (
+            self._own[node.place] = max(off, node.away) <= NO_DOUBT or (
                 node.place not in broken and self._is_own(node, place, off)
             )
         for node in nodes:
@@ -145,7 +145,7 @@ class _Judge:
         if self._curve.parameter == "omega" and node.parameter == self.parameters[place]:
             found = PathPoint(node.unknown, node.parameter, 0, node.tangent)
             orbit = self.system.orbit(found)
-        admitted = judged.admits(off, orbit)
+        admitted = judged.admits(off, node.away, orbit)
         if not admitted or not self._bounces or any(node.outside):
             return admitted
         motion = self.branch.motion(place)  # the exact one may leave the stable orbit next to it
