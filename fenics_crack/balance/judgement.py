@@ -2,8 +2,9 @@
 
 An orbit is the wave's own where it is no farther away than three times what one step of Newton's
 method predicts (:mod:`fenics_crack.motion.orbit`), by its gaps and, beyond 1 %, by its state, as
-pairs may hardly see a mode; and this step is short: then the distance is the error, and the orbit's multipliers are the motion's. On 510 waves of 128 plates this was so for
-every one with its own orbit, and for none of 26 next to another one.
+pairs may hardly see a mode; and this step is short: then the distance is the error, and the orbit's
+multipliers are the motion's. On 510 waves of 128 plates this was so for every one with its own
+orbit, and for none of 26 next to another one.
 
 Where the step is long the orbit is the wave's own if its motion, balanced with as many harmonics,
 is the wave, to which Newton's method leads from the orbit's Fourier series, and none other is found
