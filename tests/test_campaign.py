@@ -139,6 +139,15 @@ def test_segment_in_whose_middle_no_orbit_is_found_judges_no_points() -> None:
     assert row.exact < 1.0 and row.verdict == "undecided"
 
 
+@pytest.mark.slow
+def test_orbit_with_near_gaps_and_another_state_does_not_judge() -> None:
+    """Six masses, two stiff pairs, over the clearance: next to the last point are three stable
+    orbits, 0.2 % away and more by their gaps, which hardly see what the two highest modes do."""
+    case = campaign.draw(90, 25, "parameter")
+    found = {one.judgement for one in campaign.parameters(case)}
+    assert "right" in found and "WRONG" not in found
+
+
 @pytest.mark.parametrize("number", [18, 90, 92])
 def test_wave_to_which_no_orbit_leads_has_no_verdict(number: int) -> None:
     """Stiff pairs with mass, H = 5: the orbit next to each, 11 to 16 % away, leads elsewhere."""
