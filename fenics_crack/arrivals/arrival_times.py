@@ -32,7 +32,7 @@ RADIUS = "tip_radius [m]"
 """What it may have."""
 FEWEST_REVOLUTIONS = 10
 """Whose speed is smoothed, and of a passage."""
-AROUND, UNEVEN = 2, 1.4
+EITHER_SIDE, UNEVEN = 2, 1.4
 """Revolutions on each side of one, and the ratio to their median duration that no rotor has."""
 FOURTH = 70.0 * 0.455
 """Median of the squares of fourth differences of normal errors of variance 1."""
@@ -253,8 +253,10 @@ def smoothed(values: np.ndarray) -> np.ndarray:
 def check_turns(name: str, turns: np.ndarray, first: int = 0) -> None:
     """Raise InputError where the durations of revolutions (n,) [s] show that a mark was missed, or
     another signal taken for one: no rotor turns so unevenly."""
-    padded = np.pad(turns, AROUND, mode="edge")
-    around = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * AROUND + 1), axis=1)
+    padded = np.pad(turns, EITHER_SIDE, mode="edge")
+    around = np.median(
+        np.lib.stride_tricks.sliding_window_view(padded, 2 * EITHER_SIDE + 1), axis=1
+    )
     wrong = np.abs(np.log(turns / around)) > np.log(UNEVEN)
     if np.any(wrong):
         at = int(np.argmax(wrong))
