@@ -204,7 +204,7 @@ def _kept(solver: Solver, orbit: PeriodicOrbit, tolerance: float) -> PeriodicSol
     def wave_with(harmonics: int) -> PeriodicSolution:
         nonlocal known
         if 2 * harmonics + 1 > len(known.gap):
-            known = orbit.coefficients(min(2 * harmonics, most))
+            known = orbit.coefficients(harmonics)
         return _wave(problem.with_harmonics(harmonics), orbit, known)
 
     reduction, at_load = _lost(solver, wave_with(RUNGS[0] * problem.subharmonic))
