@@ -1,7 +1,7 @@
 """What there is to say of a result, once for all who ask: the terminal, files, a report.
 
-Each kind of result has a function that makes its :class:`Account`: ``of_motion.py`` of modes,
-vibrations and motions in time, ``of_curve.py`` of curves, ``results.py`` of all others.
+Each kind of result has a function that makes its :class:`Account`: ``of_vibration.py`` of modes,
+vibrations, curves and motions in time, ``results.py`` of all others.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from fenics_crack.balance.error_report import UNKNOWN
 from fenics_crack.balance.harmonic_balance import linear_response
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import frequency_in_words
-from fenics_crack.cli.of_motion import closings
+from fenics_crack.cli.of_vibration import closings
 from fenics_crack.cli.results import Computed, result_of
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw.figure import Picture, distinct_colours

@@ -12,8 +12,12 @@ from mpi4py import MPI
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import FINER, MORE, Account, in_one_unit
-from fenics_crack.cli.of_curve import account_of_curve
-from fenics_crack.cli.of_motion import account_of_history, account_of_modes, account_of_solution
+from fenics_crack.cli.of_vibration import (
+    account_of_curve,
+    account_of_history,
+    account_of_modes,
+    account_of_solution,
+)
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import IDENTIFICATION, Stored
