@@ -1,11 +1,24 @@
 """The structure of a scene whose matrices are in files of other programs.
 
 With the model that they are of, its nodes have places: a load acts at one of them, and where the
-scene has contact and no matrix of gaps, the pairs are found (:mod:`fenics_crack.fem.found_pairs`).
+scene has contact and no matrix of gaps, the pairs are found: nodes in the same place that nothing
+joins. Where the model has solid cells, the lips are those facets that belong to one cell and lie on
+another one with other nodes. Pairs are then those of :mod:`fenics_crack.fem.interface`,
+
+    g_i = 1 / w_i int psi_i (n . u_lower + n . u_upper) ds,      w_i = int psi_i ds,
+
+with psi_i linear, 1 at a corner that exists twice; facets are as flat as their corners, and either
+normal points out of its own cell, so nobody asks which lip is the lower one.
+
+Without cells pairs are nodes: g = n . (u_a - u_b) for two in the same place. What the stiffness
+joins to a node lies on its side of the crack; what it joins to either lies on the front. The
+normal n is that of the plane through the pairs around (of a line in a plane model or a shell), and
+points from the side of a to that of b.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +29,8 @@ from mpi4py import MPI
 from fenics_crack.errors import InputError, reading
 from fenics_crack.exchange.matrices import LabelledMatrix, matrix_market_shape, read_matrix
 from fenics_crack.exchange.models import Model, read_model
-from fenics_crack.fem.found_pairs import coincident, find_pairs
+from fenics_crack.fem.crack_surface import FACETS
+from fenics_crack.fem.lips import SAME, each_once
 from fenics_crack.model.damping import DampingRule
 from fenics_crack.model.factor import distributed
 from fenics_crack.model.matrices import whole_rows
@@ -25,7 +39,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Structure as Table
 
-__all__ = ["count_pairs", "read_structure"]
+__all__ = ["coincident", "count_pairs", "find_pairs", "read_structure"]
 
 MATRICES = {"mass": "M", "stiffness": "K", "damping": "B"}
 """And the letter by which a file with several of them calls each."""
@@ -182,3 +196,278 @@ def count_pairs(table: Table) -> int:
             return len(coincident(read_model(Path(path)).points))
     except InputError:  # who reads it will say why
         return 0
+
+
+# --- contact pairs of a model ---------------------------------------------------------------------
+
+SIDES = {
+    4: [FACETS[4]], 8: [FACETS[8]],
+    6: [np.array([[0, 1, 2], [3, 4, 5]]), np.array([[0, 1, 4, 3], [1, 2, 5, 4], [2, 0, 3, 5]])],
+}  # fmt: skip
+"""Facets of a cell by the number of its corners, triangles and quadrilaterals apart."""
+CORNERS = {10: 4, 24: 4, 13: 6, 26: 6, 12: 8, 25: 8}
+"""Of a cell, by VTK's number of its kind."""
+EDGES = {
+    4: [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)],
+    6: [(0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5)],
+    8: [*((i, (i + 1) % 4) for i in range(4)), *((4 + i, 4 + (i + 1) % 4) for i in range(4)),
+        *((i, 4 + i) for i in range(4))],
+}  # fmt: skip
+"""Between the corners of a cell, in the order of the nodes in their middles (VTK's)."""
+
+
+def coincident(points: np.ndarray) -> np.ndarray:
+    """Nodes in the same place, two by two: (n, 2)."""
+    from scipy.spatial import cKDTree  # takes a while, for models from elsewhere alone
+
+    near = SAME * float(np.ptp(points, axis=0).max())
+    found = cKDTree(points).query_pairs(near, output_type="ndarray")
+    return np.asarray(found[np.lexsort(found.T[::-1])])
+
+
+@dataclass(frozen=True)
+class _Lips:
+    """Nodes that exist twice, and what surrounds them.
+
+    ``first`` and ``second``: the two nodes of each pair; ``split``: the pair of each node, -1 where
+    it has none; ``place``: a number for each place; ``joined``: which nodes the stiffness joins;
+    ``torn``: nodes of a place where one of two has no dofs, held or tied by equations.
+    """
+
+    first: np.ndarray
+    second: np.ndarray
+    split: np.ndarray
+    place: np.ndarray
+    joined: sparse.csr_matrix
+    torn: np.ndarray
+
+
+def find_pairs(
+    model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix, *, turns: bool
+) -> tuple[sparse.csr_matrix, Pairs]:
+    """Pairs of a model, crack by crack, from the front to the mouth: B and where they are.
+
+    Parameters
+    ----------
+    model : Model
+        With (n,) nodes.
+    dofs : (n, 3) int
+        Rows of the stiffness along x, y, z; -1 where there is none.
+    stiffness : (n_dofs, n_dofs)
+        Says which nodes are joined.
+    turns : bool
+        Whether nodes turn, as those of shells, whose cracks are lines.
+
+    Raises
+    ------
+    InputError
+        There are no two nodes in the same place, or three; or they do not tell a crack's sides.
+    """
+    lips = _doubled(model, dofs, stiffness)
+    facets = _lip_facets(model, lips)
+    if facets:
+        gap, areas, chosen, fronts = _of_patches(model.points, dofs, lips, facets, stiffness)
+    else:
+        flat = not turns and np.all(np.any(dofs >= 0, axis=0))
+        gap, fronts = _of_nodes(model.points, dofs, lips, 2 if flat else 1, stiffness)
+        areas, chosen = None, np.arange(len(lips.first))
+    points = model.points[lips.first[chosen]]
+    cracks = _cracks(points, lips, chosen)
+    positions = np.zeros(len(chosen))
+    if len(fronts):
+        from scipy.spatial import cKDTree
+
+        positions = cKDTree(model.points[fronts]).query(points)[0]
+    order = np.lexsort((positions, cracks))
+    cracks, positions = cracks[order], positions[order]
+    last = np.flatnonzero(np.append(np.diff(cracks), 1))
+    names = [f"the mouth of crack {n + 1}" if len(last) > 1 else "the mouth" for n in cracks[last]]
+    pairs = Pairs(
+        points[order], None if areas is None else areas[order], cracks, positions,
+        dict(zip(names, last.tolist(), strict=True)),
+    )  # fmt: skip
+    return gap[:, order], pairs
+
+
+def _doubled(model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix) -> _Lips:
+    """Nodes that exist twice and are not joined."""
+    n, pairs = len(dofs), coincident(model.points)
+    node = np.full(stiffness.shape[0], n)
+    node[dofs[dofs >= 0]] = np.nonzero(dofs >= 0)[0]
+    entries = stiffness.tocoo()
+    at = node[entries.row].astype(np.int64), node[entries.col]
+    joined = sparse.csr_matrix((np.ones(len(entries.data), bool), at), (n + 1, n + 1))[:n, :n]
+    free = np.any(dofs >= 0, axis=1)
+    both = free[pairs].all(axis=1) & ~np.isin(n * pairs[:, 0] + pairs[:, 1], n * at[0] + at[1])
+    place = np.arange(n)
+    place[pairs[:, 1]] = pairs[:, 0]
+    torn = np.zeros(n, dtype=bool)
+    torn[pairs[free[pairs[:, 0]] != free[pairs[:, 1]]]] = True
+    first, second = pairs[both].T
+    nodes, uses = np.unique(np.append(first, second), return_counts=True)
+    if np.any(uses > 1):
+        where = "({:g}, {:g}, {:g})".format(*model.points[nodes[np.argmax(uses)]])
+        label = model.labels[nodes[np.argmax(uses)]]
+        allowed = "one with two nodes at each place of a crack: cracks neither branch nor cross"
+        raise InputError("model", f"more than two nodes at {where}, one of them {label}", allowed)
+    if not len(first):
+        found = f"{len(pairs)} nodes in the same place as another, all of them joined or held"
+        raise InputError("model", found, "one with two nodes at each place of a crack's lips")
+    split = np.full(n, -1)
+    split[first] = split[second] = np.arange(len(first))
+    return _Lips(first, second, split, place, joined, torn)
+
+
+def _cracks(points: np.ndarray, lips: _Lips, chosen: np.ndarray) -> np.ndarray:
+    """The crack of each pair, from bottom to top: pairs whose nodes are joined are of one."""
+    from scipy.sparse.csgraph import connected_components
+
+    links = sum(lips.joined[own[chosen]][:, own[chosen]] for own in (lips.first, lips.second))
+    count, found = connected_components(links)
+    centres = [points[found == crack].mean(axis=0)[[1, 0, 2]] for crack in range(count)]
+    rank = np.empty(count, dtype=int)
+    rank[sorted(range(count), key=lambda crack: tuple(centres[crack]))] = np.arange(count)
+    return np.asarray(rank[found])
+
+
+# --- of facets ------------------------------------------------------------------------------------
+
+Facets = tuple[np.ndarray, np.ndarray]
+"""Nodes of facets, corners and then those in the middle of edges (-1: none), (m, 2 k); and the
+middles of their cells, (m, 3)."""
+
+
+def _lip_facets(model: Model, lips: _Lips) -> list[Facets]:
+    """Facets of one cell alone that lie on another one, triangles and quadrilaterals apart."""
+    found = []
+    for corners in (3, 4):
+        parts = [
+            _facets(model.points, cells, CORNERS[kind], own)
+            for kind, cells in model.cells.items()
+            for own in SIDES[CORNERS[kind]]
+            if own.shape[1] == corners
+        ]
+        if not parts:
+            continue
+        nodes, middles = (np.concatenate(both) for both in zip(*parts, strict=True))
+        alone = _uses(nodes[:, :corners]) == 1
+        twice = alone.copy()
+        twice[alone] = _uses(lips.place[nodes[alone, :corners]]) == 2
+        twice &= np.any(lips.split[nodes[:, :corners]] >= 0, axis=1)
+        twice &= ~np.any(lips.torn[nodes] & (nodes >= 0), axis=1)
+        if np.any(twice):
+            found.append((nodes[twice], middles[twice]))
+    return found
+
+
+def _facets(points: np.ndarray, cells: np.ndarray, corners: int, facets: np.ndarray) -> Facets:
+    """Of all cells of a kind."""
+    k = facets.shape[1]
+    middle = {frozenset(edge): corners + i for i, edge in enumerate(EDGES[corners])}
+    ends = np.stack([facets, np.roll(facets, -1, axis=1)], axis=2)
+    own = np.array([[middle[frozenset(edge)] for edge in facet] for facet in ends.tolist()])
+    nodes = np.full((len(cells), len(facets), 2 * k), -1)
+    nodes[..., :k] = cells[:, facets]
+    if cells.shape[1] > corners:
+        nodes[..., k:] = cells[:, own]
+    centres = np.repeat(points[cells[:, :corners]].mean(axis=1), len(facets), axis=0)
+    return nodes.reshape(-1, 2 * k), centres
+
+
+def _uses(rows: np.ndarray) -> np.ndarray:
+    """How often each row, in any order, is among them."""
+    _, which, uses = each_once(rows)
+    return np.asarray(uses[which])
+
+
+def _basis(corners: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """At points of a facet, with their weights: the linear basis, that of the nodes in the middle
+    of its edges, and the derivatives of the former; by Gauss' rule, exact for degree 5."""
+    at, weights = (0.5 * x for x in np.polynomial.legendre.leggauss(3))
+    r, s = (x.ravel() for x in np.meshgrid(at + 0.5, at + 0.5))
+    share = np.outer(weights, weights).ravel()
+    if corners == 3:
+        s, share = s * (1.0 - r), share * (1.0 - r)
+        linear = np.array([1.0 - r - s, r, s])
+        slopes = np.broadcast_to([[[-1.0], [1.0], [0.0]], [[-1.0], [0.0], [1.0]]], (2, 3, len(r)))
+        between = 4.0 * linear * np.roll(linear, -1, axis=0)
+    else:
+        linear = np.array([(1 - r) * (1 - s), r * (1 - s), r * s, (1 - r) * s])
+        slopes = np.array([[s - 1, 1 - s, s, -s], [r - 1, -r, r, 1 - r]])
+        ends = linear, np.roll(linear, -1, axis=0)
+        between = 4.0 * ends[0] * ends[1] / (ends[0] + ends[1])
+    return share * np.stack([linear, between]), linear, slopes
+
+
+def _of_patches(
+    points: np.ndarray,
+    dofs: np.ndarray,
+    lips: _Lips,
+    facets: list[Facets],
+    stiffness: sparse.csr_matrix,
+) -> tuple[sparse.csr_matrix, np.ndarray, np.ndarray, np.ndarray]:
+    """B, the areas, the pairs of nodes at which patches are, and the nodes of the fronts."""
+    n_pairs = len(lips.first)
+    entries: list[tuple[np.ndarray, ...]] = []
+    areas, fronts = np.zeros(n_pairs), []
+    for nodes, middles in facets:
+        k = nodes.shape[1] // 2
+        (linear, between), psi, slopes = _basis(k)
+        here = points[nodes[:, :k]]
+        one, two = np.einsum("akq,fkx->afqx", slopes, here)
+        normal = np.cross(one, two)
+        inwards = np.einsum("fqx,fx->f", normal, here.mean(axis=1) - middles) < 0.0
+        normal[inwards] *= -1.0
+        size = np.linalg.norm(normal, axis=2)
+        pair = lips.split[nodes[:, :k]]
+        np.add.at(areas, pair[pair >= 0], 0.5 * np.einsum("kq,fq->fk", linear, size)[pair >= 0])
+        fronts.append(nodes[:, :k][pair < 0])
+        # Quadratic: the linear function less half of those in the middle of its two edges.
+        halves = 0.5 * (between + np.roll(between, 1, axis=0))
+        quadratic = np.all(nodes[:, k:] >= 0, axis=1)[:, None, None]
+        moved = np.einsum("iq,jq,fqx->fijx", psi, linear, normal)
+        moved -= np.einsum("iq,jq,fqx->fijx", psi, halves, normal) * quadratic[..., None]
+        edges = np.einsum("iq,jq,fqx->fijx", psi, between, normal) * quadratic[..., None]
+        values = np.concatenate([moved, edges], axis=2)  # (facet, pressure, node, axis)
+        rows = np.broadcast_to(dofs[nodes][:, None], values.shape)
+        columns = np.broadcast_to(pair[:, :, None, None], values.shape)
+        kept = (rows >= 0) & (columns >= 0) & (values != 0.0)
+        entries.append((values[kept], rows[kept], columns[kept]))
+    chosen = np.flatnonzero(areas)
+    values, rows, columns = (np.concatenate(part) for part in zip(*entries, strict=True))
+    shape = stiffness.shape[0], n_pairs
+    gap = sparse.csr_matrix((values / areas[columns], (rows, columns)), shape)[:, chosen]
+    return gap, areas[chosen], chosen, np.unique(np.concatenate(fronts))
+
+
+# --- of nodes -------------------------------------------------------------------------------------
+
+
+def _of_nodes(
+    points: np.ndarray, dofs: np.ndarray, lips: _Lips, tangents: int, stiffness: sparse.csr_matrix
+) -> tuple[sparse.csr_matrix, np.ndarray]:
+    """B, and the nodes of the fronts; the lips have so many directions along them."""
+    gap = sparse.lil_matrix((stiffness.shape[0], len(lips.first)))
+    fronts: list[np.ndarray] = []
+    size = float(np.ptp(points, axis=0).max())
+    for column, (a, b) in enumerate(zip(lips.first, lips.second, strict=True)):
+        beside = [lips.joined[node].indices for node in (a, b)]
+        fronts.append(np.intersect1d(*beside))
+        around = np.unique(np.concatenate(beside))
+        around = np.append(around[lips.split[around] >= 0], fronts[-1])
+        if len(np.unique(lips.place[around])) <= tangents:
+            around = lips.first
+        spread = points[around] - points[around].mean(axis=0)
+        along = np.linalg.svd(spread, full_matrices=False)[2][:tangents]
+        up = points[beside[1]].mean(axis=0) - points[beside[0]].mean(axis=0)
+        up -= along.T @ (along @ up)
+        if np.linalg.norm(up) <= SAME * size:
+            where = "({:g}, {:g}, {:g})".format(*points[a])
+            allowed = "a crack with a side below and one above, or a model with its elements"
+            raise InputError("model", f"two nodes at {where} that lie on the same side", allowed)
+        up /= np.linalg.norm(up)
+        for node, sign in ((a, 1.0), (b, -1.0)):
+            for dof, value in zip(dofs[node], sign * up, strict=True):
+                if dof >= 0 and abs(value) > SAME:
+                    gap[dof, column] = value
+    return gap.tocsr(), np.unique(np.concatenate(fronts))

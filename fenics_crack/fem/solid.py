@@ -30,16 +30,18 @@ from fenics_crack.fem.crack_surface import (
     cracks_between,
     split_surface,
 )
-from fenics_crack.fem.mesh_checks import DEGENERATE, determinants, parts_of
 from fenics_crack.fem.msh_file import (
     CRACK,
+    DEGENERATE,
     Given,
     Names,
     cells_of,
+    determinants,
     facets_of,
     filled,
     groups_of,
     named_groups,
+    parts_of,
     points_in,
     tags_of,
 )  # fmt: skip

@@ -25,7 +25,7 @@ import fenics_crack as fc
 from fenics_crack import InputError, Scene
 from fenics_crack.exchange.matrices import read_matrix
 from fenics_crack.exchange.models import Model, read_model
-from fenics_crack.fem.found_pairs import find_pairs
+from fenics_crack.fem.matrix_files import find_pairs
 
 FOLDER = Path(__file__).with_name("plate")
 TEXT = """

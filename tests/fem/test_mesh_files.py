@@ -17,7 +17,7 @@ from mpi4py import MPI
 from test_mesh import area, file_plate, pair_nodes
 
 from fenics_crack import InputError, build_structure
-from fenics_crack.fem.mesh_checks import check_mesh
+from fenics_crack.fem.msh_file import check_mesh
 from fenics_crack.fem.plate import build_mesh
 
 WIDTH, HEIGHT = 2.0, 1.0

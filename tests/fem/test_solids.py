@@ -18,7 +18,7 @@ from surroundings import DEMOS, ROOT
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
 from fenics_crack.fem.crack_surface import FACETS, SolidCells, split_surface
-from fenics_crack.fem.found_pairs import coincident
+from fenics_crack.fem.matrix_files import coincident
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.fem.plate import build_mesh
 from fenics_crack.fem.solid import _cells
