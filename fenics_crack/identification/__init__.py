@@ -1,9 +1,9 @@
 """The crack from measurements: its length and place, how sure they are, and where to measure.
 
 ``measurements`` holds what was measured, ``responses`` finds natural frequencies in frequency
-responses, ``features`` makes smooth what sweeps over the unknowns hold, ``interpolation`` goes
-between their values, ``probes`` fits the motion to displacements, ``nuisance`` has what else is not
-as the scene says, and ``model`` makes of these the predictions with their covariance.
+responses, ``interpolation`` makes smooth what sweeps over the unknowns hold and goes between their
+values, ``nuisance`` has what else is not as the scene says, and ``model`` makes of these the
+predictions with their covariance, and fits the motion to displacements at probes.
 ``posterior`` compares both, ``where_to_measure`` looks at one measurement more, ``result`` says
 what was found; ``identify`` is the call that solves the sweeps and does all of it.
 """

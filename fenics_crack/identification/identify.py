@@ -22,7 +22,7 @@ from mpi4py import MPI
 
 from fenics_crack.errors import ConvergenceError, InputError, StoppedError
 from fenics_crack.files.store import scene_text
-from fenics_crack.identification.features import MESH, Part
+from fenics_crack.identification.interpolation import MESH, Part
 from fenics_crack.identification.measurements import Measurements, without_crack
 from fenics_crack.identification.model import Model
 from fenics_crack.identification.nuisance import Whole, whole_plate

@@ -3,7 +3,7 @@
 Each has a prior, a normal distribution about what the scene says, whose width is in ``[identify]``
 with its source. To first order a standard deviation of it changes the natural frequency of mode j
 by a relative a_j, the size of harmonics by a relative b, and through their poles
-(:mod:`fenics_crack.identification.features`) the harmonics by
+(:mod:`fenics_crack.identification.interpolation`) the harmonics by
 
     d ln U_k = b - sum_j (2 r^2 - 2 i z r) / (1 - r^2 + 2 i z r) a_j,      r = k W / w_j.
 
@@ -36,7 +36,7 @@ from mpi4py import MPI
 
 from fenics_crack.errors import FEW_MODES, InputError
 from fenics_crack.fem.loads import rigid_motions
-from fenics_crack.identification.features import Feature, poles
+from fenics_crack.identification.interpolation import Feature, poles
 from fenics_crack.identification.measurements import Measurements
 from fenics_crack.model.modes import Modes, solve_modes, times
 from fenics_crack.scene.scene import Scene

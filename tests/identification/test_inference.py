@@ -17,10 +17,9 @@ from scipy.interpolate import CubicSpline
 import fenics_crack as fc
 from fenics_crack.identification.identify import remarks_on
 from fenics_crack.identification.interpolation import Cube, Interpolation, left_out_errors
-from fenics_crack.identification.model import Prediction
+from fenics_crack.identification.model import Passages, Prediction
 from fenics_crack.identification.nuisance import act_as
 from fenics_crack.identification.posterior import Likelihood, Posterior, explore
-from fenics_crack.identification.probes import Passages
 from fenics_crack.identification.where_to_measure import Worth, advice, worth_of
 
 SQUARE = Cube((np.linspace(0.0, 2.0, 6), np.linspace(1.0, 3.0, 7)))
