@@ -14,16 +14,15 @@ import scipy.io
 import scipy.sparse as sparse
 
 import fenics_crack as fc
-from fenics_crack.exchange.matrices import read_matrix_market
 
-RANDOM = sparse.random(30, 30, 0.1, random_state=1).tocsr()
+RANDOM = sparse.random(30, 30, 0.3, random_state=1).tocsr()
 N = RANDOM.shape[0]
 KINDS = {"general": RANDOM, "symmetric": RANDOM + RANDOM.T, "skew-symmetric": RANDOM - RANDOM.T}
 
 
 def read(path: Path) -> np.ndarray:
-    """The matrix of a file."""
-    return read_matrix_market(path, N).toarray()
+    """The matrix of a file, of gaps, which may be of any symmetry."""
+    return fc.Structure.from_matrices(np.eye(N), np.eye(N), path).gap.toarray()
 
 
 def refused(path: Path, reason: str) -> None:

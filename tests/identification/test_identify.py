@@ -8,13 +8,14 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers import MPI_ENVIRONMENT, ROOT
+from helpers import MPI_ENVIRONMENT, ROOT, wrap
 from mpi4py import MPI
 from ranks import kill
 from surroundings import main
@@ -22,8 +23,6 @@ from test_responses import file_of as universal_file
 
 import fenics_crack as fc
 from fenics_crack import SweepResult
-from fenics_crack.cli.results import IDENTIFIED
-from fenics_crack.sweep.file import SweepFile
 
 PLATE = """
 geometry = { width = 0.1, height = 0.2, thickness = 0.01 }
@@ -454,16 +453,16 @@ def test_stops_at_ctrl_c(
 ) -> None:
     """Nothing is inferred from a part of a sweep, and no other sweep begins; the same call goes on
     with it."""
-    record, left = SweepFile.record, 2
+    left = 2
 
-    def interrupted(*arguments: Any) -> None:
+    def interrupted(record: Callable[..., None], *arguments: Any) -> None:
         nonlocal left
         left -= 1
         if left == 0:
             signal.raise_signal(signal.SIGINT)
         record(*arguments)
 
-    monkeypatch.setattr(SweepFile, "record", interrupted)
+    wrap(monkeypatch, "fenics_crack.sweep.file.SweepFile.record", interrupted)
     assert main(little) == 3
     said = capsys.readouterr().err
     assert "fenics-crack: identification was stopped; the same command goes on" in said
@@ -494,16 +493,17 @@ def test_cases_that_failed(
     """They are told, and the exit code is that of a sweep with failed cases. The harmonics of one
     between others are made up for; of one at an end, or of too many, what needs them is left out,
     and the answer, with its evidences, is that of the other measurements."""
-    record = SweepFile.record
 
-    def failing(file: SweepFile, numbers: np.ndarray, cases: list[dict[str, Any]]) -> None:
+    def failing(
+        record: Callable[..., None], file: Any, numbers: np.ndarray, cases: list[dict[str, Any]]
+    ) -> None:
         for case in (one for at, one in zip(numbers, cases, strict=True) if at in lost):
             for name in [name for name in case if not name.startswith("omega_")]:
                 del case[name]
             case["status"] = "no luck"
         record(file, numbers, cases)
 
-    monkeypatch.setattr(SweepFile, "record", failing)
+    wrap(monkeypatch, "fenics_crack.sweep.file.SweepFile.record", failing)
     scene = fc.Scene.load(tmp_path / "plate.toml").replace(
         {"identify.unknown": {"crack.length": [0.01, 0.015, 0.02, 0.025, 0.03]}}
     )
@@ -541,7 +541,9 @@ def test_beside_other_results(
     capsys.readouterr()
     assert len(files) == 3 and main(["report", *files, "--output", str(page)]) == 0
     told = capsys.readouterr().err.splitlines()
-    assert told == [str(page), f"{own} is left out: {IDENTIFIED}"]
+    where = "identify.json, fit.csv and, of two unknowns or more, posterior.png beside it"
+    left_out = f"{own} is left out: what identify has found is in {where}"
+    assert told == [str(page), left_out]
     text = page.read_text("utf-8")
     assert text.count("of 1 cases") == text.count("of 4 cases") == 2
     for command in ("plot", "report"):
