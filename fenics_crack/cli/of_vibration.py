@@ -27,8 +27,7 @@ from fenics_crack.cli.account import (
 from fenics_crack.cli.scenes import remark_on
 from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, kind_in_words, parameter_axis
 from fenics_crack.curves.peak import top_and_damping
-from fenics_crack.model.bilinear import KINDS, BilinearFrequencies, bilinear_frequencies
-from fenics_crack.model.modes import Modes
+from fenics_crack.model.modes import KINDS, BilinearFrequencies, Modes, bilinear_frequencies
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QUANTITIES, SHORT
 from fenics_crack.scene.tables import Integration

@@ -33,7 +33,7 @@ from fenics_crack.draw.plot_motion import (
 from fenics_crack.draw.plot_study import draw_growth, draw_verification
 from fenics_crack.errors import FEW_MODES, InputError
 from fenics_crack.files.store import read
-from fenics_crack.growth.result import Growth
+from fenics_crack.growth.grow import Growth
 from fenics_crack.model.modes import LIPS, Modes, n_tied_modes, solve_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.fields import Axis

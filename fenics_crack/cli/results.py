@@ -21,7 +21,7 @@ from fenics_crack.cli.of_vibration import (
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import IDENTIFICATION, Stored
-from fenics_crack.growth.result import ENDS, Growth
+from fenics_crack.growth.grow import ENDS, Growth
 from fenics_crack.model.modes import Modes
 from fenics_crack.scene.words import key_in_words
 from fenics_crack.study.run import Run, run_of

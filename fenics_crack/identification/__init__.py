@@ -4,6 +4,6 @@
 responses, ``interpolation`` makes smooth what sweeps over the unknowns hold and goes between their
 values, ``nuisance`` has what else is not as the scene says, and ``model`` makes of these the
 predictions with their covariance, and fits the motion to displacements at probes.
-``posterior`` compares both, ``where_to_measure`` looks at one measurement more, ``result`` says
-what was found; ``identify`` is the call that solves the sweeps and does all of it.
+``posterior`` compares both, ``result`` says what was found and what one measurement more would
+tell; ``identify`` is the call that solves the sweeps and does all of it.
 """

@@ -3,7 +3,7 @@
 A blade is excited at multiples of the rotor's speed, w = n W with the engine order n. Resonances
 are where such a line crosses a natural frequency. Of a crack that breathes they lie near the
 bilinear frequency 2 w_o w_t / (w_o + w_t), between those with lips open and tied
-(:mod:`fenics_crack.model.bilinear`); where rotation or the mean load holds the crack open or shut,
+(:mod:`fenics_crack.model.modes`); where rotation or the mean load holds the crack open or shut,
 at the open or the tied one. It is held where the resonance of that state cannot change it: with the
 amplitude a = |phi . f| / (2 xi w^2) of the mode, open where all pairs are open at rest by more
 than a |B^T phi|, and shut where all are pressed by more than the force a |lambda| of the tied
@@ -23,9 +23,15 @@ from scipy.optimize import brentq
 
 from fenics_crack.errors import InputError, check_count
 from fenics_crack.fem.build import assemble, with_crack_length
-from fenics_crack.model.bilinear import KINDS, BilinearFrequencies
 from fenics_crack.model.matrices import numbers
-from fenics_crack.model.modes import Modes, n_tied_modes, solve_modes, times
+from fenics_crack.model.modes import (
+    KINDS,
+    BilinearFrequencies,
+    Modes,
+    n_tied_modes,
+    solve_modes,
+    times,
+)
 from fenics_crack.model.rotation import Ritz, static_state
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene

@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.model.bilinear import tied_frequencies
-from fenics_crack.model.modes import solve_modes
+from fenics_crack.model.modes import solve_modes, tied_frequencies
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.stages import within

@@ -18,11 +18,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fenics_crack.model.bilinear import BilinearFrequencies, tied_frequencies
 from fenics_crack.model.coupled import solve_complementarity
 from fenics_crack.model.damping import ModalDamping, RayleighDamping
 from fenics_crack.model.factor import Factor
-from fenics_crack.model.modes import Modes, check_damped_modes, count_below, modes_by, times
+from fenics_crack.model.modes import (
+    BilinearFrequencies,
+    Modes,
+    check_damped_modes,
+    count_below,
+    modes_by,
+    tied_frequencies,
+    times,
+)
 from fenics_crack.model.reduced import ResidualFlexibility
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows

@@ -46,9 +46,8 @@ from fenics_crack.balance.indicators import contact_extremes
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.curves.curve import ResponseCurve
-from fenics_crack.model.bilinear import KINDS, bilinear_frequencies
 from fenics_crack.model.modal import is_small
-from fenics_crack.model.modes import NEGLIGIBLE, Modes
+from fenics_crack.model.modes import KINDS, NEGLIGIBLE, Modes, bilinear_frequencies
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.quantities import OF_LIPS, OF_POINTS, QUANTITIES

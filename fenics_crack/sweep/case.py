@@ -16,10 +16,10 @@ from fenics_crack.balance.solution import PeriodicSolution, Solver, solve_beside
 from fenics_crack.curves.peak import top_and_damping
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.fem.build import clearance_of
-from fenics_crack.model.bilinear import BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.memory import check_memory
 from fenics_crack.model.modal import is_small
+from fenics_crack.model.modes import BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene

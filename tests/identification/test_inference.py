@@ -20,7 +20,7 @@ from fenics_crack.identification.interpolation import Cube, Interpolation, left_
 from fenics_crack.identification.model import Passages, Prediction
 from fenics_crack.identification.nuisance import act_as
 from fenics_crack.identification.posterior import Likelihood, Posterior, explore
-from fenics_crack.identification.where_to_measure import Worth, advice, worth_of
+from fenics_crack.identification.result import Worth, advice, worth_of
 
 SQUARE = Cube((np.linspace(0.0, 2.0, 6), np.linspace(1.0, 3.0, 7)))
 
