@@ -60,15 +60,13 @@ class StageLines:
     ----------
     stream : text stream
         Standard error.
-    indent : str
-        Before the lines.
     kept : bool
         Keep a line of each long stage; else only signs of life are shown.
     """
 
-    def __init__(self, stream: Any = None, indent: str = "  ", *, kept: bool = True) -> None:
+    def __init__(self, stream: Any = None, *, kept: bool = True) -> None:
         self._stream = stream or sys.stderr
-        self._live, self._indent, self._kept = bool(self._stream.isatty()), indent, kept
+        self._live, self._kept = bool(self._stream.isatty()), kept
         self._stage, self._began = "", 0.0
         self._writing, self._over = threading.Lock(), threading.Event()
 
@@ -80,10 +78,10 @@ class StageLines:
             if before:
                 self._write("\r\033[K" if self._live else "")
                 if self._kept and now - self._began > LONG:
-                    self._write(f"{self._indent}{before}: {now - self._began:.1f} s\n")
+                    self._write(f"  {before}: {now - self._began:.1f} s\n")
             self._began = now
             if stage and self._live:
-                self._write(f"{self._indent}{stage} ...")
+                self._write(f"  {stage} ...")
         if stage and not before:
             self._over = threading.Event()
             threading.Thread(target=self._live_on, args=(self._over,), daemon=True).start()
@@ -94,7 +92,7 @@ class StageLines:
         """Say every few seconds what is being done, and for how long."""
         while not over.wait(BEAT):
             with self._writing:
-                said = f"{self._indent}{self._stage} ... {time.perf_counter() - self._began:.0f} s"
+                said = f"  {self._stage} ... {time.perf_counter() - self._began:.0f} s"
                 if self._stage:
                     self._write(f"\r\033[K{said}" if self._live else f"{said}\n")
 

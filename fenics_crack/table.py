@@ -109,8 +109,7 @@ class Table:
         InputError
             The file cannot be written.
         """
-        text = self._json() if Path(path).suffix == ".json" else self._csv()
-        write_whole(path, text)
+        write_whole(path, self._json() if Path(path).suffix == ".json" else self._csv())
 
     def _text(self) -> str:
         shown = self.rows[:SHOWN_ROWS]

@@ -259,8 +259,7 @@ class _Seen:
             if np.any(slope <= 0.0):
                 return None
         left = values - whitened @ found
-        covariance = np.linalg.inv(whitened.T @ whitened)
-        return _Fit(found, covariance, float(left @ left), passed)
+        return _Fit(found, np.linalg.inv(whitened.T @ whitened), float(left @ left), passed)
 
     def _whitened(self, slope: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Columns (g, m) and the means, over slopes and in standard deviations."""

@@ -97,8 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             _show_lines_of(error.key)
         return Exit.FAULT if isinstance(error, WriteError) else Exit.BAD_INPUT
     except ConvergenceError as error:
-        stopped = isinstance(error, StoppedError)
-        _say(str(error) if stopped else f"did not converge: {error}")
+        _say(str(error) if isinstance(error, StoppedError) else f"did not converge: {error}")
         return Exit.NOT_CONVERGED
     except KeyboardInterrupt:
         atexit.register(_let_go)  # the last to be registered is the first to be called

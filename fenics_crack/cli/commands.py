@@ -170,8 +170,7 @@ def verification(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     with console.stage("verification"):
         found = verify(inputs.scene, console.comm)
     found.save(inputs.folder / "verify.h5", console.comm)
-    draw = partial(draw_verification, found)
-    return tell(account_of(found), inputs.folder, console, draw)
+    return tell(account_of(found), inputs.folder, console, partial(draw_verification, found))
 
 
 def identification(given: Namespace, inputs: Inputs, console: Console) -> Exit:

@@ -170,8 +170,7 @@ def account_of_history(run: Run[TimeHistory]) -> Account:
     """A motion from rest, and whether it repeats (collective)."""
     found, scene = run.result, run.scene
     distance = found.distance
-    values = vars(found) | {"distance": distance} | found.indicators().to_dict()
-    table = _quantities(run, values)
+    table = _quantities(run, vars(found) | {"distance": distance} | found.indicators().to_dict())
     asked = scene.integration or Integration()
     change = f"a period changes it by {found.settled:.2g}"
     left = f", and it is {distance:.2g} from where it settles" if distance < 1.0 else ""
@@ -340,8 +339,7 @@ def account_of_curve(run: Run[ResponseCurve]) -> Account:
         remark_on(run.structure, highest_omega(scene, "curve")),
     ]
     if hidden:
-        what = "more bifurcations and changes of stability"
-        notes.insert(0, f"{hidden} {what}: curve.json")
+        notes.insert(0, f"{hidden} more bifurcations and changes of stability: curve.json")
     kinds = dict.fromkeys(point.kind for point in found.bifurcations)
     notes += [f"{kind_in_words(kind)}: {IN_A_TEST[kind]}" for kind in kinds if kind in IN_A_TEST]
     seen = found.indicators(run.watched_dof)

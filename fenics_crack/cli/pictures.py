@@ -286,22 +286,16 @@ def _axis_words(axis: Axis, values: np.ndarray) -> tuple[np.ndarray, str]:
     return factor * values, with_unit(key_in_words(axis.key), unit)
 
 
-def _verification(found: Verification, file: File) -> None:
-    draw_verification(found, path=file("verify.png"))
-
-
-def _growth(found: Growth, file: File) -> None:
-    draw_growth(found, path=file("growth.png"), in_hertz=found.scene.in_hertz)
-
-
 DRAW: dict[str, Callable[[Any, File], None]] = {
     Modes.KIND: _modes,
     PeriodicSolution.KIND: _solution,
     ResponseCurve.KIND: _curve,
     SweepResult.KIND: _sweep,
     TimeHistory.KIND: _history,
-    Growth.KIND: _growth,
-    Verification.KIND: _verification,
+    Growth.KIND: lambda found, file: draw_growth(
+        found, path=file("growth.png"), in_hertz=found.scene.in_hertz
+    ),
+    Verification.KIND: lambda found, file: draw_verification(found, path=file("verify.png")),
 }
 
 
@@ -328,8 +322,7 @@ def draw_several(paths: Sequence[Path], labels: Sequence[str], folder: Path) -> 
     if len(set(kinds)) > 1:
         raise InputError("result", kinds, "results of one kind, to be drawn in one picture")
     if kinds[0] not in OVERLAY:
-        allowed = "solutions, curves or sweeps, where several are given"
-        raise InputError("result", kinds[0], allowed)
+        raise InputError("result", kinds[0], "solutions, curves or sweeps, where several are given")
     found = [*map(result_of, stored)]
     names = list(labels) or differences([one.scene for one in found])
     if len(set(names)) < len(names):

@@ -145,8 +145,7 @@ def warnings_of(found: SweepResult) -> Iterator[str]:
     """Failed cases, large errors, and what is not stable; one line for each kind."""
     yield from by_reason(found, found.failed, "failed")
     if large := int(np.sum(found.inexact)):
-        given = found.scene.harmonic_balance.tolerance is not None
-        wanted = FINER if given else MORE
+        wanted = FINER if found.scene.harmonic_balance.tolerance is not None else MORE
         yield f"{counted(large, 'case')} with an error above {LARGE_ERROR:.0%}: {wanted}"
     verdicts = found["verdict"][found.converged]
     unstable, undecided = (int(np.sum(verdicts == name)) for name in ("unstable", "undecided"))

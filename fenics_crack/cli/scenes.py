@@ -162,11 +162,9 @@ def _contact(study: Study, figures: KeyFigures) -> dict[str, object]:
         stiffness = np.broadcast_to(law.stiffness, study.structure.n_pairs)
         rows["softest pair [N/m]"] = float(stiffness.min())
         rows["stiffest pair [N/m]"] = float(stiffness.max())
-    own = figures.own_stiffness
-    rows["lips' own stiffness, pair by pair [N/m]"] = _span(own)
+    rows["lips' own stiffness, pair by pair [N/m]"] = _span(figures.own_stiffness)
     if figures.stiffness_ratio is not None:
-        ratio = figures.stiffness_ratio
-        rows["contact stiffness / lips' own"] = _span(ratio)
+        rows["contact stiffness / lips' own"] = _span(figures.stiffness_ratio)
     rows["static opening, mean load [m]"] = figures.mean_opening
     rows["static motion of the lips, amplitude of the load [m]"] = figures.static_motion
     return rows

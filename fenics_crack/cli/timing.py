@@ -191,8 +191,7 @@ def _account_of_track(track: TipTrack, scene: Scene, warnings: list[str]) -> Acc
         about = (float(sizes[at]), float(track.amplitude_errors[at, place]))
         rows.append([float(multiple), *(table.rows[at][n] for n in kept), *about])
     columns = ["multiple, where it is largest", *(table.columns[n] for n in kept)]
-    largest = Table([*columns, "amplitude [m]", "amplitude_error [m]"], rows)
-    shown = in_one_unit(largest, scene)
+    shown = in_one_unit(Table([*columns, "amplitude [m]", "amplitude_error [m]"], rows), scene)
     doubts = [UNTESTED] if np.isnan(track.misfit) else []
     if track.does_not_fit:
         doubts.append(

@@ -63,8 +63,7 @@ def write_modes(modes: Modes, path: str | Path) -> None:
             factor = _tenth(shape, mesh.size)
             moved, name = in_space(factor * shape), f"mode {number}: {omega:.1f} rad/s"
             add_values(grid.GetPointData(), name, moved)
-            factors = np.array([factor])
-            add_values(grid.GetFieldData(), f"magnification of mode {number}", factors)
+            add_values(grid.GetFieldData(), f"magnification of mode {number}", np.array([factor]))
         write_whole(path, _vtu(grid))
 
     on_root(mesh.structure.comm, write)

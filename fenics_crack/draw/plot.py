@@ -230,8 +230,7 @@ def _over_crack(
     axes.set_aspect("equal")
     axes.set_xlabel(f"{AXES[one]} [{unit}]")
     axes.set_ylabel(f"{AXES[other]} [{unit}]")
-    bar = axes.figure.colorbar(drawn, ax=axes, orientation="horizontal", pad=0.25)
-    bar.set_label(label)
+    axes.figure.colorbar(drawn, ax=axes, orientation="horizontal", pad=0.25).set_label(label)
 
 
 def _along_cracks(pairs: Pairs) -> tuple[np.ndarray, list[float]]:

@@ -65,8 +65,7 @@ def draw_posterior(
     """
     for name, key in (("x", x), ("y", y)):
         if key not in found.unknown or x == y:
-            allowed = f"two different ones of {', '.join(found.unknown)}"
-            raise InputError(name, key, allowed)
+            raise InputError(name, key, f"two different ones of {', '.join(found.unknown)}")
     [panel] = picture = Picture(size=(6.0, 4.6), **where)
     first, second = (found.unknown.index(key) for key in (x, y))
     posterior = found.posterior

@@ -118,8 +118,7 @@ def function_space(mesh: Any, order: int, *, vectors: bool = True) -> Any:
         shape = ((mesh.geometry.dim,),) if vectors else ()
         return dolfinx.fem.functionspace(mesh, ("Lagrange", order, *shape), **_JIT)
     make = ufl.VectorElement if vectors else ufl.FiniteElement
-    element = make("Lagrange", mesh.ufl_cell(), order)
-    return dolfinx.fem.FunctionSpace(mesh, element, **_JIT)
+    return dolfinx.fem.FunctionSpace(mesh, make("Lagrange", mesh.ufl_cell(), order), **_JIT)
 
 
 @_quiet_compiler()

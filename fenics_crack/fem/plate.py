@@ -91,8 +91,7 @@ class PlateMesh:
 
     def facets(self, group: str) -> np.ndarray:
         """This rank's facets of a named curve."""
-        found = [self.facet_tags.find(tag) for tag in self.groups[group]]
-        return np.sort(np.concatenate(found))
+        return np.sort(np.concatenate([self.facet_tags.find(tag) for tag in self.groups[group]]))
 
     def along(self, *groups: str) -> Any:
         """The measure ds of integrals over named curves."""
@@ -343,8 +342,7 @@ class Dofs:
     @property
     def points(self) -> np.ndarray:
         """Positions of this rank's nodes: (n_nodes, d) [m]."""
-        points = self.space.tabulate_dof_coordinates()[: self.n_nodes, : self.dimension]
-        return np.asarray(points)
+        return np.asarray(self.space.tabulate_dof_coordinates()[: self.n_nodes, : self.dimension])
 
     def nodes_on(self, group: str, space: Any = None) -> np.ndarray:
         """Local numbers, ghosts included, of the nodes in a facet group; of another space's, if

@@ -134,8 +134,7 @@ class Measurement:
     def orders(self) -> tuple[int, ...]:
         """Harmonics of which it is made, of a ratio the one above first; none of a natural
         frequency, and of a displacement, which has all."""
-        found = self.quantity.split("_")[1:]
-        return () if self.natural else tuple(map(int, found))
+        return () if self.natural else tuple(map(int, self.quantity.split("_")[1:]))
 
     @property
     def name(self) -> str:

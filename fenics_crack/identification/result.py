@@ -495,8 +495,7 @@ class Identification(Tabular):
             parts[0] += f" (log Bayes factor {self.log_bayes_factor:.3g})"
         for place, key in enumerate(self.unknown):
             value = value_in_words(key, self.estimate[key])
-            spread = value_in_words(key, self.posterior.spread(place))
-            parts.append(f"{key} = {value} ± {spread}")
+            parts.append(f"{key} = {value} ± {value_in_words(key, self.posterior.spread(place))}")
         if len(self.alternatives) > 1:
             parts.append("NOT THE ONLY ONE")
         return ", ".join(parts)

@@ -17,7 +17,7 @@ from fenics_crack.errors import InputError, check_count, check_number, check_two
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.matrices import numbers
 
-__all__ = ["DampingRule", "ModalDamping", "RayleighDamping", "check_rule"]
+__all__ = ["DampingRule", "ModalDamping", "RayleighDamping"]
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,7 @@ class ModalDamping:
             raise InputError("damping ratio", self.ratio, "finite and >= 0, one or one per mode")
         if self.modes is not None:
             check_count("damping modes", self.modes, 1)
-        given = tuple(ratio.tolist()) if ratio.ndim else float(ratio)
-        object.__setattr__(self, "ratio", given)
+        object.__setattr__(self, "ratio", tuple(ratio.tolist()) if ratio.ndim else float(ratio))
 
     def scaled(self, factor: float) -> ModalDamping:
         """The same with every ratio multiplied by a factor."""
@@ -166,9 +165,3 @@ class RayleighDamping:
 
 DampingRule = ModalDamping | RayleighDamping
 """Damping that follows from mass and stiffness."""
-
-
-def check_rule(damping: object) -> None:
-    """Raise InputError unless a value is such a damping, or None."""
-    if not isinstance(damping, DampingRule | None):
-        raise InputError("damping", damping, "a ModalDamping, a RayleighDamping or None")

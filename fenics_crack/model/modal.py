@@ -196,8 +196,7 @@ def _all_modes(structure: Structure) -> AllModes:
     # Beside the largest it may be rounding of LAPACK's; to K itself it is told by one mode alone.
     doubtful = squares[0] <= AS_ZERO * squares[-1]
     unconstrained = bool(doubtful and solve_modes(structure, 1).omega[0] == 0.0)
-    pairs = (structure.gap.T @ shapes).T
-    return AllModes(squares, shapes, damping, pairs, unconstrained)
+    return AllModes(squares, shapes, damping, (structure.gap.T @ shapes).T, unconstrained)
 
 
 def _of_interface(structure: MasslessInterface) -> AllModes:

@@ -23,7 +23,7 @@ from mpi4py import MPI
 
 from fenics_crack.errors import InputError, check_number
 from fenics_crack.model.clamp import Clamp
-from fenics_crack.model.damping import DampingRule, RayleighDamping, check_rule
+from fenics_crack.model.damping import DampingRule, RayleighDamping
 from fenics_crack.model.matrices import (
     checked,
     lumped_mass,
@@ -176,7 +176,8 @@ class Structure(Coordinates):
 
         Of a reduced structure it is that of its own coordinates or modes.
         """
-        check_rule(damping)
+        if not isinstance(damping, DampingRule | None):
+            raise InputError("damping", damping, "a ModalDamping, a RayleighDamping or None")
         kept = None if damping is None else self._of_kept(damping)
         parts = self._parts(self._DAMPED_TOO, lambda part: part.damped(damping))
         return self._copied(damping=kept, damping_factor=1.0, _original=None, _known={}, **parts)

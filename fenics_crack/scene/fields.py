@@ -334,8 +334,7 @@ def named(name: str) -> Iterator[None]:
         yield
     except InputError as error:
         key = error.key.partition(".")[2]
-        full = f"{name}.{key}" if key else name
-        raise InputError(full, error.value, error.allowed) from None
+        raise InputError(f"{name}.{key}" if key else name, error.value, error.allowed) from None
 
 
 class Table:

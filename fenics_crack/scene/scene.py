@@ -479,8 +479,7 @@ def _check_vectors(scene: Scene) -> None:
             object.__setattr__(scene, name, held.with_vectors(dimension))
     for point in scene.points:
         if len(point.values) != dimension:
-            key = f"output.points.{point.key}"
-            raise InputError(key, point.values, components("", dimension))
+            raise InputError(f"output.points.{point.key}", point.values, components("", dimension))
 
 
 def _check_dimension(scene: Scene) -> None:

@@ -82,8 +82,7 @@ def clamp_of_motion(
     rows, whole = structure.once(_inertia_rows), structure.whole
     clamp, drag = _clamp(whole), _drag(whole)
     if isinstance(motion, TimeHistory):
-        steps = motion.steps_per_period
-        omega = TURN * (len(motion.time) - 1) / steps / float(np.ptp(motion.time))
+        omega = TURN * (len(motion.time) - 1) / motion.steps_per_period / float(np.ptp(motion.time))
         return motion.time, *clamp.of_record(motion.time, motion.seen_through(rows), omega, drag)
     waves = structure.sum_over_ranks(motion.displacement_coefficients @ rows.T)
     time, omega = motion.instants(), motion.base_omega

@@ -193,8 +193,7 @@ def _meshes(study: Study, own: Study) -> _Ways | str:
             "fc.grid_convergence compares several"
         )
     formal = TIP if study.structure.n_pairs else CLAMP
-    none = (None,) * (1 + len(scenes))
-    return _Ways(scenes, none, formal, highest=2.0 * scene.mesh.order)
+    return _Ways(scenes, (None,) * (1 + len(scenes)), formal, highest=2.0 * scene.mesh.order)
 
 
 def _modes(study: Study, own: Study) -> _Ways | str:

@@ -92,8 +92,7 @@ def run_up_ends(scene: Scene, run: Run[Any]) -> str:
     points, lost = run_up_points(curve)
     if lost is None:
         return ""
-    order = engine_order(scene.given("tip_timing"), run.scene)
-    speeds = curve.omega[[points[-1], lost]] / order
+    speeds = curve.omega[[points[-1], lost]] / engine_order(scene.given("tip_timing"), run.scene)
     last, at = (speed_in_words(speed, scene.in_rpm) for speed in speeds)
     return f"the vibration is unstable at {at}: the run-up ends before, at {last}"
 

@@ -240,8 +240,7 @@ class Manager:
         fresh = [number for number in self._left if number not in self._given.values()]
         number = self._given.get(group, -1)
         if number not in self._left:
-            most = max(self._left, key=lambda one: len(self._left[one]))
-            number = fresh[0] if fresh else most
+            number = fresh[0] if fresh else max(self._left, key=lambda one: len(self._left[one]))
         self._given[group] = number
         places = self._left[number]
         alone = self._groups == 1 or len(fresh) > self._groups

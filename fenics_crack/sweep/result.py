@@ -281,8 +281,7 @@ class SweepResult(Tabular):
         return [(at, status.partition(OPEN)[2] or "its reason is not kept") for at, status in told]
 
     def _status_where(self, which: np.ndarray) -> list[tuple[tuple[int, ...], str]]:
-        places = np.argwhere(which)
-        return [(tuple(map(int, at)), str(self["status"][tuple(at)])) for at in places]
+        return [(tuple(map(int, at)), str(self["status"][tuple(at)])) for at in np.argwhere(which)]
 
     def gap(self, index: tuple[int, ...] | int) -> np.ndarray:
         """Gap coefficients of a case that converged: (2H+1, n_pairs) [m].

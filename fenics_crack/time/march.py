@@ -282,8 +282,7 @@ class TimeHistory(Tabular):
         chosen = (self.recorded_dofs[:, None] == wanted).astype(float)
         times = self.structure.sum_over_ranks(chosen.sum(axis=0))  # a dof may be recorded twice
         if not times.all():
-            missing = wanted[times == 0.0]
-            raise InputError("dofs", missing.tolist(), "among those recorded")
+            raise InputError("dofs", wanted[times == 0.0].tolist(), "among those recorded")
         return self.structure.sum_over_ranks(self.recorded @ (chosen / times))
 
     def seen_through(self, rows: np.ndarray) -> np.ndarray:
