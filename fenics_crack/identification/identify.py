@@ -1,8 +1,9 @@
 """From measurements to the crack: one call.
 
-Four sweeps over the unknowns, each in a file from which a killed run goes on, are all that is
-solved: of the scene, or of a coarser mesh; of a finer one at a few of the same values, which
-corrects the first; and both of the plate without its crack. A :class:`Model` interpolates
+Sweeps over the unknowns, each in a file from which a killed run goes on, are all that is solved: of
+the scene, or of a coarser mesh; of a finer one at a few of the same values, which corrects the
+first; of the first again at a few values halfway between, where it is seen how far the
+interpolation is off; and these of the plate without its crack. A :class:`Model` interpolates
 between what they have solved. What else is not known has a prior, and moves the predictions by
 first-order changes (:mod:`fenics_crack.identification.nuisance`).
 """
@@ -41,10 +42,13 @@ from fenics_crack.sweep.result import SweepResult, by_reason, run_sweep
 __all__ = ["Forward", "identify", "infer", "remarks_on", "solve_forward"]
 
 FEW_NODES = 4
-"""Values of each of one or two unknowns that the finer sweep takes; of more unknowns one less."""
+"""Values of each of one or two unknowns that the finer sweep takes, and that halfway between; of
+more unknowns one less."""
 FREQUENCY = "excitation.frequency"
 ASKED = ("sweep", "curve", "integration", "identify", "tip_timing")
 """Tables that do not matter to a sweep of the forward model."""
+Sweeps = tuple[SweepResult, SweepResult | None, SweepResult | None]
+"""Of all cases, of a finer mesh, and halfway between the cases."""
 
 
 def identify(
@@ -60,12 +64,12 @@ def identify(
 
     The scene is solved on a grid of the unknowns once, spread over the ranks, and on a finer mesh
     at a few places; files in ``folder`` keep both, and a killed run goes on from them. Smooth
-    interpolation between has an error of its own, by cross-validation, which is added to that of
-    the measurements. So is what may be left of the mesh's error: where a mesh finer by f changes a
-    quantity by d, d / (2 f - 2), which is added to the correction d, too (of an error of first
-    order d / (f - 1) is left, of one of high order nothing). Least squares from several starts find
-    the estimate, a posterior on a grid its regions, and its integral over the prior says whether
-    there is a crack at all.
+    interpolation between has an error of its own, by cross-validation and a few cases halfway
+    between the others, which is added to that of the measurements. So is what may be left of the
+    mesh's error: where a mesh finer by f changes a quantity by d, d / (2 f - 2), which is added to
+    the correction d, too (of an error of first order d / (f - 1) is left, of one of high order
+    nothing). Least squares from several starts find the estimate, a posterior on a grid its
+    regions, and its integral over the prior says whether there is a crack at all.
 
     Parameters
     ----------
@@ -294,11 +298,12 @@ def solve_forward(
     numbers = sum(not isinstance(axis.values[0], str) for axis in table.unknown)
     count = FEW_NODES - (numbers > 2)
 
-    def sweeps(name: str, changes: dict[str, Any], axes: Sequence[Axis]) -> list[SweepResult]:
-        found = [run(name, coarse.replace(changes), axes)]
-        if fine is not None:
-            found.append(run(f"{name}_finer", fine.replace(changes), _thinned(axes, count)))
-        return found
+    def sweeps(name: str, changes: dict[str, Any], axes: Sequence[Axis]) -> Sweeps:
+        own, few = coarse.replace(changes), _thinned(axes, count)
+        every = run(name, own, axes)
+        finer = None if fine is None else run(f"{name}_finer", fine.replace(changes), few)
+        between = None if table.meshes else run(name, own, _thinned(_halfway(axes), count))
+        return every, finer, between
 
     meshes = [Axis(MESH, table.mesh_files)] if table.meshes else []
     cracked = sweeps("forward", {}, [*meshes, *table.unknown])
@@ -332,11 +337,24 @@ def _thinned(axes: Sequence[Axis], count: int) -> tuple[Axis, ...]:
     return tuple(found)
 
 
+def _halfway(axes: Sequence[Axis]) -> tuple[Axis, ...]:
+    """Values halfway between those of each unknown; words and whole numbers as they are."""
+    return tuple(
+        Axis(axis.key, tuple(0.5 * (a + b) for a, b in itertools.pairwise(axis.values)))
+        if any(isinstance(value, float) for value in axis.values)
+        else axis
+        for axis in axes
+    )
+
+
 def _models(
-    scene: Scene, whole: Whole, sweeps: Sequence[SweepResult], bare: Sequence[SweepResult] = ()
+    scene: Scene,
+    whole: Whole,
+    sweeps: Sweeps,
+    bare: tuple[SweepResult | None, ...] = (None, None, None),
 ) -> dict[str, Model]:
-    """Models of a sweep, and of a finer one if there is, by the words that tell them apart; and
-    the sweeps of the plate without its crack, if there are."""
+    """Models of a sweep, of a finer one and of one between if there are, by the words that tell
+    them apart; and the sweeps of the plate without its crack, if there are."""
     axes, meshes = sweeps[0].axes[:-1], scene.given("identify").mesh_axes
     words = [
         range(len(a.values))
@@ -349,10 +367,15 @@ def _models(
         places = dict(zip((axis.key for axis in axes), chosen, strict=True))
         picked = [(axis, at) for axis, at in zip(axes, chosen, strict=True) if at is not None]
         fixed = {axis.key: axis.values[at] for axis, at in picked}
-        without = [Part.of(one, (), [places[axis.key] for axis in one.axes[:-1]]) for one in bare]
-        parts = (
-            Part.of(sweep, meshes, chosen, under)
-            for sweep, under in itertools.zip_longest(sweeps, without)
+        without = [
+            None if one is None else Part.of(one, (), [places[axis.key] for axis in one.axes[:-1]])
+            for one in bare
+        ]
+        coarse, *others = (
+            None if sweep is None else Part.of(sweep, meshes, chosen, under)
+            for sweep, under in zip(sweeps, without, strict=True)
         )
-        found[", ".join(map(str, fixed.values()))] = Model(scene, whole, *parts, fixed=fixed)
+        assert coarse is not None
+        name = ", ".join(map(str, fixed.values()))
+        found[name] = Model(scene, whole, coarse, *others, fixed=fixed)
     return found

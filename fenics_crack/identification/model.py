@@ -185,8 +185,8 @@ class Model:
         For its damping, and its table ``[identify]``.
     whole : Whole
         The plate without its crack.
-    coarse, finer : Part
-        The sweep, and that of the finer mesh, or None.
+    coarse, finer, between : Part
+        The sweep; that of the finer mesh, or None; and that halfway between the nodes, or None.
     fixed : mapping of str to object
         The unknowns that are words, and their values here.
     """
@@ -197,12 +197,13 @@ class Model:
         whole: Whole,
         coarse: Part,
         finer: Part | None = None,
+        between: Part | None = None,
         *,
         fixed: Mapping[str, Any],
     ) -> None:
         self.table, self._damping, self.whole = scene.given("identify"), scene.damping, whole
         self.scene = scene
-        self.coarse, self.finer = coarse, finer
+        self.coarse, self.finer, self.between = coarse, finer, between
         self.fixed, self.keys, self.cube = dict(fixed), coarse.keys, coarse.cube
 
     def quantities(
@@ -301,6 +302,7 @@ class Quantities:
         self._is_plain = np.array([one.lips == "uncracked" for one in self._features])
         self._basis = Interpolation(model.cube, model.coarse.basis)
         self._coarse = Interpolation(model.cube, self._smooth(model.coarse))
+        self._understated = self._missed()
         harmonic = np.repeat([not one.natural for one in self._features], 2)
         known = self._coarse.known & (self._coarse.between | ~harmonic)
         # An error of the first order leaves d / (f - 1) where a mesh finer by f changes d, one of
@@ -323,6 +325,21 @@ class Quantities:
         values = np.stack([feature.values(part) for feature in self._features], axis=1)
         values[:, self._own] -= values[:, self._plain]
         return _pairs(values * self._scales(part.cube.nodes, self._basis_at(part.cube.nodes)))
+
+    def _missed(self) -> np.ndarray:
+        """How many times larger errors of the interpolation are halfway between the nodes than
+        those that it states, 1 at least: (2f,). What has more waves than the nodes can tell, as
+        higher modes along the height, is smooth to them."""
+        part = self.model.between
+        if part is None:
+            return np.ones(2 * len(self._features))
+        x = part.cube.nodes
+        missed = (self._smooth(part) - self._coarse.at(x)) ** 2
+        stated = np.sum(self._coarse.scatter(x) ** 2, axis=1)
+        both = [np.nansum(one, axis=0).reshape(-1, 2).sum(axis=1) for one in (missed, stated)]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.where(both[1] > 0.0, both[0] / both[1], 1.0)
+        return np.repeat(np.sqrt(np.maximum(ratio, 1.0)), 2)
 
     def _scales(self, x: np.ndarray, basis: np.ndarray) -> np.ndarray:
         """Factors that have made features smooth: (m, f), for both sweeps from the coarse one."""
@@ -396,7 +413,7 @@ class Quantities:
     def _of_features(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
         """Smooth forms as pairs of columns, what the mesh may have left of an error, (m, 2f) each,
         and errors at the nodes around, (m, k, 2f) of each sweep."""
-        smooth, scatter = self._coarse.at(x), [self._coarse.scatter(x)]
+        smooth, scatter = self._coarse.at(x), [self._understated * self._coarse.scatter(x)]
         left = np.zeros_like(smooth)
         if self._correction is not None:
             difference = self._correction.at(x)

@@ -69,7 +69,8 @@ def rows() -> fc.Measurements:
 
 def test_as_the_program_s_own_meshes(own: Path, rows: fc.Measurements, tmp_path: Path) -> None:
     """From the same meshes in files the same crack is found as from those that the program makes;
-    the nearest of them is named, and paths are those of the scene's folder."""
+    the nearest of them is named, and paths are those of the scene's folder. Between meshes of one's
+    own nothing can be solved, so that the errors of the interpolation are a little smaller."""
     unknown = {"crack.height": list(HEIGHTS), "crack.length": list(LENGTHS)}
     made = fc.Scene.from_text(PLATE).replace({"identify.unknown": unknown, "identify.finer": 1.0})
     expected = fc.identify(made, rows, folder=tmp_path / "made")
@@ -78,7 +79,7 @@ def test_as_the_program_s_own_meshes(own: Path, rows: fc.Measurements, tmp_path:
     assert found.unknown == expected.unknown == ("crack.height", "crack.length")
     for key, value in expected.estimate.items():
         assert found.estimate[key] == pytest.approx(value, rel=1e-3)
-    assert found.log_bayes_factor == pytest.approx(expected.log_bayes_factor, rel=1e-3)
+    assert found.log_bayes_factor == pytest.approx(expected.log_bayes_factor, rel=0.02)
     assert found.verdict == "crack" and found.mesh is not None and expected.mesh is None
     assert found.contains({"crack.length": 0.022, "crack.height": 0.08})
     assert Path(found.mesh) in {own.parent / f"{name}.msh" for name in ("18_70", "26_70")}
