@@ -102,6 +102,8 @@ def top_and_damping(
     beside = np.sort(value[[peak - 1, peak + 1]])
     lowest = lowest[(lowest > beside[0]) & (lowest < beside[1])]
     top = float(min(lowest, key=spline, default=point[0]))
+    if not spline(top) > 0.0:  # as beside a place where there is no vibration of this kind
+        return top, point[1], math.nan
     ends = spline.solve(2.0 * spline(top), extrapolate=False)
     width = ends[ends > top].min(initial=math.inf) - ends[ends < top].max(initial=-math.inf)
     damping = float(width / (2.0 * top)) if math.isfinite(width) else math.nan

@@ -113,7 +113,7 @@ def _int(value: object) -> int:
         raise TypeError
     number = int(value)
     if abs(number) >= 2**31:  # gmsh and PETSc count with 32 bits
-        raise OverflowError
+        raise InputError("", value, "a whole number below 2^31 = 2147483648")
     return number
 
 
@@ -191,12 +191,12 @@ def _values(name: str, given: object) -> tuple[Any, ...]:
     try:
         start, stop, count = _float(span["start"]), _float(span["stop"]), _int(span["count"])
         right = span.keys() <= {"start", "stop", "count", "spacing"} and 2 <= count <= MAX_VALUES
-    except (KeyError, TypeError, OverflowError):
+    except (KeyError, TypeError, OverflowError, InputError):
         right = False
     full_name = f'."{name}"'  # behind the name of the key: Table.checked
     if not right or spacing not in ("linear", "logarithmic"):
         allowed = (
-            "a list of values, or a table of start, stop, count (>= 2) and, if wanted, "
+            "a list of values, or a table of start, stop, count (2 to 1e6) and, if wanted, "
             "spacing = 'linear' or 'logarithmic'"
         )
         if span and not span.keys() & {"start", "stop", "count"}:

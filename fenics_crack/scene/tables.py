@@ -698,7 +698,7 @@ class Growth(Table):
     """Length at which it ends, from ``crack.length`` on."""
     rate: float = positive(unit="m")
     """In a cycle, at an effective range of 1 MPa m^0.5 with R = 0."""
-    exponent: float = positive()
+    exponent: float = between("0.1", "50", MISSING)
     """m."""
     ratio_exponent: float = between("0", "1", 1.0)
     """Walker's gamma; 1: the ratio does not matter but by closure, which is that of the lips."""
@@ -728,7 +728,7 @@ class Growth(Table):
     """Of the load at each of the frequencies, in one repeat."""
     rate_deviation: float = between("0", "10", 0.0)
     """Relative standard deviation of the rate."""
-    exponent_deviation: float = not_negative(0.0)
+    exponent_deviation: float = between("0", "10", 0.0)
     """Standard deviation of the exponent, the rate at 1 MPa m^0.5 being the same."""
     life_tolerance: float = between("1e-6", "1", 0.01)
     """Of the number of cycles, by interpolation between the lengths that are solved."""

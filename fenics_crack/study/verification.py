@@ -163,11 +163,14 @@ class Verification(Tabular):
 
     def stated(self, quantity: str) -> tuple[float, str]:
         """The error of a quantity, relative to it, by all causes (:meth:`total`); and the largest
-        of them: "mesh", "modes", "harmonics", "samples". Not known: nan."""
+        of them: "mesh", "modes", "harmonics", "samples". Not known: nan, also where nothing
+        that was varied changes it and something else was not."""
         if quantity not in self.values or not self.parts:
             return math.nan, ""
         parts = self._parts(quantity)
         total = self.relative(quantity, self.total(quantity))
+        if total == 0.0 and self.unknown:
+            return math.nan, ""
         return total, max(parts, key=lambda one: parts[one])
 
     @property

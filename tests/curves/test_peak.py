@@ -15,6 +15,7 @@ from helpers import ROOT, oscillator
 from mpi4py import MPI
 
 import fenics_crack as fc
+from fenics_crack.curves.peak import top_and_damping
 
 STEEL = ROOT / "benchmarks" / "plate.toml"
 POINT = {"output.points": {"corner": [0.0, 0.3]}}
@@ -62,6 +63,12 @@ def test_half_power_whichever_way_the_curve_was_followed(masses: fc.ResponseCurv
     assert peak.omega == pytest.approx(known.omega, rel=1e-4)
     assert peak.amplitude == pytest.approx(known.amplitude, rel=1e-3)
     assert peak.damping == pytest.approx(XI, rel=5e-3)
+
+
+def test_a_peak_beside_nothing_has_a_height() -> None:
+    """Next to a place without a vibration of this kind the height is that of the point, no nan."""
+    at, height, damping = top_and_damping(np.array([1.0, 2.0, 3.0]), np.array([0.0, 1.0, 0.9]), 1)
+    assert 1.0 < at < 3.0 and height == 1.0 and np.isnan(damping)
 
 
 def test_half_a_peak_has_no_width() -> None:
