@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.io
 from mpi4py import MPI
 from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack import prepare
-from fenics_crack.cli.account import in_short
-from fenics_crack.table import Table
 
 POINTS = {"tip": [0.1, 0.1], "side": [0.098, 0.0625]}
 
@@ -171,13 +170,31 @@ def test_a_verdict_that_is_left_out_is_told(
     assert "not judged" not in told.err and "verdict" in told.out
 
 
-def test_rounding_is_printed_as_zero(scene: fc.Scene) -> None:
-    """Of a crack that is held closed, in both forms of a table; smaller numbers without a unit of
-    length or force stay."""
-    each = [["opening", "largest opening", 1e-19, "m"], ["mean", "mean", -2e-9, "m"]]
-    each.append(["total_error", "error", 1e-19, "-"])
-    plain = scene.replace({"output.quantities": ["opening", "mean"]})
-    rows = in_short(Table(["name", "quantity", "value", "unit"], each), plain, ()).rows
-    assert [row[1] for row in rows] == [0.0, -2e-9, 1e-19]
-    point = Table(["opening [m]", "mean [m]", "error"], [[-1e-19, -2e-9, 1e-19]])
-    assert in_short(point, plain, ()).rows == [[0.0, -2e-9, 1e-19]]
+@pytest.mark.parametrize(("mean", "shown"), [(1e-17, "0"), (-2e-9, "-2e-09")])
+def test_rounding_is_printed_as_zero(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], mean: float, shown: str
+) -> None:
+    """Of a length, in both forms of a table; larger ones and numbers without a unit stay, and files
+    have all."""
+    parts = {"mass": 1.0, "stiffness": 1.0, "gap": 1.0, "force_sin": 0.75, "force_mean": mean}
+    for name, value in parts.items():
+        scipy.io.mmwrite(tmp_path / f"{name}.mtx", np.full((1, 1), value))
+    tables = {
+        "structure": {name: f"{name}.mtx" for name in parts} | {"clearance": 10.0},
+        "damping": {"ratio": 0.0},
+        "contact": {"stiffness": 1.0},
+        "excitation": {"omega": 0.5},
+        "curve": {"start": 0.5, "stop": 0.6, "stability": False},
+        "output": {"quantities": ["amplitude", "mean", "mean_shift"]},
+    }
+    words = [written(fc.Scene.from_mapping(tables, tmp_path), tmp_path), "--output", str(tmp_path)]
+    assert main(["solve", *words]) == 0
+    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    for first in (f"mean displacement {shown} m", f"mean displacement over harmonic 1 {mean:g} -"):
+        assert any(line.startswith(first) for line in lines)
+    rows = json.loads((tmp_path / "solution.json").read_text())
+    [kept] = [row["value"] for row in rows if row["name"] == "mean"]
+    assert kept == pytest.approx(mean, rel=1e-12)
+    assert main(["curve", *words]) == 0
+    start = capsys.readouterr().out.splitlines()[2].split()
+    assert start == ["start", "0.5", "1", shown, f"{mean:g}"]
