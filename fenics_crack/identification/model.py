@@ -380,7 +380,7 @@ class Quantities:
         slopes = _pairs(turns.conj())
         errors = self._errors(smooth, left, scatter, slopes)
         unknown = slopes @ _pairs(changes.transpose(0, 2, 1)).transpose(0, 2, 1)
-        errors = np.concatenate([errors, unknown, *beyond], axis=2)
+        errors = np.concatenate([errors, unknown, self._since(values), *beyond], axis=2)
         total = errors @ errors.transpose(0, 2, 1) + rest[:, :, None] * np.eye(len(self.rows))
         values = np.where(self.known, values, np.nan)
         return Prediction(values, total, np.concatenate(free, axis=2), self.known)
@@ -409,6 +409,18 @@ class Quantities:
         for own, plain in zip(self._own, self._plain, strict=True):
             turns[:, :, plain] += turns[:, :, own] * scale[:, None, own]
         return values, turns, rest
+
+    def _since(self, values: np.ndarray) -> np.ndarray:
+        """How far frequencies before there was a crack may be from those of the same plate now, of
+        values (m, q): (m, q, 2)."""
+        between = self.model.whole.between
+        own = [
+            between[row.mode - 1]
+            if row.quantity == "frequency_uncracked" and row.mode <= len(between)
+            else np.zeros(2)
+            for row in self.rows
+        ]
+        return np.asarray(values[..., None] * own)
 
     def _of_features(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
         """Smooth forms as pairs of columns, what the mesh may have left of an error, (m, 2f) each,

@@ -72,11 +72,15 @@ class Whole:
         Relative changes by a standard deviation of each.
     sizes : (s,)
         Likewise of the size of harmonics.
+    between : (n, 2)
+        Relative changes between the plate before it had a crack and now, by temperature and by its
+        clamp.
     """
 
     frequencies: np.ndarray
     changes: np.ndarray
     sizes: np.ndarray
+    between: np.ndarray
 
     def check(self, measurements: Measurements, *, other: bool = False) -> None:
         """Raise InputError for natural frequencies that are all in another unit than Hz; and unless
@@ -117,11 +121,13 @@ def whole_plate(scene: Scene, table: Identify) -> Whole:
     }
     young, density, thickness = (0.0 if k in unknown else w for k, w in widths.items())
     shared = [0.5 * young * elastic, -0.5 * density * elastic, np.zeros(count)]
-    shared.append(-table.clamp_deviation * _by_clamp(modes))
+    by_clamp = _by_clamp(modes)
+    shared.append(-table.clamp_deviation * by_clamp)
     sizes = np.zeros(4 + count)
     sizes[[0, 2]] = -young, -thickness
     changes = np.column_stack([*shared, np.diag(own)])
-    return Whole(modes.omega / (2.0 * np.pi), changes, sizes)
+    between = table.before_deviation * np.column_stack([np.ones(count), by_clamp])
+    return Whole(modes.omega / (2.0 * np.pi), changes, sizes, between)
 
 
 def _modes(scene: Scene) -> Modes:

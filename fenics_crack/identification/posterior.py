@@ -83,6 +83,19 @@ class Likelihood:
         """log L at values (m, d) of the unknowns: (m,), up to a constant."""
         return np.asarray(-0.5 * np.sum(self.residuals(x) ** 2, axis=1))
 
+    def misfit(self, x: np.ndarray) -> tuple[float, float]:
+        """chi^2 at values (d,) of the unknowns, and the probability of more by chance."""
+        total = float(np.sum(self.residuals(x[None])[0, :-1] ** 2))
+        count = len(self.values) - self.quantities(x[None]).free.shape[2]
+        return total, float(chdtrc(max(count, 1), total))
+
+    def without(self, place: int) -> Likelihood:
+        """That of all measurements but one."""
+        left = np.arange(len(self.values)) != place
+        rows = [row for row, kept in zip(self.quantities.rows, left, strict=True) if kept]
+        quantities = self.quantities.model.quantities(rows)
+        return Likelihood(self.values[left], self.deviations[left], quantities)
+
 
 def scaled_covariance(
     predicted: Prediction, values: np.ndarray, deviations: np.ndarray
@@ -293,10 +306,7 @@ class Posterior:
     def misfit(self) -> tuple[float, float]:
         """chi^2 where L is largest, and the probability of more by chance."""
         name, x = self.best
-        likelihood = self.branches[name].likelihood
-        total = float(np.sum(likelihood.residuals(x[None])[0, :-1] ** 2))
-        count = len(likelihood.values) - likelihood.quantities(x[None]).free.shape[2]
-        return total, float(chdtrc(max(count, 1), total))
+        return self.branches[name].likelihood.misfit(x)
 
     def level(self, share: float) -> float:
         """log L at the border of the region that holds a share of the mass."""

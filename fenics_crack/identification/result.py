@@ -328,7 +328,7 @@ class Identification(Tabular):
 
     @cached_property
     def _judged(self) -> tuple[str, str]:
-        return _verdict_of(self.posterior, self.plain, self.log_bayes_factor)
+        return _verdict_of(self.posterior, self.plain, self.log_bayes_factor, self.intervals)
 
     @property
     def misfit(self) -> tuple[float, float]:
@@ -467,8 +467,8 @@ class Identification(Tabular):
 
     @property
     def warnings(self) -> list[str]:
-        """Points to be careful about: cases that failed, several cracks that fit, a misfit, an
-        estimate at a bound."""
+        """Points to be careful about: cases that failed, several cracks that fit, a misfit, a crack
+        by one measurement alone, an estimate at a bound."""
         found, others = [*self.doubts], self.alternatives
         if len(others) > 1:
             cracks = [
@@ -477,10 +477,7 @@ class Identification(Tabular):
                 for values, mass in others
             ]
             found.append(f"these cracks cannot be told apart: {'; '.join(cracks)}")
-        total, chance = self.misfit
-        if chance < MISFIT:
-            told = f"chi^2 = {total:.3g} of {len(self.measurements)}"
-            found.append(f"no crack of this kind explains the measurements: {told}")
+        found += _of_fit(self)
         cube = self._at[0].likelihood.quantities.model.cube
         bounds = zip(self.unknown, self.posterior.best[1], cube.low, cube.high, strict=True)
         for key, value, low, high in bounds:
@@ -501,9 +498,32 @@ class Identification(Tabular):
         return ", ".join(parts)
 
 
-def _verdict_of(cracked: Posterior, plain: Posterior | None, ratio: float) -> tuple[str, str]:
-    """The verdict and its reason, by what both hypotheses explain and the logarithm of the ratio of
-    their evidences."""
+def _of_fit(found: Identification) -> list[str]:
+    """Whether no crack explains the measurements; or one alone is not explained without a crack."""
+    total, chance = found.misfit
+    told = f"chi^2 = {total:.3g} of {len(found.measurements)}"
+    said = [f"no crack of this kind explains the measurements: {told}"] if chance < MISFIT else []
+    if found.plain is None or found.verdict != "crack":
+        return said
+    branch, x = found.plain.best
+    likelihood = found.plain.branches[branch].likelihood
+    rows = likelihood.quantities.rows
+    now = [at for at, row in enumerate(rows) if row.quantity != "frequency_uncracked"]
+    alone = (at for at in now if likelihood.without(at).misfit(x)[1] >= EXPLAINS)
+    if len(now) > 1 and (at := next(alone, None)) is not None:
+        name = rows[at].name
+        said.append(f"a plate without a crack explains all but {name}: measure that again")
+    return said
+
+
+def _verdict_of(
+    cracked: Posterior,
+    plain: Posterior | None,
+    ratio: float,
+    intervals: Mapping[str, tuple[float, float]],
+) -> tuple[str, str]:
+    """The verdict and its reason, by what both hypotheses explain, the logarithm of the ratio of
+    their evidences, and where a crack would be."""
     open_question = "cannot be told"
     if plain is None:
         return open_question, "there is no plate without a crack to compare with"
@@ -515,5 +535,10 @@ def _verdict_of(cracked: Posterior, plain: Posterior | None, ratio: float) -> tu
     if ratio > STRONG and healthy >= EXPLAINS:
         why = "a plate without a crack explains the measurements, as little as is known of it"
         return open_question, f"{why} ({told})"
-    verdict = "crack" if ratio > STRONG else "no crack" if ratio < -STRONG else open_question
-    return verdict, told
+    if ratio < -STRONG:
+        ends = (
+            f"{key_in_words(key)} {value_in_words(key, low)} to {value_in_words(key, high)}"
+            for key, (low, high) in intervals.items()
+        )
+        return "no crack", f"{told}; one that is not seen would be at {', '.join(ends)}"
+    return "crack" if ratio > STRONG else open_question, told

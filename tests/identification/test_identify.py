@@ -134,6 +134,33 @@ def test_higher_modes_on_few_heights(scene: fc.Scene, tmp_path: Path) -> None:
         assert found.contains(truth) and found.misfit[1] > 1e-3
 
 
+def test_warmer_than_before(scene: fc.Scene, folder: Path) -> None:
+    """A plate without a crack whose frequencies are all 0.3 % lower than before, as after fifteen
+    degrees, has no crack; where nothing is allowed to differ there is one."""
+    plain = natural_of(measured(scene, {"crack": None, "contact": None}, 4))
+    warmer = fc.Measurements(tuple(replace(row, value=0.997 * row.value) for row in plain.rows))
+    for allowed, claimed in ((0.002, False), (0.0, True)):
+        known = scene.replace({"identify.before_deviation": allowed})
+        found = fc.identify(known, warmer + before(plain), folder=folder)
+        assert (found.verdict == "crack") == claimed
+
+
+def test_one_measurement_alone(scene: fc.Scene, folder: Path) -> None:
+    """A crack that rests on one measurement, of a mode that was taken for another or is wrong, is
+    said to; one that all of them show is not."""
+    plain = natural_of(measured(scene, {"crack": None, "contact": None}, 4))
+    lower = [row.value * (0.99 if row.mode == 3 else 1.0) for row in plain.rows]
+    pairs = zip(plain.rows, lower, strict=True)
+    wrong = fc.Measurements(tuple(replace(row, value=value) for row, value in pairs))
+    right = natural_of(measured(scene, {"crack.length": 0.03, "crack.height": 0.09}, 4))
+    said = "a plate without a crack explains all but frequency_bilinear of mode 3"
+    for rows, alone in ((wrong, True), (right, False)):
+        found = fc.identify(scene, rows + before(plain), folder=folder)
+        assert any(said in warning for warning in found.warnings) == alone
+    sound = fc.identify(scene, plain + before(plain), folder=folder)
+    assert sound.verdict == "no crack" and "one that is not seen would be at" in sound.reason
+
+
 PROBES = np.radians([12.0, 47.0, 93.0, 131.0, 178.0, 224.0, 262.0, 307.0, 341.0])
 
 
