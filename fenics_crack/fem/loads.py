@@ -29,8 +29,7 @@ from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.elasticity import thickness
 from fenics_crack.fem.plate import Dofs
-from fenics_crack.model.clamp import Clamp
-from fenics_crack.model.nodes import nearest_node
+from fenics_crack.model.nodes import Clamp, nearest_node
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.fields import Vector
 from fenics_crack.scene.scene import Scene

@@ -22,7 +22,6 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError, check_number
-from fenics_crack.model.clamp import Clamp
 from fenics_crack.model.damping import DampingRule, RayleighDamping
 from fenics_crack.model.matrices import (
     checked,
@@ -32,7 +31,7 @@ from fenics_crack.model.matrices import (
     petsc_matrix,
     with_springs,
 )
-from fenics_crack.model.nodes import Coordinates, Nodes, Pairs
+from fenics_crack.model.nodes import Clamp, Coordinates, Nodes, Pairs
 from fenics_crack.one_thread import alone
 from fenics_crack.table import counted
 
@@ -56,7 +55,7 @@ class Structure(Coordinates):
         g0 of every pair; positive: an opening that closes first, negative: preload.
     damping_factor : float
         Factor of the damping relative to that of :attr:`original`; 1 unless varied.
-    clamp : fenics_crack.model.clamp.Clamp or None
+    clamp : fenics_crack.model.nodes.Clamp or None
         What holds a mesh; None of matrices, and of a reduced structure, whose whole one has it.
     rotation : fenics_crack.model.rotation.Rotation or None
         What rotation has added to the matrices and the mean load; None at rest.
