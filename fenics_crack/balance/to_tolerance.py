@@ -37,7 +37,7 @@ from fenics_crack.motion.orbit import OrbitCoefficients, PeriodicOrbit, affordab
 from fenics_crack.motion.shooting import recurring
 from fenics_crack.stages import begin
 
-__all__ = ["FIRST_MODES", "solve_to_tolerance"]
+__all__ = ["FIRST_MODES", "solve_to_tolerance", "wave_of"]
 
 FIRST_MODES, MAX_MODES = 10, 100
 """Modes with which a large structure is tried first, and at most."""
@@ -205,7 +205,7 @@ def _kept(solver: Solver, orbit: PeriodicOrbit, tolerance: float) -> PeriodicSol
         nonlocal known
         if 2 * harmonics + 1 > len(known.gap):
             known = orbit.coefficients(harmonics)
-        return _wave(problem.with_harmonics(harmonics), orbit, known)
+        return wave_of(problem.with_harmonics(harmonics), orbit, known)
 
     reduction, at_load = _lost(solver, wave_with(RUNGS[0] * problem.subharmonic))
     goal = _goal(tolerance, reduction)
@@ -229,7 +229,7 @@ def _kept(solver: Solver, orbit: PeriodicOrbit, tolerance: float) -> PeriodicSol
     return replace(found, report=report, iterations=orbit.iterations)
 
 
-def _wave(problem: Problem, orbit: PeriodicOrbit, known: OrbitCoefficients) -> PeriodicSolution:
+def wave_of(problem: Problem, orbit: PeriodicOrbit, known: OrbitCoefficients) -> PeriodicSolution:
     """An orbit's motion with the harmonics of a problem."""
     rows = slice(2 * problem.harmonics + 1)
     found = PeriodicSolution(

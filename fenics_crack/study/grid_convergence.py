@@ -56,7 +56,8 @@ class GridConvergence(Described):
         "asymptotic": the observed order is near that of theory; "outside": it falls, with another
         order; "oscillating", "diverging" or "irregular" (too fast to be an order): not in the
         asymptotic range; "two sizes": no order is observed; "unchanged": the same to rounding;
-        "carried": the values are those at a shifted resonance.
+        "carried": the values are those at a shifted resonance; "exact orbit": the first is the
+        limit.
     order : float
         p, observed; nan where there is none.
     exponent : float
@@ -78,7 +79,7 @@ class GridConvergence(Described):
     @property
     def is_asymptotic(self) -> bool:
         """Whether something could be extrapolated."""
-        return self.behaviour in ("asymptotic", "outside", "two sizes", "unchanged")
+        return self.behaviour in ("asymptotic", "outside", "two sizes", "unchanged", "exact orbit")
 
     def uncertainty(self, place: int = 0) -> float:
         """F abs(f_i - f) of a value, by default that of the smallest size; or F times their

@@ -1,13 +1,13 @@
 """What the numbers of an answer owe to its modes, harmonics and mesh, by one other run for each.
 
-Twice the modes and twice the harmonics are solved from the answer itself, and
+Twice the modes are solved from the answer itself, and
 
     e = |f - f_2| / (1 - 2^-1),
 
-as both converge like N^-1 (:mod:`refinement`). Where the report says that harmonics are too few the
-difference may vanish by chance, and four times as many say it, too. The mesh is made coarser
-(:mod:`coarser_mesh`). The largest contact force stays where it is for many harmonics, until one
-sees its peak: what these leave out of it is known of the exact orbit.
+as it converges like N^-1 (:mod:`refinement`). What harmonics leave out is known where an exact
+orbit is the answer's own: e = |f - f_orbit|. Elsewhere twice as many are solved, too; where the
+report says that harmonics are too few the difference may vanish by chance, and four times as many
+say it, too. The mesh is made coarser (:mod:`coarser_mesh`).
 
 A mesh moves the resonances before all else. Next to one a small shift changes an answer by much, on
 one side up and on the other down, so that differences may vanish by chance. The coarse mesh is
@@ -45,6 +45,7 @@ from fenics_crack.balance.harmonic_balance import solve_linear
 from fenics_crack.balance.indicators import contact_extremes
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Solver
+from fenics_crack.balance.to_tolerance import wave_of
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import KINDS, NEGLIGIBLE, Modes, bilinear_frequencies
@@ -65,15 +66,24 @@ from fenics_crack.study.prepare import REFUSALS, Study
 from fenics_crack.study.verification import Verification
 from fenics_crack.table import frequency_axis
 
-__all__ = ["Numbers", "errors_of", "numbers_of", "resonance_of", "shifted", "stated_errors"]
+__all__ = [
+    "Numbers",
+    "by_orbit",
+    "errors_of",
+    "numbers_of",
+    "resonance_of",
+    "shifted",
+    "stated_errors",
+]
 
-FORCES = "contact_force", "crack_force"
 ANSWER = (
-    "amplitude", "ratio_2_1", "ratio_3_1", "mean_shift", "opening", FORCES[1], "closed_share",
+    "amplitude", "ratio_2_1", "ratio_3_1", "mean_shift", "opening", "crack_force", "closed_share",
 )  # fmt: skip
 """Quantities that are looked at where the scene does not choose."""
 LOWEST_MODES = (1, 2, 3)
 """Modes whose natural frequencies with lips open are looked at."""
+OF_ORBIT = 4
+"""Times the harmonics with which an exact orbit's displacements are taken."""
 TINY = 1e-9
 """A ratio that is none."""
 VARIED = ("modes", "harmonics", "mesh")
@@ -222,6 +232,8 @@ def _more_harmonics(
 ) -> Varied:
     if study.contact is None:
         return "without contact there is one"
+    if (exact := by_orbit(study, found, own.mode)) is not None:
+        return exact
     scene, counts = study.scene, (near.harmonics, 2 * near.harmonics)
     more = _solved(study, near.omega, counts[1], near)
     parts = expected(
@@ -234,12 +246,31 @@ def _more_harmonics(
         parts = {
             name: max((p[name] for p in both), key=methodcaller("uncertainty")) for name in parts
         }
-    judged = found.judged
-    if judged.affordable and judged.accepted and judged.orbit is not None:
-        samples, cracks = judged.orbit.sampled, study.structure.pairs.cracks
-        exact = contact_extremes(samples.gap, samples.force, cracks)
-        for name in parts.keys() & FORCES:
-            parts[name] = replace(parts[name], extrapolated=exact[name])
+    return counts, parts
+
+
+def by_orbit(
+    study: Study, found: PeriodicSolution, mode: int
+) -> tuple[tuple[int, int], dict[str, GridConvergence]] | None:
+    """What harmonics contribute to a solution's numbers, by the exact orbit next to it: of lips by
+    its motion, of points with four times the harmonics; None where no orbit is its own
+    (collective)."""
+    judged, law = found.judged, found.contact
+    if law is None or not (judged.affordable and judged.accepted) or judged.orbit is None:
+        return None
+    orbit, structure = judged.orbit, found.structure
+    counts = found.harmonics, OF_ORBIT * found.harmonics
+    problem = Problem(structure, found.omega, law, counts[1], subharmonic=found.subharmonic)
+    exact = numbers_of(study, wave_of(problem, orbit, orbit.coefficients(counts[1])), mode).values
+    samples = orbit.samples(found.instants())
+    exact |= contact_extremes(samples.gap, samples.force, structure.pairs.cracks)
+    sizes = 1.0 / counts[1], 1.0 / counts[0]
+    parts = {}
+    for name, value in numbers_of(study, found, mode).values.items():
+        other = exact.get(name, 0.0)
+        parts[name] = GridConvergence(
+            sizes, (other, value), "exact orbit", math.nan, math.nan, factor=1.0, extrapolated=other
+        )
     return counts, parts
 
 

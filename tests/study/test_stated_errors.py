@@ -145,8 +145,9 @@ def test_parts_are_what_their_runs_say(scene: fc.Scene, run: fc.Run) -> None:
     step = 0.5 * spread / kept.structure.n_pairs
     between = with_half(run.structure.varied(clearance=step), omega) - half
     assert parts["mesh"] == pytest.approx(math.hypot(most, 0.1 * least, between), rel=1e-6)
-    more = opening(run.structure, omega, harmonics=2 * run.result.harmonics)
-    assert parts["harmonics"] == pytest.approx(2.0 * abs(more - own), rel=1e-6)
+    limit = opening(run.structure, omega, harmonics=16 * run.result.harmonics)
+    exact = abs(limit - found.values["opening"])
+    assert parts["harmonics"] == pytest.approx(exact, rel=0.1)  # maxima at other instants
     modes = opening(run.structure.reference, omega)
     assert parts["modes"] == pytest.approx(2.0 * abs(modes - own), rel=1e-5)
     stated, cause = found.stated("opening")
