@@ -16,14 +16,19 @@ from itertools import pairwise
 import numpy as np
 
 from fenics_crack.errors import InputError
+from fenics_crack.model.memory import machine_memory
 from fenics_crack.scene.scene import Scene
 
-__all__ = ["SMALLEST_CELL", "Interval", "Slit", "lip_pairs", "plate_blocks"]
+__all__ = ["SMALLEST_CELL", "Interval", "Slit", "check_cells", "lip_pairs", "plate_blocks"]
 
 SMALLEST_CELL = 1e-7
 """Relative to the plate: gmsh and the matrices allow no smaller one."""
 GROWTH = 1.0 / 3.0
 """Size of elements between two tips or two cracks over their distance from either, at most."""
+MAX_CELLS = 5_000_000
+"""Of what is meshed here; a mesh file may have any number of cells."""
+ASSEMBLED = 1500.0
+"""Bytes of mesh and matrices for each degree of freedom."""
 
 
 @dataclass(frozen=True)
@@ -113,6 +118,23 @@ def plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Sli
         for crack, span, level in zip(cracks, spans, levels, strict=True)
     ]
     return columns, rows, slits, mirrored
+
+
+def check_cells(scene: Scene, key: str, cells: float, per_cell: int) -> None:
+    """Raise InputError where there are too many cells for gmsh, or their matrices, of so many
+    degrees of freedom per cell, would not fit."""
+    needed, machine = ASSEMBLED * per_cell * cells, machine_memory()
+    reason = ""
+    if cells > MAX_CELLS:
+        reason = f"{cells:.2g} are more than {MAX_CELLS:.0e}"
+    elif needed > machine:
+        reason = (
+            f"the matrices of {cells:.2g} need about {needed / 2**30:.0f} GiB of this machine's "
+            f"{machine / 2**30:.3g}"
+        )
+    if reason:
+        allowed = f"so that there are fewer cells: {reason}"
+        raise InputError(f"mesh.{key}", getattr(scene.mesh, key), allowed)
 
 
 def lip_pairs(scene: Scene) -> int:

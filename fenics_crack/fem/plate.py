@@ -33,14 +33,12 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenics_crack.errors import InputError
 from fenics_crack.fem import compat
-from fenics_crack.fem.blocks import Interval, plate_blocks
+from fenics_crack.fem.blocks import Interval, check_cells, plate_blocks
 from fenics_crack.fem.compat import dolfinx, ufl
 from fenics_crack.fem.crack_surface import CrackSurface
 from fenics_crack.fem.lips import Lip, find_lips
 from fenics_crack.mesher import gmsh, kept_interrupts
-from fenics_crack.model.memory import machine_memory
 from fenics_crack.model.nodes import Nodes
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
@@ -54,10 +52,6 @@ Groups = dict[str, tuple[int, ...]]
 """Tags of the facets of each named curve."""
 Points = dict[str, tuple[float, ...]]
 """Positions of the named points [m]."""
-MAX_CELLS = 5_000_000
-"""For a plate; a mesh file may have any number of cells."""
-ASSEMBLED = 1500.0
-"""Bytes of mesh and matrices for each degree of freedom."""
 
 
 @dataclass(frozen=True)
@@ -213,7 +207,8 @@ def _draw(scene: Scene) -> Groups:
     width = scene.geometry.sides[0]
     columns, rows, slits, mirrored = plate_blocks(scene)
     cells = math.prod(sum(interval.count for interval in side) for side in (columns, rows))
-    _check_cells(scene, cells)
+    key = "columns" if scene.mesh.layout == "grid" else "size"
+    check_cells(scene, key, cells, 2 * scene.mesh.order**2)
 
     def position(x: float, y: float) -> tuple[float, float]:
         return (width - x, y) if mirrored else (x, y)
@@ -290,23 +285,6 @@ def _divide(scene: Scene, surfaces: list[int]) -> None:
     else:
         gmsh.option.setNumber("Mesh.Algorithm", 6)  # frontal Delaunay
     gmsh.model.geo.synchronize()
-
-
-def _check_cells(scene: Scene, cells: int) -> None:
-    """Raise InputError where there are too many cells for gmsh, or their matrices would not fit."""
-    needed, machine = ASSEMBLED * 2 * scene.mesh.order**2 * cells, machine_memory()
-    reason = ""
-    if cells > MAX_CELLS:
-        reason = f"{cells:.2g} are more than {MAX_CELLS:.0e}"
-    elif needed > machine:
-        reason = (
-            f"the matrices of {cells:.2g} need about {needed / 2**30:.0f} GiB of this machine's "
-            f"{machine / 2**30:.3g}"
-        )
-    if reason:
-        key = "columns" if scene.mesh.layout == "grid" else "size"
-        allowed = f"so that there are fewer cells: {reason}"
-        raise InputError(f"mesh.{key}", getattr(scene.mesh, key), allowed)
 
 
 def _curve(start: int, end: int, division: Interval) -> int:

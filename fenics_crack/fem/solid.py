@@ -16,13 +16,13 @@ the front to the mouth.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from fenics_crack.errors import InputError
-from fenics_crack.fem.blocks import GROWTH
+from fenics_crack.fem.blocks import GROWTH, check_cells
 from fenics_crack.fem.crack_surface import (
     FACETS,
     CrackSurface,
@@ -30,6 +30,7 @@ from fenics_crack.fem.crack_surface import (
     cracks_between,
     split_surface,
 )
+from fenics_crack.fem.lips import rows_in
 from fenics_crack.fem.msh_file import (
     CRACK,
     DEGENERATE,
@@ -58,6 +59,8 @@ SERENDIPITY = {17: "20", 29: "20"}
 """Kinds that are refused, and how many nodes they have."""
 FRONT = 60
 """Points on each front from which distances are measured while meshing."""
+PER_VOLUME = 5.0
+"""Tetrahedra that gmsh makes of a volume h^3 where they are to be h long, of a fine mesh."""
 
 
 def solid_model(scene: Scene) -> tuple[Names, tuple[CrackSurface, ...]]:
@@ -82,7 +85,10 @@ def solid_model(scene: Scene) -> tuple[Names, tuple[CrackSurface, ...]]:
     named = named_groups(groups())
     gmsh.model.remove()
     gmsh.model.add("fenics_crack")
-    return _filled((numbers, positions.reshape(-1, 3), named))
+    try:
+        return _filled((numbers, positions.reshape(-1, 3), named))
+    except InputError as error:
+        raise _not_meshed(scene, f"{error.value}") from None
 
 
 def _filled(given: Given) -> tuple[Names, tuple[CrackSurface, ...]]:
@@ -111,6 +117,7 @@ def _filled(given: Given) -> tuple[Names, tuple[CrackSurface, ...]]:
     if "clamp" not in surfaces:
         raise InputError("mesh", "no clamp", "with a physical surface named 'clamp'")
     _check_cells(kind, cells, places)
+    _check_inside(cells, surfaces)
     lips: tuple[CrackSurface, ...] = ()
     cracks = [name for name in surfaces if CRACK.match(name)]
     if cracks:
@@ -195,11 +202,29 @@ def _check_cells(kind: int, cells: SolidCells, places: np.ndarray) -> None:
         raise InputError("mesh", f"cells that overlap at ({x:g}, {y:g}, {z:g})", allowed)
 
 
+def _check_inside(cells: SolidCells, surfaces: dict[str, np.ndarray]) -> None:
+    """Raise InputError where a surface lies inside and is no crack by its name, nor the clamp:
+    nothing would part there."""
+    facets, _, _ = cells.all_facets
+    shared = facets[1:][np.all(facets[1:] == facets[:-1], axis=1)]
+    width = facets.shape[1]
+    corners = {name: np.sort(rows[:, :width], axis=1) for name, rows in surfaces.items()}
+    cracks = [rows for name, rows in corners.items() if CRACK.match(name)]
+    known = np.concatenate([facets[:0], *cracks])
+    for name, rows in corners.items():
+        inside = rows_in(rows, shared) & ~rows_in(rows, known)
+        if name != "clamp" and np.all(inside):
+            allowed = "one whose surfaces inside are cracks, named 'crack' or 'crack 1', 'crack 2'"
+            raise InputError("mesh", f"a surface {name!r} inside the solid", allowed)
+
+
 # --- a box ----------------------------------------------------------------------------------------
 
 
 def _draw(scene: Scene) -> None:
     """Mesh the box of a scene, with its cracks as surfaces inside, and name its faces."""
+    gradings = _gradings(scene)
+    _check_size(scene, gradings)
     width, height, thickness = scene.geometry.sides
     occ = gmsh.model.occ
     box = [(3, occ.addBox(0.0, 0.0, 0.0, width, height, thickness))]
@@ -227,12 +252,35 @@ def _draw(scene: Scene) -> None:
             gmsh.model.setPhysicalName(2, number, name)
     gmsh.model.addPhysicalGroup(3, [tag for _, tag in gmsh.model.getEntities(3)], 1)
     gmsh.model.setPhysicalName(3, 1, "solid")
-    size = _size_of(scene, width, thickness)
+    size = scene.mesh.given("size")
+
+    def length(dimension: int, tag: int, x: float, y: float, z: float, *_: float) -> float:
+        """Asked for a hundred thousand times a mesh."""
+        return min([size, *(one.at(x, y, z) for one in gradings)])
+
     for option in ("MeshSizeFromPoints", "MeshSizeExtendFromBoundary", "MeshSizeFromCurvature"):
         gmsh.option.setNumber(f"Mesh.{option}", 0)
-    gmsh.model.mesh.setSizeCallback(lambda dimension, tag, x, y, z, *_: size(x, y, z))
-    gmsh.model.mesh.generate(3)
-    gmsh.model.mesh.removeSizeCallback()
+    gmsh.model.mesh.setSizeCallback(length)
+    try:
+        gmsh.model.mesh.generate(3)
+    except Exception as error:  # gmsh raises nothing else
+        raise _not_meshed(scene, str(error)) from None
+    finally:
+        gmsh.model.mesh.removeSizeCallback()
+
+
+def _not_meshed(scene: Scene, reason: str) -> InputError:
+    """The refusal of a box that gmsh makes no sound mesh of: of its smallest crack, or else of the
+    size of elements."""
+    sizes = {
+        f"{name}.{key}": value
+        for name, crack in scene.all_cracks.items()
+        for key in ("depth", "length")
+        if (value := getattr(crack, key)) is not None
+    }
+    key = min(sizes, key=lambda one: sizes[one], default="mesh.size")
+    allowed = f"such that gmsh can mesh the solid ({reason}): not as small beside its other sizes"
+    return InputError(key, sizes.get(key, scene.mesh.size), allowed)
 
 
 def _ellipse(crack: Crack, width: float) -> tuple[float, float]:
@@ -260,30 +308,64 @@ def _face(crack: Crack, width: float, thickness: float) -> list[tuple[int, int]]
     return face
 
 
-def _size_of(
-    scene: Scene, width: float, thickness: float
-) -> Callable[[float, float, float], float]:
-    """Length of elements at a place."""
-    mesh, fronts = scene.mesh, []
-    size: float = mesh.given("size")
+@dataclass(frozen=True)
+class _Grading:
+    """Lengths of elements h = shortest + growth d around a crack, d from its front.
+
+    Attributes
+    ----------
+    along, through, height : (n,), (n,), () [m]
+        x, z and y of points on the front.
+    shortest : float [m]
+        Of an element at the front.
+    growth : float
+        With the distance.
+    """
+
+    along: np.ndarray
+    through: np.ndarray
+    height: float
+    shortest: float
+    growth: float
+
+    def at(self, x: float, y: float, z: float) -> float:
+        """At a place [m]."""
+        squares = (self.along - x) ** 2 + (self.height - y) ** 2 + (self.through - z) ** 2
+        return self.shortest + self.growth * math.sqrt(squares.min())
+
+    def cells(self, size: float) -> float:
+        """How many are around the front, in the tube in which they are shorter than a size: its
+        length times int 2 pi d / h^3 dd."""
+        ends = np.diff(self.along), np.diff(self.through)
+        steps = np.hypot(*ends)
+        length = steps[steps < 2.0 * np.median(steps)].sum()  # the sides of a rectangle are apart
+        least = min(self.shortest, size)
+        turns = 0.5 / least - 1.0 / size + 0.5 * least / size**2
+        return PER_VOLUME * length * 2.0 * math.pi / self.growth**2 * turns
+
+
+def _gradings(scene: Scene) -> list[_Grading]:
+    """One for each crack."""
+    width, _, thickness = scene.geometry.sides
+    mesh, found = scene.mesh, []
     for crack in scene.all_cracks.values():
         count = mesh.given("lip_elements")
         middle, half = _ellipse(crack, width)
         reach = min(half, crack.depth or half)
         growth = mesh.grading ** (1.0 / max(count - 1, 1))
         shortest = reach / float((growth ** np.arange(count)).sum())
-        front = *_front(crack, middle, half, thickness), crack.given("height")
-        fronts.append((*front, shortest, max(growth - 1.0, GROWTH)))
+        front = _front(crack, middle, half, thickness)
+        found.append(_Grading(*front, crack.given("height"), shortest, max(growth - 1.0, GROWTH)))
+    return found
 
-    def at(x: float, y: float, z: float) -> float:
-        """Asked for a hundred thousand times a mesh."""
-        least = size
-        for along, through, height, shortest, growth in fronts:
-            squares = (along - x) ** 2 + (height - y) ** 2 + (through - z) ** 2
-            least = min(least, shortest + growth * math.sqrt(squares.min()))
-        return least
 
-    return at
+def _check_size(scene: Scene, gradings: list[_Grading]) -> None:
+    """Raise InputError where gmsh would make too many cells, before it does."""
+    size = scene.mesh.given("size")
+    bulk = PER_VOLUME * math.prod(scene.geometry.sides) / size**3
+    fronts = sum(one.cells(size) for one in gradings)
+    key = "size" if bulk >= fronts else "lip_elements"
+    check_cells(scene, key, bulk + fronts, scene.mesh.order**3 // 2)
 
 
 def _front(

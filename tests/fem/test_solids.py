@@ -593,6 +593,14 @@ def test_files_without_what_is_needed(tmp_path: Path) -> None:
         fc.build_structure(of_file(path))
 
 
+def test_a_surface_inside_is_a_crack_by_its_name(tmp_path: Path) -> None:
+    """Else nothing would part there: half of the cracks would be left out without a word."""
+    write_box(tmp_path / "box.msh", 1, name="fissure")
+    scene = of_file(tmp_path / "box.msh").replace({"contact": None})
+    with pytest.raises(InputError, match=r"'fissure' inside the solid.*named 'crack'"):
+        fc.build_structure(scene)
+
+
 TWO_CELLS = """$MeshFormat
 2.2 0 8
 $EndMeshFormat
@@ -656,6 +664,36 @@ def test_bad_input_is_named(key: str, changes: dict[str, Any]) -> None:
     with pytest.raises(InputError) as caught:
         solid(ELLIPSE, **changes)
     assert caught.value.key == key
+
+
+@pytest.mark.parametrize(
+    ("key", "changes"),
+    [
+        ("mesh.size", {"geometry.width": 30.0, "geometry.height": 90.0, "geometry.thickness": 6.0}),
+        ("mesh.size", {"mesh.size": 1e-4}),
+        ("mesh.lip_elements", {"mesh.lip_elements": 10_000}),
+    ],
+)
+def test_boxes_of_too_many_cells_are_refused(key: str, changes: dict[str, Any]) -> None:
+    """Before they are meshed: one in mm whose cells are in m took all of a machine's memory."""
+    with pytest.raises(InputError, match="more than 5e") as caught:
+        fc.build_structure(solid(ELLIPSE, **changes))
+    assert caught.value.key == key
+
+
+def test_a_crack_that_gmsh_cannot_mesh_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As one of 1 um: which ones these are depends on gmsh's version."""
+
+    def fail(_: int) -> None:
+        raise Exception("PLC Error")  # as gmsh does
+
+    monkeypatch.setattr(gmsh.model.mesh, "generate", fail)
+    with pytest.raises(InputError, match=r"gmsh can mesh the solid .PLC Error") as caught:
+        fc.build_structure(solid(ELLIPSE, **{"crack.depth": 1e-6}))
+    assert caught.value.key == "crack.depth"
+    with pytest.raises(InputError, match="PLC Error") as caught:
+        fc.build_structure(solid(contact=None))
+    assert caught.value.key == "mesh.size"
 
 
 def test_plates_have_no_depth() -> None:
