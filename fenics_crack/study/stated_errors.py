@@ -47,6 +47,7 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.balance.to_tolerance import wave_of
 from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.errors import MOST_HARMONICS
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import KINDS, NEGLIGIBLE, Modes, bilinear_frequencies
 from fenics_crack.model.reduced import ReducedStructure
@@ -82,8 +83,6 @@ ANSWER = (
 """Quantities that are looked at where the scene does not choose."""
 LOWEST_MODES = (1, 2, 3)
 """Modes whose natural frequencies with lips open are looked at."""
-OF_ORBIT = 4
-"""Times the harmonics with which an exact orbit's displacements are taken."""
 TINY = 1e-9
 """A ratio that is none."""
 VARIED = ("modes", "harmonics", "mesh")
@@ -253,13 +252,13 @@ def by_orbit(
     study: Study, found: PeriodicSolution, mode: int
 ) -> tuple[tuple[int, int], dict[str, GridConvergence]] | None:
     """What harmonics contribute to a solution's numbers, by the exact orbit next to it: of lips by
-    its motion, of points with four times the harmonics; None where no orbit is its own
+    its motion, of points with 100 harmonics, or four times as many; None where no orbit is its own
     (collective)."""
     judged, law = found.judged, found.contact
     if law is None or not (judged.affordable and judged.accepted) or judged.orbit is None:
         return None
     orbit, structure = judged.orbit, found.structure
-    counts = found.harmonics, OF_ORBIT * found.harmonics
+    counts = found.harmonics, max(4 * found.harmonics, MOST_HARMONICS)
     problem = Problem(structure, found.omega, law, counts[1], subharmonic=found.subharmonic)
     exact = numbers_of(study, wave_of(problem, orbit, orbit.coefficients(counts[1])), mode).values
     samples = orbit.samples(found.instants())
