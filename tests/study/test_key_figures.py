@@ -16,7 +16,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import fenics_crack as fc
-from fenics_crack.fem import plate
+from fenics_crack.fem import blocks
 from fenics_crack.model import memory
 from fenics_crack.model.factor import Factor, distributed
 from fenics_crack.model.memory import reduction_memory, whole_memory
@@ -237,7 +237,7 @@ def test_what_does_not_fit_is_refused(
     with pytest.raises(fc.InputError, match=r"^mesh.columns = 8: .* coarser .* GiB"):
         prepare.prepare(scene, MPI.COMM_SELF)
     assert prepare.prepare(scene, MPI.COMM_SELF, whole=True).structure.n_dofs == 152
-    monkeypatch.setattr(plate, "machine_memory", lambda: 1e5)
+    monkeypatch.setattr(blocks, "machine_memory", lambda: 1e5)
     with pytest.raises(fc.InputError, match=r"^mesh.columns = 8: .* fewer cells: .* GiB"):
         fc.build_structure(scene, MPI.COMM_SELF)
 
