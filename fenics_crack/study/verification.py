@@ -220,15 +220,12 @@ class Verification(Tabular):
             yield row | {
                 "extrapolated": part.extrapolated,
                 "gci_finest": part.gci,
-                **self._error(name, self.contributions(name)[cause]),
+                **_sized(self, name, self.contributions(name)[cause]),
             }
         for cause, independent in (("total", True), ("sum", False)):
             known = {"value_1": self.values[name], "extrapolated": self.extrapolated(name)}
-            total = self._error(name, self.total(name, independent=independent))
+            total = _sized(self, name, self.total(name, independent=independent))
             yield shared | {"cause": cause, "behaviour": ""} | known | total
-
-    def _error(self, name: str, error: float) -> dict[str, float]:
-        return {"uncertainty": error, "relative": self.relative(name, error)}
 
     def _title(self) -> str:
         return self.statement[0]
@@ -355,6 +352,11 @@ def _dent(scene: Scene) -> float:
     angle = math.pi * 2.0 ** (1 - edges)
     wedge = 1.0 / (angle + math.sin(angle)) + 1.0 / (angle - math.sin(angle))
     return force / thickness * math.log(2.0) * wedge
+
+
+def _sized(found: Verification, name: str, error: float) -> dict[str, float]:
+    """An error of a quantity, absolute and relative."""
+    return {"uncertainty": error, "relative": found.relative(name, error)}
 
 
 def _grid(found: dict[str, Any], count: int) -> GridConvergence:
