@@ -531,7 +531,8 @@ def _verdict_of(
     told = f"log Bayes factor {ratio:.3g}, crack over no crack"
     if max(fits, healthy) < MISFIT:
         why = "neither a crack of this kind nor a plate without one explains the measurements"
-        return open_question, f"{why} ({told})"
+        other = "two cracks, one of another kind or elsewhere, or a wrong measurement might"
+        return open_question, f"{why}; {other} ({told})"
     if ratio > STRONG and healthy >= EXPLAINS:
         why = "a plate without a crack explains the measurements, as little as is known of it"
         return open_question, f"{why} ({told})"

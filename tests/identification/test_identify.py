@@ -363,6 +363,7 @@ def test_nothing_fits(scene: fc.Scene, folder: Path) -> None:
     odd = [replace(row, value=row.value * (1.1, 0.9)[row.mode % 2]) for row in rows.rows]
     found = fc.identify(scene, fc.Measurements(tuple(odd)), folder=folder)
     assert found.verdict == "cannot be told" and found.reason.startswith("neither a crack of this")
+    assert "two cracks, one of another kind or elsewhere, or a wrong measurement" in found.reason
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(2.0 * np.pi, "rad/s"), (1e-3, "kHz"), (1e3, "mHz")])
