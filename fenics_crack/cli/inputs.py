@@ -59,11 +59,14 @@ def read_inputs(given: argparse.Namespace) -> Inputs | None:
 def _measurements(given: argparse.Namespace, scene: Scene) -> Measurements | None:
     """Those of all files, and of responses before the crack."""
     files, before = vars(given).get("measurements") or (), vars(given).get("before")
-    if not files and before is None:
+    modes = vars(given).get("modes") or ()
+    if not files and before is None and not modes:
         return None
-    from fenics_crack.identification.measurements import Measurements
+    from fenics_crack.identification.measurements import UNIVERSAL, Measurements
 
-    modes = getattr(given, "modes", ())
+    if modes and before is None and not any(one.suffix.lower() in UNIVERSAL for one in files):
+        allowed = f"left out without frequency responses ({', '.join(UNIVERSAL)})"
+        raise InputError("--modes", list(modes), allowed)
     parts = [Measurements.read(one, modes) for one in files]
     if before is not None:
         parts.append(Measurements.from_responses(before, modes, quantity="frequency_uncracked"))

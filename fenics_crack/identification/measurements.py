@@ -50,6 +50,8 @@ IN_WORDS = {
 """The quantities in words: of natural frequencies when they are measured."""
 NEEDED = ("quantity", "value", "deviation")
 OPTIONAL = ("mode", "frequency", "point", "phase")
+UNIVERSAL = (".uff", ".unv")
+"""Endings of universal files."""
 FEWEST_PROBES = 4
 """Probes of which displacements tell more than the size and phase of a load, and a constant."""
 
@@ -370,7 +372,7 @@ class Measurements(Tabular):
     def read(cls, path: str | Path, modes: Sequence[int] = ()) -> Measurements:
         """Read a universal file (.uff, .unv; :meth:`from_responses`) or a table
         (:meth:`from_csv`)."""
-        universal = Path(path).suffix.lower() in (".uff", ".unv")
+        universal = Path(path).suffix.lower() in UNIVERSAL
         return cls.from_responses(path, modes) if universal else cls.from_csv(path)
 
     def check(self, scene: Scene) -> None:
