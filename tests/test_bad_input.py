@@ -238,6 +238,7 @@ TABLE = [
     ("timing scene.toml missing.h5 tip_timing.tip_radius=1 tip_timing.probes=[1]", "path = 'missing.h5': must be a file that exists"),
     ("timing scene.toml scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1]", "path = 'scene.toml': must be a file with the column 'revolution'"),
     ("identify scene.toml empty.csv --modes 1 2", "--modes = [1, 2]: must be left out without frequency responses (.uff, .unv)"),
+    ("curve scene.toml curve.stop=1e-20", "curve.stop = 1e-20: must be a number > 0 with curve.parameter = 'omega', and 1e-12 of the other end"),
     ("integrate scene.toml integration.steps_per_period=1", "integration.steps_per_period = 1: must be >= "),
     ("integrate scene.toml integration.steps_per_period=2000000000", "integration.steps_per_period = 2000000000: must be at most 1e+09"),
 ]

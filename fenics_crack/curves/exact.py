@@ -300,10 +300,10 @@ class _Judge:
 
 
 def _budget(curve: ResponseCurve, flow: ContactFlow) -> Budget:
-    """Of each motion."""
+    """Of each motion: of a few modes what the longest period takes, and events."""
     longest = 2.0 * np.pi * curve.subharmonic / float(curve.omega.min())
-    formed = flow.size <= FORMED
-    return Budget(pieces=FOR_EVENTS + (math.ceil(flow.pieces(longest)) if formed else 0))
+    without_events = min(flow.pieces(longest), Budget().pieces) if flow.size <= FORMED else 0.0
+    return Budget(pieces=FOR_EVENTS + math.ceil(without_events))
 
 
 def _side(leading: np.ndarray) -> np.ndarray:

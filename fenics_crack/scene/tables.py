@@ -620,9 +620,11 @@ class Curve(Table):
         super().__post_init__()
         self.require(self.start != self.stop, "stop", f"other than curve.start = {self.start:g}")
         if self.parameter in ("omega", "frequency", "stiffness", "speed", "rpm"):
+            least = max(1e-12 * max(self.start, self.stop), 0.0)  # else rounding takes it to 0
             for name in ("start", "stop"):
                 allowed = f"a number > 0 with curve.parameter = {self.parameter!r}"
-                self.require(getattr(self, name) > 0.0, name, allowed)
+                allowed += ", and 1e-12 of the other end" * (getattr(self, name) > 0.0)
+                self.require(getattr(self, name) > least, name, allowed)
 
     @property
     def followed(self) -> tuple[str, float, float]:

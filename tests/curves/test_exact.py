@@ -260,6 +260,14 @@ def test_a_fast_mode_costs_time_but_no_verdict() -> None:
     assert curve.undecided is not None and np.mean(curve.undecided) < 0.1
 
 
+def test_a_curve_from_next_to_no_frequency() -> None:
+    """Periods of 6e9 s are given up, which were followed for more than a minute; the points far
+    from them are judged."""
+    law = fc.UnilateralPenalty(1.0)
+    curve = fc.continue_frequency(two_masses(), 1e-9, 0.7, law, harmonics=9, stability=True)
+    assert curve.verdicts[0] == "undecided" and curve.verdicts[-1] == "stable"
+
+
 # --- branches of orbits ---------------------------------------------------------------------------
 
 
