@@ -20,8 +20,8 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from mpi4py import MPI
@@ -37,7 +37,14 @@ from fenics_crack.study.coarser_mesh import CLAMP, TIP, finer_mesh, n_elements, 
 from fenics_crack.study.grid_convergence import GridConvergence, grid_convergence
 from fenics_crack.study.prepare import REFUSALS, Study, prepare, reduced, reduction_of
 from fenics_crack.study.run import Run, solve_prepared
-from fenics_crack.study.stated_errors import Numbers, by_orbit, numbers_of, resonance_of, shifted
+from fenics_crack.study.stated_errors import (
+    Numbers,
+    Varied,
+    by_orbit,
+    numbers_of,
+    resonance_of,
+    shifted,
+)
 from fenics_crack.study.verification import Verification
 
 __all__ = ["verify"]
@@ -92,10 +99,10 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
     with within(OWN):
         study = prepare(scene, comm, whole=True)
         if scene.reduction is not None and scene.reduction.modes is not None:
-            more = _modes(study, study)
-            if not isinstance(more, str):  # all at once: each run takes the first of them
+            kept = _kept_modes(study)
+            if not isinstance(kept, str):  # all at once: each run takes the first of them
                 with contextlib.suppress(*REFUSALS):
-                    solve_modes(study.structure, more.counts[-1] or 1)
+                    solve_modes(study.structure, min(COUNTS[-1] * kept[0], kept[1]))
         own = solve_prepared(study)
         if scene.harmonic_balance.tolerance is not None and own.result.converged:
             own = solve_prepared(_varied(own, _settled(own)), own.result)
@@ -103,46 +110,23 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
         raise ConvergenceError(f"{OWN}: {own.result.status}")
     study = replace(study, scene=_settled(own))
     numbers = numbers_of(own, own.result)
-    failures: list[str] = []
+    runs = _Runs(study, own, numbers)
     found = Verification(study.scene, numbers.values, numbers.units, verdicts=_doubtful(OWN, own))
-    for cause, ways in WAYS.items():
-        exact = by_orbit(own, own.result, numbers.mode) if cause == "harmonics" else None
-        if exact is not None and study.scene.harmonic_balance.samples is None:
-            found.counts[cause], found.parts[cause] = exact
+    for cause, part_of in PARTS.items():
+        try:
+            made = part_of(runs)
+        except ConvergenceError as error:
+            found.unknown[cause] = str(error)
             continue
-        way = ways(study, own)
-        if isinstance(way, str):
-            found.leave(cause, way)
+        if isinstance(made, str):
+            found.leave(cause, made)
             continue
-        levels = [(way.counts[0] or n_elements(own.structure), numbers.values)]
-        finest_first = list(zip(way.finer.items(), way.counts[1:], strict=True))[::-1]
-        for (name, finer), count in finest_first:  # few modes are among many
-            run = _finer_run(name, finer, way.shared, own, numbers.mode, failures)
-            if run is not None:
-                values = numbers_of(run, run.result, numbers.mode).values
-                levels.insert(1, (count or n_elements(run.structure), values))
-                found.verdicts.update(_doubtful(name, run))
-        many = tuple(count for count, _ in levels)
-        if len(many) == 1:
-            found.unknown[cause] = "no finer run has converged"
-        elif len(set(many)) < len(many):
-            why = "finer ones have as many elements, as mesh.size is that of the plate"
-            found.unknown[cause] = why
-        else:
-            found.counts[cause] = many
-            found.parts[cause] = {
-                name: grid_convergence(
-                    [size_of(cause, count, scene) for count in many],
-                    [values.get(name, 0.0) for _, values in levels],  # 0: none there
-                    formal=way.formal,
-                    highest=way.highest,
-                )
-                for name in numbers.values
-            }
-            if cause == "mesh":
-                found.counts["shift"] = many[:: len(many) - 1]
-                found.parts["shift"] = _carried(own, numbers, found.parts[cause])
-    return replace(found, failures=tuple(failures))
+        found.counts[cause], found.parts[cause] = made
+        if cause == "mesh":
+            found.counts["shift"] = made[0][:: len(made[0]) - 1]
+            found.parts["shift"] = _carried(own, numbers, made[1])
+    found.verdicts.update(runs.verdicts)
+    return replace(found, failures=tuple(runs.failures))
 
 
 def _varied(study: Study, scene: Scene) -> Study:
@@ -164,26 +148,108 @@ def _settled(run: Run[PeriodicSolution]) -> Scene:
     return scene.replace(changes | {"reduction.method": kept.method, "reduction.modes": kept.modes})
 
 
-# --- what is made finer ---------------------------------------------------------------------------
+# --- runs -----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class _Ways:
-    """Finer scenes by what each is called, and the orders of theory.
+class _Runs:
+    """The scene's own run, settled, and what finer ones have told.
 
-    ``counts`` are the numbers of what is varied, the scene's own first; None of a mesh, whose
-    elements are counted when it is made. ``shared`` is the study of them all but for a mesh.
+    Attributes
+    ----------
+    study : Study
+        Of the settled scene, with the whole structure.
+    own : Run of PeriodicSolution
+        Its solution.
+    numbers : Numbers
+        Of that.
+    failures, verdicts
+        As :class:`Verification` has them, of finer runs.
     """
 
-    finer: dict[str, Scene]
-    counts: tuple[int | None, ...]
-    formal: float
-    shared: Study | None = None
-    highest: float = math.inf
+    study: Study
+    own: Run[PeriodicSolution]
+    numbers: Numbers
+    failures: list[str] = field(default_factory=list)
+    verdicts: dict[str, str] = field(default_factory=dict)
+
+    def part(
+        self,
+        cause: str,
+        finer: Mapping[str, Scene],
+        counts: Sequence[int | None],
+        formal: float,
+        *,
+        shared: Study | None = None,
+        highest: float = math.inf,
+    ) -> Varied:
+        """The part of a cause, by finer scenes and what each is called (collective).
+
+        ``counts`` are the numbers of what is varied, the scene's own first; None of a mesh, whose
+        elements are counted when it is made. ``formal`` and ``highest`` are orders of theory, and
+        ``shared`` is the study of all runs but those of a mesh.
+        """
+        numbers, scene = self.numbers, self.study.scene
+        levels = [(counts[0] or n_elements(self.own.structure), numbers.values)]
+        finest_first = list(zip(finer.items(), counts[1:], strict=True))[::-1]
+        for (name, changed), count in finest_first:  # few modes are among many
+            run = self._run(name, changed, shared)
+            if run is not None:
+                values = numbers_of(run, run.result, numbers.mode).values
+                levels.insert(1, (count or n_elements(run.structure), values))
+                self.verdicts.update(_doubtful(name, run))
+        many = tuple(count for count, _ in levels)
+        if len(many) == 1:
+            raise ConvergenceError("no finer run has converged")
+        if len(set(many)) < len(many):
+            return "finer ones have as many elements, as mesh.size is that of the plate"
+        return many, {
+            name: grid_convergence(
+                [size_of(cause, count, scene) for count in many],
+                [values.get(name, 0.0) for _, values in levels],  # 0: none there
+                formal=formal,
+                highest=highest,
+            )
+            for name in numbers.values
+        }
+
+    def more(
+        self, shared: Study, scene: Scene, key: str, own: int, most: int, formal: float
+    ) -> Varied:
+        """The same of twice and four times as many of something, at most so many (collective)."""
+        counts = sorted({min(factor * own, most) for factor in COUNTS})
+        cause = name = key.rpartition(".")[2]
+        finer = {f"{count} {name}": scene.replace({key: count}) for count in counts[1:]}
+        return self.part(cause, finer, counts, formal, shared=shared)
+
+    def _run(self, name: str, scene: Scene, shared: Study | None) -> Run[PeriodicSolution] | None:
+        """The run of a finer scene, from the solution that it shares a structure with; on another
+        mesh as far from the resonance of a mode; None, and its failure, where it does not converge
+        (collective)."""
+        own, mode = self.own, self.numbers.mode
+        initial, omega = shared.result if isinstance(shared, Run) else None, own.result.omega
+        with within(name):
+            try:
+                if shared is not None:
+                    varied = reduced(_varied(shared, scene), judged=False)
+                else:
+                    varied = prepare(scene, own.structure.comm, judged=False)
+                    moved = resonance_of(varied.structure, mode) / resonance_of(own.structure, mode)
+                    omega *= moved
+                run = solve_prepared(varied, initial, omega)
+                if run.result.converged:
+                    return run
+                self.failures.append(f"{name}: {run.result.status}")
+            except REFUSALS as error:
+                self.failures.append(f"{name}: {error}")
+        return None
 
 
-def _meshes(study: Study, own: Study) -> _Ways | str:
-    scene = study.scene
+# --- what is made finer ---------------------------------------------------------------------------
+
+
+def _meshes(runs: _Runs) -> Varied:
+    scene = runs.study.scene
     if scene.structure is not None:
         return "[structure] has matrices, and not the mesh that they are of"
     lips = scene.mesh.lip_elements or 0
@@ -198,84 +264,58 @@ def _meshes(study: Study, own: Study) -> _Ways | str:
             "mesh.file is one mesh; solve states its part by mesh.coarser, and "
             "fc.grid_convergence compares several"
         )
-    formal = TIP if study.structure.n_pairs else CLAMP
-    return _Ways(scenes, (None,) * (1 + len(scenes)), formal, highest=2.0 * scene.mesh.order)
+    formal = TIP if runs.study.structure.n_pairs else CLAMP
+    counts = (None,) * (1 + len(scenes))
+    return runs.part("mesh", scenes, counts, formal, highest=2.0 * scene.mesh.order)
 
 
-def _modes(study: Study, own: Study) -> _Ways | str:
-    scene, whole = study.scene, study.structure
-    kept = reduction_of(scene, whole)
+def _modes(runs: _Runs) -> Varied:
+    study, kept = runs.study, _kept_modes(runs.study)
+    if isinstance(kept, str):
+        return kept
+    return runs.more(study, study.scene, "reduction.modes", *kept, 1.0)
+
+
+def _kept_modes(study: Study) -> tuple[int, int] | str:
+    """How many modes are kept, of how many; or why they cannot be varied."""
+    kept = reduction_of(study.scene, study.structure)
     if kept is None:
         return "the structure is not reduced"
-    most = whole.n_dofs - whole.n_pairs
-    if kept.modes >= most:
-        return "all are kept"
-    return _more(study, scene, "reduction.modes", kept.modes, most, 1.0)
+    most = study.structure.n_dofs - study.structure.n_pairs
+    return "all are kept" if kept.modes >= most else (kept.modes, most)
 
 
-def _harmonics(study: Study, own: Study) -> _Ways | str:
-    scene, table = study.scene, study.scene.harmonic_balance
-    if study.contact is None:
+def _harmonics(runs: _Runs) -> Varied:
+    scene, own = runs.study.scene, runs.own
+    table = scene.harmonic_balance
+    if own.contact is None:
         return "without contact there is one"
     if table.samples is not None:  # enough for all of them
         least = 4 * COUNTS[-1] * table.harmonics + 1
         scene = scene.replace({"harmonic_balance.samples": max(table.samples, least)})
-    return _more(own, scene, "harmonic_balance.harmonics", table.harmonics, MAX_SAMPLES, 1.0)
+    elif (exact := by_orbit(own, own.result, runs.numbers.mode)) is not None:
+        return exact
+    key = "harmonic_balance.harmonics"
+    return runs.more(own, scene, key, table.harmonics, MAX_SAMPLES, 1.0)
 
 
-def _samples(study: Study, own: Study) -> _Ways | str:
-    law, table = study.contact, study.scene.harmonic_balance
+def _samples(runs: _Runs) -> Varied:
+    scene, law = runs.study.scene, runs.study.contact
+    table = scene.harmonic_balance
     if law is None:
         return "without contact there are none"
     if table.samples is None and is_unilateral(law):
         return "contact is integrated exactly"
     count = table.samples or default_samples(table.harmonics)
-    return _more(own, study.scene, "harmonic_balance.samples", count, MAX_SAMPLES, 2.0)
+    return runs.more(runs.own, scene, "harmonic_balance.samples", count, MAX_SAMPLES, 2.0)
 
 
-def _more(shared: Study, scene: Scene, key: str, own: int, most: int, formal: float) -> _Ways:
-    """Twice and four times as many of something, at most so many."""
-    counts = tuple(sorted({min(factor * own, most) for factor in COUNTS}))
-    name = key.rpartition(".")[2]
-    finer = {f"{count} {name}": scene.replace({key: count}) for count in counts[1:]}
-    return _Ways(finer, counts, formal, shared)
+PARTS: dict[str, Callable[[_Runs], Varied]]
+PARTS = {"mesh": _meshes, "modes": _modes, "harmonics": _harmonics, "samples": _samples}
+"""By the causes."""
 
 
-WAYS: dict[str, Callable[[Study, Study], _Ways | str]]
-WAYS = {"mesh": _meshes, "modes": _modes, "harmonics": _harmonics, "samples": _samples}
-"""What is varied, and how."""
-
-
-# --- runs -----------------------------------------------------------------------------------------
-
-
-def _finer_run(
-    name: str,
-    scene: Scene,
-    shared: Study | None,
-    own: Run[PeriodicSolution],
-    mode: int,
-    failures: list[str],
-) -> Run[PeriodicSolution] | None:
-    """The run of a finer scene, from the solution that it shares a structure with; on another mesh
-    as far from the resonance of a mode; None, and its failure, where it does not converge
-    (collective)."""
-    initial, omega = shared.result if isinstance(shared, Run) else None, own.result.omega
-    with within(name):
-        try:
-            if shared is not None:
-                varied = reduced(_varied(shared, scene), judged=False)
-            else:
-                varied = prepare(scene, own.structure.comm, judged=False)
-                moved = resonance_of(varied.structure, mode) / resonance_of(own.structure, mode)
-                omega *= moved
-            run = solve_prepared(varied, initial, omega)
-            if run.result.converged:
-                return run
-            failures.append(f"{name}: {run.result.status}")
-        except REFUSALS as error:
-            failures.append(f"{name}: {error}")
-    return None
+# --- what follows from runs -----------------------------------------------------------------------
 
 
 def _carried(

@@ -69,6 +69,7 @@ from fenics_crack.table import frequency_axis
 
 __all__ = [
     "Numbers",
+    "Varied",
     "by_orbit",
     "errors_of",
     "numbers_of",
@@ -209,7 +210,7 @@ def errors_of(study: Study, result: object) -> Verification | None:
     return None
 
 
-Varied = tuple[tuple[int, int], dict[str, GridConvergence]] | str
+Varied = tuple[tuple[int, ...], dict[str, GridConvergence]] | str
 """Counts, the answer's own first, and the parts; or why there are none."""
 
 
