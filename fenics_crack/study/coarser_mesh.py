@@ -169,19 +169,29 @@ def finer_mesh(scene: Scene, factor: float) -> Scene | None:
     mesh.
 
     Elements along lips are counted up to the next whole number, and all others follow them, so that
-    the mesh stays of one kind. A grid becomes finer by the next whole factor, so that cracks stay
-    on its lines; or coarser by 2, where that is possible.
+    the mesh stays of one kind. In solids, whose elements grow from the front on by h_0 + (r - 1) d,
+    n of them along a lip with the grading r^(n - 1), r^n stays: h_0 and r - 1 have the same ratio
+    in all such meshes, and the count next to the factor tells it. A grid becomes finer by the next
+    whole factor, so that cracks stay on its lines; or coarser by 2, where that is possible.
     """
     mesh = scene.mesh
     if mesh is None or mesh.layout == "file":
         return None
     changes: dict[str, Any] = {}
     lips = mesh.lip_elements
-    if lips is not None:
+    longest = mesh.size
+    if scene.dimension == 3 and lips is not None and lips > 2:
+        grown = math.log(mesh.grading) * lips / (lips - 1) or 1e-9  # next to none: r > 1
+        rise = math.expm1(grown / lips)
+        count = changes["mesh.lip_elements"] = round(grown / math.log1p(rise / factor))
+        changes["mesh.grading"] = math.exp(grown * (count - 1) / count)
+        factor = rise / math.expm1(grown / count)
+        longest = longest and min(longest, *scene.geometry.sides)
+    elif lips is not None:
         count = changes["mesh.lip_elements"] = math.ceil(factor * lips)
         factor = factor if count == lips else count / lips
-    if mesh.size is not None:
-        changes["mesh.size"] = mesh.size / factor
+    if longest is not None:
+        changes["mesh.size"] = longest / factor
     for key in ("columns", "rows"):
         count = getattr(mesh, key)
         if count is not None:

@@ -201,6 +201,33 @@ def test_grids_and_odd_lips_take_whole_factors() -> None:
     assert found.parts["mesh"]["opening"].sizes[2] > 2.0 * found.parts["mesh"]["opening"].sizes[0]
 
 
+def test_meshes_of_a_solid_are_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Elements at the front, and what each next one is longer by, have the same ratio in all."""
+    solid = Scene.load(DEMOS.parent / "fenics_crack" / "cli" / "new_solid.toml").replace(
+        {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 3, "reduction.modes": 4}
+    )
+    meshes, whole = [solid.mesh], fc.prepare
+
+    def kept(scene: Scene, *how: Any, **more: Any) -> Study:
+        if "whole" in more:
+            return whole(scene, *how, **more)
+        meshes.insert(1, scene.mesh)
+        raise ConvergenceError("not solved")
+
+    monkeypatch.setattr("fenics_crack.study.refinement.prepare", kept)
+    assert "mesh" in fc.verify(solid).unknown
+    fronts, rises = [], []
+    for mesh in meshes:
+        ratio = mesh.grading ** (1.0 / (mesh.lip_elements - 1))
+        fronts.append(sum(ratio**number for number in range(mesh.lip_elements)))
+        rises.append(1.0 / (ratio - 1.0))
+    factors = [front / fronts[0] for front in fronts]
+    assert factors == pytest.approx([1.0, 2.0, 3.0], rel=0.05)
+    assert factors == pytest.approx([rise / rises[0] for rise in rises], rel=1e-9)
+    thick = solid.geometry.thickness  # elements are no longer than that, whatever is asked for
+    assert [mesh.size for mesh in meshes[1:]] == pytest.approx([thick / f for f in factors[1:]])
+
+
 def test_failed_runs_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """One that does not converge leaves two sizes and a factor of 3; two leave a cause unknown: of
     a smoothed law, which has no exact orbit."""
