@@ -60,15 +60,14 @@ def errors_of_natural(study: Study, natural: Mapping[str, np.ndarray]) -> Verifi
     try:
         coarse = coarser(study)
         if isinstance(coarse, str):
-            stated.leave("mesh", coarse)
+            stated.take("mesh", coarse)
             return stated
         twin, counts = coarse
         count = max(map(len, natural.values()))
         both = {"open": solve_modes(twin.structure, count).omega}
         if "tied" in natural:
             both["tied"] = tied_frequencies(twin.structure, count)
-        stated.counts["mesh"] = counts
-        stated.parts["mesh"] = expected("mesh", counts, stated.values, named(both), scene)
+        stated.take("mesh", (counts, expected("mesh", counts, stated.values, named(both), scene)))
     except REFUSALS as error:
         stated.unknown["mesh"] = str(error)
     return stated
@@ -169,29 +168,25 @@ def finer_mesh(scene: Scene, factor: float) -> Scene | None:
     mesh.
 
     Elements along lips are counted up to the next whole number, and all others follow them, so that
-    the mesh stays of one kind. In solids, whose elements grow from the front on by h_0 + (r - 1) d,
-    n of them along a lip with the grading r^(n - 1), r^n stays: h_0 and r - 1 have the same ratio
-    in all such meshes, and the count next to the factor tells it. A grid becomes finer by the next
-    whole factor, so that cracks stay on its lines; or coarser by 2, where that is possible.
+    the mesh stays of one kind; three or more of a solid to that next to the factor
+    (:func:`_alike`), where a size counts as the shortest side if it is longer. A grid becomes finer
+    by the next whole factor, so that cracks stay on its lines; or coarser by 2, where that is
+    possible.
     """
     mesh = scene.mesh
     if mesh is None or mesh.layout == "file":
         return None
     changes: dict[str, Any] = {}
-    lips = mesh.lip_elements
-    longest = mesh.size
+    lips, size = mesh.lip_elements, mesh.size
     if scene.dimension == 3 and lips is not None and lips > 2:
-        grown = math.log(mesh.grading) * lips / (lips - 1) or 1e-9  # next to none: r > 1
-        rise = math.expm1(grown / lips)
-        count = changes["mesh.lip_elements"] = round(grown / math.log1p(rise / factor))
-        changes["mesh.grading"] = math.exp(grown * (count - 1) / count)
-        factor = rise / math.expm1(grown / count)
-        longest = longest and min(longest, *scene.geometry.sides)
+        count, grading, factor = _alike(lips, mesh.grading, factor)
+        changes |= {"mesh.lip_elements": count, "mesh.grading": grading}
+        size = min(mesh.given("size"), *scene.geometry.sides)
     elif lips is not None:
         count = changes["mesh.lip_elements"] = math.ceil(factor * lips)
         factor = factor if count == lips else count / lips
-    if longest is not None:
-        changes["mesh.size"] = longest / factor
+    if size is not None:
+        changes["mesh.size"] = size / factor
     for key in ("columns", "rows"):
         count = getattr(mesh, key)
         if count is not None:
@@ -199,6 +194,19 @@ def finer_mesh(scene: Scene, factor: float) -> Scene | None:
             if factor < 1.0 and count % 2:
                 return None
     return scene.replace(changes)
+
+
+def _alike(count: int, grading: float, factor: float) -> tuple[int, float, float]:
+    """Elements along a lip of a solid and their grading so that the mesh is alike and about
+    ``factor`` times as fine, and the factor that it is.
+
+    The n elements are h_0 r^k long, r^(n - 1) being the grading, and those beside them
+    h_0 + (r - 1) d at a distance d from the front. Where r^n stays, so does h_0 / (r - 1).
+    """
+    grown = math.log(grading) * count / (count - 1) or 1e-9  # log r^n; next to none: r > 1
+    rise = math.expm1(grown / count)
+    new = round(grown / math.log1p(rise / factor))
+    return new, math.exp(grown * (new - 1) / new), rise / math.expm1(grown / new)
 
 
 def n_elements(structure: Structure) -> int:

@@ -37,15 +37,8 @@ from fenics_crack.study.coarser_mesh import CLAMP, TIP, finer_mesh, n_elements, 
 from fenics_crack.study.grid_convergence import GridConvergence, grid_convergence
 from fenics_crack.study.prepare import REFUSALS, Study, prepare, reduced, reduction_of
 from fenics_crack.study.run import Run, solve_prepared
-from fenics_crack.study.stated_errors import (
-    Numbers,
-    Varied,
-    by_orbit,
-    numbers_of,
-    resonance_of,
-    shifted,
-)
-from fenics_crack.study.verification import Verification
+from fenics_crack.study.stated_errors import Numbers, by_orbit, numbers_of, resonance_of, shifted
+from fenics_crack.study.verification import Varied, Verification
 
 __all__ = ["verify"]
 
@@ -114,17 +107,12 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
     found = Verification(study.scene, numbers.values, numbers.units, verdicts=_doubtful(OWN, own))
     for cause, part_of in PARTS.items():
         try:
-            made = part_of(runs)
+            found.take(cause, part_of(runs))
         except ConvergenceError as error:
             found.unknown[cause] = str(error)
-            continue
-        if isinstance(made, str):
-            found.leave(cause, made)
-            continue
-        found.counts[cause], found.parts[cause] = made
-        if cause == "mesh":
-            found.counts["shift"] = made[0][:: len(made[0]) - 1]
-            found.parts["shift"] = _carried(own, numbers, made[1])
+        if cause == "mesh" and cause in found.parts:
+            many, parts = found.counts[cause], found.parts[cause]
+            found.take("shift", (many[:: len(many) - 1], _carried(own, numbers, parts)))
     found.verdicts.update(runs.verdicts)
     return replace(found, failures=tuple(runs.failures))
 

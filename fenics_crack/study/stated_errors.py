@@ -64,12 +64,11 @@ from fenics_crack.study.coarser_mesh import (
 )
 from fenics_crack.study.grid_convergence import GridConvergence
 from fenics_crack.study.prepare import REFUSALS, Study
-from fenics_crack.study.verification import Verification
+from fenics_crack.study.verification import Varied, Verification
 from fenics_crack.table import frequency_axis
 
 __all__ = [
     "Numbers",
-    "Varied",
     "by_orbit",
     "errors_of",
     "numbers_of",
@@ -184,11 +183,7 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
     varied: list[Callable[..., Varied]] = [_more_modes, harmonics, mesh]
     for cause, other in zip(VARIED, varied, strict=True):
         try:
-            made = other(study, near, own)
-            if isinstance(made, str):
-                stated.leave(cause, made)
-            else:
-                stated.counts[cause], stated.parts[cause] = made
+            stated.take(cause, other(study, near, own))
         except REFUSALS as error:
             stated.unknown[cause] = str(error)
     for name in [*stated.values]:  # of some of the other runs it may be none
@@ -208,10 +203,6 @@ def errors_of(study: Study, result: object) -> Verification | None:
     if isinstance(result, PeriodicSolution) and result.converged:
         return stated_errors(study, result)
     return None
-
-
-Varied = tuple[tuple[int, ...], dict[str, GridConvergence]] | str
-"""Counts, the answer's own first, and the parts; or why there are none."""
 
 
 def _more_modes(study: Study, near: PeriodicSolution, own: Numbers) -> Varied:

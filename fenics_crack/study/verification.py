@@ -21,7 +21,10 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.study.grid_convergence import GridConvergence
 from fenics_crack.table import Table, Tabular, with_unit
 
-__all__ = ["CAUSES", "MESH", "Verification", "verification_of"]
+__all__ = ["CAUSES", "MESH", "Varied", "Verification", "verification_of"]
+
+Varied = tuple[tuple[int, ...], dict[str, GridConvergence]] | str
+"""Of a cause: counts, the answer's own first, and the parts; or why there are none."""
 
 MESH = ("mesh", "shift")
 """The mesh's part: of the answer at a given distance from the resonance, and by the shift of the
@@ -89,10 +92,13 @@ class Verification(Tabular):
 
     KIND: ClassVar[str] = "verification"
 
-    def leave(self, cause: str, why: str) -> None:
-        """Note why a cause was not varied: of a mesh its part is then unknown, else there is
-        none."""
-        (self.unknown if cause == "mesh" else self.absent)[cause] = why
+    def take(self, cause: str, made: Varied) -> None:
+        """Note the part of a cause, or why it was not varied: of a mesh it is then unknown, else
+        there is none."""
+        if isinstance(made, str):
+            (self.unknown if cause == "mesh" else self.absent)[cause] = made
+        else:
+            self.counts[cause], self.parts[cause] = made
 
     # --- files ------------------------------------------------------------------------------------
 
