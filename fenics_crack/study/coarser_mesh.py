@@ -169,8 +169,8 @@ def finer_mesh(scene: Scene, factor: float) -> Scene | None:
 
     Elements along lips are counted up to the next whole number, and all others follow them, so that
     the mesh stays of one kind; three or more of a solid to that next to the factor
-    (:func:`_alike`), where a size counts as the shortest side if it is longer. A grid becomes finer
-    by the next whole factor, so that cracks stay on its lines; or coarser by 2, where that is
+    (:func:`_alike`). Of a solid a size counts as the shortest side if it is longer. A grid becomes
+    finer by the next whole factor, so that cracks stay on its lines; or coarser by 2, where that is
     possible.
     """
     mesh = scene.mesh
@@ -178,10 +178,11 @@ def finer_mesh(scene: Scene, factor: float) -> Scene | None:
         return None
     changes: dict[str, Any] = {}
     lips, size = mesh.lip_elements, mesh.size
+    if scene.dimension == 3 and size is not None:
+        size = min(size, *scene.geometry.sides)
     if scene.dimension == 3 and lips is not None and lips > 2:
         count, grading, factor = _alike(lips, mesh.grading, factor)
         changes |= {"mesh.lip_elements": count, "mesh.grading": grading}
-        size = min(mesh.given("size"), *scene.geometry.sides)
     elif lips is not None:
         count = changes["mesh.lip_elements"] = math.ceil(factor * lips)
         factor = factor if count == lips else count / lips

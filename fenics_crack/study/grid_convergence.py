@@ -9,10 +9,12 @@ The uncertainty of f_i is F |f_i - f|; with i = 1, relative to f_1, it is the gr
 
     GCI = F |(f_1 - f_2) / f_1| / ((h_2/h_1)^p - 1).
 
-The factor of safety F is 1.25 where three sizes show an order near that of theory, else 3. An order
-better than that of theory is not used: the part of an error that falls slowly comes last. Values
-that oscillate, come no closer, or come closer faster than the elements can are not in the
-asymptotic range; nothing is extrapolated from them, and their uncertainty is 3 times their spread.
+The factor of safety F is 1.25 where three sizes show an order near that of theory, or one between
+that and the best that the elements have, else 3. An order better than that of theory is not used:
+the part of an error that falls slowly comes last, and of errors that are sums of powers from that
+of theory on, with coefficients of one sign, no more can be left. Values that oscillate, come no
+closer, or come closer faster than the elements can are not in the asymptotic range; nothing is
+extrapolated from them, and their uncertainty is 3 times their spread.
 
 Roache, Journal of Fluids Engineering 116, 1994, 405; Celik and others, the same 130, 2008, 078001;
 ASME V&V 20-2009, section 2; the rule for orders follows Oberkampf and Roy, Verification and
@@ -37,7 +39,8 @@ __all__ = ["SAFE", "GridConvergence", "grid_convergence"]
 SAFE, CAUTIOUS = 1.25, 3.0
 """Factors of safety."""
 LEAST_ORDER, MOST_OVER_FORMAL = 0.5, 1.5
-"""Observed orders that are believed: the least, and the largest relative to that of theory."""
+"""Observed orders that are believed: the least; and the largest relative to that of theory, where
+no highest one is known."""
 HIGHEST_ORDER = 50.0
 """Largest order that is told."""
 UNCHANGED = 1e-9
@@ -53,15 +56,15 @@ class GridConvergence(Described):
     sizes, values : tuple of float
         h_i, smallest first, and f_i.
     behaviour : str
-        "asymptotic": the observed order is near that of theory; "outside": it falls, with another
-        order; "oscillating", "diverging" or "irregular" (too fast to be an order): not in the
-        asymptotic range; "two sizes": no order is observed; "unchanged": the same to rounding;
-        "carried": the values are those at a shifted resonance; "exact orbit": the first is the
-        limit.
+        "asymptotic": the observed order is near that of theory, or between that and the highest;
+        "outside": it falls, with another order; "oscillating", "diverging" or "irregular" (too fast
+        to be an order): not in the asymptotic range; "two sizes": no order is observed;
+        "unchanged": the same to rounding; "carried": the values are those at a shifted resonance;
+        "exact orbit": the first is the limit.
     order : float
         p, observed; nan where there is none.
     exponent : float
-        The order that is extrapolated with; nan where nothing is.
+        The order that is extrapolated with from the two smallest sizes; nan where nothing is.
     factor : float
         F.
     extrapolated : float
@@ -119,7 +122,8 @@ def grid_convergence(
     formal : float
         The order that theory expects.
     highest : float
-        Order above which values are not in the asymptotic range: no scheme used is so good.
+        Order that the scheme has where nothing disturbs it; above it values are not in the
+        asymptotic range.
 
     Returns
     -------
@@ -170,7 +174,8 @@ def grid_convergence(
         return found("diverging", order, math.nan)
     if order > highest or math.isinf(order):
         return found("irregular", order, math.nan)
-    if LEAST_ORDER <= order <= MOST_OVER_FORMAL * formal:
+    most = highest if math.isfinite(highest) else MOST_OVER_FORMAL * formal
+    if LEAST_ORDER <= order <= most:
         return found("asymptotic", order, min(order, formal), SAFE)
     return found("outside", order, min(max(order, LEAST_ORDER), formal))
 

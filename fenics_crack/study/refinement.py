@@ -240,11 +240,9 @@ def _meshes(runs: _Runs) -> Varied:
     scene = runs.study.scene
     if scene.structure is not None:
         return "[structure] has matrices, and not the mesh that they are of"
-    lips = scene.mesh.lip_elements or 0
-    even = scene.mesh.layout == "graded" and math.ceil(1.5 * lips) <= EVEN * lips
     finer = {
         f"a mesh {factor:g} times finer": finer_mesh(scene, factor)
-        for factor in (GRADED if even else GRID)
+        for factor in (GRADED if _even(scene) else GRID)
     }
     scenes = {name: found for name, found in finer.items() if found is not None}
     if not scenes:
@@ -255,6 +253,13 @@ def _meshes(runs: _Runs) -> Varied:
     formal = TIP if runs.study.structure.n_pairs else CLAMP
     counts = (None,) * (1 + len(scenes))
     return runs.part("mesh", scenes, counts, formal, highest=2.0 * scene.mesh.order)
+
+
+def _even(scene: Scene) -> bool:
+    """Whether a mesh 1.5 times finer is of the same kind."""
+    finer, lips = finer_mesh(scene, GRADED[0]), scene.mesh.lip_elements or 0
+    count = 0 if finer is None else finer.mesh.lip_elements or 0
+    return scene.mesh.layout == "graded" and count <= EVEN * lips
 
 
 def _modes(runs: _Runs) -> Varied:

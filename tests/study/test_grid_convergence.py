@@ -56,7 +56,7 @@ SEQUENCES = [
     # values with sizes 1, 2, 4; behaviour, order, exponent, uncertainty of the first
     ((1.0, 1.1, 1.3), "asymptotic", 1.0, 1.0, 1.25 * 0.1),
     ((1.0, 1.1, 1.35), "asymptotic", math.log2(2.5), 1.0, 1.25 * 0.1),
-    ((1.0, 1.1, 1.5), "outside", 2.0, 1.0, 3.0 * 0.1),
+    ((1.0, 1.1, 1.5), "asymptotic", 2.0, 1.0, 1.25 * 0.1),
     ((1.0, 1.1, 1.21), "outside", math.log2(1.1), 0.5, 3.0 * 0.1 / (2.0**0.5 - 1.0)),
     ((1.0, 1.1, 1.2), "diverging", 0.0, math.nan, 3.0 * 0.2),
     ((1.0, 1.1, 1.15), "diverging", -1.0, math.nan, 3.0 * 0.15),
@@ -83,6 +83,28 @@ def test_behaviours(
     assert found.uncertainty() == pytest.approx(uncertainty)
     assert found.is_asymptotic == math.isfinite(found.extrapolated)
     assert behaviour in repr(found)
+
+
+def test_order_above_theory() -> None:
+    """Where it is not known how good elements are, it is doubted; a sum of powers is not."""
+    doubted = fc.grid_convergence([1.0, 2.0, 4.0], [1.0, 1.1, 1.5], formal=1.0)
+    assert doubted.behaviour == "outside" and doubted.uncertainty() == pytest.approx(3.0 * 0.1)
+
+
+@given(
+    shares=st.lists(st.floats(0.0, 1.0), min_size=4, max_size=4).filter(lambda one: sum(one) > 0.1),
+    fine=st.floats(1.2, 2.0),
+    coarse=st.floats(1.2, 2.0),
+)
+def test_sums_of_powers_lie_within(shares: list[float], fine: float, coarse: float) -> None:
+    """1 + sum C_q h^q, q = 1, 2, 3, 4 and C_q >= 0: no value is farther from 1 than is stated, by
+    the factor of 1.25 at least."""
+    sizes = [1.0, fine, fine * coarse]
+    true = [sum(c * size**q for q, c in enumerate(shares, 1)) for size in sizes]
+    found = fc.grid_convergence(sizes, [1.0 + e for e in true], formal=1.0, highest=4.0001)
+    assert found.behaviour == "asymptotic"
+    for place, error in enumerate(true):
+        assert found.uncertainty(place) >= 1.25 * error * (1.0 - 1e-6)
 
 
 def test_bad_input() -> None:
