@@ -14,7 +14,8 @@ fine.
 The others: does the truth lie within the uncertainties of ``fc.verify``?
 
 ``mesh``: scenes of many kinds (the demos' plates, both orders, triangles, a grid, a crack inside,
-none, loads at points and on edges). The true error is the change on a mesh four times finer.
+none, loads at points and on edges). The true error is the change on a mesh four times finer; three
+times with ``boxes``, of which there are five.
 
 ``harmonics``: variants of one plate with four pairs, lips with mass, a penalty law; some chosen,
 others drawn (frequency, length, stiffness, damping, clearance, 3 to 19 harmonics). The true error
@@ -157,7 +158,7 @@ SIDES = ("width", "height", "thickness")
 def main() -> None:
     """Run it."""
     answers = {"answers": run_answers, "plates": run_plates, "solids": run_solids}
-    parts = {"mesh": run_mesh, "harmonics": run_harmonics, "modes": run_modes}
+    parts = {"mesh": run_mesh, "boxes": run_boxes, "harmonics": run_harmonics, "modes": run_modes}
     common.run(__doc__, answers | parts)
 
 
@@ -196,8 +197,8 @@ def solved(scene: fc.Scene) -> Numbers:
 
 
 def on_finer_mesh(scene: fc.Scene) -> Numbers:
-    """The same with elements four times as short."""
-    finer = finer_mesh(scene, 4.0)
+    """The same with elements four times as short; three times of a solid."""
+    finer = finer_mesh(scene, 4.0 if scene.dimension == 2 else 3.0)
     assert finer is not None
     return solved(finer)
 
@@ -451,11 +452,30 @@ def run_mesh(arguments: common.Arguments) -> None:
         "fenics-crack new": fc.Scene.from_text(text).replace({"sweep": None, "curve": None}),
         "blade": load("blade"),
     }
+    verified(arguments, "mesh", scenes)
+
+
+def run_boxes(arguments: common.Arguments) -> None:
+    """The box of ``new --solid``, and others, against meshes three times finer."""
+    text = resources.files("fenics_crack.cli").joinpath("new_solid.toml").read_text("utf-8")
+    box = fc.Scene.from_text(text).replace({"sweep": None, "curve": None})
+    changes: dict[str, dict[str, Any]] = {
+        "as it is": {},
+        "straight front": {"crack.front": "straight"},
+        "through": {"crack.depth": None, "crack.front": None},
+        "deep, four elements": {"crack.depth": 0.0045, "mesh.lip_elements": 4},
+        "no crack": {"crack": None, "contact": None, "mesh.lip_elements": None},
+    }
+    verified(arguments, "boxes", {name: box.replace(change) for name, change in changes.items()})
+
+
+def verified(arguments: common.Arguments, part: str, scenes: Mapping[str, fc.Scene]) -> None:
+    """The mesh's part of scenes against finer meshes."""
     rows: list[common.Row] = []
     for name, scene in list(scenes.items())[: 2 if arguments.quick else None]:
         found = fc.verify(scene)
         rows += compared(name, found, "mesh", on_finer_mesh(found.scene))
-    report(arguments, "mesh", rows)
+    report(arguments, part, rows)
 
 
 def run_harmonics(arguments: common.Arguments) -> None:
