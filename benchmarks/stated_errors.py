@@ -14,8 +14,9 @@ fine.
 The others: does the truth lie within the uncertainties of ``fc.verify``?
 
 ``mesh``: scenes of many kinds (the demos' plates, both orders, triangles, a grid, a crack inside,
-none, loads at points and on edges). The true error is the change on a mesh four times finer; three
-times with ``boxes``, of which there are five.
+none, loads at points and on edges). The true error is the change on a mesh four times finer.
+
+``boxes``: the same of five boxes, on a mesh three times finer.
 
 ``harmonics``: variants of one plate with four pairs, lips with mass, a penalty law; some chosen,
 others drawn (frequency, length, stiffness, damping, clearance, 3 to 19 harmonics). The true error
@@ -173,6 +174,12 @@ def load(demo: str, changes: Mapping[str, Any] | None = None) -> fc.Scene:
     """A demo's scene for one solution, some keys changed."""
     scene = fc.Scene.load(common.DEMOS / f"{demo}.toml")
     return scene.replace({"sweep": None, "curve": None, **(changes or {})})
+
+
+def new(name: str) -> fc.Scene:
+    """What ``fenics-crack new`` writes, the "scene" of a plate or a "solid", for one solution."""
+    text = resources.files("fenics_crack.cli").joinpath(f"new_{name}.toml").read_text("utf-8")
+    return fc.Scene.from_text(text).replace({"sweep": None, "curve": None})
 
 
 # --- references -----------------------------------------------------------------------------------
@@ -410,8 +417,7 @@ def run_plates(arguments: common.Arguments) -> None:
 
 def run_solids(arguments: common.Arguments) -> None:
     """Random solids."""
-    text = resources.files("fenics_crack.cli").joinpath("new_solid.toml").read_text("utf-8")
-    run_random(arguments, "solids", fc.Scene.from_text(text), 2.0)
+    run_random(arguments, "solids", new("solid"), 2.0)
 
 
 def run_random(arguments: common.Arguments, part: str, base: fc.Scene, finer: float) -> None:
@@ -436,7 +442,6 @@ def run_random(arguments: common.Arguments, part: str, base: fc.Scene, finer: fl
 
 def run_mesh(arguments: common.Arguments) -> None:
     """Against meshes four times finer."""
-    text = resources.files("fenics_crack.cli").joinpath("new_scene.toml").read_text("utf-8")
     bare = {"crack": None, "contact": None}
     inside = {"crack.edge": None, "crack.center": 0.05, "crack.length": 0.04}
     scenes = {
@@ -449,7 +454,7 @@ def run_mesh(arguments: common.Arguments) -> None:
         "sweep, crack inside": load("sweep", inside),
         "no crack": load("sweep", bare),
         "no crack, quadratic": load("sweep", bare | {"mesh.order": 2}),
-        "fenics-crack new": fc.Scene.from_text(text).replace({"sweep": None, "curve": None}),
+        "fenics-crack new": new("scene"),
         "blade": load("blade"),
     }
     verified(arguments, "mesh", scenes)
@@ -457,8 +462,7 @@ def run_mesh(arguments: common.Arguments) -> None:
 
 def run_boxes(arguments: common.Arguments) -> None:
     """The box of ``new --solid``, and others, against meshes three times finer."""
-    text = resources.files("fenics_crack.cli").joinpath("new_solid.toml").read_text("utf-8")
-    box = fc.Scene.from_text(text).replace({"sweep": None, "curve": None})
+    box = new("solid")
     changes: dict[str, dict[str, Any]] = {
         "as it is": {},
         "straight front": {"crack.front": "straight"},

@@ -257,9 +257,10 @@ def _meshes(runs: _Runs) -> Varied:
 
 def _even(scene: Scene) -> bool:
     """Whether a mesh 1.5 times finer is of the same kind."""
-    finer, lips = finer_mesh(scene, GRADED[0]), scene.mesh.lip_elements or 0
-    count = 0 if finer is None else finer.mesh.lip_elements or 0
-    return scene.mesh.layout == "graded" and count <= EVEN * lips
+    if scene.mesh.layout != "graded":
+        return False
+    finer, lips = finer_mesh(scene, GRADED[0]), scene.mesh.lip_elements
+    return finer is None or lips is None or finer.mesh.given("lip_elements") <= EVEN * lips
 
 
 def _modes(runs: _Runs) -> Varied:
