@@ -19,6 +19,7 @@ Astrophysics 496, 2009, 577), and the best of them with the weights of
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -35,7 +36,10 @@ __all__ = ["find_lines", "fit_frequency"]
 
 FINER = 4
 """Frequencies tried within the resolution, 1 / duration."""
-MOST_FREQUENCIES = 10**6
+BAND = 10**6
+"""Of them at once, for the memory."""
+MOST_FREQUENCIES = 10**8
+"""Of a scan: what a record of a million revolutions needs, in some minutes and gigabytes."""
 PEAKS = 40
 """Peaks of the scan that are refined, as far as they are not too low."""
 LOWEST = 0.5
@@ -263,13 +267,14 @@ class _Sought:
         """Frequencies at which a periodogram is highest [rad/s]."""
         step = TURN / (FINER * self._span)
         begin, end = int(np.ceil(low / step)), int(np.floor(high / step)) + 1
-        count = len(self._multiples) * end
-        if not 0 < end - begin or count > MOST_FREQUENCIES:
+        if not 0 < end - begin < MOST_FREQUENCIES:
             allowed = f"between {step:.3g} and {MOST_FREQUENCIES * step:.3g} rad/s"
             raise InputError("high - low", high - low, allowed)
-        values, places = self._none.psi, np.arange(begin, end)
-        sums = np.abs(_spectrum(step * self._time, values, count)) ** 2
-        power = np.sum([sums[int(multiple) * places] for multiple in self._multiples], axis=0)
+        values, places, power = self._none.psi, np.arange(begin, end), np.zeros(end - begin)
+        for multiple, first in itertools.product(self._multiples, range(0, end - begin, BAND)):
+            band = power[first : first + BAND]
+            phase = multiple * step * self._time
+            band += np.abs(_spectrum(phase, values, begin + first, len(band))) ** 2
         padded = np.concatenate([[-np.inf], power, [-np.inf]])
         peaks = np.flatnonzero((power >= padded[:-2]) & (power >= padded[2:]))
         peaks = peaks[np.argsort(-power[peaks])[:PEAKS]]
@@ -341,13 +346,14 @@ class _Sought:
         )
 
 
-def _spectrum(phase: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
-    """sum_n values_n exp(-i m phase_n) for m = 0, ..., count - 1, of phases (n,) [rad]: each value
-    is spread over its neighbours on a grid by a Gaussian, whose transform is taken out again."""
+def _spectrum(phase: np.ndarray, values: np.ndarray, first: int, count: int) -> np.ndarray:
+    """sum_n values_n exp(-i m phase_n) for `count` whole m from the first on, of phases (n,) [rad]:
+    each value is spread over its neighbours on a grid by a Gaussian, whose transform is taken out
+    again."""
     modes = 2 * (count // 2 + 1)
     middle, size = modes // 2, 2 * modes
     width = np.pi * GRID_NEIGHBOURS / (modes**2 * 3.0)  # of Greengard and Lee, twice as fine a grid
-    turned = values * np.exp(-1j * middle * phase)
+    turned = values * np.exp(-1j * (first + middle) * phase)
     place = np.floor(phase * size / TURN).astype(int)
     grid = np.zeros(size, dtype=complex)
     for shift in range(1 - GRID_NEIGHBOURS, GRID_NEIGHBOURS + 1):

@@ -221,6 +221,23 @@ def test_frequency_of_an_asynchronous_vibration(speed: float, sine: fc.PeriodicS
     assert fit.amplitudes[0] == pytest.approx(1e-3, rel=0.01)
 
 
+def test_more_frequencies_than_are_scanned_at_once(
+    sine: fc.PeriodicSolution, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A scan in bands finds the same; and a long record needs more of them than a band has."""
+    arrivals = measured(sine, speed=61.3, probes=FOUR[:3], revolutions=200)
+    fit = fc.fit_frequency(arrivals, 100.0, 3000.0)
+    monkeypatch.setattr("fenics_crack.arrivals.fit_frequency.BAND", 1000)
+    same = fc.fit_frequency(arrivals, 100.0, 3000.0)
+    assert same.order == pytest.approx(fit.order, rel=1e-12) and same.ambiguous == fit.ambiguous
+    monkeypatch.undo()
+    arrivals = measured(sine, speed=61.3, probes=FOUR[:3], revolutions=20000)
+    assert 4.0 * 999.0 * np.ptp(arrivals.marks) / (2.0 * np.pi) > 1e6  # times the resolution
+    found = fc.fit_frequency(arrivals, 999.0, 1001.0)
+    assert found.omega == pytest.approx(1000.0, rel=1e-8)
+    assert abs(found.omega - 1000.0) < 4.0 * found.order_error * 61.3
+
+
 def test_errors_of_the_frequency(sine: fc.PeriodicSolution) -> None:
     """Over 30 tries, in units of the standard error."""
     scores = []
