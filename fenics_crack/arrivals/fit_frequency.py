@@ -39,7 +39,7 @@ FINER = 4
 BAND = 10**6
 """Of them at once, for the memory."""
 MOST_FREQUENCIES = 10**8
-"""Of a scan: what a record of a million revolutions needs, in some minutes and gigabytes."""
+"""Of a scan: as many as a record of a million revolutions has for orders up to 24."""
 PEAKS = 40
 """Peaks of the scan that are refined, as far as they are not too low."""
 LOWEST = 0.5
