@@ -162,6 +162,11 @@ class ArrivalTimes(Tabular):
         kept[begin:end] = True
         return replace(self, time=np.where(kept[:, None], self.time, np.nan))
 
+    def without(self, probes: np.ndarray) -> Self:
+        """The same without some probes (n,), counted from 0."""
+        time = np.delete(self.time, probes, axis=1)
+        return replace(self, time=time, probes=np.delete(self.probes, probes))
+
     @classmethod
     def from_csv(cls, path: str | Path, *, tip_radius: float | None = None) -> Self:
         """Read arrivals from a CSV file with these columns, in any order, and any others.

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -65,6 +65,10 @@ errors."""
 CLEAR = 60.0
 """Difference of -2 log likelihood from which on a vibration is no chance: some 1e5 of them are
 tried, each of six numbers."""
+BLIND, DISTINCT = 0.5, 5.0
+"""Of the median vibration of all probes, less than this at one; and how much farther from it that
+is than at any other probe. A mode of another order within the same width may cancel at a probe: of
+200 such records with 4 to 8 probes one had a channel taken for blind, of 60 with 3 probes three."""
 
 
 class _Run:
@@ -274,6 +278,26 @@ class _Fit:
         return self._spread(self.noise.weights)
 
     @property
+    def blind(self) -> np.ndarray:
+        """Probes (n,) that see none, or little, of what the others see alike: a channel whose
+        pulses are not those of the blade. Fitted is a vibration of any phase at each probe."""
+        root, count = np.array([self.root]), self._runs[0].path.shape[1]
+        square, seen = np.zeros((count, 2, 2)), np.zeros((count, 2))
+        for run, force, weight in zip(self._runs, self.forces, self.weights, strict=True):
+            wave = force * run.waves(self.order, root)[0]
+            given = np.stack([wave.real, -wave.imag, run.values])
+            *parts, values = run.without_drifts(given, weight).real
+            square = square + np.einsum("arp,brp->pab", parts, parts)
+            seen = seen + np.einsum("arp,rp->pa", parts, values)
+        found = np.linalg.solve(square, seen[..., None])[..., 0]
+        size = np.hypot(*found.T) / np.median(found[:, 0])
+        off, apart = size < BLIND, np.abs(size - 1.0)
+        if not 0 < np.count_nonzero(off) < np.count_nonzero(~off):
+            return np.array([], dtype=int)
+        distinct = apart[off].min() > DISTINCT * apart[~off].max()
+        return np.flatnonzero(off & distinct)
+
+    @property
     def gain(self) -> float:
         """Difference of -2 log likelihood from no vibration."""
 
@@ -320,6 +344,8 @@ class PassageFit(Tabular):
         beside it shifts (:attr:`in_doubt`).
     asynchronous : tuple of TipFit
         Vibrations of constant frequency, which follow no order, found in the record.
+    blind : tuple of float [rad]
+        Angles of probes that see nothing of what the others see alike, and are left out.
     """
 
     order: float
@@ -338,6 +364,7 @@ class PassageFit(Tabular):
     scatter: float
     whiteness: float
     asynchronous: tuple[TipFit, ...] = ()
+    blind: tuple[float, ...] = ()
 
     @property
     def speed(self) -> float:
@@ -380,7 +407,8 @@ class PassageFit(Tabular):
 
     def compared(self, arrivals: ArrivalTimes) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Of each passage the speeds (R,) [rad/s], and the displacements (R, P) [m], seen without
-        drift (nan where none was seen) and of the fit."""
+        drift (nan where none was seen) and of the fit; without blind probes."""
+        arrivals = arrivals.without(np.flatnonzero(np.isin(arrivals.probes, self.blind)))
         root, found = np.array([_pole(self.omega, self.damping)]), []
         for (begin, end), force in zip(self.ends, self.forces, strict=True):
             run = _Run(arrivals, arrivals.displacement, int(begin), int(end))
@@ -457,7 +485,11 @@ def fit_passage(
         ends = arrivals.speed.min(), arrivals.speed.max()
         allowed = f"one that is passed in {FEWEST_REVOLUTIONS} revolutions or more, from "
         raise InputError("speed", speed, f"{allowed}{ends[0]:.6g} to {ends[1]:.6g} rad/s")
-    return _Compared(runs, speed, tried).described()
+    found = _Compared(runs, speed, tried)
+    if len(blind := found.best.blind):
+        fit = fit_passage(arrivals.without(blind), speed, tried)
+        return replace(fit, blind=(*arrivals.probes[blind].tolist(), *fit.blind))
+    return found.described()
 
 
 def find_passages(
@@ -472,6 +504,8 @@ def find_passages(
     Along the speed, vibrations of any phase at each probe are fitted. Where they explain most, the
     fit of :func:`fit_passage` finds the mode, which is subtracted before the next one is looked
     for, until what is found could be chance; beside vibrations of constant frequency, if there are.
+    Probes that see nothing of the first one, where more others see it alike, are left out
+    (:attr:`PassageFit.blind`): what they do not see would be taken for further resonances.
 
     Parameters
     ----------
@@ -514,6 +548,12 @@ def find_passages(
     for turn in range(PASSAGE_ROUNDS):
         before, few = found, 1 if asynchronous and not turn else most
         found, left = _search(arrivals, values - steady, tried, few)
+        if found and not turn and len(blind := found[0].best.blind):
+            fits = find_passages(
+                arrivals.without(blind), tried, most=most, asynchronous=asynchronous
+            )
+            angles = arrivals.probes[blind].tolist()
+            return tuple(replace(fit, blind=(*angles, *fit.blind)) for fit in fits)
         if not asynchronous or (turn and _alike(found, before)):
             break
         lines, rest = find_lines(arrivals, left + steady, constants, ends, most=asynchronous)

@@ -45,6 +45,10 @@ BESIDE = (
     "what is left is alike from revolution to revolution: another vibration, or drift, is beside "
     "it, and frequency, damping and order may be off by more than their errors"
 )
+BLIND = (
+    "it sees nothing of the vibration that the others see alike, so it is left out: are its pulses "
+    "those of the blade?"
+)
 FAR = 2.0
 """Ratio of speeds, of arrivals and of their scene, that is remarked."""
 EMPTY = ("blade", "rpm", "order", "frequency")
@@ -151,6 +155,9 @@ def _account_of_passages(
     names = [name for name in rows[0] if name != "speed"] if rows else [*EMPTY]
     table = Table.of({name: [row[name] for row in rows] for name in names}, UNITS)
     warnings = [*remarks_on_arrivals(arrivals), *["no resonance stands out"] * (not every)]
+    for blade, fits in found.items():
+        angles = [f"{np.degrees(angle):.5g}" for angle in (fits[0].blind if fits else ())]
+        warnings += [f"blade {blade}, probe at {angle} degrees: {BLIND}" for angle in angles]
     for blade, fit in every:
         name = f"blade {blade}, {fit.speed / RPM:.5g} rpm"
         if fit.ambiguous:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -127,6 +128,26 @@ def test_arrivals_of_another_blade() -> None:
         [fit] = fc.find_passages(swept(modes, wrong=0.1)[0])
         assert fit.order == order and not fit.ambiguous and not fit.in_doubt
         assert abs(fit.omega - 100.0 * order) < 4.0 * fit.omega_error
+
+
+@pytest.mark.parametrize("one", [0, 2])
+def test_a_channel_that_sees_nothing(one: int) -> None:
+    """Pulses of a channel that come where the mark says, whatever the blade does: the fit is that
+    of the other probes, which is within its errors, the channel is told, and there is no second
+    resonance; with all channels none is told."""
+    omega, damping = 500.0, 0.004
+    record, _ = swept([(omega, damping, 5, 2e-3 * damping)], noise=2e-5)
+    time, rng = record.time.copy(), np.random.default_rng(2)
+    time[:, one] = record.expected[:, one] + 4e-7 * rng.standard_normal(len(record))
+    record = replace(record, time=time)
+    [fit] = fc.find_passages(record, range(1, 9))
+    assert fit.order == 5 and fit.blind == (record.probes[one],) and not fit.in_doubt
+    assert abs(fit.omega - omega) < 3.0 * fit.omega_error
+    assert abs(fit.damping - damping) < 3.0 * fit.damping_error
+    [(speeds, seen, motion)] = fit.compared(record)[:1]
+    assert seen.shape == motion.shape == (len(speeds), 3)
+    alone = fc.fit_passage(record, 100.0, range(1, 9))
+    assert alone.blind == fit.blind and abs(alone.omega - omega) < 3.0 * alone.omega_error
 
 
 def test_what_is_left_is_told() -> None:
