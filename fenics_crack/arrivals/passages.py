@@ -505,7 +505,7 @@ def find_passages(
     fit of :func:`fit_passage` finds the mode, which is subtracted before the next one is looked
     for, until what is found could be chance; beside vibrations of constant frequency, if there are.
     Probes that see nothing of the first one, where more others see it alike, are left out
-    (:attr:`PassageFit.blind`): what they do not see would be taken for further resonances.
+    (``blind`` of the fit): what they do not see would be taken for further resonances.
 
     Parameters
     ----------
