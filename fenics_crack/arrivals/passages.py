@@ -36,6 +36,7 @@ from fenics_crack.arrivals.fit_frequency import LOWEST, find_lines
 from fenics_crack.arrivals.harmonics import AS_GOOD, MISFIT, ORDERS, TipFit, rounding, wanted
 from fenics_crack.arrivals.robust import FREEDOMS, ROBUST_ROUNDS, ROBUST_SETTLED, SEEN, reweighted
 from fenics_crack.errors import InputError, check_count, check_number
+from fenics_crack.stages import begin as begin_stage
 from fenics_crack.table import RPM, TURN, Tabular, quantity
 
 __all__ = ["PassageFit", "find_passages", "fit_passage"]
@@ -556,6 +557,7 @@ def find_passages(
             return tuple(replace(fit, blind=(*angles, *fit.blind)) for fit in fits)
         if not asynchronous or (turn and _alike(found, before)):
             break
+        begin_stage("vibrations of constant frequency")
         lines, rest = find_lines(arrivals, left + steady, constants, ends, most=asynchronous)
         steady += left - rest
         if turn and not lines:
@@ -570,9 +572,11 @@ def _search(
     left, speeds = np.array(values), arrivals.speed
     count = int(np.log(speeds.max() / speeds.min()) / SPACING)
     centres = speeds.min() * np.exp(SPACING * (0.5 + np.arange(count)))
+    begin_stage("scan of the speeds")
     gains = np.array([_clearness(arrivals, left, centre) for centre in centres]).reshape(-1, 2)
     found: list[_Compared] = []
     while len(found) < most and np.any(gains[:, 0] > CLEAR):
+        begin_stage(f"resonance {len(found) + 1}")
         centre = centres[int(np.where(gains[:, 0] > CLEAR, gains[:, 1], 0.0).argmax())]
         gains[np.abs(centres / centre - 1.0) < 1.5 * SPACING] = 0.0
         if _clearness(arrivals, left, centre, PASSAGE_ROUNDS)[0] < CLEAR:

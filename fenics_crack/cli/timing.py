@@ -16,13 +16,13 @@ from fenics_crack.arrivals.passages import PassageFit, find_passages
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import Account, in_one_unit, of_error, of_stability
 from fenics_crack.cli.commands import tell
-from fenics_crack.cli.console import Console, make_writable
-from fenics_crack.cli.inputs import Inputs, changes
+from fenics_crack.cli.console import Console, Inputs, changes, make_writable
 from fenics_crack.draw.plot_rotor import draw_arrivals, draw_passages, draw_tip_fit, draw_tip_track
 from fenics_crack.errors import Exit, InputError
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import TipTiming
+from fenics_crack.stages import within
 from fenics_crack.study.remarks import remarks_on_arrivals
 from fenics_crack.study.timing import arrivals_of, of_another_scene, run_up_ends, vibration_in
 from fenics_crack.table import RPM, TURN, UNITS, Table, counted, quantity, speed_in_words
@@ -128,7 +128,10 @@ def _record(given: Namespace, console: Console) -> Exit:
     make_writable(folder, console.comm)
     orders = words.get("orders") or ORDERS
     with console.stage("resonances"):
-        found = {blade: find_passages(one, orders) for blade, one in blades.items()}
+        found = {}
+        for blade, one in blades.items():
+            with within(f"blade {blade}"):
+                found[blade] = find_passages(one, orders)
 
     first, *others = blades
 
