@@ -29,8 +29,7 @@ from scipy.linalg.lapack import dgetrf, dgetrs
 import fenics_crack as fc
 from fenics_crack.curves.family import FrequencyFamily
 from fenics_crack.draw.figure import COLOURS
-from fenics_crack.numerics.bordered import solve_at
-from fenics_crack.numerics.newton import Newton
+from fenics_crack.numerics.newton import Newton, solve_at
 
 Pairs = list[tuple[np.ndarray, float]]
 TOLERANCE, MAX_ITERATIONS = 1e-9, 8

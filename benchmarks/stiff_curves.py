@@ -24,7 +24,7 @@ import numpy as np
 import fenics_crack as fc
 from fenics_crack.motion.orbit import eigenvalues
 from fenics_crack.motion.shooting import FlowOrbits
-from fenics_crack.numerics.bordered import PathPoint, point_on_path
+from fenics_crack.numerics.newton import PathPoint, point_on_path
 from fenics_crack.numerics.path import Crossing, Event, Fold, Path, PathOptions, Target
 
 SPAN = 2.0, 0.32

@@ -15,8 +15,8 @@ from fenics_crack.balance.error_report import ErrorReport as ErrorReport
 from fenics_crack.balance.harmonic_balance import linear_response as linear_response
 from fenics_crack.balance.harmonic_balance import solve_harmonic_balance as solve_harmonic_balance
 from fenics_crack.balance.harmonic_balance import solve_linear as solve_linear
-from fenics_crack.balance.indicators import Indicators as Indicators
 from fenics_crack.balance.problem import Problem as Problem
+from fenics_crack.balance.solution import Indicators as Indicators
 from fenics_crack.balance.solution import PeriodicSolution as PeriodicSolution
 from fenics_crack.balance.solution import Stability as Stability
 from fenics_crack.curves.backbone import Backbone as Backbone
@@ -32,6 +32,9 @@ from fenics_crack.curves.follow import follow_branch as follow_branch
 from fenics_crack.curves.peak import Peak as Peak
 from fenics_crack.curves.refine import refine_bifurcation as refine_bifurcation
 from fenics_crack.curves.refine import refine_curve as refine_curve
+from fenics_crack.curves.stability import PeriodicOrbit as PeriodicOrbit
+from fenics_crack.curves.stability import floquet as floquet
+from fenics_crack.curves.stability import shoot as shoot
 from fenics_crack.draw.animation import animate_period as animate_period
 from fenics_crack.draw.animation import show_period as show_period
 from fenics_crack.draw.paraview import write_modes as write_modes
@@ -59,7 +62,7 @@ from fenics_crack.draw.plot_rotor import draw_tip_track as draw_tip_track
 from fenics_crack.draw.plot_study import draw_growth as draw_growth
 from fenics_crack.draw.plot_study import draw_posterior as draw_posterior
 from fenics_crack.draw.plot_study import draw_verification as draw_verification
-from fenics_crack.draw.stresses import stress_at as stress_at
+from fenics_crack.draw.vtk_parts import stress_at as stress_at
 from fenics_crack.errors import ConvergenceError as ConvergenceError
 from fenics_crack.errors import InputError as InputError
 from fenics_crack.fem.build import build_structure as build_structure
@@ -67,8 +70,6 @@ from fenics_crack.fem.build import find_crack_length as find_crack_length
 from fenics_crack.fem.plate import write_msh as write_msh
 from fenics_crack.files.results import load as load
 from fenics_crack.files.results import save as save
-from fenics_crack.growth.grow import Growth as Growth
-from fenics_crack.growth.grow import grow as grow
 from fenics_crack.identification.identify import identify as identify
 from fenics_crack.identification.measurements import Measurement as Measurement
 from fenics_crack.identification.measurements import Measurements as Measurements
@@ -78,8 +79,6 @@ from fenics_crack.model.contact import ContactLaw as ContactLaw
 from fenics_crack.model.contact import SmoothedPenalty as SmoothedPenalty
 from fenics_crack.model.contact import UnilateralConstraint as UnilateralConstraint
 from fenics_crack.model.contact import UnilateralPenalty as UnilateralPenalty
-from fenics_crack.model.damping import ModalDamping as ModalDamping
-from fenics_crack.model.damping import RayleighDamping as RayleighDamping
 from fenics_crack.model.modes import BilinearFrequencies as BilinearFrequencies
 from fenics_crack.model.modes import Modes as Modes
 from fenics_crack.model.modes import bilinear_frequencies as bilinear_frequencies
@@ -89,15 +88,12 @@ from fenics_crack.model.reduced import ReducedStructure as ReducedStructure
 from fenics_crack.model.reduction import reduce_structure as reduce_structure
 from fenics_crack.model.rotation import RunUpStructure as RunUpStructure
 from fenics_crack.model.rotation import run_up_structure as run_up_structure
+from fenics_crack.model.structure import ModalDamping as ModalDamping
+from fenics_crack.model.structure import RayleighDamping as RayleighDamping
 from fenics_crack.model.structure import Structure as Structure
 from fenics_crack.scene.scene import Scene as Scene
-from fenics_crack.stability.floquet import PeriodicOrbit as PeriodicOrbit
-from fenics_crack.stability.floquet import floquet as floquet
-from fenics_crack.stability.floquet import shoot as shoot
 from fenics_crack.study.campbell import Campbell as Campbell
 from fenics_crack.study.campbell import campbell as campbell
-from fenics_crack.study.grid_convergence import GridConvergence as GridConvergence
-from fenics_crack.study.grid_convergence import grid_convergence as grid_convergence
 from fenics_crack.study.over_time import Reaction as Reaction
 from fenics_crack.study.over_time import StressIntensity as StressIntensity
 from fenics_crack.study.over_time import reaction as reaction
@@ -112,7 +108,11 @@ from fenics_crack.study.run import integrate as integrate
 from fenics_crack.study.run import load_run as load_run
 from fenics_crack.study.run import modes as modes
 from fenics_crack.study.run import solve as solve
+from fenics_crack.study.verification import GridConvergence as GridConvergence
 from fenics_crack.study.verification import Verification as Verification
+from fenics_crack.study.verification import grid_convergence as grid_convergence
+from fenics_crack.sweep.growth import Growth as Growth
+from fenics_crack.sweep.growth import grow as grow
 from fenics_crack.sweep.result import SweepResult as SweepResult
 from fenics_crack.sweep.result import run_sweep as run_sweep
 from fenics_crack.time.central_differences import (

@@ -18,7 +18,7 @@ a Toeplitz plus a Hankel matrix for each pair, with c_0, c_j, s_j in the row of 
 2 s_i in its column.
 
 Forces of pairs that a static compliance couples follow from the gaps of all, lambda(s). With S_A
-the stiffness of the set A of closed pairs (:mod:`fenics_crack.model.coupled`), lambda = S_A(t)
+the stiffness of the set A of closed pairs (:mod:`fenics_crack.model.contact`), lambda = S_A(t)
 s(t): S is a matrix in time, and the coefficients of its product with a wave s of H harmonics need
 no more of it than its means
 
@@ -43,8 +43,13 @@ import numpy as np
 
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import NULL, doubles, kernel, owned, shaped
-from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_unilateral
-from fenics_crack.model.coupled import ActiveSets, smooth_forces
+from fenics_crack.model.contact import (
+    ActiveSets,
+    ContactLaw,
+    is_piecewise_linear,
+    is_unilateral,
+    smooth_forces,
+)
 from fenics_crack.numerics.fourier import balanced, from_complex, instants, sampled
 
 __all__ = [

@@ -35,16 +35,15 @@ from fenics_crack.balance.contact_integrals import respond
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.judgement import UNKNOWN, Judgement, more_modes
 from fenics_crack.balance.problem import Problem
-from fenics_crack.model.contact import UnilateralPenalty, is_rigid
-from fenics_crack.model.coupled import REGULAR, is_regular
+from fenics_crack.model.contact import REGULAR, UnilateralPenalty, is_regular, is_rigid
 from fenics_crack.model.modal import SMALL, all_modes
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import KNOWN
-from fenics_crack.numerics.bordered import solve_near
 from fenics_crack.numerics.equations import NEARLY_SOLVED
 from fenics_crack.numerics.fourier import resized, sampled
+from fenics_crack.numerics.newton import solve_near
 from fenics_crack.table import Described
 
 __all__ = [

@@ -1,30 +1,58 @@
-"""Steady vibration with contact: linear solution and harmonic balance.
+"""Steady vibration with contact: linear solution, harmonic balance, and a solution to a tolerance.
 
 The unknowns are the Fourier coefficients of the gaps (:mod:`contact_system`); the equations are
 balanced by projection on the same functions, with the contact force integrated exactly or from
 samples.
 Other forms of the method are kept for comparison in ``benchmarks/laboratory.py``.
+
+**To a tolerance**, harmonics and modes are chosen by what each leaves out. Harmonic balance with
+few harmonics finds a motion, shooting the exact orbit next to it; where these lead to none, an
+orbit that the motion settles to or passes. The orbit's coefficients solve
+
+    u_k = A_k^-1 (c_k - B b_k),    b_k those of lambda(g(t)),
+
+for every k: as many of them are kept as the tolerance asks for, by the distance of the wave from
+the orbit. What a reduction leaves out is the distance to the orbit of its reference, which has
+twice the modes; the modes of a large structure are doubled until that is small. The search does not
+know the tolerance, so that a tighter one is never answered by a worse solution.
+
+Laws and structures without an exact flow, and motions whose orbit is not found, take as many
+harmonics as bring the estimated error down.
 """
 
 from __future__ import annotations
 
 import contextlib
+from bisect import bisect_left
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
+from fenics_crack.balance.error_report import SLIGHT, UNKNOWN, ErrorReport
+from fenics_crack.balance.judgement import FARTHEST, Judgement, more_modes, relative
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import PeriodicSolution, Solver
-from fenics_crack.balance.to_tolerance import solve_to_tolerance
+from fenics_crack.balance.solution import PeriodicSolution, Solver, more_harmonics
 from fenics_crack.errors import ConvergenceError, InputError, check_count, check_number, check_omega
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.memory import check_memory
-from fenics_crack.model.modal import all_modes
+from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import LIPS
+from fenics_crack.model.reduced import ReducedStructure, massless
+from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
+from fenics_crack.motion.flow import ContactFlow, flow_of
+from fenics_crack.motion.orbit import OrbitCoefficients, PeriodicOrbit, affordable
+from fenics_crack.motion.shooting import recurring
 from fenics_crack.numerics.fourier import from_complex, to_complex
+from fenics_crack.stages import begin
 
-__all__ = ["check_initial", "linear_response", "solve_harmonic_balance", "solve_linear"]
+__all__ = [
+    "FIRST_MODES", "check_initial", "linear_response", "solve_harmonic_balance",
+    "solve_linear", "solve_to_tolerance", "wave_of",
+]  # fmt: skip
 
 
 def solve_linear(structure: Structure, omega: float, *, harmonics: int = 5) -> PeriodicSolution:
@@ -234,3 +262,251 @@ def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
             f"subharmonic {initial.subharmonic}",
             f"of a subharmonic that divides {subharmonic}",
         )
+
+
+FIRST_MODES, MAX_MODES = 10, 100
+"""Modes with which a large structure is tried first, and at most."""
+RUNGS = (5, 10, 20, 40)
+"""Harmonics of the load's frequency with which a solution is sought whose orbit is known."""
+SAFETY = 0.7
+"""Part of what modes leave of a tolerance that harmonics may take: forces and K are known less well
+than gaps. A part SLIGHT of the modes' error is not worth any."""
+MAX_HARMONICS = 500
+"""That are solved for, or kept of an orbit, for each period of the load."""
+
+
+def solve_to_tolerance(
+    solver: Solver,
+    tolerance: float,
+    initial: PeriodicSolution | None = None,
+    *,
+    reduced_to: Callable[[int], Structure] | None = None,
+    modes: int = FIRST_MODES,
+) -> PeriodicSolution:
+    """The solution with the fewest modes and harmonics that meet a tolerance; else the best one, or
+    the error that says how far it is from what was asked for.
+
+    ``reduced_to`` gives the structure with so many modes (collective), which are as many as
+    ``modes`` at first; by itself only a structure of many dofs is reduced.
+    """
+    whole, fewest = solver.problem.structure, 2 * solver.problem.subharmonic
+    solver = replace(solver, problem=solver.problem.with_harmonics(fewest))
+    if reduced_to is None and not (is_small(whole) or isinstance(whole, ReducedStructure)):
+        reduced_to = partial(_without_mass, whole)
+    most = min(max(modes, MAX_MODES), whole.n_dofs)
+    best = last = None
+    while True:
+        if reduced_to is not None:
+            problem = replace(solver.problem, structure=reduced_to(modes))
+            solver = replace(solver, problem=problem)
+        last = _solved(solver, tolerance, initial)
+        last = replace(last, report=whole.comm.bcast(last.report))
+        if best is None or last.report.total < best.report.total:
+            best = last
+        lacking = last.report.total > tolerance and last.report.reduction > tolerance / 2.0
+        if reduced_to is None or not (lacking and modes < most and last.converged):
+            return _told(solver, best, tolerance)
+        modes = min(2 * modes, most)
+        initial = last if last.structure.light_lips else None
+
+
+def _without_mass(whole: Structure, modes: int) -> Structure:
+    return reduce_structure(whole, modes=modes, method="massless")
+
+
+def _goal(tolerance: float, reduction: float) -> float:
+    """What harmonics and samples may leave out."""
+    return max(SAFETY * (tolerance - reduction), SLIGHT * reduction)
+
+
+def _told(solver: Solver, found: PeriodicSolution, tolerance: float) -> PeriodicSolution:
+    """The solution with the word of what it took or what it lacks; or the error that says so."""
+    report, structure = found.report, found.structure
+    if not found.converged:
+        return found
+    lips, kept, more = massless(structure), "", "modes"
+    if isinstance(structure, ReducedStructure):
+        size = f"{structure.n_dofs} coordinates"
+        kept = f", {size}"
+        if lips is not None:
+            kept = f", {lips.n_modes} modes ({size})"
+            more = f"modes {2 * lips.n_modes}, in about twice the time"
+    if report.total <= tolerance:
+        chosen = f"chosen for an error of {tolerance:g}: H = {found.harmonics}{kept}"
+        return replace(found, status=f"{found.status}; {chosen}")
+    helps = {
+        more: report.reduction,
+        "more damping, with which fewer harmonics do": report.truncation + report.sampling,
+        "a larger tolerance, as this is rounding": report.residual,
+    }
+    size = "unknown" if report.total >= UNKNOWN else f"{100.0 * report.total:.2g} %"
+    missed = f"solved; error {size}, {100.0 * tolerance:.2g} % was asked; what helps: "
+    missed += f"{max(helps, key=helps.__getitem__)} (H = {found.harmonics}{kept})"
+    if solver.throw:
+        raise ConvergenceError(
+            f"harmonic balance at {found.omega:g} rad/s: {missed}; {found.status}; "
+            "throw = False returns it"
+        )
+    return replace(found, status=f"{missed}; {found.status}")
+
+
+def _solved(solver: Solver, tolerance: float, initial: PeriodicSolution | None) -> PeriodicSolution:
+    """The solution of a structure as it is."""
+    problem = solver.problem
+    flow = flow_of(problem.structure, problem.contact)
+    if flow is None or not affordable(flow, problem.omega, problem.subharmonic):
+        return _by_harmonics(solver, tolerance, initial)
+    near, orbit, way = _sought(solver, flow, initial)
+    if orbit is None:  # with more harmonics it may be found, or the error known all the same
+        few = solver
+        if near is not None:
+            few = replace(solver, problem=problem.with_harmonics(near.harmonics))
+        near = _by_harmonics(few, tolerance, near or initial)
+        orbit = near.judged.orbit if near.converged else None
+        if orbit is None:
+            tried = ", ".join(map(str, RUNGS))
+            return replace(near, status=f"no exact orbit from H = {tried}; {way}; {near.status}")
+        way = _way(near)
+    return replace(_kept(solver, orbit, tolerance), status=way)
+
+
+# --- by an orbit ----------------------------------------------------------------------------------
+
+
+def _sought(
+    solver: Solver, flow: ContactFlow, initial: PeriodicSolution | None
+) -> tuple[PeriodicSolution | None, PeriodicOrbit | None, str]:
+    """A solution with few harmonics and the orbit next to it, where it is that solution's own;
+    where none has its own, another one, or one that the motion passes. And how it was found, or
+    what the motion does."""
+    problem, start = solver.problem, np.zeros(flow.size)
+    periods, omega = problem.subharmonic, problem.omega
+    for few in _rungs(solver):
+        near = few.attempt(initial, patient=False, reported=False)[1]
+        if near.converged:
+            break
+    if near.converged:
+        alone = near if near.judged.orbit is not None else _by_itself(solver, near.harmonics)
+        if alone is not None:
+            return alone, alone.judged.orbit, _way(alone)
+        start = near.judged.states[0]
+    known = near if near.converged else None
+    return known, *recurring(flow, omega, start, periods)
+
+
+def _by_itself(solver: Solver, fewer: int) -> PeriodicSolution | None:
+    """A solution with more harmonics, and with its own orbit, that no other one leads to: with few
+    harmonics it may be another motion's."""
+    for more in _rungs(solver, fewer):
+        found = more.attempt(None, reported=False)[1]
+        if not found.converged:
+            return None
+        judged = found.judged
+        if judged.prediction <= FARTHEST and judged.near is not None and judged.accepted:
+            return found
+    return None
+
+
+def _rungs(solver: Solver, fewer: int = 0) -> Iterator[Solver]:
+    """The same with the harmonics of one rung after the other, above some."""
+    for count in RUNGS:
+        problem = solver.problem.with_harmonics(count * solver.problem.subharmonic)
+        if problem.harmonics > fewer:
+            begin(f"H = {problem.harmonics}, {problem.structure.n_dofs} coordinates")
+            yield replace(solver, problem=problem)
+
+
+def _way(found: PeriodicSolution) -> str:
+    return f"exact orbit next to the solution with H = {found.harmonics}"
+
+
+def _kept(solver: Solver, orbit: PeriodicOrbit, tolerance: float) -> PeriodicSolution:
+    """The solution with the fewest harmonics of an orbit that meet a tolerance."""
+    problem = solver.problem
+    most = MAX_HARMONICS * problem.subharmonic
+    known = orbit.coefficients(RUNGS[-1] * problem.subharmonic)
+
+    def wave_with(harmonics: int) -> PeriodicSolution:
+        nonlocal known
+        if 2 * harmonics + 1 > len(known.gap):
+            known = orbit.coefficients(harmonics)
+        return wave_of(problem.with_harmonics(harmonics), orbit, known)
+
+    reduction, at_load = _lost(solver, wave_with(RUNGS[0] * problem.subharmonic))
+    goal = _goal(tolerance, reduction)
+    fewer, found = 0, wave_with(problem.harmonics)
+    while not found.judged.distance <= goal and found.harmonics < most:
+        fewer, found = found.harmonics, wave_with(min(2 * found.harmonics, most))
+    between = range(fewer + 1, found.harmonics) if fewer else range(0)
+    kept = bisect_left(between, True, key=lambda count: wave_with(count).judged.distance <= goal)
+    if kept < len(between):
+        found = wave_with(between[kept])
+    gap, judged = orbit.gap, found.judged
+    closing = gap + problem.structure.clearance
+    report = ErrorReport(
+        residual=orbit.residual,
+        truncation=judged.distance,
+        sampling=0.0,
+        reduction=reduction,
+        penetration=relative(np.maximum(gap, 0.0), closing),
+        displacement=min(judged.errors()[1] + at_load, UNKNOWN),
+    )
+    return replace(found, report=report, iterations=orbit.iterations)
+
+
+def wave_of(problem: Problem, orbit: PeriodicOrbit, known: OrbitCoefficients) -> PeriodicSolution:
+    """An orbit's motion with the harmonics of a problem."""
+    rows = slice(2 * problem.harmonics + 1)
+    found = PeriodicSolution(
+        problem.structure, problem.omega, problem.contact, known.displacement[rows],
+        known.gap[rows], known.force[rows], problem.subharmonic,
+        static_above=problem.static_cutoff,
+    )  # fmt: skip
+    return replace(found, judged=Judgement(found.judged.wave, orbit))
+
+
+def _lost(solver: Solver, found: PeriodicSolution) -> tuple[float, float]:
+    """Of the gap, and of the displacement at the load, by what a reduction leaves out."""
+    structure = found.structure
+    if not isinstance(structure, ReducedStructure) or structure.reference is None:
+        return 0.0, 0.0
+    finer = more_modes(found.judged)
+    if finer is None or finer.too_slow:  # no flow: nothing is left without mass; or a long one
+        few = solver.problem.with_harmonics(RUNGS[-1] * found.subharmonic)
+        report = replace(solver, problem=few).attempt(found, patient=False)[1].report
+        return report.reduction, report.displacement
+    return finer.distances or (finer.affordable and finer.changes) or (UNKNOWN, UNKNOWN)
+
+
+# --- by harmonics ---------------------------------------------------------------------------------
+
+
+def _by_harmonics(
+    solver: Solver, tolerance: float, initial: PeriodicSolution | None
+) -> PeriodicSolution:
+    """The best solution, with as many harmonics as bring its estimated error down."""
+    best, found, problem = None, None, solver.problem
+    finer: Problem | None = problem
+    while finer is not None:
+        problem = finer
+        begin(f"H = {problem.harmonics}, {problem.structure.n_dofs} coordinates")
+        solver = replace(solver, problem=problem)
+        if found is None:
+            found = solver.solve(initial)
+        else:
+            found = solver.attempt(found, patient=False)[1]
+        if best is None or (found.converged and found.report.total < best.report.total):
+            best = found
+        finer = _finer(problem, found.report, tolerance) if found.converged else None
+    assert best is not None
+    return best
+
+
+def _finer(problem: Problem, report: ErrorReport, tolerance: float) -> Problem | None:
+    """The problem with more harmonics, and the samples that go with them; None where no more are
+    needed, or allowed."""
+    harmonics, goal = problem.harmonics, _goal(tolerance, report.reduction)
+    left = report.truncation + report.sampling
+    unknown = left >= UNKNOWN and harmonics >= RUNGS[-1] * problem.subharmonic
+    more = None if unknown else more_harmonics(harmonics, left, goal, MAX_HARMONICS)
+    return None if more is None else problem.with_harmonics(more)

@@ -24,13 +24,12 @@ from fenics_crack.errors import (
     check_number,
     check_omega,
 )
-from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
-from fenics_crack.model.coupled import is_regular
+from fenics_crack.model.contact import ContactLaw, check_law, is_regular, is_rigid
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.bordered import PathPoint, point_on_path, solve_at, solve_near
 from fenics_crack.numerics.equations import NEARLY_SOLVED
 from fenics_crack.numerics.fourier import evaluate
+from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_at, solve_near
 from fenics_crack.numerics.path import NARROW, Path, Target
 
 __all__ = ["Problem", "Wave"]

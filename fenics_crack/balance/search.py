@@ -42,7 +42,6 @@ from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit, affordable
 from fenics_crack.motion.shooting import orbit_next_to, wave_states
-from fenics_crack.numerics.bordered import FULL_STEPS, PATIENCE, point_on_path, solve_at, solve_near
 from fenics_crack.numerics.equations import (
     EPSILON,
     NEARLY_SOLVED,
@@ -51,7 +50,15 @@ from fenics_crack.numerics.equations import (
     least_residual,
 )
 from fenics_crack.numerics.fourier import balanced
-from fenics_crack.numerics.newton import Newton, kernel_solves
+from fenics_crack.numerics.newton import (
+    FULL_STEPS,
+    PATIENCE,
+    Newton,
+    kernel_solves,
+    point_on_path,
+    solve_at,
+    solve_near,
+)
 from fenics_crack.numerics.path import NARROW, Ended, Path, Target
 from fenics_crack.stages import begin
 

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR, UNKNOWN, ErrorReport
+from fenics_crack.curves.stability import Stability
 from fenics_crack.errors import MOST_HARMONICS, Exit
 from fenics_crack.model.modes import damped_range
 from fenics_crack.scene.quantities import QUANTITIES
 from fenics_crack.scene.scene import Scene
-from fenics_crack.stability.floquet import Stability
 from fenics_crack.study.key_figures import SMALL_MOTION, extents
 from fenics_crack.study.run import Run
 from fenics_crack.table import Table, frequency_axis, quantity

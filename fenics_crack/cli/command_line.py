@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from fenics_crack.cli.console import Console
     from fenics_crack.cli.inputs import Inputs
 
-__all__ = ["main", "parser"]
+__all__ = ["main"]
 
 LAUNCHERS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
 """Variables by which mpirun tells a process its rank, before MPI is started."""

@@ -120,7 +120,7 @@ def sweep(_: Namespace, inputs: Inputs, console: Console) -> Exit:
 def growth(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     """The crack's growth: lengths that an earlier run has left, and the cycles between all."""
     from fenics_crack.draw.plot_study import draw_growth
-    from fenics_crack.growth.grow import grow
+    from fenics_crack.sweep.growth import grow
 
     scene, folder = inputs.scene, inputs.folder
     with console.timed("growth"):

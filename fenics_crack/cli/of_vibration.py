@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.balance.indicators import Indicators
-from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.balance.solution import Indicators, PeriodicSolution
 from fenics_crack.cli.account import (
     IN_A_TEST,
     OTHERS,

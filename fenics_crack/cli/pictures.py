@@ -33,7 +33,6 @@ from fenics_crack.draw.plot_motion import (
 from fenics_crack.draw.plot_study import draw_growth, draw_verification
 from fenics_crack.errors import FEW_MODES, InputError
 from fenics_crack.files.store import read
-from fenics_crack.growth.grow import Growth
 from fenics_crack.model.modes import LIPS, Modes, n_tied_modes, solve_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.fields import Axis
@@ -43,6 +42,7 @@ from fenics_crack.study.over_time import stress_intensity
 from fenics_crack.study.prepare import prepare
 from fenics_crack.study.run import Run
 from fenics_crack.study.verification import Verification
+from fenics_crack.sweep.growth import Growth
 from fenics_crack.sweep.plan import FREQUENCIES
 from fenics_crack.sweep.result import SweepResult
 from fenics_crack.table import ranging, readable, with_unit

@@ -21,11 +21,11 @@ from fenics_crack.cli.of_vibration import (
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import IDENTIFICATION, Stored
-from fenics_crack.growth.grow import ENDS, Growth
 from fenics_crack.model.modes import Modes
 from fenics_crack.scene.words import key_in_words
 from fenics_crack.study.run import Run, run_of
 from fenics_crack.study.verification import Verification, verification_of
+from fenics_crack.sweep.growth import ENDS, Growth
 from fenics_crack.sweep.plan import FREQUENCIES
 from fenics_crack.sweep.result import SweepResult, by_reason, in_words
 from fenics_crack.table import Table, counted, frequency_axis, quantity

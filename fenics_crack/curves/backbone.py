@@ -27,7 +27,7 @@ det J changes its sign. Where no motion of the same shape is found beyond, the t
 Broad ones, with stiff contact, many modes and many harmonics, can end the path: fewer harmonics, or
 a structure reduced to fewer modes, have fewer of them. So where the path from the linear mode ends,
 it is gone with fewer harmonics, and the others are added at its end
-(:mod:`fenics_crack.curves.motion_path`). At the start, a motion whose first harmonic
+(:mod:`fenics_crack.curves.free_motion`). At the start, a motion whose first harmonic
 is small is taken for another mode's, and refused; on the way, :attr:`Backbone.fundamental` tells
 it. Next to a tongue, and where one was passed over, another motion of the same energy may exist.
 
@@ -51,8 +51,15 @@ from tqdm import tqdm
 from fenics_crack.balance.contact_integrals import contact_integrals
 from fenics_crack.balance.error_report import SLIGHT, UNKNOWN, ErrorReport, mean_square
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.curves.free_motion import EnergyMotion, Equilibrium, MotionPoint, cosine_rows
-from fenics_crack.curves.motion_path import ELSEWHERE, MotionPath, first_motion
+from fenics_crack.curves.free_motion import (
+    ELSEWHERE,
+    EnergyMotion,
+    Equilibrium,
+    MotionPath,
+    MotionPoint,
+    cosine_rows,
+    first_motion,
+)
 from fenics_crack.errors import (
     INTERRUPTED,
     ConvergenceError,
@@ -65,7 +72,7 @@ from fenics_crack.model.contact import ContactLaw, check_law
 from fenics_crack.model.modal import SMALL, all_modes, is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.bordered import PathPoint, solve_at
+from fenics_crack.numerics.newton import PathPoint, solve_at
 from fenics_crack.numerics.path import Ended
 from fenics_crack.table import Tabular, counted, with_frequency
 

@@ -3,7 +3,7 @@
 Pseudo-arc-length continuation (:mod:`path`) of the condensed equations (:mod:`family`). Only
 the small or reduced structure is touched at a point, in closed form: a curve costs the same on any
 mesh. Along it folds are located by root finding, branch points by steps that shrink towards them
-(:mod:`bifurcations`). Verdicts come after it (:mod:`exact`).
+(:mod:`beginnings`). Verdicts come after it (:mod:`exact`).
 """
 
 from __future__ import annotations
@@ -23,11 +23,15 @@ from fenics_crack.balance.solution import (
     more_harmonics,
     solution_of,
 )
-from fenics_crack.curves.beginnings import check_resumed, directions, first_of_branch, odd_rows
-from fenics_crack.curves.by_waves import FOLLOWED
+from fenics_crack.curves.beginnings import (
+    DoubledStart,
+    check_resumed,
+    directions,
+    first_of_branch,
+    odd_rows,
+)
 from fenics_crack.curves.curve import Bifurcation, CurvePoint, ResponseCurve, columns
-from fenics_crack.curves.doubled import DoubledStart
-from fenics_crack.curves.exact import verified
+from fenics_crack.curves.exact import FOLLOWED, verified
 from fenics_crack.curves.family import FAMILIES, Family
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.model.contact import is_rigid
@@ -35,7 +39,9 @@ from fenics_crack.model.memory import check_memory
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.motion.flow import exact_flow
-from fenics_crack.numerics.bordered import (
+from fenics_crack.numerics.equations import System
+from fenics_crack.numerics.fourier import resized
+from fenics_crack.numerics.newton import (
     MIN_DAMPING,
     PathPoint,
     Tangent,
@@ -43,8 +49,6 @@ from fenics_crack.numerics.bordered import (
     point_on_path,
     solve_in_plane,
 )
-from fenics_crack.numerics.equations import System
-from fenics_crack.numerics.fourier import resized
 from fenics_crack.numerics.path import (
     BranchPoint,
     Closed,

@@ -14,12 +14,18 @@ import numpy as np
 from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
 from fenics_crack.balance.judgement import Judgement
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import PeriodicSolution, solution_of
+from fenics_crack.balance.solution import (
+    Indicators,
+    PeriodicSolution,
+    contact_extremes,
+    indicators_of,
+    solution_of,
+)
 from fenics_crack.curves.family import FAMILIES, Family
 from fenics_crack.curves.peak import Peak, top_and_damping
+from fenics_crack.curves.stability import floquet
 from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import all_modes
@@ -28,7 +34,6 @@ from fenics_crack.motion.flow import ContactFlow
 from fenics_crack.motion.shooting import Patience
 from fenics_crack.numerics.fourier import evaluate, resized
 from fenics_crack.scene.quantities import QUANTITIES
-from fenics_crack.stability.floquet import floquet
 from fenics_crack.table import (
     UNITS,
     Described,

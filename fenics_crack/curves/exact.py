@@ -1,4 +1,4 @@
-"""Curves judged by the exact orbits next to their points.
+"""Verdicts along curves: by the exact orbits next to their points, or else by the waves themselves.
 
 The multipliers of the truncated equations' waves cross the unit circle where those of the motion
 need not, above all where contact is stiff and modes beyond the harmonics are lightly damped. So the
@@ -7,6 +7,16 @@ segment of it at its own value of the parameter, on its own side of a fold, if t
 near enough and the point's own (:mod:`fenics_crack.balance.judgement`): no farther than 1 %, or
 than three times the error predicted. Points of branches of twice the period, and some of those
 without such an orbit beside them, are judged as :func:`floquet` does.
+
+Laws without an exact flow are judged by their waves, each point as a single solution is. Between
+two points lies
+
+- a period doubling where another number of multipliers lies beyond -1: det(I + M) changes its sign;
+- a Neimark-Sacker point where the leading pair leaves the unit circle otherwise.
+
+It is located on the path between them (:class:`fenics_crack.numerics.path.Crossing`).
+
+Source: Seydel, Practical Bifurcation and Stability Analysis, chapters 4 and 7.
 """
 
 from __future__ import annotations
@@ -21,22 +31,84 @@ import numpy as np
 import scipy.optimize
 
 from fenics_crack.balance.judgement import BELIEVED, FARTHEST, NO_DOUBT, relative
-from fenics_crack.curves.by_waves import FOLLOWED, judged_by_waves, place_on
+from fenics_crack.curves.beginnings import chord
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
+from fenics_crack.curves.family import Family
 from fenics_crack.curves.orbit_branch import ALIKE, TOLERANCE, OrbitBranch
-from fenics_crack.curves.orbit_nodes import EVERY, Crossing, Node, blended, cubic
-from fenics_crack.curves.varied_orbits import VariedOrbits
-from fenics_crack.errors import ConvergenceError
+from fenics_crack.curves.orbit_nodes import EVERY, Node, OrbitBifurcation, blended, cubic
+from fenics_crack.curves.stability import Stability, floquet, leaves, monodromy, stability_of
+from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import is_unilateral
-from fenics_crack.motion.flow import Budget, ContactFlow, exact_flow
-from fenics_crack.motion.orbit import FORMED, KNOWN, PIECES
-from fenics_crack.motion.shooting import FlowOrbits, Patience
-from fenics_crack.numerics.bordered import PathPoint, solve_at
-from fenics_crack.numerics.path import PathOptions
-from fenics_crack.stability.floquet import leaves, stability_of
+from fenics_crack.motion.flow import Budget, ContactFlow, Motion, exact_flow
+from fenics_crack.motion.orbit import FORMED, KNOWN, PIECES, doubling_test, eigenvalues
+from fenics_crack.motion.shooting import FlowOrbits, OrbitPoint, Patience
+from fenics_crack.numerics.equations import DIFFERENCE
+from fenics_crack.numerics.fourier import resized
+from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_at
+from fenics_crack.numerics.path import Crossing, PathOptions
 from fenics_crack.stages import begin
 
-__all__ = ["judge_curve", "verified"]
+__all__ = ["FOLLOWED", "judge_curve", "verified"]
+
+
+class VariedOrbits(FlowOrbits):
+    """F(x, p) of the exact flows along a family, p its parameter; x in the modes of p = 0."""
+
+    @property
+    def compiled(self) -> None:
+        """The kernel's loops know one flow."""
+
+    def __init__(
+        self, family: Family, displacement: np.ndarray, velocity: np.ndarray, budget: Budget
+    ) -> None:
+        self._family = family
+        first = family.at(family.start)
+        flow = exact_flow(first.structure, first.contact)
+        state = flow.state(displacement, velocity)
+        super().__init__(flow, first.omega, state, first.subharmonic, budget)
+        self._there = 0.0, flow, np.eye(flow.size)
+
+    def _at(self, parameter: float) -> tuple[ContactFlow, np.ndarray]:
+        """The flow where the parameter has a value, and its states by those of the first."""
+        if self._there[0] != parameter:
+            try:
+                problem = self._family.at(self._family.value(parameter))
+            except InputError as error:  # Newton's method has left what the parameter may be
+                raise ConvergenceError(str(error)) from None
+            flow = exact_flow(problem.structure, problem.contact)
+            change = flow.modes.inverse @ self.flow.modes.shapes
+            self._there = parameter, flow, np.kron(np.eye(2), change)
+        return self._there[1:]
+
+    def _motion(self, unknown: np.ndarray, parameter: float, instants: np.ndarray) -> Motion:
+        flow, change = self._at(parameter)
+        omega = self._family.omega(self._family.value(parameter))
+        period = 2.0 * np.pi * self.subharmonic / omega
+        state = change @ self.state(unknown)
+        return flow.advance(state, omega, period, instants=instants * period, budget=self.budget)
+
+    def moved(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
+        motion = self._motion(unknown, parameter, np.zeros(0))
+        return self.unknown(np.linalg.solve(self._at(parameter)[1], motion.state))
+
+    def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
+        motion = self._motion(unknown, parameter, np.zeros(0))
+        change = self._at(parameter)[1]
+        residual = self.unknown(np.linalg.solve(change, motion.state)) - unknown
+
+        def monodromy() -> np.ndarray:
+            inner = np.linalg.solve(change, motion.track.tangent @ change)
+            return np.asarray(self.scale[:, None] * inner / self.scale)
+
+        def by_parameter() -> np.ndarray:
+            # Not beyond the ends of the family: there may be no structure.
+            low = max(parameter - DIFFERENCE, min(parameter, 0.0))
+            high = min(parameter + DIFFERENCE, max(parameter, 1.0))
+            change = self.moved(unknown, high) - self.moved(unknown, low)
+            return np.asarray(change / (high - low))
+
+        return OrbitPoint(unknown, residual, monodromy, by_parameter, motion.events)
+
 
 FOR_EVENTS = PIECES // 10
 """Pieces of a motion, beside those that it has without events where the derivatives of all are
@@ -411,7 +483,7 @@ def verified(curve: ResponseCurve) -> ResponseCurve:
 
 
 def _special(
-    curve: ResponseCurve, judge: _Judge, crossings: list[Crossing], undecided: np.ndarray
+    curve: ResponseCurve, judge: _Judge, crossings: list[OrbitBifurcation], undecided: np.ndarray
 ) -> tuple[Bifurcation, ...]:
     """Bifurcations of the orbits at their places on the curve, and those without an orbit."""
     special = [(place_on(curve, one), one) for one in curve.bifurcations]
@@ -433,10 +505,10 @@ def _special(
     return tuple(one for _, one in sorted(found, key=lambda pair: pair[0]))
 
 
-def _distinct(crossings: list[Crossing]) -> list[Crossing]:
+def _distinct(crossings: list[OrbitBifurcation]) -> list[OrbitBifurcation]:
     """Each that is located once, as nodes may come back a little; without pairs that are not, as
     where M - I is singular to rounding."""
-    left: list[Crossing] = []
+    left: list[OrbitBifurcation] = []
     for one in crossings:
         known = [other for other in left if other.kind == one.kind]
         apart = [abs(one.parameter - other.parameter) for other in known if other.located]
@@ -451,7 +523,7 @@ def _distinct(crossings: list[Crossing]) -> list[Crossing]:
 
 def _matched(
     curve: ResponseCurve,
-    crossings: list[tuple[Crossing, float]],
+    crossings: list[tuple[OrbitBifurcation, float]],
     special: list[tuple[int, Bifurcation]],
 ) -> dict[int, int]:
     """The bifurcation of the truncated equations nearest to each of the orbits, by their numbers.
@@ -487,3 +559,82 @@ def _solution_at(curve: ResponseCurve, place: int, value: float) -> tuple[float,
     if found is None or np.linalg.norm(found.unknown - unknown) > ALIKE * np.linalg.norm(unknown):
         return near, unknown
     return value, found.unknown
+
+
+FOLLOWED = "fold", "branch_point"
+"""Kinds of bifurcations that a curve has before it is judged."""
+
+
+def judged_by_waves(curve: ResponseCurve) -> ResponseCurve:
+    """The same curve with verdicts, and with bifurcations where multipliers of its waves leave the
+    unit circle."""
+    begin("stability of each point")
+    solutions = (curve.solution(place, search=False) for place in range(len(curve)))
+    found = [floquet(one.structure, one) for one in solutions]
+    special = [one for one in curve.bifurcations if one.kind in FOLLOWED]
+    for place in range(len(curve) - 1):
+        kind = _crossed(*found[place : place + 2])
+        if kind is not None:
+            special.append(curve.bifurcation(kind, *_located(curve, place, kind)))
+    special.sort(key=lambda one: place_on(curve, one))
+    multipliers = np.array([one.multipliers[0] for one in found])
+    return replace(
+        curve,
+        bifurcations=tuple(special),
+        multipliers=multipliers.real + 1j * np.abs(multipliers.imag),
+        undecided=np.array([one.verdict == "undecided" for one in found]),
+    )
+
+
+def _crossed(before: Stability, after: Stability) -> str | None:
+    """The kind of what lies between two points."""
+    sides = [one.multipliers for one in (before, after)]
+    beyond, outside = (
+        [int(np.count_nonzero(among(values))) for values in sides]
+        for among in (lambda mu: (mu.imag == 0.0) & (mu.real < -1.0), lambda mu: np.abs(mu) > 1.0)
+    )
+    if not np.all(np.isfinite([values[0] for values in sides])):
+        return None
+    if beyond[0] % 2 != beyond[1] % 2:
+        return "period_doubling"
+    leaving = sides[0] if outside[0] else sides[1]
+    pair = bool(outside[0]) != bool(outside[1]) and leaving[0].imag != 0.0
+    return "neimark_sacker" if pair else None
+
+
+def _located(curve: ResponseCurve, place: int, kind: str) -> tuple[float, np.ndarray]:
+    """Value of the parameter and unknown of a bifurcation behind a point."""
+    count = int(max(curve.harmonics[place : place + 2]))
+    family = curve.equations(count)
+    way = chord(family, curve, place, place + 1)
+    first, last = (
+        point_on_path(
+            family, resized(curve.unknown(one), count), family.parameter(curve.values[one]), way
+        )
+        for one in (place, place + 1)
+    )
+
+    def test(at: PathPoint) -> float:
+        matrix = _monodromy(family, at)
+        if kind == "period_doubling":
+            return doubling_test(matrix)
+        return float(np.abs(eigenvalues(matrix)[0])) - 1.0
+
+    found = Crossing(test).locate(family, (first, last), family.rounding(last.parameter))
+    assert found is not None
+    return family.value(found.parameter), found.unknown
+
+
+def _monodromy(family: Family, at: PathPoint) -> np.ndarray:
+    """M of the wave at a point."""
+    problem = family.at(family.value(at.parameter))
+    above = problem.static_cutoff
+    return monodromy(problem.structure, problem.contact, at.unknown, problem.base_omega, above)
+
+
+def place_on(curve: ResponseCurve, one: Bifurcation) -> int:
+    """The point of a curve nearest to a bifurcation of it."""
+    unknown = resized(one.unknown, curve.unknowns.shape[1] // 2)
+    sizes = np.linalg.norm(curve.unknowns - unknown, axis=(1, 2)) / np.linalg.norm(unknown)
+    wide = float(np.ptp(curve.values)) or 1.0
+    return int(np.argmin(np.hypot(sizes, (curve.values - one.value) / wide)))

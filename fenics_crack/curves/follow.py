@@ -12,10 +12,9 @@ from tqdm import tqdm
 
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.curves.beginnings import same_problem
+from fenics_crack.curves.beginnings import next_to_doubled_orbits, same_problem
 from fenics_crack.curves.continuation import LONGEST_STEP, Continuation
 from fenics_crack.curves.curve import Bifurcation, CurvePoint, ResponseCurve
-from fenics_crack.curves.doubled import next_to_doubled_orbits
 from fenics_crack.errors import (
     INTERRUPTED,
     ConvergenceError,

@@ -37,8 +37,8 @@ from fenics_crack.balance.judgement import relative
 from fenics_crack.curves.orbit_nodes import (
     EVERY,
     LEADING,
-    Crossing,
     Node,
+    OrbitBifurcation,
     bent_through,
     beside,
     broken,
@@ -53,7 +53,7 @@ from fenics_crack.curves.orbit_nodes import (
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.orbit import KNOWN, SHRINKING, eigenvalues
 from fenics_crack.motion.shooting import FlowOrbits, Homotopy, OrbitPoint
-from fenics_crack.numerics.bordered import (
+from fenics_crack.numerics.newton import (
     FULL_STEPS,
     PATIENCE,
     PathPoint,
@@ -305,7 +305,7 @@ class OrbitBranch:
 
     # --- bifurcations -----------------------------------------------------------------------------
 
-    def locate(self) -> list[Crossing]:
+    def locate(self) -> list[OrbitBifurcation]:
         """The bifurcations, in the order of the branch; from now on they are nodes of it."""
         self._refine()
         found: list[Node] = []
@@ -386,7 +386,7 @@ class _Test:
             share = min(self.values, key=lambda share: abs(self.values[share]))
             one = self._branch.inside(*self._ends, share, self.met[share])
             located = searched and abs(self.values[share]) <= SMOOTH * self.largest
-        crossing = Crossing(self._kind, one.parameter, one.place, located)
+        crossing = OrbitBifurcation(self._kind, one.parameter, one.place, located)
         return replace(one, crossing=crossing)
 
 

@@ -42,12 +42,26 @@ import numpy as np
 import scipy.optimize
 from scipy.interpolate import barycentric_interpolate
 
-from fenics_crack.numerics.bordered import PathPoint, Tangent
+from fenics_crack.numerics.newton import PathPoint, Tangent
 from fenics_crack.numerics.path import STRAIGHT
 
 __all__ = [
-    "EVERY", "LEADING", "Crossing", "Node", "bent_through", "beside", "blended", "broken",
-    "changes", "chords", "cubic", "hermite", "in_doubt", "outside", "paired", "straight",
+    "EVERY",
+    "LEADING",
+    "Node",
+    "OrbitBifurcation",
+    "bent_through",
+    "beside",
+    "blended",
+    "broken",
+    "changes",
+    "chords",
+    "cubic",
+    "hermite",
+    "in_doubt",
+    "outside",
+    "paired",
+    "straight",
 ]  # fmt: skip
 
 EVERY = 8
@@ -79,7 +93,7 @@ class Node:
         How often pairs open and close in a period.
     away : float
         From the motion of its point, relative; nan where it has none.
-    crossing : Crossing or None
+    crossing : OrbitBifurcation or None
         The bifurcation that it is.
     """
 
@@ -91,7 +105,7 @@ class Node:
     outside: tuple[int, int, int]
     events: int
     away: float = np.nan
-    crossing: Crossing | None = None
+    crossing: OrbitBifurcation | None = None
 
     @cached_property
     def leading(self) -> np.ndarray:
@@ -121,7 +135,7 @@ class Node:
 
 
 @dataclass(frozen=True)
-class Crossing:
+class OrbitBifurcation:
     """A bifurcation of the orbits.
 
     Attributes

@@ -2,7 +2,7 @@
 
 Between the points that were followed others are interpolated by a cubic spline over the distance
 along the curve, whose error falls like the fourth power of the distance. From there Newton's method
-in the plane across the curve (:mod:`fenics_crack.numerics.bordered`) makes a few steps: most points
+in the plane across the curve (:mod:`fenics_crack.numerics.newton`) makes a few steps: most points
 need one or two. Those that are not solutions after a fixed number of steps are left out.
 
 Harmonic balance locates a bifurcation as well as its wave is resolved: with stiff contact and few
@@ -30,12 +30,13 @@ from fenics_crack.curves.exact import verified
 from fenics_crack.curves.family import Family
 from fenics_crack.curves.orbit_branch import ALIKE, KINDS, TOLERANCE, OrbitBranch
 from fenics_crack.curves.orbit_nodes import Node
+from fenics_crack.curves.stability import orbits_near
 from fenics_crack.errors import ConvergenceError, InputError, check_count, check_number
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.motion.shooting import FlowOrbits
-from fenics_crack.numerics.bordered import (
+from fenics_crack.numerics.newton import (
     FULL_STEPS,
     LEAST_STEP,
     PathPoint,
@@ -44,7 +45,6 @@ from fenics_crack.numerics.bordered import (
     tangent_of,
 )
 from fenics_crack.numerics.path import STRAIGHT, Path, PathOptions
-from fenics_crack.stability.floquet import orbits_near
 
 __all__ = ["filled", "refine_bifurcation", "refine_curve"]
 

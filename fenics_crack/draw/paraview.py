@@ -15,8 +15,14 @@ from vtkmodules.vtkCommonDataModel import vtkUnstructuredGrid
 from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.draw.stresses import COMPONENTS, moved_grid, nodal_stress, von_mises
-from fenics_crack.draw.vtk_parts import add_values, in_space
+from fenics_crack.draw.vtk_parts import (
+    COMPONENTS,
+    add_values,
+    in_space,
+    moved_grid,
+    nodal_stress,
+    von_mises,
+)
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.modes import Modes

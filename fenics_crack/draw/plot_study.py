@@ -11,13 +11,12 @@ from matplotlib.figure import Figure
 from fenics_crack.draw.figure import COLOURS, Picture, Where, distinct_colours, label_axis
 from fenics_crack.errors import InputError
 from fenics_crack.scene.words import key_in_words, unit_of
-from fenics_crack.study.grid_convergence import SAFE, GridConvergence
-from fenics_crack.study.verification import CAUSES, Verification
+from fenics_crack.study.verification import CAUSES, SAFE, GridConvergence, Verification
 from fenics_crack.table import frequency_axis
 
 if TYPE_CHECKING:  # which load SciPy's interpolation, and DOLFINx
-    from fenics_crack.growth.grow import Growth
     from fenics_crack.identification.result import Identification
+    from fenics_crack.sweep.growth import Growth
 
 __all__ = ["draw_growth", "draw_posterior", "draw_verification"]
 

@@ -3,7 +3,7 @@
 With the model that they are of, its nodes have places: a load acts at one of them, and where the
 scene has contact and no matrix of gaps, the pairs are found: nodes in the same place that nothing
 joins. Where the model has solid cells, the lips are those facets that belong to one cell and lie on
-another one with other nodes. Pairs are then those of :mod:`fenics_crack.fem.interface`,
+another one with other nodes. Pairs are then those of :mod:`fenics_crack.fem.build`,
 
     g_i = 1 / w_i int psi_i (n . u_lower + n . u_upper) ds,      w_i = int psi_i ds,
 
@@ -27,15 +27,13 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError, reading
-from fenics_crack.exchange.matrices import LabelledMatrix, matrix_market_shape, read_matrix
-from fenics_crack.exchange.models import Model, read_model
 from fenics_crack.fem.crack_surface import FACETS
 from fenics_crack.fem.lips import SAME, each_once
-from fenics_crack.model.damping import DampingRule
+from fenics_crack.fem.model_files import Model, read_model
 from fenics_crack.model.factor import distributed
-from fenics_crack.model.matrices import whole_rows
+from fenics_crack.model.matrices import LabelledMatrix, matrix_market_shape, read_matrix, whole_rows
 from fenics_crack.model.nodes import Nodes, Pairs
-from fenics_crack.model.structure import Structure
+from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Structure as Table
 

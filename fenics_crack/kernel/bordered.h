@@ -1,4 +1,4 @@
-/* Newton's method bordered by a plane, and tangents: fenics_crack/numerics/bordered.py. */
+/* Newton's method bordered by a plane, and tangents: fenics_crack/numerics/newton.py. */
 #ifndef BORDERED_H
 #define BORDERED_H
 

@@ -11,7 +11,7 @@ a step of length h is exact for a force that is held over it, here the mean of t
 
 2 Gamma being the response to unit forces that are held. The gap at its end is linear in the forces
 there, with Q z the gap of a state and R_inf the residual flexibility
-(:mod:`fenics_crack.model.coupled`),
+(:mod:`fenics_crack.model.contact`),
 
     g_{n+1} = s_free - (R_inf + Q Gamma) lambda_{n+1},
 
@@ -37,8 +37,7 @@ import scipy.linalg
 
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.kernel import Struct, doubles, kernel, shaped, signs
-from fenics_crack.model.contact import ContactLaw, check_law, is_rigid, is_unilateral
-from fenics_crack.model.coupled import ActiveSets
+from fenics_crack.model.contact import ActiveSets, ContactLaw, check_law, is_rigid, is_unilateral
 from fenics_crack.model.modal import AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import waves

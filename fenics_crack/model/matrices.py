@@ -1,8 +1,35 @@
-"""Matrices and vectors from elsewhere, read and checked: NumPy, SciPy, PETSc, Matrix Market."""
+"""Matrices and vectors from elsewhere, read and checked: NumPy, SciPy, PETSc, Matrix Market.
+
+Other programs write most of theirs with a node and a direction of each row.
+
+==================  ==============================================================================
+.sti, .mas          CalculiX, ``*FREQUENCY, SOLVER=MATRIXSTORAGE``: row, column, value of one
+                    triangle; node and direction of each row in the .dof beside it
+.mtx                Abaqus, ``*MATRIX OUTPUT, FORMAT=MATRIX INPUT``: node, direction, node,
+                    direction, value of one triangle; or Matrix Market, as any other ending
+.pch                Nastran, ``PARAM,EXTOUT,DMIGPCH``: matrices KAAX, MAAX, BAAX of one triangle
+.op4                Nastran, ``OUTPUT4`` as text (``FORM=FORMATTED``): by columns, dense or sparse
+==================  ==============================================================================
+
+Rows of an .op4 or a Matrix Market file get their nodes from a file of their own: that of CalculiX,
+or what Ansys' ``HBMAT`` writes beside the matrix that ``*EXPORT`` writes.
+
+Matrix Market files (Boisvert, Pozo and Remington, The Matrix Market exchange formats, NISTIR 5935,
+1996) are read strictly. SciPy's reader believes what a file announces: depending on its version it
+does not end, asks for all memory, or crashes where the file is damaged. Here no file has more
+entries than it has bytes for, and a packed one is unpacked up to a limit that follows from its own
+size.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import bz2
+import gzip
+import re
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,22 +39,436 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenics_crack.errors import InputError, reading
-from fenics_crack.exchange.matrices import read_matrix_market
 from fenics_crack.model.factor import TOLERATED, Factor, distributed, factored_sum, weighted_sum
+from fenics_crack.outside import allowance, bytes_of, lines_of
 from fenics_crack.parallel import gather_rows, raise_together
 from fenics_crack.scene.fields import LARGEST
 from fenics_crack.table import counted
 
 __all__ = [
-    "checked",
-    "lumped_mass",
-    "numbers",
-    "per_pair",
-    "petsc_matrix",
-    "read_only",
-    "whole_rows",
+    "LabelledMatrix", "checked", "lumped_mass", "matrix_market_shape", "numbered_lines",
+    "numbers", "per_pair", "petsc_matrix", "read_matrix", "read_only", "rows_of", "whole_rows",
     "with_springs",
-]
+]  # fmt: skip
+
+CLAMPED = 1e36
+"""What Abaqus writes on the diagonal of a dof that is held."""
+DIRECTIONS = {"UX": 1, "UY": 2, "UZ": 3, "ROTX": 4, "ROTY": 5, "ROTZ": 6}
+"""Of Ansys."""
+SHORTEST = {"coordinate": 4, "array": 2}
+"""Bytes of an entry and the end of its line."""
+LAYOUTS, FIELDS = ("coordinate", "array"), ("real", "integer", "pattern")
+MIRROR = {"symmetric": 1, "skew-symmetric": -1}
+"""What an entry below the diagonal is multiplied by above it."""
+SYMMETRIES = ("general", *MIRROR)
+_LABEL = re.compile(r"\s*(?:\d+\s+)?(\d+)[\s.,]+(\d|[A-Z]+)")
+"""Node and direction of a row: "12.3", or with its number "7 12 UZ"."""
+
+
+@dataclass(frozen=True)
+class LabelledMatrix:
+    """A square matrix, and what its rows are.
+
+    Attributes
+    ----------
+    matrix : (n, n)
+        Both triangles.
+    labels : (n, 2) int or None
+        Node and direction of each row, 1 to 3 along x, y, z; None: they are not known.
+    """
+
+    matrix: sparse.csr_matrix
+    labels: np.ndarray | None
+
+    def at(self, labels: np.ndarray) -> sparse.csr_matrix:
+        """The matrix with rows as labelled, zero where it has none.
+
+        Raises
+        ------
+        ValueError
+            It has a row that is not among them.
+        """
+        if self.labels is None or np.array_equal(self.labels, labels):
+            return self.matrix
+        places = {tuple(label): row for row, label in enumerate(labels.tolist())}
+        rows = [places.get(tuple(label), -1) for label in self.labels.tolist()]
+        if -1 in rows:
+            node, direction = self.labels[rows.index(-1)]
+            raise ValueError(f"node {node}, direction {direction} is no row of the stiffness")
+        entries, at = self.matrix.tocoo(), np.array(rows)
+        places_of = at[entries.row], at[entries.col]
+        return sparse.csr_matrix((entries.data, places_of), (len(labels), len(labels)))
+
+
+def read_matrix(
+    path: Path, kind: str, labels: Path | None = None, rows: int | None = None
+) -> LabelledMatrix:
+    """Read a matrix of any of the formats above.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    kind : str
+        "K", "M" or "B": what to take of a file that holds stiffness, mass and damping.
+    labels : Path, optional
+        The file with node and direction of each row.
+    rows : int, optional
+        How many it has, where that is known and the file does not name them.
+
+    Raises
+    ------
+    OSError, ValueError
+        A file cannot be read, or contradicts itself: with its line.
+    """
+    ending = path.suffix.lower()
+    if ending in (".sti", ".mas"):
+        return _of_calculix(path, labels or path.with_suffix(".dof"))
+    if ending == ".pch":
+        return _of_nastran(path, kind)
+    if ending == ".op4":
+        return LabelledMatrix(_of_op4(path, kind), None if labels is None else read_labels(labels))
+    if ending == ".mtx" and _begins_as_abaqus(path):
+        return _of_abaqus(path)
+    return _of_matrix_market(path, labels, rows)
+
+
+def read_labels(path: Path) -> np.ndarray:
+    """Node and direction of each row: (n, 2); lines before the first of them are a heading.
+
+    Raises
+    ------
+    OSError, ValueError
+        As :func:`read_matrix`.
+    """
+    found: list[tuple[int, int]] = []
+    for number, line in numbered_lines(path, "#"):
+        match = _LABEL.fullmatch(line.rstrip())
+        direction = 0 if match is None else DIRECTIONS.get(match[2], 0)
+        if match is not None and match[2].isdigit():
+            direction = int(match[2])
+        if match is not None and direction:
+            found.append((int(match[1]), direction))
+        elif found:
+            raise ValueError(f"{path.name}, line {number}: {line[:80]!r} names no dof of a node")
+    if not found or len(set(found)) < len(found):
+        raise ValueError(f"{path.name}: {'a row twice' if found else 'no dof of a node'}")
+    return np.array(found, dtype=np.int64)
+
+
+def _mirrored(
+    values: np.ndarray, rows: np.ndarray, columns: np.ndarray, n: int, sign: int = 1
+) -> sparse.csr_matrix:
+    """A symmetric or skew-symmetric matrix of one triangle, n x n."""
+    off = rows != columns
+    at = np.append(rows, columns[off]), np.append(columns, rows[off])
+    return sparse.csr_matrix((np.append(values, sign * values[off]), at), (n, n))
+
+
+def _between_labels(ends: np.ndarray, values: np.ndarray, *, whole: bool) -> LabelledMatrix:
+    """A matrix of entries between two labels (m, 2, 2), of both triangles or of one."""
+    (nodes, node), (ways, way) = (
+        np.unique(ends[..., part].ravel(), return_inverse=True) for part in range(2)
+    )
+    keys, places = np.unique(node * len(ways) + way, return_inverse=True)  # quicker than of rows
+    labels = np.column_stack([nodes[keys // len(ways)], ways[keys % len(ways)]])
+    rows, columns = places.reshape(-1, 2).T
+    n = len(labels)
+    if whole:
+        return LabelledMatrix(sparse.csr_matrix((values, (rows, columns)), (n, n)), labels)
+    return LabelledMatrix(_mirrored(values, rows, columns, n), labels)
+
+
+def _of_calculix(path: Path, labels: Path) -> LabelledMatrix:
+    rows = read_labels(labels)
+    entries, n = rows_of(path, 3, "#"), len(rows)
+    at = entries[:, :2]
+    wrong = np.any((at < 1) | (at > n) | (at % 1 != 0), axis=1)
+    if np.any(wrong):
+        line = int(np.argmax(wrong)) + 1
+        raise ValueError(f"line {line}: {at[line - 1].tolist()} is outside of {n} rows")
+    one, other = (at - 1).astype(int).T
+    missing = np.setdiff1d(np.arange(n), one[one == other])
+    if len(missing):
+        raise ValueError(f"it ends early: row {missing[0] + 1} of {n} has no diagonal")
+    return LabelledMatrix(_mirrored(entries[:, 2], one, other, n), rows)
+
+
+def _begins_as_abaqus(path: Path) -> bool:
+    """Whether the first line that says something has five numbers between commas."""
+    return next((line for _, line in numbered_lines(path, "*")), "").count(",") == 4
+
+
+def _of_abaqus(path: Path) -> LabelledMatrix:
+    entries = rows_of(path, 5, "*", ",")
+    found = _between_labels(
+        entries[:, :4].astype(np.int64).reshape(-1, 2, 2), entries[:, 4], whole=False
+    )
+    assert found.labels is not None
+    free = np.flatnonzero(found.matrix.diagonal() < CLAMPED)
+    return LabelledMatrix(found.matrix[free][:, free], found.labels[free])
+
+
+def _of_nastran(path: Path, kind: str) -> LabelledMatrix:
+    ends: list[tuple[int, int, int, int]] = []
+    values: list[float] = []
+    own, column, form = False, (0, 0), 6
+    for number, line in numbered_lines(path, "$"):
+        try:
+            if line.startswith("DMIG "):
+                own = re.match(f"{kind}[A-Z]", line[8:16].upper()) is not None
+                if own and line[16:24].strip() == "0":
+                    form, stored = int(line[24:32]), int(line[32:40])
+                    if form not in (1, 6) or stored not in (1, 2):
+                        raise ValueError
+            elif line.startswith("DMIG*"):
+                own = re.match(f"{kind}[A-Z]", line[8:24].upper()) is not None
+                column = int(line[24:40]), int(line[40:56])
+            elif line.startswith("*"):
+                if own:
+                    ends.append((int(line[8:24]), int(line[24:40]), *column))
+                    values.append(float(line[40:56].upper().replace("D", "E")))
+            elif own:
+                raise ValueError
+        except ValueError:
+            wanted = "a real square matrix DMIG in fields of 16 characters"
+            raise ValueError(f"line {number}: {line[:80]!r} is not of {wanted}") from None
+    if not ends:
+        raise ValueError(f"it has no matrix DMIG whose name begins with {kind}")
+    at = np.array(ends, dtype=np.int64).reshape(-1, 2, 2)
+    return _between_labels(at, np.array(values), whole=form == 1)
+
+
+def _of_op4(path: Path, kind: str) -> sparse.csr_matrix:
+    """The matrix whose name begins with its kind, by the form that OUTPUT4 has in the DMAP
+    Programmer's Guide: a line for the matrix, and one for each column with its first row, or 0 and
+    then one for each string of numbers without gaps."""
+    lines = numbered_lines(path, "$")
+    number, line, width = 0, "", 16
+
+    def whole(count: int) -> list[int]:
+        nonlocal number, line
+        number, line = next(lines)
+        return [int(line[at : at + 8]) for at in range(0, 8 * count, 8)]
+
+    def numbers(count: int) -> list[float]:
+        nonlocal number, line
+        found: list[float] = []
+        while len(found) < count:
+            number, line = next(lines)
+            text = line.upper().replace("D", "E")
+            found += [float(text[at : at + width]) for at in range(0, len(text), width)]
+        if len(found) > count:
+            raise ValueError
+        return found
+
+    try:
+        while True:
+            columns, rows, _, stored = whole(4)
+            width = int(line[40:].upper().partition("E")[2].partition(".")[0])
+            own = line[32:40].strip().upper().startswith(kind)
+            if stored not in (1, 2):  # complex
+                raise ValueError
+            values: list[float] = []
+            at: list[tuple[int, int]] = []
+            while True:
+                column, first, left = whole(3)
+                while left > 0:
+                    length, row, spent = left, first, 0
+                    if first == 0 and rows < 0:
+                        (length, row), spent = whole(2), 2
+                        length -= 1
+                    elif first == 0:
+                        number, line = next(lines)
+                        length, row, spent = int(line) // 65536 - 1, int(line) % 65536, 1
+                    found = numbers(length // stored)
+                    left -= length + spent
+                    if own and column <= columns:
+                        values += found
+                        at += [(row - 1 + place, column - 1) for place in range(len(found))]
+                if column > columns:
+                    break
+            if own:
+                places = np.array(at, dtype=np.int64).reshape(-1, 2).T
+                made = sparse.csr_matrix((values, tuple(places)), (abs(rows), columns))
+                made.eliminate_zeros()  # between the numbers of a column
+                return made
+    except StopIteration:
+        raise ValueError(f"it has no whole matrix whose name begins with {kind}") from None
+    except ValueError:
+        wanted = "a real matrix that OUTPUT4 writes as text"
+        raise ValueError(f"line {number}: {line[:80]!r} is not of {wanted}") from None
+
+
+def _of_matrix_market(path: Path, labels: Path | None, rows: int | None) -> LabelledMatrix:
+    named = None if labels is None else read_labels(labels)
+    matrix = read_matrix_market(path, rows if named is None else len(named))
+    if named is not None and matrix.shape[1] != len(named):
+        raise ValueError(f"of shape {matrix.shape}, for {len(named)} rows that are named")
+    return LabelledMatrix(matrix, named)
+
+
+# --- Matrix Market --------------------------------------------------------------------------------
+
+
+def read_matrix_market(path: Path, rows: int | None = None) -> sparse.csr_matrix:
+    """Read a real matrix, dense or sparse, of ``rows`` rows; .gz and .bz2 too.
+
+    Raises
+    ------
+    OSError, ValueError
+        The file cannot be read, or contradicts itself.
+    """
+    with _opened(path) as (lines, most):
+        (layout, field, symmetry), sizes, entries = _announced(lines, most)
+        shape = sizes[0], sizes[1]
+        if rows is not None and shape[0] != rows:
+            raise ValueError(f"it has {shape[0]} rows instead of {rows}")
+        if symmetry != "general" and shape[0] != shape[1]:
+            raise ValueError(f"{symmetry}, but of shape {shape}")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of an empty body
+            body = np.loadtxt(lines, comments="%", ndmin=2, max_rows=entries + 1)
+    found = body.size if layout == "array" else len(body)
+    if found != entries:
+        told = "more" if found > entries else found  # no more are read than one too many
+        raise ValueError(f"it has {told} entries instead of {entries}")
+    if layout == "array":
+        values, at = body.ravel(), _places_in_array(shape, symmetry)
+    elif max(shape) > max(len(body), rows or 1):
+        raise ValueError(f"of shape {shape}, it has only {len(body)} entries")
+    else:
+        values, at = _coordinates(body, shape, symmetry, field)
+    if symmetry == "general":
+        matrix = sparse.csr_matrix((values, at), shape)
+    else:
+        matrix = _mirrored(values, *at, shape[0], MIRROR[symmetry])
+    if layout == "array":
+        matrix.eliminate_zeros()
+    return matrix
+
+
+def matrix_market_shape(path: Path) -> tuple[int, int]:
+    """Rows and columns that a file announces; sparse columns have an entry each.
+
+    Raises
+    ------
+    OSError, ValueError
+        As :func:`read_matrix_market`.
+    """
+    with _opened(path) as (lines, most):
+        _, sizes, _ = _announced(lines, most)
+    if len(sizes) == 3 and sizes[1] > sizes[2]:
+        raise ValueError(f"{sizes[1]} columns, but only {sizes[2]} entries")
+    return sizes[0], sizes[1]
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[Iterator[str], int]]:
+    """The lines of a file, and how many bytes they may have."""
+    size = bytes_of(path)
+    unpack: Any = {".gz": gzip.open, ".bz2": bz2.open}.get(path.suffix)
+    most = size if unpack is None else allowance(size)
+    with (unpack or open)(path, "rt", encoding="utf-8") as file:
+        yield lines_of(file, most), most
+
+
+def _announced(lines: Iterator[str], most: int) -> tuple[tuple[str, str, str], list[int], int]:
+    """Layout, field and symmetry, the numbers of the line with the size, and those of entries."""
+    header = _header(next(lines, ""))
+    line = next((line for line in lines if line.strip() and not line.startswith("%")), "")
+    sizes = [int(word) for word in line.split()]
+    if len(sizes) != (3 if header[0] == "coordinate" else 2) or min(sizes) < 0:
+        raise ValueError("the line with its size is missing or wrong")
+    if len(sizes) == 3:
+        entries = sizes[2]
+    else:
+        entries = _entries(sizes[0], sizes[1], header[2])
+    if entries * SHORTEST[header[0]] > most:
+        raise ValueError(f"it announces {entries} entries, more than it can hold")
+    return header, sizes, entries
+
+
+def _header(line: str) -> tuple[str, str, str]:
+    words = line.lower().split()
+    if len(words) != 5 or words[:2] != ["%%matrixmarket", "matrix"]:
+        raise ValueError("it does not begin with %%MatrixMarket matrix")
+    layout, field, symmetry = words[2:]
+    for word, known in ((layout, LAYOUTS), (field, FIELDS), (symmetry, SYMMETRIES)):
+        if word not in known:
+            raise ValueError(f"{word!r} instead of one of {', '.join(known)}")
+    if (layout, field) == ("array", "pattern"):
+        raise ValueError("an array without values")
+    return layout, field, symmetry
+
+
+def _entries(rows: int, columns: int, symmetry: str) -> int:
+    """Number of entries of a dense file: of a symmetric matrix from the diagonal down."""
+    sign = MIRROR.get(symmetry)
+    return rows * columns if sign is None else rows * (rows + sign) // 2
+
+
+def _places_in_array(shape: tuple[int, int], symmetry: str) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of a dense file's entries: columns one after the other, of a symmetric
+    matrix their part from the diagonal down."""
+    if symmetry == "general":
+        columns, rows = np.indices(shape[::-1]).reshape(2, -1)
+    else:
+        columns, rows = np.triu_indices(shape[0], symmetry == "skew-symmetric")
+    return rows, columns
+
+
+def _coordinates(
+    body: np.ndarray, shape: tuple[int, int], symmetry: str, field: str
+) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Values, rows and columns of a sparse file's entries."""
+    width = 2 if field == "pattern" else 3
+    if len(body) and body.shape[1] != width:
+        raise ValueError(f"its entries have {body.shape[1]} numbers instead of {width}")
+    body = body.reshape(-1, width)
+    if not np.all((body[:, :2] >= 1) & (body[:, :2] <= shape) & (body[:, :2] % 1 == 0)):
+        raise ValueError("an entry lies outside of the matrix")
+    rows, columns = body[:, :2].astype(np.int64).T - 1
+    if symmetry != "general" and np.any(rows < columns):
+        raise ValueError(f"{symmetry}, but with entries above the diagonal")
+    return np.ones(len(body)) if field == "pattern" else body[:, 2], (rows, columns)
+
+
+# --- lines ----------------------------------------------------------------------------------------
+
+
+def numbered_lines(path: Path, comment: str) -> Iterator[tuple[int, str]]:
+    """Lines that hold more than a comment, without it, and their numbers from 1."""
+    bytes_of(path)
+    with path.open(encoding="utf-8", errors="replace") as file:
+        for number, line in enumerate(file, 1):
+            if text := line.partition(comment)[0].rstrip():
+                yield number, text
+
+
+def rows_of(path: Path, columns: int, comment: str, delimiter: str | None = None) -> np.ndarray:
+    """Rows of so many numbers: (n, columns).
+
+    Raises
+    ------
+    OSError, ValueError
+        The file cannot be read; or the line that is no such row.
+    """
+    bytes_of(path)
+    try:
+        rows = np.loadtxt(path, comments=comment, delimiter=delimiter, ndmin=2, encoding="utf-8")
+        if rows.shape[1] == columns and len(rows) and np.all(np.isfinite(rows)):
+            return rows
+    except ValueError:  # its words count other lines than an editor does
+        pass
+    for number, line in numbered_lines(path, comment):
+        try:
+            values = [float(word) for word in line.split(delimiter)]
+        except ValueError:
+            values = []
+        if len(values) != columns or not np.all(np.isfinite(values)):
+            raise ValueError(f"line {number}: {line[:80]!r} instead of {columns} numbers")
+    raise ValueError("it holds no numbers")
 
 
 def numbers(given: Any) -> np.ndarray:

@@ -20,9 +20,8 @@ from petsc4py import PETSc
 from slepc4py import SLEPc
 
 from fenics_crack.errors import FEW_MODES, ConvergenceError, InputError
-from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
 from fenics_crack.model.factor import AT_A_TIME, TOLERATED, Factor, factored_sum
-from fenics_crack.model.structure import Structure
+from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 from fenics_crack.numerics.equations import EPSILON
 from fenics_crack.parallel import gather_rows
 from fenics_crack.stages import begin

@@ -24,10 +24,9 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError
-from fenics_crack.model.damping import DampingRule
 from fenics_crack.model.factor import AT_A_TIME, Factor, distributed
 from fenics_crack.model.modes import NEGLIGIBLE, times
-from fenics_crack.model.structure import Structure
+from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.numerics.equations import EPSILON
 
 __all__ = [

@@ -35,7 +35,6 @@ import scipy.linalg
 import scipy.sparse as sparse
 
 from fenics_crack.errors import InputError
-from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
 from fenics_crack.model.factor import AT_A_TIME, Factor, factored_sum
 from fenics_crack.model.modal import SMALL
 from fenics_crack.model.modes import (
@@ -55,7 +54,7 @@ from fenics_crack.model.reduced import (
     ResidualFlexibility,
     check_mass,
 )
-from fenics_crack.model.structure import Structure
+from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.stages import begin
 

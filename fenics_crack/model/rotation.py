@@ -29,14 +29,13 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError, check_number
-from fenics_crack.model.coupled import solve_complementarity
-from fenics_crack.model.damping import DampingRule
+from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.factor import Factor, distributed, weighted_sum
 from fenics_crack.model.matrices import read_only
 from fenics_crack.model.modes import AS_ZERO, NEGLIGIBLE, solve_modes, times
 from fenics_crack.model.reduced import MasslessInterface
 from fenics_crack.model.reduction import reduce_structure
-from fenics_crack.model.structure import Structure
+from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.parallel import collect_garbage
 from fenics_crack.table import RPM
 

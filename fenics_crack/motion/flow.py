@@ -1,6 +1,6 @@
 """The exact flow of a small structure with contact, by Taylor series from event to event.
 
-In modal coordinates, with R_inf what answers at once (:mod:`fenics_crack.model.coupled`) and kappa
+In modal coordinates, with R_inf what answers at once (:mod:`fenics_crack.model.contact`) and kappa
 the stiffness of the pairs,
 
     q'' + C q' + Lambda q + P lambda = f(t),      s = P^T q + l(t),
@@ -26,8 +26,14 @@ import numpy as np
 
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.kernel import Struct, doubles, ints, kernel, owned
-from fenics_crack.model.contact import ContactLaw, check_law, is_rigid, is_unilateral
-from fenics_crack.model.coupled import KEPT, is_regular
+from fenics_crack.model.contact import (
+    KEPT,
+    ContactLaw,
+    check_law,
+    is_regular,
+    is_rigid,
+    is_unilateral,
+)
 from fenics_crack.model.modal import AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import waves

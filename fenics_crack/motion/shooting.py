@@ -42,9 +42,9 @@ from fenics_crack.motion.orbit import (
     predict,
     unhurried,
 )
-from fenics_crack.numerics.bordered import PathPoint, point_on_path, solve_in_plane
 from fenics_crack.numerics.equations import DenseLinearisation, Equations
 from fenics_crack.numerics.fourier import derivative, evaluate
+from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_in_plane
 from fenics_crack.numerics.path import NARROW, Path, Target
 from fenics_crack.stages import begin
 from fenics_crack.table import counted

@@ -1,14 +1,39 @@
-"""Newton's method by PETSc SNES, and linear systems whose matrix is not formed by GMRES of KSP.
+"""Newton's method: by PETSc's SNES for single solutions, bordered by a plane along paths.
 
-All solutions but those along a path are found this way; PETSc options with the prefix
-``crack_hb_`` reach it, and GMRES with ``crack_krylov_``. One object serves a system for all
-attempts at its solution. Where the kernel has the equations, and no such option is given, the same
-steps are taken there.
+**By SNES**, with GMRES of KSP where the matrix is not formed. Single solutions are found this way;
+PETSc options with the prefix ``crack_hb_`` reach it, and GMRES with ``crack_krylov_``. One object
+serves a system for all attempts at its solution. Where the kernel has the equations, and no such
+option is given, the same steps are taken there.
+
+**Bordered by a plane.** A point of a path has a unit tangent (t_x, t_p) in the norm w |x|^2 + p^2,
+w = 1 / |x_0|^2. In the plane orthogonal to a tangent Newton's method solves
+
+    [ J    F_p ] [dx]     [F]
+    [ t_x  t_p ] [dp] = - [0],     by two solutions with J:
+
+    dx = a + dp b,    J a = -F,    J b = -F_p,    dp = - w <t_x, a> / (w <t_x, b> + t_p),
+
+or by one with the bordered matrix where J is not formed (GMRES needs two iterations more for it).
+At a fixed parameter the plane is p = const. (t_x = 0, t_p = 1), one solution is enough, and the
+method is Newton's own. Where the residual would grow, as where lips begin to touch and the Jacobian
+changes like a square root, the step is shortened.
+
+All paths are followed with this loop: response curves, paths to a cold start, backbones, and
+branches of exact orbits. It is the kernel's
+(``kernel/bordered.c``), for compiled equations and for those in Python (:mod:`equations`). Single
+solutions go through it where the kernel has their equations, and through PETSc's SNES
+where it has not, or where PETSc's options ask for that. Curves never do: SNES knows
+no border, and at given parameters, where none is needed, an iteration by SNES takes ten times as
+long as one by the compiled loop (``benchmarks/curves.py --only newton``, 21 unknowns).
+
+Sources: those of :mod:`path`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
@@ -16,10 +41,14 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.kernel import kernel
-from fenics_crack.numerics.equations import Linearisation, System
+from fenics_crack.kernel import NULL, Struct, doubles, ints, kernel, shaped
+from fenics_crack.numerics.equations import Linearisation, System, equations_of
 
-__all__ = ["FORCING", "RESTART", "DistributedSystem", "Newton", "gmres", "kernel_solves"]
+__all__ = [
+    "FORCING", "FULL_STEPS", "MAX_ITERATIONS", "MIN_DAMPING", "PATIENCE", "STRAY", "Newton",
+    "PathPoint", "Tangent", "correct", "distance", "gmres", "kernel_solves", "point_on_path",
+    "solve_at", "solve_in_plane", "solve_near", "step_along", "tangent_of",
+]  # fmt: skip
 
 SELF = PETSc.COMM_SELF
 RESTART: int = kernel.KRYLOV_MOST
@@ -197,3 +226,179 @@ class Newton:
     def __exit__(self, *exception: object) -> None:
         for item in (self._snes, self._matrix, self._unknown, self._target):
             item.destroy()
+
+
+MAX_ITERATIONS = 8
+"""Of one correction."""
+MIN_DAMPING = 0.05
+"""Of a Newton step."""
+FULL_STEPS, LEAST_STEP, PATIENCE = 20, 0.01, 8
+"""From a guess at a given parameter, how short these may become, and those of them that may
+together fail to halve the residual."""
+STRAY = 3.0
+"""How far from its prediction the parameter may go, in steps."""
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """Unit tangent (t_x, t_p) in the norm weight |x|^2 + p^2."""
+
+    x: np.ndarray
+    p: float
+    weight: float
+
+    def reversed(self) -> Tangent:
+        """The opposite direction."""
+        return Tangent(-self.x, -self.p, self.weight)
+
+    def along(self, other: Tangent, system: System) -> float:
+        """Cosine of the angle to another tangent, in that one's norm."""
+        product = other.weight * system.inner(self.x, other.x) + self.p * other.p
+        length = other.weight * system.inner(self.x, self.x) + self.p**2
+        # No direction where the Jacobian is singular to rounding: the slope has overflowed.
+        return product / float(np.sqrt(length)) if length > 0.0 else 0.0
+
+
+@dataclass(frozen=True)
+class PathPoint:
+    """A point of a path, and the iterations that it took."""
+
+    unknown: np.ndarray
+    parameter: float
+    iterations: int
+    tangent: Tangent
+    """``tangent.p`` > 0 where the parameter grows along the path; the sign changes at folds."""
+    crosses_branch: bool = False
+    """Whether another branch has been crossed since the point before."""
+    at: Linearisation | None = field(default=None, repr=False, compare=False)
+    length: float = float("nan")
+    """Of the chord from the point before in that one's norm, where it is known."""
+
+
+def tangent_of(
+    system: System, unknown: np.ndarray, at: Linearisation, towards: Tangent | None = None
+) -> Tangent:
+    """Tangent at a solution, towards growing p or in a direction that is known roughly."""
+    slope = -at.solve(at.by_parameter)
+    weight = 1.0 / max(system.inner(unknown, unknown), 1e-300)
+    length = float(np.sqrt(weight * system.inner(slope, slope) + 1.0))
+    found = Tangent(slope / length, 1.0 / length, weight)
+    back = towards is not None and found.along(towards, system) < 0.0
+    return found.reversed() if back else found
+
+
+def point_on_path(
+    system: System, unknown: np.ndarray, parameter: float, towards: Tangent | None = None
+) -> PathPoint:
+    """A solution with its tangent (:func:`tangent_of`)."""
+    at = system.linearise(unknown, parameter)
+    return PathPoint(unknown, parameter, 0, tangent_of(system, unknown, at, towards))
+
+
+def solve_in_plane(
+    system: System,
+    unknown: np.ndarray,
+    parameter: float,
+    plane: Tangent | None,
+    *,
+    tolerance: float,
+    iterations: int = MAX_ITERATIONS,
+    reach: float = np.inf,
+    least_damping: float | None = MIN_DAMPING,
+    patience: int | None = None,
+    lasting: float = 0.0,
+) -> PathPoint | None:
+    """Newton's method in the plane across a tangent, or at a given parameter; None where it fails.
+
+    ``tolerance`` is |F| / |x| of the solution, |x| that of the tangent's point; ``reach``: how far
+    from the guess the parameter may go; ``least_damping``: how much a step may be shortened where
+    the residual would grow, None for full steps whatever it does; ``patience``: steps, at most 30,
+    that may together fail to halve |F| / |x|; ``lasting``: to what part of it a step has to shrink
+    it that the next one may have the same Jacobian.
+    """
+    equations = equations_of(system, unknown.shape)
+    flat = plane or Tangent(np.zeros_like(unknown), 1.0, 0.0)
+    found, place = np.array(unknown, float, order="C"), np.array([parameter], float)
+    taken, border = np.zeros(1, np.intc), NULL
+    if plane is not None:
+        across = shaped(plane.x, *equations.shape)
+        border = Struct("plane", across=across, slope=plane.p, weight=plane.weight).at
+    how = _correction(
+        tolerance=tolerance, reach=reach, iterations=iterations,
+        least_damping=-1.0 if least_damping is None else least_damping, patience=patience or 0,
+        lasting=lasting,
+    )  # fmt: skip
+    outcome = equations.run(
+        kernel.solve_in_plane, border, how.at, doubles(shaped(found, *equations.shape)),
+        doubles(place), ints(taken),
+    )  # fmt: skip
+    if not equations.check(outcome):
+        return None
+    parameter = float(place[0])
+    return PathPoint(found, parameter, int(taken[0]), flat, at=equations.found(found, parameter))
+
+
+@lru_cache
+def _correction(**members: float) -> Struct:
+    """The kernel's own."""
+    return Struct("correction", **members)
+
+
+def correct(
+    system: System, start: PathPoint, step: float, tolerance: float, *, reach: float | None = None
+) -> PathPoint | None:
+    """The point of a path at a distance from another one; None where it is not found.
+
+    The prediction goes along the tangent. The parameter may then change by ``reach``, by default 3
+    steps.
+    """
+    ahead = start.tangent
+    unknown, parameter = start.unknown + step * ahead.x, start.parameter + step * ahead.p
+    return solve_in_plane(
+        system, unknown, parameter, ahead, tolerance=tolerance, reach=reach or STRAY * step
+    )
+
+
+def step_along(
+    system: System, start: PathPoint, step: float, tolerance: float = 1e-8
+) -> PathPoint | None:
+    """The same with the tangent there, which keeps its direction."""
+    found = correct(system, start, step, tolerance)
+    if found is None:
+        return None
+    assert found.at is not None
+    return replace(found, tangent=tangent_of(system, found.unknown, found.at, start.tangent))
+
+
+def solve_at(
+    system: System,
+    unknown: np.ndarray,
+    parameter: float,
+    *,
+    tolerance: float,
+    iterations: int = FULL_STEPS,
+) -> PathPoint | None:
+    """Full Newton steps from a guess at a given parameter; None where they do not converge."""
+    return solve_in_plane(
+        system, unknown, parameter, None,
+        tolerance=tolerance, iterations=iterations, least_damping=None, patience=PATIENCE,
+    )  # fmt: skip
+
+
+def solve_near(
+    system: System, unknown: np.ndarray, parameter: float, *, tolerance: float, full: bool = True
+) -> PathPoint | None:
+    """A solution at a parameter by full steps from a guess, or else by steps that are shortened
+    where the residual would grow; by these alone unless ``full``."""
+    found = solve_at(system, unknown, parameter, tolerance=tolerance) if full else None
+    return found or solve_in_plane(
+        system, unknown, parameter, None,
+        tolerance=tolerance, iterations=FULL_STEPS, least_damping=LEAST_STEP, patience=PATIENCE,
+    )  # fmt: skip
+
+
+def distance(system: System, before: PathPoint, after: PathPoint) -> float:
+    """Length of the chord between two points in the norm of the first one."""
+    change = after.unknown - before.unknown
+    square = before.tangent.weight * system.inner(change, change)
+    return float(np.sqrt(square + (after.parameter - before.parameter) ** 2))

@@ -4,7 +4,7 @@ A step of length h
 
 1. predicts   (x, p) + h (t_x, t_p) + the cubic terms that follow from the point before and its
    tangent,
-2. corrects by Newton's method in the plane orthogonal to the tangent (:mod:`bordered`),
+2. corrects by Newton's method in the plane orthogonal to the tangent (:mod:`newton`),
 3. is lengthened where few iterations were needed, and halved where they failed or where the path
    was left, which a large angle between the new tangent and the old one shows. Of the two tangents
    at a point the right one keeps the sign of t_p det J, which changes only where another branch
@@ -35,7 +35,8 @@ import numpy as np
 
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import NULL, Struct, doubles, kernel
-from fenics_crack.numerics.bordered import (
+from fenics_crack.numerics.equations import EPSILON, ROUNDING, System, equations_of
+from fenics_crack.numerics.newton import (
     MAX_ITERATIONS,
     MIN_DAMPING,
     STRAY,
@@ -45,7 +46,6 @@ from fenics_crack.numerics.bordered import (
     solve_at,
     step_along,
 )
-from fenics_crack.numerics.equations import EPSILON, ROUNDING, System, equations_of
 
 __all__ = [
     "LOCATED",

@@ -15,10 +15,9 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import PHASES, ResponseCurve
 from fenics_crack.errors import InputError
 from fenics_crack.fem.tip_integral import Tip, tip_functionals
-from fenics_crack.model.damping import RayleighDamping
 from fenics_crack.model.factor import AT_A_TIME
 from fenics_crack.model.nodes import Clamp
-from fenics_crack.model.structure import Structure
+from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.scene.quantities import OF_CLAMP, OF_TIPS
 from fenics_crack.scene.scene import Scene, asked_quantities, check_known, without_tips

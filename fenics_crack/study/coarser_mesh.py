@@ -19,10 +19,9 @@ from fenics_crack.model.modes import solve_modes, tied_frequencies
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.stages import within
-from fenics_crack.study.grid_convergence import GridConvergence, grid_convergence
 from fenics_crack.study.key_figures import extents
 from fenics_crack.study.prepare import REFUSALS, Study, prepare
-from fenics_crack.study.verification import Verification
+from fenics_crack.study.verification import GridConvergence, Verification, grid_convergence
 from fenics_crack.table import frequency_axis
 
 __all__ = [

@@ -18,8 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fenics_crack.model.coupled import solve_complementarity
-from fenics_crack.model.damping import ModalDamping, RayleighDamping
+from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.factor import Factor
 from fenics_crack.model.modes import (
     BilinearFrequencies,
@@ -31,7 +30,7 @@ from fenics_crack.model.modes import (
     times,
 )
 from fenics_crack.model.reduced import ResidualFlexibility
-from fenics_crack.model.structure import Structure
+from fenics_crack.model.structure import ModalDamping, RayleighDamping, Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import Study, reduction_of

@@ -1,7 +1,7 @@
 """Mesh, modes, harmonics and samples of a scene made finer, one at a time. What harmonics leave
 out is known, without finer runs, where an exact orbit is the solution's own (:func:`by_orbit`).
 
-Each number of the answer is extrapolated with the order that it shows (:mod:`grid_convergence`).
+Each number of the answer is extrapolated with the order that it shows (:mod:`verification`).
 The uncertainty is that of the scene's own choice, the coarsest of the three: coarser meshes mostly
 are not in the asymptotic range. Contributions are put together as the root of the sum of their
 squares, if they are independent, and as their sum, if they are not.
@@ -34,11 +34,10 @@ from fenics_crack.model.modes import solve_modes
 from fenics_crack.scene.scene import Scene
 from fenics_crack.stages import within
 from fenics_crack.study.coarser_mesh import CLAMP, TIP, finer_mesh, n_elements, size_of
-from fenics_crack.study.grid_convergence import GridConvergence, grid_convergence
 from fenics_crack.study.prepare import REFUSALS, Study, prepare, reduced, reduction_of
 from fenics_crack.study.run import Run, solve_prepared
 from fenics_crack.study.stated_errors import Numbers, by_orbit, numbers_of, resonance_of, shifted
-from fenics_crack.study.verification import Varied, Verification
+from fenics_crack.study.verification import GridConvergence, Varied, Verification, grid_convergence
 
 __all__ = ["verify"]
 

@@ -11,12 +11,17 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.balance.harmonic_balance import solve_harmonic_balance, solve_linear
+from fenics_crack.balance.harmonic_balance import (
+    FIRST_MODES,
+    solve_harmonic_balance,
+    solve_linear,
+    solve_to_tolerance,
+)
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Solver
-from fenics_crack.balance.to_tolerance import FIRST_MODES, solve_to_tolerance
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.peak import Peak
+from fenics_crack.curves.stability import floquet
 from fenics_crack.errors import RECORDED_PERIODS, InputError
 from fenics_crack.files.results import Result, save, type_of, unpack
 from fenics_crack.files.store import Stored, read
@@ -31,7 +36,6 @@ from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
 from fenics_crack.scene.words import check_scene
-from fenics_crack.stability.floquet import floquet
 from fenics_crack.stages import begin
 from fenics_crack.study.prepare import (
     FEW_DOFS,

@@ -41,11 +41,9 @@ from operator import methodcaller
 import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.balance.harmonic_balance import solve_linear
-from fenics_crack.balance.indicators import contact_extremes
+from fenics_crack.balance.harmonic_balance import solve_linear, wave_of
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import PeriodicSolution, Solver
-from fenics_crack.balance.to_tolerance import wave_of
+from fenics_crack.balance.solution import PeriodicSolution, Solver, contact_extremes
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import MOST_HARMONICS
 from fenics_crack.model.modal import is_small
@@ -62,9 +60,8 @@ from fenics_crack.study.coarser_mesh import (
     expected,
     natural_name,
 )
-from fenics_crack.study.grid_convergence import GridConvergence
 from fenics_crack.study.prepare import REFUSALS, Study
-from fenics_crack.study.verification import Varied, Verification
+from fenics_crack.study.verification import GridConvergence, Varied, Verification
 from fenics_crack.table import frequency_axis
 
 __all__ = [

@@ -10,10 +10,10 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.harmonic_balance import solve_linear
-from fenics_crack.balance.indicators import indicators_of
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import PeriodicSolution, Solver, solve_beside
+from fenics_crack.balance.solution import PeriodicSolution, Solver, indicators_of, solve_beside
 from fenics_crack.curves.peak import top_and_damping
+from fenics_crack.curves.stability import floquet
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.fem.build import clearance_of
 from fenics_crack.model.contact import is_rigid
@@ -24,7 +24,6 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCES
-from fenics_crack.stability.floquet import floquet
 from fenics_crack.study.asked import asked_of_motion, prepare_asked
 from fenics_crack.study.key_figures import damping_ratios
 from fenics_crack.study.prepare import REFUSALS, Study, law_of, prepare

@@ -47,8 +47,14 @@ import numpy as np
 
 from fenics_crack.errors import ConvergenceError, InputError, check_omega
 from fenics_crack.kernel import Struct, doubles, kernel
-from fenics_crack.model.contact import ContactLaw, check_law, is_piecewise_linear, is_rigid
-from fenics_crack.model.coupled import ActiveSets, solve_complementarity
+from fenics_crack.model.contact import (
+    ActiveSets,
+    ContactLaw,
+    check_law,
+    is_piecewise_linear,
+    is_rigid,
+    solve_complementarity,
+)
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.modal import CACHED, all_modes, is_small
 from fenics_crack.model.modes import largest_frequency

@@ -35,7 +35,7 @@ linear in h, with a small dense compliance that does not change,
 
     g_{n+1} = g_free - beta dt^2 B^T A^-1 B h(g_{n+1}),
 
-a problem in the pairs alone (:mod:`fenics_crack.model.coupled`).
+a problem in the pairs alone (:mod:`fenics_crack.model.contact`).
 
 A constraint (:class:`UnilateralConstraint`) acts by impulses p = dt lambda at the start of a step
 and q at its end, each by the change of velocity (1 - am) D^-1 B, which is M^-1 B but for what the
@@ -61,8 +61,7 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.errors import InputError, check_number
-from fenics_crack.model.contact import ContactLaw, gauss
-from fenics_crack.model.coupled import solve_complementarity, solve_forces
+from fenics_crack.model.contact import ContactLaw, gauss, solve_complementarity, solve_forces
 from fenics_crack.model.factor import factored_sum, weighted_sum
 from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import Structure

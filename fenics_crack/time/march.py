@@ -17,8 +17,12 @@ import numpy as np
 from petsc4py import PETSc
 from tqdm import tqdm
 
-from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
-from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.balance.solution import (
+    Indicators,
+    PeriodicSolution,
+    contact_extremes,
+    indicators_of,
+)
 from fenics_crack.errors import (
     RECORDED_PERIODS,
     ConvergenceError,
@@ -28,13 +32,11 @@ from fenics_crack.errors import (
     check_omega,
     check_options,
 )
-from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
-from fenics_crack.model.coupled import solve_complementarity
-from fenics_crack.model.damping import RayleighDamping
+from fenics_crack.model.contact import ContactLaw, check_law, is_rigid, solve_complementarity
 from fenics_crack.model.factor import Factor
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import NEGLIGIBLE, damped_modes, times
-from fenics_crack.model.structure import Structure
+from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.numerics.fourier import balanced, derivative, evaluate, waves
 from fenics_crack.parallel import StopRequest, raise_together
 from fenics_crack.stages import begin

@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack.stages import listening
+from fenics_crack import stages
 
 RECORD = DEMOS / "blisk_blade.csv"
 HERTZ = 2.0 * np.pi
@@ -110,7 +110,7 @@ def test_a_line_is_no_resonance() -> None:
     """A vibration of one frequency, which passes orders 2 and 3 on its way: no resonance; and what
     is looked for is told while it is, as long records take minutes."""
     told: list[str] = []
-    with listening(told.append):
+    with stages.listening(told.append):
         assert len(fc.find_passages(swept([], line=203.0)[0])) == 0
     assert told[0] == "scan of the speeds" and told[-1] == ""
     assert {"resonance 1", "vibrations of constant frequency"} < set(told)

@@ -8,8 +8,8 @@ import scipy.optimize
 from helpers import random_stiffness, relative
 
 import fenics_crack as fc
-from fenics_crack.model import coupled
-from fenics_crack.model.coupled import (
+from fenics_crack.model import contact as contact_module
+from fenics_crack.model.contact import (
     ActiveSets,
     by_least_squares,
     smooth_forces,
@@ -101,7 +101,7 @@ def test_sets_that_are_not_found_follow_by_least_squares(monkeypatch: pytest.Mon
         asked.append(row)
         return by_least_squares(matrix, row)
 
-    monkeypatch.setattr(coupled, "by_least_squares", counted)
+    monkeypatch.setattr(contact_module, "by_least_squares", counted)
     force, closed = ActiveSets(compliance[np.ix_(twice, twice)]).solve(gap[:, twice])
     assert len(asked) > 5 and np.array_equal(closed, force > 0.0)
     assert relative(force[:, ::2] + force[:, 1::2], expected) < 1e-9

@@ -17,7 +17,9 @@ from fenics_crack.balance import contact_system
 from fenics_crack.balance.contact_integrals import ExactIntegrals, respond_to_columns
 from fenics_crack.balance.contact_system import CompiledEquations
 from fenics_crack.curves.family import FAMILIES, Family
-from fenics_crack.numerics.bordered import (
+from fenics_crack.numerics.equations import Linearisation, System
+from fenics_crack.numerics.fourier import evaluate, sampled, to_complex
+from fenics_crack.numerics.newton import (
     PathPoint,
     point_on_path,
     solve_at,
@@ -25,8 +27,6 @@ from fenics_crack.numerics.bordered import (
     step_along,
     tangent_of,
 )
-from fenics_crack.numerics.equations import Linearisation, System
-from fenics_crack.numerics.fourier import evaluate, sampled, to_complex
 from fenics_crack.numerics.path import Ended, Fold, Path, PathOptions, Target
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -269,7 +269,7 @@ def test_tolerance_with_stiff_contact(soft_plate: fc.Structure) -> None:
 def test_tolerance_out_of_reach(soft_plate: fc.Structure, monkeypatch: pytest.MonkeyPatch) -> None:
     """The best solution is returned, with the word of what it lacks; it is solved all the same.
     With ``throw`` it is an error."""
-    monkeypatch.setattr("fenics_crack.balance.to_tolerance.MAX_HARMONICS", 40)
+    monkeypatch.setattr("fenics_crack.balance.harmonic_balance.MAX_HARMONICS", 40)
     law = fc.UnilateralPenalty(1e11)
     missed = r"solved; error [\d.]+ %, 0.001 % was asked; what helps: more damping.* \(H = 40\)"
     with pytest.raises(fc.ConvergenceError, match=missed):

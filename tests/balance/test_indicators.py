@@ -7,7 +7,7 @@ import pytest
 from helpers import chain, oscillator, period_two_orbit
 
 import fenics_crack as fc
-from fenics_crack.balance.indicators import contact_extremes, indicators_of
+from fenics_crack.balance.solution import contact_extremes, indicators_of
 from fenics_crack.numerics.fourier import balanced
 
 

@@ -2,7 +2,7 @@
 which pairs are closed, for contact that couples them, as the kernel finds it.
 
 Between two events the set A of closed pairs stays, and with it lambda_A = (D_AA)^-1 s_A and the
-openings of the others, D lambda - s (:mod:`fenics_crack.model.coupled`). An event is the first root
+openings of the others, D lambda - s (:mod:`fenics_crack.model.contact`). An event is the first root
 of one of these: a force that vanishes opens its pair, an opening that vanishes closes it. There the
 stiffness S_A = (D_AA)^-1, with zeros outside A, changes by a part of rank one, gain v v^T.
 
@@ -39,7 +39,7 @@ from fenics_crack.balance.contact_integrals import (
 )
 from fenics_crack.balance.contact_system import CompiledEquations
 from fenics_crack.kernel import Struct, doubles, ints, kernel, owned, shaped, signs
-from fenics_crack.model.coupled import ActiveSets, solve_complementarity
+from fenics_crack.model.contact import ActiveSets, solve_complementarity
 from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.numerics.fourier import evaluate, to_complex
 

@@ -98,7 +98,7 @@ def test_harmonics_out_of_reach(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the tolerance asks for more harmonics than are kept, the best is returned, and says
     what it lacks."""
     structure, law = bouncing("three masses")
-    monkeypatch.setattr("fenics_crack.balance.to_tolerance.MAX_HARMONICS", 20)
+    monkeypatch.setattr("fenics_crack.balance.harmonic_balance.MAX_HARMONICS", 20)
     found = fc.solve_harmonic_balance(
         structure, OMEGA["three masses"], law, tolerance=1e-3, throw=False
     )

@@ -347,6 +347,6 @@ def test_interrupted_backbone(monkeypatch: pytest.MonkeyPatch) -> None:
             raise KeyboardInterrupt
         yield from points
 
-    wrap(monkeypatch, "fenics_crack.curves.motion_path.MotionPath.__iter__", interrupted)
+    wrap(monkeypatch, "fenics_crack.curves.free_motion.MotionPath.__iter__", interrupted)
     curve = fc.follow_backbone(two_masses(), fc.UnilateralPenalty(10.0), 1, 0.02, 1.0)
     assert (curve.complete, curve.status, len(curve.omega)) == (False, "interrupted", 2)

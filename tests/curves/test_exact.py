@@ -14,7 +14,7 @@ from helpers import chain, oscillator, two_masses
 import fenics_crack as fc
 from fenics_crack.curves import exact, orbit_branch
 from fenics_crack.curves.exact import _Judge
-from fenics_crack.curves.orbit_nodes import Crossing
+from fenics_crack.curves.orbit_nodes import OrbitBifurcation
 from fenics_crack.motion.flow import Budget, exact_flow
 from fenics_crack.motion.orbit import eigenvalues, find_orbit
 from fenics_crack.time.march import initial_state
@@ -118,7 +118,7 @@ def test_neighbours_are_not_matched_crosswise(curve: fc.ResponseCurve) -> None:
     def matched(places: dict[float, int], kind: str = "fold") -> dict[float, float]:
         found = [curve.bifurcation(kind, omega, unknown) for omega in places]
         special = list(zip(places.values(), found, strict=True))
-        crossings = [(Crossing("fold", 1.0, 9.0, True), omega) for omega in (783.0, 785.0)]
+        crossings = [(OrbitBifurcation("fold", 1.0, 9.0, True), omega) for omega in (783.0, 785.0)]
         near = exact._matched(curve, crossings, special)
         return {crossings[one][1]: special[other][1].value for one, other in near.items()}
 

@@ -15,8 +15,7 @@ from matplotlib.image import imread
 import fenics_crack as fc
 from fenics_crack.draw import animation
 from fenics_crack.draw.paraview import PeriodFields
-from fenics_crack.draw.stresses import moved_grid, nodal_stress, von_mises
-from fenics_crack.draw.vtk_parts import off_screen_plotter
+from fenics_crack.draw.vtk_parts import moved_grid, nodal_stress, off_screen_plotter, von_mises
 from fenics_crack.fem.nodal_mesh import NodalMesh
 
 

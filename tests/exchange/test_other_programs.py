@@ -23,9 +23,9 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
-from fenics_crack.exchange.matrices import read_matrix
-from fenics_crack.exchange.models import Model, read_model
 from fenics_crack.fem.matrix_files import find_pairs
+from fenics_crack.fem.model_files import Model, read_model
+from fenics_crack.model.matrices import read_matrix
 
 FOLDER = Path(__file__).with_name("plate")
 TEXT = """

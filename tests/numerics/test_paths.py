@@ -19,20 +19,21 @@ from fenics_crack.balance.compliance import FactoredCompliance
 from fenics_crack.balance.contact_integrals import contact_integrals
 from fenics_crack.curves import free_motion
 from fenics_crack.curves.family import FAMILIES
+from fenics_crack.curves.stability import orbits_near
 from fenics_crack.motion.flow import Budget, flow_of
 from fenics_crack.motion.orbit import find_orbit
 from fenics_crack.motion.shooting import FlowOrbits
-from fenics_crack.numerics.bordered import (
+from fenics_crack.numerics.equations import DenseLinearisation, System
+from fenics_crack.numerics.newton import (
+    Newton,
     PathPoint,
+    gmres,
     point_on_path,
     solve_at,
     solve_in_plane,
     tangent_of,
 )
-from fenics_crack.numerics.equations import DenseLinearisation, System
-from fenics_crack.numerics.newton import Newton, gmres
 from fenics_crack.numerics.path import Closed, Crossing, Ended, Fold, Path, PathOptions, Target
-from fenics_crack.stability.floquet import orbits_near
 
 Function = Callable[[float, float], float]
 

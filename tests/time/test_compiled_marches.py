@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fenics_crack as fc
-from fenics_crack.model.coupled import solve_complementarity
+from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.model.modal import all_modes
 from fenics_crack.time import central_differences

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fenics_crack.exchange.matrices import numbered_lines, rows_of
+from fenics_crack.model.matrices import numbered_lines, rows_of
 from fenics_crack.scene.fields import LARGEST
 
 __all__ = ["Model", "read_model"]

@@ -13,8 +13,8 @@ from helpers import Cubic, chain, dense_matrices, oscillator, relative
 from scipy.integrate import solve_ivp
 
 import fenics_crack as fc
+from fenics_crack.curves.stability import monodromy
 from fenics_crack.model.modal import all_modes
-from fenics_crack.stability.waves import monodromy
 
 
 def integrated(law: Any, found: fc.PeriodicSolution) -> np.ndarray:
@@ -126,7 +126,7 @@ def test_many_at_once_are_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -
     structure, law = chain("matrix"), fc.SmoothedPenalty(3.0, 4.0)
     gap = fc.solve_harmonic_balance(structure, 1.1, law, harmonics=6).gap_coefficients
     one = monodromy(structure, law, gap, 1.1)
-    monkeypatch.setattr("fenics_crack.stability.waves.CACHED", 1)
+    monkeypatch.setattr("fenics_crack.curves.stability.CACHED", 1)
     assert relative(monodromy(structure, law, gap, 1.1), one) < 1e-10
 
 

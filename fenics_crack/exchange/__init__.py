@@ -1,1 +1,0 @@
-"""Matrices and models as other programs write them."""

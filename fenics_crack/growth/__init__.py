@@ -1,1 +1,0 @@
-"""Growth of a crack by the vibration of its plate, over the cycles."""

@@ -1,1 +1,0 @@
-"""Stability of periodic motions, and exact periodic orbits."""
