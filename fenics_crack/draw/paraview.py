@@ -91,7 +91,9 @@ class PeriodFields:
     force, areas : (n, n_pairs) [N], (n_pairs,) [m^2]
         Of the contact, and of one lip.
     pair_nodes : (n_nodes, n_pairs)
-        1 where a node belongs to a pair, else 0.
+        1 where a node belongs to a pair, else 0; of a patch the two nodes in its middle.
+    shares : (n_nodes, n_pairs)
+        Of the pairs' pressures that at a node: of patches the pressure is linear between them.
     magnification : float
         Of the displacement in pictures.
     material : Material or None
@@ -120,7 +122,10 @@ class PeriodFields:
         parts = self.mesh.field(structure.force).reshape(3, -1)
         load = evaluate(parts, solution.omega, self.time)
         self.load = load.reshape(self.displacement.shape)
-        self.pair_nodes = _nodes_of_pairs(structure)
+        if self.mesh.dimension == 3 and structure.n_pairs:
+            self.pair_nodes, self.shares = _of_patches(self.mesh, structure.pair_points)
+        else:
+            self.pair_nodes = self.shares = _nodes_of_pairs(structure)
 
     @property
     def cracked(self) -> bool:
@@ -163,12 +168,13 @@ class PeriodFields:
         """The magnified mesh of a frame with the point fields of :func:`write_period`."""
         force, displacement = self.force[frame], self.displacement[frame]
         grid = moved_grid(self.mesh, self.shown(frame))
-        closed = self.pair_nodes @ (force > 0.0)
+        # Between two pairs a node is closed where both are.
+        closed, seen = self.shares @ (force > 0.0), self.shares.sum(axis=1)
         fields = {
             "displacement": in_space(displacement),
-            "contact state": np.where(self.pair_nodes.any(axis=1), np.minimum(closed, 1.0), -1.0),
+            "contact state": np.where(seen > 0.0, 1.0 * (closed >= seen - 1e-9), -1.0),
             "contact force": self.pair_nodes @ force,
-            "contact pressure": self.pair_nodes @ (force / self.areas),
+            "contact pressure": self.shares @ (force / self.areas),
         }
         if self.material is not None:
             fields["stress"] = self.stress[frame]
@@ -285,6 +291,27 @@ def _nodes_of_pairs(structure: Structure) -> np.ndarray:
     local = np.where(dofs >= 0, dofs - structure.first_dof, structure.n_local)
     rows = np.vstack([structure.gap.toarray() != 0.0, np.zeros((1, structure.n_pairs))])
     return gather_rows(structure.comm, rows[local].any(axis=1).astype(float))
+
+
+def _of_patches(mesh: NodalMesh, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """1 at the two nodes in the middle of each patch, and the functions psi of the pressures at all
+    nodes of the lips, which are linear between these and zero at the fronts: (n_nodes, n_pairs)
+    each."""
+    from scipy.spatial import cKDTree  # takes a while, for some pictures
+
+    facets, near = mesh.boundary_facets[mesh.lip_facets], 1e-6 * mesh.size
+    own = np.zeros((len(mesh.points), len(places)))
+    corners = np.unique(facets)
+    distance, pair = cKDTree(places).query(mesh.points[corners])
+    own[corners[distance <= near], pair[distance <= near]] = 1.0
+    shares = own.copy()
+    ends = np.stack([facets, np.roll(facets, -1, axis=1)], axis=2).reshape(-1, 2)
+    ends = np.concatenate([ends, facets[:, [0, 2]]]) if facets.shape[1] == 4 else ends
+    others = np.setdiff1d(np.arange(len(mesh.points)), corners)
+    distance, edge = cKDTree(mesh.points[ends].mean(axis=1)).query(mesh.points[others])
+    there = distance <= near
+    shares[others[there]] = own[ends[edge[there]]].mean(axis=1)
+    return own, shares
 
 
 def _tenth(vectors: np.ndarray, size: float) -> float:

@@ -118,10 +118,10 @@ def _read(table: Table) -> dict[str, LabelledMatrix]:
             with reading(name, path, "a matrix of Matrix Market, CalculiX, Abaqus or Nastran"):
                 found[name] = read_matrix(Path(path), letter, labels, rows)
             rows = found[name].matrix.shape[0]
-    if (every := found["stiffness"].labels) is not None:
-        for name, one in found.items():
-            with reading(name, getattr(table, name), "one of the dofs of the stiffness"):
-                found[name] = LabelledMatrix(one.at(every), every)
+    stiffness = found["stiffness"]
+    for name, one in found.items() if stiffness.labels is not None else ():
+        with reading(name, getattr(table, name), "one of the dofs of the stiffness"):
+            found[name] = LabelledMatrix(one.at(stiffness), stiffness.labels)
     return found
 
 
@@ -138,11 +138,14 @@ def _by_nodes(
     labels = labels[order]
     dofs = np.full((len(model.labels), 3), -1)
     at = np.minimum(np.searchsorted(model.labels, labels[:, 0]), len(model.labels) - 1)
-    moves = (model.labels[at] == labels[:, 0]) & (labels[:, 1] >= 1) & (labels[:, 1] <= 3)
+    known = model.labels[at] == labels[:, 0]
+    moves = known & (labels[:, 1] >= 1) & (labels[:, 1] <= 3)
+    missing = labels[~known & (labels[:, 1] >= 1), 0]  # 0: no node, but a coordinate
+    if len(missing) or not np.any(moves):
+        found = f"no node {missing[0]}" if len(missing) else "no node that moves"
+        allowed = f"the model of {table.stiffness}, with all the nodes of its rows"
+        raise InputError("model", found, allowed)
     dofs[at[moves], labels[moves, 1] - 1] = np.flatnonzero(moves)
-    if not np.any(moves):
-        allowed = f"the model of {table.stiffness}, whose rows are of none of its nodes"
-        raise InputError("model", table.model, allowed)
     begins = np.flatnonzero(np.append(True, np.diff(labels[:, 0]) != 0))
     return order, dofs, np.append(begins, len(labels))
 
@@ -320,7 +323,9 @@ def _cracks(points: np.ndarray, lips: _Lips, chosen: np.ndarray) -> np.ndarray:
     """The crack of each pair, from bottom to top: pairs whose nodes are joined are of one."""
     from scipy.sparse.csgraph import connected_components
 
-    links = sum(lips.joined[own[chosen]][:, own[chosen]] for own in (lips.first, lips.second))
+    one, other = lips.first[chosen], lips.second[chosen]  # either may be the lower one
+    straight = lips.joined[one][:, one].multiply(lips.joined[other][:, other])
+    links = straight + lips.joined[one][:, other].multiply(lips.joined[other][:, one])
     count, found = connected_components(links)
     centres = [points[found == crack].mean(axis=0)[[1, 0, 2]] for crack in range(count)]
     rank = np.empty(count, dtype=int)

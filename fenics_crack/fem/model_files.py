@@ -7,6 +7,7 @@ order. What makes nodes in another way than by their coordinates is refused by i
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -17,12 +18,16 @@ import numpy as np
 from fenics_crack.model.matrices import numbered_lines, rows_of
 from fenics_crack.scene.fields import LARGEST
 
-__all__ = ["Model", "read_model"]
+__all__ = ["Model", "read_model", "read_with"]
 
 VTK = {4: 10, 6: 13, 8: 12, 10: 24, 15: 26, 20: 25}
 """VTK's number of solid cells by their nodes: tetrahedra, wedges and hexahedra."""
 MAKERS = ("NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY", "SYSTEM", "TRANSFORM", "NMAP")
 """Keywords of CalculiX and Abaqus that make nodes and cells, or turn them."""
+INCLUDE = re.compile(r"\*INCLUDE\b", re.IGNORECASE).match
+"""Of a line of CalculiX and Abaqus."""
+SOLIDS = ("185", "186", "187", "285", "45", "92", "95")
+"""Ansys' solid elements; surfaces, contact, shells and springs are in the same blocks."""
 TOPS_LAST = {
     15: [*range(9), 12, 13, 14, 9, 10, 11],
     20: [*range(12), 16, 17, 18, 19, 12, 13, 14, 15],
@@ -60,7 +65,10 @@ def read_model(path: Path) -> Model:
     """
     nodes: dict[int, tuple[float, ...]] = {}
     cells: dict[int, list[list[int]]] = {}
-    READERS.get(path.suffix.lower(), _table)(path, nodes, cells)
+    try:
+        READERS.get(path.suffix.lower(), _table)(path, nodes, cells)
+    except RecursionError:
+        raise ValueError("its files include each other") from None
     if not nodes:
         raise ValueError("it has no nodes")
     labels = np.array(sorted(nodes), dtype=np.int64)
@@ -76,6 +84,24 @@ def read_model(path: Path) -> Model:
     return Model(labels, points, made)
 
 
+def read_with(path: Path) -> list[Path]:
+    """The files that are read with one: the rows of CalculiX's matrices beside them, and what an
+    input file of CalculiX or Abaqus includes."""
+    if path.suffix.lower() in (".sti", ".mas"):
+        return [path.with_suffix(".dof")]
+    found = [path] if path.suffix.lower() == ".inp" else []
+    for file in found:  # grows
+        with contextlib.suppress(OSError):
+            own = [_included(file, line) for _, line in numbered_lines(file, "**") if INCLUDE(line)]
+            found += [one for one in own if one not in found]
+    return found[1:]
+
+
+def _included(path: Path, line: str) -> Path:
+    """Of an input file and its line *INCLUDE, INPUT=..."""
+    return path.parent / line.partition("=")[2].strip().strip('"')
+
+
 Nodes = dict[int, tuple[float, ...]]
 Cells = dict[int, list[list[int]]]
 
@@ -89,6 +115,8 @@ def _put(nodes: Nodes, number: int, label: int, place: tuple[float, ...]) -> Non
 
 def _table(path: Path, nodes: Nodes, cells: Cells) -> None:
     for number, (label, *place) in enumerate(rows_of(path, 4, "#", ",").tolist(), 1):
+        if label % 1 != 0:
+            raise ValueError(f"row {number}: {label:g} is no number of a node")
         _put(nodes, number, int(label), tuple(place))
 
 
@@ -101,15 +129,19 @@ def _of_abaqus(path: Path, nodes: Nodes, cells: Cells) -> None:
         try:
             if line.startswith("*"):
                 keyword, *options = (word.strip().upper() for word in line[1:].split(","))
-                given = dict(option.partition("=")[::2] for option in options)
-                if keyword in MAKERS or (keyword in ("NODE", "ELEMENT") and "INPUT" in given):
+                parts = (option.partition("=") for option in options)
+                given = {name.strip(): value.strip() for name, _, value in parts}
+                elsewhere = keyword in ("NODE", "ELEMENT") and "INPUT" in given
+                turned = keyword == "NODE" and given.get("SYSTEM", "R") != "R"
+                if keyword in MAKERS or elsewhere or turned:
                     raise NotImplementedError
                 if keyword == "INCLUDE":
-                    name = line.partition("=")[2].strip().strip('"')
-                    _of_abaqus(path.parent / name, nodes, cells)
+                    _of_abaqus(_included(path, line), nodes, cells)
                 kind = given.get("TYPE", "").strip() if keyword == "ELEMENT" else ""
                 match, row = re.match(r"C3D(\d+)", kind), []
                 count = int(match[1]) if match is not None else 0
+            elif keyword == "INSTANCE" and any(map(float, line.strip().rstrip(",").split(","))):
+                raise NotImplementedError  # moved or turned
             elif keyword == "NODE":
                 label, *place = line.strip().rstrip(",").split(",")
                 spatial = (*map(float, place), 0.0, 0.0)[:3]  # zeros may be left out
@@ -120,7 +152,7 @@ def _of_abaqus(path: Path, nodes: Nodes, cells: Cells) -> None:
                     cells.setdefault(VTK[count], []).append(row[1:])
                     row = []
         except NotImplementedError:
-            allowed = "nodes and elements must be written out, each with its numbers"
+            allowed = "nodes and elements must be written out where they are, with their numbers"
             raise ValueError(f"{path.name}, line {number}: *{keyword}: {allowed}") from None
         except ValueError as error:
             reason = str(error) if "line" in str(error) else f"{line[:80]!r} of *{keyword}"
@@ -139,6 +171,8 @@ def _of_nastran(path: Path, nodes: Nodes, cells: Cells) -> None:
                     raise ValueError
                 place = tuple(_number(field) for field in (*fields[2:5], "", "")[:3])
                 _put(nodes, number, int(fields[0]), place)
+            elif name.startswith("INCLUDE") or (name == "GRDSET" and any(fields[1:6:4])):
+                raise NotImplementedError
             elif name in ("CTETRA", "CPENTA", "CHEXA"):
                 own = [int(field) for field in fields[2:] if field]
                 order = TOPS_LAST.get(len(own), range(len(own)))
@@ -146,6 +180,9 @@ def _of_nastran(path: Path, nodes: Nodes, cells: Cells) -> None:
         except (ValueError, KeyError, IndexError):
             allowed = "a GRID in the basic coordinate system" if name == "GRID" else "a solid"
             raise ValueError(f"line {number}: {card} is not {allowed}") from None
+        except NotImplementedError:
+            allowed = "nodes and elements must be in this file, in the basic coordinate system"
+            raise ValueError(f"line {number}: {name}: {allowed}") from None
 
 
 def _number(field: str) -> float:
@@ -185,9 +222,13 @@ def _of_ansys(path: Path, nodes: Nodes, cells: Cells) -> None:
     characters, as the line below their names says."""
     block, count, row = "", 0, list[int]()
     whole, real, n_whole = 0, 0, 0
+    types, solid = dict[int, str](), True
     for number, line in numbered_lines(path, "!"):
         word = line.strip().upper()
         try:
+            if word.startswith("ET,") and not block:
+                _, own_type, name = (field.strip() for field in word.split(",")[:3])
+                types[int(own_type)] = name.removeprefix("SOLID")
             if word.startswith(("NBLOCK", "EBLOCK")):
                 if word.startswith("EBLOCK") and "SOLID" not in word:
                     raise ValueError
@@ -209,12 +250,14 @@ def _of_ansys(path: Path, nodes: Nodes, cells: Cells) -> None:
             elif block == "EBLOCK":
                 own = [int(line[at : at + whole]) for at in range(0, len(line), whole)]
                 if not row:
+                    solid = types.get(own[1], SOLIDS[0]) in SOLIDS
                     count, own = own[8], own[11:]
                 row += own
                 if len(row) >= count:
-                    if len(set(row)) < count:
+                    if solid and len(set(row)) < count:
                         raise ValueError  # a brick with nodes in the same place
-                    cells.setdefault(VTK[count], []).append(row[:count])
+                    if solid:
+                        cells.setdefault(VTK[count], []).append(row[:count])
                     row = []
         except (ValueError, KeyError, IndexError) as error:
             allowed = "a node without angles, or a whole tetrahedron or brick, of CDWRITE's blocks"

@@ -27,6 +27,7 @@ from petsc4py import PETSc
 from slepc4py import SLEPc
 
 from fenics_crack.errors import InputError
+from fenics_crack.fem.model_files import read_with
 from fenics_crack.outside import bytes_of, run_reader, sha256
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene, files_of, with_files
@@ -116,7 +117,7 @@ def write_header(file: h5py.File, kind: str, scene: Scene | None) -> None:
     file.attrs["versions"] = versions()
     if scene is not None:
         file.attrs["scene"] = scene_text(scene)
-        file.attrs["meshes"] = "\n".join(_file_digest(path) for _, path in files_of(scene))
+        file.attrs["meshes"] = "\n".join(_file_digest(path) for _, path in _files_of(scene))
 
 
 def versions() -> str:
@@ -247,16 +248,19 @@ class Stored:
         if "scene" not in self.attributes:
             return None
         scene = Scene.from_text(self.attributes["scene"], str(self.path))
-        if len(self._digests) != len(files_of(scene)):
+        if len(self._digests) < len(files_of(scene)):
             raise self._older("digests of its mesh or matrices")
         return scene
 
     def check_files(self, scene: Scene) -> None:
         """Raise InputError if a file of the scene, of its mesh or matrices, has changed."""
-        for (key, path), known in zip(files_of(scene), self._digests, strict=True):
+        files = _files_of(scene)
+        for (key, path), known in zip(files, self._digests, strict=False):
             if _file_digest(path) != known:
                 allowed = f"the file with which {self.path} was computed; it has changed or gone"
                 raise InputError(key, path, allowed)
+        if len(self._digests) != len(files):
+            raise self._older("digests of all files of its matrices")
 
     def check_kind(self, kind: str) -> None:
         """Raise InputError if something else is in the file."""
@@ -372,6 +376,12 @@ def header(path: str | Path) -> Stored:
 @functools.lru_cache(maxsize=32)
 def _header(path: Path, state: tuple[int, ...]) -> Stored:
     return replace(_read(path), parts={})
+
+
+def _files_of(scene: Scene) -> list[tuple[str, str]]:
+    """The keys that name files of a scene, and these; then those that are read with them."""
+    found = files_of(scene)
+    return found + [(key, str(more)) for key, path in found for more in read_with(Path(path))]
 
 
 def _file_digest(path: str) -> str:

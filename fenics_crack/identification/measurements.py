@@ -50,6 +50,9 @@ IN_WORDS = {
 """The quantities in words: of natural frequencies when they are measured."""
 NEEDED = ("quantity", "value", "deviation")
 OPTIONAL = ("mode", "frequency", "point", "phase")
+SI = "Hz", "m", "-"
+UNITS = {"frequency": SI[:1], "phase": ("rad",), "value": SI, "deviation": SI}
+"""That headings may name, in brackets."""
 UNIVERSAL = (".uff", ".unv")
 """Endings of universal files."""
 FEWEST_PROBES = 4
@@ -310,7 +313,15 @@ class Measurements(Tabular):
         with reading("measurements", path, "a CSV file"):
             lines = table_lines(path)
             table = list(csv.reader(line for _, line in lines))
-        names = [cell.split("[")[0].strip() for cell in table[0]] if table else []
+        headings = table[0] if table else []
+        names = [cell.partition("[")[0].strip() for cell in headings]
+        for cell, name in zip(headings, names, strict=True):
+            unit = cell.partition("[")[2].partition("]")[0].strip()
+            if unit and unit not in (units := UNITS.get(name, ())):
+                allowed = f"in {' or '.join(units)}" if units else "without a unit"
+                raise InputError("measurements", f"{path}: the column {cell.strip()}", allowed)
+        if len(lines) != len(table):
+            raise InputError("measurements", str(path), "a CSV file without line breaks in cells")
         known = (*NEEDED, *OPTIONAL)
         if not set(NEEDED) <= set(names) <= set(known) or len(set(names)) != len(names):
             allowed = (

@@ -21,6 +21,7 @@ resonates; the difference is seen when less of the peak is fitted, and counted a
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,6 +42,8 @@ RESPONSE = 4
 """Type of a function that is a frequency response."""
 COMPLEX = {5: "f4", 6: "f8"}
 """Types of complex numbers, single and double."""
+NUMBER = re.compile(rb"[+-]?(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+|[+-]\d{3})?")
+"""Of text; Fortran leaves out the E of an exponent of three digits."""
 MOTIONS = {8: 0, 11: 1, 12: 2}
 """How often a displacement, a velocity or an acceleration is derived by time."""
 HALF = 0.5
@@ -108,13 +111,18 @@ def _functions(text: bytes) -> Iterator[tuple[list[bytes], bytes, str]]:
             continue
         heading = [own, *(line() for _ in range(HEADING))]
         if own[6:7].lower() == b"b":
-            order, size = {1: "<", 2: ">"}[int(own[7:13])], int(own[31:43])
+            order, size = {1: "<", 2: ">"}[int(own[7:13])], int(own[31:43] or 0)
+            stored, lines, even = (int(heading[7][at : at + 10]) for at in (0, 10, 20))
+            if stored in COMPLEX and even:  # some programs announce half of their bytes
+                size = 2 * lines * int(COMPLEX[stored][1])
             if int(own[13:19]) != 2:
                 raise ValueError("its binary numbers are not those of IEEE 754")
             numbers, at = text[at : at + size], at + size
             if len(numbers) < size:
                 raise ValueError(f"it ends early: {len(numbers)} of {size} bytes")
             yield heading, numbers, order
+            while at < len(text) and line().strip() != BORDER:
+                pass
             continue
         begin = at
         while at < len(text):
@@ -124,6 +132,14 @@ def _functions(text: bytes) -> Iterator[tuple[list[bytes], bytes, str]]:
                 break
         else:
             raise ValueError("it ends early: a dataset 58 has no end")
+
+
+def _numbers(text: bytes) -> np.ndarray:
+    """Numbers, between which there is no blank where one takes all of its field."""
+    if left := NUMBER.sub(b" ", text).split():
+        raise ValueError(f"{left[0][:20].decode('latin-1')!r} instead of a number")
+    words = [re.sub(rb"(?<=[0-9.])([+-])", rb"E\1", word) for word in NUMBER.findall(text)]
+    return np.array(words, dtype=float)
 
 
 def _response(heading: list[str], numbers: bytes, order: str) -> FrequencyResponse:
@@ -140,7 +156,7 @@ def _response(heading: list[str], numbers: bytes, order: str) -> FrequencyRespon
     if order:
         values = np.frombuffer(numbers, order + COMPLEX[stored]).astype(float)
     else:
-        values = np.array(numbers.upper().replace(b"D", b"E").split(), dtype=float)
+        values = _numbers(numbers.upper().replace(b"D", b"E"))
     if len(values) != count * (2 if even else 3) or not np.all(np.isfinite(values)):
         raise ValueError(f"{len(values)} finite numbers instead of those of {count} lines")
     if even:

@@ -61,7 +61,7 @@ LAYOUTS, FIELDS = ("coordinate", "array"), ("real", "integer", "pattern")
 MIRROR = {"symmetric": 1, "skew-symmetric": -1}
 """What an entry below the diagonal is multiplied by above it."""
 SYMMETRIES = ("general", *MIRROR)
-_LABEL = re.compile(r"\s*(?:\d+\s+)?(\d+)[\s.,]+(\d|[A-Z]+)")
+_LABEL = re.compile(r"\s*(?:(\d+)\s+)?(\d+)[\s.,]+(\d|[A-Z]+)")
 """Node and direction of a row: "12.3", or with its number "7 12 UZ"."""
 
 
@@ -75,29 +75,37 @@ class LabelledMatrix:
         Both triangles.
     labels : (n, 2) int or None
         Node and direction of each row, 1 to 3 along x, y, z; None: they are not known.
+    held : (k, 2) int or None
+        Those that the program holds, likewise, which are no rows here.
     """
 
     matrix: sparse.csr_matrix
     labels: np.ndarray | None
+    held: np.ndarray | None = None
 
-    def at(self, labels: np.ndarray) -> sparse.csr_matrix:
-        """The matrix with rows as labelled, zero where it has none.
+    def at(self, stiffness: LabelledMatrix) -> sparse.csr_matrix:
+        """The matrix with the rows of the stiffness, zero where it has none; without those that are
+        held there.
 
         Raises
         ------
         ValueError
-            It has a row that is not among them.
+            It has another row.
         """
-        if self.labels is None or np.array_equal(self.labels, labels):
+        labels = stiffness.labels
+        if self.labels is None or labels is None or np.array_equal(self.labels, labels):
             return self.matrix
         places = {tuple(label): row for row, label in enumerate(labels.tolist())}
-        rows = [places.get(tuple(label), -1) for label in self.labels.tolist()]
-        if -1 in rows:
-            node, direction = self.labels[rows.index(-1)]
+        held = [] if stiffness.held is None else stiffness.held.tolist()
+        places |= dict.fromkeys(map(tuple, held), -1)
+        rows = [places.get(tuple(label)) for label in self.labels.tolist()]
+        if None in rows:
+            node, direction = self.labels[rows.index(None)]
             raise ValueError(f"node {node}, direction {direction} is no row of the stiffness")
-        entries, at = self.matrix.tocoo(), np.array(rows)
-        places_of = at[entries.row], at[entries.col]
-        return sparse.csr_matrix((entries.data, places_of), (len(labels), len(labels)))
+        entries, at = self.matrix.tocoo(), np.array(rows, dtype=int)
+        kept = (at[entries.row] >= 0) & (at[entries.col] >= 0)
+        places_of = at[entries.row[kept]], at[entries.col[kept]]
+        return sparse.csr_matrix((entries.data[kept], places_of), (len(labels), len(labels)))
 
 
 def read_matrix(
@@ -122,6 +130,8 @@ def read_matrix(
         A file cannot be read, or contradicts itself: with its line.
     """
     ending = path.suffix.lower()
+    if (ending, kind) in ((".sti", "M"), (".mas", "K")):
+        raise ValueError(f"CalculiX writes the {'stiffness' if kind == 'M' else 'mass'} there")
     if ending in (".sti", ".mas"):
         return _of_calculix(path, labels or path.with_suffix(".dof"))
     if ending == ".pch":
@@ -134,7 +144,8 @@ def read_matrix(
 
 
 def read_labels(path: Path) -> np.ndarray:
-    """Node and direction of each row: (n, 2); lines before the first of them are a heading.
+    """Node and direction of each row: (n, 2), in the order of their numbers where they have some;
+    lines before the first of them are a heading.
 
     Raises
     ------
@@ -142,25 +153,42 @@ def read_labels(path: Path) -> np.ndarray:
         As :func:`read_matrix`.
     """
     found: list[tuple[int, int]] = []
+    rows: list[int] = []
     for number, line in numbered_lines(path, "#"):
         match = _LABEL.fullmatch(line.rstrip())
-        direction = 0 if match is None else DIRECTIONS.get(match[2], 0)
-        if match is not None and match[2].isdigit():
-            direction = int(match[2])
+        direction = 0 if match is None else DIRECTIONS.get(match[3], 0)
+        if match is not None and match[3].isdigit():
+            direction = int(match[3])
         if match is not None and direction:
-            found.append((int(match[1]), direction))
+            found.append((int(match[2]), direction))
+            rows.append(int(match[1] or len(found)))
         elif found:
             raise ValueError(f"{path.name}, line {number}: {line[:80]!r} names no dof of a node")
     if not found or len(set(found)) < len(found):
         raise ValueError(f"{path.name}: {'a row twice' if found else 'no dof of a node'}")
-    return np.array(found, dtype=np.int64)
+    order = np.argsort(rows)
+    if np.any(np.diff(np.array(rows)[order]) != 1) or min(rows) > 1:
+        raise ValueError(f"{path.name}: its rows are not numbered from 1 to {len(rows)}, each once")
+    return np.array(found, dtype=np.int64)[order]
 
 
 def _mirrored(
     values: np.ndarray, rows: np.ndarray, columns: np.ndarray, n: int, sign: int = 1
 ) -> sparse.csr_matrix:
-    """A symmetric or skew-symmetric matrix of one triangle, n x n."""
-    off = rows != columns
+    """A symmetric or skew-symmetric matrix of one triangle, n x n; of both, as it is.
+
+    Raises ValueError where some entries stand on both sides of the diagonal, and some on one.
+    """
+    off, above = rows != columns, rows < columns
+    if np.any(above) and np.any(off & ~above):
+        twins = np.isin(n * columns[off] + rows[off], n * rows[off] + columns[off])
+        if twins.all():
+            return sparse.csr_matrix((values, (rows, columns)), (n, n))
+        if twins.any():
+            row, column = rows[off][twins][0] + 1, columns[off][twins][0] + 1
+            raise ValueError(
+                f"row {row}, column {column} is there on both sides of the diagonal, others on one"
+            )
     at = np.append(rows, columns[off]), np.append(columns, rows[off])
     return sparse.csr_matrix((np.append(values, sign * values[off]), at), (n, n))
 
@@ -205,8 +233,9 @@ def _of_abaqus(path: Path) -> LabelledMatrix:
         entries[:, :4].astype(np.int64).reshape(-1, 2, 2), entries[:, 4], whole=False
     )
     assert found.labels is not None
-    free = np.flatnonzero(found.matrix.diagonal() < CLAMPED)
-    return LabelledMatrix(found.matrix[free][:, free], found.labels[free])
+    free = np.flatnonzero(is_free := found.matrix.diagonal() < CLAMPED)
+    held = found.labels[~is_free]
+    return LabelledMatrix(found.matrix[free][:, free], found.labels[free], held)
 
 
 def _of_nastran(path: Path, kind: str) -> LabelledMatrix:
@@ -218,6 +247,8 @@ def _of_nastran(path: Path, kind: str) -> LabelledMatrix:
             if line.startswith("DMIG "):
                 own = re.match(f"{kind}[A-Z]", line[8:16].upper()) is not None
                 if own and line[16:24].strip() == "0":
+                    if ends:
+                        raise LookupError
                     form, stored = int(line[24:32]), int(line[32:40])
                     if form not in (1, 6) or stored not in (1, 2):
                         raise ValueError
@@ -230,6 +261,9 @@ def _of_nastran(path: Path, kind: str) -> LabelledMatrix:
                     values.append(float(line[40:56].upper().replace("D", "E")))
             elif own:
                 raise ValueError
+        except LookupError:
+            second = f"{line[8:16].strip()}, a second matrix whose name begins with {kind}"
+            raise ValueError(f"line {number}: {second}") from None
         except ValueError:
             wanted = "a real square matrix DMIG in fields of 16 characters"
             raise ValueError(f"line {number}: {line[:80]!r} is not of {wanted}") from None
@@ -265,10 +299,11 @@ def _of_op4(path: Path, kind: str) -> sparse.csr_matrix:
     try:
         while True:
             columns, rows, _, stored = whole(4)
-            width = int(line[40:].upper().partition("E")[2].partition(".")[0])
+            width = int(line[40:].upper().replace("D", "E").partition("E")[2].partition(".")[0])
             own = line[32:40].strip().upper().startswith(kind)
-            if stored not in (1, 2):  # complex
+            if stored not in (1, 2, 3, 4) or (own and stored > 2):  # complex
                 raise ValueError
+            words = 2 if stored in (2, 4) else 1
             values: list[float] = []
             at: list[tuple[int, int]] = []
             while True:
@@ -281,7 +316,8 @@ def _of_op4(path: Path, kind: str) -> sparse.csr_matrix:
                     elif first == 0:
                         number, line = next(lines)
                         length, row, spent = int(line) // 65536 - 1, int(line) % 65536, 1
-                    found = numbers(length // stored)
+                    # Of strings the words are counted, of a dense column the numbers.
+                    found = numbers(length // words if spent else length)
                     left -= length + spent
                     if own and column <= columns:
                         values += found

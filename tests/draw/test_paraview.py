@@ -77,6 +77,40 @@ def test_period_for_paraview(breathing: fc.PeriodicSolution, tmp_path: Path) -> 
     assert {-1.0, 0.0, 1.0} == set(np.unique(states))
 
 
+SOLID = """
+geometry = { kind = "solid", width = 0.03, height = 0.09, thickness = 0.006 }
+crack = { height = 0.03, center = 0.015, length = 0.016, depth = 0.003, front = "elliptical" }
+material = { young = 2.1e11, poisson = 0.3, density = 7850.0 }
+damping = { ratio = 0.002 }
+excitation = { point = [0.0, 0.09, 0.003], force_cos = [0.0, 0.0, 1.0], omega = 3500.0 }
+contact = { law = "unilateral" }
+mesh = { layout = "graded", order = 2, size = 0.012, lip_elements = 2, error = false }
+"""
+
+
+def test_patches_of_a_solid() -> None:
+    """The forces of all nodes are those of both lips, and the pressure, linear between the middles
+    of patches and zero at the front, has their integral, by the areas of the facets."""
+    study = fc.prepare(fc.Scene.from_text(SOLID))
+    solution = fc.solve_harmonic_balance(study.structure, 3500.0, study.contact, harmonics=5)
+    fields = PeriodFields(solution, 8)
+    mesh, force = fields.mesh, fields.force
+    facets = mesh.boundary_facets[mesh.lip_facets]
+    assert len(np.setdiff1d(np.flatnonzero(fields.shares.any(axis=1)), facets))  # of edges
+    one, two = (mesh.points[facets[:, k]] - mesh.points[facets[:, 0]] for k in (1, 2))
+    areas = 0.5 * np.linalg.norm(np.cross(one, two), axis=1)
+    assert force.max() > 0.0
+    for frame in range(8):
+        grid = pyvista.wrap(fields.grid(frame))
+        assert grid["contact force"].sum() == pytest.approx(2.0 * force[frame].sum())
+        pressure = grid["contact pressure"]
+        assert pressure.max() == pytest.approx((force[frame] / fields.areas).max())
+        integral = areas @ pressure[facets].mean(axis=1)
+        assert integral == pytest.approx(2.0 * force[frame].sum(), rel=1e-6)
+        assert np.all(grid["contact state"][pressure > 0.0] >= 0.0)
+        assert set(np.unique(grid["contact state"])) <= {-1.0, 0.0, 1.0}
+
+
 # --- stresses and pressures -----------------------------------------------------------------------
 
 KINDS = [(cells, order) for cells in ("triangle", "quadrilateral") for order in (1, 2)]

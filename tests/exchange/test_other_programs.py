@@ -133,16 +133,18 @@ def triangle(matrix: Any) -> list[tuple[int, int, float]]:
 
 
 def write_abaqus(folder: Path) -> dict[str, str]:
-    """Both triangles would be twice too stiff; what is held has 1e36 on the diagonal."""
+    """One triangle of the stiffness and both of the mass, either of which is allowed; what is held
+    has 1e36 on the diagonal of the stiffness, and its mass."""
     given = plate_matrices()
     labels = given["labels"].tolist()
-    for kind, name in (("K", "plate_STIF1.mtx"), ("M", "plate_MASS1.mtx")):
+    for kind, name, held in (("K", "plate_STIF1.mtx", 1e36), ("M", "plate_MASS1.mtx", 1e-3)):
+        entries = triangle(given[kind])
+        entries += [(j, i, value) for i, j, value in entries if i != j and kind == "M"]
         lines = ["** ASSEMBLED MATRIX"] + [
-            ",".join(map(str, [*labels[i], *labels[j], value]))
-            for i, j, value in triangle(given[kind])
+            ",".join(map(str, [*labels[i], *labels[j], value])) for i, j, value in entries
         ]
-        held = [f"{n},{d}, {n},{d}, 1.0e36" for n in (1, 2, 3, 10, 11, 12) for d in (1, 2, 3)]
-        (folder / name).write_text("\n".join(lines + (held if kind == "K" else [])) + "\n")
+        lines += [f"{n},{d}, {n},{d}, {held}" for n in (1, 2, 3, 10, 11, 12) for d in (1, 2, 3)]
+        (folder / name).write_text("\n".join(lines) + "\n")
     return {"stiffness": "plate_STIF1.mtx", "mass": "plate_MASS1.mtx", "model": "plate.inp"}
 
 
@@ -201,6 +203,7 @@ def write_market(folder: Path) -> dict[str, str]:
     for kind in "KM":
         scipy.io.mmwrite(folder / f"{kind}.mtx", given[kind], symmetry="symmetric", precision=17)
     rows = [f"{i:8} {n:8} U{'XYZ'[d - 1]}" for i, (n, d) in enumerate(given["labels"], 1)]
+    rows.reverse()  # their numbers tell which they are
     (folder / "plate.mapping").write_text("\n".join(["  Matrix Eqn    Node   DOF", *rows]) + "\n")
     model = read_model(FOLDER / "plate.inp")
     table = np.column_stack([model.labels, model.points])
@@ -224,7 +227,7 @@ def op4_lines(matrix: np.ndarray, name: str, layout: str, digits: int = 16) -> l
         there = np.flatnonzero(values)
         if layout == "dense":
             kept = values[there[0] : there[-1] + 1]
-            lines += [f"{column:8}{there[0] + 1:8}{2 * len(kept):8}", *numbers(kept)]
+            lines += [f"{column:8}{there[0] + 1:8}{len(kept):8}", *numbers(kept)]
             continue
         strings = np.split(there, np.flatnonzero(np.diff(there) > 1) + 1)
         spent = 2 if layout == "big" else 1
@@ -234,7 +237,7 @@ def op4_lines(matrix: np.ndarray, name: str, layout: str, digits: int = 16) -> l
             row, length = string[0] + 1, 2 * len(string) + 1
             lines.append(f"{length:8}{row:8}" if layout == "big" else f"{row + 65536 * length:10}")
             lines += numbers(values[string])
-    return [*lines, f"{n + 1:8}{1:8}{2:8}", *numbers(np.ones(1))]
+    return [*lines, f"{n + 1:8}{1:8}{1:8}", *numbers(np.ones(1))]
 
 
 def write_op4(folder: Path) -> dict[str, str]:
@@ -258,6 +261,10 @@ def test_matrices_of_output4(layout: str, tmp_path: Path) -> None:
     found = read_matrix(path, "K").matrix.toarray()
     assert found == pytest.approx(matrix, rel=1e-9) and np.all((found == 0.0) == (matrix == 0.0))
     assert np.array_equal(read_matrix(path, "M").matrix.toarray(), np.eye(13))
+    fortran = re.sub(r"(\d)E([+-]\d\d)", r"\1D\2", "\n".join(lines)).replace("8E16.9", "8D16.9")
+    path.write_text(fortran.replace("E16.9", "D16.9") + "\n")
+    assert np.array_equal(read_matrix(path, "K").matrix.toarray(), found)
+    path.write_text("\n".join(lines) + "\n")
     with pytest.raises(ValueError, match="no whole matrix whose name begins with B"):
         read_matrix(path, "B")
     wrong = ("2KAA", "4KAA", "KAA.*is not of a real"), ("E-01", "X-01", "is not of a real matrix")
@@ -388,6 +395,14 @@ def test_pairs_of_a_solid_are_its_own(crack: str) -> None:
     for place in pairs.places.values():
         here = pairs.cracks == pairs.cracks[place]
         assert pairs.positions[place] == pytest.approx(pairs.positions[here].max())
+    mixed = np.random.default_rng(5).permutation(len(points))  # lower nodes and upper ones
+    cells = np.argsort(mixed)[own.nodes.cells]
+    other = find_pairs(
+        Model(model.labels, points[mixed], {24: cells}), dofs[mixed], stiffness, turns=False
+    )[1]
+    assert other.points is not None and other.cracks is not None
+    places = [np.lexsort(found.round(9).T) for found in (pairs.points, other.points)]
+    np.testing.assert_array_equal(pairs.cracks[places[0]], other.cracks[places[1]])
     nodes, _ = find_pairs(Model(model.labels, points, {}), dofs, stiffness, turns=False)
     assert nodes.shape[1] > 2 * gap.shape[1]
     tied = [
@@ -523,6 +538,68 @@ def test_abaqus_goes_on_in_the_next_line_and_file(tmp_path: Path) -> None:
     np.testing.assert_array_equal(model.points[-1], [1.0, 2.0, 0.0])
 
 
+ASKED = "nodes and elements must be written out where they are"
+NOT_READ: list[tuple[str, str, str]] = [
+    ("all.inp", "*Node, system=C\n1, 1, 90, 0\n", rf"\*NODE: {ASKED}"),
+    ("all.inp", "*Instance, name=A, part=B\n0., 0.1, 0.\n", rf"\*INSTANCE: {ASKED}"),
+    ("all.inp", "*Node\n1,0,0,0\n*Include, input=all.inp\n", "its files include each other"),
+    ("all.bdf", "GRID,1,,0.,0.,0.\nINCLUDE 'more.bdf'\n", "line 2: INCLUDE: nodes and elements"),
+    ("all.bdf", "GRDSET,,5\nGRID,1,,0.,0.,0.\n", "GRDSET: nodes and elements must be in this file"),
+    ("all.csv", "1,0,0,0\n2.5,0,0,0\n", "row 2: 2.5 is no number of a node"),
+]
+
+
+@pytest.mark.parametrize(("name", "text", "words"), NOT_READ, ids=range(len(NOT_READ)))
+def test_what_would_be_misread_is_refused(name: str, text: str, words: str, tmp_path: Path) -> None:
+    """Cylindrical coordinates, an instance that is moved, files that include themselves or are
+    included by Nastran, coordinate systems by default, a node of half a number."""
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ValueError, match=words):
+        read_model(tmp_path / name)
+
+
+def test_blanks_and_instances_of_abaqus(tmp_path: Path) -> None:
+    """Around the sign of equality; an instance that is where its part is."""
+    text = (FOLDER / "plate.inp").read_text()
+    kind = re.search(r"(?i)type=C3D8\w*", text)
+    assert kind is not None
+    words = f"type = {kind[0][5:]}"
+    (tmp_path / "all.inp").write_text(
+        f"*Instance, name=A, part=B\n0., 0., 0.\n{text.replace(kind[0], words)}"
+    )
+    found, wanted = read_model(tmp_path / "all.inp"), read_model(FOLDER / "plate.inp")
+    np.testing.assert_array_equal(found.cells[12], wanted.cells[12])
+
+
+def test_surfaces_of_ansys_are_no_solids(tmp_path: Path) -> None:
+    """SURF154 of four nodes in the block of the solids, each with the number of its type."""
+    write_ansys(tmp_path)
+    path = tmp_path / "plate.cdb"
+    wanted = read_model(path)
+    label = wanted.labels[wanted.cells[12][0, :4]].tolist()
+    surface = "".join(f"{x:9}" for x in [1, 2, 1, 1, 0, 0, 0, 0, 4, 0, 99, *label])
+    text = path.read_text().replace("/PREP7", "/PREP7\nET,1,185\nET, 2, SURF154")
+    path.write_text(text.replace(f"{-1:9}\nFINISH", f"{surface}\n{-1:9}\nFINISH"))
+    found = read_model(path)
+    assert list(found.cells) == [12]
+    np.testing.assert_array_equal(found.cells[12], wanted.cells[12])
+
+
+def test_results_belong_to_all_their_files(folder: Path, scene: Scene) -> None:
+    """Also to the rows beside the stiffness, and to what the model includes."""
+    shutil.move(folder / "plate.inp", folder / "nodes.inc")
+    (folder / "plate.inp").write_text("*INCLUDE, INPUT=nodes.inc\n")
+    run = fc.modes(scene, 3, MPI.COMM_SELF)
+    fc.save(run.result, folder / "modes.h5", run.scene)
+    fc.load_run(folder / "modes.h5", MPI.COMM_SELF)
+    for name in ("plate.dof", "nodes.inc"):
+        text = (folder / name).read_text()
+        (folder / name).write_text(text + "\n")
+        with pytest.raises(InputError, match=f"{name}.*it has changed or gone"):
+            fc.load_run(folder / "modes.h5", MPI.COMM_SELF)
+        (folder / name).write_text(text)
+
+
 @pytest.mark.parametrize("name", ["breathing_plate", "inclined_crack"])
 def test_pairs_of_a_plane_model_are_the_plates(name: str) -> None:
     """Of nodes: the plate's own B, whatever the direction of its crack."""
@@ -562,6 +639,7 @@ BAD: list[tuple[str, str, str, str]] = [
     ("plate.inp", "1, 1, 2,", "1, 77, 2,", "structure.model.*node 77, which it does not have"),
     ("plate.inp", "19, 0, 0.01, 0\n", "19, 0, 0.011, 0\n", ""),
     ("plate.inp", "\n*NODE", "\n*NOTE", "structure.model.*it has no nodes"),
+    ("plate.sti", "\n1 2 ", "\n2 1 0.0\n1 2 ", "row 2, column 1 is there on both sides"),
 ]
 
 
@@ -607,8 +685,9 @@ def test_bad_keys_are_named(folder: Path, scene: Scene, changes: dict[str, Any],
         ("       6       2", "       6       4", "line 623: .*not of a real square matrix DMIG"),
         ("DMIG*   MAAX", "DMIG*   NAAX", "mass.*no matrix DMIG whose name begins with M"),
         ("D+", "X+", r"line 62\d: .*not of a real square matrix"),
+        ("DMIG    MAAX", "DMIG    KBBX", "line 623: KBBX, a second matrix whose name"),
     ],
-    ids=range(3),
+    ids=range(4),
 )
 def test_bad_punch_files_are_named(
     folder: Path, scene: Scene, old: str, new: str, words: str
@@ -618,6 +697,23 @@ def test_bad_punch_files_are_named(
     path.write_text(path.read_text().replace(old, new))
     other = scene.replace({f"structure.{key}": str(folder / name) for key, name in files.items()})
     with pytest.raises(InputError, match=words):
+        fc.build_structure(other)
+
+
+def test_stiffness_and_mass_that_are_swapped(scene: Scene) -> None:
+    """As the endings of CalculiX tell."""
+    paths = {"structure.mass": str(FOLDER / "plate.sti")}
+    with pytest.raises(InputError, match=r"structure\.mass.*CalculiX writes the stiffness there"):
+        fc.build_structure(scene.replace(paths))
+
+
+def test_a_model_of_another_mesh(folder: Path, scene: Scene) -> None:
+    """It lacks a node that has rows."""
+    files = write_market(folder)
+    nodes = (folder / "nodes.csv").read_text().splitlines()
+    (folder / "nodes.csv").write_text("\n".join(row for row in nodes if not row.startswith("7,")))
+    other = scene.replace({f"structure.{key}": str(folder / name) for key, name in files.items()})
+    with pytest.raises(InputError, match=r"structure\.model.*no node 7.*all the nodes of its rows"):
         fc.build_structure(other)
 
 

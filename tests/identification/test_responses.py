@@ -90,6 +90,45 @@ def test_modes_of_responses(form: str, stored: int, derived: int, tmp_path: Path
     assert np.all(np.abs(found - OMEGA / (2.0 * np.pi)) < 0.01 * DAMPING * found)
 
 
+@pytest.mark.parametrize(
+    ("heading", "cell", "words"),
+    [
+        ("frequency [rad/s]", "4400", r"the column frequency \[rad/s\]'?: must be in Hz"),
+        ("phase [deg]", "90", r"the column phase \[deg\]'?: must be in rad"),
+        ("mode [-]", "1", "must be without a unit"),
+        ("mode", '"1\n"', "without line breaks in cells"),
+    ],
+    ids=range(4),
+)
+def test_units_of_a_table(heading: str, cell: str, words: str, tmp_path: Path) -> None:
+    """In headings, and only those that the program computes in: kHz were taken for Hz."""
+    path = tmp_path / "one.csv"
+    path.write_text(f"quantity,value [Hz],deviation [Hz],{heading}\nfrequency_open,1,1,{cell}\n")
+    with pytest.raises(fc.InputError, match=rf"^measurements = .*{words}"):
+        fc.Measurements.read(path)
+
+
+@pytest.mark.parametrize("form", ["even", "<", ">"])
+def test_every_response_of_a_file_counts(form: str, tmp_path: Path) -> None:
+    """The first two are at nodes of the second mode; some numbers of text touch, as exponents have
+    three digits, and Fortran leaves out the E of these; some programs announce half of the
+    bytes."""
+    frequency = np.linspace(50.0, 450.0, 1601)
+    w = 2.0 * np.pi * frequency[:, None]
+    modes = 1.0 / (OMEGA**2 - w**2 + 2j * DAMPING * OMEGA * w)
+    modes[:8] = -1e-106 * (1.0 + 1.0j)
+    parts = [
+        universal(frequency, modes @ shape, form=form, stored=6)
+        for shape in ([1.0, 0.0, 1.0], [0.5, 0.0, -1.0], [0.5, 1.0, -1.0])
+    ]
+    size = f"{16 * len(frequency):12}".encode()
+    text = b"".join(parts).replace(size, f"{8 * len(frequency):12}".encode())
+    path = tmp_path / "one.uff"
+    path.write_bytes(text.replace(b"E-10", b"-10") if form == "even" else text)
+    rows = fc.Measurements.read(path).rows
+    assert [row.value for row in rows] == pytest.approx(OMEGA / (2.0 * np.pi), rel=1e-4)
+
+
 def test_errors_of_responses_with_noise(tmp_path: Path) -> None:
     """Frequencies within three standard deviations, which are a few thousandths of a hertz; noise
     makes no modes."""
