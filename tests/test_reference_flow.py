@@ -92,6 +92,7 @@ def test_tangent_is_that_of_the_motion(plate: fc.Study) -> None:
     assert relative(passage.tangent() @ towards, difference) < 1e-5
 
 
+@pytest.mark.slow
 def test_plate_that_only_looked_stable(plate: fc.Study) -> None:
     """The gap does not enter, complementarity holds, and the multiplier is 1.0089331506."""
     omega = plate.scene.excitation.omega
