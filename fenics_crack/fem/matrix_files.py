@@ -122,6 +122,12 @@ def _read(table: Table) -> dict[str, LabelledMatrix]:
     for name, one in found.items() if stiffness.labels is not None else ():
         with reading(name, getattr(table, name), "one of the dofs of the stiffness"):
             found[name] = LabelledMatrix(one.at(stiffness), stiffness.labels)
+    if len(empty := np.flatnonzero(found["mass"].matrix.diagonal() <= 0.0)):
+        where = f"row {empty[0] + 1}"
+        if stiffness.labels is not None:
+            where = "node {}, direction {}".format(*stiffness.labels[empty[0]])
+        allowed = "positive definite: rows without mass have to be condensed beforehand"
+        raise InputError("mass", f"no mass at {where}", allowed)
     return found
 
 

@@ -707,6 +707,15 @@ def test_stiffness_and_mass_that_are_swapped(scene: Scene) -> None:
         fc.build_structure(scene.replace(paths))
 
 
+def test_rows_without_mass_are_named(folder: Path, scene: Scene) -> None:
+    """As of lumped rotations."""
+    path = folder / "plate.mas"
+    path.write_text(re.sub(r"(?m)^5 5 .*$", "5 5 0.0", path.read_text()))
+    row = (folder / "plate.dof").read_text().split()[4].replace(".", ", direction ")
+    with pytest.raises(InputError, match=rf"structure\.mass.*no mass at node {row}\)"):
+        fc.build_structure(scene)
+
+
 def test_a_model_of_another_mesh(folder: Path, scene: Scene) -> None:
     """It lacks a node that has rows."""
     files = write_market(folder)
