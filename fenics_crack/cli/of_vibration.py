@@ -29,6 +29,7 @@ from fenics_crack.curves.peak import top_and_damping
 from fenics_crack.model.modes import KINDS, BilinearFrequencies, Modes, bilinear_frequencies
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QUANTITIES, SHORT
+from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
 from fenics_crack.study.asked import asked_along_curve, asked_of_motion
 from fenics_crack.study.coarser_mesh import natural_name
@@ -91,6 +92,9 @@ def account_of_solution(run: Run[PeriodicSolution]) -> Account:
         warnings.append("nothing vibrates: no load changes in time")
     if found.converged and not missed and known:
         notes.insert(0, f"solved; the half peak-to-peak displacement is known to {known}")
+    elif found.converged and run.stated is not None and run.stated.unknown:
+        why = "; ".join(dict.fromkeys(run.stated.unknown.values()))
+        notes.insert(0, f"the stated errors are {run.stated.without}: {why}")
     if found.converged:
         warnings += of_stability(scene, run, found.stability)
         warnings += of_size(run, largest_seen(run))
@@ -104,11 +108,19 @@ def account_of_solution(run: Run[PeriodicSolution]) -> Account:
         verdict=_verdict(found),
         notes=notes,
         warnings=warnings,
-        tables={"In numbers": readable_rows(table)},
+        tables=_in_numbers(table, scene),
         done=found.converged,
         missed=missed,
         run=run,
     )
+
+
+def _in_numbers(table: Table, scene: Scene) -> dict[str, Table]:
+    """All numbers, of which a page shows the first ones; before them those that are asked for."""
+    chosen = scene.quantities or ()
+    rows = [row for row in table.rows if str(row[0]).rpartition(".")[2] in chosen]
+    first = {"What the scene asks for": readable_rows(Table(table.columns, rows))} if rows else {}
+    return first | {"In numbers": readable_rows(table)}
 
 
 def _facts(run: Run[PeriodicSolution]) -> Iterator[str]:
@@ -190,7 +202,7 @@ def account_of_history(run: Run[TimeHistory]) -> Account:
         shown=in_short(table, scene, SHORT),
         facts=facts,
         warnings=[*warnings, *of_size(run, np.abs(motion).max(axis=0))],
-        tables={"In numbers": readable_rows(table)},
+        tables=_in_numbers(table, scene),
         done=bool(found.settled <= asked.settle),
         run=run,
     )

@@ -166,7 +166,9 @@ def _without_contact(run: Run[ResponseCurve]) -> dict[str, tuple[np.ndarray, np.
         return {}
     lines = {f"lips always {lips}": (structure, run.watched_dof, lips) for lips in LIPS}
     if scene.geometry is not None and scene.geometry.width is not None:
-        no_crack = dict.fromkeys(("crack", "cracks", "contact", "sweep", "identify"))
+        no_crack = dict.fromkeys(
+            ("crack", "cracks", "contact", "sweep", "identify", "growth", "output.quantities")
+        )
         whole = prepare(scene.replace(no_crack), MPI.COMM_SELF)
         lines["no crack"] = whole.structure, whole.watched[0].dof, "open"
     return {label: _linear_line(found.omega, *line) for label, line in lines.items()}

@@ -71,7 +71,7 @@ def report(given: Namespace, _: None, console: Console) -> None:
 
 IN_SHORT = (
     "geometry", "structure", "material", "damping", "crack", "cracks", "contact", "rotation",
-    "excitation", "loads", "base",
+    "excitation", "loads", "base", "growth",
 )  # fmt: skip
 """Tables of a scene whose keys stand above its text."""
 Section = tuple[str, str, list[str]]

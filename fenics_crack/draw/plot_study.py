@@ -253,7 +253,8 @@ def draw_growth(found: Growth, *, in_hertz: bool = False, **where: Unpack[Where]
     strength.plot(found.cycles, found.largest, color=COLOURS["pink"], ls=":", label="K_max")
     there = np.interp(solved, found.length, found.effective)
     strength.plot(at, there, "o", color=COLOURS["blue"], ms=4.0)
-    strength.set_yscale("log")
+    if found.effective.max() > 0.0:
+        strength.set_yscale("log")
     label_axis(length.yaxis, "length of the crack", "m")
     label_axis(frequency.yaxis, "frequency", unit)
     label_axis(strength.yaxis, "stress intensity", "Pa m^0.5")

@@ -416,7 +416,7 @@ class Measurements(Tabular):
 
 def without_crack(scene: Scene) -> dict[str, Any] | None:
     """What is to be changed in a scene to take its crack out; None where that cannot be done."""
-    changes: dict[str, Any] = dict.fromkeys(("crack", "cracks", "contact"))
+    changes: dict[str, Any] = dict.fromkeys(("crack", "cracks", "contact", "output.quantities"))
     if scene.identify is not None and scene.identify.uncracked is not None:
         return changes | {"mesh.file": scene.identify.uncracked}
     own = scene.structure is None and scene.mesh.layout != "file" and len(scene.all_cracks) == 1

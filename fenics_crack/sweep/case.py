@@ -39,6 +39,8 @@ PEAK_HARMONICS = 10
 PEAK_STEPS = 4
 """Into which half the width of a resonance is divided there: a parabola's top is then known to a
 tenth of one, the response to 3e-4."""
+CLIMB = 8 * PEAK_STEPS
+"""Steps to the top with all harmonics, at most: few harmonics may see it some widths away."""
 
 
 @dataclass(frozen=True)
@@ -223,11 +225,13 @@ class Cases:
             self._law = law_of(case, self._structure)
 
     def at_resonance(self, case: Scene) -> PeriodicSolution:
-        """The largest response of a case over the frequency, in the norm of its modes, next to the
-        bilinear frequency that is nearest to the case's; raises as :meth:`solve`.
+        """The largest response of a case over the frequency, in the norm of its modes, of the mode
+        whose bilinear frequency is nearest to the case's; raises as :meth:`solve`.
 
-        It is looked for with few harmonics, from below; with all of them three neighbours have its
-        top between them.
+        It is looked for with few harmonics, from below around that frequency, and on from there as
+        far as that of lips always open or tied: a mean load or a clearance takes it there. With all
+        harmonics three neighbours have its top between them. Where the curve folds a larger one may
+        not be found.
         """
         natural, table = self._geometry.natural, case.harmonic_balance
         nearest = natural.nearest(case.excitation.omega)
@@ -242,18 +246,19 @@ class Cases:
         )
         problem = Problem(self._structure, middle, self._law, few, table.samples)
         step = ratio * middle / PEAK_STEPS
-        near, seen = None, []
-        for number in range(-2 * PEAK_STEPS, 2 * PEAK_STEPS + 1):
-            near = _beside(replace(problem, omega=middle + number * step), near)
-            seen += [near] if near is not None else []
+        lowest = (1.0 - 2.0 * ratio) * float(nearest["omega_open"])
+        highest = (1.0 + 2.0 * ratio) * float(nearest["omega_tied"])
+        seen = _around(problem, step, lowest, highest)
         top = self._first_of(case, sorted(seen, key=_response, reverse=True))
         problem = problem.with_harmonics(top.harmonics)
-        for _ in range(PEAK_STEPS):
+        for _ in range(CLIMB):
             sides = [_beside(replace(problem, omega=top.omega + by), top) for by in (-step, step)]
             sizes = np.array([_response(one) for one in (sides[0], top, sides[1])])
             if sizes[1] >= sizes.max():
                 break
             top = sides[int(sizes[2] > sizes[0])] or top
+        else:
+            raise ConvergenceError("the largest response was not found: it is no peak")
         self._near = top
         omega = top_and_damping(top.omega + step * np.array([-1.0, 0.0, 1.0]), sizes, 1)[0]
         return self.solve(case.replace({"excitation.omega": omega}))
@@ -281,6 +286,27 @@ class Cases:
             return {"verdict": "undecided", "reason": str(error)}
         largest = abs(found.multipliers[0])
         return {"verdict": found.verdict, "multiplier": largest, "reason": found.reason}
+
+
+def _around(problem: Problem, step: float, lowest: float, highest: float) -> list[PeriodicSolution]:
+    """Solutions at frequencies a step apart, around that of a problem, and on to where the largest
+    one has smaller ones on both sides, or to the ends [rad/s]."""
+    middle, near = problem.omega, None
+    seen: dict[int, PeriodicSolution] = {}
+    for number in range(-2 * PEAK_STEPS, 2 * PEAK_STEPS + 1):
+        near = _beside(replace(problem, omega=middle + number * step), near)
+        seen |= {number: near} if near is not None else {}
+    while seen:
+        best = max(seen, key=lambda number: _response(seen[number]))
+        beside = best + (best == max(seen)) - (best == min(seen))
+        omega = middle + beside * step
+        if beside == best or not lowest <= omega <= highest:
+            break
+        near = _beside(replace(problem, omega=omega), seen[best])
+        if near is None:
+            break
+        seen[beside] = near
+    return list(seen.values())
 
 
 def _beside(problem: Problem, near: PeriodicSolution | None) -> PeriodicSolution | None:

@@ -28,7 +28,7 @@ from mpi4py import MPI
 from fenics_crack.errors import FEW_MODES, ConvergenceError, InputError, StoppedError
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.files.store import Stored, check_shapes, read, write
-from fenics_crack.model.modes import solve_modes
+from fenics_crack.model.modes import BilinearFrequencies, solve_modes
 from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.quantities import OF_TIPS
 from fenics_crack.scene.scene import Scene, check_known, without_tips
@@ -224,6 +224,8 @@ LOGARITHMIC = ("driving", "K_max", "delta_K_effective", "response")
 LINEAR = ("omega", "omega_open", "omega_bilinear", "K_min", "K_II_max")
 READ = ("K_max", "delta_K_effective", "response", *LINEAR)
 """Columns of the sweep: those of a spectrum are of the load that drives the crack most."""
+NOTHING = 1e-200
+"""Below which a logarithmic column is zero."""
 LEAST = 1e-4
 """Part of its largest value below which a logarithmic column counts as that: closed cracks."""
 SETTLES = 2.0
@@ -283,7 +285,7 @@ def grow(
     path, missed = _solve_lengths(scene, where, comm, progress=progress)
     length, cycles, end = _integrated(path, law)
     half = float(np.interp(0.5 * cycles[-1], cycles, length))
-    vibration = on_root(comm, lambda: _error_at(scene, path, half))
+    vibration, without = on_root(comm, lambda: _error_at(scene, path, half))
     strength = np.log(path.at("driving", length) / MEGA)
     over = np.diff(cycles)
     weights = _trapezoid(cycles) if cycles[-1] > 0.0 else None
@@ -295,13 +297,15 @@ def grow(
         "interpolation": missed,
     }
     seen = {name: path.at(name, length) for name in path.columns}
+    for name in LOGARITHMIC:
+        seen[name][seen[name] <= NOTHING] = 0.0
     pace = TURN / seen["omega"]
     time = np.append(0.0, np.cumsum(0.5 * (pace[1:] + pace[:-1]) * over))
     return Growth(
         scene, length, cycles, time, seen["omega"], seen["omega_open"], seen["omega_bilinear"],
         seen["response"], seen["K_max"], seen["K_min"], seen["delta_K_effective"],
         seen["K_II_max"], _rate(path, law, length), end, path.lengths, errors,
-        tuple(_remarks(scene, path, seen, length, vibration)),
+        (*_remarks(scene, path, seen, length, vibration), *without),
     )  # fmt: skip
 
 
@@ -354,8 +358,9 @@ def _integrated(path: LengthPath, law: Law) -> tuple[np.ndarray, np.ndarray, str
     return length, np.append(0.0, np.cumsum(steps)), end
 
 
-def _error_at(scene: Scene, path: LengthPath, length: float) -> float:
-    """Relative error of the effective range by mesh, modes and harmonics at a length."""
+def _error_at(scene: Scene, path: LengthPath, length: float) -> tuple[float, list[str]]:
+    """Relative error of the effective range by mesh, modes and harmonics at a length; and a remark
+    on what it does not have."""
     drive = scene.given("growth").drive
     omega = float(path.at("omega", np.array([length]))[0])
     if drive == "spectrum":
@@ -366,8 +371,12 @@ def _error_at(scene: Scene, path: LengthPath, length: float) -> float:
         "output.quantities": ("delta_K_effective",),
     }
     run = solve(scene.replace(place), MPI.COMM_SELF)
-    stated = stated_errors(run, run.result, of_peak=drive != "frequency")
-    return stated.stated("delta_K_effective")[0]
+    # A list of frequencies stays where it is, as one frequency does.
+    of_peak = drive == "resonance" or scene.given("growth").run_up is not None
+    stated = stated_errors(run, run.result, of_peak=of_peak)
+    why = "; ".join(dict.fromkeys(stated.unknown.values()))
+    without = [f"the error of the vibration is {stated.without}: {why}"] if stated.unknown else []
+    return stated.stated("delta_K_effective")[0], without
 
 
 def _remarks(
@@ -379,7 +388,7 @@ def _remarks(
 ) -> list[str]:
     """What is in doubt of a crack's growth."""
     found = []
-    one, two = seen["K_max"], seen["K_II_max"]
+    one, two = np.maximum(seen["K_max"], NOTHING), seen["K_II_max"]
     turn = 2.0 * np.arctan(2.0 * two / (one + np.sqrt(one**2 + 8.0 * two**2)))
     if np.any(turning := turn > TURNS_ASIDE):
         at = length[np.argmax(turning)]
@@ -399,12 +408,15 @@ def _remarks(
                 "which a vibration settles: it becomes less than the steady one, which is taken, "
                 "and the crack grows less"
             )
-    if path.not_stable:
-        count = counted(len(path.not_stable), "length")
+    unsure, jumps = (
+        [at for at in places if at <= length[-1]] for places in (path.not_stable, path.jumps)
+    )
+    if unsure:
+        count = counted(len(unsure), "length")
         found.append(f"at {count} the vibration is unstable, or its stability undecided")
-    if path.jumps:
+    if jumps:
         found.append(
-            f"near {path.jumps[0]:.4g} m the stress intensity jumps: several vibrations may be "
+            f"near {jumps[0]:.4g} m the stress intensity jumps: several vibrations may be "
             "possible there, of which growth takes the one that is found first; a curve shows them"
         )
     found += [f"a crack of {at:.4g} m was not solved: {why}" for at, why in path.failed]
@@ -431,11 +443,15 @@ class LengthPath:
     not_stable : (j,) [m]
         Lengths at which the vibration is unstable or its stability undecided.
     jumps : (j,) [m]
-        Where the spline of ln delta K misses by more than :data:`ROUGH`, however close the lengths.
+        Where the spline of ln delta K misses by more than :data:`ROUGH`, however close the lengths,
+        the most on the shortest way first.
     leading : (k,) [rad/s]
         Load frequencies at which most of the growth happens.
     damping : float
         Least ratio of critical damping of the lowest modes, with a run-up; else nan.
+    mode : int or None
+        Whose natural frequencies the columns have, from 0: the nearest to the leading load of the
+        first length; None before there is one.
     """
 
     lengths: np.ndarray
@@ -445,6 +461,7 @@ class LengthPath:
     jumps: tuple[float, ...] = ()
     leading: np.ndarray = field(default_factory=lambda: np.zeros(0))
     damping: float = math.nan
+    mode: int | None = None
 
     def at(self, name: str, lengths: np.ndarray) -> np.ndarray:
         """A column at any lengths within."""
@@ -465,7 +482,14 @@ class LengthPath:
         lengths = np.append(self.lengths, swept[solved])
         order = np.argsort(lengths)
         rows = {name: table[name].reshape(len(swept), -1)[solved] for name in READ}
+        rows["response"] = np.nan_to_num(rows["response"])  # nan where nothing moves
         new, leading = _driving(rows, law, cycles)
+        natural = _natural(table, len(swept))[:, solved]
+        mode = self.mode  # that of the first length, whichever is nearest later on
+        if mode is None and solved.any():
+            mode = int(np.nanargmin(np.abs(natural[:, 0, 1] - leading[0])))
+        if mode is not None:
+            new["omega_open"], new["omega_bilinear"] = natural[mode].T
         columns = {
             name: np.append(values, new[name])[order] for name, values in self.columns.items()
         }
@@ -478,7 +502,19 @@ class LengthPath:
             failed=self.failed + tuple(failed.items()),
             not_stable=self.not_stable + tuple(swept[unsure & solved].tolist()),
             leading=np.append(self.leading, leading)[order],
+            mode=mode,
         )
+
+
+def _natural(table: SweepResult, lengths: int) -> np.ndarray:
+    """Natural frequencies of each mode at so many lengths, with lips open, and the bilinear ones:
+    (modes, lengths, 2) [rad/s]."""
+    modes = [mode for mode in range(1, FEW_MODES + 1) if f"omega_tied_{mode}" in table.columns]
+    one, two = (
+        np.array([table[f"omega_{lips}_{mode}"].reshape(lengths, -1)[:, 0] for mode in modes])
+        for lips in ("open", "tied")
+    )
+    return np.stack([one, BilinearFrequencies(one, two).omega_bilinear], axis=2)
 
 
 def _driving(
@@ -549,7 +585,9 @@ def _solve_lengths(
         wanted = wanted[~np.isin(wanted, [at for at, _ in path.failed])]
         if not len(wanted):
             break
-    return replace(path, jumps=tuple(path.lengths[:-1][own > ROUGH].tolist())), missed
+    sharpest = np.argsort(-own / np.diff(path.lengths))
+    rough = path.lengths[:-1][sharpest[own[sharpest] > ROUGH]]
+    return replace(path, jumps=tuple(rough.tolist())), missed
 
 
 def _levels(law: Law, damping: float) -> tuple[np.ndarray, np.ndarray]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import DEMOS
 from surroundings import main
 
 import fenics_crack as fc
@@ -234,6 +235,19 @@ def test_large_displacements_are_said(tmp_path: Path, capsys: pytest.CaptureFixt
         change = f"excitation.force_{key}=[{force}, 0.0]"
         assert main(["solve", str(path), "--set", change, "--output", str(tmp_path / "out")]) == 0
         assert ("beyond small displacements" in capsys.readouterr().err) == warns
+
+
+def test_errors_without_the_mesh_are_told_of_every_number(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """Also where the amplitude is not among those that are asked for."""
+    words = ["damping.ratio=0.05", "contact.stiffness=1e9", "harmonic_balance.harmonics=5"]
+    words += ["output.quantities=['K_max']", "mesh.error=false"]
+    chosen = [word for one in words for word in ("--set", one)]
+    assert main(["solve", str(DEMOS / "paper_plate.toml"), *chosen, "--output", str(tmp_path)]) == 0
+    told = capsys.readouterr()
+    assert "K_I" in told.out and "half peak-to-peak" not in told.out
+    assert "the stated errors are without the mesh: mesh.error = false" in told.err
 
 
 def test_a_steady_load_moves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers import DEMOS, few_frames
+from helpers import DEMOS, ROOT, few_frames
 from PIL import Image
 from surroundings import main
 
@@ -185,3 +185,26 @@ def test_it_refuses(folder: Path, tmp_path: Path, capsys: Any) -> None:
     ):
         assert main(["report", *words]) == 2
         assert capsys.readouterr().err.startswith(f"fenics-crack: {expected}")
+
+
+def test_numbers_of_tips_that_a_scene_asks_for(tmp_path: Path) -> None:
+    """A curve of them is drawn beside the plate without its crack, which has none; a page begins
+    with what is asked for."""
+    scene = str(ROOT / "benchmarks" / "plate.toml")
+    asked = "K_max", "K_II_max", "reaction_force"
+    changes = {
+        "output.quantities": json.dumps(asked), "mesh.size": "0.05", "reduction.modes": "8",
+        "harmonic_balance.tolerance": "none", "harmonic_balance.harmonics": "5",
+        "curve.start": "790", "curve.stop": "800", "curve.stability": "false",
+    }  # fmt: skip
+    common = [word for key, value in changes.items() for word in ("--set", f"{key}={value}")]
+    for command in ("curve", "solve"):
+        assert main([command, scene, *common, "--output", str(tmp_path), "--quiet"]) == 0
+    files = [str(tmp_path / name) for name in ("curve.h5", "solution.h5")]
+    assert main(["plot", files[0]]) == 0
+    assert main(["report", *files, "--output", str(tmp_path / "page.html"), "--quiet"]) == 0
+    words = Page((tmp_path / "page.html").read_text()).words
+    first = words[words.index("What the scene asks for") :]
+    first = first[: first.index("In numbers")]
+    for name in ("largest stress intensity K_I", "K_II, of either sign", "force of the clamp"):
+        assert name in first

@@ -13,9 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.io
 from helpers import ROOT, columns_of_curve
 from mpi4py import MPI
 from scipy.integrate import quad, simpson, trapezoid
+from scipy.optimize import minimize_scalar
 from surroundings import main
 
 import fenics_crack as fc
@@ -207,6 +209,74 @@ def test_a_sweep_at_resonance() -> None:
     np.testing.assert_allclose(again.gap_coefficients, found.gap(1))
 
 
+@pytest.mark.parametrize(("clearance", "lips"), [(1.0, "open"), (-1.0, "tied")])
+def test_resonance_of_lips_that_never_part_or_meet(
+    clearance: float, lips: str, tmp_path: Path
+) -> None:
+    """Two masses and a stop 1 m away, or pressed on by as much: a linear response, whose peak lies
+    many widths beside the bilinear frequency, where the search begins."""
+    mass, stiffness = np.eye(2), 1e4 * np.array([[2.0, -1.0], [-1.0, 1.0]])
+    columns = {"gap": [[0.0], [1.0]], "force_sin": [[1.0], [0.0]]}
+    for name, matrix in {"mass": mass, "stiffness": stiffness, **columns}.items():
+        scipy.io.mmwrite(tmp_path / f"{name}.mtx", np.array(matrix))
+    stop = 1e6
+    scene = fc.Scene.from_mapping(
+        {
+            "structure": {n: str(tmp_path / f"{n}.mtx") for n in ("mass", "stiffness", *columns)},
+            "damping": {"ratio": 0.005},
+            "excitation": {"omega": 80.0},
+            "contact": {"law": "penalty", "stiffness": stop},
+            "harmonic_balance": {"harmonics": 3},
+            "sweep": {"at_resonance": True, "over": {"structure.clearance": [clearance]}},
+        }
+    )
+    found = fc.run_sweep(scene, comm=MPI.COMM_SELF)
+    assert found.converged.all()
+    squares, shapes = np.linalg.eigh(stiffness)
+    damping = shapes * (2.0 * 0.005 * np.sqrt(squares)) @ shapes.T
+    closed = np.diag([0.0, stop if lips == "tied" else 0.0])
+
+    def response(omega: float) -> float:
+        matrix = stiffness + closed - omega**2 * mass + 1j * omega * damping
+        return float(np.linalg.norm(np.linalg.solve(matrix, [1.0, 0.0])))
+
+    first = np.sqrt(np.linalg.eigvalsh(stiffness + closed)[0])
+    peak = minimize_scalar(lambda w: -response(w), bounds=(0.98 * first, 1.02 * first))
+    assert found["omega"][0] == pytest.approx(peak.x, rel=2e-4)
+    bilinear = found["omega_bilinear"][0]
+    assert abs(found["omega"][0] / bilinear - 1.0) > 10.0 * 0.005
+
+
+def test_natural_frequencies_are_of_one_mode() -> None:
+    """Under a load between two modes the nearer one changes as the crack grows: the frequencies of
+    a crack that grows only fall, as those of the first length's own mode do; and a spectrum of one
+    frequency has the life and the error of that frequency."""
+    scene = plate(until=0.05, life_tolerance=1.0)
+    ends = [fc.modes(scene.replace({"crack.length": a}), 2).result.omega for a in (0.035, 0.05)]
+    between = [0.5 * (omega[0] + omega[1]) for omega in ends]
+    keys = {"excitation.frequency": None, "excitation.omega": 0.5 * sum(between)}
+    found = fc.grow(scene.replace(keys), comm=MPI.COMM_SELF)
+    assert np.all(np.diff(found.omega_open) < 0.0)
+    own = int(np.argmin(np.abs(ends[0] - found.omega_open[0])))
+    assert found.omega_open[-1] == pytest.approx(ends[1][own], rel=1e-9)
+    blocks = {"drive": "spectrum", "frequencies": [keys["excitation.omega"] / (2.0 * np.pi)]}
+    law = {f"growth.{key}": value for key, value in (blocks | {"cycles": [1.0]}).items()}
+    same = fc.grow(scene.replace(keys | law), comm=MPI.COMM_SELF)
+    assert same.life == pytest.approx(found.life, rel=1e-9)
+    assert same.errors["vibration"] == pytest.approx(found.errors["vibration"], rel=1e-6)
+
+
+def test_a_load_of_nothing(tmp_path: Path) -> None:
+    """It drives nothing, and can be drawn; what the mesh adds to the error is said to be left
+    out."""
+    law = {"until": 0.036, "life_tolerance": 1.0}
+    scene = plate(**law).replace({"excitation.force_sin": [0.0, 0.0], "mesh.error": False})
+    found = fc.grow(scene, comm=MPI.COMM_SELF)
+    assert found.end == "arrested" and not found.largest.any() and not found.effective.any()
+    assert any("without the mesh: mesh.error = false" in text for text in found.remarks)
+    fc.draw_growth(found, path=tmp_path / "growth.png")
+
+
 def test_uncertainty_of_the_life() -> None:
     """Constants and errors together, and each by itself."""
     scene = plate(until=0.036, rate_deviation=0.3, exponent_deviation=0.1, life_tolerance=0.5)
@@ -232,7 +302,7 @@ found = fc.grow(plate(), sys.argv[1])
 def test_goes_on_where_it_was_killed(tmp_path: Path, driven: fc.Growth) -> None:
     """By kill -9 while it works; the same call then ends with the same numbers, and solves less."""
     words = [sys.executable, "-c", GROW, str(tmp_path)]
-    environment = {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}:{ROOT / 'tests' / 'growth'}"}
+    environment = {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}:{ROOT / 'tests' / 'sweep'}"}
     import os
 
     process = subprocess.Popen(words, env=os.environ | environment)
