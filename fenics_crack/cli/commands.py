@@ -180,13 +180,18 @@ def identification(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     scene, folder = inputs.scene, inputs.folder
     parts = [] if inputs.measurements is None else [inputs.measurements]
     if inputs.arrivals is not None:
-        from fenics_crack.study.timing import arrivals_of, engine_order, run_up_ends
+        from fenics_crack.study.timing import (
+            arrivals_of,
+            engine_order,
+            probed_displacement,
+            run_up_ends,
+        )
 
         times, run = arrivals_of(scene, inputs.arrivals, console.comm)
         if run is not None and (ends := run_up_ends(scene, run)):
             console.warn(ends)
-        table, tip = scene.given("tip_timing"), [*scene.point_names, ""][0]
-        order, against = engine_order(table, scene), (table.tangential or 1.0) < 0.0
+        order = engine_order(scene.given("tip_timing"), scene)
+        tip, against = probed_displacement(scene)
         from fenics_crack.identification.measurements import Measurements
 
         parts.append(Measurements.from_arrivals(times, order, tip, against=against))

@@ -928,7 +928,8 @@ class TipTiming(Table):
     )
     """Displacement of the tip in the direction of rotation over the one that is watched first (the
     load's, or that of the first of [output.points]): sin of the stagger; < 0: against it. Default:
-    1; of a solid with [rotation] the circumferential motion of that node about the axis."""
+    1; of a solid with [rotation] the circumferential motion of that node about the axis, which for
+    identify has to be along x, y or z."""
     order: int | None = at_least_one(None)
     """Periods of the load in a revolution, without [rotation]."""
     revolutions: int = at_least_one(100)

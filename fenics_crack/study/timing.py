@@ -23,14 +23,14 @@ from fenics_crack.fem.lips import SAME
 from fenics_crack.files.results import Result
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import LOOKED_AT, Scene
-from fenics_crack.scene.tables import TipTiming
+from fenics_crack.scene.tables import Rotation, TipTiming
 from fenics_crack.scene.words import differences
 from fenics_crack.study.run import Run, load_run, solve
 from fenics_crack.table import speed_in_words
 
 __all__ = [
-    "arrivals_of", "engine_order", "of_another_scene", "run_up_ends", "tip_direction",
-    "vibration_in",
+    "arrivals_of", "engine_order", "of_another_scene", "probed_displacement", "run_up_ends",
+    "tip_direction", "vibration_in",
 ]  # fmt: skip
 
 DECIDED = (*LOOKED_AT, "reduction")
@@ -38,6 +38,9 @@ DECIDED = (*LOOKED_AT, "reduction")
 decides itself."""
 SHORTEST = 2
 """Points of a run-up."""
+ALONG = 0.999
+"""Share of a circumferential motion that a displacement along a coordinate has to carry, to be
+taken for it: at 2.6 degrees, its error is a thousandth."""
 
 
 def arrivals_of(
@@ -170,19 +173,62 @@ def tip_direction(table: TipTiming, run: Run) -> dict[int, float]:
     InputError
         The tip of a solid lies on the axis.
     """
-    whole, rotation = run.structure.whole, run.scene.rotation
-    if table.tangential is not None or rotation is None or run.scene.dimension == 2:
+    whole, rotation = run.structure.whole, _carrier(table, run.scene)
+    if rotation is None:
         return {run.watched_dof: 1.0 if table.tangential is None else table.tangential}
     dofs, points = (gather_rows(whole.comm, x) for x in (whole.nodes.dofs, whole.nodes.points))
     node = int(np.argwhere(dofs == run.watched_dof)[0, 0])
-    place, axis = rotation.place
-    along = np.cross(axis, points[node] - place)
-    size = float(np.linalg.norm(along))
-    if size <= SAME * float(np.ptp(points, axis=0).max()):
-        where = [float(x) for x in points[node]]
-        raise InputError("output.points", where, "a tip first, off the axis of the rotation")
-    shares = zip(dofs[node].tolist(), (along / size).tolist(), strict=True)
+    along = _circumferential(rotation, points[node])
+    shares = zip(dofs[node].tolist(), along.tolist(), strict=True)
     return {dof: share for dof, share in shares if dof >= 0 and share != 0.0}
+
+
+def probed_displacement(scene: Scene) -> tuple[str, bool]:
+    """What measured arrivals show of a scene, without its mesh: which displacement, by its name
+    ("tip.ux"; "" for the one that is watched), and whether against the rotation.
+
+    Raises
+    ------
+    InputError
+        The tip of a solid is not given, lies on the axis, or moves along no coordinate.
+    """
+    table = scene.given("tip_timing")
+    rotation = _carrier(table, scene)
+    if rotation is None:
+        return [*scene.point_names, ""][0], (table.tangential or 1.0) < 0.0
+    if not scene.points:
+        raise InputError("output.points", None, "given with arrivals of a solid: its tip first")
+    tip = scene.points[0]
+    along = _circumferential(rotation, np.array(tip.values))
+    largest = int(np.abs(along).argmax())
+    if abs(along[largest]) < ALONG:
+        shares = ", ".join(f"{share:.3g}" for share in along + 0.0)
+        allowed = f"given: the tip moves along ({shares}), which is none of x, y and z"
+        raise InputError("tip_timing.tangential", None, allowed)
+    return f"{tip.key}.u{'xyz'[largest]}", bool(along[largest] < 0.0)
+
+
+def _carrier(table: TipTiming, scene: Scene) -> Rotation | None:
+    """The rotation whose axis says which way a solid's tip passes the probes; None where that is
+    ``tip_timing.tangential`` of the watched displacement, given or 1."""
+    return scene.rotation if table.tangential is None and scene.dimension == 3 else None
+
+
+def _circumferential(rotation: Rotation, point: np.ndarray) -> np.ndarray:
+    """Direction in which a rotor carries a point: a x (x - x_0), of length 1: (3,).
+
+    Raises
+    ------
+    InputError
+        The point lies on the axis.
+    """
+    place, axis = rotation.place
+    along = np.cross(axis, point - place)
+    size = float(np.linalg.norm(along))
+    if size <= SAME * float(np.abs([point, place]).max()):
+        where = [float(x) for x in point]
+        raise InputError("output.points", where, "a tip first, off the axis of the rotation")
+    return np.asarray(along / size)
 
 
 def _turning(table: TipTiming, run: Run) -> dict[str, Any]:

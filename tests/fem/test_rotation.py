@@ -14,6 +14,7 @@ import scipy.linalg
 from mpi4py import MPI
 from numpy.polynomial import Polynomial
 from rotating import DENSITY, HEIGHT, STRIP, UNIT, WIDTH, YOUNG, cracked, strip
+from scipy.spatial.transform import Rotation as Turned
 from surroundings import main
 from test_rotating_solids import BAR, LENGTH, PUSHED, SIDE
 
@@ -22,7 +23,7 @@ from fenics_crack import InputError, Scene
 from fenics_crack.fem.build import assemble
 from fenics_crack.model.modes import times
 from fenics_crack.model.rotation import static_state
-from fenics_crack.study.timing import tip_direction
+from fenics_crack.study.timing import probed_displacement, tip_direction
 from fenics_crack.table import RPM
 
 PUBLISHED = {
@@ -286,3 +287,42 @@ def test_a_tip_passes_probes_by_its_circumferential_motion() -> None:
     through_it = replace(run, scene=scene.replace({"rotation.center": [1.0, LENGTH, SIDE]}))
     with pytest.raises(InputError, match="off the axis"):
         tip_direction(table, through_it)
+
+
+@pytest.mark.parametrize(
+    ("axis", "seen"),
+    [
+        ([1.0, 0.0, 0.0], ("tip.uz", False)), ([-1.0, 0.0, 0.0], ("tip.uz", True)),
+        ([0.0, 0.0, 1.0], ("tip.ux", True)), ([0.0, 0.0, -1.0], ("tip.ux", False)),
+        ([1.0, 0.0, 1.0], None),
+    ],
+)  # fmt: skip
+def test_probes_see_the_displacement_that_rotation_makes(
+    axis: list[float], seen: tuple[str, bool] | None
+) -> None:
+    """The coordinate along which a small turn about the axis moves the tip, with its sign; one that
+    is given by hand is of the first direction; between two coordinates it has to be."""
+    tip = [0.0, LENGTH, 0.0]
+    tables = {
+        "rotation": {"speed": 100.0, "axis": axis, "center": [0.0, -0.1, 0.0]},
+        "tip_timing": {"probes": [0.0, 50.0], "tip_radius": 0.3, "order": 1},
+        "output": {"points": {"tip": tip}},
+    }
+    scene = Scene.from_mapping(BAR | PUSHED | tables)
+    about = np.array(axis) / np.linalg.norm(axis)
+    away = np.array(tip) - [0.0, -0.1, 0.0]
+    moved = Turned.from_rotvec(1e-6 * about).apply(away) - away
+    if seen is not None:
+        name, against = probed_displacement(scene)
+        assert (name, against) == seen
+        share = (-1.0 if against else 1.0) * moved["xyz".index(name[-1])]
+        assert share == pytest.approx(np.linalg.norm(moved), rel=1e-5)
+    else:
+        with pytest.raises(InputError, match="none of x, y and z") as caught:
+            probed_displacement(scene)
+        assert caught.value.key == "tip_timing.tangential"
+    for tangential in (0.5, -0.5):
+        by_hand = scene.replace({"tip_timing.tangential": tangential})
+        assert probed_displacement(by_hand) == ("tip.ux", tangential < 0.0)
+    with pytest.raises(InputError, match="its tip first"):
+        probed_displacement(scene.replace({"output": None}))

@@ -435,6 +435,42 @@ def test_arrivals_from_the_shell(
     assert len(table) == 10 and float(table[1].split(",")[1]) == -value
 
 
+def test_arrivals_of_a_solid_are_its_circumferential_motion(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A box that turns about x passes the probes along z: what is compared with them."""
+    tables = {
+        "rotation": {"rpm": 1500.0, "hub_radius": 0.2},
+        "excitation": {"order": 12},
+        "tip_timing": {"probes": [0.0], "tip_radius": 0.29},
+        "output": {"points": {"tip": [0.03, 0.09, 0.0]}},
+        "identify": {"unknown": {"crack.depth": {"start": 0.001, "stop": 0.004, "count": 4}}},
+        "crack": {"edge": "left", "height": 0.03, "length": 0.02, "depth": 0.002},
+        "contact": {"law": "unilateral"},
+        "loads": [{"edge": "front", "pressure_cos": 100.0}],
+        "geometry": {"kind": "solid", "width": 0.03, "height": 0.09, "thickness": 0.006},
+        "material": {"young": 2.1e11, "poisson": 0.3, "density": 7850.0},
+        "damping": {"ratio": 0.005},
+        "mesh": {"layout": "graded", "order": 2, "size": 0.008, "lip_elements": 3},
+        "reduction": {"modes": 10},
+    }
+    (tmp_path / "box.toml").write_text(fc.Scene.from_mapping(tables).as_toml())
+    turn, rng = 60.0 / 1500.0, np.random.default_rng(0)
+    marks = turn * np.arange(6.0)
+    time = marks[:-1, None] + turn * PROBES / (2.0 * np.pi) + 1e-8 * rng.normal(size=(5, 9))
+    fc.ArrivalTimes(time, marks, PROBES, 0.29).to_csv(tmp_path / "a.csv")
+    compared: list[str] = []
+
+    def identify(_: fc.Scene, rows: fc.Measurements, **__: object) -> None:
+        compared.extend(row.point for row in rows.rows)
+        raise fc.InputError("identify", None, "asked for no more")
+
+    monkeypatch.setattr("fenics_crack.identification.identify.identify", identify)
+    words = ["identify", str(tmp_path / "box.toml"), "--arrivals", str(tmp_path / "a.csv")]
+    assert main([*words, "--output", str(tmp_path)]) == 2
+    assert compared == ["tip.uz"] * len(PROBES)
+
+
 KILLED = """
 import os, sys
 from pathlib import Path
