@@ -67,7 +67,7 @@ class KeyFigures:
     damping : (at most 4,)
         Ratios of critical damping of the open modes.
     stiffening : float
-        S = (w_1^2 - w_1(0)^2) / W^2 of the first open mode under rotation; 0 without.
+        S = d(w_1^2) / d(W^2) of the first open mode under rotation; 0 without.
     own_stiffness : (n_pairs,) [N/m]
         1 / (B^T K^-1 B)_jj: of the lips themselves, pair by pair.
     stiffness_ratio : (n_pairs,) or None
@@ -192,12 +192,14 @@ def _static(factor: Factor, modes: Modes, forces: np.ndarray) -> np.ndarray:
 
 
 def _stiffening(whole: Structure, shape: np.ndarray) -> float:
-    """phi^T (K(W) - K(0)) phi / W^2 of a mass-normalised mode (n_local,)."""
-    if whole.rotation is None:
+    """d(w^2) / d(W^2) = phi^T (K_1 + K_2 + 2 W^2 K_3) phi of a mass-normalised mode (n_local,)."""
+    rotation = whole.rotation
+    if rotation is None:
         return 0.0
-    parts = (whole.stiffness, 1.0), (whole.rotation.at_rest.stiffness, -1.0)
-    added = sum(sign * times(matrix, shape[:, None])[:, 0] for matrix, sign in parts)
-    return float(whole.sum_over_ranks(shape @ added)) / whole.rotation.speed**2
+    second, third = rotation.displaced
+    parts = (rotation.stiffness, 1.0), (second, 1.0), (third, 2.0 * rotation.speed**2)
+    slope = sum(factor * times(matrix, shape[:, None])[:, 0] for matrix, factor in parts)
+    return float(whole.sum_over_ranks(shape @ slope))
 
 
 def _elements(scene: Scene, whole: Structure) -> int | None:

@@ -13,6 +13,7 @@ from mpi4py import MPI
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
+from fenics_crack.study.key_figures import find_key_figures
 
 SIDE, LENGTH, YOUNG, DENSITY = 0.01, 0.2, 2.1e11, 7850.0
 BAR: dict[str, Any] = {
@@ -148,3 +149,19 @@ def test_axes_that_cannot_be(key: str, rotation: dict[str, Any], kind: str) -> N
     with pytest.raises(InputError) as caught:
         Scene.from_mapping(tables)
     assert caught.value.key == key
+
+
+def test_check_tells_where_the_order_meets_a_twisted_blade() -> None:
+    """S is the slope of w^2 over W^2, as between two speeds next to the blade's; at the speed told,
+    two thirds of its own, the breathing frequency is that of the order to three thousandths."""
+    scene = Scene.load(BLADE).replace({"rotation.rpm": 9000.0})
+    figures, speed = find_key_figures(fc.prepare(scene, whole=True)), scene.speed
+    rotation = fc.build_structure(scene).rotation
+    assert rotation is not None
+    near = np.array([0.99, 1.01]) * speed
+    squares = [fc.solve_modes(rotation.at(float(one)), 1).omega[0] ** 2 for one in near]
+    slope = np.diff(squares)[0] / np.diff(near**2)[0]
+    assert figures.stiffening == pytest.approx(slope, rel=1e-3)
+    met = figures.meeting_speed(4, speed)
+    lips = fc.bilinear_frequencies(rotation.at(met))
+    assert lips.omega_bilinear[0] == pytest.approx(4 * met, rel=3e-3)
