@@ -247,10 +247,11 @@ def campbell(
     count = min(count, n_tied_modes(top) if top.n_pairs else top.n_modes)
     tied = count if top.n_pairs else 0
     small = Ritz.of_range(top.damped(None), wanted[0], wanted[-1], count, tied)
+    load = _Load.of(scene, top, small)
 
     @cache
     def at(speed: float) -> tuple[np.ndarray, ...]:
-        return _frequencies(small.at(speed), top, count)
+        return _frequencies(small.at(speed), load, count)
 
     is_open, closed, *holds = (np.array(p) for p in zip(*map(at, wanted.tolist()), strict=True))
     stays = [hold > 0.0 for hold in holds]
@@ -268,10 +269,47 @@ def _in_words(speed: float) -> str:
     return f"{speed:.5g} rad/s = {speed / RPM:.5g} rpm"
 
 
-def _frequencies(structure: Structure, whole: Structure, count: int) -> tuple[np.ndarray, ...]:
+@dataclass(frozen=True)
+class _Load:
+    """What shakes a structure, f(w) = f_0 + w^2 s, and what damps it.
+
+    A base whose displacement is given shakes it by M R w^2 U, where its modes resonate by that of
+    their own frequencies.
+
+    Attributes
+    ----------
+    constant, growing : (n,) [N], [kg m]
+        f_0 and s of the small structure, complex: cosine less i times sine part.
+    whole : Structure
+        With the damping.
+    """
+
+    constant: np.ndarray
+    growing: np.ndarray
+    whole: Structure
+
+    @classmethod
+    def of(cls, scene: Scene, whole: Structure, small: Ritz) -> _Load:
+        """That of a scene, whose structure has the load at its own frequency (collective)."""
+        force, growing = small.force[1:], np.zeros_like(small.force[1:])
+        if scene.base is not None and scene.base.moves_by_displacement:
+            assert whole.clamp is not None  # there is a mesh
+            motion = np.array(scene.base.accelerations(1.0))
+            carried = -motion @ whole.clamp.inertia[: scene.dimension]
+            growing = whole.sum_over_ranks(carried @ small.basis)
+        force = force - scene.excitation.omega**2 * growing
+        return cls(force[0] - 1j * force[1], growing[0] - 1j * growing[1], whole)
+
+    def at_resonance(self, modes: Modes) -> np.ndarray:
+        """Amplitudes of modes at their own resonances, inf without damping: (n,)."""
+        size = np.abs(self.constant @ modes.shapes + modes.omega**2 * (self.growing @ modes.shapes))
+        below = 2.0 * damping_ratios(self.whole, modes.omega) * modes.omega**2
+        return np.divide(size, below, out=np.where(size > 0.0, np.inf, 0.0), where=below > 0.0)
+
+
+def _frequencies(structure: Structure, load: _Load, count: int) -> tuple[np.ndarray, ...]:
     """The lowest natural frequencies with lips open and with lips tied: (count,) each [rad/s]; and
-    by how much the crack is held open [m] and held shut [N] at resonance, with the damping of the
-    whole structure."""
+    by how much the crack is held open [m] and held shut [N] at resonance under a load."""
     is_open = solve_modes(structure, count)
     if not structure.n_pairs:
         return is_open.omega, is_open.omega, np.ones(count), -np.ones(count)
@@ -279,19 +317,11 @@ def _frequencies(structure: Structure, whole: Structure, count: int) -> tuple[np
     clearance = np.broadcast_to(structure.clearance, structure.n_pairs)
     moved, pressed = static_state(structure, structure.force[0], clearance)
     opening = clearance - structure.apply_bt(moved[None])[0]
-    motion = _at_resonance(is_open, whole) * np.abs(structure.apply_bt(is_open.shapes.T)).T
+    motion = load.at_resonance(is_open) * np.abs(structure.apply_bt(is_open.shapes.T)).T
     stiff, heavy = (times(m, tied.shapes) for m in (structure.stiffness, structure.mass))
     left = structure.apply_bt((heavy * tied.omega**2 - stiff).T)
     gram = structure.sum_over_ranks((structure.gap.T @ structure.gap).toarray())
-    force = _at_resonance(tied, whole) * np.abs(np.linalg.lstsq(gram, left.T, rcond=None)[0])
+    force = load.at_resonance(tied) * np.abs(np.linalg.lstsq(gram, left.T, rcond=None)[0])
     held_open = (opening[:, None] - motion).min(axis=0)
     held_shut = (pressed[:, None] - force).min(axis=0)
     return is_open.omega, tied.omega, held_open, held_shut
-
-
-def _at_resonance(modes: Modes, whole: Structure) -> np.ndarray:
-    """Amplitudes of modes at their own resonances, inf without damping: (n,)."""
-    load = modes.structure.force[1] - 1j * modes.structure.force[2]
-    size = np.abs(modes.shapes.T @ load)
-    below = 2.0 * damping_ratios(whole, modes.omega) * modes.omega**2
-    return np.divide(size, below, out=np.where(size > 0.0, np.inf, 0.0), where=below > 0.0)
