@@ -17,6 +17,7 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sparse
 from petsc4py import PETSc
+from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 from slepc4py import SLEPc
 
 from fenics_crack.errors import FEW_MODES, ConvergenceError, InputError
@@ -45,9 +46,10 @@ __all__ = [
     "largest_frequency",
     "modes_by",
     "n_tied_modes",
+    "partners",
     "projected_damping",
     "solve_modes",
-    "tied_frequencies",
+    "tied_modes",
     "times",
 ]  # fmt: skip
 
@@ -62,6 +64,9 @@ phi_i^2), static responses and gaps."""
 NEGLIGIBLE = 1e-12
 """What solutions with K leave of zero, relative to the largest: eigenvalues of static compliances,
 weights of directions in a Gram matrix, gaps of lips that the load presses together."""
+MULTIPLE = 1e-6
+"""Relative difference of frequencies that count as one of several modes, as that of their squares
+where missing ones are looked for; and of shapes that count as alike."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -521,7 +526,8 @@ KINDS = ("open", "tied", "bilinear")
 
 @dataclass(frozen=True, repr=False)
 class BilinearFrequencies(Tabular):
-    """Natural frequencies with lips open and with lips tied, mode by mode in ascending order.
+    """Natural frequencies with lips open, in ascending order, and those with lips tied of the same
+    shapes (:func:`partners`): the other way round where a tie takes one mode past another.
 
     Half a period with lips open and half a period with lips tied, each half as long as the natural
     vibration of that state, make a period pi / w_o + pi / w_t, and so the bilinear frequency
@@ -535,8 +541,8 @@ class BilinearFrequencies(Tabular):
     Attributes
     ----------
     omega_open, omega_tied : (n,), or (..., n) [rad/s]
-        Of the modes with the same number, or at several speeds; tied ones are infinite where there
-        are no more.
+        Of the modes of one shape, or at several speeds; tied ones are infinite where there are no
+        more.
     """
 
     omega_open: np.ndarray
@@ -598,7 +604,7 @@ def bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
     Returns
     -------
     BilinearFrequencies
-        Mode by mode, in ascending order [rad/s].
+        Mode by mode, the open ones in ascending order [rad/s].
 
     Raises
     ------
@@ -615,15 +621,39 @@ def bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
 
 def _bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
     count = min(FEW_MODES, structure.n_modes)
-    return BilinearFrequencies(
-        solve_modes(structure, count).omega, tied_frequencies(structure, count)
-    )
+    is_open, tied = solve_modes(structure, count), tied_modes(structure, count)
+    return BilinearFrequencies(is_open.omega, tied.omega[partners(is_open, tied)])
 
 
-def tied_frequencies(structure: Structure, count: int) -> np.ndarray:
-    """The lowest natural frequencies with lips tied, infinite where there are no more: (count,)
-    [rad/s] (collective)."""
-    found = np.full(count, np.inf)
+def tied_modes(structure: Structure, count: int) -> Modes:
+    """The lowest modes with lips tied; where there are no more, infinite frequencies and shapes of
+    zero (collective)."""
+    omega, shapes = np.full(count, np.inf), np.zeros((structure.n_local, count))
     if most := min(count, n_tied_modes(structure)):
-        found[:most] = solve_modes(structure, most, lips="tied").omega
-    return found
+        found = solve_modes(structure, most, lips="tied")
+        omega[:most], shapes[:, :most] = found.omega, found.shapes
+    return Modes(omega, shapes, structure)
+
+
+def partners(is_open: Modes, tied: Modes) -> np.ndarray:
+    """Which mode with lips tied has the shape of each mode with lips open: (n,) numbers from 0.
+
+    Each taken once, so that the sum of (phi_open^T M phi_tied)^2 is largest. The shapes of several
+    modes of one frequency are any of a space, so squares are summed over it; of those that are as
+    alike, the order is that of the numbers (collective).
+
+    Parameters
+    ----------
+    is_open, tied : Modes
+        Of one structure, at least as many tied ones as open ones.
+    """
+    moved = times(is_open.structure.mass, tied.shapes)
+    alike = is_open.structure.sum_over_ranks(is_open.shapes.T @ moved) ** 2
+    of_open, of_tied = (
+        np.isclose(omega[:, None], omega, rtol=MULTIPLE, atol=0.0).astype(float)
+        for omega in (is_open.omega, tied.omega)
+    )
+    rows, columns = np.indices(alike.shape)
+    weights = 1.0 + of_open @ alike @ of_tied - MULTIPLE * (rows - columns) ** 2  # 0 is no match
+    matched = min_weight_full_bipartite_matching(sparse.csr_matrix(weights), maximize=True)
+    return np.asarray(matched[1])

@@ -29,6 +29,7 @@ from fenics_crack.model.modes import (
     BilinearFrequencies,
     Modes,
     n_tied_modes,
+    partners,
     solve_modes,
     times,
 )
@@ -45,6 +46,9 @@ STATES = {"open": "held open", "tied": "held shut", "bilinear": "breathing"}
 """What a crack does whose frequency is of a kind."""
 CHANGE = 1e-4
 """Of the speed at which it changes, relative."""
+SPARE = 2
+"""Modes with lips tied beyond those asked for: that of an open mode's shape may come later, a tie
+having taken it past others."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -56,8 +60,8 @@ class Campbell(Tabular):
     speed : (n,) [rad/s]
         W, rising.
     omega_open, omega_tied : (n, m) [rad/s]
-        With lips open and with lips tied, in ascending order at each speed; the same without a
-        crack.
+        With lips open, in ascending order at each speed, and of the same shapes with lips tied; the
+        same without a crack.
     cracked : bool
         Whether there are lips.
     kind : (n, m) of "open", "tied" or "bilinear"
@@ -245,13 +249,13 @@ def campbell(
     scene = with_crack_length(scene.replace({"rotation.speed": float(wanted[-1])}), comm)
     top = assemble(scene, comm)
     count = min(count, n_tied_modes(top) if top.n_pairs else top.n_modes)
-    tied = count if top.n_pairs else 0
+    tied = min(count + SPARE, n_tied_modes(top)) if top.n_pairs else 0
     small = Ritz.of_range(top.damped(None), wanted[0], wanted[-1], count, tied)
     load = _Load.of(scene, top, small)
 
     @cache
     def at(speed: float) -> tuple[np.ndarray, ...]:
-        return _frequencies(small.at(speed), load, count)
+        return _frequencies(small.at(speed), load, count, tied)
 
     is_open, closed, *holds = (np.array(p) for p in zip(*map(at, wanted.tolist()), strict=True))
     stays = [hold > 0.0 for hold in holds]
@@ -307,13 +311,18 @@ class _Load:
         return np.divide(size, below, out=np.where(size > 0.0, np.inf, 0.0), where=below > 0.0)
 
 
-def _frequencies(structure: Structure, load: _Load, count: int) -> tuple[np.ndarray, ...]:
-    """The lowest natural frequencies with lips open and with lips tied: (count,) each [rad/s]; and
-    by how much the crack is held open [m] and held shut [N] at resonance under a load."""
+def _frequencies(
+    structure: Structure, load: _Load, count: int, n_tied: int
+) -> tuple[np.ndarray, ...]:
+    """The lowest natural frequencies with lips open, and those of the same shapes among the lowest
+    with lips tied: (count,) each [rad/s]; and by how much the crack is held open [m] and held shut
+    [N] at resonance under a load."""
     is_open = solve_modes(structure, count)
     if not structure.n_pairs:
         return is_open.omega, is_open.omega, np.ones(count), -np.ones(count)
-    tied = solve_modes(structure, count, lips="tied")
+    found = solve_modes(structure, n_tied, lips="tied")
+    own = partners(is_open, found)
+    tied = Modes(found.omega[own], found.shapes[:, own], structure)
     clearance = np.broadcast_to(structure.clearance, structure.n_pairs)
     moved, pressed = static_state(structure, structure.force[0], clearance)
     opening = clearance - structure.apply_bt(moved[None])[0]

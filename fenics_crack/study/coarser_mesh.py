@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.model.modes import solve_modes, tied_frequencies
+from fenics_crack.model.modes import solve_modes, tied_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.stages import within
@@ -65,7 +65,7 @@ def errors_of_natural(study: Study, natural: Mapping[str, np.ndarray]) -> Verifi
         count = max(map(len, natural.values()))
         both = {"open": solve_modes(twin.structure, count).omega}
         if "tied" in natural:
-            both["tied"] = tied_frequencies(twin.structure, count)
+            both["tied"] = tied_modes(twin.structure, count).omega
         stated.take("mesh", (counts, expected("mesh", counts, stated.values, named(both), scene)))
     except REFUSALS as error:
         stated.unknown["mesh"] = str(error)

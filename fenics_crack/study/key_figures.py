@@ -26,7 +26,8 @@ from fenics_crack.model.modes import (
     check_damped_modes,
     count_below,
     modes_by,
-    tied_frequencies,
+    partners,
+    tied_modes,
     times,
 )
 from fenics_crack.model.reduced import ResidualFlexibility
@@ -64,6 +65,9 @@ class KeyFigures:
     omega_open, omega_tied : (at most 4,) [rad/s]
         Lowest natural frequencies, lips open and lips tied together; these are infinite where there
         are no more.
+    omega_breathing : float [rad/s]
+        First resonance of a crack that opens for one half of a motion and closes for the other: the
+        bilinear one of the first open mode.
     damping : (at most 4,)
         Ratios of critical damping of the open modes.
     stiffening : float
@@ -91,6 +95,7 @@ class KeyFigures:
     elements: int | None
     omega_open: np.ndarray
     omega_tied: np.ndarray
+    omega_breathing: float
     damping: np.ndarray
     stiffening: float
     own_stiffness: np.ndarray
@@ -103,12 +108,6 @@ class KeyFigures:
     breathes: bool
     modes_below: int
     modes_kept: int
-
-    @property
-    def omega_breathing(self) -> float:
-        """First resonance of a crack that opens for one half of a motion and closes for the other
-        [rad/s]: 2 w_open w_tied / (w_open + w_tied)."""
-        return float(BilinearFrequencies(self.omega_open, self.omega_tied).omega_bilinear[0])
 
     def meeting_speed(self, order: int, speed: float) -> float:
         """Rotor speed W [rad/s] at which an engine order n meets the first breathing frequency,
@@ -138,14 +137,15 @@ def find_key_figures(study: Study) -> KeyFigures:
         static = _static(factor, modes, whole.force)
         lips = whole.apply_bt(_static(factor, modes, whole.gap.T.toarray()))
     ratios = damping_ratios(whole, modes.omega)
-    tied = tied_frequencies(whole, count) if whole.n_pairs else modes.omega
+    tied = tied_modes(whole, count) if whole.n_pairs else modes
+    breathing = BilinearFrequencies(modes.omega, tied.omega[partners(modes, tied)])
     gaps, psi = whole.apply_bt(static), whole.apply_bt(modes.shapes.T)
     loads = whole.sum_over_ranks(modes.shapes.T @ whole.force.T)
     resting = gaps[0] - whole.clearance  # of open lips
     pressed = solve_complementarity(lips, resting) if whole.n_pairs else np.zeros(0)
     closed = pressed > 0.0
     largest, moved, breathes = 0.0, 0.0, False
-    for omega in _omegas(scene, np.concatenate([modes.omega, tied])):
+    for omega in _omegas(scene, np.concatenate([modes.omega, tied.omega])):
         change = _dynamic_part(modes.omega, ratios, omega)
         load = change * (loads[:, 1] - 1j * loads[:, 2])
         motion = static[1] - 1j * static[2] + load @ modes.shapes.T
@@ -167,7 +167,8 @@ def find_key_figures(study: Study) -> KeyFigures:
         size=extents(whole),
         elements=_elements(scene, whole),
         omega_open=modes.omega,
-        omega_tied=tied,
+        omega_tied=tied.omega,
+        omega_breathing=float(breathing.omega_bilinear[0]),
         damping=ratios,
         stiffening=_stiffening(whole, modes.shapes[:, 0]),
         own_stiffness=own,

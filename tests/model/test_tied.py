@@ -182,6 +182,31 @@ def test_bilinear_frequency_of_two_springs() -> None:
     assert fc.bilinear_frequencies(pair.varied(load=2.0)) is found
 
 
+def overtaking() -> fc.Structure:
+    """A mass of 1 on a spring of 1 that a pair ties to one of 1/4 on a spring of 4, and another
+    alone, of frequency 1.5: the first has 1 open and, tied, 2 = sqrt(5 / 1.25)."""
+    mass, stiffness = np.diag([1.0, 0.25, 1.0]), np.diag([1.0, 4.0, 2.25])
+    return fc.Structure.from_matrices(mass, stiffness, [1.0, -1.0, 0.0])
+
+
+def test_open_and_tied_modes_are_of_one_shape() -> None:
+    """Also where the tie takes a mode past another one; of equal frequencies, whose shapes are any
+    of a space, the order is that of their numbers."""
+    found = fc.bilinear_frequencies(overtaking())
+    np.testing.assert_allclose(found.omega_open, [1.0, 1.5, 4.0], rtol=1e-9)
+    np.testing.assert_allclose(found.omega_tied, [2.0, 1.5, np.inf], rtol=1e-9)
+    np.testing.assert_allclose(found.omega_bilinear, [4.0 / 3.0, 1.5, 8.0], rtol=1e-9)
+    for seed in range(4):  # two masses alike, each tied to another one; turned to be one space
+        turned = scipy.linalg.block_diag(
+            *2 * [np.linalg.qr(np.random.default_rng(seed).normal(size=(2, 2)))[0]]
+        )
+        stiffness = turned @ np.diag([1.0, 1.0, 4.0, 9.0]) @ turned.T
+        gap = turned @ np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+        twins = fc.bilinear_frequencies(fc.Structure.from_matrices(np.eye(4), stiffness, gap))
+        np.testing.assert_allclose(twins.omega_open, [1.0, 1.0, 2.0, 3.0], rtol=1e-9)
+        np.testing.assert_allclose(twins.omega_tied[:2], np.sqrt([2.5, 5.0]), rtol=1e-9)
+
+
 def test_nearest_mode() -> None:
     """Of each load frequency the mode whose bilinear frequency is nearest, and the ratios to it."""
     found = fc.BilinearFrequencies(np.array([1.0, 10.0, 20.0]), np.array([3.0, 10.0, np.inf]))

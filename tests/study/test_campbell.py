@@ -121,6 +121,61 @@ def test_a_moving_base_shakes_by_each_frequency() -> None:
     assert changed[0] == pytest.approx(changed[1], rel=1e-4)
 
 
+BAR = """
+[geometry]
+kind = "solid"
+width = 0.01
+height = 0.1
+thickness = 0.0098
+[material]
+young = 2.1e11
+poisson = 0.3
+density = 7850.0
+[damping]
+ratio = 0.005
+[crack]
+edge = "left"
+height = 0.02
+length = 0.004
+[contact]
+law = "unilateral"
+[rotation]
+speed = 300.0
+hub_radius = 0.2
+[excitation]
+order = 8
+[[loads]]
+edge = "left"
+pressure_cos = 1e4
+[mesh]
+layout = "graded"
+order = 2
+size = 0.01
+lip_elements = 2
+error = false
+"""
+
+
+def test_a_tie_that_takes_a_mode_past_another() -> None:
+    """Bending across the crack is the lower mode of a nearly square bar with lips open, and the
+    higher one with lips tied: both frequencies of each direction in which the tip moves are told
+    together, also of the first mode alone."""
+    scene = Scene.from_text(BAR)
+    bar = fc.build_structure(scene)
+    assert bar.nodes is not None
+    tip = bar.nodes.dofs[np.argmax(bar.nodes.points[:, 1])][[0, 2]]
+    along = {}
+    for lips in ("open", "tied"):
+        modes = fc.solve_modes(bar, 2, lips=lips)
+        along[lips] = dict(zip(np.abs(modes.shapes[tip]).argmax(axis=0), modes.omega, strict=True))
+    assert [*along["open"]] == [0, 1] and [*along["tied"]] == [1, 0]
+    for count in (1, 2):
+        found = fc.campbell(scene, [300.0, 310.0], count)
+        for told, lips in ((found.omega_open, "open"), (found.omega_tied, "tied")):
+            expected = [along[lips][direction] for direction in range(count)]
+            assert told[0] == pytest.approx(expected, rel=1e-6)
+
+
 def test_bad_input() -> None:
     """Each error names what is wrong."""
     scene = strip(0, 1.0)

@@ -167,6 +167,19 @@ def test_breathing_frequency() -> None:
     assert figures.omega_breathing == pytest.approx(1.0 / inverse)
 
 
+def test_breathing_frequency_is_of_one_shape() -> None:
+    """Two masses that a pair ties, 1 open and sqrt(5 / 1.25) = 2 tied, and one alone of 1.5, which
+    the tie takes them past."""
+    mass, stiffness = np.diag([1.0, 0.25, 1.0]), np.diag([1.0, 4.0, 2.25])
+    damping = fc.ModalDamping(0.1)
+    structure = fc.Structure.from_matrices(
+        mass, stiffness, [1.0, -1.0, 0.0], force_sin=np.ones(3), damping=damping
+    )
+    figures = find_key_figures(study_of(structure))
+    assert figures.omega_breathing == pytest.approx(2.0 / (1.0 + 0.5))
+    assert figures.omega_tied == pytest.approx([1.5, 2.0, np.inf])
+
+
 def test_frequencies_asked_for() -> None:
     """Of each command, from its own table or the excitation."""
     scene = PAPER.replace({"curve.start": 3000.0, "curve.stop": 1000.0})
