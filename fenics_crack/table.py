@@ -47,8 +47,9 @@ RPM = TURN / 60.0
 UNITS = {
     name: unit
     for unit, names in {
-        "rad/s": "omega omega_open omega_tied omega_bilinear speed",
-        "Hz": "frequency frequency_open frequency_tied frequency_bilinear frequency_error",
+        "rad/s": "omega omega_open omega_tied omega_partly omega_bilinear speed",
+        "Hz": "frequency frequency_open frequency_tied frequency_partly frequency_bilinear "
+        "frequency_error",
         "rpm": "rpm",
         "rad": "angle phase",
         "s": "time mark next_mark arrival",

@@ -30,10 +30,10 @@ def draw_campbell(
     in_rpm: bool = True,
     **where: Unpack[Where],
 ) -> Figure:
-    """Draw natural frequencies over the speed: as lines those of the crack as it is held open, held
-    shut or breathes at each speed, in bands from lips open to lips tied; engine orders as grey
-    lines with their numbers, and circles where they meet. Modes above the reach of all orders are
-    left out, but for the first one.
+    """Draw natural frequencies over the speed: as lines those of the crack as it is held open, shut
+    or partly open, or breathes at each speed, in bands from lips open to lips tied; engine orders
+    as grey lines with their numbers, and circles where they meet. Modes above the reach of all
+    orders are left out, but for the first one.
 
     Parameters
     ----------

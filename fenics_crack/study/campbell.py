@@ -4,17 +4,19 @@ A blade is excited at multiples of the rotor's speed, w = n W with the engine or
 are where such a line crosses a natural frequency. Of a crack that breathes they lie near the
 bilinear frequency 2 w_o w_t / (w_o + w_t), between those with lips open and tied
 (:mod:`fenics_crack.model.modes`); where rotation or the mean load holds the crack open or shut,
-at the open or the tied one. It is held where the resonance of that state cannot change it: with the
-amplitude a = |phi . f| / (2 xi w^2) of the mode, open where all pairs are open at rest by more
-than a |B^T phi|, and shut where all are pressed by more than the force a |lambda| of the tied
-mode, (K - w^2 M) phi + B lambda = 0.
+at the open or the tied one, or where some pairs are pressed and others open, at one with the
+pressed ones tied. It is held where the resonance of that state cannot change it: with the
+amplitude a = |phi . f| / (2 xi w^2) of the mode, where the open pairs are open at rest by more
+than a |B^T phi|, and the pressed ones are pressed by more than the force a |lambda| of the mode
+with these tied, (K - w^2 M) phi + B lambda = 0.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
@@ -42,10 +44,17 @@ from fenics_crack.table import RPM, Tabular, counted, with_frequency
 
 __all__ = ["STATES", "Campbell", "campbell"]
 
-STATES = {"open": "held open", "tied": "held shut", "bilinear": "breathing"}
+HELD = (*KINDS[:2], "partly")
+"""Kinds of frequencies of a crack that its resonance does not change."""
+STATES = {
+    **dict(zip(HELD, ("held open", "held shut", "held partly open"), strict=True)),
+    "bilinear": "breathing",
+}
 """What a crack does whose frequency is of a kind."""
 CHANGE = 1e-4
 """Of the speed at which it changes, relative."""
+At = Callable[[float], tuple[np.ndarray, np.ndarray]]
+"""Frequencies of a speed, and by how much the crack is held: (3, count) each."""
 SPARE = 2
 """Modes with lips tied beyond those asked for: that of an open mode's shape may come later, a tie
 having taken it past others."""
@@ -62,11 +71,13 @@ class Campbell(Tabular):
     omega_open, omega_tied : (n, m) [rad/s]
         With lips open, in ascending order at each speed, and of the same shapes with lips tied; the
         same without a crack.
+    omega_partly : (n, m) [rad/s]
+        With the pairs tied that are pressed at rest, of the same shapes.
     cracked : bool
         Whether there are lips.
-    kind : (n, m) of "open", "tied" or "bilinear"
+    kind : (n, m) of "open", "tied", "partly" or "bilinear"
         Which frequency is that of the crack at this speed, under the scene's load: it is held open,
-        held shut, or breathes.
+        held shut, held with some pairs pressed and the others open, or breathes.
     changes : tuple of (mode, speed, kind)
         Where between two speeds this changes: from which speed [rad/s] on the crack is of which
         kind in which mode (from 1).
@@ -75,6 +86,7 @@ class Campbell(Tabular):
     speed: np.ndarray
     omega_open: np.ndarray
     omega_tied: np.ndarray
+    omega_partly: np.ndarray
     cracked: bool
     kind: np.ndarray
     changes: tuple[tuple[int, float, str], ...] = ()
@@ -90,14 +102,16 @@ class Campbell(Tabular):
     def omega_real(self) -> np.ndarray:
         """Of the kind that the crack has at each speed: (n, m) [rad/s]."""
         return np.select(
-            [self.kind == kind for kind in KINDS],
-            [getattr(self, f"omega_{kind}") for kind in KINDS],
+            [self.kind == kind for kind in STATES],
+            [getattr(self, f"omega_{kind}") for kind in STATES],
         )
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """ "open", "tied" and "bilinear"; "open" alone without a crack."""
-        return KINDS if self.cracked else KINDS[:1]
+        """ "open", "tied" and "bilinear", and "partly" where the crack is that somewhere; "open"
+        alone without a crack."""
+        found = (*KINDS, *{"partly"}.intersection(self.kind.ravel().tolist()))
+        return found if self.cracked else KINDS[:1]
 
     def crossings(self, order: int, kind: str = "bilinear") -> np.ndarray:
         """Where w = order W meets natural frequencies: (k, 2), mode (from 1) and speed [rad/s].
@@ -108,7 +122,7 @@ class Campbell(Tabular):
         ----------
         order : int
             Engine order n.
-        kind : "open", "tied", "bilinear" or "real"
+        kind : "open", "tied", "partly", "bilinear" or "real"
             Of the frequencies; the last are those that the crack has at each speed. Where it
             changes and its frequency falls across the order's line, they meet at the change.
 
@@ -118,8 +132,8 @@ class Campbell(Tabular):
             An argument cannot be used.
         """
         check_count("order", order, 1)
-        if kind not in (*KINDS, "real"):
-            raise InputError("kind", kind, "one of " + ", ".join(map(repr, (*KINDS, "real"))))
+        if kind not in (*STATES, "real"):
+            raise InputError("kind", kind, "one of " + ", ".join(map(repr, (*STATES, "real"))))
         if kind == "real":
             return self._real_crossings(order)
         squares, at = getattr(self, f"omega_{kind}") ** 2, self.speed**2
@@ -249,24 +263,48 @@ def campbell(
     scene = with_crack_length(scene.replace({"rotation.speed": float(wanted[-1])}), comm)
     top = assemble(scene, comm)
     count = min(count, n_tied_modes(top) if top.n_pairs else top.n_modes)
-    tied = min(count + SPARE, n_tied_modes(top)) if top.n_pairs else 0
-    small = Ritz.of_range(top.damped(None), wanted[0], wanted[-1], count, tied)
+    n_tied = min(count + SPARE, n_tied_modes(top)) if top.n_pairs else 0
+    small = Ritz.of_range(top.damped(None), wanted[0], wanted[-1], count, n_tied)
     load = _Load.of(scene, top, small)
 
     @cache
-    def at(speed: float) -> tuple[np.ndarray, ...]:
-        return _frequencies(small.at(speed), load, count, tied)
+    def at(speed: float) -> tuple[np.ndarray, np.ndarray]:
+        return _frequencies(small.at(speed), load, count, n_tied)
 
-    is_open, closed, *holds = (np.array(p) for p in zip(*map(at, wanted.tolist()), strict=True))
-    stays = [hold > 0.0 for hold in holds]
-    kind = np.select(stays, KINDS[:2], KINDS[2])
-    changes = []
-    for which, hold in enumerate(stays):
-        for place, mode in np.argwhere(hold[1:] != hold[:-1]).tolist():
-            ends = wanted[place], wanted[place + 1]
-            speed = brentq(lambda w, of=2 + which, m=mode: at(w)[of][m], *ends, rtol=CHANGE)
-            changes.append((mode + 1, speed, KINDS[which if hold[place + 1, mode] else 2]))
-    return Campbell(wanted, is_open, closed, top.n_pairs > 0, kind, tuple(sorted(changes)))
+    omega, holds = zip(*map(at, wanted.tolist()), strict=True)
+    opened, tied, partly = np.moveaxis(omega, 1, 0)
+    changes = tuple(
+        (mode + 1, speed, kind)
+        for mode in range(count)
+        for ends in pairwise(wanted.tolist())
+        for speed, kind in _changes(at, *ends, mode)
+    )
+    kind = np.array([_kinds(hold) for hold in holds])
+    return Campbell(wanted, opened, tied, partly, top.n_pairs > 0, kind, changes)
+
+
+def _kinds(holds: np.ndarray) -> np.ndarray:
+    """What a crack does in each mode, by how much it is held (3, count) in each state: (count,)."""
+    return np.select([*(holds > 0.0)], HELD, "bilinear")
+
+
+def _changes(at: At, low: float, high: float, mode: int) -> Iterator[tuple[float, str]]:
+    """From which speeds on, between two of them, a crack does something else in a mode (from 0).
+
+    Between held and breathing it changes where it is held by nothing more; from one held state to
+    another by way of breathing, for however narrow a range of speeds.
+    """
+    before, after = (str(_kinds(at(speed)[1])[mode]) for speed in (low, high))
+    held = {before, after} - {"bilinear"}
+    if before != after and len(held) == 1:
+        [which] = map(HELD.index, held)
+        yield brentq(lambda speed: at(speed)[1][which, mode], low, high, rtol=CHANGE), after
+    elif before != after and high - low <= CHANGE * high:
+        yield high, after
+    elif before != after:
+        middle = 0.5 * (low + high)
+        yield from _changes(at, low, middle, mode)
+        yield from _changes(at, middle, high, mode)
 
 
 def _in_words(speed: float) -> str:
@@ -313,24 +351,58 @@ class _Load:
 
 def _frequencies(
     structure: Structure, load: _Load, count: int, n_tied: int
-) -> tuple[np.ndarray, ...]:
-    """The lowest natural frequencies with lips open, and those of the same shapes among the lowest
-    with lips tied: (count,) each [rad/s]; and by how much the crack is held open [m] and held shut
-    [N] at resonance under a load."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Natural frequencies of the states in which a crack may be held [rad/s], and by how much it is
+    held at resonance under a load, > 0 where it is: (3, count) each, in the order of HELD.
+
+    Those with lips open are the lowest; the others have the same shapes, sought among the lowest
+    ``n_tied``.
+    """
     is_open = solve_modes(structure, count)
+    none, every = np.zeros(structure.n_pairs, dtype=bool), np.ones(structure.n_pairs, dtype=bool)
     if not structure.n_pairs:
-        return is_open.omega, is_open.omega, np.ones(count), -np.ones(count)
-    found = solve_modes(structure, n_tied, lips="tied")
-    own = partners(is_open, found)
-    tied = Modes(found.omega[own], found.shapes[:, own], structure)
+        return np.tile(is_open.omega, (3, 1)), np.outer([1.0, -1.0, -1.0], np.ones(count))
     clearance = np.broadcast_to(structure.clearance, structure.n_pairs)
     moved, pressed = static_state(structure, structure.force[0], clearance)
-    opening = clearance - structure.apply_bt(moved[None])[0]
-    motion = load.at_resonance(is_open) * np.abs(structure.apply_bt(is_open.shapes.T)).T
-    stiff, heavy = (times(m, tied.shapes) for m in (structure.stiffness, structure.mass))
-    left = structure.apply_bt((heavy * tied.omega**2 - stiff).T)
-    gram = structure.sum_over_ranks((structure.gap.T @ structure.gap).toarray())
-    force = load.at_resonance(tied) * np.abs(np.linalg.lstsq(gram, left.T, rcond=None)[0])
-    held_open = (opening[:, None] - motion).min(axis=0)
-    held_shut = (pressed[:, None] - force).min(axis=0)
-    return is_open.omega, tied.omega, held_open, held_shut
+    shut = pressed > 0.0
+    opening = np.where(shut, 0.0, clearance - structure.apply_bt(moved[None])[0])
+    rest = np.where(np.array([none, every, shut]), pressed, opening)
+    found = [
+        _held(is_open, load, own, tied, n_tied)
+        for own, tied in zip(rest, (none, every, shut), strict=True)
+    ]
+    omega, hold = (np.array(part) for part in zip(*found, strict=True))
+    if shut.all() or not shut.any():
+        hold[2] = -1.0  # not partly
+    return omega, hold
+
+
+def _held(
+    is_open: Modes, load: _Load, rest: np.ndarray, tied: np.ndarray, n_tied: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Natural frequencies with some pairs tied, of the shapes of modes with lips open [rad/s], and
+    by how much less than their state at rest the resonance moves the pairs, the least of all
+    [m, N]: (count,) each.
+
+    Parameters
+    ----------
+    rest : (n_pairs,)
+        Openings of open pairs [m], and forces of tied ones [N].
+    tied : (n_pairs,) of bool
+        Which are tied.
+    """
+    modes, structure = is_open, is_open.structure
+    if tied.any():
+        ties, loose = structure.gap[:, tied], np.zeros(int(tied.sum()))
+        part = Structure(
+            structure.mass, structure.stiffness, ties, force=structure.force, clearance=loose
+        )
+        found = solve_modes(part, n_tied, lips="tied")
+        own = partners(is_open, found)
+        modes = Modes(found.omega[own], found.shapes[:, own], structure)
+    change = np.abs(structure.apply_bt(modes.shapes.T)).T
+    if tied.any():
+        stiff, heavy = (times(m, modes.shapes) for m in (structure.stiffness, structure.mass))
+        left = ties.T @ (heavy * modes.omega**2 - stiff)
+        change[tied] = np.abs(np.linalg.lstsq((ties.T @ ties).toarray(), left, rcond=None)[0])
+    return modes.omega, (rest[:, None] - load.at_resonance(modes) * change).min(axis=0)

@@ -9,11 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import dense
 from rotating import CRACKED, UNIT, cracked, strip
+from scipy.sparse import csc_matrix
+from scipy.sparse.linalg import eigsh
 from surroundings import DEMOS, main
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
+from fenics_crack.model.rotation import static_state
 
 
 def test_frequencies_are_those_of_each_speed() -> None:
@@ -67,6 +71,45 @@ def test_a_crack_that_is_held_is_not_bilinear(
     solution = fc.solve_harmonic_balance(blade.structure, omega, blade.contact, harmonics=8)
     share = solution.indicators(0).closed_share
     assert {"open": share == 0.0, "tied": share == 1.0}.get(does, 0.0 < share < 1.0)
+
+
+def test_a_crack_that_is_held_partly_open() -> None:
+    """A steady load that presses one crack together and opens another, under a small load: neither
+    breathes, and the frequency is that with stiff springs across the gaps of the pressed pairs."""
+    other = {"cracks.1.edge": "right", "cracks.1.height": 0.07, "cracks.1.length": 0.006}
+    coarse = {"mesh.size": 0.01, "mesh.lip_elements": 3, "excitation.force_sin": [1e-3, 0.0]}
+    scene = cracked(200.0, -600.0).replace(coarse | other)
+    found = fc.campbell(scene, [200.0, 210.0], 1)
+    plate = fc.build_structure(scene)
+    _, pressed = static_state(plate, plate.force[0], np.zeros(plate.n_pairs))
+    assert {*plate.pairs.cracks[pressed > 0.0]} == {0} and np.all(pressed[plate.pairs.cracks == 0])
+    stiffness, mass = (csc_matrix(dense(one)) for one in (plate.stiffness, plate.mass))
+    ties = plate.gap[:, pressed > 0.0]
+    tied = stiffness + 1e6 * stiffness.max() * (ties @ ties.T)
+    [square], _ = eigsh(tied.tocsc(), 1, mass, sigma=0.0)
+    assert found.kind.tolist() == [["partly"], ["partly"]]
+    assert found.omega_real[0, 0] == pytest.approx(np.sqrt(square), rel=1e-6)
+    rows = found.to_dict()
+    assert rows["crack"] == 2 * ["held partly open"] and len(rows["frequency_partly"]) == 2
+    louder = fc.campbell(scene.replace({"excitation.force_sin": [100.0, 0.0]}), [200.0, 210.0], 1)
+    assert louder.kind.tolist() == [["bilinear"], ["bilinear"]]
+    assert "frequency_partly" not in louder.to_dict()
+
+
+@pytest.mark.parametrize("top", [430.0, 700.0])
+def test_states_follow_each_other(top: float) -> None:
+    """A crack that rotation opens pair by pair is held shut, partly open and open, and changes from
+    one to another only with a range of breathing, or none that matters, between."""
+    coarse = {"mesh.size": 0.01, "mesh.lip_elements": 3, "excitation.force_sin": [1e-4, 0.0]}
+    scene = cracked(300.0, -300.0).replace(coarse)
+    found = fc.campbell(scene, [300.0, top], 1)
+    speeds = [300.0, *(speed for _, speed, _ in found.changes), top]
+    kinds = [found.kind[0, 0], *(kind for *_, kind in found.changes)]
+    assert kinds[-1] == found.kind[1, 0] and np.all(np.diff(speeds) > 0.0)
+    for low, high, kind in zip(speeds, speeds[1:], kinds, strict=False):
+        if high - low > 1.0:
+            middle = 0.5 * (low + high)
+            assert fc.campbell(scene, [middle, top], 1).kind[0, 0] == kind
 
 
 @pytest.mark.parametrize(
