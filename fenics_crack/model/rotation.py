@@ -32,7 +32,8 @@ from fenics_crack.errors import InputError, check_number
 from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.factor import Factor, distributed, weighted_sum
 from fenics_crack.model.matrices import read_only
-from fenics_crack.model.modes import AS_ZERO, NEGLIGIBLE, solve_modes, times
+from fenics_crack.model.modes import AS_ZERO, NEGLIGIBLE, Modes, solve_modes, times
+from fenics_crack.model.nodes import Nodes
 from fenics_crack.model.reduced import MasslessInterface
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import DampingRule, Structure
@@ -40,7 +41,8 @@ from fenics_crack.parallel import collect_garbage
 from fenics_crack.table import RPM
 
 __all__ = [
-    "Ritz", "Rotation", "RunUpStructure", "run_up_structure", "static_state", "too_fast"
+    "Ritz", "Rotation", "RunUpStructure", "coriolis_shifts", "run_up_structure", "static_state",
+    "too_fast",
 ]  # fmt: skip
 
 SPEEDS = 3
@@ -90,7 +92,7 @@ class Rotation:
         displaced.destroy()
         with Factor(stiffness) as factor:
             if factor.negative_pivots or factor.null_pivots:
-                raise InputError("rotation.speed", speed, too_fast(speed))
+                raise InputError("rotation.speed", speed, too_fast(self.at_rest, speed))
         with Factor(still, definite=True) as factor:
             moved = factor.solve(square * self.force[None]).T
         still.destroy()
@@ -140,9 +142,48 @@ def static_state(
     return moved, pairs
 
 
-def too_fast(speed: float) -> str:
-    """Say what is allowed instead of a speed [rad/s] at which the plate is unstable."""
-    return f"lower: the plate is unstable at {speed / RPM:.6g} rpm"
+def too_fast(structure: Structure, speed: float) -> str:
+    """Say what is allowed instead of a speed [rad/s] at which a plate is unstable; or a solid,
+    which the Coriolis force may keep from that."""
+    at = f"is unstable at {speed / RPM:.6g} rpm"
+    if _nodes_of_solid(structure) is not None:
+        return f"lower: without the Coriolis force, which is left out, the solid {at}"
+    return f"lower: the plate {at}"
+
+
+def _nodes_of_solid(structure: Structure) -> Nodes | None:
+    """None where it is none."""
+    nodes = structure.nodes
+    return nodes if nodes is not None and nodes.points.shape[1] == 3 else None
+
+
+def coriolis_shifts(modes: Modes, turning: np.ndarray) -> np.ndarray:
+    """By how much the Coriolis force, which is left out, would change natural frequencies of a
+    solid, relative to them: (m,); of a plate, to which it is normal, nothing (collective).
+
+        q'' + G q' + Lambda q = 0,      G = 2 Phi^T M (W x Phi)
+
+    in the space of these modes. The mass matrix is the same in each direction, so it multiplies
+    what W turns of each node. With x = (Lambda^1/2 q, q') the matrix of x' = A x is skew.
+
+    Parameters
+    ----------
+    modes : Modes
+        Of a whole structure that turns.
+    turning : (3,) [rad/s]
+        W.
+    """
+    structure, count = modes.structure, len(modes.omega)
+    nodes = _nodes_of_solid(structure)
+    if nodes is None:
+        return np.zeros(count)
+    rows = nodes.dofs[nodes.dofs[:, 0] >= 0] - structure.first_dof
+    turned = np.zeros_like(modes.shapes)
+    turned[rows] = np.cross(turning, modes.shapes[rows], axisb=1, axisc=1)
+    coupling = 2.0 * structure.sum_over_ranks(modes.shapes.T @ times(structure.mass, turned))
+    root, zero = np.diag(modes.omega), np.zeros((count, count))
+    matrix = np.block([[zero, root], [-root, -coupling]])
+    return np.asarray(np.linalg.eigvalsh(1j * matrix)[count:] / modes.omega - 1.0)
 
 
 @dataclass(frozen=True)
@@ -198,7 +239,7 @@ class Ritz:
                 shapes, omega = np.hstack([shapes, found.shapes]), np.append(omega, found.omega)
                 del found
             if not np.all(omega > 0.0):  # to rounding, which pivots need not see
-                raise InputError("rotation.speed", float(speed), too_fast(float(speed)))
+                raise InputError("rotation.speed", float(speed), too_fast(structure, float(speed)))
             columns = shapes / omega
             basis = np.hstack([basis, _new_part(structure, basis, columns)])
             del there, part, shapes, columns
@@ -216,7 +257,8 @@ class Ritz:
         try:
             np.linalg.cholesky(at_rest)
         except np.linalg.LinAlgError:  # beside what rotation adds it is rounding
-            raise InputError("rotation.speed", rotation.speed, too_fast(rotation.speed)) from None
+            words = too_fast(structure, rotation.speed)
+            raise InputError("rotation.speed", rotation.speed, words) from None
         return cls(
             structure,
             read_only(basis),  # shared by all speeds
@@ -275,7 +317,7 @@ class RunUpStructure(MasslessInterface):
         try:
             factor = np.linalg.inv(np.linalg.cholesky(stiffness))
         except np.linalg.LinAlgError:
-            raise InputError("speed", speed, too_fast(speed)) from None
+            raise InputError("speed", speed, too_fast(ritz.whole, speed)) from None
         # The largest eigenvalues, 1 / omega^2, are those that rounding leaves alone.
         inverse, turned = np.linalg.eigh((factor * ritz.squares_inverse) @ factor.T)
         inverse, turned = inverse[: -ritz.modes - 1 : -1], turned[:, : -ritz.modes - 1 : -1]

@@ -383,8 +383,9 @@ class Rotation(Table):
     """The plate is a blade on a rotor, whose axis lies in its plane, parallel to the clamp.
 
     The radius is hub_radius + y. Vibration in the plane is then along x, parallel to the axis, and
-    along the radius: Coriolis forces stand normal to the plane. Those of a solid are left out; its
-    axis may have any direction, through (0, -hub_radius, 0) or another point.
+    along the radius: Coriolis forces stand normal to the plane. Those of a solid are left out, and
+    remarked where they matter; its axis may have any direction, through (0, -hub_radius, 0) or
+    another point.
     """
 
     hub_radius: float | None = not_negative(None, unit="m")

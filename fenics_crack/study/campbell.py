@@ -35,7 +35,7 @@ from fenics_crack.model.modes import (
     solve_modes,
     times,
 )
-from fenics_crack.model.rotation import Ritz, static_state
+from fenics_crack.model.rotation import Ritz, coriolis_shifts, static_state
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import check_scene
@@ -81,6 +81,9 @@ class Campbell(Tabular):
     changes : tuple of (mode, speed, kind)
         Where between two speeds this changes: from which speed [rad/s] on the crack is of which
         kind in which mode (from 1).
+    coriolis : (m,)
+        Relative changes of the open frequencies at the fastest speed by the Coriolis force of a
+        solid, which is left out.
     """
 
     speed: np.ndarray
@@ -89,7 +92,8 @@ class Campbell(Tabular):
     omega_partly: np.ndarray
     cracked: bool
     kind: np.ndarray
-    changes: tuple[tuple[int, float, str], ...] = ()
+    changes: tuple[tuple[int, float, str], ...]
+    coriolis: np.ndarray
 
     KIND: ClassVar[str] = "Campbell diagram"
 
@@ -260,6 +264,7 @@ def campbell(
     rising = wanted.ndim == 1 and len(wanted) > 1 and bool(np.all(np.diff(wanted) > 0.0))
     if not (rising and wanted[0] >= 0.0 and np.isfinite(wanted[-1])):
         raise InputError("speeds", speeds, "two or more finite numbers, rising from 0 or more")
+    _, axis = scene.rotation.place
     scene = with_crack_length(scene.replace({"rotation.speed": float(wanted[-1])}), comm)
     top = assemble(scene, comm)
     count = min(count, n_tied_modes(top) if top.n_pairs else top.n_modes)
@@ -280,7 +285,10 @@ def campbell(
         for speed, kind in _changes(at, *ends, mode)
     )
     kind = np.array([_kinds(hold) for hold in holds])
-    return Campbell(wanted, opened, tied, partly, top.n_pairs > 0, kind, changes)
+    last = solve_modes(small.at(wanted[-1]), count)
+    modes = Modes(last.omega, small.basis @ last.shapes, top)
+    coriolis = coriolis_shifts(modes, wanted[-1] * axis)
+    return Campbell(wanted, opened, tied, partly, top.n_pairs > 0, kind, changes, coriolis)
 
 
 def _kinds(holds: np.ndarray) -> np.ndarray:

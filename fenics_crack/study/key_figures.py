@@ -37,6 +37,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import Study, reduction_of
 
 __all__ = [
+    "N_MODES",
     "SMALL_MOTION",
     "KeyFigures",
     "damping_ratios",

@@ -15,19 +15,23 @@ import numpy as np
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.fem.lips import SAME
+from fenics_crack.model.modes import solve_modes
+from fenics_crack.model.rotation import coriolis_shifts
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCES, Rotation
-from fenics_crack.study.key_figures import SMALL_MOTION, KeyFigures, span_of
+from fenics_crack.study.key_figures import N_MODES, SMALL_MOTION, KeyFigures, span_of
 from fenics_crack.study.prepare import reduction_of
 from fenics_crack.table import RPM, TURN
 
 __all__ = [
     "Remark",
+    "coriolis_in_words",
     "is_proportional",
     "remarks_on",
     "remarks_on_arrivals",
+    "remarks_on_coriolis",
     "remarks_on_scene",
     "remarks_on_structure",
 ]
@@ -44,6 +48,9 @@ MOST_DAMPING = 0.05
 """Ratio of critical damping that structures hardly exceed; metals have 0.0001 to 0.01."""
 FASTEST = 1000.0
 """Speed of a rotor's tip that none reaches [m/s]; the longest blades have 700."""
+MOST_CORIOLIS = 0.01
+"""Change of a natural frequency by the Coriolis force up to which nothing is said: the errors of
+usual meshes are as large."""
 LEAST_FREQUENCY = 0.02
 """Load frequency, relative to the first natural one, below which a scene is one of statics."""
 MEANT_FOR = 0.1
@@ -79,7 +86,7 @@ def remarks_on_scene(scene: Scene) -> list[Remark]:
 
 def remarks_on_structure(scene: Scene, structure: Structure) -> list[Remark]:
     """What the scene's structure shows, before it is reduced (collective)."""
-    rules = _between_nodes, _outermost, _bouncing
+    rules = _between_nodes, _outermost, remarks_on_coriolis, _bouncing
     return [remark for rule in rules for remark in rule(scene, structure)]
 
 
@@ -161,11 +168,15 @@ def _rotor(scene: Scene) -> Remarks:
 def _tip_speed(table: Rotation, radius: float) -> Remarks:
     """Of what is ``radius`` away from a rotor's axis."""
     if table.speed * radius > FASTEST:
-        key = "speed" if table.rpm is None else "rpm"
         text = f"the tip moves at {table.speed * radius:.3g} m/s, where the fastest have 700"
         if table.rpm is None and RPM * table.speed * radius <= FASTEST:
             text += "; in revolutions per minute? then use rotation.rpm"
-        yield Remark(f"rotation.{key}", getattr(table, key), text)
+        yield Remark(*_speed_given(table), text)
+
+
+def _speed_given(table: Rotation) -> tuple[str, float]:
+    """A rotor's speed by the key by which it is given, and its value."""
+    return ("rotation.speed", table.speed) if table.rpm is None else ("rotation.rpm", table.rpm)
 
 
 def remarks_on_arrivals(arrivals: ArrivalTimes) -> list[str]:
@@ -324,6 +335,25 @@ def _outermost(scene: Scene, structure: Structure) -> Remarks:
     yield from _tip_speed(table, float(np.linalg.norm(across, axis=1).max()))
 
 
+def remarks_on_coriolis(scene: Scene, structure: Structure) -> Remarks:
+    """The force that is left out of solids (collective)."""
+    if scene.rotation is not None and structure.rotation is not None and scene.dimension == 3:
+        count = min(N_MODES, structure.n_modes)
+        turning = structure.rotation.speed * scene.rotation.place[1]
+        if text := coriolis_in_words(coriolis_shifts(solve_modes(structure, count), turning)):
+            yield Remark(*_speed_given(scene.rotation), text)
+
+
+def coriolis_in_words(shifts: np.ndarray) -> str:
+    """What the Coriolis force would change, by relative changes of the lowest natural frequencies
+    (m,); nothing where that is little."""
+    if np.abs(shifts).max() <= MOST_CORIOLIS:
+        return ""
+    changes = ", ".join(f"{100.0 * shift:+.3g}" for shift in shifts)
+    modes = "mode 1" if len(shifts) == 1 else f"modes 1 to {len(shifts)}"
+    return f"the Coriolis force, which is left out, would move {modes} by about {changes} %"
+
+
 def _bouncing(scene: Scene, structure: Structure) -> Remarks:
     """Rigid contact of pairs that keep their mass."""
     table = reduction_of(scene, structure)
@@ -458,8 +488,7 @@ def _closing(scene: Scene, figures: KeyFigures) -> Remarks:
     if value == 0.0:
         key, value = "excitation.force_mean", list(scene.excitation.force_mean)  # type: ignore[assignment]
         if scene.rotation is not None and scene.speed > 0.0 and not np.any(value):
-            key = "rotation.speed" if scene.rotation.rpm is None else "rotation.rpm"
-            value = scene.rotation.rpm or scene.speed
+            key, value = _speed_given(scene.rotation)
     motion = f"the load moves open lips by {figures.gap_motion:.2g} m"
     if not figures.breathes:
         what = "part" if figures.closed else "meet"
