@@ -23,7 +23,7 @@ from fenics_crack.files.store import read
 from fenics_crack.model.modes import Modes
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.remarks import coriolis_in_words, remarks_on_coriolis
+from fenics_crack.study.remarks import coriolis_in_words, remarks_on_rotor
 from fenics_crack.study.run import Run, curve, integrate, modes, solve
 from fenics_crack.table import RPM, counted, quantity
 
@@ -59,9 +59,7 @@ def solved(given: Namespace, inputs: Inputs, console: Console) -> Exit:
         if on_root(console.comm, older.exists):  # a part takes the place of no result
             name = "curve_interrupted"
             console.note(f"{older} stays as it was; what was found until Ctrl-C is beside it")
-    console.note(
-        *(f"remark: {text}" for text in remarks_on_coriolis(run.scene, run.structure.whole))
-    )
+    console.note(*(f"remark: {text}" for text in remarks_on_rotor(run.scene, run.structure.whole)))
     run.save(folder / f"{name}.h5")
     return tell(replace(account_of(run), name=name), folder, console)
 

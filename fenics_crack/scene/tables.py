@@ -389,7 +389,7 @@ class Rotation(Table):
     """
 
     hub_radius: float | None = not_negative(None, unit="m")
-    """Radius of the clamp: the axis is at y = -hub_radius."""
+    """Radius of the clamp, if it is at y = 0: the axis is at y = -hub_radius."""
     axis: Vector | None = vector("a")
     """Direction of a solid's axis; left out: x."""
     center: Vector | None = vector("", unit="m")

@@ -31,7 +31,7 @@ __all__ = [
     "is_proportional",
     "remarks_on",
     "remarks_on_arrivals",
-    "remarks_on_coriolis",
+    "remarks_on_rotor",
     "remarks_on_scene",
     "remarks_on_structure",
 ]
@@ -51,6 +51,9 @@ FASTEST = 1000.0
 MOST_CORIOLIS = 0.01
 """Change of a natural frequency by the Coriolis force up to which nothing is said: the errors of
 usual meshes are as large."""
+AT_CLAMP = 0.01
+"""Distance of clamped nodes from y = 0 that is remarked, relative to the size of the mesh: radii
+are then wrong by that of a blade's length."""
 LEAST_FREQUENCY = 0.02
 """Load frequency, relative to the first natural one, below which a scene is one of statics."""
 MEANT_FOR = 0.1
@@ -86,7 +89,7 @@ def remarks_on_scene(scene: Scene) -> list[Remark]:
 
 def remarks_on_structure(scene: Scene, structure: Structure) -> list[Remark]:
     """What the scene's structure shows, before it is reduced (collective)."""
-    rules = _between_nodes, _outermost, remarks_on_coriolis, _bouncing
+    rules = _between_nodes, _outermost, remarks_on_rotor, _bouncing
     return [remark for rule in rules for remark in rule(scene, structure)]
 
 
@@ -335,8 +338,31 @@ def _outermost(scene: Scene, structure: Structure) -> Remarks:
     yield from _tip_speed(table, float(np.linalg.norm(across, axis=1).max()))
 
 
-def remarks_on_coriolis(scene: Scene, structure: Structure) -> Remarks:
-    """The force that is left out of solids (collective)."""
+def remarks_on_rotor(scene: Scene, structure: Structure) -> Remarks:
+    """What the structure shows of its rotation (collective)."""
+    yield from _hub(scene, structure)
+    yield from _coriolis(scene, structure)
+
+
+def _hub(scene: Scene, structure: Structure) -> Remarks:
+    """A mesh file whose clamp is not where the radius of the hub is counted from."""
+    table, nodes = scene.rotation, structure.nodes
+    if table is None or table.hub_radius is None or scene.mesh.layout != "file" or nodes is None:
+        return
+    points, dofs = (gather_rows(structure.comm, rows) for rows in (nodes.points, nodes.dofs))
+    heights = points[np.all(dofs < 0, axis=1), 1]
+    if np.abs(heights).max(initial=0.0) > AT_CLAMP * np.ptp(points, axis=0).max():
+        ends = np.array([heights.min(), heights.max()]).round(12) + 0.0
+        where = " to ".join(dict.fromkeys(f"{end:.4g}" for end in ends))
+        text = (
+            f"the axis goes through (0, {-table.hub_radius:g}) m, as for a clamp at y = 0; that of "
+            f"the mesh is at y = {where} m"
+        )
+        yield Remark("rotation.hub_radius", table.hub_radius, text)
+
+
+def _coriolis(scene: Scene, structure: Structure) -> Remarks:
+    """The force that is left out of solids."""
     if scene.rotation is not None and structure.rotation is not None and scene.dimension == 3:
         count = min(N_MODES, structure.n_modes)
         turning = structure.rotation.speed * scene.rotation.place[1]

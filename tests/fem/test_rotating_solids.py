@@ -16,7 +16,7 @@ import fenics_crack as fc
 from fenics_crack import InputError, Scene
 from fenics_crack.model.rotation import coriolis_shifts
 from fenics_crack.study.key_figures import find_key_figures
-from fenics_crack.study.remarks import remarks_on_coriolis
+from fenics_crack.study.remarks import remarks_on_rotor
 
 SIDE, LENGTH, YOUNG, DENSITY = 0.01, 0.2, 2.1e11, 7850.0
 BAR: dict[str, Any] = {
@@ -78,7 +78,7 @@ def test_coriolis_force_of_a_whirling_bar() -> None:
     whirling = modes.omega * (1.0 + coriolis_shifts(modes, speed * axis))
     assert whirling == pytest.approx([still - speed, still + speed], rel=2e-3)
     scene = Scene.from_mapping(BAR | PUSHED | {"rotation": {"rpm": 6000.0} | place})
-    [remark] = remarks_on_coriolis(scene, shaft)
+    [remark] = remarks_on_rotor(scene, shaft)
     first = 100.0 * (whirling[0] / modes.omega[0] - 1.0)
     assert str(remark).startswith("rotation.rpm = 6000: the Coriolis force, which is left out,")
     assert f"modes 1 to 4 by about {first:.3g}, " in str(remark)
@@ -89,7 +89,7 @@ def test_coriolis_force_of_a_whirling_bar() -> None:
     across = Scene.from_mapping(BAR | PUSHED | {"rotation": {"speed": 100.0, "hub_radius": 0.1}})
     blade = fc.build_structure(across)
     assert np.all(np.abs(coriolis_shifts(fc.solve_modes(blade, 4), 100.0 * axis[[1, 0, 2]])) < 1e-3)
-    assert not [*remarks_on_coriolis(across, blade)]
+    assert not [*remarks_on_rotor(across, blade)]
     plate = fc.solve_modes(fc.build_structure(strip(1, 1.0)), 2)
     assert not np.any(coriolis_shifts(plate, speed * axis[[1, 0, 2]]))
 

@@ -23,6 +23,7 @@ from fenics_crack import InputError, Scene
 from fenics_crack.fem.build import assemble
 from fenics_crack.model.modes import times
 from fenics_crack.model.rotation import static_state
+from fenics_crack.study.remarks import remarks_on_rotor
 from fenics_crack.study.timing import probed_displacement, tip_direction
 from fenics_crack.table import RPM
 
@@ -232,6 +233,24 @@ def test_check_tells_speed_and_opening(capsys: pytest.CaptureFixture[str], tmp_p
     [(mode, met)] = fc.campbell(scene, [0.9 * near, 1.1 * near], 1).crossings(6)
     assert mode == 1 and near == pytest.approx(met, rel=2e-3)
     assert met > 3.0 * scene.rotation.speed  # type: ignore[union-attr]
+
+
+def test_a_clamp_of_a_file_that_is_not_where_radii_begin(tmp_path: Any) -> None:
+    """It is told where the axis is, and where the clamp; one at y = 0 is fine."""
+    grid = strip(1, 1.0)
+    fc.write_msh(grid, tmp_path / "strip.msh")
+    mesh = {"layout": "file", "file": str(tmp_path / "strip.msh"), "order": 2}
+    scene = strip(1, 1.0, mesh=mesh, geometry={"thickness": 0.02})
+    structure = fc.build_structure(scene)
+    assert structure.nodes is not None and not [*remarks_on_rotor(scene, structure)]
+    for moved, where in (([0.0, 0.25], "y = 0.25 m"), ([0.1, -HEIGHT], f"y = {-HEIGHT:g} m")):
+        nodes = replace(structure.nodes, points=structure.nodes.points + moved)
+        [remark] = remarks_on_rotor(scene, structure.placed(nodes, structure.pairs))
+        assert str(remark).startswith(
+            f"rotation.hub_radius = {HEIGHT:g}: the axis goes through (0, "
+        )
+        assert str(remark).endswith(where)
+        assert not [*remarks_on_rotor(grid, structure.placed(nodes, structure.pairs))]
 
 
 def at_rest(scene: Scene, comm: MPI.Comm) -> list[float]:
