@@ -187,13 +187,13 @@ def identification(given: Namespace, inputs: Inputs, console: Console) -> Exit:
         from fenics_crack.study.timing import (
             arrivals_of,
             engine_order,
+            is_run_up,
             probed_displacement,
-            run_up_ends,
         )
 
         times, run = arrivals_of(scene, inputs.arrivals, console.comm)
-        if run is not None and (ends := run_up_ends(scene, run)):
-            console.warn(ends)
+        if is_run_up(times, run):
+            raise InputError("arrivals", repr(times), "those of a constant speed")
         order = engine_order(scene.given("tip_timing"), scene)
         tip, against = probed_displacement(scene)
         from fenics_crack.identification.measurements import Measurements

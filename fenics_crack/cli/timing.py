@@ -25,7 +25,13 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import TipTiming
 from fenics_crack.stages import within
 from fenics_crack.study.remarks import remarks_on_arrivals
-from fenics_crack.study.timing import arrivals_of, of_another_scene, run_up_ends, vibration_in
+from fenics_crack.study.timing import (
+    arrivals_of,
+    is_run_up,
+    of_another_scene,
+    run_up_ends,
+    vibration_in,
+)
 from fenics_crack.table import RPM, TURN, UNITS, Table, counted, quantity, speed_in_words
 
 __all__ = ["timing"]
@@ -73,10 +79,10 @@ def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
     on_root(console.comm, write)
     size = f"{counted(len(arrivals), 'revolution')}, {counted(len(arrivals.probes), 'probe')}"
     first, last = (speed_in_words(arrivals.speed[end], scene.in_rpm) for end in (0, -1))
-    ends = first if arrivals.steady else f"{first} to {last}"
+    ends = f"{first} to {last}" if is_run_up(arrivals, run) else first
     console.note(f"arrivals of {size}, {ends}: {folder / 'arrivals.csv'}, .png")
     with console.stage("vibration"):
-        fit = vibration_in(scene, arrivals)
+        fit = vibration_in(scene, arrivals, run)
     warnings: list[str] = []
     if run is None and not isinstance(fit, tuple):
         warnings += remarks_on_arrivals(arrivals)

@@ -29,8 +29,8 @@ from fenics_crack.study.run import Run, load_run, solve
 from fenics_crack.table import speed_in_words
 
 __all__ = [
-    "arrivals_of", "engine_order", "of_another_scene", "probed_displacement", "run_up_ends",
-    "tip_direction", "vibration_in",
+    "arrivals_of", "engine_order", "is_run_up", "of_another_scene", "probed_displacement",
+    "run_up_ends", "tip_direction", "vibration_in",
 ]  # fmt: skip
 
 DECIDED = (*LOOKED_AT, "reduction")
@@ -124,10 +124,17 @@ def of_another_scene(scene: Scene, run: Run[Any]) -> str:
     return words + f"scene, which has {here}" if here else ""
 
 
+def is_run_up(arrivals: ArrivalTimes, run: Run[Any] | None) -> bool:
+    """Whether the speed changes from arrival to arrival: of those computed from a curve always, of
+    others by as much as a speed that is held does not."""
+    computed = run is not None and isinstance(run.result, ResponseCurve)
+    return computed or not arrivals.steady
+
+
 def vibration_in(
-    scene: Scene, arrivals: ArrivalTimes
+    scene: Scene, arrivals: ArrivalTimes, run: Run[Any] | None = None
 ) -> TipFit | TipTrack | tuple[PassageFit, ...]:
-    """What ``[tip_timing]`` asks to be sought in arrival times, measured or computed.
+    """What ``[tip_timing]`` asks to be sought in arrival times, measured or computed from a run.
 
     At constant speed the load's engine order, or one of those that are given, or a frequency; in a
     run-up the load's order, or where that is not known the resonances that are passed.
@@ -140,7 +147,7 @@ def vibration_in(
     table = scene.given("tip_timing")
     order = table.order or scene.excitation.order
     deviation = np.radians(table.angle_deviation)
-    if not arrivals.steady:
+    if is_run_up(arrivals, run):
         if order is None:
             return find_passages(arrivals, table.orders or ORDERS)
         return track_order(

@@ -193,6 +193,29 @@ def test_a_run_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "or the vibration is not of order 7" in capsys.readouterr().err
 
 
+def test_a_run_up_of_few_speeds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Those of a curve are never one speed, however near they are: amplitudes of each speed are
+    the curve's, at its two ends, and identify asks for one speed."""
+    narrow = {"curve.start": 1990.0, "curve.stop": 2000.0, "tip_timing.revolutions": 200}
+    scene = written(tmp_path, narrow | {"excitation.force_sin": [1.0, 0.0]})
+    quiet = ["--output", str(tmp_path), "--quiet", "--format", "json"]
+    assert main(["curve", scene, *quiet]) == 0
+    curve = fc.load_run(tmp_path / "curve.h5")
+    capsys.readouterr()
+    words = [scene, str(tmp_path / "curve.h5"), "--output", str(tmp_path), "--format", "json"]
+    assert main(["timing", *words]) == 0
+    told = capsys.readouterr()
+    rows = json.loads(told.out)
+    assert "8 probes, 398.005 rad/s to 399.995 rad/s: " in told.err and len(rows) == 200
+    assert isinstance(curve.result, fc.ResponseCurve)
+    sizes = 0.5 * np.abs(curve.result.indicators(curve.watched_dof).harmonic_1[[0, -1]])
+    assert [rows[end]["amplitude_1 [m]"] for end in (0, -1)] == pytest.approx(sizes, rel=5e-3)
+    unknown = '[identify.unknown]\n"crack.length" = { start = 0.02, stop = 0.05, count = 4 }\n'
+    Path(scene).write_text(Path(scene).read_text(encoding="utf-8") + unknown, encoding="utf-8")
+    assert main(["identify", scene, "--arrivals", *words[1:]]) == 2
+    assert "must be those of a constant speed" in capsys.readouterr().err
+
+
 def test_a_run_up_that_becomes_unstable(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """It ends at the last point before, and says so; one that is unstable at once is refused."""
     scene = written(tmp_path, {"curve.start": 1500.0, "curve.stop": 1800.0})
