@@ -239,7 +239,19 @@ def _circumferential(rotation: Rotation, point: np.ndarray) -> np.ndarray:
 
 
 def _turning(table: TipTiming, run: Run) -> dict[str, Any]:
-    """The speed of rotation, or the engine order from which it follows."""
+    """The speed of rotation, or the engine order from which it follows.
+
+    Raises
+    ------
+    InputError
+        As :func:`engine_order`; or a curve is of one speed of a rotor, whose stiffness and mean
+        load are not those of a run-up.
+    """
+    if isinstance(run.result, ResponseCurve) and run.scene.speed > 0.0:
+        if run.result.parameter != "speed":
+            speed = speed_in_words(run.scene.speed, run.scene.in_rpm)
+            allowed = f"'rpm' or 'speed' for arrivals of a rotor, which is at {speed} all along it"
+            raise InputError("curve.parameter", run.scene.given("curve").parameter, allowed)
     steady = run.scene.excitation.order is None and not isinstance(run.result, ResponseCurve)
     if steady and run.scene.speed > 0.0:
         table.leave_out(("order",), "a rotor's speed, in [rotation]")

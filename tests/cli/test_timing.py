@@ -216,6 +216,31 @@ def test_a_run_up_of_few_speeds(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "must be those of a constant speed" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("parameter", ["omega", "speed"])
+def test_a_curve_at_one_speed_is_no_run_up(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], parameter: str
+) -> None:
+    """Of a rotor whose speed is given, a curve over the load's frequency is refused; one over the
+    speed is a run-up between its ends."""
+    turning = {
+        "rotation.speed": 360.0, "rotation.hub_radius": 0.1, "excitation.omega": None,
+        "excitation.order": 5, "tip_timing.order": None, "curve.parameter": parameter,
+        "excitation.force_sin": [1.0, 0.0], "curve.stability": False,
+    }  # fmt: skip
+    factor = 1.0 if parameter == "omega" else 0.2
+    ends = {"curve.start": 1750.0 * factor, "curve.stop": 1800.0 * factor}
+    scene, out = written(tmp_path, turning | ends), ["--output", str(tmp_path)]
+    assert main(["curve", scene, *out, "--quiet"]) == 0
+    capsys.readouterr()
+    code = main(["timing", scene, str(tmp_path / "curve.h5"), *out])
+    told = capsys.readouterr().err
+    if parameter == "omega":
+        assert code == 2 and "curve.parameter = 'omega': must be 'rpm' or 'speed' for" in told
+        assert "which is at 360 rad/s all along it" in told
+    else:
+        assert code == 0 and "8 probes, 350.253 rad/s to 359.753 rad/s" in told
+
+
 def test_a_run_up_that_becomes_unstable(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """It ends at the last point before, and says so; one that is unstable at once is refused."""
     scene = written(tmp_path, {"curve.start": 1500.0, "curve.stop": 1800.0})
