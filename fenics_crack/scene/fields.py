@@ -271,9 +271,10 @@ def between(least: str, most: str, default: Any, unit: str = "") -> Any:
     return holds(allowed, lambda value: low <= value <= high, default, unit)
 
 
-def vector(letter: str, default: Any = None, unit: str = "") -> Any:
-    """Field of a vector, which an error calls by a letter, and by x and y."""
-    return holds(components(letter, 2), default=default, unit=unit, letter=letter)
+def vector(letter: str, default: Any = None, unit: str = "", dimension: int = 2) -> Any:
+    """Field of a vector, which an error calls by a letter, and by x and y; of one that only solids
+    have by z, too."""
+    return holds(components(letter, dimension), default=default, unit=unit, letter=letter)
 
 
 def components(letter: str, dimension: int) -> str:

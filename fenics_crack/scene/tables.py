@@ -390,9 +390,9 @@ class Rotation(Table):
 
     hub_radius: float | None = not_negative(None, unit="m")
     """Radius of the clamp, if it is at y = 0: the axis is at y = -hub_radius."""
-    axis: Vector | None = vector("a")
+    axis: Vector | None = vector("a", dimension=3)
     """Direction of a solid's axis; left out: x."""
-    center: Vector | None = vector("", unit="m")
+    center: Vector | None = vector("", unit="m", dimension=3)
     """Of a solid, instead of hub_radius: a point of the axis."""
     speed: float = holds(
         "a finite number >= 0 (0, or 1e-6 to 1e9)",

@@ -196,3 +196,13 @@ def test_check_tells_where_the_order_meets_a_twisted_blade() -> None:
     met = figures.meeting_speed(4, speed)
     lips = fc.bilinear_frequencies(rotation.at(met))
     assert lips.omega_bilinear[0] == pytest.approx(4 * met, rel=3e-3)
+
+
+@pytest.mark.parametrize("key", ["axis", "center"])
+@pytest.mark.parametrize("value", ["y", [0.0, math.nan, 0.0]])
+def test_vectors_of_solids_have_three_numbers(key: str, value: object) -> None:
+    """As what is no vector at all is told."""
+    rotation = {"speed": 1.0, "hub_radius": 0.1, key: value}
+    with pytest.raises(InputError, match="three finite numbers") as caught:
+        Scene.from_mapping(BAR | PUSHED | {"rotation": rotation})
+    assert caught.value.key == f"rotation.{key}"
