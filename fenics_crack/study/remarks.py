@@ -165,16 +165,23 @@ def _rotor(scene: Scene) -> Remarks:
     usual = 0.0, LARGEST_SIDE
     yield from _unless_usual("rotation.hub_radius", hub, usual, f"a hub of {hub:g} m")
     if hub <= LARGEST_SIDE and scene.geometry.height is not None:
-        yield from _tip_speed(table, hub + scene.geometry.height)
+        yield from _tip_speed(scene, table, hub + scene.geometry.height)
 
 
-def _tip_speed(table: Rotation, radius: float) -> Remarks:
-    """Of what is ``radius`` away from a rotor's axis."""
-    if table.speed * radius > FASTEST:
-        text = f"the tip moves at {table.speed * radius:.3g} m/s, where the fastest have 700"
-        if table.rpm is None and RPM * table.speed * radius <= FASTEST:
-            text += "; in revolutions per minute? then use rotation.rpm"
-        yield Remark(*_speed_given(table), text)
+def _tip_speed(scene: Scene, table: Rotation, radius: float) -> Remarks:
+    """Of what is ``radius`` away from a rotor's axis, at its speed or along a run-up."""
+    given = [(*_speed_given(table), table.speed, "rotation.rpm")]
+    if scene.curve is not None and scene.curve.followed[0] == "speed":
+        ends = zip(("curve.start", "curve.stop"), scene.curve.followed[1:], strict=True)
+        key, speed = max(ends, key=lambda end: end[1])
+        value = speed / RPM if scene.curve.parameter == "rpm" else speed
+        given.append((key, value, speed, "curve.parameter = 'rpm'"))
+    for key, value, speed, instead in given:
+        if speed * radius > FASTEST:
+            text = f"the tip moves at {speed * radius:.3g} m/s, where the fastest have 700"
+            if value == speed and RPM * speed * radius <= FASTEST:
+                text += f"; in revolutions per minute? then use {instead}"
+            yield Remark(key, value, text)
 
 
 def _speed_given(table: Rotation) -> tuple[str, float]:
@@ -335,7 +342,7 @@ def _outermost(scene: Scene, structure: Structure) -> Remarks:
     point, axis = (vector[: nodes.points.shape[1]] for vector in table.place)
     away = gather_rows(structure.comm, nodes.points) - point
     across = away - np.outer(away @ axis, axis)
-    yield from _tip_speed(table, float(np.linalg.norm(across, axis=1).max()))
+    yield from _tip_speed(scene, table, float(np.linalg.norm(across, axis=1).max()))
 
 
 def remarks_on_rotor(scene: Scene, structure: Structure) -> Remarks:

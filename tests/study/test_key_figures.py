@@ -202,6 +202,23 @@ def test_proportional_to_the_load() -> None:
     assert not is_proportional(fc.Scene.load(DEMOS / "chain.toml"))
 
 
+@pytest.mark.parametrize("parameter", ["speed", "rpm"])
+def test_a_tip_along_a_run_up(parameter: str) -> None:
+    """Faster than any is the one at the fastest speed of a curve, too; in rad/s for rpm most
+    often."""
+    rotor = {"rotation.speed": 100.0, "rotation.hub_radius": 0.2, "excitation.order": 4}
+    run_up = {"curve.parameter": parameter, "curve.start": 4000.0, "curve.stop": 3000.0}
+    scene = PAPER.replace({"excitation.omega": None} | rotor | run_up)
+    told = [str(remark) for remark in remarks_on_scene(scene)]
+    if parameter == "rpm":
+        assert not told
+    else:
+        radius = 0.2 + PAPER.geometry.sides[1]
+        [remark] = told
+        assert remark.startswith(f"curve.start = 4000: the tip moves at {4000.0 * radius:.3g} m/s")
+        assert remark.endswith("then use curve.parameter = 'rpm'")
+
+
 def test_a_tip_of_other_radii() -> None:
     """[tip_timing] is judged by the plate's distance from the axis, where it is known."""
     rotor = {"rotation.rpm": 100.0, "rotation.hub_radius": 0.2, "tip_timing.probes": [0.0, 90.0]}
