@@ -37,7 +37,7 @@ from fenics_crack.study.key_figures import damping_ratios
 from fenics_crack.study.prepare import prepare
 from fenics_crack.study.run import solve
 from fenics_crack.study.stated_errors import stated_errors
-from fenics_crack.sweep.result import SweepResult, run_sweep
+from fenics_crack.sweep.result import UNSOUGHT, SweepResult, resonates, run_sweep
 from fenics_crack.table import TURN, Tabular, counted, with_frequency
 
 __all__ = ["ENDS", "Growth", "grow"]
@@ -329,6 +329,8 @@ def _checked(scene: Scene) -> Scene:
     if law.drive == "spectrum" and scene.excitation.order is not None:
         allowed = "another one with excitation.order: the speed of the rotor sets the frequency"
         raise InputError("growth.drive", law.drive, allowed)
+    if law.drive == "resonance" and not resonates(scene):
+        raise InputError("growth.drive", law.drive, f"another one {UNSOUGHT}")
     width = scene.geometry.sides[0]
     if not crack.length < law.until < width:
         allowed = f"between crack.length = {crack.length:g} and geometry.width = {width:g}"

@@ -69,13 +69,15 @@ from fenics_crack.sweep.jobs import Manager, Worker, serve
 from fenics_crack.sweep.plan import Plan
 from fenics_crack.table import Tabular, counted
 
-__all__ = ["SweepResult", "by_reason", "in_words", "run_sweep"]
+__all__ = ["UNSOUGHT", "SweepResult", "by_reason", "in_words", "resonates", "run_sweep"]
 
 SHOWN_REASONS = 4
 """Why cases failed or are undecided: so many kinds are told."""
 
 DRAWN = ("amplitude", "opening", "ratio_2_1", "ratio_3_1", "closed_share", "mean_shift")
 """Quantities that are drawn where the scene does not choose."""
+UNSOUGHT = "without contact, with [rotation], and where base has a displacement"
+"""Where the largest response over the load's frequency is not sought."""
 STATES = np.array(["pending", "converged", "failed"])
 """Words for PENDING, CONVERGED and FAILED."""
 
@@ -166,15 +168,20 @@ def _passing_file() -> str:
     return f"{folder}/sweep.h5"
 
 
+def resonates(scene: Scene) -> bool:
+    """Whether the largest response over the load's frequency can be sought; else a scene is as
+    :data:`UNSOUGHT` says."""
+    moved = scene.base is not None and scene.base.moves_by_displacement
+    return scene.contact is not None and scene.speed == 0.0 and not moved
+
+
 def _ranks_of_a_case(scene: Scene, comm: MPI.Comm) -> int:
     """How many ranks solve a case together."""
     if scene.sweep is None:
         raise InputError("sweep", None, "given: what to vary")
     ranks = scene.sweep.ranks
-    moved = scene.base is not None and scene.base.moves_by_displacement
-    if scene.sweep.at_resonance and (moved or scene.speed > 0.0 or scene.contact is None):
-        allowed = "false without contact, with [rotation], and where base has a displacement"
-        raise InputError("sweep.at_resonance", True, allowed)
+    if scene.sweep.at_resonance and not resonates(scene):
+        raise InputError("sweep.at_resonance", True, f"false {UNSOUGHT}")
     if comm.size % ranks:
         raise InputError("sweep.ranks", ranks, f"a divisor of the number of ranks, {comm.size}")
     if ranks > 1 and scene.reduction is not None and scene.reduction.method == "off":

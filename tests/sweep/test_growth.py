@@ -354,6 +354,10 @@ def test_ranks_share_the_lengths(on_ranks: Callable[..., Any], driven: fc.Growth
             "growth.cycles.*as many numbers as there are frequencies",
         ),
         ({"growth.run_up": (3.0, 2.0, 1.0)}, "growth.run_up.*start < stop"),
+        (
+            {"growth.drive": "resonance", "rotation.speed": 9.0, "rotation.hub_radius": 0.1},
+            r"growth.drive = 'resonance': must be another one .*with \[rotation\]",
+        ),
     ],
 )
 def test_refused_by_name(changes: dict[str, Any], told: str) -> None:
