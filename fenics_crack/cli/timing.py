@@ -30,6 +30,7 @@ from fenics_crack.study.timing import (
     is_run_up,
     of_another_scene,
     run_up_ends,
+    tip_in_words,
     vibration_in,
 )
 from fenics_crack.table import RPM, TURN, UNITS, Table, counted, quantity, speed_in_words
@@ -81,6 +82,8 @@ def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
     first, last = (speed_in_words(arrivals.speed[end], scene.in_rpm) for end in (0, -1))
     ends = f"{first} to {last}" if is_run_up(arrivals, run) else first
     console.note(f"arrivals of {size}, {ends}: {folder / 'arrivals.csv'}, .png")
+    if run is not None:
+        console.note(tip_in_words(scene.given("tip_timing"), run))
     with console.stage("vibration"):
         fit = vibration_in(scene, arrivals, run)
     warnings: list[str] = []

@@ -30,7 +30,7 @@ from fenics_crack.table import speed_in_words
 
 __all__ = [
     "arrivals_of", "engine_order", "is_run_up", "of_another_scene", "probed_displacement",
-    "run_up_ends", "tip_direction", "vibration_in",
+    "run_up_ends", "tip_direction", "tip_in_words", "vibration_in",
 ]  # fmt: skip
 
 DECIDED = (*LOOKED_AT, "reduction")
@@ -188,6 +188,14 @@ def tip_direction(table: TipTiming, run: Run) -> dict[int, float]:
     along = _circumferential(rotation, points[node])
     shares = zip(dofs[node].tolist(), along.tolist(), strict=True)
     return {dof: share for dof, share in shares if dof >= 0 and share != 0.0}
+
+
+def tip_in_words(table: TipTiming, run: Run) -> str:
+    """Of which displacements the one that the probes see is the sum (collective)."""
+    whole = run.structure.whole
+    shares = tip_direction(table, run).items()
+    parts = [f"{share:.4g} times the {whole.dof_name(dof)}" for dof, share in shares]
+    return f"the probes see {' and '.join(parts)}"
 
 
 def probed_displacement(scene: Scene) -> tuple[str, bool]:

@@ -81,6 +81,7 @@ def test_what_probes_cannot_tell(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert main(["timing", scene, "--output", str(tmp_path), *exact]) == 0
     told = capsys.readouterr()
     assert "arrivals of 20 revolutions, 12 probes, 360 rad/s: " in told.err
+    assert "the probes see -0.5 times the x displacement at (" in told.err
     assert "second harmonic over first: 0." in told.err and "warning" not in told.err
     assert "frequency" not in told.out and "omega [rad/s]  amplitude [m]" in told.out
     few = [f"tip_timing.{key}" for key in ("fitted_harmonics=1", "probes=[0,60,120,180,240,300]")]

@@ -24,7 +24,7 @@ from fenics_crack.fem.build import assemble
 from fenics_crack.model.modes import times
 from fenics_crack.model.rotation import static_state
 from fenics_crack.study.remarks import remarks_on_rotor
-from fenics_crack.study.timing import probed_displacement, tip_direction
+from fenics_crack.study.timing import probed_displacement, tip_direction, tip_in_words
 from fenics_crack.table import RPM
 
 PUBLISHED = {
@@ -301,6 +301,8 @@ def test_a_tip_passes_probes_by_its_circumferential_motion() -> None:
     shares = {"y": -SIDE / radius, "z": (LENGTH + 0.1) / radius}
     expected = {structure.find_dof(tip, axis): share for axis, share in shares.items()}
     assert tip_direction(table, run) == pytest.approx(expected, rel=1e-12)
+    parts = [f"{share:.4g} times the {axis} displacement at (" for axis, share in shares.items()]
+    assert all(part in tip_in_words(table, run) for part in parts)
     by_hand = scene.replace({"tip_timing.tangential": -0.5}).given("tip_timing")
     assert tip_direction(by_hand, run) == {run.watched_dof: -0.5}
     through_it = replace(run, scene=scene.replace({"rotation.center": [1.0, LENGTH, SIDE]}))
