@@ -52,7 +52,7 @@ STATES = {
 }
 """What a crack does whose frequency is of a kind."""
 CHANGE = 1e-4
-"""Of the speed at which it changes, relative."""
+"""Of the speed at which it changes, or an order meets a mode, relative."""
 At = Callable[[float], tuple[np.ndarray, np.ndarray]]
 """Frequencies of a speed, and by how much the crack is held: (3, count) each."""
 SPARE = 2
@@ -84,6 +84,8 @@ class Campbell(Tabular):
     coriolis : (m,)
         Relative changes of the open frequencies at the fastest speed by the Coriolis force of a
         solid, which is left out.
+    at : function of a speed [rad/s]
+        Frequencies held open, shut and partly open there, and by how much: (3, m) each.
     """
 
     speed: np.ndarray
@@ -94,6 +96,7 @@ class Campbell(Tabular):
     kind: np.ndarray
     changes: tuple[tuple[int, float, str], ...]
     coriolis: np.ndarray
+    at: At
 
     KIND: ClassVar[str] = "Campbell diagram"
 
@@ -120,7 +123,7 @@ class Campbell(Tabular):
     def crossings(self, order: int, kind: str = "bilinear") -> np.ndarray:
         """Where w = order W meets natural frequencies: (k, 2), mode (from 1) and speed [rad/s].
 
-        Between two speeds the square of a frequency is taken to be linear in W^2.
+        They are sought between two speeds on whose sides of the order's line a mode is.
 
         Parameters
         ----------
@@ -140,14 +143,16 @@ class Campbell(Tabular):
             raise InputError("kind", kind, "one of " + ", ".join(map(repr, (*STATES, "real"))))
         if kind == "real":
             return self._real_crossings(order)
-        squares, at = getattr(self, f"omega_{kind}") ** 2, self.speed**2
-        over = squares - (order**2 * at)[:, None]
+
+        def over(speed: float, mode: int) -> float:
+            return self._omega(mode, speed, kind) - order * speed
+
+        above = getattr(self, f"omega_{kind}") > order * self.speed[:, None]
         found = []
-        for mode, row in enumerate(over.T, 1):
-            for place in np.flatnonzero((row[:-1] > 0.0) != (row[1:] > 0.0)):
-                share = row[place] / (row[place] - row[place + 1])
-                found.append((mode, np.sqrt(at[place] + share * (at[place + 1] - at[place]))))
-        return np.array(found).reshape(-1, 2)
+        for place, mode in np.argwhere(above[1:] != above[:-1]).tolist():
+            ends = self.speed[place : place + 2].tolist()
+            found.append((mode + 1, brentq(over, *ends, (mode + 1,), rtol=CHANGE)))
+        return np.array(sorted(found)).reshape(-1, 2)
 
     def _real_crossings(self, order: int) -> np.ndarray:
         """Those with each state's own line where the crack is in it, and those at its changes."""
@@ -170,9 +175,11 @@ class Campbell(Tabular):
         return below[-1], [kind for at, kind in known if at <= speed][-1]
 
     def _omega(self, mode: int, speed: float, kind: str) -> float:
-        """A natural frequency at a speed, whose square is taken to be linear in W^2."""
-        squares = getattr(self, f"omega_{kind}")[:, mode - 1] ** 2
-        return float(np.sqrt(np.interp(speed**2, self.speed**2, squares)))
+        """A natural frequency at a speed."""
+        omega = self.at(speed)[0][:, mode - 1]
+        if kind == "bilinear":
+            return float(BilinearFrequencies(omega[0], omega[1]).omega_bilinear)
+        return float(omega[HELD.index(kind)])
 
     def real_line(self, mode: int) -> list[tuple[float, float, str]]:
         """Speeds [rad/s], the crack's frequency in a mode (from 1) [rad/s] and its kind, along a
@@ -288,7 +295,7 @@ def campbell(
     last = solve_modes(small.at(wanted[-1]), count)
     modes = Modes(last.omega, small.basis @ last.shapes, top)
     coriolis = coriolis_shifts(modes, wanted[-1] * axis)
-    return Campbell(wanted, opened, tied, partly, top.n_pairs > 0, kind, changes, coriolis)
+    return Campbell(wanted, opened, tied, partly, top.n_pairs > 0, kind, changes, coriolis, at)
 
 
 def _kinds(holds: np.ndarray) -> np.ndarray:

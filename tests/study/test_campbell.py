@@ -219,6 +219,21 @@ def test_a_tie_that_takes_a_mode_past_another() -> None:
             assert told[0] == pytest.approx(expected, rel=1e-6)
 
 
+def test_crossings_between_speeds_far_apart() -> None:
+    """Where two modes of a bar turn away from each other, their squares are far from linear in W^2:
+    what two speeds tell is where a structure that is built there resonates, and what nine tell."""
+    changes = {"crack": None, "contact": None, "geometry.thickness": 0.0104}
+    scene = Scene.from_text(BAR).replace(changes | {"mesh.lip_elements": None})
+    two, nine = (fc.campbell(scene, np.linspace(0.0, 2500.0, n), 2) for n in (2, 9))
+    for order in (5, 6):
+        found = two.crossings(order, "open")
+        assert len(found) == 2 and found == pytest.approx(nine.crossings(order, "open"), rel=1e-4)
+        for mode, speed in found:
+            bar = fc.build_structure(scene.replace({"rotation.speed": float(speed)}))
+            omega = fc.solve_modes(bar, 2).omega[int(mode) - 1]
+            assert omega == pytest.approx(order * speed, rel=1e-4)
+
+
 def test_bad_input() -> None:
     """Each error names what is wrong."""
     scene = strip(0, 1.0)
