@@ -66,7 +66,10 @@ NEGLIGIBLE = 1e-12
 weights of directions in a Gram matrix, gaps of lips that the load presses together."""
 MULTIPLE = 1e-6
 """Relative difference of frequencies that count as one of several modes, as that of their squares
-where missing ones are looked for; and of shapes that count as alike."""
+where missing ones are looked for; and what an order of numbers counts beside a shape."""
+SAME_SHAPE = 0.9
+"""Square of the product of two normalised shapes above which they are of one mode, as the modal
+assurance criterion is read: a tie that mixes modes leaves less, and then none is another's."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -638,9 +641,9 @@ def tied_modes(structure: Structure, count: int) -> Modes:
 def partners(is_open: Modes, tied: Modes) -> np.ndarray:
     """Which mode with lips tied has the shape of each mode with lips open: (n,) numbers from 0.
 
-    Each taken once, so that the sum of (phi_open^T M phi_tied)^2 is largest. The shapes of several
-    modes of one frequency are any of a space, so squares are summed over it; of those that are as
-    alike, the order is that of the numbers (collective).
+    Each is taken once: as many as there are of (phi_open^T M phi_tied)^2 above
+    :data:`SAME_SHAPE`, and the others in the order of their numbers. The shapes of several modes
+    of one frequency are any of a space, so squares are summed over it (collective).
 
     Parameters
     ----------
@@ -653,7 +656,8 @@ def partners(is_open: Modes, tied: Modes) -> np.ndarray:
         np.isclose(omega[:, None], omega, rtol=MULTIPLE, atol=0.0).astype(float)
         for omega in (is_open.omega, tied.omega)
     )
+    same = of_open @ alike @ of_tied > SAME_SHAPE
     rows, columns = np.indices(alike.shape)
-    weights = 1.0 + of_open @ alike @ of_tied - MULTIPLE * (rows - columns) ** 2  # 0 is no match
+    weights = 1.0 + same - MULTIPLE * (rows - columns) ** 2  # all > 0, which are matches
     matched = min_weight_full_bipartite_matching(sparse.csr_matrix(weights), maximize=True)
     return np.asarray(matched[1])

@@ -183,19 +183,19 @@ def test_bilinear_frequency_of_two_springs() -> None:
 
 
 def overtaking() -> fc.Structure:
-    """A mass of 1 on a spring of 1 that a pair ties to one of 1/4 on a spring of 4, and another
-    alone, of frequency 1.5: the first has 1 open and, tied, 2 = sqrt(5 / 1.25)."""
-    mass, stiffness = np.diag([1.0, 0.25, 1.0]), np.diag([1.0, 4.0, 2.25])
+    """A mass of 1 on a spring of 1 that a pair ties to one of 0.05 on a spring of 3.2, and another
+    alone, of frequency 1.5: the first has 1 open and, tied, 2 = sqrt(4.2 / 1.05)."""
+    mass, stiffness = np.diag([1.0, 0.05, 1.0]), np.diag([1.0, 3.2, 2.25])
     return fc.Structure.from_matrices(mass, stiffness, [1.0, -1.0, 0.0])
 
 
 def test_open_and_tied_modes_are_of_one_shape() -> None:
     """Also where the tie takes a mode past another one; of equal frequencies, whose shapes are any
-    of a space, the order is that of their numbers."""
+    of a space, and of shapes that a tie mixes, the order is that of their numbers."""
     found = fc.bilinear_frequencies(overtaking())
-    np.testing.assert_allclose(found.omega_open, [1.0, 1.5, 4.0], rtol=1e-9)
+    np.testing.assert_allclose(found.omega_open, [1.0, 1.5, 8.0], rtol=1e-9)
     np.testing.assert_allclose(found.omega_tied, [2.0, 1.5, np.inf], rtol=1e-9)
-    np.testing.assert_allclose(found.omega_bilinear, [4.0 / 3.0, 1.5, 8.0], rtol=1e-9)
+    np.testing.assert_allclose(found.omega_bilinear, [4.0 / 3.0, 1.5, 16.0], rtol=1e-9)
     for seed in range(4):  # two masses alike, each tied to another one; turned to be one space
         turned = scipy.linalg.block_diag(
             *2 * [np.linalg.qr(np.random.default_rng(seed).normal(size=(2, 2)))[0]]

@@ -168,9 +168,9 @@ def test_breathing_frequency() -> None:
 
 
 def test_breathing_frequency_is_of_one_shape() -> None:
-    """Two masses that a pair ties, 1 open and sqrt(5 / 1.25) = 2 tied, and one alone of 1.5, which
-    the tie takes them past."""
-    mass, stiffness = np.diag([1.0, 0.25, 1.0]), np.diag([1.0, 4.0, 2.25])
+    """Two masses that a pair ties, 1 open and sqrt(4.2 / 1.05) = 2 tied, and one alone of 1.5,
+    which the tie takes them past."""
+    mass, stiffness = np.diag([1.0, 0.05, 1.0]), np.diag([1.0, 3.2, 2.25])
     damping = fc.ModalDamping(0.1)
     structure = fc.Structure.from_matrices(
         mass, stiffness, [1.0, -1.0, 0.0], force_sin=np.ones(3), damping=damping
