@@ -159,7 +159,7 @@ class Judgement:
         short = self.prediction <= FARTHEST
         beyond_doubt = short and self._to_near <= NO_DOUBT
         only = believed and near and (beyond_doubt or self._is_only())
-        if only and (short or self._leads_back()):
+        if only and (short or _leads_back(self.near, self.wave)):
             return self
         if self.finer is None:
             return None
@@ -187,23 +187,23 @@ class Judgement:
 
     def _is_only(self) -> bool:
         """Whether no other orbit as near is found from the state behind the wave's step."""
-        wave, step = self.wave, self.predicted
-        assert self.flow is not None and step is not None
-        start, periods = step.states[0], wave.subharmonic
-        other = orbit_next_to(self.flow, wave.omega, start, periods, patient=False)
+        other = self._ahead
         return other is None or _alike(self.near, other) or not self.believes(self.to(other))
 
-    def _leads_back(self) -> bool:
-        """Whether the motion of the orbit next to it, balanced with as many harmonics, is the
-        wave."""
-        wave = self.wave
-        assert wave.contact is not None and self.near is not None
-        problem = Problem(
-            wave.structure, wave.omega, wave.contact, wave.harmonics, subharmonic=wave.subharmonic,
-            static_above=wave.static_above,
-        )  # fmt: skip
-        known = self.near.coefficients(wave.harmonics)
-        return problem.left(wave, known.gap, known.force) <= FARTHEST
+    def _has_none_nearer(self, distance: float) -> bool:
+        """Whether an orbit so far away is as near as was predicted, or that which is found from the
+        state behind the wave's step is no nearer."""
+        if distance <= max((1.0 + FARTHEST) * self.prediction, NO_DOUBT) or self._ahead is None:
+            return True
+        return not self.to(self._ahead) < (1.0 - FARTHEST) * distance
+
+    @cached_property
+    def _ahead(self) -> PeriodicOrbit | None:
+        """The orbit found from the state behind the wave's step."""
+        if (step := self.predicted) is None or self.flow is None:
+            return None
+        wave, start = self.wave, step.states[0]
+        return orbit_next_to(self.flow, wave.omega, start, wave.subharmonic, patient=False)
 
     @cached_property
     def states(self) -> np.ndarray:
@@ -259,7 +259,7 @@ class Judgement:
         one, or, at the wave's frequency, where it is given, one that leads back to it or that more
         harmonics confirm."""
         if max(distance, self.prediction) <= FARTHEST and not self.leads_elsewhere(away):
-            return self.believes(distance)
+            return self.believes(distance) and self._has_none_nearer(distance)
         if orbit is None:
             return False
         if self.prediction < UNKNOWN:
@@ -351,6 +351,18 @@ def _apart(judged: Judgement, state: np.ndarray) -> float:
     assert judged.flow is not None
     weights, own = judged.flow.weights(judged.wave.base_omega), judged.states[0]
     return relative(weights * (state - own), weights * own)
+
+
+def _leads_back(orbit: PeriodicOrbit | None, wave: Wave) -> bool:
+    """Whether the motion of an orbit, balanced with as many harmonics as a wave has, is the
+    wave."""
+    assert wave.contact is not None and orbit is not None
+    problem = Problem(
+        wave.structure, wave.omega, wave.contact, wave.harmonics, subharmonic=wave.subharmonic,
+        static_above=wave.static_above,
+    )  # fmt: skip
+    known = orbit.coefficients(wave.harmonics)
+    return problem.left(wave, known.gap, known.force) <= FARTHEST
 
 
 def _alike(one: PeriodicOrbit | None, other: PeriodicOrbit | None) -> bool:

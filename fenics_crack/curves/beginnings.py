@@ -52,6 +52,7 @@ from fenics_crack.numerics.newton import (
     distance,
     point_on_path,
     solve_in_plane,
+    square_of,
     tangent_of,
 )
 from fenics_crack.numerics.path import STRAIGHT, Path, PathOptions
@@ -240,8 +241,7 @@ def next_to_doubled_orbits(
             if found is not None:
                 change = _rows(family, ahead) - _rows(family, orbit)
                 rise = family.parameter(ahead.omega) - found.parameter
-                weight = 1.0 / family.inner(found.unknown, found.unknown)
-                towards = Tangent(change, rise, weight)
+                towards = Tangent(change, rise, 1.0 / square_of(family, found.unknown))
                 return DoubledStart(family.problem, replace(found, tangent=towards))
     ends = sorted((orbits[0].omega, orbits[-1].omega))
     raise ConvergenceError(

@@ -147,6 +147,11 @@ class Family(ABC):
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
         return float(np.vdot(first, second))
 
+    @property
+    def means(self) -> int:
+        """Of the unknowns, the first: a mean of the gap of each pair."""
+        return self.problem.structure.n_pairs
+
     def rounding(self, parameter: float) -> float:
         """What rounding leaves of |F| / |x| near a point of a curve.
 

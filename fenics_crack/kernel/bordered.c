@@ -1,5 +1,6 @@
 #include "bordered.h"
 
+#include <float.h>
 #include <math.h>
 #include <stdlib.h>
 
@@ -13,6 +14,15 @@ double inner_product(const equations *at, const double *x, const double *y)
     if (at->inner) return at->inner(at, x, y);
     for (int i = 0; i < at->unknowns; i++) sum += x[i] * y[i];
     return sum;
+}
+
+double square_of(const equations *at, const double *x)
+{
+    const double whole = inner_product(at, x, x);
+    double means = 0.0;
+    for (int i = 0; i < at->means; i++) means += x[i] * x[i];
+    const double moving = fmax(whole - means, sqrt(DBL_EPSILON) * whole);
+    return fmax(moving + fmin(means, moving), 1e-300);
 }
 
 void add_to(int n, double *x, double s, const double *y)
@@ -32,7 +42,7 @@ static void slope_at(equations *at, int n, double sharp, double *slope)
 double unit_tangent(equations *at, int n, const double *x, double *tangent, double *weight)
 {
     slope_at(at, n, SHARP, tangent);
-    *weight = 1.0 / fmax(inner_product(at, x, x), 1e-300);
+    *weight = 1.0 / square_of(at, x);
     const double slope = 1.0 / sqrt(*weight * inner_product(at, tangent, tangent) + 1.0);
     for (int i = 0; i < n; i++) tangent[i] *= slope;
     return slope;

@@ -30,6 +30,8 @@ int solve_in_plane(equations *at, const plane *in, const correction *how, double
 int correct_in_plane(equations *at, const plane *in, const correction *how, double *x, double *p,
                      int *taken, double *room);
 
+/* The square of a solution's size, to which its means contribute no more than all else. */
+double square_of(const equations *at, const double *x);
 /* <x, y> of the equations; x += s y; the opposite direction. */
 double inner_product(const equations *at, const double *x, const double *y);
 void add_to(int n, double *x, double s, const double *y);

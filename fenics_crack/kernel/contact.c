@@ -252,8 +252,8 @@ contact_point *new_contact_point(const contact_pairs *given)
     const size_t formed = given->formed ? size : 0; /* what only a J that is formed needs */
     const size_t waves = 2 * H * (switching_cells((int)H) / 4 + 1);
     at->common.own = (equations){
-        .unknowns = (int)n, .evaluate = evaluate, .residual = residual_at, .solve = solve,
-        .by_parameter = by_parameter, .sign = sign, .apply = apply_jacobian};
+        .unknowns = (int)n, .means = (int)p, .evaluate = evaluate, .residual = residual_at,
+        .solve = solve, .by_parameter = by_parameter, .sign = sign, .apply = apply_jacobian};
     at->seen = new_compliance(&given->seen);
     const struct {
         double **array;

@@ -9,6 +9,7 @@ on the space of motions with B^T phi = 0 (:mod:`fenics_crack.model.factor`).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from numbers import Integral
 from typing import Any, ClassVar
@@ -64,7 +65,7 @@ phi_i^2), static responses and gaps."""
 NEGLIGIBLE = 1e-12
 """What solutions with K leave of zero, relative to the largest: eigenvalues of static compliances,
 weights of directions in a Gram matrix, gaps of lips that the load presses together."""
-MULTIPLE = 1e-6
+MULTIPLE = math.sqrt(NEGLIGIBLE)
 """Relative difference of frequencies that count as one of several modes, as that of their squares
 where missing ones are looked for; and what an order of numbers counts beside a shape."""
 SAME_SHAPE = 0.9
@@ -642,8 +643,9 @@ def partners(is_open: Modes, tied: Modes) -> np.ndarray:
     """Which mode with lips tied has the shape of each mode with lips open: (n,) numbers from 0.
 
     Each is taken once: as many as there are of (phi_open^T M phi_tied)^2 above
-    :data:`SAME_SHAPE`, and the others in the order of their numbers. The shapes of several modes
-    of one frequency are any of a space, so squares are summed over it (collective).
+    :data:`SAME_SHAPE`, and the others in the order of their numbers; no tie makes a mode slower
+    (Rayleigh). The shapes of several modes of one frequency are any of a space, so squares are
+    summed over it (collective).
 
     Parameters
     ----------
@@ -656,7 +658,8 @@ def partners(is_open: Modes, tied: Modes) -> np.ndarray:
         np.isclose(omega[:, None], omega, rtol=MULTIPLE, atol=0.0).astype(float)
         for omega in (is_open.omega, tied.omega)
     )
-    same = of_open @ alike @ of_tied > SAME_SHAPE
+    slower = tied.omega < (1.0 - MULTIPLE) * is_open.omega[:, None]
+    same = (of_open @ alike @ of_tied > SAME_SHAPE) & ~slower
     rows, columns = np.indices(alike.shape)
     weights = 1.0 + same - MULTIPLE * (rows - columns) ** 2  # all > 0, which are matches
     matched = min_weight_full_bipartite_matching(sparse.csr_matrix(weights), maximize=True)

@@ -70,7 +70,12 @@ class Linearisation(ABC):
 
 
 class System(Protocol):
-    """F(x, p) = 0 for unknowns in arrays of one shape."""
+    """F(x, p) = 0 for unknowns in arrays of one shape.
+
+    It may have more: ``compiled``, its kernel's equations; ``counts``, by how much each unknown
+    counts where turns are judged; and ``means``, how many of the unknowns, the first, are means
+    over time.
+    """
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> Linearisation:
         """The system at a point."""
@@ -195,7 +200,8 @@ class _Interpreted(Equations):
         if counts is not None:
             counts = np.ascontiguousarray(np.broadcast_to(counts, shape), dtype=float)
         self._struct = Struct(
-            "equations", unknowns=size, context=self._handle, counts=counts,
+            "equations", unknowns=size, means=getattr(system, "means", 0), context=self._handle,
+            counts=counts,
             evaluate=kernel.python_evaluate, residual=kernel.python_residual,
             solve=kernel.python_solve, solve_nearly=kernel.python_solve_nearly,
             by_parameter=kernel.python_by_parameter, sign=kernel.python_sign,

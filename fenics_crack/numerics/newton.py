@@ -6,7 +6,7 @@ serves a system for all attempts at its solution. Where the kernel has the equat
 option is given, the same steps are taken there.
 
 **Bordered by a plane.** A point of a path has a unit tangent (t_x, t_p) in the norm w |x|^2 + p^2,
-w = 1 / |x_0|^2. In the plane orthogonal to a tangent Newton's method solves
+w = 1 / |x_0|^2 (:func:`square_of`). In the plane orthogonal to a tangent Newton's method solves
 
     [ J    F_p ] [dx]     [F]
     [ t_x  t_p ] [dp] = - [0],     by two solutions with J:
@@ -42,12 +42,12 @@ from petsc4py import PETSc
 
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import NULL, Struct, doubles, ints, kernel, shaped
-from fenics_crack.numerics.equations import Linearisation, System, equations_of
+from fenics_crack.numerics.equations import EPSILON, Linearisation, System, equations_of
 
 __all__ = [
     "FORCING", "FULL_STEPS", "MAX_ITERATIONS", "MIN_DAMPING", "PATIENCE", "STRAY", "Newton",
     "PathPoint", "Tangent", "correct", "distance", "gmres", "kernel_solves", "point_on_path",
-    "solve_at", "solve_in_plane", "solve_near", "step_along", "tangent_of",
+    "solve_at", "solve_in_plane", "solve_near", "square_of", "step_along", "tangent_of",
 ]  # fmt: skip
 
 SELF = PETSc.COMM_SELF
@@ -275,12 +275,22 @@ class PathPoint:
     """Of the chord from the point before in that one's norm, where it is known."""
 
 
+def square_of(system: System, unknown: np.ndarray) -> float:
+    """The square of a solution's size, to which its means over time contribute no more than all
+    else: a clearance or a steady load may make them as large as they like, and steps by which a
+    resonance is seen are parts of what moves."""
+    whole, mean = system.inner(unknown, unknown), unknown.ravel()[: getattr(system, "means", 0)]
+    means = float(mean @ mean)
+    moving = max(whole - means, EPSILON**0.5 * whole)
+    return max(moving + min(means, moving), 1e-300)
+
+
 def tangent_of(
     system: System, unknown: np.ndarray, at: Linearisation, towards: Tangent | None = None
 ) -> Tangent:
     """Tangent at a solution, towards growing p or in a direction that is known roughly."""
     slope = -at.solve(at.by_parameter)
-    weight = 1.0 / max(system.inner(unknown, unknown), 1e-300)
+    weight = 1.0 / square_of(system, unknown)
     length = float(np.sqrt(weight * system.inner(slope, slope) + 1.0))
     found = Tangent(slope / length, 1.0 / length, weight)
     back = towards is not None and found.along(towards, system) < 0.0

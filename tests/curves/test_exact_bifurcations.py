@@ -48,8 +48,9 @@ def test_bifurcations_of_two_masses_and_a_stop(harmonics: int) -> None:
                 pair = orbit.multipliers[orbit.multipliers.imag > 0.1]
                 assert np.abs(np.abs(pair) - 1.0).min() < 1e-9
             else:
-                critical = 1.0 if kind == "fold" else -1.0
-                assert np.abs(orbit.multipliers - critical).min() < 1e-6
+                # Next to a fold it goes like the root of how far that is.
+                critical, off = (1.0, 1e-5) if kind == "fold" else (-1.0, 1e-6)
+                assert np.abs(orbit.multipliers - critical).min() < off
     doubling = next(b for b in curve.bifurcations if b.kind == "period_doubling")
     assert fc.refine_bifurcation(doubling, reach=0.2)[0] == pytest.approx(0.7387830, rel=1e-7)
 

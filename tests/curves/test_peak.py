@@ -57,6 +57,42 @@ def test_a_linear_mode(masses: fc.ResponseCurve) -> None:
     assert str(masses.peak(0)) == str(peak) and masses.peak(1).amplitude < 1e-3 * peak.amplitude
 
 
+@pytest.mark.parametrize("ratio", [1.2, 10.0, 1000.0])
+@pytest.mark.parametrize("damping", [5e-3, 1e-3])
+@pytest.mark.parametrize("other", [False, True])
+def test_no_resonance_is_stepped_over(ratio: float, damping: float, other: bool) -> None:
+    """Of one mass before a stop that is so many times its largest amplitude away: steps are parts
+    of the vibration, not of the clearance. Also where the way is followed by Python's loop."""
+    one, exact = np.ones((1, 1)), 1.0 / (2.0 * damping * np.sqrt(1.0 - damping**2))
+    structure = fc.Structure.from_matrices(
+        one, one, one, force_cos=[1.0], clearance=ratio * exact, damping=2.0 * damping * one
+    )
+    law: Any = fc.SmoothedPenalty(1.0, 100.0) if other else fc.UnilateralPenalty(1.0)
+    curve = fc.continue_frequency(structure, 0.5, 1.6, law, harmonics=5, stability=not other)
+    peak = curve.peak()
+    assert peak.omega == pytest.approx(np.sqrt(1.0 - 2.0 * damping**2), rel=1e-5)
+    assert peak.amplitude == pytest.approx(exact, rel=1e-3)
+    assert peak.damping == pytest.approx(damping, rel=1e-2)
+    assert other or set(curve.verdicts) == {"stable"}
+
+
+def test_both_ways_find_the_same_folds() -> None:
+    """A mass pressed on one stop and far from another: large and small vibrations stand side by
+    side, beside a preload ten times as large, and neither way steps over them."""
+    one = np.ones((1, 1))
+    structure = fc.Structure.from_matrices(
+        1.1583 * one, 1.7879 * one, np.array([[-1.0, 1.0]]), force_cos=[-1.0], force_sin=[-0.0531],
+        clearance=[-0.6191, 1.3975], damping=0.2253 * one,
+    )  # fmt: skip
+    law = fc.UnilateralPenalty([12.7593, 10.1039])
+    both = [
+        fc.continue_frequency(structure, *ends, law, harmonics=10, stability=True)
+        for ends in ((0.745, 2.485), (2.485, 0.745))
+    ]
+    folds = [sorted(one.exact for one in c.bifurcations if one.kind == "fold") for c in both]
+    assert len(folds[0]) == 6 and folds[0] == pytest.approx(folds[1], rel=1e-7)
+
+
 def test_half_power_whichever_way_the_curve_was_followed(masses: fc.ResponseCurve) -> None:
     """Frequency, height and damping of the mode."""
     peak, known = followed(120.0, 80.0).peak(), masses.peak()

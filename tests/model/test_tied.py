@@ -207,6 +207,16 @@ def test_open_and_tied_modes_are_of_one_shape() -> None:
         np.testing.assert_allclose(twins.omega_tied[:2], np.sqrt([2.5, 5.0]), rtol=1e-9)
 
 
+def test_no_tie_makes_a_mode_slower() -> None:
+    """A heavy mass on a light one, tied: the light one's motion that is left is nearly the second
+    mode's, but slower, so that it is what the tie makes of the first one."""
+    stiffness = np.array([[2.0, -1.0], [-1.0, 1.0]])
+    structure = fc.Structure.from_matrices(np.diag([1.0, 10.0]), stiffness, [0.0, 1.0])
+    found = fc.bilinear_frequencies(structure)
+    assert found.omega_open[1] > np.sqrt(2.0) > found.omega_open[0]
+    np.testing.assert_allclose(found.omega_tied, [np.sqrt(2.0), np.inf], rtol=1e-9)
+
+
 def test_nearest_mode() -> None:
     """Of each load frequency the mode whose bilinear frequency is nearest, and the ratios to it."""
     found = fc.BilinearFrequencies(np.array([1.0, 10.0, 20.0]), np.array([3.0, 10.0, np.inf]))

@@ -90,10 +90,11 @@ def mass_with_a_gap() -> list[Row]:
             )
             rows += [Row(f"contact, {name}, W = {omega:.6g}", size(found), value, 5e-4)]
     folds = [point.omega for point in curve.bifurcations if point.kind == "fold"]
+    largest = float(curve.omega[sizes > 1.0].max())  # of the points, as pyHarm's
     return [
         *rows,
         Row("largest size", float(sizes[top]), 1.8409751402563967, 1e-3),
-        Row("largest frequency with contact [rad/s]", max(folds), 8.565621132183313, 1e-4),
+        Row("largest frequency with contact [rad/s]", largest, 8.565621132183313, 1e-4),
         Row("smallest frequency of the way down [rad/s]", min(folds), 7.0225443436662625, None),
     ]
 
