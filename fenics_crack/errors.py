@@ -164,6 +164,12 @@ def check_count(key: str, value: object, least: int) -> None:
         raise InputError(key, value, f"at most {LARGEST_COUNT:.0e}")
 
 
+def check_kind(key: str, value: object, kind: type) -> None:
+    """Raise InputError unless a value is an object of a class."""
+    if not isinstance(value, kind):
+        raise InputError(key, type(value).__name__, f"a {kind.__name__}")
+
+
 def check_options(whose: str, options: Mapping[str, object], known: Iterable[str]) -> None:
     """Raise InputError for a keyword that is no option of a function."""
     for key, value in options.items():

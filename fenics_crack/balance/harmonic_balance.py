@@ -37,6 +37,7 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Solver, more_harmonics
 from fenics_crack.errors import ConvergenceError, InputError, check_count, check_number, check_omega
 from fenics_crack.model.contact import ContactLaw
+from fenics_crack.model.matrices import numbers
 from fenics_crack.model.memory import check_memory
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import LIPS
@@ -121,7 +122,7 @@ def linear_response(
     Raises
     ------
     InputError
-        The structure is not small, or lips is none of these.
+        The structure is not small, lips is none of these, or omega cannot be used.
 
     Examples
     --------
@@ -129,6 +130,9 @@ def linear_response(
     """
     if lips not in LIPS:
         raise InputError("lips", lips, "one of " + ", ".join(map(repr, LIPS)))
+    omega = numbers(omega)
+    if omega.ndim != 1 or not np.all(np.isfinite(omega) & (omega >= 0.0)):
+        raise InputError("omega", omega, "finite numbers >= 0, in an array (n,)")
     load = load_coefficients(structure, 1, 1)
     row = structure.values_at(np.eye(structure.n_dofs), [dof]).T
     found = np.full(len(omega), np.inf)

@@ -37,7 +37,7 @@ from fenics_crack.curves.family import Family
 from fenics_crack.curves.orbit_branch import ALIKE, TOLERANCE, OrbitBranch
 from fenics_crack.curves.orbit_nodes import EVERY, Node, OrbitBifurcation, blended, cubic
 from fenics_crack.curves.stability import Stability, floquet, leaves, monodromy, stability_of
-from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.errors import ConvergenceError, InputError, check_kind
 from fenics_crack.model.contact import is_unilateral
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, exact_flow
 from fenics_crack.motion.orbit import FORMED, KNOWN, PIECES, doubling_test, eigenvalues
@@ -447,6 +447,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     >>> judged = fc.judge_curve(curve)
     >>> verdicts = judged.verdicts
     """
+    check_kind("curve", curve, ResponseCurve)
     if not is_unilateral(curve.contact):
         return judged_by_waves(curve)
     begin("stability by exact orbits")

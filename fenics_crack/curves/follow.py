@@ -20,6 +20,7 @@ from fenics_crack.errors import (
     ConvergenceError,
     InputError,
     check_count,
+    check_kind,
     check_omega,
     check_options,
 )
@@ -243,8 +244,7 @@ def follow_branch(
     >>> branch = fc.follow_branch(doubling, doubling.bifurcations[0])
     """
     kinds = ("period_doubling", "branch_point")
-    if not isinstance(curve, ResponseCurve):
-        raise InputError("curve", type(curve).__name__, "a ResponseCurve")
+    check_kind("curve", curve, ResponseCurve)
     if not isinstance(bifurcation, Bifurcation) or bifurcation.kind not in kinds:
         kind = getattr(bifurcation, "kind", type(bifurcation).__name__)
         raise InputError("bifurcation", kind, "a Bifurcation of kind " + " or ".join(kinds))

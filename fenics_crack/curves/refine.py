@@ -31,7 +31,7 @@ from fenics_crack.curves.family import Family
 from fenics_crack.curves.orbit_branch import ALIKE, KINDS, TOLERANCE, OrbitBranch
 from fenics_crack.curves.orbit_nodes import Node
 from fenics_crack.curves.stability import orbits_near
-from fenics_crack.errors import ConvergenceError, InputError, check_count, check_number
+from fenics_crack.errors import ConvergenceError, InputError, check_count, check_kind, check_number
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
@@ -88,6 +88,7 @@ def refine_curve(curve: ResponseCurve, between: int | None = None) -> ResponseCu
     --------
     >>> finer = fc.refine_curve(curve, between=2)
     """
+    check_kind("curve", curve, ResponseCurve)
     if between is not None:
         check_count("between", between, 1)
         if between > (most := PathOptions.max_steps):
@@ -200,9 +201,10 @@ def refine_bifurcation(
     --------
     >>> omega, orbit = fc.refine_bifurcation(doubling.bifurcations[0])
     """
-    kind, solution = bifurcation.kind, bifurcation.solution
+    kind = getattr(bifurcation, "kind", type(bifurcation).__name__)
     if kind not in KINDS:
-        raise InputError("kind", kind, "one of " + ", ".join(map(repr, KINDS)))
+        raise InputError("bifurcation", kind, "one of " + ", ".join(map(repr, KINDS)))
+    solution = bifurcation.solution
     check_number("reach", reach, 0.0, above=True)
     if reach > 0.5:
         raise InputError("reach", reach, "at most 0.5")

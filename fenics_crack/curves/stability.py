@@ -42,7 +42,7 @@ from fenics_crack.balance.contact_integrals import CoupledIntegrals
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.judgement import BELIEVED, FARTHEST, UNKNOWN, Judgement
 from fenics_crack.balance.solution import PeriodicSolution, Stability
-from fenics_crack.errors import ConvergenceError, InputError, check_count
+from fenics_crack.errors import ConvergenceError, InputError, check_count, check_kind
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid, smooth_forces
 from fenics_crack.model.flow import transition
 from fenics_crack.model.modal import CACHED, AllModes, all_modes, is_small
@@ -305,7 +305,9 @@ def shoot(
     >>> orbit = fc.shoot(structure, solution)
     >>> distance = orbit.multipliers
     """
+    check_kind("solution", solution, PeriodicSolution)
     law = contact if contact is not None else solution.contact
+    check_law(structure, law, rigid=True)
     assert law is not None
     check_count("settle", settle, 0)
     orbits = orbits_near(structure, law, solution)
@@ -369,8 +371,8 @@ def floquet(
     >>> stability = fc.floquet(structure, solution)
     >>> verdict, reason = stability.verdict, stability.reason
     """
-    if contact is None:
-        contact = solution.contact
+    check_kind("solution", solution, PeriodicSolution)
+    contact = contact if contact is not None else solution.contact
     check_law(structure, contact, rigid=True)
     assert contact is not None
     if solution.structure.n_dofs != structure.n_dofs:

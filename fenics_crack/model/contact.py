@@ -51,7 +51,7 @@ from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.kernel import doubles, kernel, owned, shaped, signs
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.equations import ROUNDING
+from fenics_crack.numerics.equations import EPSILON, ROUNDING
 
 __all__ = [
     "KEPT", "REGULAR", "ActiveSets", "ContactLaw", "SmoothedPenalty", "UnilateralConstraint",
@@ -235,6 +235,23 @@ def check_law(structure: Structure, contact: Any, *, rigid: bool = False) -> Non
         raise InputError("contact stiffness", stiffness.shape, allowed)
     if not is_rigid(contact) and not np.all(np.isfinite(stiffness)):
         raise InputError("contact stiffness", contact, "finite")
+    if not is_unilateral(contact):
+        _check_values(contact, structure.n_pairs)
+
+
+def _check_values(law: ContactLaw, pairs: int) -> None:
+    """Raise InputError unless a law of one's own answers gaps (n, n_pairs) as it should."""
+    gap = np.outer([-EPSILON, 0.0, EPSILON], np.ones(pairs))
+    for name in ("force", "tangent"):
+        try:
+            found = numbers(getattr(law, name)(gap))
+        except (TypeError, ValueError, IndexError):
+            found = np.asarray(np.nan)
+        if found.shape != gap.shape or not np.all(np.isfinite(found)):
+            allowed = f"one whose {name}(gap) is a finite number for each gap, (n, n_pairs)"
+            raise InputError("contact", law, allowed)
+    if pairs and np.any(found < 0.0):
+        raise InputError("contact", law, "one whose tangent(gap) is >= 0: stiffness, not softness")
 
 
 def _positive(key: str, value: object, *, each_pair: bool = False) -> float | np.ndarray:

@@ -1,9 +1,11 @@
 """Bad input of the calls that solve: one InputError, which names the argument."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import judged
+import numpy as np
 import pytest
 
 import fenics_crack as fc
@@ -14,6 +16,27 @@ ONE, LAW = judged.oscillator(), fc.UnilateralPenalty(1.0)
 def found() -> fc.PeriodicSolution:
     """A solution."""
     return fc.solve_harmonic_balance(ONE, 1.0, LAW, harmonics=3)
+
+
+@dataclass(frozen=True)
+class Law:
+    """A law of one's own, with whatever forces and a constant tangent."""
+
+    forces: Callable[[np.ndarray], np.ndarray]
+    slope: float = 1.0
+    stiffness: float = 1.0
+
+    def force(self, gap: np.ndarray) -> np.ndarray:
+        """Whatever."""
+        return self.forces(gap)
+
+    def tangent(self, gap: np.ndarray) -> np.ndarray:
+        """The same everywhere."""
+        return np.full_like(gap, self.slope)
+
+    def scaled(self, factor: float) -> "Law":
+        """Itself."""
+        return self
 
 
 BAD: dict[str, tuple[str, Callable[[], Any]]] = {
@@ -42,6 +65,22 @@ BAD: dict[str, tuple[str, Callable[[], Any]]] = {
     "method": ("method", lambda: fc.reduce_structure(ONE, modes=1, method="magic")),
     "modes": ("modes", lambda: fc.reduce_structure(ONE, modes=7)),
     "clearance": ("clearance", lambda: ONE.varied(clearance=[1.0, 2.0])),
+    "one frequency": ("omega", lambda: fc.linear_response(ONE, 0, 1.0)),  # type: ignore[arg-type]
+    "frequencies": ("omega", lambda: fc.linear_response(ONE, 0, np.array([1.0, np.nan]))),
+    "no law": ("contact", lambda: fc.shoot(ONE, fc.solve_linear(ONE, 1.0))),
+    "no solution": ("solution", lambda: fc.floquet(ONE, None)),  # type: ignore[arg-type]
+    "no curve": ("curve", lambda: fc.judge_curve(found())),  # type: ignore[arg-type]
+    "no curve to refine": ("curve", lambda: fc.refine_curve(found())),  # type: ignore[arg-type]
+    "no bifurcation": ("bifurcation", lambda: fc.refine_bifurcation(found())),  # type: ignore
+    "forces of another shape": (
+        "contact",
+        lambda: fc.continue_frequency(ONE, 1.0, 2.0, Law(lambda gap: np.zeros(3))),
+    ),
+    "complex forces": (
+        "contact",
+        lambda: fc.solve_harmonic_balance(ONE, 1.0, Law(lambda gap: 1j * gap), harmonics=3),
+    ),
+    "softness": ("contact", lambda: fc.continue_frequency(ONE, 1.0, 2.0, Law(np.ones_like, -1.0))),
 }
 
 
