@@ -95,8 +95,8 @@ def remarks_on_structure(scene: Scene, structure: Structure) -> list[Remark]:
 
 def remarks_on(scene: Scene, figures: KeyFigures) -> list[Remark]:
     """What the scene and its key figures show."""
-    rules = (_frequency, _curve, _response, _lips, _contact, _closing, _resolution, _modes)
-    of_matrices = (_frequency, _curve, _contact, _modes)
+    rules = (_frequency, _curve, _response, _lips, _contact, _closing, _size, _resolution, _modes)
+    of_matrices = (_frequency, _curve, _contact, _size, _modes)
     chosen = rules if scene.structure is None else of_matrices
     own = remarks_on_scene(scene)
     if any(remark.key.startswith(("material.", "geometry.", "rotation.")) for remark in own):
@@ -529,11 +529,17 @@ def _closing(scene: Scene, figures: KeyFigures) -> Remarks:
         yield Remark(key, value, text)
 
 
+def _size(scene: Scene, figures: KeyFigures) -> Remarks:
+    if scene.structure is not None:
+        key, file = "structure.model", scene.structure.model
+    else:
+        key, file = "mesh.file", scene.mesh.file
+    if file is not None and max(figures.size) > LARGEST_SIDE:
+        sides = f"{min(figures.size):.3g} m x {max(figures.size):.3g} m"
+        yield Remark(key, file, f"a structure of {sides}; is the mesh in mm?")
+
+
 def _resolution(scene: Scene, figures: KeyFigures) -> Remarks:
-    sides = min(figures.size), max(figures.size)
-    if scene.mesh.layout == "file" and sides[1] > LARGEST_SIDE:
-        text = f"a structure of {sides[0]:.3g} m x {sides[1]:.3g} m; is the mesh in mm?"
-        yield Remark("mesh.file", scene.mesh.file, text)
     rule = scene.damping
     if rule.mass is not None or rule.stiffness is not None:
         key = "mass" if rule.mass is not None else "stiffness"

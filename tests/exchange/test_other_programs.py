@@ -707,6 +707,21 @@ def test_stiffness_and_mass_that_are_swapped(scene: Scene) -> None:
         fc.build_structure(scene.replace(paths))
 
 
+def test_a_model_in_small_units_is_remarked(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As a mesh file is."""
+    path = folder / "plate.inp"
+    heading, *nodes = path.read_text().partition("*ELEMENT")[0].splitlines()
+    rows = [[float(word) for word in line.split(",")] for line in nodes]
+    lines = [f"{int(n)}, {1e4 * x}, {1e4 * y}, {1e4 * z}" for n, x, y, z in rows]
+    rest = path.read_text().partition("*ELEMENT")[2]
+    path.write_text("\n".join([heading, *lines, f"*ELEMENT{rest}"]))
+    words = ["--set", "excitation.point=[0.0,200.0,0.0]"]
+    assert main(["check", str(folder / "scene.toml"), *words]) == 0
+    assert "is the mesh in mm?" in capsys.readouterr().err
+
+
 def test_rows_without_mass_are_named(folder: Path, scene: Scene) -> None:
     """As of lumped rotations."""
     path = folder / "plate.mas"
