@@ -130,13 +130,13 @@ def linear_response(
     """
     if lips not in LIPS:
         raise InputError("lips", lips, "one of " + ", ".join(map(repr, LIPS)))
-    omega = numbers(omega)
-    if omega.ndim != 1 or not np.all(np.isfinite(omega) & (omega >= 0.0)):
+    given = numbers(omega)
+    if given.ndim != 1 or not np.all(np.isfinite(given) & (given >= 0.0)):
         raise InputError("omega", omega, "finite numbers >= 0, in an array (n,)")
     load = load_coefficients(structure, 1, 1)
     row = structure.values_at(np.eye(structure.n_dofs), [dof]).T
-    found = np.full(len(omega), np.inf)
-    for place, one in enumerate(omega):
+    found = np.full(len(given), np.inf)
+    for place, one in enumerate(given):
         with contextlib.suppress(ConvergenceError):
             at = ModalCompliance(structure, float(one), load)
             force = np.zeros_like(at.linear_gap)

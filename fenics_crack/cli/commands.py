@@ -59,8 +59,8 @@ def solved(given: Namespace, inputs: Inputs, console: Console) -> Exit:
         if on_root(console.comm, older.exists):  # a part takes the place of no result
             name = "curve_interrupted"
             console.note(f"{older} stays as it was; what was found until Ctrl-C is beside it")
-    console.note(*(f"remark: {text}" for text in remarks_on_rotor(run.scene, run.structure.whole)))
     run.save(folder / f"{name}.h5")
+    console.note(*(f"remark: {text}" for text in remarks_on_rotor(run.scene, run.structure.whole)))
     return tell(replace(account_of(run), name=name), folder, console)
 
 

@@ -116,7 +116,7 @@ def chord(family: Family, curve: ResponseCurve, first: int, second: int) -> Tang
     rise = family.parameter(float(curve.values[second])) - family.parameter(
         float(curve.values[first])
     )
-    return Tangent(after - before, rise, 1.0 / max(float(np.vdot(after, after)), 1e-300))
+    return Tangent(after - before, rise, 1.0 / square_of(family, after))
 
 
 def odd_rows(family: Family) -> np.ndarray:

@@ -42,6 +42,7 @@ from fenics_crack.numerics.newton import (
     PathPoint,
     Tangent,
     solve_in_plane,
+    square_of,
     tangent_of,
 )
 from fenics_crack.numerics.path import STRAIGHT, Path, PathOptions
@@ -98,14 +99,15 @@ def refine_curve(curve: ResponseCurve, between: int | None = None) -> ResponseCu
     whole = curve.equations(int(curve.harmonics[0]))
     parameters = np.array([whole.parameter(value) for value in curve.values])
     flat = curve.unknowns.reshape(len(curve), -1)
-    size = float(np.linalg.norm(flat, axis=1).mean()) or 1.0
+    sizes = np.sqrt([square_of(whole, row) for row in flat])
+    size = float(sizes.mean())
     place = np.hstack([flat / size, parameters[:, None]])
     # Equal neighbours would have no distance.
     distance = np.maximum(np.linalg.norm(np.diff(place, axis=0), axis=1), 1e-12)
     along = np.concatenate([[0.0], np.cumsum(distance)])
     added = np.full(len(distance), between or 0)
     if between is None:
-        added = _for_a_picture(flat, parameters)
+        added = _for_a_picture(flat, sizes, parameters)
     spline, points = CubicSpline(along, place), list[CurvePoint]()
     for index, more in enumerate(added):
         points.append(curve.point(index))
@@ -135,12 +137,11 @@ def _split(place: np.ndarray, family: Family) -> tuple[np.ndarray, float]:
     return place[:-1].reshape(-1, pairs)[:rows], float(place[-1])
 
 
-def _for_a_picture(flat: np.ndarray, parameter: np.ndarray) -> np.ndarray:
+def _for_a_picture(flat: np.ndarray, sizes: np.ndarray, parameter: np.ndarray) -> np.ndarray:
     """How many points a picture needs between each two of n, (n-1,), by their distance relative to
-    the range of the frequencies and to the size of the solutions there."""
-    lengths = np.linalg.norm(flat, axis=1)
-    sizes = np.maximum(np.maximum(lengths[1:], lengths[:-1]), 1e-300)
-    change = np.linalg.norm(np.diff(flat, axis=0), axis=1) / sizes
+    the range of the frequencies and to the sizes of the solutions there (n,)."""
+    larger = np.maximum(sizes[1:], sizes[:-1])
+    change = np.linalg.norm(np.diff(flat, axis=0), axis=1) / larger
     distance = np.hypot(change, np.diff(parameter))
     return np.maximum(np.ceil(distance * SPREAD).astype(int) - 1, 0)
 

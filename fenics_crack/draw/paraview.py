@@ -231,7 +231,8 @@ def write_period(
     -----
     Point fields, in single precision: ``displacement`` [m], true to scale; ``contact state``: 1 on
     a closed pair of lip nodes, 0 on an open one, -1 away from the lips; ``contact force`` [N] on
-    each node of a pair, and ``contact pressure`` [Pa], that force over the pair's area: smooth
+    each node of a pair, and ``contact pressure`` [Pa], that force over the pair's area (of a solid,
+    whose pairs are patches, the force at their middles, and the pressure linear between): smooth
     along the lips if the contact stiffness is given per area. With a material: ``stress`` (xx, yy,
     xy; of a solid xx, yy, zz, xy, yz, xz) and ``von Mises stress`` [Pa]. At the tip and under the
     point load they grow without bound as the mesh is refined.

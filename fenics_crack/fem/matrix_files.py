@@ -124,7 +124,7 @@ def _read(table: Table) -> dict[str, LabelledMatrix]:
             found[name] = LabelledMatrix(one.at(stiffness), stiffness.labels)
     if len(empty := np.flatnonzero(found["mass"].matrix.diagonal() <= 0.0)):
         where = f"row {empty[0] + 1}"
-        if stiffness.labels is not None:
+        if stiffness.labels is not None and empty[0] < len(stiffness.labels):
             where = "node {}, direction {}".format(*stiffness.labels[empty[0]])
         allowed = "positive definite: rows without mass have to be condensed beforehand"
         raise InputError("mass", f"no mass at {where}", allowed)

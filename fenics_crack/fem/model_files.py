@@ -24,9 +24,12 @@ VTK = {4: 10, 6: 13, 8: 12, 10: 24, 15: 26, 20: 25}
 """VTK's number of solid cells by their nodes: tetrahedra, wedges and hexahedra."""
 MAKERS = ("NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY", "SYSTEM", "TRANSFORM", "NMAP")
 """Keywords of CalculiX and Abaqus that make nodes and cells, or turn them."""
-INCLUDE = re.compile(r"\*INCLUDE\b", re.IGNORECASE).match
+INCLUDE = re.compile(r"\*\s*INCLUDE\b", re.IGNORECASE).match
 """Of a line of CalculiX and Abaqus."""
-SOLIDS = ("185", "186", "187", "285", "45", "92", "95")
+SOLIDS = (
+    5, 45, 46, 62, 64, 65, 72, 73, 92, 95, 98, 185, 186, 187, 190, 191, 215, 216, 217, 220, 221,
+    226, 227, 285,
+)  # fmt: skip
 """Ansys' solid elements; surfaces, contact, shells and springs are in the same blocks."""
 TOPS_LAST = {
     15: [*range(9), 12, 13, 14, 9, 10, 11],
@@ -171,7 +174,9 @@ def _of_nastran(path: Path, nodes: Nodes, cells: Cells) -> None:
                     raise ValueError
                 place = tuple(_number(field) for field in (*fields[2:5], "", "")[:3])
                 _put(nodes, number, int(fields[0]), place)
-            elif name.startswith("INCLUDE") or (name == "GRDSET" and any(fields[1:6:4])):
+            elif name.startswith("INCLUDE") or (
+                name == "GRDSET" and any(field.strip("0") for field in fields[1:6:4])
+            ):
                 raise NotImplementedError
             elif name in ("CTETRA", "CPENTA", "CHEXA"):
                 own = [int(field) for field in fields[2:] if field]
@@ -222,13 +227,13 @@ def _of_ansys(path: Path, nodes: Nodes, cells: Cells) -> None:
     characters, as the line below their names says."""
     block, count, row = "", 0, list[int]()
     whole, real, n_whole = 0, 0, 0
-    types, solid = dict[int, str](), True
+    types, solid, others = dict[int, int](), True, set[int]()
     for number, line in numbered_lines(path, "!"):
         word = line.strip().upper()
         try:
             if word.startswith("ET,") and not block:
-                _, own_type, name = (field.strip() for field in word.split(",")[:3])
-                types[int(own_type)] = name.removeprefix("SOLID")
+                _, own_type, name = word.split(",")[:3]
+                types[int(own_type)] = int(name.strip().lstrip("ABCDEFGHIJKLMNOPQRSTUVWXYZ"))
             if word.startswith(("NBLOCK", "EBLOCK")):
                 if word.startswith("EBLOCK") and "SOLID" not in word:
                     raise ValueError
@@ -251,6 +256,7 @@ def _of_ansys(path: Path, nodes: Nodes, cells: Cells) -> None:
                 own = [int(line[at : at + whole]) for at in range(0, len(line), whole)]
                 if not row:
                     solid = types.get(own[1], SOLIDS[0]) in SOLIDS
+                    others |= set() if solid else {types[own[1]]}
                     count, own = own[8], own[11:]
                 row += own
                 if len(row) >= count:
@@ -263,6 +269,9 @@ def _of_ansys(path: Path, nodes: Nodes, cells: Cells) -> None:
             allowed = "a node without angles, or a whole tetrahedron or brick, of CDWRITE's blocks"
             reason = str(error) if "line" in str(error) else f"line {number}: not {allowed}"
             raise ValueError(reason) from None
+    if others and not cells:
+        kinds = ", ".join(map(str, sorted(others)))
+        raise ValueError(f"none of its elements, of types {kinds}, is a solid that is known")
 
 
 READERS: dict[str, Callable[[Path, Nodes, Cells], None]] = {

@@ -381,7 +381,13 @@ def _header(path: Path, state: tuple[int, ...]) -> Stored:
 def _files_of(scene: Scene) -> list[tuple[str, str]]:
     """The keys that name files of a scene, and these; then those that are read with them."""
     found = files_of(scene)
-    return found + [(key, str(more)) for key, path in found for more in read_with(Path(path))]
+    named = any(key == "structure.dofs" for key, _ in found)  # takes the place of those beside
+    return found + [
+        (key, str(more))
+        for key, path in found
+        for more in read_with(Path(path))
+        if not (named and more.suffix == ".dof")
+    ]
 
 
 def _file_digest(path: str) -> str:

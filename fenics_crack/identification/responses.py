@@ -42,7 +42,7 @@ RESPONSE = 4
 """Type of a function that is a frequency response."""
 COMPLEX = {5: "f4", 6: "f8"}
 """Types of complex numbers, single and double."""
-NUMBER = re.compile(rb"[+-]?(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+|[+-]\d{3})?")
+NUMBER = re.compile(rb"[+-]?(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+|[+-]\d{3}(?![\d.]))?")
 """Of text; Fortran leaves out the E of an exponent of three digits."""
 MOTIONS = {8: 0, 11: 1, 12: 2}
 """How often a displacement, a velocity or an acceleration is derived by time."""
@@ -111,10 +111,10 @@ def _functions(text: bytes) -> Iterator[tuple[list[bytes], bytes, str]]:
             continue
         heading = [own, *(line() for _ in range(HEADING))]
         if own[6:7].lower() == b"b":
-            order, size = {1: "<", 2: ">"}[int(own[7:13])], int(own[31:43] or 0)
-            stored, lines, even = (int(heading[7][at : at + 10]) for at in (0, 10, 20))
-            if stored in COMPLEX and even:  # some programs announce half of their bytes
-                size = 2 * lines * int(COMPLEX[stored][1])
+            order, size = {1: "<", 2: ">"}[int(own[7:13])], int(own[31:43].strip() or 0)
+            if (stored := int(heading[7][:10])) in COMPLEX and int(heading[7][20:30]):
+                # Some programs announce half of their bytes.
+                size = 2 * int(heading[7][10:20]) * int(COMPLEX[stored][1])
             if int(own[13:19]) != 2:
                 raise ValueError("its binary numbers are not those of IEEE 754")
             numbers, at = text[at : at + size], at + size

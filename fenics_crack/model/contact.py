@@ -245,12 +245,12 @@ def _check_values(law: ContactLaw, pairs: int) -> None:
     for name in ("force", "tangent"):
         try:
             found = numbers(getattr(law, name)(gap))
-        except (TypeError, ValueError, IndexError):
+        except (ArithmeticError, TypeError, ValueError, IndexError):
             found = np.asarray(np.nan)
         if found.shape != gap.shape or not np.all(np.isfinite(found)):
             allowed = f"one whose {name}(gap) is a finite number for each gap, (n, n_pairs)"
             raise InputError("contact", law, allowed)
-    if pairs and np.any(found < 0.0):
+    if np.any(found < -EPSILON * np.abs(found).max(initial=0.0)):
         raise InputError("contact", law, "one whose tangent(gap) is >= 0: stiffness, not softness")
 
 

@@ -44,6 +44,7 @@ from fenics_crack.numerics.newton import (
     Tangent,
     distance,
     solve_at,
+    square_of,
     step_along,
 )
 
@@ -328,7 +329,7 @@ class Closed(Event):
         if met is None or met.tangent.along(origin.tangent, system) < STRAIGHT:
             return None
         off = met.unknown - origin.unknown
-        same = system.inner(off, off) < 1e-10 * system.inner(origin.unknown, origin.unknown)
+        same = system.inner(off, off) < 1e-10 * square_of(system, origin.unknown)
         return origin if same else None
 
 

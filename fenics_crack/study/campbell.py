@@ -117,7 +117,8 @@ class Campbell(Tabular):
     def kinds(self) -> tuple[str, ...]:
         """ "open", "tied" and "bilinear", and "partly" where the crack is that somewhere; "open"
         alone without a crack."""
-        found = (*KINDS, *{"partly"}.intersection(self.kind.ravel().tolist()))
+        seen = {*self.kind.ravel().tolist(), *(change[-1] for change in self.changes)}
+        found = (*KINDS, *seen.intersection({"partly"}))
         return found if self.cracked else KINDS[:1]
 
     def crossings(self, order: int, kind: str = "bilinear") -> np.ndarray:

@@ -6,6 +6,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -24,6 +25,7 @@ COARSE = {
     "curve.stability": False, "integration.periods": 2,
 }  # fmt: skip
 XI = 0.02
+COLUMNS = ("values", "omega", "unknowns", "harmonics", "iterations", "truncation")
 
 
 def followed(first: float, last: float) -> fc.ResponseCurve:
@@ -91,6 +93,25 @@ def test_both_ways_find_the_same_folds() -> None:
     ]
     folds = [sorted(one.exact for one in c.bifurcations if one.kind == "fold") for c in both]
     assert len(folds[0]) == 6 and folds[0] == pytest.approx(folds[1], rel=1e-7)
+
+
+def test_a_curve_that_is_resumed_beside_a_fold_goes_on() -> None:
+    """Between stops that are far away: its last two points say where it was going."""
+    one = np.ones((1, 1))
+    structure = fc.Structure.from_matrices(
+        one, one, np.array([[1.0, -1.0]]), force_cos=[1.0], clearance=[3.0, 1000.0],
+        damping=0.03 * one,
+    )  # fmt: skip
+    law = fc.UnilateralPenalty([5.0, 5.0])
+    whole = fc.continue_frequency(structure, 0.5, 2.5, law, harmonics=6)
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(whole.omega)))) + 1
+    for place in [near for turn in turns for near in (turn, turn + 1, turn + 2)]:
+        part = replace(
+            whole, complete=False, bifurcations=(),
+            **{name: getattr(whole, name)[: place + 1] for name in COLUMNS},
+        )  # fmt: skip
+        again = fc.continue_frequency(structure, 0.5, 2.5, law, resume=part)
+        assert again.complete and again.omega[-1] == whole.omega[-1]
 
 
 def test_half_power_whichever_way_the_curve_was_followed(masses: fc.ResponseCurve) -> None:

@@ -583,6 +583,9 @@ def test_surfaces_of_ansys_are_no_solids(tmp_path: Path) -> None:
     found = read_model(path)
     assert list(found.cells) == [12]
     np.testing.assert_array_equal(found.cells[12], wanted.cells[12])
+    path.write_text(path.read_text().replace("ET,1,185", "ET,1,SHELL181"))
+    with pytest.raises(ValueError, match="none of its elements, of types 154, 181, is a solid"):
+        read_model(path)
 
 
 def test_results_belong_to_all_their_files(folder: Path, scene: Scene) -> None:
