@@ -531,7 +531,7 @@ KINDS = ("open", "tied", "bilinear")
 @dataclass(frozen=True, repr=False)
 class BilinearFrequencies(Tabular):
     """Natural frequencies with lips open, in ascending order, and those with lips tied of the same
-    shapes (:func:`partners`): the other way round where a tie takes one mode past another.
+    shapes: the other way round where a tie takes one mode past another.
 
     Half a period with lips open and half a period with lips tied, each half as long as the natural
     vibration of that state, make a period pi / w_o + pi / w_t, and so the bilinear frequency
