@@ -122,7 +122,7 @@ def test_bifurcations_that_do_not_exist() -> None:
     solution = fc.solve_harmonic_balance(structure, 1.0, law, harmonics=10)
     with pytest.raises(fc.ConvergenceError, match="no period doubling of exact orbits within 10 %"):
         fc.refine_bifurcation(Special("period_doubling", solution), reach=0.1)
-    with pytest.raises(fc.InputError, match=r"^kind"):
+    with pytest.raises(fc.InputError, match=r"^bifurcation"):
         fc.refine_bifurcation(Special("branch_point", solution))
     for reach in (0.0, 0.6):
         with pytest.raises(fc.InputError, match=r"^reach"):
