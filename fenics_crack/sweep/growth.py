@@ -28,7 +28,7 @@ from mpi4py import MPI
 from fenics_crack.errors import FEW_MODES, ConvergenceError, InputError, StoppedError
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.files.store import Stored, check_shapes, read, write
-from fenics_crack.model.modes import solve_modes
+from fenics_crack.model.modes import BilinearFrequencies, solve_modes
 from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.quantities import OF_TIPS
 from fenics_crack.scene.scene import Scene, check_known, without_tips
@@ -511,12 +511,12 @@ class LengthPath:
 def _natural(table: SweepResult, lengths: int) -> np.ndarray:
     """Natural frequencies of each mode at so many lengths, with lips open, and the bilinear ones:
     (modes, lengths, 2) [rad/s]."""
-    modes = [mode for mode in range(1, FEW_MODES + 1) if f"omega_bilinear_{mode}" in table.columns]
-    found = [
-        [table[f"omega_{lips}_{mode}"].reshape(lengths, -1)[:, 0] for mode in modes]
-        for lips in ("open", "bilinear")
-    ]
-    return np.stack(found, axis=2)
+    modes = [mode for mode in range(1, FEW_MODES + 1) if f"omega_tied_{mode}" in table.columns]
+    one, two = (
+        np.array([table[f"omega_{lips}_{mode}"].reshape(lengths, -1)[:, 0] for mode in modes])
+        for lips in ("open", "tied")
+    )
+    return np.stack([one, BilinearFrequencies(one, two).omega_bilinear], axis=2)
 
 
 def _driving(
