@@ -35,7 +35,14 @@ from fenics_crack.balance.error_report import SLIGHT, UNKNOWN, ErrorReport
 from fenics_crack.balance.judgement import FARTHEST, Judgement, more_modes, relative
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Solver, more_harmonics
-from fenics_crack.errors import ConvergenceError, InputError, check_count, check_number, check_omega
+from fenics_crack.errors import (
+    ConvergenceError,
+    InputError,
+    check_count,
+    check_kind,
+    check_number,
+    check_omega,
+)
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.memory import check_memory
@@ -250,8 +257,7 @@ def solve_harmonic_balance(
 def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
     """Raise InputError unless a solution can be where a problem's solution is sought from."""
     structure, subharmonic = problem.structure, problem.subharmonic
-    if not isinstance(initial, PeriodicSolution):
-        raise InputError("initial", type(initial).__name__, "a PeriodicSolution")
+    check_kind("initial", initial, PeriodicSolution)
     has = initial.structure.n_dofs, initial.structure.n_pairs
     gaps_only = structure.light_lips and has[1] == structure.n_pairs
     if not gaps_only and has != (structure.n_dofs, structure.n_pairs):

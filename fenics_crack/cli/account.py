@@ -187,8 +187,7 @@ def known_to(run: Run, name: str) -> str:
         return ""
     by = f", most of it by the {cause}" if error > LEAST_TOLD else ""
     percent = format(100.0 * error, ".2g" if error < 1.0 else ".0f")
-    why = "; ".join(dict.fromkeys(run.stated.unknown.values()))
-    return f"{percent} %{by}" + (f", {run.stated.without}: {why}" if why else "")
+    return ", ".join(filter(None, (f"{percent} %{by}", run.stated.left_out)))
 
 
 def of_stability(scene: Scene, run: Run, stability: Stability | None) -> Iterator[str]:

@@ -92,9 +92,8 @@ def account_of_solution(run: Run[PeriodicSolution]) -> Account:
         warnings.append("nothing vibrates: no load changes in time")
     if found.converged and not missed and known:
         notes.insert(0, f"solved; the half peak-to-peak displacement is known to {known}")
-    elif found.converged and run.stated is not None and run.stated.unknown:
-        why = "; ".join(dict.fromkeys(run.stated.unknown.values()))
-        notes.insert(0, f"the stated errors are {run.stated.without}: {why}")
+    elif found.converged and run.stated is not None and run.stated.left_out:
+        notes.insert(0, f"the stated errors are {run.stated.left_out}")
     if found.converged:
         warnings += of_stability(scene, run, found.stability)
         warnings += of_size(run, largest_seen(run))

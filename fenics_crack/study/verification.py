@@ -379,6 +379,12 @@ class Verification(Tabular):
         """ "without the mesh", or what else the errors do not have; empty where they have all."""
         return f"without the {' and the '.join(self.unknown)}" if self.unknown else ""
 
+    @property
+    def left_out(self) -> str:
+        """:attr:`without`, and why: "without the mesh: mesh.error = false"; empty likewise."""
+        why = "; ".join(dict.fromkeys(self.unknown.values()))
+        return f"{self.without}: {why}" if self.unknown else ""
+
     # --- tables -----------------------------------------------------------------------------------
 
     def totals(self) -> Table:

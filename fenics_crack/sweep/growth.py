@@ -376,8 +376,8 @@ def _error_at(scene: Scene, path: LengthPath, length: float) -> tuple[float, lis
     # A list of frequencies stays where it is, as one frequency does.
     of_peak = drive == "resonance" or scene.given("growth").run_up is not None
     stated = stated_errors(run, run.result, of_peak=of_peak)
-    why = "; ".join(dict.fromkeys(stated.unknown.values()))
-    without = [f"the error of the vibration is {stated.without}: {why}"] if stated.unknown else []
+    left_out = stated.left_out
+    without = [f"the error of the vibration is {left_out}"] if left_out else []
     return stated.stated("delta_K_effective")[0], without
 
 

@@ -166,14 +166,19 @@ def test_arrivals_of_another_speed(tmp_path: Path, capsys: pytest.CaptureFixture
         assert (remark in capsys.readouterr().err) == told
 
 
+def followed(folder: Path, captured: Any, changes: dict[str, Any]) -> tuple[str, fc.Run[Any]]:
+    """The file of a scene under a small load, and its curve, saved as curve.h5 beside it."""
+    scene = written(folder, changes | {"excitation.force_sin": [1.0, 0.0]})
+    assert main(["curve", scene, "--output", str(folder), "--quiet"]) == 0
+    captured.readouterr()
+    return scene, fc.load_run(folder / "curve.h5")
+
+
 def test_a_run_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A curve's arrivals; the known order tracked through them, largest where the curve is."""
     run_up = {"curve.start": 1500.0, "curve.stop": 2300.0, "tip_timing.revolutions": 300}
-    scene = written(tmp_path, run_up | {"excitation.force_sin": [1.0, 0.0]})
+    scene, run = followed(tmp_path, capsys, run_up)
     quiet = ["--output", str(tmp_path), "--quiet", "--format", "json"]
-    assert main(["curve", scene, *quiet]) == 0
-    run = fc.load_run(tmp_path / "curve.h5")
-    capsys.readouterr()
     assert main(["timing", scene, str(tmp_path / "curve.h5"), *quiet]) == 0
     rows = shown(capsys)
     assert len(rows) == 300
@@ -205,11 +210,7 @@ def test_a_run_up_of_few_speeds(tmp_path: Path, capsys: pytest.CaptureFixture[st
     """Those of a curve are never one speed, however near they are: amplitudes of each speed are
     the curve's, at its two ends, and identify asks for one speed."""
     narrow = {"curve.start": 1990.0, "curve.stop": 2000.0, "tip_timing.revolutions": 200}
-    scene = written(tmp_path, narrow | {"excitation.force_sin": [1.0, 0.0]})
-    quiet = ["--output", str(tmp_path), "--quiet", "--format", "json"]
-    assert main(["curve", scene, *quiet]) == 0
-    curve = fc.load_run(tmp_path / "curve.h5")
-    capsys.readouterr()
+    scene, curve = followed(tmp_path, capsys, narrow)
     words = [scene, str(tmp_path / "curve.h5"), "--output", str(tmp_path), "--format", "json"]
     assert main(["timing", *words]) == 0
     told = capsys.readouterr()
@@ -233,14 +234,12 @@ def test_a_curve_at_one_speed_is_no_run_up(
     turning = {
         "rotation.speed": 360.0, "rotation.hub_radius": 0.1, "excitation.omega": None,
         "excitation.order": 5, "tip_timing.order": None, "curve.parameter": parameter,
-        "excitation.force_sin": [1.0, 0.0], "curve.stability": False,
+        "curve.stability": False,
     }  # fmt: skip
     factor = 1.0 if parameter == "omega" else 0.2
     ends = {"curve.start": 1750.0 * factor, "curve.stop": 1800.0 * factor}
-    scene, out = written(tmp_path, turning | ends), ["--output", str(tmp_path)]
-    assert main(["curve", scene, *out, "--quiet"]) == 0
-    capsys.readouterr()
-    code = main(["timing", scene, str(tmp_path / "curve.h5"), *out])
+    scene, _ = followed(tmp_path, capsys, turning | ends)
+    code = main(["timing", scene, str(tmp_path / "curve.h5"), "--output", str(tmp_path)])
     told = capsys.readouterr().err
     if parameter == "omega":
         assert code == 2 and "curve.parameter = 'omega': must be 'rpm' or 'speed' for" in told
