@@ -58,7 +58,7 @@ UNITS = {
         "m/cycle": "rate",
         "N": "contact_force crack_force",
         "J": "energy",
-        "Pa m^0.5": "K_max K_min delta_K_effective K_II_max",
+        "Pa m^0.5": "K_max K_min delta_K_effective delta_K_equivalent K_II_max",
     }.items()
     for name in names.split()
 }

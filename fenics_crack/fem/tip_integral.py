@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from fenics_crack.errors import InputError
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import dolfinx, ufl
 from fenics_crack.fem.elasticity import constants, stress
@@ -59,8 +60,8 @@ class Tip:
         Where it is, and the direction in which the crack would grow straight on.
     position : float [m]
         Its distance along the crack.
-    radius : float [m]
-        Of the domain.
+    radius, element : float [m]
+        Of the domain, and the length of the element of the lips at the tip.
     """
 
     name: str
@@ -69,6 +70,7 @@ class Tip:
     ahead: np.ndarray
     position: float
     radius: float
+    element: float
 
 
 def find_tips(dofs: Dofs) -> list[Tip]:
@@ -93,9 +95,9 @@ def find_tips(dofs: Dofs) -> list[Tip]:
             straight = np.linalg.norm(steps[np.flatnonzero(off).max(initial=-1) + 1 :][0])
             others = [other.locate(tip[None])[0][0] for other in lips if other is not lip]
             room = min(straight, np.linalg.norm(edge - tip, axis=1).min(), *others)
-            found.append(
-                Tip(f"the {name}{several}", crack, tip, ahead, float(position), DOMAIN * room)
-            )
+            element = float(np.linalg.norm(steps[-1]))
+            where = crack, tip, ahead, float(position)
+            found.append(Tip(f"the {name}{several}", *where, DOMAIN * room, element))
     return found
 
 
@@ -109,6 +111,18 @@ def _outer_points(dofs: Dofs) -> np.ndarray:
     outer = np.setdiff1d(facets, lips).astype(np.int32)
     nodes = dolfinx.fem.locate_dofs_topological(dofs.space, 1, outer)
     return dofs.points[nodes[nodes < dofs.n_nodes]]
+
+
+def _check_resolved(tip: Tip) -> None:
+    """Raise InputError where an element of the lips is longer than the domain's radius: the weight
+    then falls within one element, and what is integrated has nothing to do with K."""
+    if tip.radius < tip.element:
+        value = f"{tip.name}, {tip.radius / DOMAIN:.3g} m from an edge, a bend or another crack"
+        allowed = (
+            f"further away than {tip.element / DOMAIN:.3g} m where stress intensities are asked "
+            "for, or with shorter elements along the lips"
+        )
+        raise InputError("crack", value, allowed)
 
 
 def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.ndarray, np.ndarray]:
@@ -127,12 +141,18 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
     tips : list of Tip
     of_displacement : (2 n_tips, n_local) [Pa m^1/2 / m]
     of_forces : (2 n_tips, n_pairs) [Pa m^1/2 / N]
+
+    Raises
+    ------
+    InputError
+        A tip is closer to an edge, a bend or another crack than the elements of its lips are long.
     """
     assert structure.nodes is not None
     dofs: Dofs = structure.nodes.numbered
     tips, sides, points = find_tips(dofs), _sides(dofs), dofs.points
     row_of, rows, pressed = _form(scene, dofs), [], []
     for tip in tips:
+        _check_resolved(tip)
         for kind in range(2):
             field = _nodal(scene, tip, kind, points, sides)
             rows.append(row_of(tip, kind, field))

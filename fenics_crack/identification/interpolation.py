@@ -315,14 +315,14 @@ class Part:
         without the crack, at all nodes: (n, 1 + 2 modes); 1 for s without a crack, nan where there
         is no frequency."""
         modes = range(1, FEW_MODES + 1)
-        tied, opened, bare = (
+        tied, opened, breathing, bare = (
             np.stack([self.natural(lips, mode) for mode in modes], axis=1)
-            for lips in ("tied", "open", "uncracked")
+            for lips in ("tied", "open", "bilinear", "uncracked")
         )
         with np.errstate(invalid="ignore", divide="ignore"):
             split = np.nan_to_num((tied - opened) / tied, posinf=0.0, neginf=0.0).sum(axis=1)
-            found = 2.0 * tied * opened / (tied + opened)
-        return np.column_stack([np.where(split > 1e-9, np.sqrt(np.abs(split)), 1.0), found, bare])
+        scale = np.where(split > 1e-9, np.sqrt(np.abs(split)), 1.0)
+        return np.column_stack([scale, breathing, bare])
 
 
 @dataclass(frozen=True)
@@ -340,10 +340,8 @@ class Feature:
         """Features of a measurement; of a ratio both harmonics, the one above first."""
         if row.natural:
             lips = row.quantity.removeprefix("frequency_")
-            of_both = lips in ("bilinear", "resonance")
-            return tuple(
-                cls(state, row.mode) for state in (("open", "tied") if of_both else (lips,))
-            )
+            states = ("bilinear", "open") if lips == "resonance" else (lips,)
+            return tuple(cls(state, row.mode) for state in states)
         orders = row.orders or KEPT_ORDERS
         return tuple(cls("", 0, row.point, float(row.frequency), order) for order in orders)
 
@@ -371,7 +369,7 @@ class Feature:
     @property
     def of_crack(self) -> bool:
         """Tell whether it is a natural frequency that the crack changes."""
-        return self.lips in ("open", "tied")
+        return self.lips in ("open", "tied", "bilinear")
 
 
 def poles(

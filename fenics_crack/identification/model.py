@@ -403,7 +403,9 @@ class Quantities:
             values[:, place], weights = _together(row, sizes[:, at])
             turns[:, place, at] = weights * turned[:, at]
             if row.quantity == "frequency_resonance":
-                split = sizes[:, at[1]] - sizes[:, at[0]]
+                breathing, opened = sizes[:, at].T
+                with np.errstate(divide="ignore"):  # 1 / w_o + 1 / w_t = 2 / w_b
+                    split = 1.0 / (2.0 / breathing - 1.0 / opened) - opened
                 shift = values[:, place] * damping[:, 0] ** 2
                 rest[:, place] = (OFF.get(row.mode, OFTEN_OFF) * split) ** 2 + shift**2
         for own, plain in zip(self._own, self._plain, strict=True):
@@ -474,7 +476,6 @@ def _together(row: Measurement, parts: np.ndarray) -> tuple[np.ndarray, np.ndarr
     if parts.shape[1] == 1:
         return parts[:, 0], np.ones_like(parts)
     one, two = parts.T
-    if row.natural:  # the bilinear frequency
-        value = 2.0 * one * two / (one + two)
-        return value, value[:, None] ** 2 / (2.0 * parts**2)
+    if row.natural:  # a resonance is near the bilinear frequency
+        return one, np.column_stack([np.ones_like(one), np.zeros_like(one)])
     return one / two, np.column_stack([1.0 / two, -one / two**2])

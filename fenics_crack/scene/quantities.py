@@ -7,7 +7,8 @@ are drawn in. :class:`fenics_crack.Indicators` defines each by its equation.
 from __future__ import annotations
 
 __all__ = [
-    "OF_CLAMP", "OF_FREQUENCIES", "OF_LIPS", "OF_POINTS", "OF_TIPS", "QUANTITIES", "SHORT",
+    "OF_CLAMP", "OF_FREQUENCIES", "OF_GROWTH", "OF_LIPS", "OF_POINTS", "OF_TIPS", "QUANTITIES",
+    "SHORT",
 ]  # fmt: skip
 
 OF_POINTS: dict[str, tuple[str, str]] = {
@@ -49,12 +50,16 @@ OF_TIPS: dict[str, tuple[str, str]] = {
     "K_II_max": ("largest stress intensity K_II, of either sign", "Pa m^0.5"),
 }
 """Of the tip whose effective range is the largest; known of plates, where a scene asks for them."""
+OF_GROWTH: dict[str, tuple[str, str]] = {
+    "delta_K_equivalent": ("range of K_I, R = 0, that makes the crack grow as much", "Pa m^0.5")
+}
+"""Of the same tip, by the law of the table ``[growth]``."""
 OF_CLAMP: dict[str, tuple[str, str]] = {
     "reaction_force": ("largest force of the clamp", "N"),
     "reaction_moment": ("largest moment of the clamp, about its centre", "N m"),
 }
 """Of the clamp; known of meshes at rest, where a scene asks for them."""
-QUANTITIES = OF_POINTS | OF_LIPS | OF_FREQUENCIES | OF_TIPS | OF_CLAMP
+QUANTITIES = OF_POINTS | OF_LIPS | OF_FREQUENCIES | OF_TIPS | OF_GROWTH | OF_CLAMP
 """All of them."""
 SHORT = (
     "amplitude", "ratio_2_1", "ratio_3_1", "ratio_half_1", "ratio_largest", "mean_shift", "opening",

@@ -20,7 +20,7 @@ from fenics_crack.hints import Hinted, converted, meant, near, written
 from fenics_crack.outside import text_of
 from fenics_crack.scene.cracks import OF_SHAPES, check_cracks
 from fenics_crack.scene.fields import Axis, Point, Table, components, named
-from fenics_crack.scene.quantities import OF_CLAMP, OF_TIPS
+from fenics_crack.scene.quantities import OF_CLAMP, OF_GROWTH, OF_TIPS
 from fenics_crack.scene.tables import (
     Base,
     Contact,
@@ -128,7 +128,7 @@ class Scene(Hinted):
         else:
             _check_dimension(self)
             (_check_file if self.mesh.layout == "file" else _check_plate)(self)
-        for names, without in ((OF_TIPS, without_tips), (OF_CLAMP, without_clamp)):
+        for names, without in _ASKED:
             if asked := tuple(name for name in asked_quantities(self) if name in names):
                 check_known(without(self), "output.quantities", asked)
         for name, key in _AXES:
@@ -333,6 +333,13 @@ def without_tips(scene: Scene) -> str:
     return ""
 
 
+def _without_growth(scene: Scene) -> str:
+    """Why the range that makes a crack grow is not known; "" where it is."""
+    if scene.growth is None:
+        return "without a table [growth], which has its exponent"
+    return without_tips(scene)
+
+
 def without_clamp(scene: Scene) -> str:
     """Why the forces of the clamp are not known; "" where they are."""
     if scene.structure is not None:
@@ -349,8 +356,14 @@ def check_known(without: str, key: str, value: object = None) -> None:
 
 
 def asked_quantities(scene: Scene) -> tuple[str, ...]:
-    """What ``output.quantities`` asks for of tips and of the clamp."""
-    return tuple(name for name in scene.quantities or () if name in OF_TIPS or name in OF_CLAMP)
+    """What ``output.quantities`` asks for of tips, their growth, and the clamp."""
+    return tuple(
+        name for name in scene.quantities or () if any(name in names for names, _ in _ASKED)
+    )
+
+
+_ASKED = ((OF_TIPS, without_tips), (OF_GROWTH, _without_growth), (OF_CLAMP, without_clamp))
+"""Quantities that cost something, and why they are not known of a scene."""
 
 
 def files_of(scene: Scene) -> list[tuple[str, str]]:

@@ -693,8 +693,9 @@ class Sweep(Table):
 class Growth(Table):
     """Growth of a plate's crack by fatigue, for ``fenics-crack grow``: in a cycle by
 
-        rate (delta_K_effective / ((1 - R)^(1 - ratio_exponent) 1 MPa m^0.5))^exponent,
+        rate sum_i (delta_K_i / ((1 - R_i)^(1 - ratio_exponent) 1 MPa m^0.5))^exponent
 
+    over the cycles of K_I in one of the load, the ranges those of an open tip and
     R = max(K_min, 0) / K_max (Paris and Erdogan 1963; Walker 1970)."""
 
     until: float = positive(unit="m")

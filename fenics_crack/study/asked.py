@@ -19,8 +19,9 @@ from fenics_crack.model.factor import AT_A_TIME
 from fenics_crack.model.nodes import Clamp
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.numerics.fourier import evaluate
-from fenics_crack.scene.quantities import OF_CLAMP, OF_TIPS
+from fenics_crack.scene.quantities import OF_CLAMP, OF_GROWTH, OF_TIPS
 from fenics_crack.scene.scene import Scene, asked_quantities, check_known, without_tips
+from fenics_crack.scene.tables import Growth
 from fenics_crack.study.prepare import Study
 from fenics_crack.table import TURN
 from fenics_crack.time.march import TimeHistory
@@ -34,7 +35,7 @@ __all__ = [
 def prepare_asked(study: Study) -> None:
     """Make what the quantities of a study are found with, once for its structure (collective)."""
     names = asked_quantities(study.scene)
-    if OF_TIPS.keys() & names:
+    if _AT_TIPS & set(names):
         tip_rows(study)
     if OF_CLAMP.keys() & names:
         study.structure.once(_inertia_rows)
@@ -44,8 +45,9 @@ def asked_of_motion(study: Study, motion: PeriodicSolution | TimeHistory) -> dic
     """The quantities of a solution or a march that its scene asks for (collective)."""
     names = asked_quantities(study.scene)
     found: dict[str, float] = {}
-    if OF_TIPS.keys() & names:
-        found |= _of_leading(tip_rows(study).of_motion(motion)[1])
+    if _AT_TIPS & set(names):
+        seen = tip_rows(study).of_motion(motion)[1]
+        found |= _of_leading(seen, study.scene.growth, periods_of(motion))
     if OF_CLAMP.keys() & names:
         found |= numbers_at_clamp(*clamp_of_motion(motion)[1:])
     return {name: found[name] for name in names}
@@ -55,10 +57,10 @@ def asked_along_curve(study: Study, curve: ResponseCurve) -> dict[str, np.ndarra
     """The quantities that its scene asks for at every point of a curve, each (n,) (collective)."""
     names = asked_quantities(study.scene)
     found: list[dict[str, float]] = [{} for _ in range(len(curve))]
-    if OF_TIPS.keys() & names:
-        tips = tip_rows(study)
+    if _AT_TIPS & set(names):
+        tips, law = tip_rows(study), study.scene.growth
         for index, _, seen, _, force in curve.seen_through(tips.of_coordinates):
-            found[index] |= _of_leading(tips.in_time(seen, force))
+            found[index] |= _of_leading(tips.in_time(seen, force), law, curve.subharmonic)
     if OF_CLAMP.keys() & names:
         rows = curve.structure.once(_inertia_rows)
         for index, waves, *_ in curve.seen_through(rows):
@@ -118,6 +120,8 @@ def _inertia_rows(structure: Structure) -> np.ndarray:
 
 
 # --- the tips -------------------------------------------------------------------------------------
+
+_AT_TIPS = {*OF_TIPS, *OF_GROWTH}
 
 
 @dataclass(frozen=True)
@@ -194,22 +198,74 @@ class _OfScene:
         return TipRows(tuple(tips), columns, forces)
 
 
-def numbers_at_tips(found: np.ndarray) -> Mapping[str, np.ndarray]:
+def periods_of(motion: PeriodicSolution | TimeHistory) -> float:
+    """Periods of the load that a motion lasts, or in which it repeats itself."""
+    if isinstance(motion, TimeHistory):
+        return (len(motion.time) - 1) / motion.steps_per_period
+    return motion.subharmonic
+
+
+def numbers_at_tips(
+    found: np.ndarray, law: Growth | None, periods: float
+) -> Mapping[str, np.ndarray]:
     """The quantities of each tip by their names, each (n_tips,), from K_I and K_II in time
-    (n, n_tips, 2)."""
+    (n, n_tips, 2) over so many periods of the load; the equivalent range where there is a law of
+    growth."""
     one, two = found[..., 0], found[..., 1]
     largest, smallest = one.max(axis=0), one.min(axis=0)
-    return {
+    numbers = {
         "K_max": largest,
         "K_min": smallest,
         "delta_K": largest - smallest,
         "delta_K_effective": np.maximum(largest, 0.0) - np.maximum(smallest, 0.0),
         "K_II_max": np.abs(two).max(axis=0),
     }
+    if law is not None:
+        ranges = [_equivalent_range(tip, law, periods) for tip in one.T]
+        numbers["delta_K_equivalent"] = np.array(ranges)
+    return numbers
 
 
-def _of_leading(found: np.ndarray) -> dict[str, float]:
+def _equivalent_range(one: np.ndarray, law: Growth, periods: float) -> float:
+    """The range from K_I = 0 that, once a period, makes a crack grow as much as K_I (n,) does,
+
+        (sum_i (delta K_i / (1 - R_i)^(1 - gamma))^m / periods)^(1 / m),
+
+    over the cycles i that are counted, delta K_i being the range while the tip is open; those below
+    the threshold are left out where another is above it."""
+    high, low = counted_cycles(np.maximum(one, 0.0)).T
+    ranges = high - low
+    if not ranges.size:
+        return 0.0
+    ratio = np.minimum(low / high, 1.0 - 1e-9)
+    drive = ranges / (1.0 - ratio) ** (1.0 - law.ratio_exponent)
+    grows = ranges >= min(law.threshold, ranges.max())
+    parts = np.where(grows, drive / drive.max(), 0.0) ** law.exponent
+    return float(drive.max() * (parts.sum() / periods) ** (1.0 / law.exponent))
+
+
+def counted_cycles(values: np.ndarray) -> np.ndarray:
+    """Highest and lowest values of the cycles in a record (n,) that repeats itself: (k, 2).
+
+    By rain flow, from the highest value on: a range is a cycle where the next one is as large
+    (ASTM E1049, 5.4.5; Downing and Socie, International Journal of Fatigue 4, 1982, 31).
+    """
+    start = int(values.argmax())
+    around = np.append(values[start:], values[: start + 1])
+    around = around[np.append(True, np.diff(around) != 0.0)]
+    turns = 1 + np.flatnonzero(np.diff(np.sign(np.diff(around))))
+    path: list[float] = []
+    found = []
+    for value in around[[0, *turns, -1]].tolist():
+        path.append(value)
+        while len(path) > 2 and abs(path[-1] - path[-2]) >= abs(path[-2] - path[-3]):
+            found.append((max(path[-3:-1]), min(path[-3:-1])))
+            del path[-3:-1]
+    return np.array(found).reshape(-1, 2)
+
+
+def _of_leading(found: np.ndarray, law: Growth | None, periods: float) -> dict[str, float]:
     """Those of the tip whose effective range is the largest."""
-    numbers = numbers_at_tips(found)
+    numbers = numbers_at_tips(found, law, periods)
     leading = int(np.argmax(numbers["delta_K_effective"]))
     return {name: float(values[leading]) for name, values in numbers.items()}

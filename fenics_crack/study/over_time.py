@@ -12,9 +12,14 @@ import numpy as np
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.model.nodes import AXES
-from fenics_crack.scene.quantities import OF_TIPS
 from fenics_crack.scene.scene import check_known, without_clamp, without_tips
-from fenics_crack.study.asked import clamp_of_motion, numbers_at_clamp, numbers_at_tips, tip_rows
+from fenics_crack.study.asked import (
+    clamp_of_motion,
+    numbers_at_clamp,
+    numbers_at_tips,
+    periods_of,
+    tip_rows,
+)
 from fenics_crack.study.run import Run, check_motion
 from fenics_crack.study.stated_errors import errors_of
 from fenics_crack.study.verification import Verification
@@ -53,9 +58,12 @@ class StressIntensity(Tabular):
     def numbers(self) -> Mapping[str, np.ndarray]:
         """Each tip's K_max, K_min, delta_K, delta_K_effective and K_II_max: (n_tips,) [Pa m^1/2].
 
-        The effective range is that while the tip is open, max(K_I, 0) - max(min K_I, 0).
+        The effective range is that while the tip is open, max(K_I, 0) - max(min K_I, 0). With a
+        table ``[growth]`` delta_K_equivalent, too: the range from 0 that, once a period of the
+        load, makes the crack grow as much as all cycles of K_I do, counted by rain flow.
         """
-        return numbers_at_tips(np.stack([self.one, self.two], axis=-1))
+        both = np.stack([self.one, self.two], axis=-1)
+        return numbers_at_tips(both, self._run.scene.growth, periods_of(self._run.result))
 
     @property
     def largest(self) -> np.ndarray:
@@ -96,7 +104,7 @@ class StressIntensity(Tabular):
         """What modes, harmonics and the mesh contribute to the error of the leading tip's numbers,
         by one other run for each; None of motions in time. Computed when first asked for
         (collective)."""
-        scene = self._run.scene.replace({"output.quantities": tuple(OF_TIPS)})
+        scene = self._run.scene.replace({"output.quantities": tuple(self.numbers)})
         return errors_of(replace(self._run, scene=scene, stated=None), self._run.result)
 
     def to_dict(self) -> dict[str, Any]:
@@ -111,7 +119,7 @@ class StressIntensity(Tabular):
 
     def _title(self) -> str:
         shown = self.numbers, self.leading
-        parts = [f"{name} = {shown[0][name][shown[1]]:.4g}" for name in OF_TIPS]
+        parts = [f"{name} = {values[shown[1]]:.4g}" for name, values in shown[0].items()]
         return f"{', '.join(parts)} Pa m^0.5 at {self.tips[self.leading]}"
 
 

@@ -334,7 +334,11 @@ def _at(omega: float, natural: BilinearFrequencies) -> Found:
 
 def _numbered(natural: BilinearFrequencies) -> Found:
     """Natural frequencies by the names of their columns; there may be fewer than these."""
-    rows = {"open": natural.omega_open, "tied": np.sort(natural.omega_tied)}
+    rows = {
+        "open": natural.omega_open,
+        "tied": np.sort(natural.omega_tied),
+        "bilinear": natural.omega_bilinear,
+    }
     return {
         f"omega_{lips}_{mode}": omega
         for lips, row in rows.items()

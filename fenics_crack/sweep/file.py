@@ -71,12 +71,18 @@ def of_load(quantity: str) -> str:
     return "response" if quantity == "amplitude" else quantity
 
 
+MODES = range(1, FEW_MODES + 1)
+"""Numbers of the modes whose natural frequencies are kept of each case."""
 NATURAL = {
-    f"omega_{lips}_{mode}": (f"natural frequency {mode}, lips {lips}", "rad/s")
-    for lips in ("open", "tied")
-    for mode in range(1, FEW_MODES + 1)
+    f"omega_{lips}_{mode}": (words.format(mode), "rad/s")
+    for lips, words in (
+        ("open", "natural frequency {}, lips open"),
+        ("tied", "natural frequency {}, lips tied"),
+        ("bilinear", "bilinear frequency of open mode {}"),
+    )
+    for mode in MODES
 }
-"""Words and unit of the natural frequencies that are kept of each case."""
+"""Their words and unit."""
 AT_POINTS = {name: unit for name, (_, unit) in OF_POINTS.items() if name != "ratio_half_1"}
 """What is kept of each point and direction, and its unit: no case has a longer period."""
 KEPT_ORDERS = (1, 2, 3, 4, 5, 6)
@@ -103,7 +109,9 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "status": ("", f"S{STATUS_BYTES}"),
 }
 """Unit and type of what is kept of each case beside its state and what is seen at points."""
-LATER = ("ratio_largest", "largest_order", "crack_force")
+LATER = (
+    "ratio_largest", "largest_order", "crack_force", *(f"omega_bilinear_{n}" for n in MODES),
+)  # fmt: skip
 """Quantities that older files do not have, where they are nan."""
 WAVES = {"gap": "m", "force": "N"}
 """Coefficients kept of a case that converged, and their units."""

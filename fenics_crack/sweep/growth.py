@@ -1,11 +1,12 @@
 """How a crack grows under the vibration of its plate, and how the vibration changes with it.
 
 At each length a the vibration is periodic and settled: growth by a cycle is far less than what
-changes it. With the effective range of K_I of the vibration itself, closed lips and all,
+changes it. With the effective ranges of K_I of the vibration itself, closed lips and all,
 
-    da/dN = C (delta K_eff / (1 - R)^(1 - gamma))^m,      N = int da / (da/dN),
+    da/dN = C sum_i (delta K_i / (1 - R_i)^(1 - gamma))^m,      N = int da / (da/dN),
 
-C in m per cycle at 1 MPa m^1/2 (Paris, Erdogan, Journal of Basic Engineering 85, 1963, 528;
+over the cycles of K_I in one of the load, of which there is more than one where lips open several
+times; C in m per cycle at 1 MPa m^1/2 (Paris, Erdogan, Journal of Basic Engineering 85, 1963, 528;
 closure: Elber, ASTM STP 486, 1971, 230; R: Walker, ASTM STP 462, 1970, 1).
 
 Few lengths are solved, and between them are splines; lengths are halved where a spline misses what
@@ -28,15 +29,16 @@ from mpi4py import MPI
 from fenics_crack.errors import FEW_MODES, ConvergenceError, InputError, StoppedError
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.files.store import Stored, check_shapes, read, write
-from fenics_crack.model.modes import BilinearFrequencies, solve_modes
+from fenics_crack.model.modes import solve_modes
 from fenics_crack.parallel import StopRequest, on_root
-from fenics_crack.scene.quantities import OF_TIPS
+from fenics_crack.scene.quantities import OF_GROWTH, OF_TIPS
 from fenics_crack.scene.scene import Scene, check_known, without_tips
 from fenics_crack.scene.tables import Growth as Law
 from fenics_crack.study.key_figures import damping_ratios
 from fenics_crack.study.prepare import prepare
 from fenics_crack.study.run import solve
 from fenics_crack.study.stated_errors import stated_errors
+from fenics_crack.sweep.file import MODES
 from fenics_crack.sweep.result import UNSOUGHT, SweepResult, resonates, run_sweep
 from fenics_crack.table import TURN, Tabular, counted, with_frequency
 
@@ -222,7 +224,7 @@ of a resonance that passes is seen."""
 LOGARITHMIC = ("driving", "K_max", "delta_K_effective", "response")
 """Columns whose logarithm is smooth: resonances pass through them."""
 LINEAR = ("omega", "omega_open", "omega_bilinear", "K_min", "K_II_max")
-READ = ("K_max", "delta_K_effective", "response", *LINEAR)
+READ = ("K_max", "delta_K_effective", "delta_K_equivalent", "response", *LINEAR)
 """Columns of the sweep: those of a spectrum are of the load that drives the crack most."""
 NOTHING = 1e-200
 """Below which a logarithmic column is zero."""
@@ -244,7 +246,10 @@ def grow(
 
     By the table ``[growth]`` of the scene: from ``crack.length`` to ``growth.until``,
 
-    .. math:: N = \int \frac{da}{C (\Delta K_{eff} / (1 - R)^{1 - \gamma})^m}.
+    .. math:: N = \int \frac{da}{C \sum_i (\Delta K_i / (1 - R_i)^{1 - \gamma})^m},
+
+    :math:`\Delta K_i` the ranges of K_I while the tip is open, in the cycles that rain flow counts
+    in one period of the load.
 
     Few lengths are solved; between them ln delta K is a spline, refined until the cycles are known
     to ``growth.life_tolerance``. Ranks share the lengths.
@@ -370,7 +375,7 @@ def _error_at(scene: Scene, path: LengthPath, length: float) -> tuple[float, lis
     place = {
         "crack.length": length,
         "excitation.omega": omega,
-        "output.quantities": ("delta_K_effective",),
+        "output.quantities": tuple(OF_GROWTH),
     }
     run = solve(scene.replace(place), MPI.COMM_SELF)
     # A list of frequencies stays where it is, as one frequency does.
@@ -378,7 +383,7 @@ def _error_at(scene: Scene, path: LengthPath, length: float) -> tuple[float, lis
     stated = stated_errors(run, run.result, of_peak=of_peak)
     left_out = stated.left_out
     without = [f"the error of the vibration is {left_out}"] if left_out else []
-    return stated.stated("delta_K_effective")[0], without
+    return stated.stated("delta_K_equivalent")[0], without
 
 
 def _remarks(
@@ -486,12 +491,15 @@ class LengthPath:
         rows = {name: table[name].reshape(len(swept), -1)[solved] for name in READ}
         rows["response"] = np.nan_to_num(rows["response"])  # nan where nothing moves
         new, leading = _driving(rows, law, cycles)
-        natural = _natural(table, len(swept))[:, solved]
+        one, two = (
+            np.array([table[f"omega_{lips}_{n}"].reshape(len(swept), -1)[solved, 0] for n in MODES])
+            for lips in ("open", "bilinear")
+        )
         mode = self.mode  # that of the first length, whichever is nearest later on
         if mode is None and solved.any():
-            mode = int(np.nanargmin(np.abs(natural[:, 0, 1] - leading[0])))
+            mode = int(np.nanargmin(np.abs(two[:, 0] - leading[0])))
         if mode is not None:
-            new["omega_open"], new["omega_bilinear"] = natural[mode].T
+            new["omega_open"], new["omega_bilinear"] = one[mode], two[mode]
         columns = {
             name: np.append(values, new[name])[order] for name, values in self.columns.items()
         }
@@ -508,17 +516,6 @@ class LengthPath:
         )
 
 
-def _natural(table: SweepResult, lengths: int) -> np.ndarray:
-    """Natural frequencies of each mode at so many lengths, with lips open, and the bilinear ones:
-    (modes, lengths, 2) [rad/s]."""
-    modes = [mode for mode in range(1, FEW_MODES + 1) if f"omega_tied_{mode}" in table.columns]
-    one, two = (
-        np.array([table[f"omega_{lips}_{mode}"].reshape(lengths, -1)[:, 0] for mode in modes])
-        for lips in ("open", "tied")
-    )
-    return np.stack([one, BilinearFrequencies(one, two).omega_bilinear], axis=2)
-
-
 def _driving(
     rows: dict[str, np.ndarray], law: Law, cycles: np.ndarray
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
@@ -526,12 +523,10 @@ def _driving(
 
     What drives the crack is the range of constant amplitude that makes it grow as much,
 
-        (sum n_i (delta K_i / (1 - R_i)^(1 - gamma))^m / sum n_i)^(1 / m),
+        (sum n_i delta K_i^m / sum n_i)^(1 / m)
 
-    levels below the threshold left out where another is above it."""
-    effective = rows["delta_K_effective"]
-    ratio = np.clip(rows["K_min"] / np.maximum(rows["K_max"], 1e-300), 0.0, 1.0 - 1e-9)
-    drive = effective / (1.0 - ratio) ** (1.0 - law.ratio_exponent)
+    of the equivalent ranges, levels below the threshold left out where another is above it."""
+    effective, drive = rows["delta_K_effective"], rows["delta_K_equivalent"]
     grows = effective >= np.minimum(law.threshold, effective.max(axis=1, keepdims=True))
     largest = np.maximum(drive.max(axis=1, keepdims=True), 1e-300)
     shares = cycles / cycles.sum() * np.where(grows, drive / largest, 0.0) ** law.exponent
@@ -627,7 +622,7 @@ def _swept(scene: Scene, lengths: np.ndarray, levels: np.ndarray) -> Scene:
             "sweep": None,
             "sweep.over": over,
             "sweep.at_resonance": scene.given("growth").drive == "resonance",
-            "output.quantities": tuple(OF_TIPS),
+            "output.quantities": (*OF_TIPS, *OF_GROWTH),
         }
     )
 

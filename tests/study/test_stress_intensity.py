@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from helpers import DEMOS, ROOT, gmsh_model
 from mpi4py import MPI
+from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack.fem import tip_integral
@@ -367,6 +368,18 @@ def numbers_on(scene: fc.Scene, comm: MPI.Comm) -> np.ndarray:
     """Largest K_I and K_II of all ranks together."""
     found = fc.stress_intensity(fc.solve(scene, comm))
     return np.array([found.largest, found.numbers["K_II_max"]])
+
+
+def test_a_tip_next_to_an_edge(tmp_path: Path) -> None:
+    """Whose domain is smaller than an element has no stress intensity; its pictures are drawn."""
+    run = fc.solve(strip(crack__length=0.0985, mesh__lip_elements=4))
+    with pytest.raises(fc.InputError, match="from an edge") as caught:
+        fc.stress_intensity(run)
+    assert caught.value.key == "crack" and "0.0015 m" in str(caught.value)
+    fc.save(run.result, tmp_path / "solution.h5", run.scene)
+    assert main(["plot", str(tmp_path / "solution.h5")]) == 0
+    drawn = {path.name for path in tmp_path.iterdir()}
+    assert "solution_waves.png" in drawn and "solution_tips.png" not in drawn
 
 
 def test_same_on_two_ranks(on_ranks: Callable[..., Any]) -> None:

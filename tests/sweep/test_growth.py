@@ -18,6 +18,7 @@ from helpers import ROOT, columns_of_curve
 from mpi4py import MPI
 from scipy.integrate import quad, simpson, trapezoid
 from scipy.optimize import minimize_scalar
+from scipy.signal import find_peaks
 from surroundings import main
 
 import fenics_crack as fc
@@ -133,6 +134,35 @@ def test_full_reversal_takes_the_open_half() -> None:
     passing = 2.0 * STRESS / 1e6
     exact = quad(lambda a: 1.0 / (1e-11 * (passing * edge_crack(a)) ** 2), 0.02, 0.03)[0]
     assert found.life == pytest.approx(4.0 * exact, rel=0.02)
+
+
+def test_every_opening_makes_the_crack_grow() -> None:
+    """Near a half of the resonance the tip opens twice in a period, the second time less: the rate
+    is the sum over both, counted by how far each peak of K stands out. With m = 1 the ranges
+    together are what K rises by in a period."""
+    twice = {"excitation.frequency": 418.0, "excitation.omega": None, "damping.ratio": 0.001}
+    scene = plate(until=0.0352, life_tolerance=1.0).replace(twice)
+    found = fc.stress_intensity(fc.solve(scene))
+    one = np.tile(np.maximum(found.one[:, 0], 0.0), 3)
+    peaks, seen = find_peaks(one, prominence=1e-9 * one.max())
+    own = np.flatnonzero((peaks >= len(found.time)) & (peaks < 2 * len(found.time)))
+    ranges = np.sort(seen["prominences"][own])
+    assert ranges[-2] > 0.3 * ranges[-1]
+    exact = np.cbrt(np.sum(ranges**3))
+    assert found.numbers["delta_K_equivalent"][0] == pytest.approx(exact, rel=1e-9)
+    rate = fc.grow(scene, comm=MPI.COMM_SELF).rate[0]
+    assert rate == pytest.approx(6.9e-12 * np.sum((ranges / 1e6) ** 3), rel=1e-3)
+    assert rate > 1.1 * 6.9e-12 * (found.effective[0] / 1e6) ** 3
+    linear = fc.stress_intensity(fc.solve(scene.replace({"growth.exponent": 1.0})))
+    rises = np.sum(np.maximum(np.diff(one[: len(found.time) + 1]), 0.0))
+    assert linear.numbers["delta_K_equivalent"][0] == pytest.approx(rises, rel=1e-6)
+
+
+def test_growth_asks_for_a_law() -> None:
+    """The equivalent range is that of an exponent."""
+    with pytest.raises(fc.InputError, match="without a table") as caught:
+        plate().replace({"growth": None, "output.quantities": ("delta_K_equivalent",)})
+    assert caught.value.key == "output.quantities"
 
 
 def test_threshold_and_toughness() -> None:

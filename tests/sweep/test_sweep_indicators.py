@@ -63,6 +63,8 @@ def test_cases_have_the_indicators_of_their_solutions(
         np.testing.assert_allclose(load, result[f"corner.ux.{name}"], rtol=1e-9)
     known = fc.bilinear_frequencies(study.structure)
     np.testing.assert_allclose(result["omega_tied"], known.omega_tied[0], rtol=1e-9)
+    breathing = [result[f"omega_bilinear_{mode}"][1, 1] for mode in (1, 2, 3)]
+    np.testing.assert_allclose(breathing, known.omega_bilinear[:3], rtol=1e-9)
     np.testing.assert_allclose(result["over_open"][1], 2000.0 / known.omega_open[0], rtol=1e-9)
     np.testing.assert_allclose(result["closed_share"][1, 1], found.closed_share, atol=2e-3)
 
