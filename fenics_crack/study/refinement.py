@@ -22,6 +22,7 @@ import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -36,7 +37,15 @@ from fenics_crack.stages import within
 from fenics_crack.study.coarser_mesh import CLAMP, TIP, finer_mesh, n_elements, size_of
 from fenics_crack.study.prepare import REFUSALS, Study, prepare, reduced, reduction_of
 from fenics_crack.study.run import Run, solve_prepared
-from fenics_crack.study.stated_errors import Numbers, by_orbit, numbers_of, resonance_of, shifted
+from fenics_crack.study.stated_errors import (
+    Numbers,
+    as_changed,
+    by_orbit,
+    numbers_of,
+    of_own_orbit,
+    resonance_of,
+    shifted,
+)
 from fenics_crack.study.verification import GridConvergence, Varied, Verification, grid_convergence
 
 __all__ = ["verify"]
@@ -160,6 +169,11 @@ class _Runs:
     failures: list[str] = field(default_factory=list)
     verdicts: dict[str, str] = field(default_factory=dict)
 
+    @cached_property
+    def exact(self) -> dict[str, float] | None:
+        """Of the exact orbit that is the scene's own solution's, if one is (collective)."""
+        return of_own_orbit(self.own, self.own.result, self.numbers.mode)
+
     def part(
         self,
         cause: str,
@@ -182,7 +196,7 @@ class _Runs:
         for (name, changed), count in finest_first:  # few modes are among many
             run = self._run(name, changed, shared)
             if run is not None:
-                values = numbers_of(run, run.result, numbers.mode).values
+                values = self._values(run, cause)
                 levels.insert(1, (count or n_elements(run.structure), values))
                 self.verdicts.update(_doubtful(name, run))
         many = tuple(count for count, _ in levels)
@@ -199,6 +213,16 @@ class _Runs:
             )
             for name in numbers.values
         }
+
+    def _values(self, run: Run[PeriodicSolution], cause: str) -> dict[str, float]:
+        """The numbers of a finer run; of more modes as the exact orbits change, where both have
+        their own: to few harmonics the modes above all of them seem static (collective)."""
+        mode = self.numbers.mode
+        if cause == "modes" and self.exact is not None:
+            exact = of_own_orbit(run, run.result, mode)
+            if exact is not None:
+                return as_changed(self.numbers.values, self.exact, exact)
+        return numbers_of(run, run.result, mode).values
 
     def more(
         self, shared: Study, scene: Scene, key: str, own: int, most: int, formal: float
@@ -286,8 +310,8 @@ def _harmonics(runs: _Runs) -> Varied:
     if table.samples is not None:  # enough for all of them
         least = 4 * COUNTS[-1] * table.harmonics + 1
         scene = scene.replace({"harmonic_balance.samples": max(table.samples, least)})
-    elif (exact := by_orbit(own, own.result, runs.numbers.mode)) is not None:
-        return exact
+    elif runs.exact is not None:
+        return by_orbit(own, own.result, runs.numbers.mode, runs.exact)
     key = "harmonic_balance.harmonics"
     return runs.more(own, scene, key, table.harmonics, MAX_SAMPLES, 1.0)
 

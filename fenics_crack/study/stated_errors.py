@@ -4,10 +4,11 @@ Twice the modes are solved from the answer itself, and
 
     e = |f - f_2| / (1 - 2^-1),
 
-as it converges like N^-1 (:mod:`refinement`). What harmonics leave out is known where an exact
-orbit is the answer's own: e = |f - f_orbit|. Elsewhere twice as many are solved, too; where the
-report says that harmonics are too few the difference may vanish by chance, and four times as many
-say it, too. The mesh is made coarser (:mod:`coarser_mesh`).
+as it converges like N^-1 (:mod:`refinement`). To few harmonics the modes above all of them seem
+static, whether they are kept or not: where an exact orbit is the answer's own, f and f_2 are those
+of orbits. It tells what harmonics leave out, too: e = |f - f_orbit|. Elsewhere twice as many are
+solved, too; where the report says that harmonics are too few the difference may vanish by chance,
+and four times as many say it, too. The mesh is made coarser (:mod:`coarser_mesh`).
 
 A mesh moves the resonances before all else. Next to one a small shift changes an answer by much, on
 one side up and on the other down, so that differences may vanish by chance. The coarse mesh is
@@ -33,7 +34,7 @@ bounds: scenes beside a mesh four times finer are in docs/error_report.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import methodcaller
@@ -42,6 +43,7 @@ import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.harmonic_balance import solve_linear, wave_of
+from fenics_crack.balance.judgement import more_modes
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Solver, contact_extremes
 from fenics_crack.curves.curve import ResponseCurve
@@ -50,6 +52,7 @@ from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import KINDS, NEGLIGIBLE, Modes, bilinear_frequencies
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
+from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.scene.quantities import OF_LIPS, OF_POINTS, QUANTITIES
 from fenics_crack.study.asked import asked_of_motion
 from fenics_crack.study.coarser_mesh import (
@@ -66,9 +69,11 @@ from fenics_crack.table import frequency_axis
 
 __all__ = [
     "Numbers",
+    "as_changed",
     "by_orbit",
     "errors_of",
     "numbers_of",
+    "of_own_orbit",
     "resonance_of",
     "shifted",
     "stated_errors",
@@ -176,8 +181,10 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
     near = _solved(study, found.omega, found.harmonics, found)
     own = numbers_of(study, near, numbers.mode)
     mesh = partial(_coarser_mesh, of_peak=of_peak)
-    harmonics = partial(_more_harmonics, found=found)
-    varied: list[Callable[..., Varied]] = [_more_modes, harmonics, mesh]
+    exact = of_own_orbit(study, found, numbers.mode)
+    both = _more_modes, _more_harmonics
+    modes, harmonics = (partial(more, found=found, exact=exact) for more in both)
+    varied: list[Callable[..., Varied]] = [modes, harmonics, mesh]
     for cause, other in zip(VARIED, varied, strict=True):
         try:
             stated.take(cause, other(study, near, own))
@@ -202,26 +209,40 @@ def errors_of(study: Study, result: object) -> Verification | None:
     return None
 
 
-def _more_modes(study: Study, near: PeriodicSolution, own: Numbers) -> Varied:
+def _more_modes(
+    study: Study,
+    near: PeriodicSolution,
+    own: Numbers,
+    found: PeriodicSolution,
+    exact: Mapping[str, float] | None,
+) -> Varied:
+    """By the exact orbits with these modes and with twice as many; where these are not at hand by
+    solutions with as many harmonics, to which modes above all of them seem static."""
     structure, table = study.structure, study.scene.reduction
     reference = structure.reference if isinstance(structure, ReducedStructure) else None
     if reference is None or table is None or table.modes is None:
         return "all are kept"
-    more = replace(study, structure=reference)
-    start = near if structure.light_lips else None  # else these have other coordinates
-    found = _solved(more, near.omega, near.harmonics, start)
-    counts = table.modes, 2 * table.modes
-    other = numbers_of(more, found, own.mode).values
+    more, counts = replace(study, structure=reference), (table.modes, 2 * table.modes)
+    larger = more_modes(found.judged) if exact else None
+    if exact and larger and larger.affordable and larger.orbit:
+        other = as_changed(own.values, exact, _of_orbit(more, found, larger.orbit, own.mode))
+    else:
+        start = near if structure.light_lips else None  # else these have other coordinates
+        other = numbers_of(more, _solved(more, near.omega, near.harmonics, start), own.mode).values
     return counts, expected("modes", counts, own.values, other, study.scene)
 
 
 def _more_harmonics(
-    study: Study, near: PeriodicSolution, own: Numbers, found: PeriodicSolution
+    study: Study,
+    near: PeriodicSolution,
+    own: Numbers,
+    found: PeriodicSolution,
+    exact: Mapping[str, float] | None,
 ) -> Varied:
     if study.contact is None:
         return "without contact there is one"
-    if (exact := by_orbit(study, found, own.mode)) is not None:
-        return exact
+    if exact is not None:
+        return by_orbit(study, found, own.mode, exact)
     scene, counts = study.scene, (near.harmonics, 2 * near.harmonics)
     more = _solved(study, near.omega, counts[1], near)
     parts = expected(
@@ -238,20 +259,11 @@ def _more_harmonics(
 
 
 def by_orbit(
-    study: Study, found: PeriodicSolution, mode: int
-) -> tuple[tuple[int, int], dict[str, GridConvergence]] | None:
-    """What harmonics contribute to a solution's numbers, by the exact orbit next to it: of lips by
-    its motion, of points with 100 harmonics, or four times as many; None where no orbit is its own
+    study: Study, found: PeriodicSolution, mode: int, exact: Mapping[str, float]
+) -> tuple[tuple[int, int], dict[str, GridConvergence]]:
+    """What harmonics contribute to a solution's numbers, by those of its own exact orbit
     (collective)."""
-    judged, law = found.judged, found.contact
-    if law is None or not (judged.affordable and judged.accepted) or judged.orbit is None:
-        return None
-    orbit, structure = judged.orbit, found.structure
-    counts = found.harmonics, max(4 * found.harmonics, MOST_HARMONICS)
-    problem = Problem(structure, found.omega, law, counts[1], subharmonic=found.subharmonic)
-    exact = numbers_of(study, wave_of(problem, orbit, orbit.coefficients(counts[1])), mode).values
-    samples = orbit.samples(found.instants())
-    exact |= contact_extremes(samples.gap, samples.force, structure.pairs.cracks)
+    counts = found.harmonics, _many(found)
     sizes = 1.0 / counts[1], 1.0 / counts[0]
     parts = {}
     for name, value in numbers_of(study, found, mode).values.items():
@@ -260,6 +272,42 @@ def by_orbit(
             sizes, (other, value), "exact orbit", math.nan, math.nan, factor=1.0, extrapolated=other
         )
     return counts, parts
+
+
+def of_own_orbit(study: Study, found: PeriodicSolution, mode: int) -> dict[str, float] | None:
+    """The numbers of the exact orbit next to a study's solution; None where none is that solution's
+    own, or it would be sought for long (collective)."""
+    judged = found.judged
+    if found.contact is None or not (judged.affordable and judged.accepted) or not judged.orbit:
+        return None
+    return _of_orbit(study, found, judged.orbit, mode)
+
+
+def as_changed(
+    values: Mapping[str, float], one: Mapping[str, float], other: Mapping[str, float]
+) -> dict[str, float]:
+    """Numbers, changed as they differ between two orbits; 0 where one is none there."""
+    return {name: v + other.get(name, 0.0) - one.get(name, 0.0) for name, v in values.items()}
+
+
+def _many(found: PeriodicSolution) -> int:
+    """Harmonics with which an orbit's motion of points is written: 100, or four times a
+    solution's."""
+    return max(4 * found.harmonics, MOST_HARMONICS)
+
+
+def _of_orbit(
+    study: Study, found: PeriodicSolution, orbit: PeriodicOrbit, mode: int
+) -> dict[str, float]:
+    """The numbers of an orbit next to a solution, of a study's structure: of lips by its motion at
+    the solution's instants, of points with many harmonics (collective)."""
+    structure, law, harmonics = study.structure, study.contact, _many(found)
+    assert law is not None
+    problem = Problem(structure, found.omega, law, harmonics, subharmonic=found.subharmonic)
+    wave = wave_of(problem, orbit, orbit.coefficients(harmonics))
+    samples = orbit.samples(found.instants())
+    lips = contact_extremes(samples.gap, samples.force, structure.pairs.cracks)
+    return numbers_of(study, wave, mode).values | lips
 
 
 def _coarser_mesh(study: Study, near: PeriodicSolution, own: Numbers, of_peak: bool) -> Varied:

@@ -40,8 +40,9 @@ def plate(changes: dict[str, object] | None = None) -> Scene:
 
 def test_each_part_is_what_its_runs_say() -> None:
     """The three runs of each cause, one at a time, are those of scenes changed by hand, on other
-    meshes as far from the resonance; the shift's part is the answer at a shifted frequency; that of
-    the harmonics what very many of them change; totals are those of the contributions."""
+    meshes as far from the resonance; more modes change what they do with very many harmonics; the
+    shift's part is the answer at a shifted frequency; that of the harmonics what very many of them
+    change; totals are those of the contributions."""
     scene = plate({"harmonic_balance.harmonics": 3})
     found = fc.verify(scene)
     assert found.causes == ("mesh", "shift", "modes", "harmonics") and not found.failures
@@ -56,22 +57,22 @@ def test_each_part_is_what_its_runs_say() -> None:
     assert by_shift.extrapolated == pytest.approx(openings[-1], rel=1e-6)
     most = max(abs(one - value) for one in openings)
     assert found.contributions("opening")["shift"] == pytest.approx(most, rel=1e-6)
-    changes: dict[str, list[dict[str, object]]] = {
-        "mesh": [{"mesh.size": 0.03 / f, "mesh.lip_elements": int(2 * f)} for f in (1.5, 2.0)],
-        "modes": [{"reduction.modes": 12}, {"reduction.modes": 24}],
-    }
-    for cause, two in changes.items():
-        plates = [fc.prepare(scene.replace(c)) for c in two]
-        moved = [breathing(one) / breathing(own) if cause == "mesh" else 1.0 for one in plates]
-        omegas = [2000.0 * share for share in moved]
-        values = [opening(one, at) for one, at in zip(plates, omegas, strict=True)]
-        part = found.parts[cause]["opening"]
-        assert part.values[1::-1] == pytest.approx(values, rel=1e-6)
-        assert part.values[2] == found.values["opening"]
+    finer = [{"mesh.size": 0.03 / f, "mesh.lip_elements": int(2 * f)} for f in (1.5, 2.0)]
+    plates = [fc.prepare(scene.replace(changes)) for changes in finer]
+    omegas = [2000.0 * breathing(one) / breathing(own) for one in plates]
+    values = [opening(one, at) for one, at in zip(plates, omegas, strict=True)]
+    assert found.parts["mesh"]["opening"].values[1::-1] == pytest.approx(values, rel=1e-6)
+    most_harmonics = {"harmonic_balance.harmonics": 100}
+    many, *values = (
+        opening(fc.prepare(scene.replace(most_harmonics | {"reduction.modes": modes})), 2000.0)
+        for modes in (6, 12, 24)
+    )
+    changed = [value + one - many for one in values]
+    assert found.parts["modes"]["opening"].values[1::-1] == pytest.approx(changed, rel=1e-4)
+    assert {found.parts[cause]["opening"].values[2] for cause in ("mesh", "modes")} == {value}
     for cause in ("modes", "harmonics"):
         sizes = tuple(1.0 / count for count in found.counts[cause][::-1])
         assert found.parts[cause]["opening"].sizes == sizes
-    many = opening(fc.prepare(scene.replace({"harmonic_balance.harmonics": 100})), 2000.0)
     known = found.parts["harmonics"]["opening"]
     assert known.extrapolated == pytest.approx(many, rel=1e-4)
     assert known.behaviour == "exact orbit" and known.gci == 0.0
