@@ -77,7 +77,8 @@ class Geometry:
     study : Study
         With a small structure without clearance.
     unit_loads : bool
-        Whether its load has a sine part of 1 N in x and a cosine part of 1 N in y.
+        Whether its load has a sine part of 1 N in x, a cosine part of 1 N in y and, of a solid, a
+        mean of 1 N in z.
     crack_length : float [m]
         Of the first crack; nan where it is unknown.
     natural : BilinearFrequencies
@@ -102,8 +103,9 @@ class Geometry:
         """The structure with the load and the clearance of a case."""
         load: float | np.ndarray = 1.0
         if self.unit_loads:
+            load = np.zeros((len(FORCES), len(FORCES)))
             wanted = np.array([getattr(scene.excitation, name) for name in FORCES])
-            load = np.column_stack([np.zeros(len(FORCES)), wanted[:, ::-1]])
+            load[:, -scene.dimension :] = wanted[:, ::-1]
         of_cracks = clearance_of(scene, self.structure.pairs) if scene.all_cracks else 0.0
         return self.structure.varied(load=load, clearance=of_cracks)
 
@@ -113,8 +115,9 @@ def build(scene: Scene, comm: MPI.Comm, asked: Asked, last: Geometry | None = No
     last one serves another speed of the rotor (collective)."""
     scene = scene.replace({f"{name}.clearance": 0.0 for name in scene.all_cracks})
     if asked.unit_loads:
-        units = {"force_mean": (0.0, 0.0), "force_cos": (0.0, 1.0), "force_sin": (1.0, 0.0)}
-        scene = scene.replace({f"excitation.{name}": value for name, value in units.items()})
+        size = scene.dimension
+        units = zip(FORCES, np.eye(len(FORCES), size, size - len(FORCES))[:, ::-1], strict=True)
+        scene = scene.replace({f"excitation.{name}": tuple(unit) for name, unit in units})
     study = prepare(scene, comm, like=None if last is None else last.study, judged=asked.judged)
     structure = study.structure
     if not is_small(structure):

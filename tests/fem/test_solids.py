@@ -369,6 +369,26 @@ def test_cases_of_a_sweep_are_known_without_a_mesh(monkeypatch: pytest.MonkeyPat
     assert plan.sizes[2] == (0, 0.0)
 
 
+def test_forces_of_a_solid_are_swept(tmp_path: Path) -> None:
+    """In three directions, a mean one beside one that changes, each case as solved by itself."""
+    changes = {"reduction.modes": 8, "harmonic_balance.harmonics": 4, "curve": None}
+    scene = solid(PART_THROUGH, **changes)
+    means, cosines = [(0.0, 0.0, 0.0), (0.3, 0.5, -0.5)], [(1.0, 0.2, 0.0), (0.0, 5.0, 1.0)]
+    over = {"excitation.force_mean": means, "excitation.force_cos": cosines}
+    swept = fc.run_sweep(scene.replace({"sweep.over": over}), tmp_path / "sweep.h5")
+    assert swept.converged.all()
+    for row, mean in enumerate(means):
+        for column, cosine in enumerate(cosines):
+            force = {"excitation.force_mean": mean, "excitation.force_cos": cosine}
+            found = fc.solve(scene.replace(force)).result
+            gap = found.gap_coefficients
+            error = np.abs(swept.gap((row, column)) - gap).max()
+            assert error < 1e-6 * np.abs(gap).max()
+            along = found.coordinates(found.instants()) @ found.structure.force[1]
+            response = 0.5 * np.ptp(along) / np.linalg.norm(cosine)
+            assert swept["response"][row, column] == pytest.approx(response, rel=1e-6)
+
+
 def test_the_tip_of_a_solid_is_its_farthest_node_from_the_axis() -> None:
     """Whatever the axis: a remark on a tip that outruns all others, in rad/s for rpm most often."""
     box, speed = solid().replace({"contact": None}), "rotation.speed"
