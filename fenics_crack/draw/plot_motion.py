@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
@@ -20,7 +21,8 @@ from fenics_crack.draw.figure import (
     label_axis,
 )
 from fenics_crack.errors import InputError
-from fenics_crack.numerics.fourier import derivative, evaluate, to_complex
+from fenics_crack.numerics.equations import DIFFERENCE
+from fenics_crack.numerics.fourier import to_complex
 
 if TYPE_CHECKING:  # which loads DOLFINx
     from fenics_crack.study.over_time import StressIntensity
@@ -216,16 +218,17 @@ def draw_orbits(
     --------
     >>> figure = fc.draw_orbits(solution, tip, path="orbits.png")
     """
-    closed = solution.contact_force(np.linspace(0.0, solution.period, instants + 1)) > 0.0
-    orbits: list[tuple[np.ndarray, np.ndarray, str, str]] = []
+    time = np.linspace(0.0, solution.period, instants + 1)
+    closed = solution.contact_force(time) > 0.0
+    orbits: list[tuple[Motion, int, np.ndarray, str, str]] = []
     if solution.structure.n_pairs:
         pair = solution.structure.first_watched
-        mouth = solution.gap_coefficients[:, pair : pair + 1]
         place = solution.structure.where(pair)
-        orbits.append((mouth, closed[:, pair], f"closing {place}", "lips touch there"))
+        closing = f"closing {place}"
+        orbits.append((solution.gap, pair, closed[:, pair], closing, "lips touch there"))
     if dof is not None:
-        column, name = solution.coefficients_at([dof]), solution.structure.dof_name(dof)
-        orbits.append((column, np.any(closed, axis=1), name, "lips touch somewhere"))
+        moved, name = partial(solution.displacement, dofs=[dof]), solution.structure.dof_name(dof)
+        orbits.append((moved, 0, np.any(closed, axis=1), name, "lips touch somewhere"))
     if not orbits:
         raise InputError("dof", None, "given where there is no contact pair")
     count = len(orbits)
@@ -236,24 +239,33 @@ def draw_orbits(
     return picture.finished()
 
 
+Motion = Callable[[np.ndarray], np.ndarray]
+"""Displacements at times [s], a column each, with the kinks of lips, which harmonics round off."""
+
+
 def _orbit(
     axes: Axes,
     solution: PeriodicSolution,
-    coefficients: np.ndarray,
+    motion: Motion,
+    column: int,
     closed: np.ndarray,
     quantity: str,
     touching: str,
 ) -> None:
-    """Draw one orbit of coefficients (2H+1, 1), thick where it is closed."""
-    base = solution.base_omega
-    both = np.hstack([coefficients, derivative(coefficients, base)])
-    orbit = evaluate(both, base, np.linspace(0.0, solution.period, len(closed))).T
+    """Draw the orbit of one displacement, thick where lips are closed."""
+    step = DIFFERENCE * solution.period
+
+    def orbit_at(time: np.ndarray) -> np.ndarray:
+        before, now, after = (motion(time + by)[:, column] for by in (-step, 0.0, step))
+        return np.array([now, (after - before) / (2.0 * step)])
+
+    orbit = orbit_at(np.linspace(0.0, solution.period, len(closed)))
     axes.plot(*orbit, color=COLOURS["blue"], lw=1.4, label="orbit")
     if closed.any():
         touch = np.where(closed, orbit, np.nan)
         axes.plot(*touch, color=COLOURS["orange"], lw=3.2, label=touching)
     starts = 2.0 * np.pi / solution.omega * np.arange(solution.subharmonic)
-    beginnings = evaluate(both, base, starts).T
+    beginnings = orbit_at(starts)
     axes.plot(*beginnings, "o", color="black", ms=5.5, label="a load period begins")
     label_axis(axes.xaxis, quantity, "m")
     label_axis(axes.yaxis, "its velocity", "m/s")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import pyvista
-from helpers import DEMOS, period_two_orbit
+from helpers import DEMOS, ROOT, period_two_orbit
 from mpi4py import MPI
 from PIL import Image
 from scipy.spatial import cKDTree
@@ -152,6 +152,20 @@ def test_spectrum_and_orbits(breathing: fc.PeriodicSolution, tmp_path: Path) -> 
     for draw in (fc.draw_spectrum, fc.draw_orbits):
         with pytest.raises(fc.InputError, match="dof"):
             draw(free)
+
+
+def test_rigid_lips_do_not_pass_through_each_other() -> None:
+    """Nor in the picture of the orbit, though harmonics round off the kinks of the gap: lips
+    without mass rest where they touch, and part with the velocity of the exact orbit."""
+    many = {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 100}
+    run = fc.solve(fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(many), MPI.COMM_SELF)
+    opening, speed = fc.draw_orbits(run.result).axes[0].lines[0].get_data()
+    touching = opening > -1e-9 * np.ptp(opening)
+    assert opening.max() < 1e-9 * np.ptp(opening) and 0.1 < touching.mean() < 0.9
+    assert np.median(np.abs(speed[touching])) < 1e-6 * speed.max()
+    time, pair = np.linspace(0.0, run.result.period, 4001), run.structure.first_watched
+    exact = np.gradient(fc.shoot(run.structure, run.result).gap_at(time)[:, pair], time)
+    assert speed.max() == pytest.approx(exact.max(), rel=0.02)
 
 
 # --- maps -----------------------------------------------------------------------------------------
