@@ -21,6 +21,7 @@ from fenics_crack.errors import InputError
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.fem.lips import SAME
 from fenics_crack.files.results import Result
+from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import LOOKED_AT, Scene
 from fenics_crack.scene.tables import Rotation, TipTiming
@@ -217,7 +218,7 @@ def probed_displacement(scene: Scene) -> tuple[str, bool]:
     along = _circumferential(rotation, np.array(tip.values))
     largest = int(np.abs(along).argmax())
     if abs(along[largest]) < ALONG:
-        shares = ", ".join(f"{share:.3g}" for share in along + 0.0)
+        shares = ", ".join(f"{share:.3g}" for share in along)
         allowed = f"given: the tip moves along ({shares}), which is none of x, y and z"
         raise InputError("tip_timing.tangential", None, allowed)
     return f"{tip.key}.u{'xyz'[largest]}", bool(along[largest] < 0.0)
@@ -243,7 +244,7 @@ def _circumferential(rotation: Rotation, point: np.ndarray) -> np.ndarray:
     if size <= SAME * float(np.abs([point, place]).max()):
         where = [float(x) for x in point]
         raise InputError("output.points", where, "a tip first, off the axis of the rotation")
-    return np.asarray(along / size)
+    return np.where(np.abs(along) > ROUNDING * size, along / size, 0.0)
 
 
 def _turning(table: TipTiming, run: Run) -> dict[str, Any]:

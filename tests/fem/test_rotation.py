@@ -305,6 +305,8 @@ def test_a_tip_passes_probes_by_its_circumferential_motion() -> None:
     assert all(part in tip_in_words(table, run) for part in parts)
     by_hand = scene.replace({"tip_timing.tangential": -0.5}).given("tip_timing")
     assert tip_direction(by_hand, run) == {run.watched_dof: -0.5}
+    above = replace(run, scene=scene.replace({"rotation.center": [0.0, 0.0, SIDE + 5e-18]}))
+    assert tip_direction(table, above) == {structure.find_dof(tip, "z"): 1.0}  # y by rounding
     through_it = replace(run, scene=scene.replace({"rotation.center": [1.0, LENGTH, SIDE]}))
     with pytest.raises(InputError, match="off the axis"):
         tip_direction(table, through_it)
