@@ -34,16 +34,16 @@ def check_cracks(cracks: dict[str, Crack], geometry: Geometry, mesh: Mesh) -> No
 
 def _check_one(crack: Crack, geometry: Geometry, names: list[str]) -> None:
     width, height, *_ = geometry.sides
-    margin = f"at least {LEAST_DISTANCE:g} of that from both"
+    kind, margin = geometry.kind, f"at least {LEAST_DISTANCE:g} of that from both"
     inside = crack.center is not None
     if inside:
         crack.leave_out(("edge",), "crack.center")
     else:
-        crack.given("edge", "given: 'left' or 'right'; or center, for a crack inside the plate")
+        crack.given("edge", f"given: 'left' or 'right'; or center, for a crack inside the {kind}")
     crack.require(
         crack.height is not None and _inside(crack.height, height),
         "height",
-        f"inside the plate: between 0 and geometry.height = {height:g}, {margin}",
+        f"inside the {kind}: between 0 and geometry.height = {height:g}, {margin}",
     )
     if len(names) > 1:
         crack.leave_out(
@@ -58,14 +58,14 @@ def _check_one(crack: Crack, geometry: Geometry, names: list[str]) -> None:
     crack.require(
         crack.length is None or _inside(crack.length, width),
         "length",
-        f"shorter than the plate: between 0 and geometry.width = {width:g}, {margin}",
+        f"shorter than the {kind}: between 0 and geometry.width = {width:g}, {margin}",
     )
     if inside:
         ends = [crack.center] if crack.length is None else crack.span(width)
         crack.require(
             all(_inside(end or 0.0, width) for end in ends),
             "center",
-            f"such that both tips are inside the plate: between 0 and {width:g}, {margin}",
+            f"such that both tips are inside the {kind}: between 0 and {width:g}, {margin}",
         )
 
 

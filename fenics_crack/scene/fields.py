@@ -271,16 +271,25 @@ def between(least: str, most: str, default: Any, unit: str = "") -> Any:
     return holds(allowed, lambda value: low <= value <= high, default, unit)
 
 
-def vector(letter: str, default: Any = None, unit: str = "", dimension: int = 2) -> Any:
-    """Field of a vector, which an error calls by a letter, and by x and y; of one that only solids
-    have by z, too."""
-    return holds(components(letter, dimension), default=default, unit=unit, letter=letter)
+def vector(letter: str, default: Any = None, unit: str = "", *, of_solid: bool = False) -> Any:
+    """Field of a vector, which an error calls by a letter, and by x and y, or z, too; of one that
+    only solids have always."""
+    allowed = components(letter, 3 if of_solid else 2)
+    if not of_solid:
+        allowed += f", or {_names(letter, 3)} of a solid"
+    return holds(allowed, default=default, unit=unit, letter=letter)
 
 
 def components(letter: str, dimension: int) -> str:
     """What a vector may hold, in words."""
-    names = ", ".join(letter + axis for axis in "xyz"[:dimension])
-    return f"[{names}], {('two', 'three')[dimension - 2]} finite numbers {OR_ZERO}"
+    return (
+        f"{_names(letter, dimension)}, {('two', 'three')[dimension - 2]} finite numbers {OR_ZERO}"
+    )
+
+
+def _names(letter: str, dimension: int) -> str:
+    """Of a vector's numbers."""
+    return f"[{', '.join(letter + axis for axis in 'xyz'[:dimension])}]"
 
 
 def at_least_one(default: Any = MISSING) -> Any:

@@ -390,9 +390,9 @@ class Rotation(Table):
 
     hub_radius: float | None = not_negative(None, unit="m")
     """Radius of the clamp, if it is at y = 0: the axis is at y = -hub_radius."""
-    axis: Vector | None = vector("a", dimension=3)
+    axis: Vector | None = vector("a", of_solid=True)
     """Direction of a solid's axis; left out: x."""
-    center: Vector | None = vector("", unit="m", dimension=3)
+    center: Vector | None = vector("", unit="m", of_solid=True)
     """Of a solid, instead of hub_radius: a point of the axis."""
     speed: float = holds(
         "a finite number >= 0 (0, or 1e-6 to 1e9)",
@@ -993,7 +993,8 @@ class Output(Table):
     )
     """Default: a few of them. Files have them all."""
     points: tuple[Point, ...] = holds(
-        "a table of points: a name of letters, digits and _, and [x, y], two finite numbers",
+        "a table of points: a name of letters, digits and _, and [x, y], or [x, y, z] of a solid, "
+        "finite numbers",
         lambda points: all(re.fullmatch(r"[A-Za-z]\w{0,29}", point.key, re.A) for point in points),
         (),
     )

@@ -133,26 +133,29 @@ def _material(scene: Scene) -> Remarks:
 
 
 def _plate(scene: Scene) -> Remarks:
-    geometry = scene.geometry
+    geometry, kind = scene.geometry, scene.geometry.kind
     sides = [(getattr(geometry, name), name) for name in ("width", "height")]
     given = [(side, name) for side, name in sides if side is not None]
     for side, name in sorted(given)[-1:]:
         largest = (0.0, LARGEST_SIDE)
-        yield from _unless_usual(f"geometry.{name}", side, largest, f"a plate of {side:g} m")
+        yield from _unless_usual(f"geometry.{name}", side, largest, f"a {kind} of {side:g} m")
     shortest = min((side for side, _ in given), default=np.inf)
     thickness = geometry.thickness
-    if thickness not in (None, 1.0):  # which is customary in plane problems
+    customary = thickness == 1.0 and kind == "plate"  # in plane problems
+    if not (thickness is None or customary):
         usual = 0.0, min(shortest, LARGEST_SIDE)
-        text = "thicker than the plate is wide or high"
+        text = f"thicker than the {kind} is wide or high"
         yield from _unless_usual("geometry.thickness", thickness or 0.0, usual, text)
     for name, crack in scene.all_cracks.items():
-        share = (crack.length or np.nan) / (geometry.width or np.nan)
-        if share < 0.01 or share > 0.9:
-            text = f"{share:.3g} of the plate's width; 0.01 to 0.9 are usual"
-            yield Remark(f"{name}.length", crack.length, text)
+        for key, side in (("length", "width"), ("depth", "thickness")):
+            own, whole = getattr(crack, key), getattr(geometry, side)
+            share = (own or np.nan) / (whole or np.nan)
+            if share < 0.01 or share > 0.9:
+                text = f"{share:.3g} of the {kind}'s {side}; 0.01 to 0.9 are usual"
+                yield Remark(f"{name}.{key}", own, text)
     size = scene.mesh.size
     if size is not None:
-        text = f"longer than half the plate's shorter side, {shortest:g} m"
+        text = f"longer than half the {kind}'s shorter side, {shortest:g} m"
         units = MM if size > shortest else {}
         yield from _unless_usual("mesh.size", size, (0.0, shortest / 2.0), text, units)
 
@@ -213,7 +216,7 @@ def _probes(scene: Scene) -> Remarks:
     if rotation is not None and rotation.hub_radius is not None and height is not None:
         hub = rotation.hub_radius
         usual = hub, hub + 2.0 * height
-        text = f"the plate is {hub:g} to {hub + height:g} m from the axis"
+        text = f"the {scene.geometry.kind} is {hub:g} to {hub + height:g} m from the axis"
     yield from _unless_usual("tip_timing.tip_radius", table.tip_radius, usual, text)
 
 
@@ -461,16 +464,16 @@ def _response(scene: Scene, figures: KeyFigures) -> Remarks:
     if scene.has_other_loads:
         return
     key = max(("force_sin", "force_cos"), key=lambda name: math.hypot(*getattr(load, name)))
-    force = list(getattr(load, key))
+    force, kind = list(getattr(load, key)), scene.geometry.kind
     if 0.0 < figures.displacement < 1e-12:
         text = (
-            f"it moves the plate by {figures.displacement:.2g} m, less than a hundredth of an atom"
+            f"it moves the {kind} by {figures.displacement:.2g} m, less than a hundredth of an atom"
         )
         yield Remark(f"excitation.{key}", force, text)
     if figures.displacement > SMALL_MOTION * min(figures.size) and figures.damping.min() > 0.0:
         text = (
-            f"with open lips it moves the plate by {figures.displacement:.2g} m, and the plate has "
-            f"{min(figures.size):.2g} m: beyond small displacements; in N?"
+            f"with open lips it moves the {kind} by {figures.displacement:.2g} m, and the {kind} "
+            f"has {min(figures.size):.2g} m: beyond small displacements; in N?"
         )
         yield Remark(f"excitation.{key}", force, text)
 

@@ -322,9 +322,8 @@ def _trapezoid(places: np.ndarray) -> np.ndarray:
 
 def _checked(scene: Scene) -> Scene:
     """A scene whose crack can grow; InputError where it cannot."""
-    law = scene.given("growth")
-    check_known(without_tips(scene), "growth", "a table")
-    crack = scene.given("crack")
+    check_known(without_tips(scene), "growth", "asked for")
+    law, crack = scene.given("growth"), scene.given("crack")
     if scene.mesh.layout != "graded":
         allowed = "'graded' with [growth], which meshes many lengths"
         raise InputError("mesh.layout", scene.mesh.layout, allowed)

@@ -23,7 +23,7 @@ from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.fem.plate import build_mesh
 from fenics_crack.fem.solid import _cells
 from fenics_crack.parallel import gather_rows
-from fenics_crack.study.remarks import remarks_on_structure
+from fenics_crack.study.remarks import remarks_on_scene, remarks_on_structure
 from fenics_crack.sweep.plan import Plan
 
 MESHES = ROOT / "meshes"
@@ -684,6 +684,20 @@ def test_bad_input_is_named(key: str, changes: dict[str, Any]) -> None:
     with pytest.raises(InputError) as caught:
         solid(ELLIPSE, **changes)
     assert caught.value.key == key
+
+
+def test_vectors_and_shares_are_told_of_solids() -> None:
+    """Of a vector that is none three numbers, too; of numbers in another unit by the word solid."""
+    with pytest.raises(InputError, match=r"or \[fx, fy, fz\] of a solid"):
+        solid(**{"excitation.force_cos": [0.0, 0.0, math.nan]})
+    with pytest.raises(InputError, match="shorter than the solid"):
+        solid(THROUGH, **{"crack.length": 0.03})
+    [remark] = remarks_on_scene(solid(ELLIPSE, **{"crack.depth": 3e-6}))
+    assert str(remark).startswith("crack.depth = 3e-06: 0.0005 of the solid's thickness")
+    remarks = [str(one) for one in remarks_on_scene(solid(**{"geometry.thickness": 1.0}))]
+    assert remarks == [
+        "geometry.thickness = 1: thicker than the solid is wide or high; in mm? then 0.001"
+    ]
 
 
 @pytest.mark.parametrize(
