@@ -42,12 +42,13 @@ from mpi4py import MPI
 from fenics_crack.errors import InputError
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
+from fenics_crack.fem.crack_surface import Lips
 from fenics_crack.fem.elasticity import constants, rotation_of, stress, thickness
 from fenics_crack.fem.lips import along
 from fenics_crack.fem.loads import assemble_loads, clamp_of
 from fenics_crack.fem.matrix_files import read_structure
 from fenics_crack.fem.msh_file import check_there
-from fenics_crack.fem.plate import Dofs, Lips, build_mesh
+from fenics_crack.fem.plate import Dofs, build_mesh
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.nodes import Pairs
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure

@@ -16,9 +16,9 @@ import numpy as np
 import scipy.sparse as sparse
 
 from fenics_crack.errors import InputError
-from fenics_crack.fem.lips import BESIDE, COINCIDENT, SAME, rows_in
+from fenics_crack.fem.lips import BESIDE, COINCIDENT, SAME, Lip, rows_in
 
-__all__ = ["FACETS", "CrackSurface", "SolidCells", "cracks_between", "split_surface"]
+__all__ = ["FACETS", "Cells", "CrackSurface", "Lips", "cracks_between", "split_surface"]
 
 STEEPEST = 0.1
 """Cosine of the angle between a crack's normal and the mean one, which no facet must go below."""
@@ -28,7 +28,7 @@ FACETS = {
         [[0, 1, 2, 3], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]]
     ),
 }
-"""Of a cell with so many corners, in turn."""
+"""Of a cell of a solid with so many corners, in turn."""
 ROOM = 2_000_000
 """Distances that are computed at a time."""
 
@@ -126,9 +126,13 @@ def _upwards(normal: np.ndarray) -> float:
     return 1.0
 
 
+Lips = tuple[Lip, ...] | tuple[CrackSurface, ...]
+"""Of a plate, or of a solid."""
+
+
 @dataclass(frozen=True)
-class SolidCells:
-    """Cells of one kind.
+class Cells:
+    """Cells of one kind, of a plate or of a solid.
 
     Attributes
     ----------
@@ -160,15 +164,27 @@ class SolidCells:
         order = np.lexsort(corners.T[::-1])
         return corners[order], order // len(self.facets), places[order]
 
+    @cached_property
+    def shared(self) -> np.ndarray:
+        """Whether each of these facets but the last one is that of the next one's cell, too."""
+        facets = self.all_facets[0]
+        return np.asarray(np.all(facets[1:] == facets[:-1], axis=1))
+
+    @cached_property
+    def alone(self) -> np.ndarray:
+        """Whether each of them belongs to one cell only."""
+        both = np.concatenate([[False], self.shared, [False]])
+        return ~(both[1:] | both[:-1])
+
 
 def split_surface(
-    cells: SolidCells, surface: np.ndarray, places: np.ndarray
+    cells: Cells, surface: np.ndarray, places: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[CrackSurface]]:
     """Double the nodes along cracks.
 
     Parameters
     ----------
-    cells : SolidCells
+    cells : Cells
         Their nodes are rows of ``places``.
     surface : (m, k) int
         Facets of all cracks: their nodes, the corners first.
@@ -194,8 +210,7 @@ def split_surface(
     """
     n_corners = cells.facets.shape[1]
     corners = np.sort(surface[:, :n_corners], axis=1)
-    facets, owner, at = cells.all_facets
-    same = np.all(facets[1:] == facets[:-1], axis=1)
+    (facets, owner, at), same = cells.all_facets, cells.shared
     on_crack = np.isin(np.arange(len(places)), corners)
     of_crack = on_crack[facets].all(axis=1)
     of_crack[of_crack] = rows_in(facets[of_crack], corners)
@@ -205,10 +220,7 @@ def split_surface(
         f"{len(surface) - len(inside)} of {len(surface)} facets",
         "a surface inside the solid, whose facets have a cell on either side, and each node once",
     )
-    alone = np.ones(len(facets), dtype=bool)
-    alone[1:] &= ~same
-    alone[:-1] &= ~same
-    outer = facets[alone & (on_crack[facets].sum(axis=1) > 1)]
+    outer = facets[cells.alone & (on_crack[facets].sum(axis=1) > 1)]
     fronts, mouths = _rim(surface[:, :n_corners], outer)
     part = _parts(surface[:, :n_corners])
     ups = _orientation(places[_triangles(surface[:, :n_corners])[0]], part)
@@ -315,7 +327,7 @@ def _stars(
     owner: np.ndarray,
     at: np.ndarray,
     passable: np.ndarray,
-    cells: SolidCells,
+    cells: Cells,
     is_split: np.ndarray,
 ) -> np.ndarray:
     """Corners of cells at one node that are connected across facets with it: a number for each
@@ -331,7 +343,7 @@ def _stars(
 
 
 def _renumbered(
-    cells: SolidCells, is_split: np.ndarray, is_upper: np.ndarray, surface: np.ndarray, count: int
+    cells: Cells, is_split: np.ndarray, is_upper: np.ndarray, surface: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """The cells with new nodes above the cracks, and the new number of each node, -1 where it
     exists once.

@@ -4,14 +4,16 @@ gmsh runs what it does not know as a script, decides by the name of a file what 
 ``NAME.opt`` beside it. So it is given a copy under a name of its own, alone in a folder, and only
 if the file begins as a mesh does.
 
-Every cell, edge and point is put into gmsh's current model once. Edges in several named curves are
-in a physical group for each combination of these.
+A mesh of a plate or of a solid comes as nodes, cells and named facets: curves, or surfaces. Along a
+crack of a plate the nodes exist twice; those of a solid exist once, and are split here
+(:mod:`fenics_crack.fem.crack_surface`). Every cell, facet and point is put into gmsh's current
+model once. Facets with several names are in a physical group for each combination of these.
 
-A mesh that is certainly not one of a plane structure is refused, with its place. Cells may be
-numbered either way round, surface by surface. They must not be folded: the Jacobian determinant of
-a cell has one sign at all of its nodes, two cells that share an edge lie on either side of it, and
-the angles at a node are at most 2 pi. Then nothing overlaps in the neighbourhood of any point, and
-elsewhere only where boundaries cross or a part lies on another one.
+A mesh that is certainly not one of a structure is refused, with its place. Cells may be numbered
+either way round, group by group. They must not be folded: the Jacobian determinant of a cell has
+one sign at all of its nodes, and two cells that share a facet lie on either side of it. In a plane
+the angles at a node are at most 2 pi, too. Then nothing overlaps there in the neighbourhood of any
+point, and elsewhere only where boundaries cross or a part lies on another one.
 """
 
 from __future__ import annotations
@@ -20,111 +22,128 @@ import os
 import re
 import shutil
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sparse
 
 from fenics_crack.errors import InputError
+from fenics_crack.fem.crack_surface import FACETS, Cells, Lips, cracks_between, split_surface
 from fenics_crack.fem.lips import (
     SAME,
-    Lip,
     cell_edges,
     check_mouths,
     each_once,
     find_lips,
+    rows_in,
     split_crack,
 )
 from fenics_crack.mesher import gmsh
 from fenics_crack.outside import bytes_of, run_reader
 
 __all__ = [
-    "CRACK", "DEGENERATE", "Given", "Names", "cells_of", "check_mesh", "check_there",
-    "determinants", "facets_of", "filled", "groups_of", "named_groups", "parts_of", "points_in",
-    "read_file", "tags_of",
+    "cells_of", "check_cells", "check_parts", "check_there", "named_groups", "put", "read_file",
 ]  # fmt: skip
 
 Point = tuple[float, ...]
 Names = tuple[dict[str, tuple[int, ...]], dict[str, Point]]
 """Tags of the facets of each named curve or surface, and positions of the named points [m]."""
+Group = tuple[int, int, str, int, np.ndarray]
+"""Dimension, tag and name, and elements of one kind: gmsh's number of it and the nodes."""
+Given = tuple[np.ndarray, np.ndarray, list[Group]]
+"""Numbers and positions of all nodes, and the groups."""
+LIPS = ("lower_lip", "upper_lip")
+CRACK = re.compile(r"crack([ _.-]?\d+)?$", re.IGNORECASE)
+"""Names of curves along which the nodes exist twice, and of surfaces that are split."""
 
 FARTHEST_NODE = 1e6
 """Largest coordinate of a node [m]."""
 LONGEST_READING = 300
 """Processor time allowed for reading a file [s]."""
-_POINT, _TRIANGLES = 15, (2, 9, 21)
-_EDGES = {2: 1, 3: 1, 9: 8, 10: 8, 21: 26, 36: 26}
-"""gmsh's kinds of cells that DOLFINx reads, and of their edges, order by order; and of points."""
 _BEGINNING = re.compile(rb"\$MeshFormat[ \t]*\r?\n[ \t]*(2|2\.[0-2]|4|4\.[01])[ \t]+[01][ \t]+8\s")
 """Of a mesh file in gmsh's format 2 or 4, as text or in binary."""
-CRACK = re.compile(r"crack([ _.-]?\d+)?$", re.IGNORECASE)
-"""Names of curves along which the nodes exist twice."""
+_KINDS = {2: {2: 1, 3: 1, 9: 8, 10: 8, 21: 26, 36: 26}, 3: {4: 2, 11: 9, 5: 3, 12: 10}}
+"""gmsh's kinds of cells of a plate and of a solid that DOLFINx reads, and of their facets."""
+_POINT, _SERENDIPITY = 15, (17, 29)
+"""Kinds of points, and of hexahedra with 20 nodes, which are refused."""
+_LINEAR = {(2, 3): 2, (2, 4): 3, (3, 4): 4, (3, 8): 5}
+"""Kinds of first order, by dimension and corners."""
+_GROUPS = {
+    2: ("surfaces hold one kind of cells, triangles or quadrilaterals", "curve"),
+    3: ("volumes hold one kind of cells, tetrahedra or hexahedra", "surface"),
+}
+"""What groups of cells hold, and what a group of facets is."""
+_FACET = {2: "an edge", 3: "a facet"}
 
 
-def read_file(path: Path) -> tuple[Names, tuple[Lip, ...]]:
-    """Read a mesh file into gmsh's current model; return its named curves and points, and its lips
-    from bottom to top.
+def read_file(path: Path, dimension: int) -> tuple[Names, Lips]:
+    """Read the mesh file of a plate or of a solid into gmsh's current model, as :func:`put`.
 
     Raises
     ------
     InputError
-        The file is not a plane mesh of one kind of cells, lacks a group, or is damaged; the lips of
-        a crack cannot be found.
+        The file is not a mesh of one kind of cells, lacks a group, or is damaged; the lips of a
+        crack cannot be found.
     """
-
-    def require(condition: object, allowed: str) -> None:
-        if not condition:
-            raise InputError("mesh.file", str(path), allowed)
-
-    given = _, positions, groups = groups_of(path)
-    flat = len(positions) > 0 and np.ptp(positions[:, 2]) == 0.0
-    require(flat, "a plane mesh, z the same at every node")
-    kinds = {kind for dimension, _, _, kind, _ in groups if dimension == 2}
-    require(
-        len(kinds) == 1 and kinds <= _EDGES.keys(),
-        "a mesh whose physical surfaces hold one kind of cells, triangles or quadrilaterals"
-        f" (it holds {len(kinds)} kinds)",
-    )
-    kind = kinds.pop()
-    used, cells, places = cells_of(kind, given)
-    ordered = np.sort(cells, axis=1)
-    require(
-        places is not None and not np.any(ordered[:, 1:] == ordered[:, :-1]),
-        "a mesh whose cells have different nodes",
-    )
-    assert places is not None
-    flat_places = places[:, :2]
-    expected = {0: _POINT, 1: _EDGES[kind]}
-    parts = [group for group in groups if group[0] != 2]
-    require(
-        all(k == expected.get(d) and np.isin(nodes, used).all() for d, *_, k, nodes in parts),
-        "a mesh whose physical curves and points hold edges and corners of its cells",
-    )
-    curves = _with_lips(facets_of(parts, _EDGES[kind], used), kind, cells, flat_places)
-    require("clamp" in curves, "a mesh with a physical curve named 'clamp'")
-    require(
-        ("lower_lip" in curves) == ("upper_lip" in curves),
-        "a mesh with both 'lower_lip' and 'upper_lip', or none",
-    )
-    lips = [curves[name][:, :2] for name in ("lower_lip", "upper_lip") if name in curves]
-    edges = np.concatenate([*lips, cells[:0, :2]])
     try:
-        check_mesh(kind, cells, flat_places, np.unique(curves["clamp"]), edges)
-        points = points_in(given, 2)
+        return put(_groups_of(path), dimension)
     except InputError as error:
+        if error.key in ("mesh.file", "lips"):
+            raise
         raise InputError("mesh.file", f"{path} ({error.value})", error.allowed) from None
-    found = find_lips(lips[0], lips[1], flat_places) if lips else []
-    tags, sets = tags_of(curves)
-    filled(
-        places,
-        [(2, 1, "plate", kind, cells)]
-        + [(1, tag, name, _EDGES[kind], edges) for tag, name, edges in sets]
-        + [(0, *group[1:4], np.searchsorted(used, group[4])) for group in parts if group[0] == 0],
-    )
-    return (tags, points), tuple(found)
 
 
-def groups_of(path: Path) -> Given:
+def put(given: Given, dimension: int) -> tuple[Names, Lips]:
+    """Put a mesh of a plate or of a solid into gmsh's current model; its named facets and points,
+    and its lips from bottom to top.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_file`, but of the key "mesh".
+    """
+    kind, cells, positions, facets, points = _one_kind(given, dimension)
+    nodes, places = cells.nodes, positions[:, :dimension]
+    check_cells(kind, cells, places)
+    cracks = [name for name in facets if CRACK.match(name)]
+    lips: Lips = ()
+    if dimension == 2:
+        facets = _with_lips(facets, cracks, cells, places)
+    else:
+        _check_inside(cells, facets, cracks)
+        if cracks:
+            surface = np.concatenate([facets.pop(name) for name in cracks])
+            nodes, twins, both, found = split_surface(cells, surface, places)
+            positions, lips = np.concatenate([places, places[twins]]), tuple(found)
+            facets = _moved(facets, cells, nodes, twins)
+            facets |= dict(zip(LIPS, both.swapaxes(0, 1), strict=True))
+            places = positions
+    sides = [facets[name][:, : cells.facets.shape[1]] for name in LIPS if name in facets]
+    allowed = "one with both 'lower_lip' and 'upper_lip', or with 'crack', or none of them"
+    _require(len(sides) != 1, "one lip", allowed)
+    if sides and dimension == 2:
+        lips = tuple(find_lips(sides[0], sides[1], places))
+    elif sides and not lips:
+        lips = tuple(cracks_between(sides[0], sides[1], places))
+    check_parts(cells, nodes, places, facets["clamp"], sides)
+    tags, sets = _tags_of(facets)
+    every = [(dimension, 1, ("plate", "solid")[dimension - 2], kind, nodes)]
+    every += [(dimension - 1, tag, name, _KINDS[dimension][kind], own) for tag, name, own in sets]
+    _filled(positions, every + points)
+    single = {name: np.unique(places[own], axis=0) for _, _, name, _, own in points}
+    return (tags, {n: tuple(own[0].tolist()) for n, own in single.items() if len(own) == 1}), lips
+
+
+def _require(condition: object, found: str, allowed: str) -> None:
+    if not condition:
+        raise InputError("mesh", found, allowed)
+
+
+# --- what a file holds ----------------------------------------------------------------------------
+
+
+def _groups_of(path: Path) -> Given:
     """Numbers and positions of a file's nodes, and its groups.
 
     Raises
@@ -146,115 +165,6 @@ def check_there(key: str, path: Path | str) -> None:
     """Raise InputError unless there is a file."""
     if not os.path.isfile(path):
         raise InputError(key, str(path), "an existing gmsh mesh file")
-
-
-def points_in(given: Given, size: int) -> dict[str, Point]:
-    """Positions of the named points, of so many numbers."""
-    numbers, positions, groups = given
-    points: dict[str, Point] = {}
-    for dimension, _, name, _, nodes in groups:
-        if dimension != 0 or not name:
-            continue
-        if name == "load" and len(nodes) != 1:
-            raise InputError("mesh", f"{len(nodes)} points in the group 'load'", "one with one")
-        places = np.unique(positions[np.isin(numbers, nodes), :size], axis=0)
-        if len(places) == 1:
-            points[name] = tuple(places[0].tolist())
-    return points
-
-
-def _with_lips(
-    curves: dict[str, np.ndarray], kind: int, cells: np.ndarray, places: np.ndarray
-) -> dict[str, np.ndarray]:
-    """The curves, those named ``crack`` replaced by the lips that are found along them."""
-    cracks = [edges for name, edges in curves.items() if CRACK.match(name)]
-    curves = {name: edges for name, edges in curves.items() if not CRACK.match(name)}
-    if not cracks and not {"lower_lip", "upper_lip"} <= curves.keys():
-        return curves
-    corners = 3 if kind in _TRIANGLES else 4
-    order = next(iter(curves.values())).shape[1] - 1 if curves else cracks[0].shape[1] - 1
-    edges, owners, uses = cell_edges(cells, corners, order)
-    edges, owners = edges[uses == 1], owners[uses == 1]
-    if cracks:
-        centres = places[cells[owners, :corners]].mean(axis=1)
-        lips = split_crack(np.concatenate(cracks)[:, :2], edges, centres, places)
-        for name, lip in zip(("lower_lip", "upper_lip"), lips, strict=True):
-            curves[name] = np.concatenate([curves.get(name, lip[:0]), lip])
-    check_mouths(curves["lower_lip"], curves["upper_lip"], edges, places)
-    return curves
-
-
-def tags_of(
-    curves: dict[str, np.ndarray],
-) -> tuple[dict[str, tuple[int, ...]], list[tuple[int, str, np.ndarray]]]:
-    """Tags of each curve; and tag, name and edges of each combination of curves."""
-    edges = np.concatenate(list(curves.values()))
-    owner = np.repeat(np.arange(len(curves)), [len(own) for own in curves.values()])
-    first, which, _ = each_once(edges)
-    member = np.zeros((len(first), len(curves)), dtype=bool)
-    member[which, owner] = True
-    kinds, of_kind = np.unique(member, axis=0, return_inverse=True)
-    sets, names = [], np.array(list(curves))
-    for number, kind in enumerate(kinds):
-        own = edges[np.sort(first[of_kind.ravel() == number])]
-        sets.append((number + 1, " and ".join(names[kind]), own))
-    groups = {
-        name: tuple(int(tag) for tag in np.flatnonzero(column) + 1)
-        for name, column in zip(names.tolist(), kinds.T, strict=True)
-    }
-    return groups, sets
-
-
-def cells_of(kind: int, given: Given) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Numbers of the nodes of the cells of a kind, in ascending order; the cells, each once (it may
-    be in several groups), by the places of their nodes in that order; and the positions of these,
-    None where one does not exist."""
-    numbers, positions, groups = given
-    _, dimension, _, size, *_ = gmsh.model.mesh.getElementProperties(kind)
-    numbers, first = np.unique(numbers, return_index=True)
-    raw = np.concatenate([nodes for own, *_, nodes in groups if own == dimension])
-    used, places = np.unique(raw, return_inverse=True)
-    cells = places.reshape(-1, size)
-    cells = cells[np.sort(each_once(cells)[0])]
-    there = bool(np.isin(used, numbers).all())
-    return used, cells, positions[first][np.searchsorted(numbers, used)] if there else None
-
-
-def facets_of(groups: list[Group], kind: int, used: np.ndarray) -> dict[str, np.ndarray]:
-    """Facets of a kind in each named curve or surface, by the places of their nodes among those
-    that are used."""
-    _, dimension, _, size, *_ = gmsh.model.mesh.getElementProperties(kind)
-    found: dict[str, np.ndarray] = {}
-    for own, _, name, _, nodes in groups:
-        if own == dimension and name:
-            rows = np.searchsorted(used, nodes).reshape(-1, size)
-            found[name] = np.concatenate([found.get(name, rows[:0]), rows])
-    return found
-
-
-Group = tuple[int, int, str, int, np.ndarray]
-"""Dimension, tag and name, and elements of one kind: gmsh's number of it and the nodes."""
-Given = tuple[np.ndarray, np.ndarray, list[Group]]
-"""Numbers and positions of all nodes, and the groups."""
-
-
-def filled(positions: np.ndarray, groups: list[Group]) -> None:
-    """Put nodes and the elements of physical groups, by the places of their nodes, into the current
-    model."""
-    model = gmsh.model
-    dimension = max(group[0] for group in groups)
-    holder = model.addDiscreteEntity(dimension)
-    model.mesh.addNodes(dimension, holder, 1 + np.arange(len(positions)), positions.ravel())
-    entities: dict[tuple[int, int], list[int]] = {}
-    names = {}
-    for dimension, tag, name, kind, nodes in groups:
-        entity = model.addDiscreteEntity(dimension)
-        model.mesh.addElementsByType(entity, kind, [], nodes.ravel() + 1)
-        entities.setdefault((dimension, tag), []).append(entity)
-        names[dimension, tag] = name
-    for (dimension, tag), tags in entities.items():
-        model.addPhysicalGroup(dimension, tags, tag)
-        model.setPhysicalName(dimension, tag, names[dimension, tag])
 
 
 def _read_by_child(path: Path) -> Given | str:
@@ -286,7 +196,157 @@ def named_groups(found: dict[str, np.ndarray]) -> list[Group]:
     ]
 
 
-# --- is it a mesh of a plane structure? -----------------------------------------------------------
+def _one_kind(
+    given: Given, dimension: int
+) -> tuple[int, Cells, np.ndarray, dict[str, np.ndarray], list[Group]]:
+    """The kind of the cells of a mesh; the cells, each once (it may be in several groups); the
+    positions of their nodes; and by their places in these the named facets, a clamp among them,
+    and groups of points."""
+    numbers, positions, groups = given
+    held, side = _GROUPS[dimension]
+    if dimension == 2:
+        flat = len(positions) > 0 and np.ptp(positions[:, 2]) == 0.0
+        _require(flat, "nodes in space", "a plane mesh, z the same at every node")
+    kinds = {kind for own, _, _, kind, _ in groups if own == dimension}
+    allowed = (
+        "one of tetrahedra, or of hexahedra with 27 nodes: the load of a unit pressure is negative "
+        "at corners of these"
+    )
+    _require(kinds.isdisjoint(_SERENDIPITY), "hexahedra with 20 nodes", allowed)
+    known = len(kinds) == 1 and kinds <= _KINDS[dimension].keys()
+    _require(known, f"{len(kinds)} kinds of cells", f"one whose physical {held}")
+    kind = kinds.pop()
+    numbers, first = np.unique(numbers, return_index=True)
+    raw = np.concatenate([nodes for own, *_, nodes in groups if own == dimension])
+    used, places = np.unique(raw, return_inverse=True)
+    _require(np.isin(used, numbers).all(), "cells with nodes that do not exist", "a whole file")
+    nodes = places.reshape(-1, gmsh.model.mesh.getElementProperties(kind)[3])
+    nodes = nodes[np.sort(each_once(nodes)[0])]
+    ordered = np.sort(nodes, axis=1)
+    alike = np.any(ordered[:, 1:] == ordered[:, :-1])
+    _require(not alike, "a cell with a node twice", "one whose cells have different nodes")
+    facets, points = _named(groups, {0: _POINT, dimension - 1: _KINDS[dimension][kind]}, used)
+    _require("clamp" in facets, "no clamp", f"one with a physical {side} named 'clamp'")
+    at = positions[first][np.searchsorted(numbers, used)]
+    return kind, cells_of(kind, nodes), at, facets, points
+
+
+def _named(
+    groups: list[Group], kinds: dict[int, int], used: np.ndarray
+) -> tuple[dict[str, np.ndarray], list[Group]]:
+    """Named facets and groups of points, by the places of their nodes among those that are used,
+    and by the kinds that they have to be of."""
+    found: dict[tuple[int, str], list[np.ndarray]] = {}
+    for dimension, _, name, kind, nodes in groups:
+        if name and dimension in kinds:
+            fits = kind == kinds[dimension] and np.isin(nodes, used).all()
+            allowed = "one whose named groups hold facets, and corners, of its cells"
+            _require(fits, f"a group {name!r} of others", allowed)
+            size = gmsh.model.mesh.getElementProperties(kind)[3]
+            rows = np.searchsorted(used, nodes).reshape(-1, size)
+            found.setdefault((dimension, name), []).append(rows)
+    merged = {key: np.concatenate(rows) for key, rows in found.items()}
+    loads = len(merged.get((0, "load"), [0]))
+    _require(loads == 1, f"{loads} points in the group 'load'", "one with one")
+    facets = {name: rows for (dimension, name), rows in merged.items() if dimension}
+    points = {name: rows[:, 0] for (dimension, name), rows in merged.items() if not dimension}
+    return facets, [(0, n, name, _POINT, own) for n, (name, own) in enumerate(points.items(), 1)]
+
+
+def cells_of(kind: int, nodes: np.ndarray) -> Cells:
+    """Cells with what gmsh says of their kind: a node lies between those corners whose linear
+    functions are not zero there."""
+    _, dimension, _, count, local, corners = gmsh.model.mesh.getElementProperties(kind)
+    at = np.zeros((count, 3))
+    at[:, :dimension] = np.reshape(local, (count, dimension))
+    linear = _LINEAR[dimension, corners]
+    _, shares, _ = gmsh.model.mesh.getBasisFunctions(linear, at.ravel(), "Lagrange")
+    between = [np.flatnonzero(row > 1e-9) for row in np.reshape(shares, (count, corners))]
+    ring = np.arange(corners)
+    facets = FACETS[corners] if dimension == 3 else np.column_stack([ring, np.roll(ring, -1)])
+    return Cells(nodes, facets, tuple(tuple(own.tolist()) for own in between))
+
+
+def _with_lips(
+    curves: dict[str, np.ndarray], cracks: list[str], cells: Cells, places: np.ndarray
+) -> dict[str, np.ndarray]:
+    """The curves, those of cracks replaced by the lips that are found along them."""
+    if not cracks and not curves.keys() >= set(LIPS):
+        return curves
+    kept = {name: edges for name, edges in curves.items() if name not in cracks}
+    order = curves["clamp"].shape[1] - 1
+    edges, owners, uses = cell_edges(cells.nodes, cells.n_corners, order)
+    edges, owners = edges[uses == 1], owners[uses == 1]
+    if cracks:
+        centres = places[cells.nodes[owners, : cells.n_corners]].mean(axis=1)
+        crack = np.concatenate([curves[name] for name in cracks])[:, :2]
+        for name, lip in zip(LIPS, split_crack(crack, edges, centres, places), strict=True):
+            kept[name] = np.concatenate([kept.get(name, lip[:0]), lip])
+    check_mouths(kept["lower_lip"], kept["upper_lip"], edges, places)
+    return kept
+
+
+def _moved(
+    surfaces: dict[str, np.ndarray], cells: Cells, nodes: np.ndarray, twins: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Facets with the nodes that their cells have once cracks are split: beside a mouth those above
+    the crack have new ones."""
+    facets, owner, _ = cells.all_facets
+    weights = (int(cells.nodes.max()) + 1) ** np.arange(3)[::-1]
+    keys, width = facets[:, :3] @ weights, cells.facets.shape[1]  # three corners are enough
+    found = {}
+    for name, rows in surfaces.items():
+        rows = rows.copy()
+        beside = np.flatnonzero(np.isin(rows, twins).any(axis=1))
+        wanted = np.sort(rows[beside, :width], axis=1)[:, :3] @ weights
+        cell = owner[np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)]
+        at = np.argmax(cells.nodes[cell][:, None, :] == rows[beside][:, :, None], axis=2)
+        rows[beside] = np.take_along_axis(nodes[cell], at, axis=1)
+        found[name] = rows
+    return found
+
+
+def _tags_of(
+    curves: dict[str, np.ndarray],
+) -> tuple[dict[str, tuple[int, ...]], list[tuple[int, str, np.ndarray]]]:
+    """Tags of each curve; and tag, name and edges of each combination of curves."""
+    edges = np.concatenate(list(curves.values()))
+    owner = np.repeat(np.arange(len(curves)), [len(own) for own in curves.values()])
+    first, which, _ = each_once(edges)
+    member = np.zeros((len(first), len(curves)), dtype=bool)
+    member[which, owner] = True
+    kinds, of_kind = np.unique(member, axis=0, return_inverse=True)
+    sets, names = [], np.array(list(curves))
+    for number, kind in enumerate(kinds):
+        own = edges[np.sort(first[of_kind.ravel() == number])]
+        sets.append((number + 1, " and ".join(names[kind]), own))
+    groups = {
+        name: tuple(int(tag) for tag in np.flatnonzero(column) + 1)
+        for name, column in zip(names.tolist(), kinds.T, strict=True)
+    }
+    return groups, sets
+
+
+def _filled(positions: np.ndarray, groups: list[Group]) -> None:
+    """Put nodes and the elements of physical groups, by the places of their nodes, into the current
+    model."""
+    model = gmsh.model
+    dimension = max(group[0] for group in groups)
+    holder = model.addDiscreteEntity(dimension)
+    model.mesh.addNodes(dimension, holder, 1 + np.arange(len(positions)), positions.ravel())
+    entities: dict[tuple[int, int], list[int]] = {}
+    names = {}
+    for dimension, tag, name, kind, nodes in groups:
+        entity = model.addDiscreteEntity(dimension)
+        model.mesh.addElementsByType(entity, kind, [], nodes.ravel() + 1)
+        entities.setdefault((dimension, tag), []).append(entity)
+        names[dimension, tag] = name
+    for (dimension, tag), tags in entities.items():
+        model.addPhysicalGroup(dimension, tags, tag)
+        model.setPhysicalName(dimension, tag, names[dimension, tag])
+
+
+# --- is it a mesh of a structure? -----------------------------------------------------------------
 
 DEGENERATE = 1e-9
 """Of a determinant relative to its largest value or to the square of the cell's size, and of an
@@ -295,46 +355,40 @@ SAMPLES = 50
 """Cells of a part whose centres must not lie on another part."""
 
 
-def check_mesh(
-    kind: int, cells: np.ndarray, places: np.ndarray, clamp: np.ndarray, lips: np.ndarray
-) -> None:
-    """Raise InputError where a mesh cannot be one of a structure.
-
-    Parameters
-    ----------
-    kind : int
-        gmsh's number of the kind of cells.
-    cells : (n_cells, n) int
-        Their nodes in gmsh's order.
-    places : (n_nodes, 2) [m]
-        Of all nodes.
-    clamp : (m,) int
-        Nodes that are clamped.
-    lips : (n_edges, 2) int
-        Corners of the edges of all lips.
-
-    Raises
-    ------
-    InputError
-        Cells are folded or overlap, a part has no clamp, or edges of the boundary other than lips
-        lie in one place.
-    """
-    corners = gmsh.model.mesh.getElementProperties(kind)[5]
-    signs = _signs(kind, cells, places)
-    cells = cells[:, :corners]
-    boundary, owners = _unfolded_boundary(cells, signs, places)
-    _check_angles(cells, places)
-    n_parts, part = parts_of(cells, places, clamp, lips)
-    _check_boundary(boundary, places, lips)
-    if n_parts > 1:
-        _check_layers(boundary, part[owners], cells, part, places)
-
-
 def _refusal(found: str, place: np.ndarray, allowed: str) -> InputError:
     return InputError("mesh", f"{found} at ({', '.join(f'{x:g}' for x in place)})", allowed)
 
 
-def determinants(
+def check_cells(kind: int, cells: Cells, places: np.ndarray) -> None:
+    """Raise InputError where a cell, of gmsh's number of the kind, is folded or of no size, or two
+    lie on one side of the facet that they share; ``places`` (n_nodes, d) [m] are those of all
+    nodes."""
+    dimension, part = places.shape[1], _FACET[places.shape[1]]
+    least, most, smallest = _determinants(kind, cells.nodes, places)
+    here, largest = places[cells.nodes], np.maximum(-least, most)
+    size = np.ptp(here, axis=1).max(axis=1) ** dimension
+    extent = ("area", "volume")[dimension - 2]
+    # In a plane a corner may have 180 degrees.
+    flat = (largest if dimension == 2 else smallest) <= DEGENERATE * size
+    folded = np.minimum(-least, most) > DEGENERATE * largest
+    for found, wrong in ((f"a cell without {extent}", flat), ("a folded cell", folded)):
+        if np.any(wrong):
+            allowed = f"one of cells that are convex and have {extent}"
+            raise _refusal(found, here[np.argmax(wrong)].mean(axis=0), allowed)
+    facets, owner, _ = cells.all_facets
+    corners, middles = places[facets], here[:, : cells.n_corners].mean(axis=1)
+    spans = np.append(corners[:, 1:dimension], middles[owner, None], axis=1) - corners[:, :1]
+    side, shared = np.sign(np.linalg.det(spans)), cells.shared
+    beside = f"one of cells beside each other: these lie on one side of {part} of both"
+    for found, wrong, allowed in (
+        (f"{part} of three cells", shared[1:] & shared[:-1], f"one of at most two cells at {part}"),
+        ("cells that overlap", shared & (side[1:] == side[:-1]), beside),
+    ):
+        if np.any(wrong):
+            raise _refusal(found, corners[np.argmax(wrong)].mean(axis=0), allowed)
+
+
+def _determinants(
     kind: int, cells: np.ndarray, places: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Least and largest of the Jacobian determinants at the nodes of each cell, as gmsh numbers a
@@ -349,47 +403,52 @@ def determinants(
     return every.min(axis=0), every.max(axis=0), np.abs(every).min(axis=0)
 
 
-def _signs(kind: int, cells: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Direction in which each cell is numbered, 1 or -1, from the determinants at its nodes."""
-    least, most, _ = determinants(kind, cells, places)
-    largest = np.maximum(-least, most)
-    size = np.ptp(places[cells], axis=1).max(axis=1)
-    for found, wrong in (
-        ("a cell without area", largest <= DEGENERATE * size**2),
-        ("a folded cell", np.minimum(-least, most) > DEGENERATE * largest),
-    ):
-        if np.any(wrong):
-            place = places[cells[np.argmax(wrong)]].mean(axis=0)
-            raise _refusal(found, place, "one of cells that are convex and have an area")
-    return np.where(most > -least, 1, -1)
+def _check_inside(cells: Cells, surfaces: dict[str, np.ndarray], cracks: list[str]) -> None:
+    """Raise InputError where a surface lies inside and is no crack by its name, nor the clamp:
+    nothing would part there."""
+    facets, _, _ = cells.all_facets
+    shared, width = facets[1:][cells.shared], facets.shape[1]
+    corners = {name: np.sort(rows[:, :width], axis=1) for name, rows in surfaces.items()}
+    known = np.concatenate([facets[:0], *(corners[name] for name in cracks)])
+    for name, rows in corners.items():
+        inside = rows_in(rows, shared) & ~rows_in(rows, known)
+        if name != "clamp" and np.all(inside):
+            allowed = "one whose surfaces inside are cracks, named 'crack' or 'crack 1', 'crack 2'"
+            raise InputError("mesh", f"a surface {name!r} inside the solid", allowed)
 
 
-def _unfolded_boundary(
-    cells: np.ndarray, signs: np.ndarray, places: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Edges of one cell only, (n, 2), and their cells, where no two cells lie on one side of their
-    common edge."""
-    ahead = np.roll(cells, -1, axis=1)
-    low, high = np.minimum(cells, ahead).ravel(), np.maximum(cells, ahead).ravel()
-    upwards = ((cells < ahead) == (signs[:, None] > 0)).ravel()
-    keys = low * len(places) + high
-    order = np.argsort(keys, kind="stable")
-    shared = keys[order[1:]] == keys[order[:-1]]
-    if np.any(third := shared[1:] & shared[:-1]):
-        edge = order[np.argmax(third)]
-        place = (places[low[edge]] + places[high[edge]]) / 2.0
-        raise _refusal("an edge of three cells", place, "one of at most two cells at an edge")
-    folded = shared & (upwards[order[1:]] == upwards[order[:-1]])
-    if np.any(folded):
-        edge = order[np.argmax(folded)]
-        place = (places[low[edge]] + places[high[edge]]) / 2.0
-        allowed = "one of cells beside each other: these lie on one side of their common edge"
-        raise _refusal("cells that overlap", place, allowed)
-    alone = np.ones(len(keys), dtype=bool)
-    alone[1:] &= ~shared
-    alone[:-1] &= ~shared
-    own = np.sort(order[alone])
-    return np.column_stack([low[own], high[own]]), own // cells.shape[1]
+def check_parts(
+    cells: Cells,
+    nodes: np.ndarray,
+    places: np.ndarray,
+    clamp: np.ndarray,
+    lips: Sequence[np.ndarray],
+) -> None:
+    """Raise InputError where a part has no clamp; and, of cells in a plane, where they overlap, or
+    edges of the boundary other than lips lie in one place.
+
+    Parameters
+    ----------
+    cells : Cells
+        As they were before cracks were split.
+    nodes : (n_cells, n) int
+        Of the cells as they are.
+    places : (n_nodes, d) [m]
+        Of all nodes.
+    clamp : (m,) or (m, k) int
+        Nodes that are clamped.
+    lips : sequence of (n, d) int
+        Corners of the facets of lips.
+    """
+    facets, owner, _ = cells.all_facets
+    every = np.concatenate([*lips, facets[:0]])
+    n_parts, part = _parts_of(nodes, places, clamp, every)
+    if places.shape[1] == 2:
+        corners, boundary = nodes[:, : cells.n_corners], facets[cells.alone]
+        _check_angles(corners, places)
+        _check_boundary(boundary, places, every)
+        if n_parts > 1:
+            _check_layers(boundary, part[owner[cells.alone]], corners, part, places)
 
 
 def _check_angles(cells: np.ndarray, places: np.ndarray) -> None:
@@ -405,7 +464,7 @@ def _check_angles(cells: np.ndarray, places: np.ndarray) -> None:
         raise _refusal("cells that overlap", places[worst], allowed)
 
 
-def parts_of(
+def _parts_of(
     cells: np.ndarray, places: np.ndarray, clamp: np.ndarray, lips: np.ndarray
 ) -> tuple[int, np.ndarray]:
     """Number of parts of a mesh that share no node, all of them clamped, and the part of each
@@ -422,10 +481,9 @@ def parts_of(
         place = places[cells[loose]].mean(axis=(0, 1))
         held = len(lips) and np.any(np.isin(part[cells[loose, 0]], part[lips[:, 0]]))
         found = "a part held by contact alone" if held else "a part without a clamp"
-        side = "an edge" if places.shape[1] == 2 else "a facet"
         allowed = (
-            f"one whose parts each have {side} in 'clamp', or share nodes with one that has: "
-            "nothing else holds them"
+            f"one whose parts each have {_FACET[places.shape[1]]} in 'clamp', or share nodes with "
+            "one that has: nothing else holds them"
         )
         raise _refusal(found, place, allowed)
     return int(own.max()) + 1, own

@@ -36,7 +36,7 @@ from petsc4py import PETSc
 from fenics_crack.fem import compat
 from fenics_crack.fem.blocks import Interval, check_cells, plate_blocks
 from fenics_crack.fem.compat import dolfinx, ufl
-from fenics_crack.fem.crack_surface import CrackSurface
+from fenics_crack.fem.crack_surface import Lips
 from fenics_crack.fem.lips import Lip, find_lips
 from fenics_crack.mesher import gmsh, kept_interrupts
 from fenics_crack.model.nodes import Nodes
@@ -44,10 +44,8 @@ from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.whole import whole_file
 
-__all__ = ["Dofs", "Lips", "PlateMesh", "build_mesh", "write_msh"]
+__all__ = ["Dofs", "PlateMesh", "build_mesh", "write_msh"]
 
-Lips = tuple[Lip, ...] | tuple[CrackSurface, ...]
-"""Of a plate, or of a solid."""
 Groups = dict[str, tuple[int, ...]]
 """Tags of the facets of each named curve."""
 Points = dict[str, tuple[float, ...]]
@@ -157,14 +155,14 @@ def _gmsh_on_root(comm: MPI.Comm) -> Iterator[None]:
 def _model(scene: Scene) -> tuple[Groups, Points, Lips]:
     """Fill the current gmsh model with a mesh; return what is in it by its name, and the lips."""
     lips: Lips
-    if scene.dimension == 3:
-        from fenics_crack.fem.solid import solid_model  # with what takes surfaces apart
-
-        (groups, points), lips = solid_model(scene)
-    elif scene.mesh.layout == "file":
+    if scene.mesh.layout == "file":
         from fenics_crack.fem.msh_file import read_file  # with what checks meshes of others
 
-        (groups, points), lips = read_file(Path(str(scene.mesh.file)))
+        (groups, points), lips = read_file(Path(str(scene.mesh.file)), scene.dimension)
+    elif scene.dimension == 3:
+        from fenics_crack.fem.solid import draw_box  # with what takes surfaces apart
+
+        (groups, points), lips = draw_box(scene)
     else:
         groups, points, lips = _draw(scene), {}, ()
         gmsh.model.mesh.generate(2)

@@ -17,7 +17,7 @@ from mpi4py import MPI
 from test_mesh import area, file_plate, pair_nodes
 
 from fenics_crack import InputError, build_structure
-from fenics_crack.fem.msh_file import check_mesh
+from fenics_crack.fem.msh_file import cells_of, check_cells, check_parts
 from fenics_crack.fem.plate import build_mesh
 
 WIDTH, HEIGHT = 2.0, 1.0
@@ -241,6 +241,22 @@ def test_named_points_and_curves(plugin: Callable[..., Path]) -> None:
     assert build_structure(file_plate(plugin("edge", outline=True))).n_pairs > 0
 
 
+def test_a_load_is_one_point(tmp_path: Path) -> None:
+    """Of a group of two neither is taken for it, and none left out without a word."""
+    path = tmp_path / "two.msh"
+    with gmsh_model() as model:
+        face = model.occ.addRectangle(0.0, 0.0, 0.0, WIDTH, HEIGHT)
+        model.occ.synchronize()
+        _name(model, 2, [face], 1, "plate")
+        _name(model, 1, [1], 2, "clamp")
+        _name(model, 0, [3, 4], 3, "load")
+        model.mesh.generate(2)
+        gmsh.write(str(path))
+    with pytest.raises(InputError, match="2 points in the group 'load'") as caught:
+        build_mesh(file_plate(path, contact=None, crack=None), MPI.COMM_SELF)
+    assert caught.value.key == "mesh.file"
+
+
 # --- meshes that are refused ----------------------------------------------------------------------
 
 
@@ -252,8 +268,10 @@ def check(cells: Any, places: Any, kind: int = TRIANGLE, **curves: Any) -> None:
     """Check cells (n, k) and places (m, 2), with the edges of curves by their names."""
     lips = [edge for name in ("lower_lip", "upper_lip") for edge in curves.get(name, ())]
     with gmsh_model():
-        given = np.unique(curves["clamp"]), np.reshape(lips, (-1, 2)).astype(int)
-        check_mesh(kind, np.array(cells), places, *given)
+        made = cells_of(kind, np.array(cells))
+        check_cells(kind, made, places)
+        both = [np.reshape(lips, (-1, 2)).astype(int)]
+        check_parts(made, made.nodes, places, np.unique(curves["clamp"]), both)
 
 
 def refused(words: str, *mesh: Any, **curves: Any) -> np.ndarray:

@@ -17,11 +17,11 @@ from surroundings import DEMOS, ROOT
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
-from fenics_crack.fem.crack_surface import FACETS, SolidCells, split_surface
+from fenics_crack.fem.crack_surface import FACETS, Cells, split_surface
 from fenics_crack.fem.matrix_files import coincident
+from fenics_crack.fem.msh_file import cells_of
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.fem.plate import build_mesh
-from fenics_crack.fem.solid import _cells
 from fenics_crack.parallel import gather_rows
 from fenics_crack.study.remarks import remarks_on_scene, remarks_on_structure
 from fenics_crack.sweep.plan import Plan
@@ -193,7 +193,7 @@ def test_a_surface_without_a_front_parts_two_bodies() -> None:
     places = np.array(
         [[i, k, j] for k in range(3) for j in range(2) for i in range(2)], dtype=float
     )
-    cells = SolidCells(CUBES, FACETS[8], tuple((i,) for i in range(8)))
+    cells = Cells(CUBES, FACETS[8], tuple((i,) for i in range(8)))
     nodes, twins, lips, (crack,) = split_surface(cells, np.array([[4, 5, 7, 6]]), places)
     assert twins.tolist() == [4, 5, 6, 7] and not np.intersect1d(*nodes).size
     assert np.sort(lips[0], axis=1).tolist() == [[4, 5, 6, 7], [12, 13, 14, 15]]
@@ -205,7 +205,7 @@ def test_a_surface_on_the_outside_is_refused() -> None:
     places = np.array(
         [[i, k, j] for k in range(3) for j in range(2) for i in range(2)], dtype=float
     )
-    cells = SolidCells(CUBES, FACETS[8], tuple((i,) for i in range(8)))
+    cells = Cells(CUBES, FACETS[8], tuple((i,) for i in range(8)))
     with pytest.raises(InputError, match="inside the solid"):
         split_surface(cells, np.array([[0, 1, 3, 2]]), places)
 
@@ -282,7 +282,7 @@ def test_cracks_are_split_as_by_gmsh(shape: str, order: int) -> None:
             _, _, (nodes,) = gmsh.model.mesh.getElements(2, tag)
             facets.append(np.searchsorted(numbers, nodes).reshape(-1, 3 * order))
         kind = gmsh.model.mesh.getElements(3)[0][0]
-        solid_cells = _cells(kind, cells)
+        solid_cells = cells_of(kind, cells)
         nodes, twins, _, found = split_surface(solid_cells, np.concatenate(facets), places)
         own = sharing(nodes, np.concatenate([places, places[twins]]))
         for name, value in [("Dimension", 2), ("PhysicalGroup", crack)]:
