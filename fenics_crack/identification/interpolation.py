@@ -34,7 +34,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import BSpline, RBFInterpolator, make_interp_spline
+from scipy.interpolate import RBFInterpolator, make_interp_spline
 from scipy.spatial.distance import cdist
 
 from fenics_crack.errors import FEW_MODES, InputError
@@ -110,40 +110,6 @@ def left_out_errors(line: np.ndarray, values: np.ndarray) -> np.ndarray:
     return found
 
 
-@dataclass(frozen=True)
-class Splines:
-    """Tensor products of splines: knots and degree along each axis, and coefficients (n, q)."""
-
-    knots: tuple[np.ndarray, ...]
-    degrees: tuple[int, ...]
-    coefficients: np.ndarray
-
-    @classmethod
-    def through(cls, lines: tuple[np.ndarray, ...], values: np.ndarray) -> Splines:
-        """Through values (n_1, ..., n_d, q) on a grid."""
-        knots, degrees = [], []
-        for k, line in enumerate(lines):
-            spline = make_interp_spline(line, np.moveaxis(values, k, 0), k=_degree(len(line)))
-            values = np.moveaxis(spline.c, 0, k)
-            knots.append(spline.t)
-            degrees.append(spline.k)
-        return cls(tuple(knots), tuple(degrees), values.reshape(-1, values.shape[-1]))
-
-    def __call__(self, at: np.ndarray) -> np.ndarray:
-        """Values at some places (m, d), those outside taken to the border: (m, q)."""
-        basis = np.ones((len(at), 1))
-        for column, knots, degree in zip(at.T, self.knots, self.degrees, strict=True):
-            within = np.clip(column, knots[0], knots[-1])
-            own = BSpline.design_matrix(within, knots, degree).toarray()
-            basis = (basis[:, :, None] * own[:, None, :]).reshape(len(at), -1)
-        return np.asarray(basis @ self.coefficients)
-
-
-def _degree(count: int) -> int:
-    """The degree of a spline through so many values."""
-    return DEGREE if count > DEGREE else count - 1
-
-
 class Interpolation:
     """Interpolates some quantities over the unknowns.
 
@@ -166,10 +132,14 @@ class Interpolation:
         self.cube = cube
         self.between = _between(cube, np.isfinite(values))
         values, self.known, of_filled = _filled(cube, values)
-        self._constant = values
+        self._values = values
+        # Along each axis those that are 1 at one of its values and 0 at the others.
+        self._splines = [
+            make_interp_spline(line, np.eye(len(line)), k=min(DEGREE, len(line) - 1))
+            for line in cube.axes
+        ]
         if cube.axes:
             grid = values.reshape(*cube.shape, values.shape[1])
-            self._splines = Splines.through(cube.axes, grid)
             left = (
                 np.moveaxis(left_out_errors(line, np.moveaxis(grid, k, 0)), 0, k)
                 for k, line in enumerate(cube.axes)
@@ -179,10 +149,13 @@ class Interpolation:
                 self._errors.append(of_filled)
 
     def at(self, x: np.ndarray) -> np.ndarray:
-        """The quantities at values x (m, d) of the unknowns: (m, q), 0 where one is not known."""
-        if not self.cube.axes:
-            return np.repeat(self._constant, len(x), axis=0)
-        return self._splines(x)
+        """The quantities at values x (m, d) of the unknowns, those outside taken to the border:
+        (m, q), 0 where one is not known."""
+        weights = np.ones((len(x), 1))
+        for column, line, spline in zip(x.T, self.cube.axes, self._splines, strict=True):
+            own = spline(np.clip(column, line[0], line[-1]))
+            weights = (weights[:, :, None] * own[:, None, :]).reshape(len(x), -1)
+        return np.asarray(weights @ self._values)
 
     def scatter(self, x: np.ndarray) -> np.ndarray:
         """Errors of all quantities together at the nodes around values x (m, d), along each axis,
