@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from copy import copy
-from dataclasses import MISSING, Field, dataclass, field, fields, replace
+from dataclasses import MISSING, Field, dataclass, field, fields
 from numbers import Integral, Real
 from typing import Any, ClassVar
 
@@ -484,11 +484,6 @@ class Table:
         """What is allowed where the table has no such key: which may be meant, and which it has."""
         advice = cls._ADVICE.get(key) or meant(cls.meant_by(key)).strip()
         return f"left out; {advice} known keys: {', '.join(cls.keys())}".replace(";  ", "; ")
-
-    def changed(self, values: Mapping[str, object]) -> Any:
-        """The table with other values of some keys; a key takes the place of its twin."""
-        held = {key: getattr(self, key) for key in self.keys()}
-        return replace(self, **self.without_twins(values, held))  # type: ignore[type-var]
 
     @classmethod
     def without_twins(

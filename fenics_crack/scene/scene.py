@@ -12,13 +12,13 @@ import re
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
+from itertools import combinations
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
 from fenics_crack.errors import InputError, reading
 from fenics_crack.hints import Hinted, converted, meant, near, written
 from fenics_crack.outside import text_of
-from fenics_crack.scene.cracks import OF_SHAPES, check_cracks
 from fenics_crack.scene.fields import Axis, Point, Table, components, named
 from fenics_crack.scene.quantities import OF_CLAMP, OF_GROWTH, OF_TIPS
 from fenics_crack.scene.tables import (
@@ -531,7 +531,7 @@ def _check_plate(scene: Scene) -> None:
             where = ", ".join(f"0..{side:g}" for side in sides)
             load.require(all(within), "point", f"on the {geometry.kind}: [{where}]")
     if scene.all_cracks:
-        check_cracks(scene.all_cracks, geometry, scene.mesh)
+        _check_cracks(scene.all_cracks, geometry, scene.mesh)
         if scene.contact is None:
             raise InputError("contact", None, "given where there is a crack: a table")
 
@@ -541,7 +541,123 @@ def _check_file(scene: Scene) -> None:
     scene.geometry.leave_out(of_file, "mesh.layout = 'file'")
     for name, crack in scene.all_cracks.items():
         with named(name):
-            crack.leave_out(OF_SHAPES, "mesh.layout = 'file'")
+            crack.leave_out(_OF_SHAPES, "mesh.layout = 'file'")
+
+
+# --- where the cracks of a plate may be -----------------------------------------------------------
+
+LEAST_DISTANCE = 1e-4
+"""Least distance of cracks and tips from the edges and each other, relative to the side."""
+_OF_SHAPES = (
+    "edge", "center", "height", "length", "depth", "front", "first_frequency", "first_omega",
+)  # fmt: skip
+"""Keys of a crack that a mesh file knows by itself."""
+
+
+def _check_cracks(cracks: dict[str, Crack], geometry: Geometry, mesh: Mesh) -> None:
+    """Raise InputError where a crack cannot be in a plate, by the crack's name in the scene."""
+    for name, crack in cracks.items():
+        with named(name):
+            _check_crack(crack, geometry, list(cracks))
+            _check_front(crack, geometry)
+            if mesh.layout == "grid":
+                _check_grid(crack, geometry, mesh)
+    if mesh.layout == "graded":
+        mesh.given("lip_elements", "given where there is a crack")
+    for first, second in combinations(cracks, 2):
+        _check_apart(cracks, first, second, geometry)
+
+
+def _check_crack(crack: Crack, geometry: Geometry, names: list[str]) -> None:
+    width, height, *_ = geometry.sides
+    kind, margin = geometry.kind, f"at least {LEAST_DISTANCE:g} of that from both"
+    inside = crack.center is not None
+    if inside:
+        crack.leave_out(("edge",), "crack.center")
+    else:
+        crack.given("edge", f"given: 'left' or 'right'; or center, for a crack inside the {kind}")
+    crack.require(
+        crack.height is not None and _inside(crack.height, height),
+        "height",
+        f"inside the {kind}: between 0 and geometry.height = {height:g}, {margin}",
+    )
+    if len(names) > 1:
+        crack.leave_out(
+            ("first_frequency", "first_omega"),
+            "several cracks: it finds the length of the only one",
+        )
+    crack.require(
+        (crack.length is None) != (crack.first_omega is None),
+        "length",
+        "given, or left out where crack.first_omega determines it, or first_frequency",
+    )
+    crack.require(
+        crack.length is None or _inside(crack.length, width),
+        "length",
+        f"shorter than the {kind}: between 0 and geometry.width = {width:g}, {margin}",
+    )
+    if inside:
+        ends = [crack.center] if crack.length is None else crack.span(width)
+        crack.require(
+            all(_inside(end or 0.0, width) for end in ends),
+            "center",
+            f"such that both tips are inside the {kind}: between 0 and {width:g}, {margin}",
+        )
+
+
+def _check_front(crack: Crack, geometry: Geometry) -> None:
+    if geometry.dimension == 2:
+        crack.leave_out(("depth", "front"), "geometry.kind = 'plate'")
+    elif crack.depth is None:
+        crack.leave_out(("front",), "a crack through the thickness: there is no crack.depth")
+    else:
+        thickness = geometry.sides[2]
+        words = f"geometry.thickness = {thickness:g}"
+        allowed = f"less than {words}, by {LEAST_DISTANCE:g} of that; left out: through it"
+        crack.require(_inside(crack.depth, thickness), "depth", allowed)
+
+
+def _check_grid(crack: Crack, geometry: Geometry, mesh: Mesh) -> None:
+    crack.given("length", "given with mesh.layout = 'grid'")
+    (width, height), columns = geometry.sides, mesh.given("columns")
+    sides = {"length": (width, columns), "height": (height, mesh.given("rows"))}
+    for key, (extent, count) in sides.items():
+        cells = getattr(crack, key) / extent * count
+        crack.require(
+            0 < round(cells) < count and abs(cells - round(cells)) < 1e-9 * count,
+            key,
+            f"a whole number of grid cells of {extent / count:g} m, at least one from each end",
+        )
+    if crack.center is not None:
+        tip = crack.span(width)[0] / width * columns
+        crack.require(
+            abs(tip - round(tip)) < 1e-9 * columns,
+            "center",
+            f"such that both tips are on grid lines, {width / columns:g} m apart",
+        )
+
+
+def _check_apart(cracks: dict[str, Crack], first: str, second: str, geometry: Geometry) -> None:
+    """Raise InputError unless two cracks are far enough from each other."""
+    one, other = cracks[first], cracks[second]
+    width, height, *_ = geometry.sides
+    distance = abs(one.given("height") - other.given("height"))
+    if distance >= LEAST_DISTANCE * height:
+        return
+    same = distance <= 1e-9 * height
+    spans = sorted(crack.span(width) for crack in (one, other))
+    ligament = spans[1][0] - spans[0][1]
+    if not same or ligament < LEAST_DISTANCE * width:
+        least = f"{LEAST_DISTANCE * height:g} m above or below"
+        if same:
+            least += f", or with {LEAST_DISTANCE * width:g} m between their tips"
+        allowed = f"apart from that of {first}: cracks may not touch; at least {least}"
+        raise InputError(f"{second}.height", other.height, allowed)
+
+
+def _inside(place: float, extent: float) -> bool:
+    """Whether a place is between 0 and an extent, and not too near to either."""
+    return LEAST_DISTANCE * extent <= place <= (1.0 - LEAST_DISTANCE) * extent
 
 
 # --- axes of keys ---------------------------------------------------------------------------------
@@ -646,7 +762,7 @@ def _changed(name: str, table: Any, change: dict[str, object]) -> Any:
     """A table, or the mapping of one that is to be made, with other values; a new one."""
     kind = _TABLES[name]
     if isinstance(table, kind):
-        return table.changed(change)
+        table = {key: getattr(table, key) for key in kind.keys().keys() - table.derived}
     if kind.WORD is not None and isinstance(table, str):
         table = {kind.WORD: table}
     if table is None:
