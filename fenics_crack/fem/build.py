@@ -81,12 +81,11 @@ def pair_lips(scene: Scene, dofs: Dofs) -> tuple[sparse.csr_matrix, Pairs]:
         return sparse.csr_matrix((len(dofs.free), 0)), Pairs.none(dimension)
     make = _of_nodes if dimension == 2 else _of_patches
     space, weights, columns = make(dofs, thickness(scene, dofs.space), plate.along(*LIPS))
-    owned, first = space.dofmap.index_map.size_local, space.dofmap.index_map.local_range[0]
+    first = space.dofmap.index_map.local_range[0]
     points = space.tabulate_dof_coordinates()[:, :dimension]
     sides = []
     for name in LIPS:
         local = dofs.nodes_on(name, space)
-        local = local[local < owned]
         rows = np.column_stack([local + first, weights[local], points[local]])
         sides.append(gather_rows(dofs.comm, rows))
     lower, upper, cracks, positions = _matched(plate.lips, *sides)
@@ -364,7 +363,7 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     if crack.center is not None:
         room, words = 2.0 * min(crack.center, width - crack.center), "room around its center"
     shortest, longest = 0.01 * room, 0.95 * room
-    length, known = _kept_length(scene, comm) or (0.0, 0.0)
+    length, known = on_root(comm, lambda: _kept_length(scene))
     if shortest <= length <= longest and abs(excess(length) - known) <= FOUND_AGAIN * target:
         return length
     highest, lowest = target + excess(shortest), target + excess(longest)
@@ -375,7 +374,8 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     import scipy.optimize  # takes a while, and most scenes give a length
 
     found = float(scipy.optimize.brentq(excess, shortest, longest, xtol=1e-5 * width))
-    _keep_length(scene, comm, found, excess(found))
+    left = excess(found)
+    on_root(comm, lambda: _keep_length(scene, found, left))
     return found
 
 
@@ -391,27 +391,19 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fenics_crack"
 
 
-def _kept_length(scene: Scene, comm: MPI.Comm) -> tuple[float, float] | None:
-    """Length and excess kept for a scene; None if there are none (collective)."""
-
-    def read() -> tuple[float, float] | None:
-        try:
-            length, excess = map(float, json.loads(_file(scene).read_text("utf-8")))
-        except (OSError, RuntimeError, ValueError, TypeError):  # none, no home, or damaged
-            return None
-        return length, excess
-
-    return on_root(comm, read)
+def _kept_length(scene: Scene) -> tuple[float, float]:
+    """Length and excess kept for a scene; 0 for both if there are none."""
+    try:
+        length, excess = map(float, json.loads(_file(scene).read_text("utf-8")))
+    except (OSError, RuntimeError, ValueError, TypeError):  # none, no home, or damaged
+        return 0.0, 0.0
+    return length, excess
 
 
-def _keep_length(scene: Scene, comm: MPI.Comm, length: float, excess: float) -> None:
-    """Keep what was found, where that is possible (collective)."""
-
-    def write() -> None:
-        with contextlib.suppress(InputError, RuntimeError):
-            write_whole(_file(scene), json.dumps((length, excess)))
-
-    on_root(comm, write)
+def _keep_length(scene: Scene, length: float, excess: float) -> None:
+    """Keep what was found, where that is possible."""
+    with contextlib.suppress(InputError, RuntimeError):
+        write_whole(_file(scene), json.dumps((length, excess)))
 
 
 def _file(scene: Scene) -> Path:

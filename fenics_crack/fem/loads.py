@@ -55,19 +55,20 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
     point = excitation.point if excitation.point is not None else dofs.plate.points.get("load")
     if point is not None:
         parts = (excitation.force_mean, excitation.force_cos, excitation.force_sin)
-        force += _point_force(scene, dofs, "excitation.point", point, parts)
+        share = _share_at(scene, dofs, "excitation.point", point)
+        force += _point_force(dofs, "excitation.point", point, share, parts)
         if (scene.has_other_loads or scene.speed > 0.0) and any(map(any, parts)):
-            watched = _displacement_at(scene, dofs, "excitation.point", point, parts)
+            watched = _at_nodes(dofs, share, _unit(parts))[dofs.free]
     elif not scene.has_other_loads:
         allowed = "given, or a physical point 'load' in the mesh file"
         raise InputError("excitation.point", None, allowed)
     for number, load in enumerate(scene.loads, 1):
         key = f"loads.{number}"
         if load.point is not None:
-            forces = load.parts("force")
-            force += _point_force(scene, dofs, f"{key}.point", load.point, forces)
+            forces, at = load.parts("force"), _share_at(scene, dofs, f"{key}.point", load.point)
+            force += _point_force(dofs, f"{key}.point", load.point, at, forces)
             if watched is None and any(map(any, forces)):
-                watched = _displacement_at(scene, dofs, f"{key}.point", load.point, forces)
+                watched = _at_nodes(dofs, at, _unit(forces))[dofs.free]
         else:
             own = _edge_force(scene, dofs, key, load)
             force += own
@@ -80,11 +81,11 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
             force[row] -= _inertia(mass, np.tile(acceleration, dofs.n_nodes))
     if watched is None and point is not None and not any(map(any, parts)):
         along_x = [np.eye(dofs.dimension)[0].tolist()]
-        watched = _point_force(scene, dofs, "excitation.point", point, along_x)[0, dofs.free]
+        watched = _point_force(dofs, "excitation.point", point, share, along_x)[0, dofs.free]
     return force, watched
 
 
-def _unit(parts: Sequence[Vector]) -> list[Vector]:
+def _unit(parts: Sequence[Vector]) -> Vector:
     """The direction of a load: of the larger of its cosine and sine part, of its mean if there is
     neither."""
     mean, *moving = parts
@@ -92,13 +93,11 @@ def _unit(parts: Sequence[Vector]) -> list[Vector]:
     if not any(largest):
         largest = mean
     size = math.hypot(*largest)
-    return [tuple(x / size for x in largest)]
+    return tuple(x / size for x in largest)
 
 
-def _point_force(
-    scene: Scene, dofs: Dofs, key: str, point: Vector, parts: Sequence[Vector]
-) -> np.ndarray:
-    """Forces at a point as consistent nodal forces: (len(parts), n_dofs)."""
+def _share_at(scene: Scene, dofs: Dofs, key: str, point: Vector) -> np.ndarray:
+    """What each of this rank's nodes gets of a force at a point: (n_nodes,)."""
     if sides := [found for lip in dofs.plate.lips if (found := lip.beside(point)) is not None]:
         (low, high), *_ = sides
         allowed = "on one of the two lips that are there: {} on the lower one, {} on the upper one"
@@ -119,23 +118,22 @@ def _point_force(
     mine = (numbers >= dofs.first_node) & (numbers < dofs.first_node + dofs.n_nodes)
     share = np.zeros(dofs.n_nodes)
     np.add.at(share, numbers[mine] - dofs.first_node, shares[mine])
+    return share
+
+
+def _point_force(
+    dofs: Dofs, key: str, point: Vector, share: np.ndarray, parts: Sequence[Vector]
+) -> np.ndarray:
+    """Forces at a point as consistent nodal forces: (len(parts), n_dofs)."""
     force = np.array([_at_nodes(dofs, share, part) for part in parts])
     if any(map(any, parts)) and not np.any(gather_rows(dofs.comm, force[:, dofs.free].ravel())):
         raise InputError(key, tuple(point), "where the plate is free to move")
     return force
 
 
-def _displacement_at(
-    scene: Scene, dofs: Dofs, key: str, point: Vector, parts: Sequence[Vector]
-) -> np.ndarray:
-    """What the displacement of a load's point in its direction is the product with: (n_local,)."""
-    found = _point_force(scene, dofs, key, point, _unit(parts))[0, dofs.free]
-    return np.asarray(found)
-
-
 def _at_nodes(dofs: Dofs, share: np.ndarray, vector: Vector) -> np.ndarray:
     """Shares (n_nodes,) of a vector: (n_dofs,)."""
-    return np.outer(share, vector or np.zeros(dofs.dimension)).ravel()
+    return np.asarray(np.outer(share, vector or np.zeros(dofs.dimension)).ravel())
 
 
 # --- loads on edges -------------------------------------------------------------------------------
@@ -174,11 +172,9 @@ def _middle_of(dofs: Dofs, edge: str, force: np.ndarray) -> np.ndarray:
         axis=(0, 1)
     )
     direction = tuple(np.eye(dofs.dimension)[int(np.argmax(sums))].tolist())
-    on_edge = dofs.nodes_on(edge)
-    own = on_edge[on_edge < dofs.n_nodes]
-    every = gather_rows(dofs.comm, dofs.points[own])
-    middle = (every.min(axis=0) + every.max(axis=0)) / 2.0
-    return _one_at(dofs, own, _by_distance(every, middle)[0], direction)
+    nodes = dofs.nodes_on(edge)
+    every = gather_rows(dofs.comm, dofs.points[nodes])
+    return _one_of(dofs, nodes, (every.min(axis=0) + every.max(axis=0)) / 2.0, 0, direction)
 
 
 # --- the clamp ------------------------------------------------------------------------------------
@@ -187,8 +183,7 @@ def _middle_of(dofs: Dofs, edge: str, force: np.ndarray) -> np.ndarray:
 def clamp_of(dofs: Dofs, mass: Any, force: np.ndarray) -> Clamp:
     """The clamp of a mesh, from the mass matrix and the load (3, n_dofs) with the clamped rows
     (collective)."""
-    nodes = dofs.nodes_on("clamp")
-    held = gather_rows(dofs.comm, dofs.points[nodes[nodes < dofs.n_nodes]])
+    held = gather_rows(dofs.comm, dofs.points[dofs.nodes_on("clamp")])
     center = np.round(0.5 * (held.min(axis=0) + held.max(axis=0)), 12) + 0.0
     rigid = rigid_motions(dofs.points - center)
     rows = np.array([_inertia(mass, motion)[dofs.free] for motion in rigid])
@@ -219,21 +214,19 @@ def _inertia(mass: Any, acceleration: np.ndarray) -> np.ndarray:
 
 def _farthest(dofs: Dofs, direction: Vector) -> np.ndarray:
     """1 at the dof, in the direction, of the node that is farthest from the clamp: (n_local,)."""
-    clamped, points = dofs.nodes_on("clamp"), dofs.points
-    middle = gather_rows(dofs.comm, points[clamped[clamped < dofs.n_nodes]]).mean(axis=0)
-    every = gather_rows(dofs.comm, points)
-    return _one_at(dofs, np.arange(dofs.n_nodes), _by_distance(every, middle)[-1], direction)
+    middle = gather_rows(dofs.comm, dofs.points[dofs.nodes_on("clamp")]).mean(axis=0)
+    return _one_of(dofs, np.arange(dofs.n_nodes), middle, -1, direction)
 
 
-def _by_distance(points: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Points (n, d) by their distance from a place; equal ones, to rounding, by position."""
-    distance = np.linalg.norm(points - place, axis=1)
-    return points[np.lexsort([*points.T, np.round(distance / max(distance.max(), 1e-300), 9)])]
-
-
-def _one_at(dofs: Dofs, nodes: np.ndarray, point: np.ndarray, direction: Vector) -> np.ndarray:
-    """1 at the dof, in a direction, of one of this rank's nodes by its position: (n_local,)."""
-    here = nodes[np.all(dofs.points[nodes] == point, axis=1)]
+def _one_of(
+    dofs: Dofs, nodes: np.ndarray, place: np.ndarray, end: int, direction: Vector
+) -> np.ndarray:
+    """1 at the dof, in a direction, of the first (0) or the last (-1) of some nodes of all ranks by
+    their distance from a place; equal ones, to rounding, by position: (n_local,)."""
+    every = gather_rows(dofs.comm, dofs.points[nodes])
+    distance = np.linalg.norm(every - place, axis=1)
+    order = np.lexsort([*every.T, np.round(distance / max(distance.max(), 1e-300), 9)])
+    here = nodes[np.all(dofs.points[nodes] == every[order[end]], axis=1)]
     found = np.zeros((dofs.n_nodes, dofs.dimension))
     found[here[:1]] = direction
     return np.asarray(found.ravel()[dofs.free])

@@ -37,7 +37,7 @@ from fenics_crack.fem import compat
 from fenics_crack.fem.blocks import Interval, check_cells, plate_blocks
 from fenics_crack.fem.compat import dolfinx, ufl
 from fenics_crack.fem.crack_surface import Lips
-from fenics_crack.fem.lips import Lip, find_lips
+from fenics_crack.fem.lips import Lip
 from fenics_crack.mesher import gmsh, kept_interrupts
 from fenics_crack.model.nodes import Nodes
 from fenics_crack.parallel import on_root
@@ -164,37 +164,20 @@ def _model(scene: Scene) -> tuple[Groups, Points, Lips]:
 
         (groups, points), lips = draw_box(scene)
     else:
-        groups, points, lips = _draw(scene), {}, ()
+        groups, points, lips = _draw(scene), {}, _lips(scene)
         gmsh.model.mesh.generate(2)
     gmsh.model.mesh.renumberNodes()
-    return groups, points, lips or _lips(scene, groups)
+    return groups, points, lips
 
 
-def _lips(scene: Scene, groups: Groups) -> tuple[Lip, ...]:
-    """The lips in the current model that is made here, in the order of the scene."""
-    if "lower_lip" not in groups:
-        return ()
-    numbers, positions, _ = gmsh.model.mesh.getNodes()
-    places = np.empty((len(numbers) + 1, 2))
-    places[numbers.astype(int)] = positions.reshape(-1, 3)[:, :2]
-    lower, upper = (_edges(groups[name]) for name in ("lower_lip", "upper_lip"))
-    lips = find_lips(lower, upper, places)
+def _lips(scene: Scene) -> tuple[Lip, ...]:
+    """The lips of the cracks of a plate that is made here, in the order of the scene."""
     width, found = scene.geometry.sides[0], []
     for crack in scene.all_cracks.values():
-        start = crack.span(width)[1 if crack.edge == "right" else 0], crack.height
-        found.append(min(lips, key=lambda lip: float(np.linalg.norm(lip.points[0] - start))))
+        left, right = ((x, crack.given("height")) for x in crack.span(width))
+        ends = (right, left) if crack.edge == "right" else (left, right)
+        found.append(Lip(np.array(ends), crack.edge is not None))
     return tuple(found)
-
-
-def _edges(tags: tuple[int, ...]) -> np.ndarray:
-    """Corners of the edges in some physical groups of the current model."""
-    found = []
-    for tag in tags:
-        for entity in gmsh.model.getEntitiesForPhysicalGroup(1, tag):
-            for kind, _, nodes in zip(*gmsh.model.mesh.getElements(1, entity), strict=True):
-                per_edge = gmsh.model.mesh.getElementProperties(kind)[3]
-                found.append(nodes.reshape(-1, per_edge)[:, :2].astype(int))
-    return np.concatenate(found)
 
 
 # --- the plate ------------------------------------------------------------------------------------
@@ -305,9 +288,8 @@ class Dofs:
         self.dimension = space.mesh.geometry.dim
         self.n_nodes = space.dofmap.index_map.size_local
         self.first_node = space.dofmap.index_map.local_range[0]
-        clamped = self.nodes_on("clamp")
         free = np.ones((self.n_nodes, self.dimension), dtype=bool)
-        free[clamped[clamped < self.n_nodes]] = False
+        free[self.nodes_on("clamp")] = False
         self.free = np.flatnonzero(free.ravel())
         """Owned free dofs, local numbers of the function space."""
         first = self.comm.exscan(len(self.free)) or 0
@@ -321,13 +303,14 @@ class Dofs:
         return np.asarray(self.space.tabulate_dof_coordinates()[: self.n_nodes, : self.dimension])
 
     def nodes_on(self, group: str, space: Any = None) -> np.ndarray:
-        """Local numbers, ghosts included, of the nodes in a facet group; of another space's, if
-        one is given."""
+        """Local numbers of the nodes of this rank in a facet group; of another space's, if one is
+        given."""
         facets, topology = self.plate.facets(group), self.plate.mesh.topology
         dimension = topology.dim - 1
         topology.create_connectivity(dimension, dimension + 1)
         space = self.space if space is None else space
-        return np.sort(dolfinx.fem.locate_dofs_topological(space, dimension, facets))
+        nodes = np.sort(dolfinx.fem.locate_dofs_topological(space, dimension, facets))
+        return nodes[nodes < space.dofmap.index_map.size_local]
 
     def free_block(self, matrix: Any) -> Any:
         """Leave the clamped rows and columns out of a matrix, which is destroyed, and what is zero,
