@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sparse
 
 from fenics_crack.errors import InputError
-from fenics_crack.fem.lips import BESIDE, COINCIDENT, SAME, Lip, rows_in
+from fenics_crack.fem.lips import SAME, Lip, both_sides, connected, rows_in, to_edges, upwards
 
 __all__ = ["FACETS", "Cells", "CrackSurface", "Lips", "cracks_between", "split_surface"]
 
@@ -71,7 +71,7 @@ class CrackSurface:
             some = slice(first, first + step)
             off[some] = np.linalg.norm(_to_triangles(points[some], self.triangles), axis=2).min(1)
             farther = 2.0 * self.size  # than any point of it from a front
-            to_front = np.linalg.norm(_to_edges(points[some], self.front), axis=2)
+            to_front = np.linalg.norm(to_edges(points[some], self.front)[0], axis=2)
             position[some] = to_front.min(axis=1, initial=farther)
         return off, position
 
@@ -82,17 +82,7 @@ class CrackSurface:
         if off > SAME * self.size or position <= SAME * self.size:
             return None
         nearest = np.linalg.norm(_to_triangles(at[None], self.triangles)[0], axis=1).argmin()
-        normal = _normals(self.triangles[nearest][None])[0]
-        across = BESIDE * self.size * _upwards(normal) * normal / np.linalg.norm(normal)
-        return np.round(at - across, 9).tolist(), np.round(at + across, 9).tolist()
-
-
-def _to_edges(points: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Vectors to points (n, 3) from the nearest points of edges (m, 2, 3): (n, m, 3)."""
-    span = edges[:, 1] - edges[:, 0]
-    to = points[:, None] - edges[:, 0]
-    share = np.clip((to * span).sum(axis=2) / (span**2).sum(axis=1), 0.0, 1.0)
-    return np.asarray(to - share[..., None] * span)
+        return both_sides(point, _normals(self.triangles[nearest][None])[0], self.size)
 
 
 def _to_triangles(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -106,7 +96,7 @@ def _to_triangles(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     outside = (u < 0.0) | (v < 0.0) | (u + v > 1.0)
     size = np.where(outside, np.inf, np.linalg.norm(best, axis=2))
     for first, second in ((0, 1), (1, 2), (2, 0)):
-        away = _to_edges(points, triangles[:, [first, second]])
+        away, _ = to_edges(points, triangles[:, [first, second]])
         nearer = np.linalg.norm(away, axis=2) < size
         best[nearer], size[nearer] = away[nearer], np.linalg.norm(away, axis=2)[nearer]
     return best
@@ -116,14 +106,6 @@ def _normals(triangles: np.ndarray) -> np.ndarray:
     """Twice the areas, as vectors: (n, 3)."""
     one, two = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     return np.asarray(np.cross(one, two))
-
-
-def _upwards(normal: np.ndarray) -> float:
-    """1 where a normal points up: along y, or else along x, or else along z; otherwise -1."""
-    for axis in (1, 0, 2):
-        if abs(normal[axis]) > COINCIDENT * np.abs(normal).max():
-            return float(np.sign(normal[axis]))
-    return 1.0
 
 
 Lips = tuple[Lip, ...] | tuple[CrackSurface, ...]
@@ -222,7 +204,7 @@ def split_surface(
     )
     outer = facets[cells.alone & (on_crack[facets].sum(axis=1) > 1)]
     fronts, mouths = _rim(surface[:, :n_corners], outer)
-    part = _parts(surface[:, :n_corners])
+    part = connected(surface[:, :n_corners])
     ups = _orientation(places[_triangles(surface[:, :n_corners])[0]], part)
 
     is_split = np.zeros(len(places), dtype=bool)
@@ -294,16 +276,6 @@ def _rim(surface: np.ndarray, boundary: np.ndarray) -> tuple[np.ndarray, np.ndar
     return rim[~outside], np.unique(rim[outside])
 
 
-def _parts(surface: np.ndarray) -> np.ndarray:
-    """The crack of each facet: those that share a node are of one."""
-    from scipy.sparse.csgraph import connected_components  # takes a while, for solids alone
-
-    count, k = surface.shape
-    rows = np.repeat(np.arange(count), k)
-    touches = sparse.csr_matrix((np.ones(count * k), (rows, surface.ravel())))
-    return np.asarray(connected_components(touches @ touches.T)[1])
-
-
 def _triangles(surface: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Facets as triangles: of each the first half, and the other half of those with four
     corners."""
@@ -318,7 +290,7 @@ def _orientation(triangles: np.ndarray, part: np.ndarray) -> np.ndarray:
         mean = np.linalg.eigh(own.T @ own)[1][:, -1]
         flat = np.abs(own @ mean) >= STEEPEST * np.linalg.norm(own, axis=1)
         _require(np.all(flat), "a normal that turns by a right angle", "flatter")
-        found.append(_upwards(mean) * mean)
+        found.append(upwards(mean) * mean)
     return np.array(found)
 
 
@@ -375,7 +347,7 @@ def _cracks(
     surface: np.ndarray, fronts: np.ndarray, mouths: np.ndarray, places: np.ndarray
 ) -> list[CrackSurface]:
     """Cracks by the corners of their facets, from bottom to top."""
-    part, found = _parts(surface), []
+    part, found = connected(surface), []
     for number in range(part.max() + 1):
         facets = surface[part == number]
         own = np.unique(facets)

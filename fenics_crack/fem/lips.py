@@ -19,8 +19,8 @@ import scipy.sparse as sparse
 from fenics_crack.errors import InputError
 
 __all__ = [
-    "SAME", "Lip", "along", "cell_edges", "check_mouths", "each_once", "find_lips", "rows_in",
-    "split_crack",
+    "SAME", "Lip", "along", "both_sides", "cell_edges", "check_mouths", "connected", "each_once",
+    "find_lips", "rows_in", "split_crack", "to_edges", "upwards",
 ]  # fmt: skip
 
 PLUGIN = (
@@ -43,7 +43,8 @@ class Lip:
     Attributes
     ----------
     points : (n, 2) [m]
-        Its corners, from the mouth to the tip; from the left to the right tip of a crack inside.
+        Its corners, from the mouth to the tip; from the left to the right tip of a crack inside. Of
+        a straight one both ends are enough.
     has_mouth : bool
         Whether it begins at an edge of the plate.
     """
@@ -66,12 +67,12 @@ class Lip:
     def locate(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distance of points (n, 2) from the lip, and of the nearest place from its beginning [m]:
         two arrays (n,)."""
-        starts, spans = self.points[:-1], np.diff(self.points, axis=0)
-        to, squares = points[:, None] - starts, np.sum(spans**2, axis=1)
-        share = np.clip(np.sum(to * spans, axis=2) / squares, 0.0, 1.0)
-        off = np.linalg.norm(to - share[:, :, None] * spans, axis=2)
+        ends = np.stack([self.points[:-1], self.points[1:]], axis=1)
+        to, share = to_edges(points, ends)
+        off, position = np.linalg.norm(to, axis=2), self.position
+        places = position[:-1] + share * np.diff(position)
         edge, row = off.argmin(axis=1), np.arange(len(points))
-        return off[row, edge], (self.position[:-1] + share * np.sqrt(squares))[row, edge]
+        return off[row, edge], places[row, edge]
 
     def beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
         """Points below and above one that lies on the crack, and not at its tip; else None."""
@@ -81,14 +82,33 @@ class Lip:
         if off > SAME * length or from_tip <= SAME * length:
             return None
         edge = np.searchsorted(self.position[1:-1], place)
-        step = np.diff(self.points, axis=0)[edge]
-        ahead = step / np.linalg.norm(step)
-        foot, across = (
-            self.points[edge] + (place - self.position[edge]) * ahead,
-            ahead[::-1] * (-1, 1),
-        )
-        across *= np.copysign(BESIDE * length, across[1] or across[0])
-        return np.round(foot - across, 9).tolist(), np.round(foot + across, 9).tolist()
+        along = np.diff(self.points, axis=0)[edge]
+        return both_sides(point, np.array([-along[1], along[0]]), length)
+
+
+def to_edges(points: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vectors to points (n, d) from the nearest points of edges (m, 2, d): (n, m, d); and the parts
+    of the edges at which these are: (n, m)."""
+    span = edges[:, 1] - edges[:, 0]
+    to = points[:, None] - edges[:, 0]
+    share = np.clip((to * span).sum(axis=2) / (span**2).sum(axis=1), 0.0, 1.0)
+    return to - share[..., None] * span, share
+
+
+def both_sides(
+    point: Sequence[float], normal: np.ndarray, size: float
+) -> tuple[list[float], list[float]]:
+    """Points below and above one on a crack of some size, by the crack's normal there."""
+    across = BESIDE * size * upwards(normal) * normal / np.linalg.norm(normal)
+    return np.round(point - across, 9).tolist(), np.round(point + across, 9).tolist()
+
+
+def upwards(normal: np.ndarray) -> float:
+    """1 where a normal points up: along y, or else along x, or else along z; otherwise -1."""
+    for axis in (1, 0, 2)[: len(normal)]:
+        if abs(normal[axis]) > COINCIDENT * np.abs(normal).max():
+            return float(np.sign(normal[axis]))
+    return 1.0
 
 
 def find_lips(lower: np.ndarray, upper: np.ndarray, positions: np.ndarray) -> list[Lip]:
@@ -203,24 +223,20 @@ def split_crack(
 
     ends = positions[edges[:, :2]]
     spans = ends[:, 1] - ends[:, 0]
-    middles = ends.mean(axis=1)
     near = COINCIDENT * float(np.linalg.norm(spans, axis=1).min())
-    pairs = cKDTree(middles).query_pairs(near, output_type="ndarray")
-    same = np.linalg.norm(ends[pairs[:, 0]] - ends[pairs[:, 1], ::-1], axis=2).max(axis=1) <= near
-    same |= np.linalg.norm(ends[pairs[:, 0]] - ends[pairs[:, 1]], axis=2).max(axis=1) <= near
-    pairs = pairs[same]
-    wanted = positions[crack].mean(axis=1)
-    hits = np.zeros(len(pairs), dtype=bool)
-    missing = len(wanted)
-    if len(pairs):
-        hits = cKDTree(wanted).query(middles[pairs[:, 0]])[0] <= near
-        missing = int(np.sum(cKDTree(middles[pairs[:, 0]]).query(wanted)[0] > near))
+    same = cKDTree(positions).query_pairs(near, output_type="ndarray")
+    place = np.arange(len(positions))
+    np.minimum.at(place, same[:, 1], same[:, 0])
+    wanted, there = place[crack], place[edges[:, :2]]
+    _, which, uses = each_once(there)
+    twice = np.flatnonzero((uses[which] == 2) & rows_in(there, wanted))
+    missing = int(np.sum(~rows_in(wanted, there[twice])))
     if missing:
         found = f"{missing} of the {len(wanted)} edges of the curve 'crack' have their nodes once"
         raise InputError("lips", found, f"two lips, whose nodes exist twice but for tips: {PLUGIN}")
-    pairs = pairs[hits]
+    pairs = twice[np.argsort(which[twice], kind="stable")].reshape(-1, 2)
     normals = np.column_stack([spans[:, 1], -spans[:, 0]])
-    inwards = np.sum(normals * (centres - middles), axis=1) > 0.0
+    inwards = np.sum(normals * (centres - ends.mean(axis=1)), axis=1) > 0.0
     normals[inwards] *= -1.0  # out of the material
     side = _sides(edges[:, :2], pairs, normals)
     rows = np.arange(len(pairs))
@@ -229,18 +245,14 @@ def split_crack(
 
 def _sides(edges: np.ndarray, pairs: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Number, 0 or 1, of the edge of each pair that is on the lower lip."""
-    from scipy.sparse.csgraph import connected_components  # takes a while, for few meshes
-
     count, flat = len(pairs), pairs.T.ravel()  # first ones, then their partners
     nodes, places = np.unique(edges[flat], return_inverse=True)
     places = places.reshape(-1, 2)
     one, other = places[:count], places[count:]
     is_tip = np.zeros(len(nodes), dtype=bool)
     is_tip[one[(one == other) | (one == other[:, ::-1])]] = True
-    touches = sparse.csr_matrix(
-        (np.ones(4 * count), (np.repeat(np.arange(2 * count), 2), places.ravel()))
-    )[:, ~is_tip]
-    n_chains, chain = connected_components(touches @ touches.T)
+    chain = connected(places, ~is_tip)
+    n_chains = chain.max() + 1
     partner = np.zeros((n_chains, n_chains), dtype=bool)
     partner[chain, np.roll(chain, count)] = True
     if np.any(partner.sum(axis=1) != 1) or np.any(np.diag(partner)):
@@ -248,8 +260,7 @@ def _sides(edges: np.ndarray, pairs: np.ndarray, normals: np.ndarray) -> np.ndar
         raise InputError("lips", "a crack with more than two lips", allowed)
     outwards = np.zeros((n_chains, 2))
     np.add.at(outwards, chain, normals[flat])
-    upright = np.abs(outwards[:, 1]) <= COINCIDENT * np.abs(outwards[:, 0])
-    is_lower = np.where(upright, outwards[:, 0], outwards[:, 1]) > 0.0
+    is_lower = np.array([upwards(normal) > 0.0 for normal in outwards])
     return np.where(is_lower[chain[:count]], 0, 1)
 
 
@@ -264,6 +275,17 @@ def check_mouths(
         place = "({:g}, {:g})".format(*positions[closed[0]])
         allowed = f"open there: its node must exist twice; {PLUGIN}, does that"
         raise InputError("lips", f"a mouth at {place} that is closed", allowed)
+
+
+def connected(rows: np.ndarray, through: np.ndarray | slice = slice(None)) -> np.ndarray:
+    """The part of each row of nodes, (n,) int: rows are of one where they share a node, if it is
+    among those ``through`` which parts go, (n_nodes,) bool."""
+    from scipy.sparse.csgraph import connected_components  # takes a while, for few meshes
+
+    count, k = rows.shape
+    at = np.repeat(np.arange(count), k), rows.ravel()
+    touches = sparse.csr_matrix((np.ones(count * k), at))[:, through]
+    return np.asarray(connected_components(touches @ touches.T)[1])
 
 
 def each_once(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

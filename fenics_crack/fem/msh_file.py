@@ -206,7 +206,7 @@ def _one_kind(
     held, side = _GROUPS[dimension]
     if dimension == 2:
         flat = len(positions) > 0 and np.ptp(positions[:, 2]) == 0.0
-        _require(flat, "nodes in space", "a plane mesh, z the same at every node")
+        _require(flat, "no plane mesh", "a plane mesh, z the same at every node")
     kinds = {kind for own, _, _, kind, _ in groups if own == dimension}
     allowed = (
         "one of tetrahedra, or of hexahedra with 27 nodes: the load of a unit pressure is negative "
@@ -241,7 +241,7 @@ def _named(
         if name and dimension in kinds:
             fits = kind == kinds[dimension] and np.isin(nodes, used).all()
             allowed = "one whose named groups hold facets, and corners, of its cells"
-            _require(fits, f"a group {name!r} of others", allowed)
+            _require(fits, f"other elements in the group {name!r}", allowed)
             size = gmsh.model.mesh.getElementProperties(kind)[3]
             rows = np.searchsorted(used, nodes).reshape(-1, size)
             found.setdefault((dimension, name), []).append(rows)
@@ -328,22 +328,16 @@ def _tags_of(
 
 
 def _filled(positions: np.ndarray, groups: list[Group]) -> None:
-    """Put nodes and the elements of physical groups, by the places of their nodes, into the current
-    model."""
-    model = gmsh.model
-    dimension = max(group[0] for group in groups)
+    """Put nodes and the elements of physical groups, those of the cells first, by the places of
+    their nodes, into the current model."""
+    model, dimension = gmsh.model, groups[0][0]
     holder = model.addDiscreteEntity(dimension)
     model.mesh.addNodes(dimension, holder, 1 + np.arange(len(positions)), positions.ravel())
-    entities: dict[tuple[int, int], list[int]] = {}
-    names = {}
     for dimension, tag, name, kind, nodes in groups:
         entity = model.addDiscreteEntity(dimension)
         model.mesh.addElementsByType(entity, kind, [], nodes.ravel() + 1)
-        entities.setdefault((dimension, tag), []).append(entity)
-        names[dimension, tag] = name
-    for (dimension, tag), tags in entities.items():
-        model.addPhysicalGroup(dimension, tags, tag)
-        model.setPhysicalName(dimension, tag, names[dimension, tag])
+        model.addPhysicalGroup(dimension, [entity], tag)
+        model.setPhysicalName(dimension, tag, name)
 
 
 # --- is it a mesh of a structure? -----------------------------------------------------------------
