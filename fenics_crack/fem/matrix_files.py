@@ -234,13 +234,17 @@ def coincident(points: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Lips:
-    """Nodes that exist twice, and what surrounds them.
+    """Nodes of a model that exist twice, and what surrounds them.
 
-    ``first`` and ``second``: the two nodes of each pair; ``split``: the pair of each node, -1 where
-    it has none; ``place``: a number for each place; ``joined``: which nodes the stiffness joins;
-    ``torn``: nodes of a place where one of two has no dofs, held or tied by equations.
+    ``points`` (n, 3) of all nodes, and their ``dofs`` (n, 3), of so many ``rows``; ``first`` and
+    ``second``: the two nodes of each pair; ``split``: the pair of each node, -1 where it has none;
+    ``place``: a number for each place; ``joined``: which nodes the stiffness joins; ``torn``: nodes
+    of a place where one of two has no dofs, held or tied by equations.
     """
 
+    points: np.ndarray
+    dofs: np.ndarray
+    rows: int
     first: np.ndarray
     second: np.ndarray
     split: np.ndarray
@@ -273,13 +277,13 @@ def find_pairs(
     lips = _doubled(model, dofs, stiffness)
     facets = _lip_facets(model, lips)
     if facets:
-        gap, areas, chosen, fronts = _of_patches(model.points, dofs, lips, facets, stiffness)
+        gap, areas, chosen, fronts = _of_patches(lips, facets)
     else:
         flat = not turns and np.all(np.any(dofs >= 0, axis=0))
-        gap, fronts = _of_nodes(model.points, dofs, lips, 2 if flat else 1, stiffness)
+        gap, fronts = _of_nodes(lips, 2 if flat else 1)
         areas, chosen = None, np.arange(len(lips.first))
     points = model.points[lips.first[chosen]]
-    cracks = _cracks(points, lips, chosen)
+    cracks = _cracks(lips, chosen)
     positions = np.zeros(len(chosen))
     if len(fronts):
         from scipy.spatial import cKDTree
@@ -322,10 +326,11 @@ def _doubled(model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix) -> _L
         raise InputError("model", found, "one with two nodes at each place of a crack's lips")
     split = np.full(n, -1)
     split[first] = split[second] = np.arange(len(first))
-    return _Lips(first, second, split, place, joined, torn)
+    rows = stiffness.shape[0]
+    return _Lips(model.points, dofs, rows, first, second, split, place, joined, torn)
 
 
-def _cracks(points: np.ndarray, lips: _Lips, chosen: np.ndarray) -> np.ndarray:
+def _cracks(lips: _Lips, chosen: np.ndarray) -> np.ndarray:
     """The crack of each pair, from bottom to top: pairs whose nodes are joined are of one."""
     from scipy.sparse.csgraph import connected_components
 
@@ -333,7 +338,7 @@ def _cracks(points: np.ndarray, lips: _Lips, chosen: np.ndarray) -> np.ndarray:
     straight = lips.joined[one][:, one].multiply(lips.joined[other][:, other])
     links = straight + lips.joined[one][:, other].multiply(lips.joined[other][:, one])
     count, found = connected_components(links)
-    centres = [points[found == crack].mean(axis=0)[[1, 0, 2]] for crack in range(count)]
+    centres = [lips.points[one[found == crack]].mean(axis=0)[[1, 0, 2]] for crack in range(count)]
     rank = np.empty(count, dtype=int)
     rank[sorted(range(count), key=lambda crack: tuple(centres[crack]))] = np.arange(count)
     return np.asarray(rank[found])
@@ -409,11 +414,7 @@ def _basis(corners: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _of_patches(
-    points: np.ndarray,
-    dofs: np.ndarray,
-    lips: _Lips,
-    facets: list[Facets],
-    stiffness: sparse.csr_matrix,
+    lips: _Lips, facets: list[Facets]
 ) -> tuple[sparse.csr_matrix, np.ndarray, np.ndarray, np.ndarray]:
     """B, the areas, the pairs of nodes at which patches are, and the nodes of the fronts."""
     n_pairs = len(lips.first)
@@ -422,7 +423,7 @@ def _of_patches(
     for nodes, middles in facets:
         k = nodes.shape[1] // 2
         (linear, between), psi, slopes = _basis(k)
-        here = points[nodes[:, :k]]
+        here = lips.points[nodes[:, :k]]
         one, two = np.einsum("akq,fkx->afqx", slopes, here)
         normal = np.cross(one, two)
         inwards = np.einsum("fqx,fx->f", normal, here.mean(axis=1) - middles) < 0.0
@@ -438,25 +439,22 @@ def _of_patches(
         moved -= np.einsum("iq,jq,fqx->fijx", psi, halves, normal) * quadratic[..., None]
         edges = np.einsum("iq,jq,fqx->fijx", psi, between, normal) * quadratic[..., None]
         values = np.concatenate([moved, edges], axis=2)  # (facet, pressure, node, axis)
-        rows = np.broadcast_to(dofs[nodes][:, None], values.shape)
+        rows = np.broadcast_to(lips.dofs[nodes][:, None], values.shape)
         columns = np.broadcast_to(pair[:, :, None, None], values.shape)
         kept = (rows >= 0) & (columns >= 0) & (values != 0.0)
         entries.append((values[kept], rows[kept], columns[kept]))
     chosen = np.flatnonzero(areas)
     values, rows, columns = (np.concatenate(part) for part in zip(*entries, strict=True))
-    shape = stiffness.shape[0], n_pairs
-    gap = sparse.csr_matrix((values / areas[columns], (rows, columns)), shape)[:, chosen]
-    return gap, areas[chosen], chosen, np.unique(np.concatenate(fronts))
+    made = sparse.csr_matrix((values / areas[columns], (rows, columns)), (lips.rows, n_pairs))
+    return made[:, chosen], areas[chosen], chosen, np.unique(np.concatenate(fronts))
 
 
 # --- of nodes -------------------------------------------------------------------------------------
 
 
-def _of_nodes(
-    points: np.ndarray, dofs: np.ndarray, lips: _Lips, tangents: int, stiffness: sparse.csr_matrix
-) -> tuple[sparse.csr_matrix, np.ndarray]:
+def _of_nodes(lips: _Lips, tangents: int) -> tuple[sparse.csr_matrix, np.ndarray]:
     """B, and the nodes of the fronts; the lips have so many directions along them."""
-    gap = sparse.lil_matrix((stiffness.shape[0], len(lips.first)))
+    points, gap = lips.points, sparse.lil_matrix((lips.rows, len(lips.first)))
     fronts: list[np.ndarray] = []
     size = float(np.ptp(points, axis=0).max())
     for column, (a, b) in enumerate(zip(lips.first, lips.second, strict=True)):
@@ -476,7 +474,7 @@ def _of_nodes(
             raise InputError("model", f"two nodes at {where} that lie on the same side", allowed)
         up /= np.linalg.norm(up)
         for node, sign in ((a, 1.0), (b, -1.0)):
-            for dof, value in zip(dofs[node], sign * up, strict=True):
+            for dof, value in zip(lips.dofs[node], sign * up, strict=True):
                 if dof >= 0 and abs(value) > SAME:
                     gap[dof, column] = value
     return gap.tocsr(), np.unique(np.concatenate(fronts))
