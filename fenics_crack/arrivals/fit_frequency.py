@@ -26,7 +26,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
-from fenics_crack.arrivals.harmonics import AS_GOOD, LARGER, Candidates, TipFit, condition, rounding
+from fenics_crack.arrivals.harmonics import AS_GOOD, Candidates, TipFit, condition, rounding, taken
 from fenics_crack.arrivals.robust import Noise, reweighted
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.numerics.fourier import waves
@@ -306,11 +306,8 @@ class _Sought:
         sums = np.array([weights @ left**2 for _, left, _ in fits])
         sizes = np.array([np.linalg.norm(found) for found, _, _ in fits])
         conditions = np.array([condition(columns[:, :-1]) for _, _, columns in fits])
-        alike = sums - sums.min() < limit
         hidden = np.array([self._held(columns) for _, _, columns in fits])
-        known = alike & ~hidden if np.any(alike & ~hidden) else alike
-        small = known & (sizes <= LARGER * sizes[known].min())
-        best = int(np.argmin(np.where(small, sums, np.inf)))
+        alike, best = taken(sums, sizes, limit, ~hidden)
         # That arrivals are not where they were expected tells aliases apart, too little to rely on.
         wave = waves(omegas[best] * self._expected, self._multiples)[:, 1:] @ fits[best][0]
         lefts = [self._fitted(omega, weights, wave, self._expected)[1] for omega in omegas]

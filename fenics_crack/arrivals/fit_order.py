@@ -31,7 +31,6 @@ from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.arrivals.fit_frequency import find_lines
 from fenics_crack.arrivals.harmonics import (
     AS_GOOD,
-    LARGER,
     MISFIT,
     ORDERS,
     Candidates,
@@ -42,6 +41,7 @@ from fenics_crack.arrivals.harmonics import (
     refuse,
     rounding,
     strengths,
+    taken,
     wanted,
 )
 from fenics_crack.arrivals.robust import reweighted, trend
@@ -139,11 +139,9 @@ def _compared(
         refuse(arrivals, unknowns)
     sums = np.array([np.inf if fit is None else fit.least for fit in fits])
     lowest, misfit = means.judged(float(sums.min()), unknowns)
-    alike = sums - sums.min() < AS_GOOD * lowest
     found = [[np.inf] if fit is None else fit.coefficients[1:] for fit in fits]
     sizes = np.array([np.linalg.norm(one) for one in found])
-    small = alike & (sizes <= LARGER * sizes[alike].min())
-    best = int(np.argmin(np.where(small, sums, np.inf)))
+    alike, best = taken(sums, sizes, AS_GOOD * lowest)
     chosen = fits[best]
     assert chosen is not None
     # That arrivals are not at the probes' angles tells aliases apart, too little to rely on.

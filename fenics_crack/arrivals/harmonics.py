@@ -20,7 +20,6 @@ from fenics_crack.table import TURN, Tabular, counted, quantity, with_frequency
 
 __all__ = [
     "AS_GOOD",
-    "LARGER",
     "MISFIT",
     "ORDERS",
     "Candidates",
@@ -31,6 +30,7 @@ __all__ = [
     "refuse",
     "rounding",
     "strengths",
+    "taken",
     "wanted",
 ]
 
@@ -321,6 +321,18 @@ def wanted(
     for one in tried:
         check_number("orders", one, 0.0, above=True)
     return np.unique(np.array(tried, dtype=float)), np.arange(1, harmonics + 1) / subharmonic
+
+
+def taken(
+    sums: np.ndarray, sizes: np.ndarray, limit: float, known: np.ndarray | bool = True
+) -> tuple[np.ndarray, int]:
+    """Which candidates (n,) fit alike, by the sums of squares that they leave; and the one to be
+    taken: of those with about the smallest vibration, and that are known if any is, the one that
+    leaves least."""
+    alike = sums - sums.min() < limit
+    told = alike & known if np.any(alike & known) else alike
+    small = told & (sizes <= LARGER * sizes[told].min())
+    return alike, int(np.argmin(np.where(small, sums, np.inf)))
 
 
 def condition(columns: np.ndarray) -> float:

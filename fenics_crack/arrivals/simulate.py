@@ -129,14 +129,11 @@ def tip_timing(
     for key, value in (("noise", noise), ("clock", clock)):
         if value >= turn:
             raise InputError(key, value, f"less than a revolution takes, {turn:.3g} s")
-    return ArrivalTimes(_measured(time, noise, clock, seed), marks, angles, float(tip_radius))
-
-
-def _measured(time: np.ndarray, noise: float, clock: float, seed: int) -> np.ndarray:
-    """Times [s] with normal errors, rounded to multiples of the clock's period."""
     if noise:
         time = time + noise * np.random.default_rng(seed).standard_normal(time.shape)
-    return clock * np.round(time / clock) if clock else time
+    if clock:
+        time = clock * np.round(time / clock)
+    return ArrivalTimes(time, marks, angles, float(tip_radius))
 
 
 def _places(
@@ -246,14 +243,9 @@ def _next_to_folds(rising: np.ndarray, kept: np.ndarray, doubtful: np.ndarray) -
     """
     found = np.zeros(len(rising), dtype=bool)
     for fold in np.flatnonzero(kept[:-1] & ~kept[1:]):
-        place = int(fold)
-        while (
-            place >= 0
-            and doubtful[place]
-            and rising[fold] - rising[place] < JUMP * abs(rising[fold])
-        ):
-            found[place] = True
-            place -= 1
+        below = rising[fold] - rising[: fold + 1]
+        near = doubtful[: fold + 1] & (below < JUMP * abs(rising[fold]))
+        found[: fold + 1] |= np.logical_and.accumulate(near[::-1])[::-1]
     return found
 
 
