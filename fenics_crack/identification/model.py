@@ -300,6 +300,10 @@ class Quantities:
         self._passages = Passages.among(rows, more)
         self._alike = _alike(self._features)
         self._is_plain = np.array([one.lips == "uncracked" for one in self._features])
+        # How far frequencies before there was a crack may be from those of the same plate now.
+        between = {mode: own for mode, own in enumerate(model.whole.between, 1)}
+        before = [row.mode if row.quantity == "frequency_uncracked" else 0 for row in self.rows]
+        self._since = np.array([between.get(mode, np.zeros(2)) for mode in before])
         self._basis = Interpolation(model.cube, model.coarse.basis)
         self._coarse = Interpolation(model.cube, self._smooth(model.coarse))
         self._understated = self._missed()
@@ -380,7 +384,7 @@ class Quantities:
         slopes = _pairs(turns.conj())
         errors = self._errors(smooth, left, scatter, slopes)
         unknown = slopes @ _pairs(changes.transpose(0, 2, 1)).transpose(0, 2, 1)
-        errors = np.concatenate([errors, unknown, self._since(values), *beyond], axis=2)
+        errors = np.concatenate([errors, unknown, values[..., None] * self._since, *beyond], axis=2)
         total = errors @ errors.transpose(0, 2, 1) + rest[:, :, None] * np.eye(len(self.rows))
         values = np.where(self.known, values, np.nan)
         return Prediction(values, total, np.concatenate(free, axis=2), self.known)
@@ -412,18 +416,6 @@ class Quantities:
             turns[:, :, plain] += turns[:, :, own] * scale[:, None, own]
         return values, turns, rest
 
-    def _since(self, values: np.ndarray) -> np.ndarray:
-        """How far frequencies before there was a crack may be from those of the same plate now, of
-        values (m, q): (m, q, 2)."""
-        between = self.model.whole.between
-        own = [
-            between[row.mode - 1]
-            if row.quantity == "frequency_uncracked" and row.mode <= len(between)
-            else np.zeros(2)
-            for row in self.rows
-        ]
-        return np.asarray(values[..., None] * own)
-
     def _of_features(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
         """Smooth forms as pairs of columns, what the mesh may have left of an error, (m, 2f) each,
         and errors at the nodes around, (m, k, 2f) of each sweep."""
@@ -441,13 +433,13 @@ class Quantities:
     ) -> np.ndarray:
         """Errors of the rows, each independent of the others: (m, q, r)."""
         together, apart = np.sqrt(TOGETHER), np.sqrt(1.0 - TOGETHER)
-        found = []
-        every = np.concatenate(scatter, axis=1)
-        found.append(together * slopes @ every.transpose(0, 2, 1))
-        found.append(apart * slopes * np.sqrt(np.sum(every**2, axis=1))[:, None, :])
-        of_mesh = slopes * left[:, None, :]
-        found.append(together * of_mesh.sum(axis=2, keepdims=True))
-        found.append(apart * of_mesh @ self._alike)
+        every, of_mesh = np.concatenate(scatter, axis=1), slopes * left[:, None, :]
+        found = [
+            together * slopes @ every.transpose(0, 2, 1),
+            apart * slopes * np.sqrt(np.sum(every**2, axis=1))[:, None, :],
+            together * of_mesh.sum(axis=2, keepdims=True),
+            apart * of_mesh @ self._alike,
+        ]
         uneven = self.model.table.harmonic_deviation
         if uneven:
             upper = np.repeat([max(feature.order - 1, 0) for feature in self._features], 2)
