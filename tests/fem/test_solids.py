@@ -11,7 +11,7 @@ import gmsh
 import numpy as np
 import pytest
 import scipy.sparse as sparse
-from helpers import csr
+from helpers import csr, gmsh_model
 from mpi4py import MPI
 from surroundings import DEMOS, ROOT
 
@@ -506,6 +506,28 @@ def test_a_mesh_that_is_written_is_read_again(tmp_path: Path, shape: dict[str, A
     path.write_text(path.read_text().replace('"upper_lip"', '"other"'))
     with pytest.raises(InputError, match="one lip"):
         fc.build_structure(of_file(path))
+
+
+def test_the_point_of_a_load_is_written_and_read(tmp_path: Path) -> None:
+    """As of a plate: the force of the first file is that of the one that is written from it."""
+    first, second = tmp_path / "first.msh", tmp_path / "second.msh"
+    with gmsh_model() as model:
+        model.occ.addBox(0.0, 0.0, 0.0, 1.0, 2.0, 1.0)
+        model.occ.synchronize()
+        corners = {tuple(model.getValue(0, tag, [])): tag for _, tag in model.getEntities(0)}
+        middles = {model.occ.getCenterOfMass(2, tag)[1]: tag for _, tag in model.getEntities(2)}
+        for dimension, tag, name in (
+            (3, 1, "solid"), (2, middles[min(middles)], "clamp"), (0, corners[1, 2, 1], "load")
+        ):  # fmt: skip
+            group = model.addPhysicalGroup(dimension, [tag])
+            model.setPhysicalName(dimension, group, name)
+        model.mesh.generate(3)
+        gmsh.write(str(first))
+    free = {"crack": None, "contact": None, "excitation.point": None}
+    fc.write_msh(of_file(first).replace(free), second)
+    for path in (first, second):
+        structure = fc.build_structure(of_file(path).replace(free))
+        assert structure.force[1, structure.find_dof((1.0, 2.0, 1.0), "z")] == pytest.approx(1.0)
 
 
 def test_lips_tied_in_every_direction_are_no_crack(tmp_path: Path) -> None:
