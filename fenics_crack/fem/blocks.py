@@ -1,10 +1,30 @@
-"""How a plate is cut into blocks at its cracks, and each block's sides into elements.
+"""Plates and boxes with cracks, which are meshed here by gmsh.
 
-Lines through all tips and along all cracks cut the plate into a tensor product of blocks: columns
-of them between neighbouring tips, rows between neighbouring cracks. Elements grow geometrically
-away from tips and from cracks, so the size is linear in the distance. Between two tips, or two
-cracks, they grow from both to the middle, where the block is cut once more. A crack inside the
-plate is two halves that meet in its middle, each like an edge crack whose mouth is there.
+**A plate** is cut into blocks at all tips and along all cracks; for one edge crack into four,
+
+    mouth side  +-----------+---------------+
+                |           |               |      upper blocks
+                +===upper===+---ligament----+
+                +===lower===+---------------+
+                |           tip             |      lower blocks
+                +-----------+---------------+
+                    clamped (y = 0)
+
+which gives the lips identical nodes, lets quadrilaterals be graded towards the tip block by block
+and makes the uniform grid of the paper a special case. Blocks are a tensor product: columns of them
+between neighbouring tips, rows between neighbouring cracks. Elements grow geometrically away from
+tips and from cracks, so the size is linear in the distance. Between two tips, or two cracks, they
+grow from both to the middle, where the block is cut once more. A crack inside the plate is two
+halves that meet in its middle, each like an edge crack whose mouth is there.
+
+**A box** has its cracks as surfaces inside, whose nodes exist once: they are split like those of a
+mesh file (:mod:`fenics_crack.fem.msh_file`). Its elements are ``mesh.size`` long and, at a distance
+d from the front of a crack,
+
+    h(d) = h_0 + max(r - 1, 1/3) d,    r = grading^(1 / (lip_elements - 1)),
+
+h_0 such that ``lip_elements`` elements in a row, each r times as long as the one before, reach from
+the front to the mouth.
 """
 
 from __future__ import annotations
@@ -16,10 +36,14 @@ from itertools import pairwise
 import numpy as np
 
 from fenics_crack.errors import InputError
+from fenics_crack.fem.crack_surface import Lips, Names
+from fenics_crack.fem.lips import Lip
+from fenics_crack.mesher import gmsh
 from fenics_crack.model.memory import machine_memory
 from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.tables import Crack
 
-__all__ = ["SMALLEST_CELL", "Interval", "Slit", "check_cells", "lip_pairs", "plate_blocks"]
+__all__ = ["draw_box", "draw_plate", "lip_pairs"]
 
 SMALLEST_CELL = 1e-7
 """Relative to the plate: gmsh and the matrices allow no smaller one."""
@@ -83,7 +107,7 @@ class _Half:
         return (stop - start) * math.log(one / other) / (one - other)
 
 
-def plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Slit], bool]:
+def _plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Slit], bool]:
     """Columns and rows of blocks, the cracks in them, and whether x runs from right to left.
 
     It does where all cracks begin at the right edge: their meshes mirror those of the left.
@@ -120,7 +144,7 @@ def plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Sli
     return columns, rows, slits, mirrored
 
 
-def check_cells(scene: Scene, key: str, cells: float, per_cell: int) -> None:
+def _check_cells(scene: Scene, key: str, cells: float, per_cell: int) -> None:
     """Raise InputError where there are too many cells for gmsh, or their matrices, of so many
     degrees of freedom per cell, would not fit."""
     needed, machine = ASSEMBLED * per_cell * cells, machine_memory()
@@ -142,7 +166,7 @@ def lip_pairs(scene: Scene) -> int:
     crack, order = scene.crack, scene.mesh.order
     if crack is not None and crack.length is None:  # the only one
         return ((scene.mesh.lip_elements or 0) + 1) * order
-    columns, _, slits, _ = plate_blocks(scene)
+    columns, _, slits, _ = _plate_blocks(scene)
     counts = [sum(column.count for column in columns[s.left : s.right]) for s in slits]
     return sum(count * order for count in counts)
 
@@ -273,3 +297,312 @@ def _graded(length: float, first: float, last: float) -> tuple[int, float]:
     growth = (length - first) / (length - last)
     count = max(1, round(1.0 + math.log(last / first) / math.log(growth)))
     return count, (last / first) ** (1.0 / max(count - 1, 1))
+
+
+# --- a plate --------------------------------------------------------------------------------------
+
+
+def draw_plate(scene: Scene) -> tuple[Names, Lips]:
+    """Fill the current gmsh model with the mesh of a scene's plate; its named sides, and the lips
+    of its cracks."""
+    groups = _draw_blocks(scene)
+    gmsh.model.mesh.generate(2)
+    return (groups, {}), _lips(scene)
+
+
+def _lips(scene: Scene) -> tuple[Lip, ...]:
+    """The lips of the cracks of a plate that is made here, in the order of the scene."""
+    width, found = scene.geometry.sides[0], []
+    for crack in scene.all_cracks.values():
+        left, right = ((x, crack.given("height")) for x in crack.span(width))
+        ends = (right, left) if crack.edge == "right" else (left, right)
+        found.append(Lip(np.array(ends), crack.edge is not None))
+    return tuple(found)
+
+
+def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:
+    """Draw the plate, set how curves and surfaces are divided; return the tags of its sides."""
+    width = scene.geometry.sides[0]
+    columns, rows, slits, mirrored = _plate_blocks(scene)
+    cells = math.prod(sum(interval.count for interval in side) for side in (columns, rows))
+    key = "columns" if scene.mesh.layout == "grid" else "size"
+    _check_cells(scene, key, cells, 2 * scene.mesh.order**2)
+
+    def position(x: float, y: float) -> tuple[float, float]:
+        return (width - x, y) if mirrored else (x, y)
+
+    xs, ys = ([0.0, *(interval.stop for interval in side)] for side in (columns, rows))
+    add_point = gmsh.model.geo.addPoint
+    points = {
+        (i, j): add_point(*position(x, y), 0.0) for i, x in enumerate(xs) for j, y in enumerate(ys)
+    }
+    doubled = [
+        (i, s.row)
+        for s in slits
+        for i in range(s.left + s.left_is_tip, s.right + 1 - s.right_is_tip)
+    ]
+    above = points | {
+        (i, j): add_point(*position(xs[i], ys[j]), 0.0) for i, j in doubled
+    }  # of the blocks over a crack
+
+    horizontal, vertical = {}, {}
+    for i, column in enumerate(columns):
+        for j in range(len(ys)):
+            horizontal[i, j] = _curve(points[i, j], points[i + 1, j], column)
+    for j, row in enumerate(rows):
+        for i in range(len(xs)):
+            vertical[i, j] = _curve(above[i, j], points[i, j + 1], row)
+    upper = {
+        (i, s.row): _curve(above[i, s.row], above[i + 1, s.row], columns[i])
+        for s in slits
+        for i in range(s.left, s.right)
+    }
+    surfaces = []
+    for i in range(len(columns)):
+        for j in range(len(rows)):
+            below = upper.get((i, j), horizontal[i, j])
+            loop = [below, vertical[i + 1, j], -horizontal[i, j + 1], -vertical[i, j]]
+            surfaces.append(gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(loop)]))
+    _divide(scene, surfaces)
+
+    sides = [[vertical[i, j] for j in range(len(rows))] for i in (0, len(columns))]
+    groups: dict[str, tuple[int, list[int]]] = {
+        "plate": (2, surfaces),
+        "clamp": (1, [horizontal[i, 0] for i in range(len(columns))]),
+        "lower_lip": (1, [horizontal[place] for place in upper]),
+        "upper_lip": (1, list(upper.values())),
+        "load": (
+            0,
+            [
+                tag
+                for (i, j), tag in points.items()
+                if position(xs[i], ys[j]) == scene.excitation.point and (i, j) not in doubled
+            ],
+        ),
+        "left": (1, sides[1 if mirrored else 0]),
+        "right": (1, sides[0 if mirrored else 1]),
+        "top": (1, [horizontal[i, len(rows)] for i in range(len(columns))]),
+    }
+    found: dict[str, tuple[int, ...]] = {}
+    for tag, (name, (dimension, tags)) in enumerate(groups.items(), 1):
+        if tags:
+            gmsh.model.addPhysicalGroup(dimension, tags, tag)
+            gmsh.model.setPhysicalName(dimension, tag, name)
+            if dimension == 1:
+                found[name] = (tag,)
+    return found | {"bottom": found["clamp"]}
+
+
+def _divide(scene: Scene, surfaces: list[int]) -> None:
+    """Say how the surfaces are filled with cells."""
+    if scene.mesh.layout == "grid" or scene.mesh.cells == "quadrilateral":
+        for surface in surfaces:
+            gmsh.model.geo.mesh.setTransfiniteSurface(surface)
+            if scene.mesh.cells == "quadrilateral":
+                gmsh.model.geo.mesh.setRecombine(2, surface)
+    else:
+        gmsh.option.setNumber("Mesh.Algorithm", 6)  # frontal Delaunay
+    gmsh.model.geo.synchronize()
+
+
+def _curve(start: int, end: int, division: Interval) -> int:
+    curve: int = gmsh.model.geo.addLine(start, end)
+    nodes, ratio = division.count + 1, division.progression
+    gmsh.model.geo.mesh.setTransfiniteCurve(curve, nodes, "Progression", ratio)
+    return curve
+
+
+# --- a box ----------------------------------------------------------------------------------------
+
+FRONT = 60
+"""Points on each front from which distances are measured while meshing."""
+PER_VOLUME = 5.0
+"""Tetrahedra that gmsh makes of a volume h^3 where they are to be h long, of a fine mesh."""
+
+
+def draw_box(scene: Scene) -> tuple[Names, Lips]:
+    """Fill the current gmsh model with the mesh of a scene's box; its named surfaces, and its
+    cracks.
+
+    Raises
+    ------
+    InputError
+        gmsh cannot mesh it, or a crack's surface cannot be split.
+    """
+    _draw_solid(scene)
+    from fenics_crack.fem.msh_file import named_groups, put  # with what takes surfaces apart
+    from fenics_crack.fem.msh_reader import groups
+
+    numbers, positions, _ = gmsh.model.mesh.getNodes()
+    named = named_groups(groups())
+    gmsh.model.remove()
+    gmsh.model.add("fenics_crack")
+    try:
+        return put((numbers, positions.reshape(-1, 3), named), 3)
+    except InputError as error:
+        raise _not_meshed(scene, f"{error.value}") from None
+
+
+def _draw_solid(scene: Scene) -> None:
+    """Mesh the box of a scene, with its cracks as surfaces inside, and name its faces."""
+    gradings = _gradings(scene)
+    _check_size(scene, gradings)
+    width, height, thickness = scene.geometry.sides
+    occ = gmsh.model.occ
+    box = [(3, occ.addBox(0.0, 0.0, 0.0, width, height, thickness))]
+    cracks = list(scene.all_cracks.values())
+    faces = []
+    for crack in cracks:
+        face = _face(crack, width, thickness)
+        faces += occ.intersect(face, box, removeObject=True, removeTool=False)[0]
+    if faces:
+        occ.fragment(box, faces)
+    occ.synchronize()
+    named: dict[str, list[int]] = {"clamp": [], "crack": []}
+    sides = [
+        ("left", 0, 0.0), ("right", 0, width), ("clamp", 1, 0.0), ("top", 1, height),
+        ("back", 2, 0.0), ("front", 2, thickness),
+    ]  # fmt: skip
+    near = 1e-6 * max(width, height, thickness)
+    for _, tag in gmsh.model.getEntities(2):
+        middle = occ.getCenterOfMass(2, tag)
+        at = [name for name, axis, place in sides if abs(middle[axis] - place) < near]
+        named.setdefault(at[0] if at else "crack", []).append(tag)
+    for number, (name, tags) in enumerate(named.items(), 2):
+        if tags:
+            gmsh.model.addPhysicalGroup(2, tags, number)
+            gmsh.model.setPhysicalName(2, number, name)
+    gmsh.model.addPhysicalGroup(3, [tag for _, tag in gmsh.model.getEntities(3)], 1)
+    gmsh.model.setPhysicalName(3, 1, "solid")
+    size = scene.mesh.given("size")
+
+    def length(dimension: int, tag: int, x: float, y: float, z: float, *_: float) -> float:
+        """Asked for a hundred thousand times a mesh."""
+        return min([size, *(one.at(x, y, z) for one in gradings)])
+
+    for option in ("MeshSizeFromPoints", "MeshSizeExtendFromBoundary", "MeshSizeFromCurvature"):
+        gmsh.option.setNumber(f"Mesh.{option}", 0)
+    gmsh.model.mesh.setSizeCallback(length)
+    try:
+        gmsh.model.mesh.generate(3)
+    except Exception as error:  # gmsh raises nothing else
+        raise _not_meshed(scene, str(error)) from None
+    finally:
+        gmsh.model.mesh.removeSizeCallback()
+
+
+def _not_meshed(scene: Scene, reason: str) -> InputError:
+    """The refusal of a box that gmsh makes no sound mesh of: of its smallest crack, or else of the
+    size of elements."""
+    sizes = {
+        f"{name}.{key}": value
+        for name, crack in scene.all_cracks.items()
+        for key in ("depth", "length")
+        if (value := getattr(crack, key)) is not None
+    }
+    key = min(sizes, key=lambda one: sizes[one], default="mesh.size")
+    allowed = f"such that gmsh can mesh the solid ({reason}): not as small beside its other sizes"
+    return InputError(key, sizes.get(key, scene.mesh.size), allowed)
+
+
+def _ellipse(crack: Crack, width: float) -> tuple[float, float]:
+    """Middle and half of the extent along x of the whole ellipse or rectangle of which a crack is
+    a part."""
+    first, last = crack.span(width)
+    if crack.edge is None:
+        return 0.5 * (first + last), 0.5 * (last - first)
+    return (0.0 if crack.edge == "left" else width), last - first
+
+
+def _face(crack: Crack, width: float, thickness: float) -> list[tuple[int, int]]:
+    """A surface in a crack's plane whose part inside the box is the crack."""
+    occ, middle, half = gmsh.model.occ, *_ellipse(crack, width)
+    depth = crack.depth or 2.0 * thickness
+    if crack.front == "elliptical":
+        turned = depth > half
+        face = [(2, occ.addDisk(0.0, 0.0, 0.0, max(half, depth), min(half, depth)))]
+        if turned:
+            occ.rotate(face, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.5 * math.pi)
+    else:
+        face = [(2, occ.addRectangle(-half, -depth, 0.0, 2.0 * half, 2.0 * depth))]
+    occ.rotate(face, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.5 * math.pi)
+    occ.translate(face, middle, crack.given("height"), thickness)
+    return face
+
+
+@dataclass(frozen=True)
+class _Grading:
+    """Lengths of elements h = shortest + growth d around a crack, d from its front.
+
+    Attributes
+    ----------
+    along, through, height : (n,), (n,), () [m]
+        x, z and y of points on the front.
+    shortest : float [m]
+        Of an element at the front.
+    growth : float
+        With the distance.
+    """
+
+    along: np.ndarray
+    through: np.ndarray
+    height: float
+    shortest: float
+    growth: float
+
+    def at(self, x: float, y: float, z: float) -> float:
+        """At a place [m]."""
+        squares = (self.along - x) ** 2 + (self.height - y) ** 2 + (self.through - z) ** 2
+        return self.shortest + self.growth * math.sqrt(squares.min())
+
+    def cells(self, size: float) -> float:
+        """How many are around the front, in the tube in which they are shorter than a size: its
+        length times int 2 pi d / h^3 dd."""
+        ends = np.diff(self.along), np.diff(self.through)
+        steps = np.hypot(*ends)
+        length = steps[steps < 2.0 * np.median(steps)].sum()  # the sides of a rectangle are apart
+        least = min(self.shortest, size)
+        turns = 0.5 / least - 1.0 / size + 0.5 * least / size**2
+        return PER_VOLUME * length * 2.0 * math.pi / self.growth**2 * turns
+
+
+def _gradings(scene: Scene) -> list[_Grading]:
+    """One for each crack."""
+    width, _, thickness = scene.geometry.sides
+    mesh, found = scene.mesh, []
+    for crack in scene.all_cracks.values():
+        count = mesh.given("lip_elements")
+        middle, half = _ellipse(crack, width)
+        reach = min(half, crack.depth or half)
+        growth = mesh.grading ** (1.0 / max(count - 1, 1))
+        shortest = reach / float((growth ** np.arange(count)).sum())
+        front = _front(crack, middle, half, thickness)
+        found.append(_Grading(*front, crack.given("height"), shortest, max(growth - 1.0, GROWTH)))
+    return found
+
+
+def _check_size(scene: Scene, gradings: list[_Grading]) -> None:
+    """Raise InputError where gmsh would make too many cells, before it does."""
+    size = scene.mesh.given("size")
+    bulk = PER_VOLUME * math.prod(scene.geometry.sides) / size**3
+    fronts = sum(one.cells(size) for one in gradings)
+    key = "size" if bulk >= fronts else "lip_elements"
+    _check_cells(scene, key, bulk + fronts, scene.mesh.order**3 // 2)
+
+
+def _front(
+    crack: Crack, middle: float, half: float, thickness: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates x and z along the front of a crack, and of what goes on outside: (n,) each."""
+    share = np.linspace(0.0, 1.0, FRONT)
+    if crack.front == "elliptical":
+        turn, depth = np.pi * share, crack.given("depth")
+        x, z = middle + half * np.cos(turn), thickness - depth * np.sin(turn)
+    else:
+        depth = crack.depth or thickness
+        ends = [middle + sign * half * np.ones(FRONT) for sign in (-1.0, 1.0)]
+        x, z = np.concatenate(ends), np.tile(thickness - depth * share, 2)
+        if crack.depth is not None:
+            x = np.append(x, middle + half * (2.0 * share - 1.0))
+            z = np.append(z, np.full(FRONT, thickness - depth))
+    return x, z

@@ -18,7 +18,7 @@ import scipy.sparse as sparse
 from fenics_crack.errors import InputError
 from fenics_crack.fem.lips import SAME, Lip, both_sides, connected, rows_in, to_edges, upwards
 
-__all__ = ["FACETS", "Cells", "CrackSurface", "Lips", "cracks_between", "split_surface"]
+__all__ = ["FACETS", "Cells", "CrackSurface", "Lips", "Names", "cracks_between", "split_surface"]
 
 STEEPEST = 0.1
 """Cosine of the angle between a crack's normal and the mean one, which no facet must go below."""
@@ -110,6 +110,9 @@ def _normals(triangles: np.ndarray) -> np.ndarray:
 
 Lips = tuple[Lip, ...] | tuple[CrackSurface, ...]
 """Of a plate, or of a solid."""
+Names = tuple[dict[str, tuple[int, ...]], dict[str, tuple[float, ...]]]
+"""Of a mesh: tags of the facets of each named curve or surface, and positions of the named points
+[m]."""
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ import numpy as np
 import scipy.sparse as sparse
 
 from fenics_crack.errors import InputError
-from fenics_crack.fem.crack_surface import FACETS, Cells, Lips, cracks_between, split_surface
+from fenics_crack.fem.crack_surface import FACETS, Cells, Lips, Names, cracks_between, split_surface
 from fenics_crack.fem.lips import (
     SAME,
     cell_edges,
@@ -46,9 +46,6 @@ __all__ = [
     "cells_of", "check_cells", "check_parts", "check_there", "named_groups", "put", "read_file",
 ]  # fmt: skip
 
-Point = tuple[float, ...]
-Names = tuple[dict[str, tuple[int, ...]], dict[str, Point]]
-"""Tags of the facets of each named curve or surface, and positions of the named points [m]."""
 Group = tuple[int, int, str, int, np.ndarray]
 """Dimension, tag and name, and elements of one kind: gmsh's number of it and the nodes."""
 Given = tuple[np.ndarray, np.ndarray, list[Group]]

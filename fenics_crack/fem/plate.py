@@ -1,26 +1,13 @@
-"""Meshes of cracked plates, made or read by gmsh and distributed by DOLFINx.
+"""Meshes of cracked plates and solids, made or read by gmsh and distributed by DOLFINx.
 
-A crack is a slit: its two lips are different curves in the same place that share only the tips, so
-that every node on a lip but a tip exists twice. The plate is cut into blocks at all tips and along
-all cracks (:mod:`fenics_crack.fem.blocks`); for one edge crack into four,
-
-    mouth side  +-----------+---------------+
-                |           |               |      upper blocks
-                +===upper===+---ligament----+
-                +===lower===+---------------+
-                |           tip             |      lower blocks
-                +-----------+---------------+
-                    clamped (y = 0)
-
-which gives the lips identical nodes, lets quadrilaterals be graded towards the tip block by block
-and makes the uniform grid of the paper a special case. gmsh runs on rank 0 only. Nodes that are
-clamped have no dofs in the structure (:class:`Dofs`).
+A crack is a slit: its two lips are different curves, or surfaces, in the same place that share only
+the tips, so that every node on a lip but a tip exists twice. gmsh runs on rank 0 only. Nodes that
+are clamped have no dofs in the structure (:class:`Dofs`).
 """
 
 from __future__ import annotations
 
 import errno
-import math
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -34,10 +21,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenics_crack.fem import compat
-from fenics_crack.fem.blocks import Interval, check_cells, plate_blocks
+from fenics_crack.fem.blocks import draw_box, draw_plate
 from fenics_crack.fem.compat import dolfinx, ufl
-from fenics_crack.fem.crack_surface import Lips
-from fenics_crack.fem.lips import Lip
+from fenics_crack.fem.crack_surface import Lips, Names
 from fenics_crack.mesher import gmsh, kept_interrupts
 from fenics_crack.model.nodes import Nodes
 from fenics_crack.parallel import on_root
@@ -45,11 +31,6 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.whole import whole_file
 
 __all__ = ["Dofs", "PlateMesh", "build_mesh", "write_msh"]
-
-Groups = dict[str, tuple[int, ...]]
-"""Tags of the facets of each named curve."""
-Points = dict[str, tuple[float, ...]]
-"""Positions of the named points [m]."""
 
 
 @dataclass(frozen=True)
@@ -72,8 +53,8 @@ class PlateMesh:
 
     mesh: Any
     facet_tags: Any
-    groups: Groups
-    points: Points
+    groups: dict[str, tuple[int, ...]]
+    points: dict[str, tuple[float, ...]]
     lips: Lips
 
     @property
@@ -100,7 +81,7 @@ def build_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> PlateMesh:
         The mesh file cannot be read, is not a plane mesh of one kind of cells, or lacks a group.
     """
     with _gmsh_on_root(comm):
-        groups, points, lips = on_root(comm, lambda: _model(scene))
+        (groups, points), lips = on_root(comm, lambda: _model(scene))
         mesh, _, facet_tags = compat.model_to_mesh(gmsh.model, comm, scene.dimension)
     return PlateMesh(mesh, facet_tags, groups, points, lips)
 
@@ -152,127 +133,16 @@ def _gmsh_on_root(comm: MPI.Comm) -> Iterator[None]:
                 gmsh.finalize()
 
 
-def _model(scene: Scene) -> tuple[Groups, Points, Lips]:
+def _model(scene: Scene) -> tuple[Names, Lips]:
     """Fill the current gmsh model with a mesh; return what is in it by its name, and the lips."""
-    lips: Lips
     if scene.mesh.layout == "file":
         from fenics_crack.fem.msh_file import read_file  # with what checks meshes of others
 
-        (groups, points), lips = read_file(Path(str(scene.mesh.file)), scene.dimension)
-    elif scene.dimension == 3:
-        from fenics_crack.fem.solid import draw_box  # with what takes surfaces apart
-
-        (groups, points), lips = draw_box(scene)
+        found = read_file(Path(str(scene.mesh.file)), scene.dimension)
     else:
-        groups, points, lips = _draw(scene), {}, _lips(scene)
-        gmsh.model.mesh.generate(2)
+        found = draw_plate(scene) if scene.dimension == 2 else draw_box(scene)
     gmsh.model.mesh.renumberNodes()
-    return groups, points, lips
-
-
-def _lips(scene: Scene) -> tuple[Lip, ...]:
-    """The lips of the cracks of a plate that is made here, in the order of the scene."""
-    width, found = scene.geometry.sides[0], []
-    for crack in scene.all_cracks.values():
-        left, right = ((x, crack.given("height")) for x in crack.span(width))
-        ends = (right, left) if crack.edge == "right" else (left, right)
-        found.append(Lip(np.array(ends), crack.edge is not None))
-    return tuple(found)
-
-
-# --- the plate ------------------------------------------------------------------------------------
-
-
-def _draw(scene: Scene) -> Groups:
-    """Draw the plate, set how curves and surfaces are divided; return the tags of its sides."""
-    width = scene.geometry.sides[0]
-    columns, rows, slits, mirrored = plate_blocks(scene)
-    cells = math.prod(sum(interval.count for interval in side) for side in (columns, rows))
-    key = "columns" if scene.mesh.layout == "grid" else "size"
-    check_cells(scene, key, cells, 2 * scene.mesh.order**2)
-
-    def position(x: float, y: float) -> tuple[float, float]:
-        return (width - x, y) if mirrored else (x, y)
-
-    xs, ys = ([0.0, *(interval.stop for interval in side)] for side in (columns, rows))
-    add_point = gmsh.model.geo.addPoint
-    points = {
-        (i, j): add_point(*position(x, y), 0.0) for i, x in enumerate(xs) for j, y in enumerate(ys)
-    }
-    doubled = [
-        (i, s.row)
-        for s in slits
-        for i in range(s.left + s.left_is_tip, s.right + 1 - s.right_is_tip)
-    ]
-    above = points | {
-        (i, j): add_point(*position(xs[i], ys[j]), 0.0) for i, j in doubled
-    }  # of the blocks over a crack
-
-    horizontal, vertical = {}, {}
-    for i, column in enumerate(columns):
-        for j in range(len(ys)):
-            horizontal[i, j] = _curve(points[i, j], points[i + 1, j], column)
-    for j, row in enumerate(rows):
-        for i in range(len(xs)):
-            vertical[i, j] = _curve(above[i, j], points[i, j + 1], row)
-    upper = {
-        (i, s.row): _curve(above[i, s.row], above[i + 1, s.row], columns[i])
-        for s in slits
-        for i in range(s.left, s.right)
-    }
-    surfaces = []
-    for i in range(len(columns)):
-        for j in range(len(rows)):
-            below = upper.get((i, j), horizontal[i, j])
-            loop = [below, vertical[i + 1, j], -horizontal[i, j + 1], -vertical[i, j]]
-            surfaces.append(gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(loop)]))
-    _divide(scene, surfaces)
-
-    sides = [[vertical[i, j] for j in range(len(rows))] for i in (0, len(columns))]
-    groups: dict[str, tuple[int, list[int]]] = {
-        "plate": (2, surfaces),
-        "clamp": (1, [horizontal[i, 0] for i in range(len(columns))]),
-        "lower_lip": (1, [horizontal[place] for place in upper]),
-        "upper_lip": (1, list(upper.values())),
-        "load": (
-            0,
-            [
-                tag
-                for (i, j), tag in points.items()
-                if position(xs[i], ys[j]) == scene.excitation.point and (i, j) not in doubled
-            ],
-        ),
-        "left": (1, sides[1 if mirrored else 0]),
-        "right": (1, sides[0 if mirrored else 1]),
-        "top": (1, [horizontal[i, len(rows)] for i in range(len(columns))]),
-    }
-    found: Groups = {}
-    for tag, (name, (dimension, tags)) in enumerate(groups.items(), 1):
-        if tags:
-            gmsh.model.addPhysicalGroup(dimension, tags, tag)
-            gmsh.model.setPhysicalName(dimension, tag, name)
-            if dimension == 1:
-                found[name] = (tag,)
-    return found | {"bottom": found["clamp"]}
-
-
-def _divide(scene: Scene, surfaces: list[int]) -> None:
-    """Say how the surfaces are filled with cells."""
-    if scene.mesh.layout == "grid" or scene.mesh.cells == "quadrilateral":
-        for surface in surfaces:
-            gmsh.model.geo.mesh.setTransfiniteSurface(surface)
-            if scene.mesh.cells == "quadrilateral":
-                gmsh.model.geo.mesh.setRecombine(2, surface)
-    else:
-        gmsh.option.setNumber("Mesh.Algorithm", 6)  # frontal Delaunay
-    gmsh.model.geo.synchronize()
-
-
-def _curve(start: int, end: int, division: Interval) -> int:
-    curve: int = gmsh.model.geo.addLine(start, end)
-    nodes, ratio = division.count + 1, division.progression
-    gmsh.model.geo.mesh.setTransfiniteCurve(curve, nodes, "Progression", ratio)
-    return curve
+    return found
 
 
 # --- its dofs -------------------------------------------------------------------------------------
