@@ -546,12 +546,13 @@ def track_order(
     check_number("angle_deviation", angle_deviation, 0.0)
     check_places(arrivals)
     groups, unknowns = len(arrivals) // revolutions, 2 * len(multiples) + 1
+    probes = len(arrivals.probes)
     if not groups:
         raise InputError("revolutions", revolutions, f"at most {len(arrivals)}, what there is")
     planned = waves(order * arrivals.nominal_angle[:revolutions].ravel(), multiples)
     if np.isinf(condition(planned)):
         refuse(arrivals, unknowns)
-    shape = (groups, revolutions * len(arrivals.probes))
+    shape = (groups, revolutions * probes)
     angle, nominal, values = (
         part[: groups * revolutions].reshape(shape)
         for part in (arrivals.angle, arrivals.nominal_angle, arrivals.displacement)
@@ -565,17 +566,15 @@ def track_order(
     enough = np.linalg.matrix_rank(planned, tol=1e-6) == unknowns
     found = np.linalg.pinv(columns) @ values[..., None]
     left = np.where(seen & enough[:, None], values - (columns @ found)[..., 0], 0.0)
-    split = groups, revolutions, len(arrivals.probes)
-    turn, probe = np.nonzero(seen.reshape(-1, split[2]))
-    flat = left.reshape(-1, split[2])[turn, probe]
-    own = split[2] * (subharmonic if revolutions > 1 else 1) - unknowns
+    turn, probe = np.nonzero(seen.reshape(-1, probes))
+    flat = left.reshape(-1, probes)[turn, probe]
+    own = probes * (subharmonic if revolutions > 1 else 1) - unknowns
     misfit = trend(flat, turn, probe) if own > 0 else np.nan
     variance, within = _not_alike(left, seen, np.where(enough, count - unknowns, 0))
     variance = max(variance, rounding(arrivals) ** 2)
-    place = np.tile(np.arange(split[2]), revolutions)
+    place = np.tile(np.arange(probes), revolutions)
     spread = (arrivals.tip_radius * angle_deviation) ** 2 * (place[:, None] == place)
-    covariance = np.eye(len(place)) + spread / variance
-    covariance *= variance
+    covariance = variance * np.eye(len(place)) + spread
     found = np.full((groups, unknowns), np.nan)
     errors = np.full((groups, unknowns, unknowns), np.nan)
     parts = {}

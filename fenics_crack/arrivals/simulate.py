@@ -154,7 +154,8 @@ def _arrivals(motion: _TipMotion, angles: np.ndarray, radius: float) -> np.ndarr
     """Times at which the tip passes the probes: (revolutions, probes) [s]."""
     backwards = motion.fastest_backwards() / radius
     targets = 2.0 * np.pi * np.arange(motion.rotor.revolutions)[:, None] + angles
-    passed = _passing_angles(motion, targets.ravel(), radius)
+    parts = np.array_split(targets.ravel(), -(-targets.size // PASSAGES))
+    passed = np.concatenate([_passing_angles(motion, part, radius) for part in parts])
     if backwards >= 1.0 or np.any(np.isnan(passed)):
         allowed = (
             "so large that the tip never moves backwards, past a probe a second time: its "
@@ -343,11 +344,6 @@ class _TipMotion:
 def _passing_angles(motion: _TipMotion, targets: np.ndarray, radius: float) -> np.ndarray:
     """Rotor angles alpha with alpha + u(alpha) / R = targets (n,) [rad], to rounding: (n,) [rad];
     nan where the tip moves backwards."""
-    count = -(-len(targets) // PASSAGES)
-    return np.concatenate([_roots(motion, part, radius) for part in np.array_split(targets, count)])
-
-
-def _roots(motion: _TipMotion, targets: np.ndarray, radius: float) -> np.ndarray:
     reach = motion.reach / radius * (1.0 + 1e-12) + 4.0 * np.spacing(np.abs(targets))
     low, high, angle = targets - reach, targets + reach, targets.copy()
     last, slope = high - low, np.ones_like(targets)

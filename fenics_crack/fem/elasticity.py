@@ -91,7 +91,10 @@ def rotation_of(scene: Scene, dofs: Dofs, at_rest: Structure) -> Rotation:
     radius = normal * (ufl.SpatialCoordinate(space.mesh) - center)
     load = compat.assembled_vector(t * density * ufl.inner(radius, v) * ufl.dx)[dofs.free]
     moved, _ = static_state(at_rest, load, np.zeros(at_rest.n_pairs))
-    turned = ufl.grad(_function(dofs, moved))
+    displaced = dolfinx.fem.Function(space)  # zero where the plate is clamped
+    displaced.x.array[dofs.free] = moved
+    displaced.x.scatter_forward()
+    turned = ufl.grad(displaced)
     tension = stress(scene, space, ufl.sym(turned))
 
     def crossed(one: Any, other: Any) -> Any:
@@ -117,11 +120,3 @@ def rotation_of(scene: Scene, dofs: Dofs, at_rest: Structure) -> Rotation:
     geometric.destroy()
     softening.destroy()
     return Rotation(at_rest, first, (second, third), load, scene.rotation.speed)
-
-
-def _function(dofs: Dofs, displacement: np.ndarray) -> Any:
-    """Displacements of the free dofs (n_local,) as a function; zero where the plate is clamped."""
-    found = dolfinx.fem.Function(dofs.space)
-    found.x.array[dofs.free] = displacement
-    found.x.scatter_forward()
-    return found
