@@ -383,14 +383,18 @@ def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:
         "right": (1, sides[0 if mirrored else 1]),
         "top": (1, [horizontal[i, len(rows)] for i in range(len(columns))]),
     }
-    found: dict[str, tuple[int, ...]] = {}
-    for tag, (name, (dimension, tags)) in enumerate(groups.items(), 1):
-        if tags:
-            gmsh.model.addPhysicalGroup(dimension, tags, tag)
-            gmsh.model.setPhysicalName(dimension, tag, name)
-            if dimension == 1:
-                found[name] = (tag,)
-    return found | {"bottom": found["clamp"]}
+    curves = {name: tag for name, tag in _name(groups).items() if groups[name][0] == 1}
+    return {name: (tag,) for name, tag in (curves | {"bottom": curves["clamp"]}).items()}
+
+
+def _name(groups: dict[str, tuple[int, list[int]]]) -> dict[str, int]:
+    """Make named groups of entities of a dimension, where there are some; the tag of each."""
+    found = {name: tag for tag, (name, (_, own)) in enumerate(groups.items(), 1) if own}
+    for name, tag in found.items():
+        dimension, own = groups[name]
+        gmsh.model.addPhysicalGroup(dimension, own, tag)
+        gmsh.model.setPhysicalName(dimension, tag, name)
+    return found
 
 
 def _divide(scene: Scene, surfaces: list[int]) -> None:
@@ -458,7 +462,10 @@ def _draw_solid(scene: Scene) -> None:
     if faces:
         occ.fragment(box, faces)
     occ.synchronize()
-    named: dict[str, list[int]] = {"clamp": [], "crack": []}
+    volumes = [tag for _, tag in gmsh.model.getEntities(3)]
+    groups: dict[str, tuple[int, list[int]]] = {
+        "solid": (3, volumes), "clamp": (2, []), "crack": (2, [])
+    }  # fmt: skip
     sides = [
         ("left", 0, 0.0), ("right", 0, width), ("clamp", 1, 0.0), ("top", 1, height),
         ("back", 2, 0.0), ("front", 2, thickness),
@@ -467,13 +474,8 @@ def _draw_solid(scene: Scene) -> None:
     for _, tag in gmsh.model.getEntities(2):
         middle = occ.getCenterOfMass(2, tag)
         at = [name for name, axis, place in sides if abs(middle[axis] - place) < near]
-        named.setdefault(at[0] if at else "crack", []).append(tag)
-    for number, (name, tags) in enumerate(named.items(), 2):
-        if tags:
-            gmsh.model.addPhysicalGroup(2, tags, number)
-            gmsh.model.setPhysicalName(2, number, name)
-    gmsh.model.addPhysicalGroup(3, [tag for _, tag in gmsh.model.getEntities(3)], 1)
-    gmsh.model.setPhysicalName(3, 1, "solid")
+        groups.setdefault(at[0] if at else "crack", (2, []))[1].append(tag)
+    _name(groups)
     size = scene.mesh.given("size")
 
     def length(dimension: int, tag: int, x: float, y: float, z: float, *_: float) -> float:
