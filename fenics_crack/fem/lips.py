@@ -245,23 +245,21 @@ def split_crack(
 
 def _sides(edges: np.ndarray, pairs: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Number, 0 or 1, of the edge of each pair that is on the lower lip."""
-    count, flat = len(pairs), pairs.T.ravel()  # first ones, then their partners
+    flat = pairs.T.ravel()  # first ones, then their partners
     nodes, places = np.unique(edges[flat], return_inverse=True)
     places = places.reshape(-1, 2)
-    one, other = places[:count], places[count:]
+    one, other = np.split(places, 2)
     is_tip = np.zeros(len(nodes), dtype=bool)
     is_tip[one[(one == other) | (one == other[:, ::-1])]] = True
     chain = connected(places, ~is_tip)
-    n_chains = chain.max() + 1
-    partner = np.zeros((n_chains, n_chains), dtype=bool)
-    partner[chain, np.roll(chain, count)] = True
-    if np.any(partner.sum(axis=1) != 1) or np.any(np.diag(partner)):
+    facing = np.unique(np.sort(np.split(chain, 2), axis=0), axis=1)  # two by two
+    if facing.size != chain.max() + 1 or np.any(facing[0] == facing[1]):
         allowed = "cracks that neither branch nor cross"
         raise InputError("lips", "a crack with more than two lips", allowed)
-    outwards = np.zeros((n_chains, 2))
+    outwards = np.zeros((facing.size, 2))
     np.add.at(outwards, chain, normals[flat])
     is_lower = np.array([upwards(normal) > 0.0 for normal in outwards])
-    return np.where(is_lower[chain[:count]], 0, 1)
+    return np.where(is_lower[chain[: len(pairs)]], 0, 1)
 
 
 def check_mouths(
