@@ -119,7 +119,6 @@ def tip_timing(
     check_number("noise", noise, 0.0)
     check_number("clock", clock, 0.0)
     check_count("seed", seed, 0)
-    _check_speed(result, speed, order)
     result.structure.whole.check_dofs(list(shares))
 
     motion = _motion(result, shares, speed, order, revolutions)
@@ -165,23 +164,6 @@ def _arrivals(motion: _TipMotion, angles: np.ndarray, radius: float) -> np.ndarr
     return motion.rotor.time(passed).reshape(targets.shape)
 
 
-def _check_speed(
-    result: PeriodicSolution | ResponseCurve, speed: float | None, order: int | None
-) -> None:
-    """Raise InputError unless the speed of rotation is known, once."""
-    if isinstance(result, ResponseCurve):
-        if speed is not None:
-            raise InputError("speed", speed, "left out with a curve, which is a run-up; give order")
-        if order is None:
-            raise InputError("order", order, "given with a curve: periods of the load in a turn")
-    elif (speed is None) == (order is None):
-        raise InputError("speed, order", (speed, order), "one of them")
-    if order is not None:
-        check_count("order", order, 1)
-    if speed is not None:
-        check_number("speed", speed, 0.0, above=True)
-
-
 def _motion(
     result: PeriodicSolution | ResponseCurve,
     shares: Mapping[int, float],
@@ -189,10 +171,20 @@ def _motion(
     order: int | None,
     revolutions: int,
 ) -> _TipMotion:
-    """The tip's motion, at one speed or in a run-up (collective)."""
+    """The tip's motion, at one speed or in a run-up (collective); raises InputError unless the
+    speed of rotation is known, once."""
+    if order is not None:
+        check_count("order", order, 1)
+    if speed is not None:
+        check_number("speed", speed, 0.0, above=True)
     if isinstance(result, ResponseCurve):
-        assert order is not None
+        if speed is not None:
+            raise InputError("speed", speed, "left out with a curve, which is a run-up; give order")
+        if order is None:
+            raise InputError("order", order, "given with a curve: periods of the load in a turn")
         return _run_up(result, shares, order, revolutions)
+    if (speed is None) == (order is None):
+        raise InputError("speed, order", (speed, order), "one of them")
     turning = float(speed or result.omega / (order or 1))
     waves = result.coefficients_at(list(shares)) @ np.array(list(shares.values()), dtype=float)
     return _TipMotion(

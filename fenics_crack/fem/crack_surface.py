@@ -214,7 +214,7 @@ def split_surface(
     is_split[corners] = True
     is_split[fronts] = False
     _require(is_split.any(), "all of its nodes on the front", "meshed more finely")
-    label = _stars(facets, owner, at, same & ~of_crack[:-1], cells, is_split)
+    label = _stars(cells, same & ~of_crack[:-1], is_split)
 
     # Which side of the crack the cells at its facets are on, and with them the stars.
     side = np.zeros(label.max() + 1, dtype=int)
@@ -297,18 +297,12 @@ def _orientation(triangles: np.ndarray, part: np.ndarray) -> np.ndarray:
     return np.array(found)
 
 
-def _stars(
-    facets: np.ndarray,
-    owner: np.ndarray,
-    at: np.ndarray,
-    passable: np.ndarray,
-    cells: Cells,
-    is_split: np.ndarray,
-) -> np.ndarray:
+def _stars(cells: Cells, passable: np.ndarray, is_split: np.ndarray) -> np.ndarray:
     """Corners of cells at one node that are connected across facets with it: a number for each
     corner of each cell (n_cells n_corners,)."""
     from scipy.sparse.csgraph import connected_components
 
+    facets, owner, at = cells.all_facets
     first = np.flatnonzero(passable & is_split[facets[:-1]].any(axis=1))
     wanted = is_split[facets[first]]
     one, other = (owner[i][:, None] * cells.n_corners + at[i] for i in (first, first + 1))

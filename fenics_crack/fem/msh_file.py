@@ -23,6 +23,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -101,7 +102,7 @@ def put(given: Given, dimension: int) -> tuple[Names, Lips]:
         As :func:`read_file`, but of the key "mesh".
     """
     kind, cells, positions, facets, points = _one_kind(given, dimension)
-    nodes, places = cells.nodes, positions[:, :dimension]
+    places = positions[:, :dimension]
     check_cells(kind, cells, places)
     cracks = [name for name in facets if CRACK.match(name)]
     lips: Lips = ()
@@ -112,10 +113,10 @@ def put(given: Given, dimension: int) -> tuple[Names, Lips]:
         if cracks:
             surface = np.concatenate([facets.pop(name) for name in cracks])
             nodes, twins, both, found = split_surface(cells, surface, places)
-            positions, lips = np.concatenate([places, places[twins]]), tuple(found)
+            positions = places = np.concatenate([places, places[twins]])
             facets = _moved(facets, cells, nodes, twins)
             facets |= dict(zip(LIPS, both.swapaxes(0, 1), strict=True))
-            places = positions
+            cells, lips = replace(cells, nodes=nodes), tuple(found)
     sides = [facets[name][:, : cells.facets.shape[1]] for name in LIPS if name in facets]
     allowed = "one with both 'lower_lip' and 'upper_lip', or with 'crack', or none of them"
     _require(len(sides) != 1, "one lip", allowed)
@@ -123,9 +124,9 @@ def put(given: Given, dimension: int) -> tuple[Names, Lips]:
         lips = tuple(find_lips(sides[0], sides[1], places))
     elif sides and not lips:
         lips = tuple(cracks_between(sides[0], sides[1], places))
-    check_parts(cells, nodes, places, facets["clamp"], sides)
+    check_parts(cells, places, facets["clamp"], sides)
     tags, sets = _tags_of(facets)
-    every = [(dimension, 1, ("plate", "solid")[dimension - 2], kind, nodes)]
+    every = [(dimension, 1, ("plate", "solid")[dimension - 2], kind, cells.nodes)]
     every += [(dimension - 1, tag, name, _KINDS[dimension][kind], own) for tag, name, own in sets]
     _filled(positions, every + points)
     single = {name: np.unique(places[own], axis=0) for _, _, name, _, own in points}
@@ -409,11 +410,7 @@ def _check_inside(cells: Cells, surfaces: dict[str, np.ndarray], cracks: list[st
 
 
 def check_parts(
-    cells: Cells,
-    nodes: np.ndarray,
-    places: np.ndarray,
-    clamp: np.ndarray,
-    lips: Sequence[np.ndarray],
+    cells: Cells, places: np.ndarray, clamp: np.ndarray, lips: Sequence[np.ndarray]
 ) -> None:
     """Raise InputError where a part has no clamp; and, of cells in a plane, where they overlap, or
     edges of the boundary other than lips lie in one place.
@@ -421,9 +418,7 @@ def check_parts(
     Parameters
     ----------
     cells : Cells
-        As they were before cracks were split.
-    nodes : (n_cells, n) int
-        Of the cells as they are.
+        With cracks split.
     places : (n_nodes, d) [m]
         Of all nodes.
     clamp : (m,) or (m, k) int
@@ -431,11 +426,11 @@ def check_parts(
     lips : sequence of (n, d) int
         Corners of the facets of lips.
     """
-    facets, owner, _ = cells.all_facets
-    every = np.concatenate([*lips, facets[:0]])
-    n_parts, part = _parts_of(nodes, places, clamp, every)
+    every = np.concatenate([*lips, cells.nodes[:0, cells.facets[0]]])
+    n_parts, part = _parts_of(cells.nodes, places, clamp, every)
     if places.shape[1] == 2:
-        corners, boundary = nodes[:, : cells.n_corners], facets[cells.alone]
+        facets, owner, _ = cells.all_facets
+        corners, boundary = cells.nodes[:, : cells.n_corners], facets[cells.alone]
         _check_angles(corners, places)
         _check_boundary(boundary, places, every)
         if n_parts > 1:

@@ -169,7 +169,7 @@ def explore(likelihood: Likelihood) -> Branch:
         return Branch(likelihood, [only], (), height.reshape(()), np.ones(()))
     first = [np.linspace(axis[0], axis[-1], LOOK.get(d, 9)) for axis in cube.axes]
     height = _heights(likelihood, _points(first)).reshape([len(axis) for axis in first])
-    optima = _optima(likelihood, first, height, cube.low, cube.high)
+    optima = _optima(likelihood, first, height)
     act_as = likelihood.quantities.model.act_as
     few = optima[:3]
     reaches = [WIDTHS * np.sqrt(np.diag(one.covariance)) for one in few]
@@ -235,18 +235,13 @@ def _trapezoid(axis: np.ndarray) -> np.ndarray:
     return np.asarray(weights / weights.sum())
 
 
-def _optima(
-    likelihood: Likelihood,
-    axes: list[np.ndarray],
-    height: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-) -> list[Optimum]:
+def _optima(likelihood: Likelihood, axes: list[np.ndarray], height: np.ndarray) -> list[Optimum]:
     """Least squares from the highest places of a grid; what is much worse or the same left out."""
     summits = np.argwhere(height == maximum_filter(height, size=3, mode="nearest"))
     best = sorted(summits, key=lambda at: -height[tuple(at)])[:STARTS]
     found: list[Optimum] = []
-    span = high - low
+    cube = likelihood.quantities.model.cube
+    low, span = cube.low, cube.high - cube.low
     for at in best:
         start = np.array([axis[place] for axis, place in zip(axes, at, strict=True)])
 

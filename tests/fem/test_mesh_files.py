@@ -271,7 +271,7 @@ def check(cells: Any, places: Any, kind: int = TRIANGLE, **curves: Any) -> None:
         made = cells_of(kind, np.array(cells))
         check_cells(kind, made, places)
         both = [np.reshape(lips, (-1, 2)).astype(int)]
-        check_parts(made, made.nodes, places, np.unique(curves["clamp"]), both)
+        check_parts(made, places, np.unique(curves["clamp"]), both)
 
 
 def refused(words: str, *mesh: Any, **curves: Any) -> np.ndarray:
