@@ -251,7 +251,7 @@ class _Sought:
         candidates, self.omega = self._compared(np.sort([self.omega, *kept[1:]]))
         self._settle()
         # Errors of a mark are those of all arrivals in a revolution, which tell so much less.
-        spread = self.noise.covariance(self.columns, *self._places)[:-1, :-1]
+        spread = self.noise.covariance(self.columns, self._places)[:-1, :-1]
         seen = float(self.found @ np.linalg.lstsq(spread, self.found, rcond=1e-10)[0])
         gain = max(min(self._none.cost - self.noise.cost, seen), 0.0)
         cells = max((high - low) * self._span / TURN, 1.0)
@@ -322,7 +322,7 @@ class _Sought:
         order = self.omega / speed
         orders = candidates.orders.copy()
         orders[np.abs(orders - order).argmin()] = order
-        spread = self.noise.covariance(self.columns, *self._places)
+        spread = self.noise.covariance(self.columns, self._places)
         covariance = np.zeros((count, count))
         covariance[1:, 1:] = spread[:-1, :-1]
         covariance[0, 0] = self.noise.variance / len(self._values)

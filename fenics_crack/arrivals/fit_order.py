@@ -382,7 +382,7 @@ class _Means(_Seen):
         ends = arrivals.mean_speed * 0.5, arrivals.mean_speed * (max(order, ORDERS[-1]) + 1.0)
         self.lines, left = find_lines(arrivals, arrivals.displacement - moved, constants, ends)
         seen = np.isfinite(left)
-        turn, probe = np.nonzero(seen)
+        places = np.nonzero(seen)
         groups, where = np.unique(constants[seen], return_inverse=True)
         self._data, self._where = left[seen], where
         nominal = arrivals.probes[groups % probes] + TURN * (groups // probes)
@@ -398,7 +398,7 @@ class _Means(_Seen):
         self.scatter, covariance = 1.0, np.diag(1.0 / np.bincount(where))
         if within > 0:
             self.scatter = max(float(np.sqrt(noise.variance)), rounding(arrivals))
-            covariance = noise.covariance(own, turn, probe)
+            covariance = noise.covariance(own, places)
             covariance += np.eye(len(groups)) * rounding(arrivals) ** 2
             place = groups % probes
             spread = (arrivals.tip_radius * angle_deviation) ** 2
@@ -566,10 +566,9 @@ def track_order(
     enough = np.linalg.matrix_rank(planned, tol=1e-6) == unknowns
     found = np.linalg.pinv(columns) @ values[..., None]
     left = np.where(seen & enough[:, None], values - (columns @ found)[..., 0], 0.0)
-    turn, probe = np.nonzero(seen.reshape(-1, probes))
-    flat = left.reshape(-1, probes)[turn, probe]
+    places = np.nonzero(seen.reshape(-1, probes))
     own = probes * (subharmonic if revolutions > 1 else 1) - unknowns
-    misfit = trend(flat, turn, probe) if own > 0 else np.nan
+    misfit = trend(left.reshape(-1, probes)[places], places) if own > 0 else np.nan
     variance, within = _not_alike(left, seen, np.where(enough, count - unknowns, 0))
     variance = max(variance, rounding(arrivals) ** 2)
     place = np.tile(np.arange(probes), revolutions)

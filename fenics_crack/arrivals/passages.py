@@ -257,13 +257,13 @@ class _Fit:
     def errors(self) -> np.ndarray:
         """Standard errors of frequency [rad/s] and damping."""
         columns = self._columns / np.sqrt(self.noise.weights)[:, None]
-        spread = self.noise.covariance(columns, *self._places)
+        spread = self.noise.covariance(columns, self._places)
         return np.sqrt(np.diag(spread)[:2]) * [self.omega, self.damping]
 
     @property
     def whiteness(self) -> float:
         """Probability of what is left to be so correlated by chance."""
-        return self.noise.whiteness(*self._places)
+        return self.noise.whiteness(self._places)
 
     @property
     def amplitude(self) -> float:

@@ -36,6 +36,10 @@ SEEN = 3.0
 """A correlation counts from so many of its standard deviations on."""
 
 
+Places = tuple[np.ndarray, np.ndarray]
+"""Revolutions and probes of arrivals: two (n,)."""
+
+
 @dataclass(frozen=True)
 class Noise:
     """What a fit leaves, as errors from Student's t.
@@ -84,21 +88,20 @@ class Noise:
         each += np.log(nu * np.pi)
         return float(len(square) * each + (nu + 1.0) * np.log1p(square / nu).sum())
 
-    def whiteness(self, turn: np.ndarray, probe: np.ndarray) -> float:
+    def whiteness(self, places: Places) -> float:
         """Probability that white errors are as correlated from revolution to revolution."""
-        chance = trend(self.psi, turn, probe)
+        chance = trend(self.psi, places)
         return 2.0 * min(chance, 1.0 - chance)
 
-    def covariance(self, columns: np.ndarray, turn: np.ndarray, probe: np.ndarray) -> np.ndarray:
-        """Covariance (m, m) of the coefficients of columns (n, m), of arrivals in revolutions and
-        at probes (n,)."""
+    def covariance(self, columns: np.ndarray, places: Places) -> np.ndarray:
+        """Covariance (m, m) of the coefficients of columns (n, m), of arrivals at such places."""
         sizes = np.linalg.norm(columns, axis=0)
         columns = columns / sizes
-        dense = _dense(columns, turn, probe)
+        dense = _dense(columns, places)
         rows, white = dense.sum(axis=1), columns.T @ columns
         variance = float(self.psi @ self.psi) / (len(self.psi) - self.unknowns)
         total = variance * white
-        lags = self._correlated(variance, turn, probe)
+        lags = self._correlated(variance, places)
         for lag, (own, other) in enumerate(lags):
             ahead, behind = slice(lag, None), slice(len(rows) - lag)
             at_one, all_of = (
@@ -114,29 +117,13 @@ class Noise:
         root = (root @ axes) / sizes[:, None]
         return np.asarray((root * np.maximum(values, FLOOR * variance)) @ root.T / self.slope**2)
 
-    def _products(
-        self, lag: int, turn: np.ndarray, probe: np.ndarray
-    ) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Sums of products of psi in revolutions that are some apart, and how many: at the same
-        probe, and at two."""
-        found = []
-        for values in (self.psi, np.ones(len(turn))):
-            dense = _dense(values, turn, probe)
-            rows, end = dense.sum(axis=1), max(len(dense) - lag, 0)
-            own = float((dense[lag:] * dense[:end]).sum())
-            found.append((own, float(rows[lag:] @ rows[:end]) - own))
-        (own, other), (pairs, crossed) = found
-        return (own, pairs), (other, crossed)
-
-    def _correlated(
-        self, variance: float, turn: np.ndarray, probe: np.ndarray
-    ) -> list[tuple[float, float]]:
+    def _correlated(self, variance: float, places: Places) -> list[tuple[float, float]]:
         """Covariances of psi at a probe (of revolution 0 beyond its variance), and at two, of
         revolutions 0, 1, ... apart, up to the first that are not seen."""
         found: list[tuple[float, float]] = []
         for lag in range(len(self.psi)):
             seen = []
-            for total, count in self._products(lag, turn, probe):
+            for total, count in _products(self.psi, lag, places):
                 deviation = variance * np.sqrt(count if lag else 2.0 * count)
                 seen.append(total / count if count and abs(total) > SEEN * deviation else 0.0)
             if lag == 0:
@@ -147,20 +134,29 @@ class Noise:
         return found
 
 
-def trend(values: np.ndarray, turn: np.ndarray, probe: np.ndarray) -> float:
+def trend(values: np.ndarray, places: Places) -> float:
     """Probability that white values (n,) of revolutions and probes are as alike as these from each
     revolution to the next, or more; nan where there is one revolution."""
-    dense, there = (_dense(part, turn, probe) for part in (values, np.ones(len(values))))
-    count = float((there[1:] * there[:-1]).sum())
+    (total, count), _ = _products(values, 1, places)
     square = float(values @ values) / len(values)
-    if not count or not square:
-        return np.nan
-    return float(ndtr(-float((dense[1:] * dense[:-1]).sum()) / (square * np.sqrt(count))))
+    return float(ndtr(-total / (square * np.sqrt(count)))) if count and square else np.nan
 
 
-def _dense(values: np.ndarray, turn: np.ndarray, probe: np.ndarray) -> np.ndarray:
+def _products(values: np.ndarray, lag: int, places: Places) -> list[tuple[float, float]]:
+    """Sums of products of values (n,) in revolutions that are some apart, and how many they are: at
+    the same probe, and at two."""
+    found = []
+    for part in (values, np.ones(len(values))):
+        dense = _dense(part, places)
+        rows, end = dense.sum(axis=1), max(len(dense) - lag, 0)
+        own = float((dense[lag:] * dense[:end]).sum())
+        found.append((own, float(rows[lag:] @ rows[:end]) - own))
+    return list(zip(*found, strict=True))
+
+
+def _dense(values: np.ndarray, places: Places) -> np.ndarray:
     """Values (n, ...) by revolution and probe, 0 where there are none."""
-    turn = turn - turn.min()
+    turn, probe = places[0] - places[0].min(), places[1]
     found = np.zeros((int(turn.max()) + 1, int(probe.max()) + 1, *values.shape[1:]))
     found[turn, probe] = values
     return found
