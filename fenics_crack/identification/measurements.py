@@ -275,18 +275,16 @@ class Measurements(Tabular):
         deviations = np.hypot(scatter / np.sqrt(count[used]), arrivals.tip_radius * angle_deviation)
         # Of the mean arrival, at the angle phi - u / R.
         phases = order * (arrivals.probes[used] - means / arrivals.tip_radius)
-        found = zip(-means if against else means, deviations, phases, strict=True)
         # Rounded, for one sweep to serve all arrivals at a speed.
         frequency = float(f"{order * speed / (2.0 * math.pi):.9g}")
-        return cls(
-            tuple(
-                Measurement(
-                    "displacement", float(value), float(deviation), frequency=frequency,
-                    point=point, phase=float(phase % (2.0 * math.pi)),
-                )
-                for value, deviation, phase in found
-            )
-        )  # fmt: skip
+        return cls.from_arrays(
+            "displacement",
+            (-means if against else means).tolist(),
+            deviations.tolist(),
+            frequency=[frequency] * len(means),
+            point=[point] * len(means),
+            phase=(phases % (2.0 * math.pi)).tolist(),
+        )
 
     @classmethod
     def from_csv(cls, path: str | Path) -> Measurements:
