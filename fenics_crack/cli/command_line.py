@@ -152,7 +152,7 @@ def _let_go() -> None:
 
 def _show_lines_of(table: str) -> None:
     """Print lines to be pasted where a scene lacks a table that a command asks for."""
-    from fenics_crack.cli.template import lines_of
+    from fenics_crack.cli.inputs import lines_of
 
     if lines := lines_of(table):
         print(f"for example:\n\n{lines}", file=sys.stderr)
@@ -297,7 +297,7 @@ COMMANDS = {
 }
 """What each command does, and its own arguments."""
 FUNCTIONS = {
-    "new": "template.new",
+    "new": "inputs.new",
     "check": "scenes.check",
     "campbell": "commands.campbell_diagram",
     "verify": "commands.verification",

@@ -1,13 +1,20 @@
-"""What a command is given as text: a scene with its changes, measurements, arrivals.
+"""What a command is given as text: a scene with its changes, measurements, arrivals; and the scene
+that ``new`` writes, to be given.
 
 Reading it needs NumPy alone, which loads in a tenth of the time of the libraries that compute.
+
+Lines of the template of ``new`` that end in a mark, ``(--blade)``, are commented out, or in, where
+that is asked for: a blade on a rotor in place of a plate, probes in its casing, a crack that is
+looked for.
 """
 
 from __future__ import annotations
 
-import argparse
+import os
+import re
 import tomllib
-from collections.abc import Sequence
+from argparse import Namespace
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,12 +23,21 @@ import numpy as np
 
 from fenics_crack.errors import InputError, check_count
 from fenics_crack.scene.scene import Scene
+from fenics_crack.version import packaged
+from fenics_crack.whole import write_whole
 
 if TYPE_CHECKING:
     from fenics_crack.arrivals.arrival_times import ArrivalTimes
+    from fenics_crack.cli.console import Console
     from fenics_crack.identification.measurements import Measurements
 
-__all__ = ["Inputs", "changes", "is_record", "read_inputs"]
+__all__ = ["Inputs", "changes", "is_record", "lines_of", "new", "new_scene", "read_inputs"]
+
+COMMENTED = "cli/new_scene.toml"
+KINDS = ("blade", "timing", "identify")
+"""What ``new`` writes besides a plate."""
+ASKED_FOR = ("curve", "growth", "identify", "rotation", "sweep", "tip_timing")
+"""Tables that a scene may do without, and commands may not."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +50,7 @@ class Inputs:
     arrivals: ArrivalTimes | Path | None = None  # or the result from which they are computed
 
 
-def read_inputs(given: argparse.Namespace) -> Inputs | None:
+def read_inputs(given: Namespace) -> Inputs | None:
     """Read the text files that a command is given; None where it has no scene, as with a record
     of ``timing``.
 
@@ -56,7 +72,7 @@ def read_inputs(given: argparse.Namespace) -> Inputs | None:
     return Inputs(scene, folder, _measurements(given, scene), _arrivals(scene, seen))
 
 
-def _measurements(given: argparse.Namespace, scene: Scene) -> Measurements | None:
+def _measurements(given: Namespace, scene: Scene) -> Measurements | None:
     """Those of all files, and of responses before the crack."""
     files, before = vars(given).get("measurements") or (), vars(given).get("before")
     modes = vars(given).get("modes") or ()
@@ -89,7 +105,7 @@ def _arrivals(scene: Scene, source: Path | None) -> ArrivalTimes | Path | None:
     return next(iter(blades.values()))
 
 
-def is_record(given: argparse.Namespace) -> bool:
+def is_record(given: Namespace) -> bool:
     """Tell whether ``timing`` is given a record of arrivals in place of a scene."""
     return bool(given.command == "timing" and given.scene.suffix.lower() == ".csv")
 
@@ -108,3 +124,71 @@ def changes(given: Sequence[str]) -> dict[str, Any]:
             parsed = None if value == "none" else value
         found[key.strip()] = parsed
     return found
+
+
+# --- the scene that is written --------------------------------------------------------------------
+
+
+def new(given: Namespace, _: None, console: Console) -> None:
+    """Write a commented scene to start from."""
+    from fenics_crack.parallel import on_root  # PETSc, which lines for an error do without
+
+    path: Path = given.file
+    kinds = [kind for kind in KINDS if vars(given)[kind]]
+    if given.solid and kinds:
+        raise InputError("--solid", f"with --{kinds[0]}", "asked for alone: the others are plates")
+    rows = path.with_name(f"{path.stem}_measured.csv")
+    if given.solid:
+        files = {path: packaged("cli/new_solid.toml").replace("SCENE", path.name)}
+    else:
+        files = {path: new_scene(path.name, rows.name, kinds)}
+    if "identify" in kinds:
+        files[rows] = packaged("cli/new_measured.csv")
+
+    def write() -> None:
+        for file in files:
+            if os.path.exists(file):  # False for a name too long, which writing will say
+                raise InputError("scene", str(file), "a new file; there is one already")
+        for file, text in files.items():
+            write_whole(file, text, "scene")
+
+    on_root(console.comm, write)
+    console.note(f"{path}: a scene to start from; now: fenics-crack check {path}")
+    if rows in files:
+        console.note(f"{rows}: what was measured; then: fenics-crack identify {path} {rows}")
+
+
+def new_scene(name: str, rows: str, kinds: Collection[str]) -> str:
+    """The scene of some :data:`KINDS`, written under a name, beside a file of measurements."""
+    marks = [f"(--{kind})" for kind in {*kinds, *(["blade"] if "timing" in kinds else [])}]
+    lines = (
+        _turned(line) if line.endswith(tuple(marks)) else line
+        for line in packaged(COMMENTED).splitlines()
+    )
+    whole = "\n".join([*map(_without_mark, lines), ""])
+    return whole.replace("SCENE", name).replace("MEASURED", rows)
+
+
+def lines_of(table: str) -> str:
+    """The lines by which the template gives a scene a table of :data:`ASKED_FOR`; else empty."""
+    if table not in ASKED_FOR:
+        return ""
+    for block in packaged(COMMENTED).split("\n\n"):
+        lines = block.splitlines()
+        for place, line in enumerate(lines):
+            if line.removeprefix("# ").startswith((f"[{table}]", f"[{table}.")):
+                asleep = line.startswith("#")
+                chosen = (one for one in lines[place:] if one.startswith("#") == asleep)
+                return "\n".join(_without_mark(_turned(one) if asleep else one) for one in chosen)
+    raise KeyError(table)
+
+
+def _without_mark(line: str) -> str:
+    return re.sub(r"\s+(# )?\(--\w+\)$", "", line)
+
+
+def _turned(line: str) -> str:
+    """A line without the ``#`` that it begins with, or with one; its remark stays in place."""
+    if line.startswith("# "):
+        return line.removeprefix("# ").replace("  #", "    #", 1)
+    return "# " + line.replace("    #", "  #", 1)
