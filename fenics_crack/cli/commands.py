@@ -134,7 +134,7 @@ def growth(_: Namespace, inputs: Inputs, console: Console) -> Exit:
 
 def campbell_diagram(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     """Natural frequencies over the speed, and where engine orders meet the first breathing one."""
-    from fenics_crack.draw.plot_rotor import draw_campbell
+    from fenics_crack.draw.plot_study import draw_campbell
     from fenics_crack.study.campbell import campbell
 
     scene, span = inputs.scene, given.speeds
@@ -260,7 +260,7 @@ def _for_paraview(run: Computed, folder: Path, console: Console, *, show: bool) 
     """Files of modes and of a period; none without a mesh. With ``show`` a window, too."""
     if not (isinstance(run, Run) and isinstance(run.result, Modes | PeriodicSolution)):
         return []
-    from fenics_crack.draw.paraview import write_modes, write_period
+    from fenics_crack.draw.vtk import write_modes, write_period
 
     found, material = run.result, run.scene.material
     if show and isinstance(found, PeriodicSolution):

@@ -21,15 +21,19 @@ from fenics_crack.cli.of_vibration import closings
 from fenics_crack.cli.results import Computed, result_of
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw.figure import Picture, distinct_colours
-from fenics_crack.draw.plot import Wave, draw_contact_map, draw_map, draw_response, draw_waves
-from fenics_crack.draw.plot_curve import draw_content, draw_curve, draw_multipliers
-from fenics_crack.draw.plot_mesh import draw_modes
-from fenics_crack.draw.plot_motion import (
+from fenics_crack.draw.plot import (
+    Wave,
+    draw_contact_map,
+    draw_map,
     draw_orbits,
+    draw_response,
     draw_spectra,
     draw_spectrum,
     draw_stress_intensity,
+    draw_waves,
 )
+from fenics_crack.draw.plot_curve import draw_content, draw_curve, draw_multipliers
+from fenics_crack.draw.plot_mesh import draw_modes
 from fenics_crack.draw.plot_study import draw_growth, draw_verification
 from fenics_crack.errors import FEW_MODES, InputError
 from fenics_crack.files.store import read

@@ -31,8 +31,8 @@ from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper, vtkRenderer
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.draw.figure import COLOURS, drawn_on, label_axis
-from fenics_crack.draw.paraview import PeriodFields
-from fenics_crack.draw.vtk_parts import (
+from fenics_crack.draw.vtk import (
+    PeriodFields,
     add_values,
     cells_of,
     in_space,
