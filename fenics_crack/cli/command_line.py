@@ -305,8 +305,8 @@ FUNCTIONS = {
     "grow": "commands.growth",
     "timing": "timing.timing",
     "identify": "commands.identification",
-    "plot": "commands.plot",
-    "report": "report.report",
+    "plot": "pictures.plot",
+    "report": "pictures.report",
 }
 """What they call in this folder; the others are runs, ``commands.solved``."""
 ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {

@@ -1,4 +1,4 @@
-"""The commands that solve a scene, and ``plot``: each computes, writes its files and reports."""
+"""The commands that solve a scene: each computes, writes its files and reports."""
 
 from __future__ import annotations
 
@@ -12,23 +12,19 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.cli.account import Account
-from fenics_crack.cli.console import Console, make_writable
+from fenics_crack.cli.account import Account, account_of_sweep
+from fenics_crack.cli.console import Console
 from fenics_crack.cli.inputs import Inputs
-from fenics_crack.cli.results import Computed, account_of, account_of_sweep, result_of
+from fenics_crack.cli.results import account_of
 from fenics_crack.cli.scenes import remark_on_sweep
 from fenics_crack.errors import FEW_MODES, INTERRUPTED, Exit, InputError
-from fenics_crack.files.store import read
-from fenics_crack.model.modes import Modes
 from fenics_crack.parallel import on_root
-from fenics_crack.scene.scene import Scene
 from fenics_crack.study.remarks import coriolis_in_words, remarks_on_rotor
 from fenics_crack.study.run import Run, curve, integrate, modes, solve
 from fenics_crack.table import RPM, counted, quantity
 
 __all__ = [
-    "campbell_diagram", "growth", "identification", "plot", "solved", "sweep", "tell",
+    "campbell_diagram", "growth", "identification", "solved", "sweep", "tell",
     "verification",
 ]  # fmt: skip
 
@@ -226,52 +222,3 @@ def identification(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     _note_replaced(folder / "identify", before, console)
     console.warn(*found.warnings)
     return Exit.NOT_CONVERGED if found.doubts else Exit.DONE
-
-
-def plot(given: Namespace, _: None, console: Console) -> None:
-    """Pictures of a result, of several in one, or of a scene's mesh; by rank 0."""
-    results, labels = given.results, given.label
-    first, several = results[0], len(results) > 1
-    is_scene = first.suffix.lower() == ".toml"
-    folder = given.output or (Path("output") / first.stem if is_scene else first.parent)
-    make_writable(folder, console.comm)
-
-    def draw() -> list[Path]:
-        from fenics_crack.cli.pictures import draw_result, draw_several
-
-        stored = None if several or is_scene else read(first)
-        if given.show and (stored is None or stored.kind != PeriodicSolution.KIND):
-            raise InputError("--show", str(first), "used with one periodic solution")
-        if several or labels:
-            return draw_several(results, labels, folder)
-        if stored is None:
-            from fenics_crack.cli.scenes import draw_scene
-
-            return draw_scene(Scene.load(first), folder)
-        result = result_of(stored)
-        return draw_result(result, folder) + _for_paraview(result, folder, console, show=given.show)
-
-    with console.stage("pictures"):
-        files = on_root(console.comm, draw)
-    console.note(*map(str, files))
-
-
-def _for_paraview(run: Computed, folder: Path, console: Console, *, show: bool) -> list[Path]:
-    """Files of modes and of a period; none without a mesh. With ``show`` a window, too."""
-    if not (isinstance(run, Run) and isinstance(run.result, Modes | PeriodicSolution)):
-        return []
-    from fenics_crack.draw.vtk import write_modes, write_period
-
-    found, material = run.result, run.scene.material
-    if show and isinstance(found, PeriodicSolution):
-        from fenics_crack.draw.animation import show_period
-
-        show_period(found, material=material)
-    if found.structure.whole.meshed is None:
-        console.note("no mesh: what would be drawn on one is left out")
-        return []
-    if isinstance(found, Modes):
-        write_modes(found, folder / "modes.vtu")
-        return [folder / "modes.vtu"]
-    write_period(found, folder / "solution_period.pvd", material=material)
-    return [folder / "solution_period.pvd"]

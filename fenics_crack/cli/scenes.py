@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import itertools
 from argparse import Namespace
-from pathlib import Path
 
 import numpy as np
 from mpi4py import MPI
@@ -27,7 +26,7 @@ from fenics_crack.sweep.plan import Plan
 from fenics_crack.table import RPM, TURN, Table, counted
 
 __all__ = [
-    "check", "draw_scene", "harmonics_in_words", "in_words", "remark_on", "remark_on_sweep",
+    "check", "harmonics_in_words", "in_words", "remark_on", "remark_on_sweep",
 ]  # fmt: skip
 
 MAX_CHECKED = 10_000
@@ -69,16 +68,6 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
     console.table(Table(("what", "value"), [*rows.items()]))
     console.note(remark)
     console.note(*(f"remark: {remark}" for remark in remarks))
-
-
-def draw_scene(scene: Scene, folder: Path, structure: Structure | None = None) -> list[Path]:
-    """Draw the mesh of a scene, which is made unless its structure is there; return the file."""
-    from fenics_crack.draw.plot_mesh import draw_mesh
-
-    file = folder / "mesh.png"
-    structure = structure or prepare(scene, MPI.COMM_SELF, whole=True).structure
-    draw_mesh(structure, path=file, title=f"{structure.n_dofs} degrees of freedom")
-    return [file]
 
 
 def _extents(figures: KeyFigures) -> dict[str, object]:
