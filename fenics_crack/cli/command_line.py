@@ -24,8 +24,7 @@ from fenics_crack.version import VERSION
 from fenics_crack.whole import FULL
 
 if TYPE_CHECKING:
-    from fenics_crack.cli.console import Console
-    from fenics_crack.cli.inputs import Inputs
+    from fenics_crack.cli.given import Console, Inputs
 
 __all__ = ["main"]
 
@@ -152,7 +151,7 @@ def _let_go() -> None:
 
 def _show_lines_of(table: str) -> None:
     """Print lines to be pasted where a scene lacks a table that a command asks for."""
-    from fenics_crack.cli.inputs import lines_of
+    from fenics_crack.cli.given import lines_of
 
     if lines := lines_of(table):
         print(f"for example:\n\n{lines}", file=sys.stderr)
@@ -188,7 +187,7 @@ def _run(given: argparse.Namespace) -> Exit:
     MPI and PETSc take longer to load than most input to be refused. Where mpirun has started this
     process, rank 0 reads for all.
     """
-    from fenics_crack.cli.inputs import read_inputs
+    from fenics_crack.cli.given import Console, read_inputs
 
     launched = any(name in os.environ for name in LAUNCHERS)
     inputs = None if launched else read_inputs(given)
@@ -198,7 +197,6 @@ def _run(given: argparse.Namespace) -> Exit:
     with _settings({} if launched else ALONE):
         from mpi4py import MPI
 
-    from fenics_crack.cli.console import Console
     from fenics_crack.parallel import on_root
 
     comm = MPI.COMM_WORLD
@@ -231,7 +229,7 @@ def _command(given: argparse.Namespace, inputs: Inputs | None, console: Console)
     command = getattr(import_module(f"fenics_crack.cli.{module}"), name)
     if inputs is None or "output" not in given:
         return command(given, inputs, console)
-    from fenics_crack.cli.console import make_writable
+    from fenics_crack.cli.given import make_writable
     from fenics_crack.study.remarks import remarks_on_scene
 
     make_writable(inputs.folder, console.comm)
@@ -297,7 +295,7 @@ COMMANDS = {
 }
 """What each command does, and its own arguments."""
 FUNCTIONS = {
-    "new": "inputs.new",
+    "new": "given.new",
     "check": "scenes.check",
     "campbell": "commands.campbell_diagram",
     "verify": "commands.verification",

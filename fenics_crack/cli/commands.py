@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.cli.account import Account, account_of_sweep
-from fenics_crack.cli.console import Console
-from fenics_crack.cli.inputs import Inputs
+from fenics_crack.cli.given import Console, Inputs
 from fenics_crack.cli.results import account_of
 from fenics_crack.cli.scenes import remark_on_sweep
 from fenics_crack.errors import FEW_MODES, INTERRUPTED, Exit, InputError

@@ -29,7 +29,7 @@ from fenics_crack.balance.error_report import UNKNOWN
 from fenics_crack.balance.harmonic_balance import linear_response
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import frequency_in_words
-from fenics_crack.cli.console import Console, make_writable
+from fenics_crack.cli.given import Console, make_writable
 from fenics_crack.cli.results import IDENTIFIED, RESULTS, Computed, account_of, closings, result_of
 from fenics_crack.cli.scenes import harmonics_in_words
 from fenics_crack.curves.curve import ResponseCurve

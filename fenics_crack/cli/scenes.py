@@ -9,8 +9,7 @@ from argparse import Namespace
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.cli.console import Console
-from fenics_crack.cli.inputs import Inputs
+from fenics_crack.cli.given import Console, Inputs
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.memory import check_memory

@@ -16,8 +16,7 @@ from fenics_crack.arrivals.passages import PassageFit, find_passages
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import Account, in_one_unit, of_error, of_stability
 from fenics_crack.cli.commands import tell
-from fenics_crack.cli.console import Console, make_writable
-from fenics_crack.cli.inputs import Inputs, changes
+from fenics_crack.cli.given import Console, Inputs, changes, make_writable
 from fenics_crack.draw.plot_study import draw_arrivals, draw_passages, draw_tip_fit, draw_tip_track
 from fenics_crack.errors import Exit, InputError
 from fenics_crack.parallel import on_root

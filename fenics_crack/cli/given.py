@@ -1,5 +1,5 @@
-"""What a command is given as text: a scene with its changes, measurements, arrivals; and the scene
-that ``new`` writes, to be given.
+"""What a command is given: a scene with its changes, measurements and arrivals, read from text, and
+where it prints and writes; and the scene that ``new`` writes, to be given.
 
 Reading it needs NumPy alone, which loads in a tenth of the time of the libraries that compute.
 
@@ -12,9 +12,13 @@ from __future__ import annotations
 
 import os
 import re
+import sys
+import tempfile
+import time
 import tomllib
 from argparse import Namespace
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,15 +27,21 @@ import numpy as np
 
 from fenics_crack.errors import InputError, check_count
 from fenics_crack.scene.scene import Scene
+from fenics_crack.stages import StageLines, listening
+from fenics_crack.table import Table
 from fenics_crack.version import packaged
-from fenics_crack.whole import write_whole
+from fenics_crack.whole import not_written, write_whole
 
 if TYPE_CHECKING:
+    from mpi4py import MPI
+
     from fenics_crack.arrivals.arrival_times import ArrivalTimes
-    from fenics_crack.cli.console import Console
     from fenics_crack.identification.measurements import Measurements
 
-__all__ = ["Inputs", "changes", "is_record", "lines_of", "new", "new_scene", "read_inputs"]
+__all__ = [
+    "Console", "Inputs", "changes", "is_record", "lines_of", "make_writable", "new", "new_scene",
+    "read_inputs",
+]  # fmt: skip
 
 COMMENTED = "cli/new_scene.toml"
 KINDS = ("blade", "timing", "identify")
@@ -126,12 +136,76 @@ def changes(given: Sequence[str]) -> dict[str, Any]:
     return found
 
 
+# --- where it prints and writes -------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Console:
+    """Prints a command's table to standard output, all else to standard error."""
+
+    comm: MPI.Comm  # rank 0 writes files
+    form: str  # of the table: "text", "csv" or "json"
+    quiet: bool  # print the table alone
+    verbose: bool  # print how long each part took
+
+    @property
+    def progress(self) -> bool:
+        """Whether to show a progress bar."""
+        return not self.quiet and (self.verbose or sys.stderr.isatty())
+
+    def table(self, table: Table) -> None:
+        """Print a table."""
+        print(table.formatted(self.form), end="", flush=True)
+
+    def note(self, *texts: str) -> None:
+        """Print remarks, unless they are empty or quiet is asked for."""
+        for text in texts:
+            if text and not self.quiet:
+                print(text, file=sys.stderr, flush=True)
+
+    def warn(self, *texts: str) -> None:
+        """Print warnings, even if quiet."""
+        for text in texts:
+            print(f"fenics-crack: warning: {text}", file=sys.stderr, flush=True)
+
+    @contextmanager
+    def timed(self, name: str) -> Iterator[None]:
+        """Print how long a part took, if verbose."""
+        started = time.perf_counter()
+        yield
+        if self.verbose:
+            print(f"{name}: {time.perf_counter() - started:.2f} s", file=sys.stderr, flush=True)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """The same, and unless quiet is asked for what is done in that part while it is done: where
+        no progress is shown, now and then."""
+        lines = nullcontext() if self.quiet else listening(StageLines(kept=self.progress))
+        with self.timed(name), lines:
+            yield
+
+
+def make_writable(folder: Path, comm: MPI.Comm) -> None:
+    """Make a folder for results; raise InputError unless a file can be written there."""
+    from fenics_crack.parallel import on_root  # PETSc
+
+    def work() -> None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                pass
+        except OSError as error:
+            raise not_written("--output", folder, error, "a folder that can be written") from None
+
+    on_root(comm, work)
+
+
 # --- the scene that is written --------------------------------------------------------------------
 
 
 def new(given: Namespace, _: None, console: Console) -> None:
     """Write a commented scene to start from."""
-    from fenics_crack.parallel import on_root  # PETSc, which lines for an error do without
+    from fenics_crack.parallel import on_root  # PETSc
 
     path: Path = given.file
     kinds = [kind for kind in KINDS if vars(given)[kind]]
