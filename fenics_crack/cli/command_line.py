@@ -230,7 +230,7 @@ def _command(given: argparse.Namespace, inputs: Inputs | None, console: Console)
     if inputs is None or "output" not in given:
         return command(given, inputs, console)
     from fenics_crack.cli.given import make_writable
-    from fenics_crack.study.remarks import remarks_on_scene
+    from fenics_crack.study.key_figures import remarks_on_scene
 
     make_writable(inputs.folder, console.comm)
     told = remarks_on_scene(inputs.scene)

@@ -18,7 +18,7 @@ from fenics_crack.cli.results import account_of
 from fenics_crack.cli.scenes import remark_on_sweep
 from fenics_crack.errors import FEW_MODES, INTERRUPTED, Exit, InputError
 from fenics_crack.parallel import on_root
-from fenics_crack.study.remarks import coriolis_in_words, remarks_on_rotor
+from fenics_crack.study.key_figures import coriolis_in_words, remarks_on_rotor
 from fenics_crack.study.run import Run, curve, integrate, modes, solve
 from fenics_crack.table import RPM, counted, quantity
 

@@ -18,9 +18,15 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.coarser_mesh import errors_of_natural
-from fenics_crack.study.key_figures import KeyFigures, find_key_figures, highest_omega
+from fenics_crack.study.key_figures import (
+    KeyFigures,
+    find_key_figures,
+    highest_omega,
+    is_proportional,
+    remarks_on,
+    remarks_on_structure,
+)
 from fenics_crack.study.prepare import Study, check_memory_of, prepare, reduction_of
-from fenics_crack.study.remarks import is_proportional, remarks_on, remarks_on_structure
 from fenics_crack.sweep.plan import Plan
 from fenics_crack.table import RPM, TURN, Table, counted
 

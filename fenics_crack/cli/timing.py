@@ -23,7 +23,7 @@ from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import TipTiming
 from fenics_crack.stages import within
-from fenics_crack.study.remarks import remarks_on_arrivals
+from fenics_crack.study.key_figures import remarks_on_arrivals
 from fenics_crack.study.timing import (
     arrivals_of,
     is_run_up,

@@ -18,7 +18,7 @@ from fenics_crack.cli.account import few_cases, of_error, of_stability, stepped_
 from fenics_crack.cli.results import _undecided_stretches, few_special_points
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.words import differences, key_in_words, value_in_words
-from fenics_crack.study.remarks import remarks_on_scene
+from fenics_crack.study.key_figures import remarks_on_scene
 from fenics_crack.sweep import result
 from fenics_crack.sweep.file import COLUMNS, CONVERGED, FAILED
 from fenics_crack.table import Table
