@@ -33,11 +33,11 @@ from fenics_crack.model.contact import is_unilateral
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.scene.scene import Scene
 from fenics_crack.stages import within
-from fenics_crack.study.coarser_mesh import CLAMP, TIP, finer_mesh, n_elements, size_of
+from fenics_crack.study.coarser_mesh import CLAMP, TIP, finer_mesh, n_elements, parts_of
 from fenics_crack.study.prepare import REFUSALS, Study, prepare, reduced, reduction_of
 from fenics_crack.study.run import Run, solve_prepared
 from fenics_crack.study.stated_errors import Numbers, by_orbit, numbers_of, resonance_of, shifted
-from fenics_crack.study.verification import GridConvergence, Varied, Verification, grid_convergence
+from fenics_crack.study.verification import GridConvergence, Varied, Verification
 
 __all__ = ["verify"]
 
@@ -190,15 +190,8 @@ class _Runs:
             raise ConvergenceError("no finer run has converged")
         if len(set(many)) < len(many):
             return "finer ones have as many elements, as mesh.size is that of the plate"
-        return many, {
-            name: grid_convergence(
-                [size_of(cause, count, scene) for count in many],
-                [values.get(name, 0.0) for _, values in levels],  # 0: none there
-                formal=formal,
-                highest=highest,
-            )
-            for name in numbers.values
-        }
+        found = [values for _, values in levels]
+        return many, parts_of(cause, many, found, scene, formal=formal, highest=highest)
 
     def more(
         self, shared: Study, scene: Scene, key: str, own: int, most: int, formal: float

@@ -472,7 +472,15 @@ class Verification(Tabular):
     @property
     def dents(self) -> tuple[str, ...]:
         """That the displacement under a force at a point has no limit, where that matters."""
-        return _dented(self.scene, abs(self.values.get("amplitude", 0.0)))
+        amplitude, added = abs(self.values.get("amplitude", 0.0)), _dent(self.scene)
+        if self.scene.points or not added > DENTED * amplitude > 0.0:
+            return ()
+        growth = "log(1/h)" if self.scene.dimension == 2 else "1/h"
+        return (
+            "amplitude: under a force at a point the displacement has no limit, it grows like "
+            f"{growth}, by about {100.0 * added / amplitude:.2g} % with elements half as long; "
+            "watch another place (output.points), or load an edge (loads)",
+        )
 
     def _matters(self, name: str, cause: str) -> bool:
         """Whether a contribution is so large that a doubt of it is told."""
@@ -522,19 +530,6 @@ def verification_of(stored: Stored) -> Verification | None:
         return Verification(
             scene, values, units, grids, counts, absent, unknown, failures, verdicts
         )
-
-
-def _dented(scene: Scene, amplitude: float) -> tuple[str, ...]:
-    """That the displacement under a force at a point has no limit, or nothing."""
-    added = _dent(scene)
-    if scene.points or not added > DENTED * amplitude > 0.0:
-        return ()
-    growth = "log(1/h)" if scene.dimension == 2 else "1/h"
-    return (
-        "amplitude: under a force at a point the displacement has no limit, it grows like "
-        f"{growth}, by about {100.0 * added / amplitude:.2g} % with elements half as long; watch "
-        "another place (output.points), or load an edge (loads)",
-    )
 
 
 def _dent(scene: Scene) -> float:
