@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from fenics_crack.identification.measurements import Measurements
 
 __all__ = [
-    "Console", "Inputs", "changes", "is_record", "lines_of", "make_writable", "new", "new_scene",
+    "Console", "Inputs", "changes", "lines_of", "make_writable", "new", "new_scene",
     "read_inputs",
 ]  # fmt: skip
 
@@ -69,7 +69,7 @@ def read_inputs(given: Namespace) -> Inputs | None:
     InputError
         One of them cannot be used.
     """
-    if "scene" not in given or is_record(given):
+    if "scene" not in given or _is_record(given):
         return None
     scene = Scene.load(given.scene, changes(given.set))
     seen = vars(given).get("arrivals")
@@ -115,7 +115,7 @@ def _arrivals(scene: Scene, source: Path | None) -> ArrivalTimes | Path | None:
     return next(iter(blades.values()))
 
 
-def is_record(given: Namespace) -> bool:
+def _is_record(given: Namespace) -> bool:
     """Tell whether ``timing`` is given a record of arrivals in place of a scene."""
     return bool(given.command == "timing" and given.scene.suffix.lower() == ".csv")
 

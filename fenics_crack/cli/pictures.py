@@ -127,11 +127,16 @@ def plot(given: Namespace, _: None, console: Console) -> None:
         if given.show and (stored is None or stored.kind != PeriodicSolution.KIND):
             raise InputError("--show", str(first), "used with one periodic solution")
         if several or labels:
-            return draw_several(results, labels, folder)
+            return _draw_several(results, labels, folder)
         if stored is None:
-            return [draw_scene(Scene.load(first), folder)]
-        result = result_of(stored)
-        return draw_result(result, folder) + _for_paraview(result, folder, console, show=given.show)
+            return [_draw_scene(Scene.load(first), folder)]
+        result: Any = result_of(stored)
+        drawn = _draw_result(result, folder)
+        if given.show:
+            from fenics_crack.draw.animation import show_period  # VTK
+
+            show_period(result.result, material=result.scene.material)
+        return drawn + _for_paraview(result, folder, console)
 
     with console.stage("pictures"):
         files = on_root(console.comm, draw)
@@ -143,21 +148,21 @@ def report(given: Namespace, _: None, console: Console) -> None:
     target = given.output or given.results[0].parent / "report.html"
     words = ["fenics-crack", *given.words]
     with console.stage("report"):
-        left = on_root(console.comm, lambda: write_report(given.results, target, words))
+        left = on_root(console.comm, lambda: _write_report(given.results, target, words))
     console.note(str(target), *(f"{path} is left out: {IDENTIFIED}" for path in left))
 
 
 # --- of one result --------------------------------------------------------------------------------
 
 
-def draw_result(result: Computed, folder: Path) -> list[Path]:
+def _draw_result(result: Computed, folder: Path) -> list[Path]:
     """Draw the pictures of a result into a folder; return the files."""
     files: list[Path] = []
     DRAW[result.KIND](result, _file_in(folder, files))
     return files
 
 
-def draw_scene(scene: Scene, folder: Path, structure: Structure | None = None) -> Path:
+def _draw_scene(scene: Scene, folder: Path, structure: Structure | None = None) -> Path:
     """Draw the mesh of a scene, which is made unless its structure is there; return the file."""
     file = folder / "mesh.png"
     structure = structure or prepare(scene, MPI.COMM_SELF, whole=True).structure
@@ -165,28 +170,26 @@ def draw_scene(scene: Scene, folder: Path, structure: Structure | None = None) -
     return file
 
 
-def _for_paraview(run: Computed, folder: Path, console: Console, *, show: bool) -> list[Path]:
-    """Files of modes and of a period; none without a mesh. With ``show`` a window, too."""
-    if not (isinstance(run, Run) and isinstance(run.result, Modes | PeriodicSolution)):
+def _for_paraview(run: Computed, folder: Path, console: Console) -> list[Path]:
+    """Files of modes and of a period; none without a mesh."""
+    found = run.result if isinstance(run, Run) else None
+    if not isinstance(found, Modes | PeriodicSolution):
         return []
-    from fenics_crack.draw.vtk import write_modes, write_period  # VTK
-
-    found, material = run.result, run.scene.material
-    if show and isinstance(found, PeriodicSolution):
-        from fenics_crack.draw.animation import show_period
-
-        show_period(found, material=material)
     if found.structure.whole.meshed is None:
         console.note("no mesh: what would be drawn on one is left out")
         return []
+    from fenics_crack.draw.vtk import write_modes, write_period  # VTK
+
     if isinstance(found, Modes):
-        write_modes(found, folder / "modes.vtu")
-        return [folder / "modes.vtu"]
-    write_period(found, folder / "solution_period.pvd", material=material)
-    return [folder / "solution_period.pvd"]
+        file = folder / "modes.vtu"
+        write_modes(found, file)
+    else:
+        file = folder / "solution_period.pvd"
+        write_period(found, file, material=run.scene.material)
+    return [file]
 
 
-def can_be_drawn(result: Computed) -> bool:
+def _can_be_drawn(result: Computed) -> bool:
     """Tell whether a result can be drawn: a sweep over two or more numbers, if a case of it has
     converged."""
     if not isinstance(result, SweepResult):
@@ -420,7 +423,7 @@ DRAW: dict[str, Callable[[Any, File], None]] = {
 # --- several of one kind --------------------------------------------------------------------------
 
 
-def draw_several(paths: Sequence[Path], labels: Sequence[str], folder: Path) -> list[Path]:
+def _draw_several(paths: Sequence[Path], labels: Sequence[str], folder: Path) -> list[Path]:
     """Draw results of the same kind on the same axes; return the files.
 
     ``labels`` name the results; without any they are called by what differs between their scenes,
@@ -532,7 +535,7 @@ def _common(names: Iterator[str] | Sequence[str]) -> str | None:
 # --- the page -------------------------------------------------------------------------------------
 
 
-def write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) -> list[Path]:
+def _write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) -> list[Path]:
     """Write the page of some results; return the files that are left out beside others.
 
     Parameters
@@ -569,25 +572,25 @@ def write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) ->
             if kinds.count(file.kind) > 1:
                 heading += f": {differs or file.path}"
             told = [*found.facts]
-            blocks = [paragraph(f"In this result {differs}.", "small")] if differs else []
+            blocks = [_paragraph(f"In this result {differs}.", "small")] if differs else []
             doubtful = [f"{text[0].upper()}{text[1:]}" for text in found.warnings]
-            blocks += [points(told), points(doubtful, "doubtful")]
-            blocks += [paragraph(*found.verdict)] if found.verdict else []
-            if can_be_drawn(result):
-                blocks += [_picture(path) for path in draw_result(result, place)]
+            blocks += [_points(told), _points(doubtful, "doubtful")]
+            blocks += [_paragraph(*found.verdict)] if found.verdict else []
+            if _can_be_drawn(result):
+                blocks += [_picture(path) for path in _draw_result(result, place)]
             blocks += [_table(rows, caption) for caption, rows in found.tables.items()]
-            blocks.append(paragraph(f"From {file.path}, {_made(file.path)}.", "small"))
+            blocks.append(_paragraph(f"From {file.path}, {_made(file.path)}.", "small"))
             sections.append((f"result-{number}", heading, blocks))
             facts += told[:1]
             doubts += [f"{heading}: {text}" for text in found.warnings]
-    short = [points(facts), points(doubts, "doubtful")]
+    short = [_points(facts), _points(doubts, "doubtful")]
     if not doubts:
-        short.append(paragraph("The program warned of nothing.", "good"))
+        short.append(_paragraph("The program warned of nothing.", "good"))
     before: list[Section] = [("short", "In short", short), ("scene", "Scene", scene_part)]
     after = "versions", "Versions", _versions([file for file, _ in both], command)
     stem = both[0][0].path.resolve().parent.name
     under = f"{datetime.now(UTC).astimezone():%d %B %Y, %H:%M %Z}, fenics_crack {VERSION}"
-    text = page(f"Breathing crack: {stem}", under, [*before, *sections, after])
+    text = _page(f"Breathing crack: {stem}", under, [*before, *sections, after])
     write_whole(target, text, "--output")
     return [file.path for file in stored if file.kind == IDENTIFICATION]
 
@@ -600,7 +603,7 @@ def _scene(result: Computed, folder: Path) -> list[str]:
     scene, blocks = result.scene, []
     if scene.geometry is not None:
         own = result.structure.whole if isinstance(result, Run) else None
-        blocks.append(_picture(draw_scene(scene, folder, own)))
+        blocks.append(_picture(_draw_scene(scene, folder, own)))
     rows: list[tuple[str, object]] = [
         (key_in_words(key), _value(key, value))
         for table in IN_SHORT
@@ -633,7 +636,7 @@ def _versions(files: Sequence[Stored], command: Sequence[str]) -> list[str]:
     rows.append(("this page", f"fenics_crack {VERSION}, {drawn}"))
     return [
         _table(Table(("file", "made with"), rows), "What computed the results"),
-        paragraph(f"Command: {shlex.join(command)}"),
+        _paragraph(f"Command: {shlex.join(command)}"),
     ]
 
 
@@ -646,7 +649,7 @@ def _made(path: Path) -> str:
 # --- blocks of HTML -------------------------------------------------------------------------------
 
 
-def page(title: str, under: str, sections: Sequence[Section]) -> str:
+def _page(title: str, under: str, sections: Sequence[Section]) -> str:
     """A whole page: links to its sections, and these."""
     links = (f'<a href="#{name}">{html.escape(heading)}</a>' for name, heading, _ in sections)
     body = [f"<nav>{' '.join(links)}</nav>"]
@@ -657,12 +660,12 @@ def page(title: str, under: str, sections: Sequence[Section]) -> str:
     return Template(packaged("cli/report.html")).substitute(words, body="\n".join(body))
 
 
-def paragraph(text: str, kind: str = "") -> str:
+def _paragraph(text: str, kind: str = "") -> str:
     """Some words; ``kind`` is "good", "bad" or "doubtful" for a verdict, "small", or empty."""
     return f'<p class="{kind}">{html.escape(text)}</p>' if kind else f"<p>{html.escape(text)}</p>"
 
 
-def points(texts: Sequence[str], kind: str = "") -> str:
+def _points(texts: Sequence[str], kind: str = "") -> str:
     """A list of words; empty without any."""
     items = "".join(f"<li>{html.escape(text)}</li>" for text in texts)
     return f'<ul class="{kind}">{items}</ul>' if texts else ""

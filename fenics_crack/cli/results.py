@@ -60,7 +60,7 @@ Row = tuple[str, str, object, str]
 """Name, words, value, unit."""
 
 
-def account_of_modes(run: Run[Modes]) -> Account:
+def _account_of_modes(run: Run[Modes]) -> Account:
     """Natural frequencies and mode shapes with the crack open."""
     found, table = run.result, run.result.table()
     first = float(found.omega[0])
@@ -79,7 +79,7 @@ def account_of_modes(run: Run[Modes]) -> Account:
 # --- a steady vibration ---------------------------------------------------------------------------
 
 
-def account_of_solution(run: Run[PeriodicSolution]) -> Account:
+def _account_of_solution(run: Run[PeriodicSolution]) -> Account:
     """A solution, its error and its stability (collective)."""
     found, scene = run.result, run.scene
     table = _quantities(run, found.to_dict())
@@ -186,7 +186,7 @@ def _verdict(found: PeriodicSolution) -> tuple[str, str]:
 # --- a motion in time -----------------------------------------------------------------------------
 
 
-def account_of_history(run: Run[TimeHistory]) -> Account:
+def _account_of_history(run: Run[TimeHistory]) -> Account:
     """A motion from rest, and whether it repeats (collective)."""
     found, scene = run.result, run.scene
     distance = found.distance
@@ -246,7 +246,7 @@ def _quantities(run: Run[Any], values: Mapping[str, object]) -> Table:
         near = bilinear_frequencies(run.structure).nearest(omega)
         rows += (
             (name, f"{words}, mode {near['mode']}", float(value), _shown(unit))
-            for name, words, unit, value in with_hertz(near)
+            for name, words, unit, value in _with_hertz(near)
         )
     columns, rows = ["name", "quantity", "value", "unit"], [*rows, *_named(OTHERS, values)]
     if run.stated is None:
@@ -292,7 +292,7 @@ def _shown(unit: str) -> str:
     return "-" if unit == "1" else unit
 
 
-def with_hertz(near: Mapping[str, np.ndarray]) -> Iterator[tuple[str, str, str, np.ndarray]]:
+def _with_hertz(near: Mapping[str, np.ndarray]) -> Iterator[tuple[str, str, str, np.ndarray]]:
     """Names, words, units and values of natural frequencies: "omega_open", "frequency_open"..."""
     for name, (words, unit) in OF_FREQUENCIES.items():
         yield name, words, unit, near[name]
@@ -348,7 +348,7 @@ SHORT_OF_CURVE = ("amplitude", "ratio_2_1", "closed_share", "opening", "over_bil
 terminal."""
 
 
-def account_of_curve(run: Run[ResponseCurve]) -> Account:
+def _account_of_curve(run: Run[ResponseCurve]) -> Account:
     """A curve, its special points, its errors and its stability (collective)."""
     found, scene = run.result, run.scene
     special = special_points(run)
@@ -555,7 +555,7 @@ def _along(run: Run[ResponseCurve], curve: ResponseCurve) -> dict[str, np.ndarra
     for name, values in asked_along_curve(run, curve).items():
         found[with_unit(name, QUANTITIES[name][1])] = values
     near = _natural_along(run, np.asarray(seen[0].omega)).nearest(seen[0].omega)
-    return found | {with_unit(name, unit): value for name, _, unit, value in with_hertz(near)}
+    return found | {with_unit(name, unit): value for name, _, unit, value in _with_hertz(near)}
 
 
 def _natural_along(run: Run[ResponseCurve], omega: np.ndarray) -> BilinearFrequencies:
@@ -581,11 +581,11 @@ def _natural_along(run: Run[ResponseCurve], omega: np.ndarray) -> BilinearFreque
 Computed = Run[Any] | SweepResult | Verification | Growth
 """What commands write."""
 RESULTS: dict[str, tuple[str, Callable[[Any], Account]]] = {
-    Modes.KIND: ("Natural frequencies and modes", account_of_modes),
-    PeriodicSolution.KIND: ("Steady vibration", account_of_solution),
-    ResponseCurve.KIND: ("Response curve", account_of_curve),
+    Modes.KIND: ("Natural frequencies and modes", _account_of_modes),
+    PeriodicSolution.KIND: ("Steady vibration", _account_of_solution),
+    ResponseCurve.KIND: ("Response curve", _account_of_curve),
     SweepResult.KIND: ("Sweep", account_of_sweep),
-    TimeHistory.KIND: ("Motion in time", account_of_history),
+    TimeHistory.KIND: ("Motion in time", _account_of_history),
     Growth.KIND: ("Growth of the crack", account_of_growth),
     Verification.KIND: ("Convergence study", account_of_verification),
 }

@@ -70,7 +70,7 @@ def in_space(vectors: np.ndarray) -> np.ndarray:
     return np.pad(vectors, ((0, 0), (0, 3 - vectors.shape[1])))
 
 
-def grid_of(points: np.ndarray, cells: np.ndarray, vtk_type: int) -> vtkUnstructuredGrid:
+def _grid_of(points: np.ndarray, cells: np.ndarray, vtk_type: int) -> vtkUnstructuredGrid:
     """Points (n, d) and cells of one type."""
     grid = vtkUnstructuredGrid()
     place(grid, points)
@@ -198,7 +198,7 @@ STRESS_INSTANTS = 128
 
 def moved_grid(mesh: NodalMesh, displacement: np.ndarray | float = 0.0) -> vtkUnstructuredGrid:
     """The cells, moved by nodal vectors (n_nodes, d) [m]."""
-    return grid_of(mesh.points + displacement, mesh.cells, mesh.vtk_type)
+    return _grid_of(mesh.points + displacement, mesh.cells, mesh.vtk_type)
 
 
 def nodal_stress(mesh: NodalMesh, displacement: np.ndarray, material: Material) -> np.ndarray:
@@ -227,7 +227,7 @@ def _slopes(mesh: NodalMesh) -> list[csr_matrix]:
     """
     of_cell = mesh.cells.shape[1]
     places = np.reshape(moved_grid(mesh).GetCell(0).GetParametricCoords(), (of_cell, 3))
-    unit, slopes = grid_of(places, np.arange(of_cell)[None], mesh.vtk_type), vtkGradientFilter()
+    unit, slopes = _grid_of(places, np.arange(of_cell)[None], mesh.vtk_type), vtkGradientFilter()
     add_values(unit.GetPointData(), "shape", np.eye(of_cell))
     slopes.SetInputData(unit)
     slopes.SetInputScalars(vtkDataObject.FIELD_ASSOCIATION_POINTS, "shape")

@@ -144,7 +144,7 @@ def expected(
     cause: str, counts: tuple[int, int], own: Mapping[str, float], other: Mapping[str, float],
     scene: Scene,
 ) -> dict[str, GridConvergence]:  # fmt: skip
-    """The part of a cause, of order 1 in :func:`size_of`, without a factor of safety."""
+    """The part of a cause, of order 1 in :func:`_size_of`, without a factor of safety."""
     parts = parts_of(cause, counts, (own, other), scene, formal=1.0)
     return {name: replace(part, factor=1.0) for name, part in parts.items()}
 
@@ -155,7 +155,7 @@ def parts_of(
 ) -> dict[str, GridConvergence]:  # fmt: skip
     """The part of a cause in each number, which is 0 where a run has none, by the numbers of two or
     three runs, the answer's own first; orders are those of :func:`grid_convergence`."""
-    sizes = [size_of(cause, count, scene) for count in counts]
+    sizes = [_size_of(cause, count, scene) for count in counts]
     return {
         name: grid_convergence(
             sizes, [values.get(name, 0.0) for values in levels], formal=formal, highest=highest
@@ -164,7 +164,7 @@ def parts_of(
     }
 
 
-def size_of(cause: str, count: int, scene: Scene) -> float:
+def _size_of(cause: str, count: int, scene: Scene) -> float:
     """The side of a square or cube of the mean size of so many elements, in [m] where the plate is
     the scene's (Celik and others, equation 1); or one over the number of something else."""
     if cause != "mesh":
