@@ -321,9 +321,7 @@ def curve(
     from fenics_crack.curves.follow import continue_frequency, continue_parameter
 
     check_scene(scene)
-    table, balance = scene.curve, scene.harmonic_balance
-    if table is None:
-        raise InputError("curve", None, "given for this command: a table with start and stop")
+    table, balance = scene.given("curve"), scene.harmonic_balance
     parameter, start, stop = table.followed
     by_frequency = parameter in ("omega", "speed")
     if by_frequency and scene.base is not None and scene.base.moves_by_displacement:
