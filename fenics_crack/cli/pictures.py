@@ -63,9 +63,8 @@ from fenics_crack.scene.words import (
     unit_of,
     value_in_words,
 )
-from fenics_crack.study.over_time import stress_intensity
 from fenics_crack.study.prepare import prepare
-from fenics_crack.study.run import Run
+from fenics_crack.study.run import Run, stress_intensity
 from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.growth import Growth
 from fenics_crack.sweep.plan import FREQUENCIES

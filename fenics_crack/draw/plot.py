@@ -34,7 +34,7 @@ from fenics_crack.numerics.fourier import derivative, evaluate, to_complex
 from fenics_crack.table import readable
 
 if TYPE_CHECKING:  # which loads DOLFINx
-    from fenics_crack.study.over_time import StressIntensity
+    from fenics_crack.study.run import StressIntensity
 
 __all__ = [
     "Wave", "draw_contact_map", "draw_laws", "draw_map", "draw_orbits", "draw_response",
