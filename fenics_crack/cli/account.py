@@ -172,12 +172,12 @@ def of_error(scene: Scene, report: ErrorReport, harmonics: int, where: str = "")
     )
 
 
-def known_to(run: Run, name: str) -> str:
-    """How well a number of a result is known: "2.4 %, most of it by the mesh"; empty where that is
-    not stated."""
+def known_to(run: Run, name: str = "") -> str:
+    """How well a number of a result, by default the watched amplitude, is known: "2.4 %, most of it
+    by the mesh"; empty where that is not stated."""
     if run.stated is None:
         return ""
-    error, cause = run.stated.stated(name)
+    error, cause = run.stated.stated(name or run.watched[0].column("amplitude"))
     if not error > 0.0:  # of a plate at rest, or of what no cause changes
         return ""
     by = f", most of it by the {cause}" if error > LEAST_TOLD else ""

@@ -89,7 +89,7 @@ def _account_of_solution(run: Run[PeriodicSolution]) -> Account:
             "the stability is not judged, as that would take long: it is for a reduced structure, "
             "with contact.law = 'unilateral' for lips without mass (reduction.method)"
         )
-    known = known_to(run, run.watched[0].column("amplitude"))
+    known = known_to(run)
     tolerance = scene.harmonic_balance.tolerance
     missed = tolerance is not None and found.report.total > tolerance
     warnings = []
@@ -137,7 +137,7 @@ def _facts(run: Run[PeriodicSolution]) -> Iterator[str]:
     found, report = run.result, run.result.report
     size = quantity(found.amplitude(run.watched_dof), "m")
     fact = f"At {frequency_in_words(run.scene, found.omega)} the {run.watched_name} is {size} half "
-    known = known_to(run, run.watched[0].column("amplitude"))
+    known = known_to(run)
     fact += f"peak-to-peak (known to {known})" if known else "peak-to-peak"
     if not found.gap_coefficients.size:
         yield f"{fact}."
@@ -397,7 +397,7 @@ def _largest(run: Run[ResponseCurve]) -> str:
             f"{_place(run, found.values[place])}."
         )
     peak, height, _ = top_and_damping(found.values, amplitude, place)
-    known = known_to(run, run.watched[0].column("amplitude"))
+    known = known_to(run)
     where = "" if run.stated is None else known_to(run, run.stated.resonance)
     return (
         f"The largest response of the curve, {quantity(height, 'm')} half peak-to-peak "

@@ -222,7 +222,7 @@ class _Plate:
     def move(self, frame: int) -> None:
         """Show another frame."""
         fields = self.fields
-        moved = fields.mesh.points + fields.shown(frame)
+        moved = fields.moved[frame]
         place(self.surface, moved)
         for part in self.lines:
             place(part, self._above(moved))
@@ -280,8 +280,7 @@ def _load_arrows(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
     largest = np.linalg.norm(total, axis=1).max()
     if largest == 0.0:
         return np.zeros_like(total), np.zeros_like(total)
-    places = fields.mesh.points + fields.magnification * fields.displacement
-    return share @ places / share.sum(), fields.mesh.size / 8.0 * total / largest
+    return share @ fields.moved / share.sum(), fields.mesh.size / 8.0 * total / largest
 
 
 def _with_slider(plotter: Any, solution: PeriodicSolution, fields: PeriodFields) -> Any:
@@ -398,13 +397,12 @@ def _image_of(window: vtkRenderWindow) -> Image.Image:
 def _look_at_all(renderer: vtkRenderer, fields: PeriodFields, room: float = 1.03) -> float:
     """Set the camera so that the plate stays in the picture for the whole period; return the width
     that it takes, relative to the height of the picture."""
-    moved = fields.mesh.points + fields.magnification * fields.displacement
     width, height = renderer.GetVTKWindow().GetSize()
     if fields.mesh.dimension == 3:
         look_from_corner(renderer, fields.mesh.points)
         return float(width / height)
     heads = np.add(*_load_arrows(fields)) if np.any(fields.load) else np.empty((0, 2))
-    points = np.concatenate([fields.mesh.points, *moved, heads])
+    points = np.concatenate([fields.mesh.points, *fields.moved, heads])
     low, high = points.min(axis=0), points.max(axis=0)
     size, camera = fields.mesh.size, seen_parallel(renderer)
     middle, (across, up) = 0.5 * (low + high), high - low

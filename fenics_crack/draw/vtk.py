@@ -51,8 +51,8 @@ if TYPE_CHECKING:
     from fenics_crack.study.run import Run
 
 __all__ = [
-    "PeriodFields", "add_values", "cells_of", "image_of", "in_space", "lines", "look_from_corner",
-    "moved_grid", "nodal_stress", "off_screen_plotter", "outline", "place", "pyvista",
+    "PeriodFields", "add_values", "cells_of", "grid_at_rest", "image_of", "in_space", "lines",
+    "look_from_corner", "nodal_stress", "off_screen_plotter", "outline", "place", "pyvista",
     "seen_parallel", "stress_at", "surface", "von_mises", "without_screen", "write_modes",
     "write_period",
 ]  # fmt: skip
@@ -196,9 +196,9 @@ STRESS_INSTANTS = 128
 """Of a period, at which stresses are found."""
 
 
-def moved_grid(mesh: NodalMesh, displacement: np.ndarray | float = 0.0) -> vtkUnstructuredGrid:
-    """The cells, moved by nodal vectors (n_nodes, d) [m]."""
-    return _grid_of(mesh.points + displacement, mesh.cells, mesh.vtk_type)
+def grid_at_rest(mesh: NodalMesh) -> vtkUnstructuredGrid:
+    """The cells where they are."""
+    return _grid_of(mesh.points, mesh.cells, mesh.vtk_type)
 
 
 def nodal_stress(mesh: NodalMesh, displacement: np.ndarray, material: Material) -> np.ndarray:
@@ -226,7 +226,7 @@ def _slopes(mesh: NodalMesh) -> list[csr_matrix]:
     which fails in slim tetrahedra of ten nodes.)
     """
     of_cell = mesh.cells.shape[1]
-    places = np.reshape(moved_grid(mesh).GetCell(0).GetParametricCoords(), (of_cell, 3))
+    places = np.reshape(grid_at_rest(mesh).GetCell(0).GetParametricCoords(), (of_cell, 3))
     unit, slopes = _grid_of(places, np.arange(of_cell)[None], mesh.vtk_type), vtkGradientFilter()
     add_values(unit.GetPointData(), "shape", np.eye(of_cell))
     slopes.SetInputData(unit)
@@ -300,7 +300,7 @@ def stress_at(
         time = np.arange(STRESS_INSTANTS) * found.period / STRESS_INSTANTS
         moved = found.displacement_field(time)
     nodal = nodal_stress(mesh, mesh.field(moved), run.scene.material)
-    grid, columns = pyvista().wrap(moved_grid(mesh)), np.moveaxis(nodal, -2, 0)
+    grid, columns = pyvista().wrap(grid_at_rest(mesh)), np.moveaxis(nodal, -2, 0)
     grid["stress"] = columns.reshape(len(columns), -1)
     seen = pyvista().PolyData(in_space(places)).sample(grid)
     off = np.flatnonzero(np.asarray(seen["vtkValidPointMask"]) == 0)
@@ -340,7 +340,7 @@ def write_modes(modes: Modes, path: str | Path) -> None:
     shapes = mesh.field(modes.structure.expand(modes.shapes.T))
 
     def write() -> None:
-        grid = moved_grid(mesh)
+        grid = grid_at_rest(mesh)
         for number, (omega, shape) in enumerate(zip(modes.omega, shapes, strict=True), 1):
             factor = _tenth(shape, mesh.size)
             moved, name = in_space(factor * shape), f"mode {number}: {omega:.1f} rad/s"
@@ -408,9 +408,10 @@ class PeriodFields:
         """Whether there are lips."""
         return len(self.mesh.lips if self.mesh.dimension == 2 else self.mesh.lip_facets) > 0
 
-    def shown(self, frame: int) -> np.ndarray:
-        """The magnified displacement of a frame: (n_nodes, d) [m]."""
-        return self.magnification * self.displacement[frame]
+    @cached_property
+    def moved(self) -> np.ndarray:
+        """Where the magnified displacement takes the nodes: (n, n_nodes, d) [m]."""
+        return self.mesh.points + self.magnification * self.displacement
 
     @property
     def colour(self) -> tuple[str, str]:
@@ -443,7 +444,7 @@ class PeriodFields:
     def grid(self, frame: int) -> vtkUnstructuredGrid:
         """The magnified mesh of a frame with the point fields of :func:`write_period`."""
         force, displacement = self.force[frame], self.displacement[frame]
-        grid = moved_grid(self.mesh, self.shown(frame))
+        grid = _grid_of(self.moved[frame], self.mesh.cells, self.mesh.vtk_type)
         # Between two pairs a node is closed where both are.
         closed, seen = self.shares @ (force > 0.0), self.shares.sum(axis=1)
         fields = {
