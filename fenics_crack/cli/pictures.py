@@ -30,7 +30,7 @@ from fenics_crack.balance.harmonic_balance import linear_response
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import frequency_in_words
 from fenics_crack.cli.given import Console, make_writable
-from fenics_crack.cli.results import IDENTIFIED, RESULTS, Computed, account_of, closings, result_of
+from fenics_crack.cli.results import IDENTIFIED, RESULTS, Computed, account_of, over_time, result_of
 from fenics_crack.cli.scenes import harmonics_in_words
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw.figure import Picture, distinct_colours
@@ -219,9 +219,7 @@ def _solution(run: Run[PeriodicSolution], file: File) -> None:
         title += f", {found.stability.verdict}"
     if not found.converged:
         title += ", NOT CONVERGED"
-    time = np.linspace(0.0, found.period, DRAWN_INSTANTS)
-    motion, gap = found.displacement(time, [dof])[:, 0], found.gap(time)
-    _waves(run, time, motion, gap, found.omega, path=file("solution_waves.png"), title=title)
+    _waves(run, found.omega, path=file("solution_waves.png"), title=title)
     draw_spectrum(found, dof, path=file("solution_spectrum.png"), title=title)
     draw_orbits(found, dof, path=file("solution_orbits.png"), title=title)
     if found.structure.whole.meshed is not None:
@@ -237,8 +235,7 @@ def _solution(run: Run[PeriodicSolution], file: File) -> None:
 def _history(run: Run[TimeHistory], file: File) -> None:
     found, omega = run.result, run.scene.excitation.omega
     title = f"The last periods of {found.periods}, {frequency_in_words(run.scene, omega)}"
-    motion, time = found.displacement([run.watched_dof])[:, 0], found.time - found.time[0]
-    _waves(run, time, motion, found.gap, omega, path=file("integration_waves.png"), title=title)
+    _waves(run, omega, path=file("integration_waves.png"), title=title)
     _tips(run, file)
 
 
@@ -253,14 +250,13 @@ def _tips(run: Run[Any], file: File) -> None:
         draw_stress_intensity(found, path=file(name), title=title)
 
 
-def _waves(
-    run: Run, time: np.ndarray, motion: np.ndarray, gap: np.ndarray, omega: float, **where: Any
-) -> None:
+def _waves(run: Run, omega: float, **where: Any) -> None:
     """Draw the displacement of the load's dof and the gap at the mouths over time."""
-    waves, styles = [Wave(run.watched_name, time, motion)], itertools.cycle(STYLES)
-    if gap.size:
-        waves += [Wave(words, time, wave, *next(styles)) for words, wave in closings(run, gap)]
-    touch = "lips touch" if gap.size else None
+    found, styles = over_time(run, DRAWN_INSTANTS), itertools.cycle(STYLES)
+    time, touch = found.time - found.time[0], "lips touch" if found.closings else None
+    waves = [Wave(run.watched_name, time, found.motion[:, 0])]
+    for place, wave in found.closings.items():
+        waves.append(Wave(f"closing {place}", time, wave, *next(styles)))
     period = 2.0 * np.pi / omega
     draw_waves(waves, quantity="displacement", period=period, zero=touch, **where)
 
@@ -472,15 +468,12 @@ def _solutions(runs: Mapping[str, Run[PeriodicSolution]], file: File) -> None:
     """The displacements, the gaps at the mouth and the spectra of solutions."""
     motions, gaps, places = [], [], []
     for (label, run), colour in zip(runs.items(), distinct_colours(len(runs)), strict=True):
-        found = run.result
-        time = np.linspace(0.0, found.period, DRAWN_INSTANTS)
-        loads = time * found.omega / (2.0 * np.pi)
-        motion = found.displacement(time, [run.watched_dof])[:, 0]
-        motions.append(Wave(label, loads, motion, colour))
-        if found.gap_coefficients.size:
-            pair = found.structure.first_watched
-            places.append(found.structure.where(pair))
-            gaps.append(Wave(label, loads, found.gap(time)[:, pair], colour))
+        found = over_time(run, DRAWN_INSTANTS)
+        loads = found.time * run.result.omega / (2.0 * np.pi)
+        motions.append(Wave(label, loads, found.motion[:, 0], colour))
+        for place, wave in itertools.islice(found.closings.items(), 1):
+            places.append(place)
+            gaps.append(Wave(label, loads, wave, colour))
     name = _common(run.watched_name for run in runs.values())
     how: dict[str, Any] = {"period": 1.0}
     draw_waves(motions, quantity="displacement", path=file("overlay_waves.png"), title=name, **how)

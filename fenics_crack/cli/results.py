@@ -4,7 +4,7 @@ results of all commands: how they are read, who speaks of them, their headings i
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from mpi4py import MPI
@@ -50,8 +50,8 @@ from fenics_crack.table import UNITS, Table, counted, quantity, ranging, with_fr
 from fenics_crack.time.march import TimeHistory
 
 __all__ = [
-    "IDENTIFIED", "RESULTS", "Computed", "account_of", "closings", "curve_points",
-    "few_special_points", "result_of", "special_points",
+    "IDENTIFIED", "RESULTS", "Computed", "account_of", "curve_points",
+    "few_special_points", "over_time", "result_of", "special_points",
 ]  # fmt: skip
 
 ERROR = "error [%]"
@@ -111,7 +111,7 @@ def _account_of_solution(run: Run[PeriodicSolution]) -> Account:
     return Account(
         "solution",
         table,
-        rows=_solution_waves(run),
+        rows=_waves(run, over_time(run)),
         shown=in_short(table, scene, SHORT),
         facts=_facts(run),
         verdict=_verdict(found),
@@ -202,15 +202,14 @@ def _account_of_history(run: Run[TimeHistory]) -> Account:
             f"the motion has not settled after {found.periods} of {asked.periods} periods: "
             f"{change}{_longer_period(found)}"
         ]
-    motion = found.displacement([watched.dof for watched in run.watched])
-
+    waves = over_time(run)
     return Account(
         "integration",
         table,
-        rows=_waves(run, found.time, motion, found.gap, found.contact_force),
+        rows=_waves(run, waves),
         shown=in_short(table, scene, SHORT),
         facts=facts,
-        warnings=[*warnings, *of_size(run, np.abs(motion).max(axis=0))],
+        warnings=[*warnings, *of_size(run, np.abs(waves.motion).max(axis=0))],
         tables=_in_numbers(table, scene),
         done=bool(found.settled <= asked.settle),
         run=run,
@@ -303,34 +302,50 @@ def _with_hertz(near: Mapping[str, np.ndarray]) -> Iterator[tuple[str, str, str,
 # --- their waves ----------------------------------------------------------------------------------
 
 
-def _solution_waves(run: Run[PeriodicSolution]) -> Table:
-    """One period of a solution."""
-    found = run.result
-    time = np.linspace(0.0, found.period, 401)
-    motion = found.displacement(time, [watched.dof for watched in run.watched])
-    return _waves(run, time, motion, found.gap(time), found.contact_force(time))
+class Waves(NamedTuple):
+    """One period of a solution, or the record of a motion in time.
+
+    Attributes
+    ----------
+    time : (n,) [s]
+    motion : (n, n_watched) [m]
+        Displacements of what is watched.
+    closings : dict of str to (n,) [m]
+        How far the lips of each crack close, by where it is watched.
+    force : (n, n_pairs) [N]
+        Of the contact.
+    """
+
+    time: np.ndarray
+    motion: np.ndarray
+    closings: dict[str, np.ndarray]
+    force: np.ndarray
 
 
-def _waves(
-    run: Run, time: np.ndarray, motion: np.ndarray, gap: np.ndarray, force: np.ndarray
-) -> Table:
+def over_time(run: Run[Any], instants: int = 401) -> Waves:
+    """What a motion does over time; ``instants`` of a solution."""
+    found, dofs = run.result, [watched.dof for watched in run.watched]
+    if isinstance(found, TimeHistory):
+        time, motion, gap = found.time, found.displacement(dofs), found.gap
+        force = found.contact_force
+    else:
+        time = np.linspace(0.0, found.period, instants)
+        motion, gap = found.displacement(time, dofs), found.gap(time)
+        force = found.contact_force(time)
+    whole = run.structure.whole
+    pairs = whole.watched_pairs.values() if gap.size else ()
+    return Waves(time, motion, {whole.where(pair): gap[:, pair] for pair in pairs}, force)
+
+
+def _waves(run: Run, waves: Waves) -> Table:
     """Watched dofs, the mouths of the cracks and the contact force over time."""
-    columns = [f"{watched.words} [m]" for watched in run.watched]
-    values = [time, *motion.T]
-    if gap.size:
-        for words, wave in closings(run, gap):
-            columns.append(f"{words} [m]")
-            values.append(wave)
+    columns = ["time [s]", *(f"{watched.words} [m]" for watched in run.watched)]
+    columns += [f"closing {place} [m]" for place in waves.closings]
+    values = [waves.time, *waves.motion.T, *waves.closings.values()]
+    if waves.closings:
         columns.append("contact force, all pairs [N]")
-        values.append(force.sum(axis=1))
-    return Table(("time [s]", *columns), np.column_stack(values).tolist())
-
-
-def closings(run: Run, gap: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    """Where each crack is watched, and how far its lips close there."""
-    structure = run.structure.whole
-    for pair in structure.watched_pairs.values():
-        yield f"closing {structure.where(pair)}", gap[:, pair]
+        values.append(waves.force.sum(axis=1))
+    return Table(columns, np.column_stack(values).tolist())
 
 
 # --- a curve --------------------------------------------------------------------------------------

@@ -570,16 +570,16 @@ def _between_nodes(scene: Scene, structure: Structure) -> Remarks:
         nearest = int(np.argmin(distance))
         place = ", ".join(f"{x:.6g}" for x in points[nearest].round(12) + 0.0)
         if scene.structure is not None:
-            if distance[nearest] > SAME * np.ptp(points, axis=0).max():
-                text = f"no node is there: the force acts on the nearest one, at ({place})"
-                yield Remark(f"{name}.point", list(point), text)
-            continue
-        corners = points[cells[np.any(cells == nearest, axis=1)]]
-        if distance[nearest] > np.ptp(corners, axis=1).max(axis=1).min() / 2.0:
+            near = SAME * np.ptp(points, axis=0).max()
+            text = f"no node is there: the force acts on the nearest one, at ({place})"
+        else:
+            corners = points[cells[np.any(cells == nearest, axis=1)]]
+            near = np.ptp(corners, axis=1).max(axis=1).min() / 2.0
             text = (
                 f"more than half an element from the nearest node, at ({place}): the "
                 "force acts on all nodes of its element; a smaller mesh.size brings one nearer"
             )
+        if distance[nearest] > near:
             yield Remark(f"{name}.point", list(point), text)
 
 

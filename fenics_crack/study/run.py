@@ -414,16 +414,8 @@ def integrate(
     if comm.size > 1 and scene.reduction is not None and scene.reduction.method == "off":
         raise InputError("reduction.method", "off", "a reduction, or one rank, for this command")
     study = prepare(scene, comm)
-    structure, omega = study.structure, scene.excitation.omega
-    method = _method(table, structure)
-    law = _needed_law(study)
-    closed_form = method in ("events", "exponential")
-    if closed_form and not is_unilateral(law):
-        allowed = f"'penalty' or 'unilateral' with integration.method = {method!r}"
-        raise InputError("contact.law", scene.contact and scene.contact.law, allowed)
-    if closed_form and is_rigid(law) and not structure.light_lips:
-        allowed = "'implicit' with contact.law = 'unilateral', or reduction.method = 'massless'"
-        raise InputError("integration.method", method, allowed)
+    structure, omega, law = study.structure, scene.excitation.omega, _needed_law(study)
+    method = _method(study, table, law)
     options: dict[str, Any] = {
         "periods": table.periods,
         "settle": table.settle,
@@ -444,19 +436,24 @@ def integrate(
     return Run(**vars(study), result=history)
 
 
-def _method(table: Integration, structure: Structure) -> str:
-    """How a structure is integrated: as the table says, or the default; InputError if it cannot."""
+def _method(study: Study, table: Integration, law: ContactLaw) -> str:
+    """How a study is integrated: as the table says, or the default; InputError if it cannot be."""
+    structure, contact, allowed = study.structure, study.scene.contact, ""
     lips = structure.light_lips
     method = table.method or ("exponential" if lips else "central_difference")
-    allowed = ""
     closed_form = method in ("events", "exponential")
     if lips and not closed_form:
         allowed = "'events' or 'exponential' where lips have no mass, or reduction.method = "
         allowed += "'free_interface'"
     elif closed_form and not is_small(structure):
         allowed = f"another with {structure.n_dofs} dofs, or reduction.method = 'massless'"
+    elif closed_form and is_rigid(law) and not lips:
+        allowed = "'implicit' with contact.law = 'unilateral', or reduction.method = 'massless'"
     if allowed:
         raise InputError("integration.method", method, allowed)
+    if closed_form and not is_unilateral(law):
+        allowed = f"'penalty' or 'unilateral' with integration.method = {method!r}"
+        raise InputError("contact.law", contact and contact.law, allowed)
     return method
 
 
