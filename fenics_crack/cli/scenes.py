@@ -31,7 +31,7 @@ from fenics_crack.sweep.plan import Plan
 from fenics_crack.table import RPM, TURN, Table, counted
 
 __all__ = [
-    "check", "harmonics_in_words", "in_words", "remark_on", "remark_on_sweep",
+    "check", "harmonics_in_words", "remark_on", "remark_on_sweep",
 ]  # fmt: skip
 
 MAX_CHECKED = 10_000
@@ -201,12 +201,10 @@ def _impossible(scene: Scene) -> str:
 # --- harmonics that nothing damps -----------------------------------------------------------------
 
 
-def in_words(highest: float, damped: tuple[int, float] | None) -> str:
-    """What to say of harmonics up to a frequency [rad/s]; empty where all of them are damped.
-
-    ``damped``: how many modes are damped, and the highest frequency of one; None if all are
-    (:func:`damped_range`).
-    """
+def remark_on(structure: Structure, highest: float) -> str:
+    """What to say of harmonics up to a frequency [rad/s]; empty where all of them are damped, and
+    without contact, which excites them (collective)."""
+    damped = damped_range(structure) if structure.n_pairs else None
     if damped is None or highest <= damped[1]:
         return ""
     count, end = damped
@@ -217,11 +215,6 @@ def in_words(highest: float, damped: tuple[int, float] | None) -> str:
         f"harmonics up to H w = {highest:g} rad/s reach beyond {modes} ({end:g} rad/s): "
         "nothing damps what they excite there"
     )
-
-
-def remark_on(structure: Structure, highest: float) -> str:
-    """The same of a structure; empty without contact, which excites them (collective)."""
-    return in_words(highest, damped_range(structure)) if structure.n_pairs else ""
 
 
 def _remark_on_whole(scene: Scene, whole: Structure, highest: float) -> str:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +26,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import TipTiming
 from fenics_crack.stages import within
 from fenics_crack.study.key_figures import remarks_on_arrivals
+from fenics_crack.study.run import Run
 from fenics_crack.study.timing import (
     arrivals_of,
     is_run_up,
@@ -77,42 +80,42 @@ def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
         draw_arrivals(arrivals, path=folder / "arrivals.png", in_rpm=scene.in_rpm)
 
     on_root(console.comm, write)
-    size = f"{counted(len(arrivals), 'revolution')}, {counted(len(arrivals.probes), 'probe')}"
     first, last = (speed_in_words(arrivals.speed[end], scene.in_rpm) for end in (0, -1))
     ends = f"{first} to {last}" if is_run_up(arrivals, run) else first
-    console.note(f"arrivals of {size}, {ends}: {folder / 'arrivals.csv'}, .png")
+    console.note(f"arrivals of {_size(arrivals)}, {ends}: {folder / 'arrivals.csv'}, .png")
     if run is not None:
         console.note(tip_in_words(scene.given("tip_timing"), run))
     with console.stage("vibration"):
         fit = vibration_in(scene, arrivals, run)
-    warnings: list[str] = []
-    if run is None and not isinstance(fit, tuple):
-        warnings += remarks_on_arrivals(arrivals)
-    if run is None and scene.speed > 0.0:
-        ratio = arrivals.mean_speed / scene.speed
-        if not 1.0 / FAR <= ratio <= FAR:
-            seen, own = (
-                speed_in_words(speed, scene.in_rpm) for speed in (arrivals.mean_speed, scene.speed)
-            )
-            warnings.append(
-                f"the arrivals are of {seen}, [rotation] has {own}: are they in seconds?"
-            )
-    if run is not None:
-        warnings += filter(None, (of_another_scene(scene, run), run_up_ends(scene, run)))
-    if run is not None and isinstance(run.result, PeriodicSolution):
-        found = run.result
-        warnings += of_error(run.scene, found.report, found.harmonics)
-        warnings += of_stability(run.scene, run, found.stability)
     if isinstance(fit, tuple):
-        account = _account_of_passages({1: fit}, arrivals)
-        draw = partial(draw_passages, fit, arrivals)
+        account, draw = _account_of_passages({1: fit}), partial(draw_passages, fit, arrivals)
     elif isinstance(fit, TipTrack):
-        account = _account_of_track(fit, scene, warnings)
+        account = _account_of_track(fit, scene)
         draw = partial(draw_tip_track, fit, in_hertz=scene.in_hertz)
     else:
-        account = _account_of_fit(fit, scene, warnings)
-        draw = partial(draw_tip_fit, fit, arrivals)
-    return tell(account, folder, console, draw)
+        account, draw = _account_of_fit(fit, scene), partial(draw_tip_fit, fit, arrivals)
+    warnings = [*_warnings_of(arrivals, scene, run), *account.warnings]
+    return tell(replace(account, warnings=warnings), folder, console, draw)
+
+
+def _size(arrivals: ArrivalTimes) -> str:
+    return f"{counted(len(arrivals), 'revolution')}, {counted(len(arrivals.probes), 'probe')}"
+
+
+def _warnings_of(arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | None) -> Iterator[str]:
+    """What is in doubt of measured arrivals, or of the run that they are computed from."""
+    if run is None:
+        yield from remarks_on_arrivals(arrivals)
+        speeds = arrivals.mean_speed, scene.speed
+        if scene.speed > 0.0 and not 1.0 / FAR <= speeds[0] / speeds[1] <= FAR:
+            seen, own = (speed_in_words(speed, scene.in_rpm) for speed in speeds)
+            yield f"the arrivals are of {seen}, [rotation] has {own}: are they in seconds?"
+        return
+    yield from filter(None, (of_another_scene(scene, run), run_up_ends(scene, run)))
+    if isinstance(run.result, PeriodicSolution):
+        found = run.result
+        yield from of_error(run.scene, found.report, found.harmonics)
+        yield from of_stability(run.scene, run, found.stability)
 
 
 def _record(given: Namespace, console: Console) -> Exit:
@@ -150,23 +153,20 @@ def _record(given: Namespace, console: Console) -> Exit:
             draw_passages(found[blade], blades[blade], path=path)
 
     on_root(console.comm, write)
-    size = [
-        counted(*one) for one in zip(blades[first].time.shape, ("revolution", "probe"), strict=True)
-    ]
-    console.note(f"{counted(len(blades), 'blade')}, {', '.join(size)}")
+    console.note(f"{counted(len(blades), 'blade')}, {_size(blades[first])}")
     draw = partial(draw_passages, found[first], blades[first])
-    return tell(_account_of_passages(found, blades[first]), folder, console, draw)
+    account = _account_of_passages(found)
+    warnings = [*remarks_on_arrivals(blades[first]), *account.warnings]
+    return tell(replace(account, warnings=warnings), folder, console, draw)
 
 
-def _account_of_passages(
-    found: Mapping[int, Sequence[PassageFit]], arrivals: ArrivalTimes
-) -> Account:
+def _account_of_passages(found: Mapping[int, Sequence[PassageFit]]) -> Account:
     """Resonances of each blade, and what is in doubt."""
     every = [(blade, fit) for blade, fits in found.items() for fit in fits]
     rows = [{"blade": blade} | fit.to_dict() for blade, fit in every]
     names = [name for name in rows[0] if name != "speed"] if rows else [*EMPTY]
     table = Table.of({name: [row[name] for row in rows] for name in names}, UNITS)
-    warnings = [*remarks_on_arrivals(arrivals), *["no resonance stands out"] * (not every)]
+    warnings = ["no resonance stands out"] * (not every)
     for blade, fits in found.items():
         angles = [f"{np.degrees(angle):.5g}" for angle in (fits[0].blind if fits else ())]
         warnings += [f"blade {blade}, probe at {angle} degrees: {BLIND}" for angle in angles]
@@ -196,7 +196,7 @@ def _of_line(line: TipFit) -> str:
     return f"a vibration that follows no order: {of}"
 
 
-def _account_of_track(track: TipTrack, scene: Scene, warnings: list[str]) -> Account:
+def _account_of_track(track: TipTrack, scene: Scene) -> Account:
     """A run-up: where along it each harmonic is largest."""
 
     table = track.table()
@@ -219,13 +219,13 @@ def _account_of_track(track: TipTrack, scene: Scene, warnings: list[str]) -> Acc
         )
     elif track.may_be_folded:
         doubts.append(FOLDED)
-    return Account("timing", table, shown=shown, warnings=[*warnings, *doubts])
+    return Account("timing", table, shown=shown, warnings=doubts)
 
 
-def _account_of_fit(fit: TipFit, scene: Scene, warnings: list[str]) -> Account:
+def _account_of_fit(fit: TipFit, scene: Scene) -> Account:
     """A fit, the ratio that tells of a crack, and warnings of what the probes cannot tell."""
-    notes, warnings, table = [], [*warnings], fit.table()
-    notes += [f"beside it {_of_line(line)}" for line in fit.asynchronous]
+    notes = [f"beside it {_of_line(line)}" for line in fit.asynchronous]
+    warnings = []
     if np.any(np.isclose(fit.multiples, 2.0)):
         ratio, error = fit.ratio()
         notes.append(f"second harmonic over first: {ratio:.4g} ± {error:.2g}")
@@ -248,5 +248,6 @@ def _account_of_fit(fit: TipFit, scene: Scene, warnings: list[str]) -> Account:
             told = [f"{order:.6g}" for order in orders[:SHOWN_ORDERS]]
             more = ["..."] if len(orders) > SHOWN_ORDERS else []
             warnings.append(f"{what}: {', '.join(told + more)}")
+    table = fit.table()
     shown = in_one_unit(table, scene)
     return Account("timing", table, shown=shown, notes=notes, warnings=warnings)
