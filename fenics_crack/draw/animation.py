@@ -170,12 +170,11 @@ class _Colours:
         self.steps = len(self.levels) - 1
         self.beyond = bool(self.factor * highest > self.levels[-1])
         self.map = ListedColormap(colormaps["viridis"](np.linspace(0.0, 1.0, self.steps)))
-        ends = self.levels[0], self.levels[-1]
         self.table = vtkLookupTable()
         self.table.SetNumberOfTableValues(self.steps)
         for step, colour in enumerate(self.map.colors):
             self.table.SetTableValue(step, *colour)
-        self.table.SetRange(*ends)
+        self.table.SetRange(self.levels[0], self.levels[-1])
 
 
 class _Plate:
@@ -185,9 +184,7 @@ class _Plate:
         self.fields, mesh = fields, fields.mesh
         self.colours, self.height = _Colours(fields), 1e-3 * mesh.size  # of lines above the plate
         solid = mesh.dimension == 3
-        boundary = mesh.boundary
-        if solid:
-            boundary = outline(mesh)
+        boundary = outline(mesh) if solid else mesh.boundary
 
         def line(edges: np.ndarray, ink: str, width: float) -> vtkPolyData:
             drawn = lines(self._above(mesh.points), edges)
@@ -196,8 +193,7 @@ class _Plate:
             return drawn
 
         line(boundary, "rest", 2)
-        drawn = mesh.boundary_facets if solid else mesh.triangles
-        self.surface = surface(mesh.points, drawn)
+        self.surface = surface(mesh.points, mesh.boundary_facets if solid else mesh.triangles)
         _part(renderer, self.surface, self.colours.table)
         self.lines = [line(boundary, "lips", 2)]
         if not solid:  # whose outline has the mouth
