@@ -233,8 +233,7 @@ def _quantities(run: Run[Any], values: Mapping[str, object]) -> Table:
     """The numbers of a vibration or a motion: indicators of each watched dof, those of the lips,
     natural frequencies, and others (collective)."""
     omega = run.scene.excitation.omega if isinstance(run.result, TimeHistory) else run.result.omega
-    rows: list[Row] = [("omega", "omega", omega, "rad/s")]
-    rows.append(("frequency", "frequency", omega / (2.0 * np.pi), "Hz"))
+    rows: list[Row] = [(n, n, v, UNITS[n]) for n, v in with_frequency({"omega": omega}).items()]
     for watched in run.watched:
         rows += _of_point(watched, run.result.indicators(watched.dof).to_dict())
     if not run.structure.n_pairs:  # no errors were estimated
