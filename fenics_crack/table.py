@@ -29,6 +29,7 @@ __all__ = [
     "Tabular",
     "counted",
     "frequency_axis",
+    "percent",
     "quantity",
     "ranging",
     "readable",
@@ -250,15 +251,19 @@ def with_frequency(values: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
+def percent(share: float) -> str:
+    """A share in per cent, with two digits, or all before the point: "2.4 %", "140 %"."""
+    return format(100.0 * share, ".2g" if share < 0.995 else ".0f") + " %"
+
+
 def counted(count: int, thing: str) -> str:
     """A number of things: "1 pair", "2 pairs"."""
     return f"{count} {thing}{'' if count == 1 else 's'}"
 
 
-def ranging(counts: np.ndarray) -> str:
-    """From the least of some counts to the most: "9", "5 to 40"."""
-    least, most = int(np.min(counts)), int(np.max(counts))
-    return f"{least}" if least == most else f"{least} to {most}"
+def ranging(values: np.ndarray, digits: str = ".0f") -> str:
+    """From the least of some numbers, by default counts, to the most: "9", "5 to 40"."""
+    return " to ".join(dict.fromkeys(format(f(values), digits) for f in (np.min, np.max)))
 
 
 def _plain(value: Any) -> Any:

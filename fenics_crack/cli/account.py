@@ -26,7 +26,7 @@ from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.growth import ENDS, Growth
 from fenics_crack.sweep.plan import FREQUENCIES
 from fenics_crack.sweep.result import SweepResult, by_reason, in_words
-from fenics_crack.table import Table, counted, frequency_axis, quantity
+from fenics_crack.table import Table, counted, frequency_axis, percent, quantity
 
 __all__ = [
     "FINER", "IN_A_TEST", "MORE", "OTHERS", "Account", "account_of_growth", "account_of_sweep",
@@ -181,8 +181,7 @@ def known_to(run: Run, name: str = "") -> str:
     if not error > 0.0:  # of a plate at rest, or of what no cause changes
         return ""
     by = f", most of it by the {cause}" if error > LEAST_TOLD else ""
-    percent = format(100.0 * error, ".2g" if error < 1.0 else ".0f")
-    return ", ".join(filter(None, (f"{percent} %{by}", run.stated.left_out)))
+    return ", ".join(filter(None, (f"{percent(error)}{by}", run.stated.left_out)))
 
 
 def of_stability(scene: Scene, run: Run, stability: Stability | None) -> Iterator[str]:
@@ -307,7 +306,7 @@ def _readable(name: str, value: Any, unit: str) -> tuple[str, Any]:
     if known and unit in MEASURED:
         return name, quantity(value, unit) if abs(value) > WRITTEN_AS_ZERO else f"0 {unit}"
     if known and unit.startswith("of "):
-        return name, f"{100.0 * value:.2g} % {unit}"
+        return name, f"{percent(value)} {unit}"
     words = f"{value:.6g}" if known else {True: "yes", False: "no"}.get(value, value)
     return name, words if unit in ("-", "1", "") else f"{words} {unit}"
 

@@ -69,7 +69,7 @@ from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.growth import Growth
 from fenics_crack.sweep.plan import FREQUENCIES
 from fenics_crack.sweep.result import SweepResult
-from fenics_crack.table import Table, ranging, readable, with_unit
+from fenics_crack.table import Table, percent, ranging, readable, with_unit
 from fenics_crack.time.march import TimeHistory
 from fenics_crack.version import VERSION, packaged
 from fenics_crack.whole import write_whole
@@ -214,7 +214,7 @@ def _solution(run: Run[PeriodicSolution], file: File) -> None:
     title = f"{frequency_in_words(run.scene, found.omega)}, H = {found.harmonics}"
     if found.gap_coefficients.size:
         error = found.report.total
-        title += ", error unknown" if error >= UNKNOWN else f", estimated error {100 * error:.2g} %"
+        title += ", error unknown" if error >= UNKNOWN else f", estimated error {percent(error)}"
     if found.stability is not None:
         title += f", {found.stability.verdict}"
     if not found.converged:

@@ -28,7 +28,7 @@ from fenics_crack.study.key_figures import (
 )
 from fenics_crack.study.prepare import Study, check_memory_of, prepare, reduction_of
 from fenics_crack.sweep.plan import Plan
-from fenics_crack.table import RPM, TURN, Table, counted
+from fenics_crack.table import RPM, TURN, Table, counted, percent, ranging
 
 __all__ = [
     "check", "harmonics_in_words", "remark_on", "remark_on_sweep",
@@ -115,7 +115,7 @@ def _errors_by_mesh(study: Study, figures: KeyFigures) -> dict[str, object]:
     found = errors_of_natural(study, natural)
     if found.unknown:
         return {"natural frequencies known to": f"without the mesh: {found.unknown['mesh']}"}
-    ends = [f"{100.0 * found.stated(name)[0]:.2g} %" for name in found.values]
+    ends = [percent(found.stated(name)[0]) for name in found.values]
     first = [end for name, end in zip(found.values, ends, strict=True) if name.endswith("_1")]
     return {"first natural frequencies known to, by the mesh": " and ".join(first)}
 
@@ -156,9 +156,9 @@ def _contact(study: Study, figures: KeyFigures) -> dict[str, object]:
         stiffness = np.broadcast_to(law.stiffness, study.structure.n_pairs)
         rows["softest pair [N/m]"] = float(stiffness.min())
         rows["stiffest pair [N/m]"] = float(stiffness.max())
-    rows["lips' own stiffness, pair by pair [N/m]"] = _span(figures.own_stiffness)
+    rows["lips' own stiffness, pair by pair [N/m]"] = ranging(figures.own_stiffness, ".3g")
     if figures.stiffness_ratio is not None:
-        rows["contact stiffness / lips' own"] = _span(figures.stiffness_ratio)
+        rows["contact stiffness / lips' own"] = ranging(figures.stiffness_ratio, ".3g")
     rows["static opening, mean load [m]"] = figures.mean_opening
     rows["static motion of the lips, amplitude of the load [m]"] = figures.static_motion
     return rows
@@ -170,12 +170,6 @@ def harmonics_in_words(scene: Scene) -> int | str:
     if table.tolerance is None:
         return table.harmonics
     return f"as an error of {table.tolerance:g} needs, from {table.harmonics}"
-
-
-def _span(values: np.ndarray) -> str:
-    """Smallest and largest of some numbers."""
-    ends = dict.fromkeys(f"{value:.3g}" for value in (values.min(), values.max()))
-    return " to ".join(ends)
 
 
 def _solved(scene: Scene, whole: Structure) -> str:

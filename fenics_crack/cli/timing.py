@@ -35,7 +35,7 @@ from fenics_crack.study.timing import (
     tip_in_words,
     vibration_in,
 )
-from fenics_crack.table import RPM, TURN, UNITS, Table, counted, quantity, speed_in_words
+from fenics_crack.table import RPM, TURN, UNITS, Table, counted, quantity, ranging, speed_in_words
 
 __all__ = ["timing"]
 
@@ -181,8 +181,7 @@ def _account_of_passages(found: Mapping[int, Sequence[PassageFit]]) -> Account:
             warnings.append(f"{name}: {BESIDE}")
     biases, notes = [fit.steady_bias for _, fit in every], []
     if biases:
-        ends = f"{min(biases):.2%} to {max(biases):.2%}"
-        notes.append(f"fits of steady vibrations would be off by {ends}")
+        notes.append(f"fits of steady vibrations would be off by {ranging(biases, '.2%')}")
     for blade, fits in found.items():
         lines = fits[0].asynchronous if fits else ()
         notes += [f"blade {blade}: {_of_line(line)}" for line in lines]

@@ -46,7 +46,7 @@ from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCES, Rotation
 from fenics_crack.study.prepare import Study, reduction_of
-from fenics_crack.table import RPM, TURN
+from fenics_crack.table import RPM, TURN, ranging
 
 __all__ = [
     "SMALL_MOTION", "KeyFigures", "Remark", "coriolis_in_words", "damping_ratios", "extents",
@@ -610,8 +610,7 @@ def _hub(scene: Scene, structure: Structure) -> Remarks:
     points, dofs = (gather_rows(structure.comm, rows) for rows in (nodes.points, nodes.dofs))
     heights = points[np.all(dofs < 0, axis=1), 1]
     if np.abs(heights).max(initial=0.0) > AT_CLAMP * np.ptp(points, axis=0).max():
-        ends = np.array([heights.min(), heights.max()]).round(12) + 0.0
-        where = " to ".join(dict.fromkeys(f"{end:.4g}" for end in ends))
+        where = ranging(heights.round(12) + 0.0, ".4g")
         text = (
             f"the axis goes through (0, {-table.hub_radius:g}) m, as for a clamp at y = 0; that of "
             f"the mesh is at y = {where} m"
