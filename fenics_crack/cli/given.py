@@ -72,20 +72,19 @@ def read_inputs(given: Namespace) -> Inputs | None:
     if "scene" not in given or _is_record(given):
         return None
     scene = Scene.load(given.scene, changes(given.set))
-    seen = vars(given).get("arrivals")
-    if given.command == "identify" and not vars(given).get("measurements") and seen is None:
-        allowed = "given: a CSV file (fenics-crack new --identify writes one), or --arrivals"
-        raise InputError("measurements", None, allowed)
     if (count := vars(given).get("count")) is not None:
         check_count("--count", count, 1)
     folder = vars(given).get("output") or Path("output") / given.scene.stem
-    return Inputs(scene, folder, _measurements(given, scene), _arrivals(scene, seen))
+    rows = _measurements(given, scene) if given.command == "identify" else None
+    return Inputs(scene, folder, rows, _arrivals(scene, vars(given).get("arrivals")))
 
 
 def _measurements(given: Namespace, scene: Scene) -> Measurements | None:
-    """Those of all files, and of responses before the crack."""
-    files, before = vars(given).get("measurements") or (), vars(given).get("before")
-    modes = vars(given).get("modes") or ()
+    """Those of all files, and of responses before the crack; None where arrivals are all."""
+    files, before, modes = given.measurements, given.before, given.modes
+    if not files and given.arrivals is None:
+        allowed = "given: a CSV file (fenics-crack new --identify writes one), or --arrivals"
+        raise InputError("measurements", None, allowed)
     if not files and before is None and not modes:
         return None
     from fenics_crack.identification.measurements import UNIVERSAL, Measurements
