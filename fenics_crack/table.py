@@ -29,6 +29,7 @@ __all__ = [
     "Tabular",
     "counted",
     "frequency_axis",
+    "in_unit",
     "percent",
     "quantity",
     "ranging",
@@ -234,8 +235,14 @@ def speed_axis(in_rpm: bool) -> tuple[float, str, str]:
 
 def speed_in_words(speed: float, in_rpm: bool) -> str:
     """A rotor's speed [rad/s] with its unit: "3000 rpm"."""
-    factor, _, unit = speed_axis(in_rpm)
-    return f"{factor * speed:.6g} {unit}"
+    return in_unit(speed_axis(in_rpm), speed)
+
+
+def in_unit(axis: tuple[float, str, str], *values: float) -> str:
+    """Values in the unit of an axis: "50.1 Hz", "50.1 and 50.3 Hz"; "0.9" of one without."""
+    factor, _, unit = axis
+    numbers = " and ".join(f"{factor * value:.6g}" for value in values)
+    return f"{numbers} {unit}".removesuffix(" -")
 
 
 def with_frequency(values: dict[str, Any]) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.growth import ENDS, Growth
 from fenics_crack.sweep.plan import FREQUENCIES
 from fenics_crack.sweep.result import SweepResult, by_reason, in_words
-from fenics_crack.table import Table, counted, frequency_axis, percent, quantity
+from fenics_crack.table import Table, counted, frequency_axis, in_unit, percent, quantity
 
 __all__ = [
     "FINER", "IN_A_TEST", "MORE", "OTHERS", "Account", "account_of_growth", "account_of_sweep",
@@ -214,8 +214,7 @@ def how_it_is_left(stability: Stability) -> str:
 
 def frequency_in_words(scene: Scene, omega: float) -> str:
     """A load frequency [rad/s] in the scene's unit."""
-    factor, _, unit = frequency_axis(scene.in_hertz)
-    return f"{factor * omega:.6g} {unit}"
+    return in_unit(frequency_axis(scene.in_hertz), omega)
 
 
 # --- what is printed of tables --------------------------------------------------------------------
@@ -434,14 +433,14 @@ def stepped_over(found: SweepResult) -> list[str]:
     if not turns.any():
         return []
     *place, at = map(int, np.argwhere(turns)[0])
-    factor, _, unit = frequency_axis(found.scene.in_hertz)
-    low, high = factor * omega[(*place, at)], factor * omega[(*place, at + 1)]
+    ends = omega[(*place, at)], omega[(*place, at + 1)]
+    between = in_unit(frequency_axis(found.scene.in_hertz), *ends)
     others = [axis for number, axis in enumerate(found.axes) if number != over[0]]
     where = "".join(f", {words}" for words in [in_words(others, place)] if words)
     more = int(turns.sum()) - 1
     also = f", and at {counted(more, 'other place')}" if more else ""
     return [
-        f"between {low:.6g} and {high:.6g} {unit}{where}{also}, the sweep steps over a peak that "
+        f"between {between}{where}{also}, the sweep steps over a peak that "
         "is narrower than the step: the largest response lies there; smaller steps or the command "
         "curve find it"
     ]

@@ -46,7 +46,16 @@ from fenics_crack.study.run import Run, run_of
 from fenics_crack.study.verification import Verification, verification_of
 from fenics_crack.sweep.growth import Growth
 from fenics_crack.sweep.result import SweepResult
-from fenics_crack.table import UNITS, Table, counted, quantity, ranging, with_frequency, with_unit
+from fenics_crack.table import (
+    UNITS,
+    Table,
+    counted,
+    in_unit,
+    quantity,
+    ranging,
+    with_frequency,
+    with_unit,
+)
 from fenics_crack.time.march import TimeHistory
 
 __all__ = [
@@ -427,9 +436,7 @@ def _passed(found: ResponseCurve, place: int) -> bool:
 
 def _place(run: Run[ResponseCurve], *values: float) -> str:
     """Values of the parameter in its unit: "50.1 Hz", "50.1 and 50.3 Hz"."""
-    factor, _, unit = parameter_axis(run.result.parameter, run.scene.in_hertz)
-    numbers = " and ".join(f"{factor * value:.6g}" for value in values)
-    return f"{numbers} {unit}".removesuffix(" -")
+    return in_unit(parameter_axis(run.result.parameter, run.scene.in_hertz), *values)
 
 
 def _facts_of_curve(run: Run[ResponseCurve], largest: str) -> Iterator[str]:
