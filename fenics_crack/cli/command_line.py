@@ -224,9 +224,8 @@ def _settings(wanted: dict[str, str]) -> Iterator[None]:
 
 def _command(given: argparse.Namespace, inputs: Inputs | None, console: Console) -> Exit | None:
     """Call a command; return how it ended where that may differ."""
-    module, name = FUNCTIONS.get(given.command, "commands.solved").split(".")
-    command: Callable[..., Exit | None]
-    command = getattr(import_module(f"fenics_crack.cli.{module}"), name)
+    module = import_module(f"fenics_crack.cli.{FILES.get(given.command, 'commands')}")
+    command: Callable[..., Exit | None] = getattr(module, given.command)
     if inputs is None or "output" not in given:
         return command(given, inputs, console)
     from fenics_crack.cli.given import make_writable
@@ -294,19 +293,10 @@ COMMANDS = {
     ),
 }
 """What each command does, and its own arguments."""
-FUNCTIONS = {
-    "new": "given.new",
-    "check": "scenes.check",
-    "campbell": "commands.campbell_diagram",
-    "verify": "commands.verification",
-    "sweep": "commands.sweep",
-    "grow": "commands.growth",
-    "timing": "timing.timing",
-    "identify": "commands.identification",
-    "plot": "pictures.plot",
-    "report": "pictures.report",
-}
-"""What they call in this folder; the others are runs, ``commands.solved``."""
+FILES = {
+    "new": "given", "check": "scenes", "timing": "timing", "plot": "pictures", "report": "pictures",
+}  # fmt: skip
+"""Where in this folder their functions are, which have their names; the others in ``commands``."""
 ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "file": ("the file to write, for example plate.toml", {"type": path, "metavar": "scene"}),
     "--blade": ("of a plate on a rotor: engine order, centrifugal load", {"action": "store_true"}),

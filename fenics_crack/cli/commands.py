@@ -18,24 +18,25 @@ from fenics_crack.cli.results import account_of
 from fenics_crack.cli.scenes import remark_on_sweep
 from fenics_crack.errors import FEW_MODES, INTERRUPTED, Exit, InputError
 from fenics_crack.parallel import on_root
+from fenics_crack.study import run as runs
 from fenics_crack.study.key_figures import coriolis_in_words, remarks_on_rotor
-from fenics_crack.study.run import Run, curve, integrate, modes, solve
+from fenics_crack.study.run import Run
 from fenics_crack.table import RPM, counted, quantity
 
 __all__ = [
-    "campbell_diagram", "growth", "identification", "solved", "sweep", "tell",
-    "verification",
+    "campbell", "curve", "grow", "identify", "integrate", "modes", "solve", "sweep", "tell",
+    "verify",
 ]  # fmt: skip
 
 MOST_SPEEDS = 10_000
 """Of a Campbell diagram."""
 RUNS: dict[str, tuple[str, Callable[..., Run]]] = {
-    "modes": ("modes", modes),
-    "solve": ("solution", solve),
-    "curve": ("curve", curve),
-    "integrate": ("integration", integrate),
+    "modes": ("modes", runs.modes),
+    "solve": ("solution", runs.solve),
+    "curve": ("curve", runs.curve),
+    "integrate": ("integration", runs.integrate),
 }
-"""What commands compute, and the name of their files."""
+"""The commands that make a run: what they compute, and the name of their files."""
 
 
 def solved(given: Namespace, inputs: Inputs, console: Console) -> Exit:
@@ -57,6 +58,9 @@ def solved(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     run.save(folder / f"{name}.h5")
     console.note(*(f"remark: {text}" for text in remarks_on_rotor(run.scene, run.structure.whole)))
     return tell(replace(account_of(run), name=name), folder, console)
+
+
+modes = solve = curve = integrate = solved
 
 
 def tell(
@@ -114,23 +118,23 @@ def sweep(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     return tell(account_of_sweep(found, remark_on_sweep(scene, console.comm)), folder, console)
 
 
-def growth(_: Namespace, inputs: Inputs, console: Console) -> Exit:
+def grow(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     """The crack's growth: lengths that an earlier run has left, and the cycles between all."""
     from fenics_crack.draw.plot_study import draw_growth
-    from fenics_crack.sweep.growth import grow
+    from fenics_crack.sweep import growth
 
     scene, folder = inputs.scene, inputs.folder
     with console.timed("growth"):
-        found = grow(scene, folder, console.comm, progress=console.progress)
+        found = growth.grow(scene, folder, console.comm, progress=console.progress)
     found.save(folder / "growth.h5", console.comm)
     draw = partial(draw_growth, found, in_hertz=scene.in_hertz)
     return tell(account_of(found), folder, console, draw)
 
 
-def campbell_diagram(given: Namespace, inputs: Inputs, console: Console) -> Exit:
+def campbell(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     """Natural frequencies over the speed, and where engine orders meet the first breathing one."""
     from fenics_crack.draw.plot_study import draw_campbell
-    from fenics_crack.study.campbell import campbell
+    from fenics_crack.study import campbell as diagrams
 
     scene, span = inputs.scene, given.speeds
     scene.given("rotation")
@@ -141,7 +145,7 @@ def campbell_diagram(given: Namespace, inputs: Inputs, console: Console) -> Exit
         raise InputError("--speeds", span or (start, stop, steps), allowed)
     with console.stage("campbell"):
         speeds = factor * np.linspace(start, stop, int(steps))
-        found = campbell(scene, speeds, given.count or FEW_MODES, console.comm)
+        found = diagrams.campbell(scene, speeds, given.count or FEW_MODES, console.comm)
     in_hertz, own = scene.in_hertz or scene.in_rpm, scene.excitation.order
 
     kinds = [f"{'frequency' if in_hertz else 'omega'}_{kind}" for kind in found.kinds]
@@ -161,42 +165,37 @@ def campbell_diagram(given: Namespace, inputs: Inputs, console: Console) -> Exit
     return tell(account, inputs.folder, console, draw)
 
 
-def verification(_: Namespace, inputs: Inputs, console: Console) -> Exit:
+def verify(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     """What mesh, modes, harmonics and samples contribute to the error of the steady vibration."""
     from fenics_crack.draw.plot_study import draw_verification
-    from fenics_crack.study.refinement import verify
+    from fenics_crack.study import refinement
 
     with console.stage("verification"):
-        found = verify(inputs.scene, console.comm)
+        found = refinement.verify(inputs.scene, console.comm)
     found.save(inputs.folder / "verify.h5", console.comm)
     return tell(account_of(found), inputs.folder, console, partial(draw_verification, found))
 
 
-def identification(given: Namespace, inputs: Inputs, console: Console) -> Exit:
+def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     """A crack from measurements: what it is, how sure, and where to measure next."""
-    from fenics_crack.identification.identify import identify  # SciPy's optimize and interpolate
+    from fenics_crack.identification import identify as search  # SciPy's optimize, interpolate
 
     scene, folder = inputs.scene, inputs.folder
     parts = [] if inputs.measurements is None else [inputs.measurements]
     if inputs.arrivals is not None:
-        from fenics_crack.study.timing import (
-            arrivals_of,
-            engine_order,
-            is_run_up,
-            probed_displacement,
-        )
-
-        times, run = arrivals_of(scene, inputs.arrivals, console.comm)
-        if is_run_up(times, run):
-            raise InputError("arrivals", repr(times), "those of a constant speed")
-        order = engine_order(scene.given("tip_timing"), scene)
-        tip, against = probed_displacement(scene)
         from fenics_crack.identification.measurements import Measurements
+        from fenics_crack.study import timing
 
+        times, run = timing.arrivals_of(scene, inputs.arrivals, console.comm)
+        if timing.is_run_up(times, run):
+            raise InputError("arrivals", repr(times), "those of a constant speed")
+        order = timing.engine_order(scene.given("tip_timing"), scene)
+        tip, against = timing.probed_displacement(scene)
         parts.append(Measurements.from_arrivals(times, order, tip, against=against))
-    rows = parts[0] if len(parts) == 1 else parts[0] + parts[1]
+    rows = sum(parts[1:], parts[0])
     with console.timed("identification"):
-        found = identify(scene, rows, folder=folder, comm=console.comm, progress=console.progress)
+        how = {"comm": console.comm, "progress": console.progress}
+        found = search.identify(scene, rows, folder=folder, **how)
     worth = found.where_to_measure()
 
     def write() -> None:

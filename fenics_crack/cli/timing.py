@@ -25,16 +25,9 @@ from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import TipTiming
 from fenics_crack.stages import within
+from fenics_crack.study import timing as study
 from fenics_crack.study.key_figures import remarks_on_arrivals
 from fenics_crack.study.run import Run
-from fenics_crack.study.timing import (
-    arrivals_of,
-    is_run_up,
-    of_another_scene,
-    run_up_ends,
-    tip_in_words,
-    vibration_in,
-)
 from fenics_crack.table import RPM, TURN, UNITS, Table, counted, quantity, ranging, speed_in_words
 
 __all__ = ["timing"]
@@ -73,7 +66,7 @@ def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
         return _record(given, console)
     scene, folder = inputs.scene, inputs.folder
     with console.stage("arrival times"):
-        arrivals, run = arrivals_of(scene, inputs.arrivals, console.comm)
+        arrivals, run = study.arrivals_of(scene, inputs.arrivals, console.comm)
 
     def write() -> None:
         arrivals.to_csv(folder / "arrivals.csv")
@@ -81,12 +74,12 @@ def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
 
     on_root(console.comm, write)
     first, last = (speed_in_words(arrivals.speed[end], scene.in_rpm) for end in (0, -1))
-    ends = f"{first} to {last}" if is_run_up(arrivals, run) else first
+    ends = f"{first} to {last}" if study.is_run_up(arrivals, run) else first
     console.note(f"arrivals of {_size(arrivals)}, {ends}: {folder / 'arrivals.csv'}, .png")
     if run is not None:
-        console.note(tip_in_words(scene.given("tip_timing"), run))
+        console.note(study.tip_in_words(scene.given("tip_timing"), run))
     with console.stage("vibration"):
-        fit = vibration_in(scene, arrivals, run)
+        fit = study.vibration_in(scene, arrivals, run)
     if isinstance(fit, tuple):
         account, draw = _account_of_passages({1: fit}), partial(draw_passages, fit, arrivals)
     elif isinstance(fit, TipTrack):
@@ -111,7 +104,7 @@ def _warnings_of(arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | None) -> 
             seen, own = (speed_in_words(speed, scene.in_rpm) for speed in speeds)
             yield f"the arrivals are of {seen}, [rotation] has {own}: are they in seconds?"
         return
-    yield from filter(None, (of_another_scene(scene, run), run_up_ends(scene, run)))
+    yield from filter(None, (study.of_another_scene(scene, run), study.run_up_ends(scene, run)))
     if isinstance(run.result, PeriodicSolution):
         found = run.result
         yield from of_error(run.scene, found.report, found.harmonics)
