@@ -385,8 +385,8 @@ def _material(scene: Scene) -> Remarks:
 
 def _plate(scene: Scene) -> Remarks:
     geometry = scene.geometry
-    sides = [(getattr(geometry, name), name) for name in ("width", "height")]
-    given = [(side, name) for side, name in sides if side is not None]
+    sides = {"width": geometry.width, "height": geometry.height}
+    given = [(side, name) for name, side in sides.items() if side is not None]
     for side, name in sorted(given)[-1:]:
         largest = (0.0, LARGEST_SIDE)
         yield from _unless_usual(f"geometry.{name}", side, largest, f"a plate of {side:g} m")
@@ -500,13 +500,12 @@ def _load(scene: Scene) -> Remarks:
 def _settling(scene: Scene) -> Remarks:
     """From rest a motion settles like exp(-xi w t)."""
     table, ratio = scene.integration, scene.damping.ratio
-    if table is None or ratio is None or not 0.0 < float(np.min(ratio)) or table.settle >= 1.0:
+    least = 0.0 if ratio is None else float(np.min(ratio))
+    if table is None or not least > 0.0 or table.settle >= 1.0:
         return
-    needed = -np.log(table.settle) / (TURN * float(np.min(ratio)))
+    needed = -np.log(table.settle) / (TURN * least)
     if table.periods < 0.5 * needed:
-        text = (
-            f"with a damping of {float(np.min(ratio)):g} near resonance a motion from rest settles"
-        )
+        text = f"with a damping of {least:g} near resonance a motion from rest settles"
         yield Remark("integration.periods", table.periods, f"{text} in about {needed:.0f}")
 
 
