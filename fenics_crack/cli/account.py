@@ -257,16 +257,11 @@ def _rounded(table: Table) -> Table:
         known = isinstance(value, float) and unit in MEASURED
         return 0.0 if known and abs(value) <= WRITTEN_AS_ZERO else value
 
-    return Table(
-        table.columns,
-        [
-            [
-                rounded(value, unit if place is None else str(row[place]))
-                for value, unit in zip(row, units, strict=True)
-            ]
-            for row in table.rows
-        ],
-    )
+    rows = []
+    for row in table.rows:
+        own = units if place is None else len(units) * [str(row[place])]
+        rows.append([rounded(*both) for both in zip(row, own, strict=True)])
+    return Table(table.columns, rows)
 
 
 def in_one_unit(table: Table, scene: Scene) -> Table:
@@ -293,7 +288,7 @@ def _with_columns(table: Table, wanted: Callable[[str, str], bool]) -> Table:
 def readable_rows(table: Table) -> Table:
     """The known quantities of a table with a column "name" as one reads them: "7.916 µm", "5.7 % of
     the lips' motion"; with their errors where it has these."""
-    rows = [row[1:] for row in table.rows if row[2] == row[2]]
+    rows = [row[1:] for row in _rounded(table).rows if row[2] == row[2]]
     return Table(
         ("quantity", "value", *table.columns[4:]),
         [(*_readable(*row[:3]), *row[3:]) for row in rows],
@@ -303,7 +298,7 @@ def readable_rows(table: Table) -> Table:
 def _readable(name: str, value: Any, unit: str) -> tuple[str, Any]:
     known = isinstance(value, float) and np.isfinite(value)
     if known and unit in MEASURED:
-        return name, quantity(value, unit) if abs(value) > WRITTEN_AS_ZERO else f"0 {unit}"
+        return name, quantity(value, unit)
     if known and unit.startswith("of "):
         return name, f"{percent(value)} {unit}"
     words = f"{value:.6g}" if known else {True: "yes", False: "no"}.get(value, value)
