@@ -44,6 +44,20 @@ __all__ = [
 
 MARKED = 60
 """Points of a line that have a dot each, at most: of more the dots would touch."""
+DOUBTFUL = f"not stable, or estimated error above {100 * LARGE_ERROR:g} %"
+HATCHED = "#ffffff"
+TWO_PANELS = (9.0, 3.4)
+"""Size of a picture of two panels [inch]."""
+LOGARITHMIC = 30.0
+"""Ratio of the values of a map from which its colours are logarithmic."""
+MISSING, OPEN = "#b5b5b5", "#e8e8e8"
+"""Cells without a value; an open crack."""
+DECADES = 9
+"""Range of a spectrum below its largest amplitude; what is smaller is rounding."""
+MANY_STEMS = 150
+"""Harmonics beyond which a spectrum is points."""
+SHOWN_CLOSED = 0.01
+"""Part of the largest K_I below which a tip is shown as closed."""
 
 
 @dataclass(frozen=True)
@@ -407,24 +421,7 @@ def _colour(
     axes.figure.colorbar(image, ax=axes, label=upright(label)).minorticks_off()
 
 
-DOUBTFUL = f"not stable, or estimated error above {100 * LARGE_ERROR:g} %"
-HATCHED = "#ffffff"
-TWO_PANELS = (9.0, 3.4)
-"""Size of a picture of two panels [inch]."""
-LOGARITHMIC = 30.0
-"""Ratio of the values of a map from which its colours are logarithmic."""
-MISSING, OPEN = "#b5b5b5", "#e8e8e8"
-"""Cells without a value; an open crack."""
-
-
 # --- harmonics, orbits, tips ----------------------------------------------------------------------
-
-DECADES = 9
-"""Range of a spectrum below its largest amplitude; what is smaller is rounding."""
-MANY_STEMS = 150
-"""Harmonics beyond which a spectrum is points."""
-SHOWN_CLOSED = 0.01
-"""Part of the largest K_I below which a tip is shown as closed."""
 
 
 def draw_spectrum(
