@@ -18,7 +18,7 @@ from pygments.lexers.special import TextLexer
 from sphinx.application import Sphinx
 from sphinx.writers.html5 import HTML5Translator
 
-from fenics_crack.cli import template
+from fenics_crack.cli import given
 from fenics_crack.scene import tables
 from fenics_crack.version import VERSION
 
@@ -78,7 +78,7 @@ def lead_to_benchmarks(app: Sphinx, *place_and_text: object) -> None:
 
 def write_the_scene(app: Sphinx, page: str, text: list[str]) -> None:
     """``{{ new }}``: what ``fenics-crack new`` writes."""
-    scene = template.scene("plate.toml", "measured.csv", ())
+    scene = given.new_scene("plate.toml", "measured.csv", ())
     text[0] = text[0].replace("{{ new }}", scene.rstrip())
 
 

@@ -29,6 +29,8 @@ __all__ = [
     "Tabular",
     "counted",
     "frequency_axis",
+    "in_unit",
+    "percent",
     "quantity",
     "ranging",
     "readable",
@@ -233,8 +235,14 @@ def speed_axis(in_rpm: bool) -> tuple[float, str, str]:
 
 def speed_in_words(speed: float, in_rpm: bool) -> str:
     """A rotor's speed [rad/s] with its unit: "3000 rpm"."""
-    factor, _, unit = speed_axis(in_rpm)
-    return f"{factor * speed:.6g} {unit}"
+    return in_unit(speed_axis(in_rpm), speed)
+
+
+def in_unit(axis: tuple[float, str, str], *values: float) -> str:
+    """Values in the unit of an axis: "50.1 Hz", "50.1 and 50.3 Hz"; "0.9" of one without."""
+    factor, _, unit = axis
+    numbers = " and ".join(f"{factor * value:.6g}" for value in values)
+    return f"{numbers} {unit}".removesuffix(" -")
 
 
 def with_frequency(values: dict[str, Any]) -> dict[str, Any]:
@@ -250,15 +258,19 @@ def with_frequency(values: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
+def percent(share: float) -> str:
+    """A share in per cent, with two digits, or all before the point: "2.4 %", "140 %"."""
+    return format(100.0 * share, ".2g" if share < 0.995 else ".0f") + " %"
+
+
 def counted(count: int, thing: str) -> str:
     """A number of things: "1 pair", "2 pairs"."""
     return f"{count} {thing}{'' if count == 1 else 's'}"
 
 
-def ranging(counts: np.ndarray) -> str:
-    """From the least of some counts to the most: "9", "5 to 40"."""
-    least, most = int(np.min(counts)), int(np.max(counts))
-    return f"{least}" if least == most else f"{least} to {most}"
+def ranging(values: np.ndarray, digits: str = ".0f") -> str:
+    """From the least of some numbers, by default counts, to the most: "9", "5 to 40"."""
+    return " to ".join(dict.fromkeys(format(f(values), digits) for f in (np.min, np.max)))
 
 
 def _plain(value: Any) -> Any:

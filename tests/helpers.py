@@ -340,7 +340,7 @@ def gmsh_model() -> Iterator[Any]:
 def few_frames() -> Iterator[pytest.MonkeyPatch]:
     """Periods that are drawn or written have four frames instead of 36; and a monkeypatch."""
     with pytest.MonkeyPatch.context() as patch:
-        for name in ("animation.animate_period", "paraview.write_period"):
+        for name in ("animation.animate_period", "vtk.write_period"):
             whole = getattr(fc, name.partition(".")[2])
             patch.setattr(f"fenics_crack.draw.{name}", partial(whole, frames=4))
         yield patch

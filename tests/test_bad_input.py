@@ -196,7 +196,7 @@ TABLE = [
     ("solve scene.toml crack.length=none crack.first_omega=2000", "crack.length = None: must be given with mesh.layout = 'grid'"),
     ("solve scene.toml geometry.thickness=none", "geometry.thickness = None: must be given: a finite number > 0"),
     ("solve scene.toml mesh.columns=none mesh.rows=none mesh.layout=file mesh.file=missing.msh geometry.width=none geometry.height=none", "crack.edge = 'left': must be left out with mesh.layout = 'file'"),
-    ("curve scene.toml curve=none", "curve = None: must be given for this command: a table with start and stop"),
+    ("curve scene.toml curve=none", "curve = None: must be given for this command: a table"),
     ("curve scene.toml crack=none", "crack = None: must be given for this command: a table"),
     ("curve scene.toml contact.law=unilateral contact.stiffness=none", "contact.law = 'unilateral': must be 'penalty' or 'smoothed', or used with reduction.method = 'massless', for a curve"),
     ("curve scene.toml curve.parameter=load curve.start=-1 curve.stop=1", "curve.start, curve.stop = (-1.0, 1.0): must be both of one sign: without clearance nothing is left of the motion at 0"),

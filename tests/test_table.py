@@ -13,7 +13,7 @@ from helpers import two_masses
 import fenics_crack as fc
 from fenics_crack.scene.tables import Sweep
 from fenics_crack.sweep.file import COLUMNS
-from fenics_crack.table import Described, Table, Tabular, quantity, readable
+from fenics_crack.table import Described, Table, Tabular, percent, quantity, ranging, readable
 
 TABLES = ("modes", "curve", "backbone", "sweep")
 RESULTS = ("solution", "judged", "linear", "report", "stability", "bifurcation", "orbit", *TABLES)
@@ -165,6 +165,21 @@ def test_quantities() -> None:
     """A number with a prefix that suits it."""
     shown = {1.4514e-6: "1.451 µm", 0.0: "0 m", -2e-9: "-2 nm", 999.97e-6: "1000 µm", 12.0: "12 m"}
     assert {value: quantity(value, "m") for value in shown} == shown
+
+
+@pytest.mark.parametrize(
+    ("share", "words"),
+    [(0.0, "0 %"), (0.0238, "2.4 %"), (0.994, "99 %"), (0.997, "100 %"), (1.4, "140 %")],
+)
+def test_shares_in_per_cent(share: float, words: str) -> None:
+    """Without an exponent, also of an error as large as its number."""
+    assert percent(share) == words
+
+
+def test_ranges_in_words() -> None:
+    """Ends that read alike are said once."""
+    assert ranging(np.array([9, 9])) == "9" and ranging(np.array([40, 5, 7])) == "5 to 40"
+    assert ranging(np.array([0.12, 0.1204]), ".2g") == "0.12"
 
 
 def test_units_that_read_well() -> None:

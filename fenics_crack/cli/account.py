@@ -1,7 +1,8 @@
 """What there is to say of a result, once for all who ask: the terminal, files, a report.
 
-Each kind of result has a function that makes its :class:`Account`: ``of_vibration.py`` of modes,
-vibrations, curves and motions in time, ``results.py`` of all others.
+Each kind of result has a function that makes its :class:`Account`: those of sweeps, of growth and
+of convergence studies are here, ``results.py`` has those of modes, vibrations, curves and motions
+in time.
 """
 
 from __future__ import annotations
@@ -18,27 +19,21 @@ from fenics_crack.errors import MOST_HARMONICS, Exit
 from fenics_crack.model.modes import damped_range
 from fenics_crack.scene.quantities import QUANTITIES
 from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.words import key_in_words
 from fenics_crack.study.key_figures import SMALL_MOTION, extents
 from fenics_crack.study.run import Run
-from fenics_crack.table import Table, frequency_axis, quantity
+from fenics_crack.study.verification import Verification
+from fenics_crack.sweep.growth import ENDS, Growth
+from fenics_crack.sweep.plan import FREQUENCIES
+from fenics_crack.sweep.result import SweepResult, by_reason, in_words
+from fenics_crack.table import Table, counted, frequency_axis, in_unit, percent, quantity
 
 __all__ = [
-    "FINER",
-    "IN_A_TEST",
-    "MORE",
-    "OTHERS",
-    "Account",
-    "frequency_in_words",
-    "how_it_is_left",
-    "in_one_unit",
-    "in_short",
-    "known_to",
-    "largest_seen",
-    "of_error",
-    "of_size",
-    "of_stability",
-    "readable_rows",
-]
+    "FINER", "IN_A_TEST", "MORE", "OTHERS", "Account", "account_of_growth", "account_of_sweep",
+    "account_of_verification", "few_cases", "frequency_in_words", "how_it_is_left", "in_one_unit",
+    "in_short", "known_to", "largest_seen", "of_error", "of_size", "of_stability", "readable_rows",
+    "stepped_over", "warnings_of",
+]  # fmt: skip
 
 MORE = "more harmonics (harmonic_balance.harmonics, or a tolerance that chooses them)"
 FINER = "a smaller harmonic_balance.tolerance"
@@ -177,17 +172,16 @@ def of_error(scene: Scene, report: ErrorReport, harmonics: int, where: str = "")
     )
 
 
-def known_to(run: Run, name: str) -> str:
-    """How well a number of a result is known: "2.4 %, most of it by the mesh"; empty where that is
-    not stated."""
+def known_to(run: Run, name: str = "") -> str:
+    """How well a number of a result, by default the watched amplitude, is known: "2.4 %, most of it
+    by the mesh"; empty where that is not stated."""
     if run.stated is None:
         return ""
-    error, cause = run.stated.stated(name)
+    error, cause = run.stated.stated(name or run.watched[0].column("amplitude"))
     if not error > 0.0:  # of a plate at rest, or of what no cause changes
         return ""
     by = f", most of it by the {cause}" if error > LEAST_TOLD else ""
-    percent = format(100.0 * error, ".2g" if error < 1.0 else ".0f")
-    return ", ".join(filter(None, (f"{percent} %{by}", run.stated.left_out)))
+    return ", ".join(filter(None, (f"{percent(error)}{by}", run.stated.left_out)))
 
 
 def of_stability(scene: Scene, run: Run, stability: Stability | None) -> Iterator[str]:
@@ -220,8 +214,7 @@ def how_it_is_left(stability: Stability) -> str:
 
 def frequency_in_words(scene: Scene, omega: float) -> str:
     """A load frequency [rad/s] in the scene's unit."""
-    factor, _, unit = frequency_axis(scene.in_hertz)
-    return f"{factor * omega:.6g} {unit}"
+    return in_unit(frequency_axis(scene.in_hertz), omega)
 
 
 # --- what is printed of tables --------------------------------------------------------------------
@@ -264,16 +257,11 @@ def _rounded(table: Table) -> Table:
         known = isinstance(value, float) and unit in MEASURED
         return 0.0 if known and abs(value) <= WRITTEN_AS_ZERO else value
 
-    return Table(
-        table.columns,
-        [
-            [
-                rounded(value, unit if place is None else str(row[place]))
-                for value, unit in zip(row, units, strict=True)
-            ]
-            for row in table.rows
-        ],
-    )
+    rows = []
+    for row in table.rows:
+        own = units if place is None else len(units) * [str(row[place])]
+        rows.append([rounded(*both) for both in zip(row, own, strict=True)])
+    return Table(table.columns, rows)
 
 
 def in_one_unit(table: Table, scene: Scene) -> Table:
@@ -300,7 +288,7 @@ def _with_columns(table: Table, wanted: Callable[[str, str], bool]) -> Table:
 def readable_rows(table: Table) -> Table:
     """The known quantities of a table with a column "name" as one reads them: "7.916 µm", "5.7 % of
     the lips' motion"; with their errors where it has these."""
-    rows = [row[1:] for row in table.rows if row[2] == row[2]]
+    rows = [row[1:] for row in _rounded(table).rows if row[2] == row[2]]
     return Table(
         ("quantity", "value", *table.columns[4:]),
         [(*_readable(*row[:3]), *row[3:]) for row in rows],
@@ -310,8 +298,194 @@ def readable_rows(table: Table) -> Table:
 def _readable(name: str, value: Any, unit: str) -> tuple[str, Any]:
     known = isinstance(value, float) and np.isfinite(value)
     if known and unit in MEASURED:
-        return name, quantity(value, unit) if abs(value) > WRITTEN_AS_ZERO else f"0 {unit}"
+        return name, quantity(value, unit)
     if known and unit.startswith("of "):
-        return name, f"{100.0 * value:.2g} % {unit}"
+        return name, f"{percent(value)} {unit}"
     words = f"{value:.6g}" if known else {True: "yes", False: "no"}.get(value, value)
     return name, words if unit in ("-", "1", "") else f"{words} {unit}"
+
+
+# --- convergence studies, growth ------------------------------------------------------------------
+
+SHOWN_LENGTHS = 9
+"""Rows that are printed; the file has all."""
+TERMINAL_WIDTH, SHOWN_CASES = 120, 12
+"""Columns and rows of a table of cases that are printed; the file has all."""
+SHORT_OF_SWEEP = ("response", "opening", "amplitude", "ratio_2_1")
+"""Columns printed where the scene does not choose; the response is the amplitude at the load."""
+SPEEDS = ("rotation.speed", "rotation.rpm")
+
+
+def account_of_verification(found: Verification) -> Account:
+    """A convergence study."""
+    told = found.statement[: -len(found.warnings) or None]
+    return Account(
+        "verify",
+        found.table(),
+        shown=found.totals(),
+        facts=told,
+        notes=told,
+        warnings=found.warnings,
+        tables={"Contributions": found.totals()},
+        done=not found.failures,
+    )
+
+
+def account_of_growth(found: Growth) -> Account:
+    """The table, the life and how sure it is."""
+    table, count = found.table(), len(found.length)
+    ends = SHOWN_LENGTHS - 1
+    places = sorted({round(n * (count - 1) / ends) for n in range(SHOWN_LENGTHS)})
+    shown = in_one_unit(Table(table.columns, [table.rows[n] for n in places]), found.scene)
+    hours = found.time[-1] / 3600.0
+    first, last = (quantity(float(found.length[end]), "m") for end in (0, -1))
+    way = f"from {first} to {last} in {found.life:.4g} cycles ({hours:.4g} h)"
+    if found.repeats is not None:
+        way += f", {found.repeats[-1]:.4g} repeats of the spectrum"
+    fact = f"{way if count > 1 else first}: {ENDS[found.end]}"
+    causes = [f"{name} {error:.2g}" for name, error in found.errors.items() if error > 0.0]
+    known = f"the cycles are known within a factor of {found.factor:.3g}"
+    known += f", standard deviations of their logarithm: {', '.join(causes)}" if causes else ""
+    drop = f"the natural frequency of the breathing crack falls by {found.frequency_drop[-1]:.2%}"
+    facts = [fact, known, drop] if count > 1 else [fact]
+    return Account(
+        "growth",
+        table,
+        shown=shown,
+        facts=[f"{text[0].upper()}{text[1:]}." for text in facts],
+        notes=facts,
+        warnings=[*found.remarks],
+        tables={"The crack over the cycles": shown},
+    )
+
+
+# --- sweeps ---------------------------------------------------------------------------------------
+
+
+def account_of_sweep(found: SweepResult, note: str = "") -> Account:
+    """The cases of a sweep, with a note about its scene."""
+    table = found.table()
+    shown, how = few_cases(found)
+    counts = {"converged": int(found.converged.sum()), "failed": len(found.failed)}
+    counts["pending"] = found.converged.size - sum(counts.values())
+    told = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+    swept = ", ".join(f"{len(a.values)} values of {key_in_words(a.key)}" for a in found.axes)
+    tables = {f"Cases{how}": shown}
+    stepped, high = stepped_over(found), int(np.sum(found["largest_order"] > 3))
+    told_high = (
+        f"in {counted(high, 'case')} a harmonic above the third is the largest of the higher "
+    )
+    told_high = f"{told_high}ones: ratio_largest, largest_order" if high else ""
+    if found.failed:
+        failed = [(str(index), reason) for index, reason in found.failed]
+        tables["Failed cases"] = Table(("case", "reason"), failed)
+    return Account(
+        "sweep",
+        table,
+        shown=shown,
+        facts=[
+            f"Of the sweep ({swept}) {counts['converged']} of {found.converged.size} cases "
+            f"converged, {counts['failed']} failed.",
+            *stepped,
+        ],
+        notes=[note, f"cases: {told}{how}", told_high, *(f"remark: {text}" for text in stepped)],
+        warnings=[*warnings_of(found)],
+        tables=tables,
+        done=not found.failed and found.complete,
+    )
+
+
+def warnings_of(found: SweepResult) -> Iterator[str]:
+    """Failed cases, large errors, and what is not stable; one line for each kind."""
+    yield from by_reason(found, found.failed, "failed")
+    if large := int(np.sum(found.inexact)):
+        wanted = FINER if found.scene.harmonic_balance.tolerance is not None else MORE
+        yield f"{counted(large, 'case')} with an error above {LARGE_ERROR:.0%}: {wanted}"
+    verdicts = found["verdict"][found.converged]
+    unstable, undecided = (int(np.sum(verdicts == name)) for name in ("unstable", "undecided"))
+    if undecided and undecided == verdicts.size:
+        yield "the stability is undecided in all cases"
+    elif unstable or undecided:
+        numbers = [f"{n} {word}" for n, word in ((unstable, "unstable"), (undecided, "undecided"))]
+        told = " and ".join(text for text in numbers if not text.startswith("0 "))
+        yield f"of {counted(verdicts.size, 'case')} {told}"
+    yield from by_reason(found, found.undecided, "undecided")
+    if not found.complete:
+        yield "the sweep was stopped; the same command goes on with it"
+
+
+def stepped_over(found: SweepResult) -> list[str]:
+    """A sentence if between two load frequencies there is a peak that is narrower than their
+    distance: between its half-power points the phase falls by a quarter of a turn, between others
+    next to it by more."""
+    over = [at for at, axis in enumerate(found.axes) if axis.key in (*FREQUENCIES, *SPEEDS)]
+    if not over:
+        return []
+    wave = found["sine_1"] + 1j * found["cosine_1"]
+    omega, wave = (np.moveaxis(values, over[0], -1) for values in (found["omega"], wave))
+    omega, wave = (np.take_along_axis(v, omega.argsort(axis=-1), -1) for v in (omega, wave))
+    turns = np.angle(wave[..., 1:] * np.conj(wave[..., :-1])) < -0.5 * np.pi
+    if not turns.any():
+        return []
+    *place, at = map(int, np.argwhere(turns)[0])
+    ends = omega[(*place, at)], omega[(*place, at + 1)]
+    between = in_unit(frequency_axis(found.scene.in_hertz), *ends)
+    others = [axis for number, axis in enumerate(found.axes) if number != over[0]]
+    where = "".join(f", {words}" for words in [in_words(others, place)] if words)
+    more = int(turns.sum()) - 1
+    also = f", and at {counted(more, 'other place')}" if more else ""
+    return [
+        f"between {between}{where}{also}, the sweep steps over a peak that "
+        "is narrower than the step: the largest response lies there; smaller steps or the command "
+        "curve find it"
+    ]
+
+
+def few_cases(found: SweepResult) -> tuple[Table, str]:
+    """The cases of a small sweep, of a larger one those of largest response; and which in words.
+
+    They are the largest over the load frequency, or over the longest axis, one for each combination
+    of the others.
+    """
+    keys = [axis.key for axis in found.axes]
+    chosen = SHORT_OF_SWEEP if found.scene.quantities is None else found.quantities
+    shown = (n for n in found.quantities if n in chosen or n.rpartition(".")[2] in chosen)
+    columns = [*keys, *shown, "verdict"]
+    if not np.all(found.converged):
+        columns.insert(len(keys), "state")
+    verdicts = set(found["verdict"][found.converged].tolist())
+    if verdicts <= {""} or verdicts == {"undecided"}:
+        columns.remove("verdict")
+    table, words = _fitting(found, columns)
+    if len(table.rows) <= SHOWN_CASES:
+        return table, words
+    along = int(np.argmax(found.shape))
+    for key in FREQUENCIES:
+        along = keys.index(key) if key in keys else along
+    height = np.nan_to_num(found["response"], nan=-1.0)
+    numbers = np.arange(height.size).reshape(height.shape)
+    highest = np.expand_dims(height.argmax(axis=along), along)
+    places = np.take_along_axis(numbers, highest, along).ravel()
+    words = f"; the table has the largest responses over {keys[along]}, {found.path.stem}.csv all"
+    if len(places) > SHOWN_CASES:
+        order = np.argsort(-height.ravel()[places], kind="stable")[:SHOWN_CASES]
+        words += f", {SHOWN_CASES} of {len(places)}"
+        places = np.sort(places[order])
+    return Table(table.columns, [table.rows[place] for place in places]), words
+
+
+def _fitting(found: SweepResult, columns: list[str]) -> tuple[Table, str]:
+    """The table of some columns, without the last quantities if it is too wide; and that in words.
+
+    What a scene asks for by ``output.quantities`` is printed, whatever its width.
+    """
+    left, chosen = [*found.quantities], found.scene.quantities is not None
+    while True:
+        table = found.table(*columns)
+        width = len(table.formatted("text").splitlines()[1])
+        if width <= TERMINAL_WIDTH or chosen or len(left) < 2:
+            break
+        columns = [name for name in columns if name != left[-1]]
+        left.pop()
+    whole = len(left) == len(found.quantities)
+    return table, "" if whole else f"; {found.path.stem}.csv has more columns"

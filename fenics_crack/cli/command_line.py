@@ -24,8 +24,7 @@ from fenics_crack.version import VERSION
 from fenics_crack.whole import FULL
 
 if TYPE_CHECKING:
-    from fenics_crack.cli.console import Console
-    from fenics_crack.cli.inputs import Inputs
+    from fenics_crack.cli.given import Console, Inputs
 
 __all__ = ["main"]
 
@@ -152,7 +151,7 @@ def _let_go() -> None:
 
 def _show_lines_of(table: str) -> None:
     """Print lines to be pasted where a scene lacks a table that a command asks for."""
-    from fenics_crack.cli.template import lines_of
+    from fenics_crack.cli.given import lines_of
 
     if lines := lines_of(table):
         print(f"for example:\n\n{lines}", file=sys.stderr)
@@ -188,7 +187,7 @@ def _run(given: argparse.Namespace) -> Exit:
     MPI and PETSc take longer to load than most input to be refused. Where mpirun has started this
     process, rank 0 reads for all.
     """
-    from fenics_crack.cli.inputs import read_inputs
+    from fenics_crack.cli.given import Console, read_inputs
 
     launched = any(name in os.environ for name in LAUNCHERS)
     inputs = None if launched else read_inputs(given)
@@ -198,7 +197,6 @@ def _run(given: argparse.Namespace) -> Exit:
     with _settings({} if launched else ALONE):
         from mpi4py import MPI
 
-    from fenics_crack.cli.console import Console
     from fenics_crack.parallel import on_root
 
     comm = MPI.COMM_WORLD
@@ -226,13 +224,12 @@ def _settings(wanted: dict[str, str]) -> Iterator[None]:
 
 def _command(given: argparse.Namespace, inputs: Inputs | None, console: Console) -> Exit | None:
     """Call a command; return how it ended where that may differ."""
-    module, name = FUNCTIONS.get(given.command, "commands.solved").split(".")
-    command: Callable[..., Exit | None]
-    command = getattr(import_module(f"fenics_crack.cli.{module}"), name)
+    module = import_module(f"fenics_crack.cli.{FILES.get(given.command, 'commands')}")
+    command: Callable[..., Exit | None] = getattr(module, given.command)
     if inputs is None or "output" not in given:
         return command(given, inputs, console)
-    from fenics_crack.cli.console import make_writable
-    from fenics_crack.study.remarks import remarks_on_scene
+    from fenics_crack.cli.given import make_writable
+    from fenics_crack.study.key_figures import remarks_on_scene
 
     make_writable(inputs.folder, console.comm)
     told = remarks_on_scene(inputs.scene)
@@ -296,19 +293,10 @@ COMMANDS = {
     ),
 }
 """What each command does, and its own arguments."""
-FUNCTIONS = {
-    "new": "template.new",
-    "check": "scenes.check",
-    "campbell": "commands.campbell_diagram",
-    "verify": "commands.verification",
-    "sweep": "commands.sweep",
-    "grow": "commands.growth",
-    "timing": "timing.timing",
-    "identify": "commands.identification",
-    "plot": "commands.plot",
-    "report": "report.report",
-}
-"""What they call in this folder; the others are runs, ``commands.solved``."""
+FILES = {
+    "new": "given", "check": "scenes", "timing": "timing", "plot": "pictures", "report": "pictures",
+}  # fmt: skip
+"""Where in this folder their functions are, which have their names; the others in ``commands``."""
 ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "file": ("the file to write, for example plate.toml", {"type": path, "metavar": "scene"}),
     "--blade": ("of a plate on a rotor: engine order, centrifugal load", {"action": "store_true"}),

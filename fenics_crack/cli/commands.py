@@ -1,4 +1,4 @@
-"""The commands that solve a scene, and ``plot``: each computes, writes its files and reports."""
+"""The commands that solve a scene: each computes, writes its files and reports."""
 
 from __future__ import annotations
 
@@ -12,35 +12,31 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.cli.account import Account
-from fenics_crack.cli.console import Console, make_writable
-from fenics_crack.cli.inputs import Inputs
-from fenics_crack.cli.results import Computed, account_of, account_of_sweep, result_of
+from fenics_crack.cli.account import Account, account_of_sweep
+from fenics_crack.cli.given import Console, Inputs
+from fenics_crack.cli.results import account_of
 from fenics_crack.cli.scenes import remark_on_sweep
 from fenics_crack.errors import FEW_MODES, INTERRUPTED, Exit, InputError
-from fenics_crack.files.store import read
-from fenics_crack.model.modes import Modes
 from fenics_crack.parallel import on_root
-from fenics_crack.scene.scene import Scene
-from fenics_crack.study.remarks import coriolis_in_words, remarks_on_rotor
-from fenics_crack.study.run import Run, curve, integrate, modes, solve
+from fenics_crack.study import run as runs
+from fenics_crack.study.key_figures import coriolis_in_words, remarks_on_rotor
+from fenics_crack.study.run import Run
 from fenics_crack.table import RPM, counted, quantity
 
 __all__ = [
-    "campbell_diagram", "growth", "identification", "plot", "solved", "sweep", "tell",
-    "verification",
+    "campbell", "curve", "grow", "identify", "integrate", "modes", "solve", "sweep", "tell",
+    "verify",
 ]  # fmt: skip
 
 MOST_SPEEDS = 10_000
 """Of a Campbell diagram."""
 RUNS: dict[str, tuple[str, Callable[..., Run]]] = {
-    "modes": ("modes", modes),
-    "solve": ("solution", solve),
-    "curve": ("curve", curve),
-    "integrate": ("integration", integrate),
+    "modes": ("modes", runs.modes),
+    "solve": ("solution", runs.solve),
+    "curve": ("curve", runs.curve),
+    "integrate": ("integration", runs.integrate),
 }
-"""What commands compute, and the name of their files."""
+"""The commands that make a run: what they compute, and the name of their files."""
 
 
 def solved(given: Namespace, inputs: Inputs, console: Console) -> Exit:
@@ -62,6 +58,9 @@ def solved(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     run.save(folder / f"{name}.h5")
     console.note(*(f"remark: {text}" for text in remarks_on_rotor(run.scene, run.structure.whole)))
     return tell(replace(account_of(run), name=name), folder, console)
+
+
+modes = solve = curve = integrate = solved
 
 
 def tell(
@@ -119,23 +118,23 @@ def sweep(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     return tell(account_of_sweep(found, remark_on_sweep(scene, console.comm)), folder, console)
 
 
-def growth(_: Namespace, inputs: Inputs, console: Console) -> Exit:
+def grow(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     """The crack's growth: lengths that an earlier run has left, and the cycles between all."""
     from fenics_crack.draw.plot_study import draw_growth
-    from fenics_crack.sweep.growth import grow
+    from fenics_crack.sweep import growth
 
     scene, folder = inputs.scene, inputs.folder
     with console.timed("growth"):
-        found = grow(scene, folder, console.comm, progress=console.progress)
+        found = growth.grow(scene, folder, console.comm, progress=console.progress)
     found.save(folder / "growth.h5", console.comm)
     draw = partial(draw_growth, found, in_hertz=scene.in_hertz)
     return tell(account_of(found), folder, console, draw)
 
 
-def campbell_diagram(given: Namespace, inputs: Inputs, console: Console) -> Exit:
+def campbell(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     """Natural frequencies over the speed, and where engine orders meet the first breathing one."""
-    from fenics_crack.draw.plot_rotor import draw_campbell
-    from fenics_crack.study.campbell import campbell
+    from fenics_crack.draw.plot_study import draw_campbell
+    from fenics_crack.study import campbell as diagrams
 
     scene, span = inputs.scene, given.speeds
     scene.given("rotation")
@@ -146,7 +145,7 @@ def campbell_diagram(given: Namespace, inputs: Inputs, console: Console) -> Exit
         raise InputError("--speeds", span or (start, stop, steps), allowed)
     with console.stage("campbell"):
         speeds = factor * np.linspace(start, stop, int(steps))
-        found = campbell(scene, speeds, given.count or FEW_MODES, console.comm)
+        found = diagrams.campbell(scene, speeds, given.count or FEW_MODES, console.comm)
     in_hertz, own = scene.in_hertz or scene.in_rpm, scene.excitation.order
 
     kinds = [f"{'frequency' if in_hertz else 'omega'}_{kind}" for kind in found.kinds]
@@ -166,42 +165,37 @@ def campbell_diagram(given: Namespace, inputs: Inputs, console: Console) -> Exit
     return tell(account, inputs.folder, console, draw)
 
 
-def verification(_: Namespace, inputs: Inputs, console: Console) -> Exit:
+def verify(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     """What mesh, modes, harmonics and samples contribute to the error of the steady vibration."""
     from fenics_crack.draw.plot_study import draw_verification
-    from fenics_crack.study.refinement import verify
+    from fenics_crack.study import refinement
 
     with console.stage("verification"):
-        found = verify(inputs.scene, console.comm)
+        found = refinement.verify(inputs.scene, console.comm)
     found.save(inputs.folder / "verify.h5", console.comm)
     return tell(account_of(found), inputs.folder, console, partial(draw_verification, found))
 
 
-def identification(given: Namespace, inputs: Inputs, console: Console) -> Exit:
+def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     """A crack from measurements: what it is, how sure, and where to measure next."""
-    from fenics_crack.identification.identify import identify  # SciPy's optimize and interpolate
+    from fenics_crack.identification import identify as search  # SciPy's optimize, interpolate
 
     scene, folder = inputs.scene, inputs.folder
     parts = [] if inputs.measurements is None else [inputs.measurements]
     if inputs.arrivals is not None:
-        from fenics_crack.study.timing import (
-            arrivals_of,
-            engine_order,
-            is_run_up,
-            probed_displacement,
-        )
-
-        times, run = arrivals_of(scene, inputs.arrivals, console.comm)
-        if is_run_up(times, run):
-            raise InputError("arrivals", repr(times), "those of a constant speed")
-        order = engine_order(scene.given("tip_timing"), scene)
-        tip, against = probed_displacement(scene)
         from fenics_crack.identification.measurements import Measurements
+        from fenics_crack.study import timing
 
+        times, run = timing.arrivals_of(scene, inputs.arrivals, console.comm)
+        if timing.is_run_up(times, run):
+            raise InputError("arrivals", repr(times), "those of a constant speed")
+        order = timing.engine_order(scene.given("tip_timing"), scene)
+        tip, against = timing.probed_displacement(scene)
         parts.append(Measurements.from_arrivals(times, order, tip, against=against))
-    rows = parts[0] if len(parts) == 1 else parts[0] + parts[1]
+    rows = sum(parts[1:], parts[0])
     with console.timed("identification"):
-        found = identify(scene, rows, folder=folder, comm=console.comm, progress=console.progress)
+        how = {"comm": console.comm, "progress": console.progress}
+        found = search.identify(scene, rows, folder=folder, **how)
     worth = found.where_to_measure()
 
     def write() -> None:
@@ -226,52 +220,3 @@ def identification(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     _note_replaced(folder / "identify", before, console)
     console.warn(*found.warnings)
     return Exit.NOT_CONVERGED if found.doubts else Exit.DONE
-
-
-def plot(given: Namespace, _: None, console: Console) -> None:
-    """Pictures of a result, of several in one, or of a scene's mesh; by rank 0."""
-    results, labels = given.results, given.label
-    first, several = results[0], len(results) > 1
-    is_scene = first.suffix.lower() == ".toml"
-    folder = given.output or (Path("output") / first.stem if is_scene else first.parent)
-    make_writable(folder, console.comm)
-
-    def draw() -> list[Path]:
-        from fenics_crack.cli.pictures import draw_result, draw_several
-
-        stored = None if several or is_scene else read(first)
-        if given.show and (stored is None or stored.kind != PeriodicSolution.KIND):
-            raise InputError("--show", str(first), "used with one periodic solution")
-        if several or labels:
-            return draw_several(results, labels, folder)
-        if stored is None:
-            from fenics_crack.cli.scenes import draw_scene
-
-            return draw_scene(Scene.load(first), folder)
-        result = result_of(stored)
-        return draw_result(result, folder) + _for_paraview(result, folder, console, show=given.show)
-
-    with console.stage("pictures"):
-        files = on_root(console.comm, draw)
-    console.note(*map(str, files))
-
-
-def _for_paraview(run: Computed, folder: Path, console: Console, *, show: bool) -> list[Path]:
-    """Files of modes and of a period; none without a mesh. With ``show`` a window, too."""
-    if not (isinstance(run, Run) and isinstance(run.result, Modes | PeriodicSolution)):
-        return []
-    from fenics_crack.draw.paraview import write_modes, write_period
-
-    found, material = run.result, run.scene.material
-    if show and isinstance(found, PeriodicSolution):
-        from fenics_crack.draw.animation import show_period
-
-        show_period(found, material=material)
-    if found.structure.whole.meshed is None:
-        console.note("no mesh: what would be drawn on one is left out")
-        return []
-    if isinstance(found, Modes):
-        write_modes(found, folder / "modes.vtu")
-        return [folder / "modes.vtu"]
-    write_period(found, folder / "solution_period.pvd", material=material)
-    return [folder / "solution_period.pvd"]

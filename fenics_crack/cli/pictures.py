@@ -1,16 +1,28 @@
-"""The pictures of results: of one, and of several of a kind laid over each other.
+"""The commands ``plot`` and ``report``: pictures of results, of one and of several of a kind laid
+over each other, files for ParaView, and an HTML page with pictures, errors and verdicts in words.
 
-They load matplotlib, and VTK where a mesh is drawn: only ``plot`` and ``report`` come here.
+Nothing is solved again: all of it follows from the files of the results, their scenes and their
+meshes. In the page stand the pictures themselves, and all words are escaped. Matplotlib is loaded
+here, and VTK where a mesh is drawn: only these two commands come here.
 """
 
 from __future__ import annotations
 
+import base64
+import html
 import itertools
+import platform
+import shlex
+import tempfile
+from argparse import Namespace
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from datetime import UTC, datetime
 from pathlib import Path
+from string import Template
 from typing import Any
 
+import h5py
 import numpy as np
 from mpi4py import MPI
 
@@ -18,37 +30,52 @@ from fenics_crack.balance.error_report import UNKNOWN
 from fenics_crack.balance.harmonic_balance import linear_response
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import frequency_in_words
-from fenics_crack.cli.of_vibration import closings
-from fenics_crack.cli.results import Computed, result_of
+from fenics_crack.cli.given import Console, make_writable
+from fenics_crack.cli.results import IDENTIFIED, RESULTS, Computed, account_of, over_time, result_of
+from fenics_crack.cli.scenes import harmonics_in_words
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw.figure import Picture, distinct_colours
-from fenics_crack.draw.plot import Wave, draw_contact_map, draw_map, draw_response, draw_waves
-from fenics_crack.draw.plot_curve import draw_content, draw_curve, draw_multipliers
-from fenics_crack.draw.plot_mesh import draw_modes
-from fenics_crack.draw.plot_motion import (
+from fenics_crack.draw.plot import (
+    Wave,
+    draw_contact_map,
+    draw_map,
     draw_orbits,
+    draw_response,
     draw_spectra,
     draw_spectrum,
     draw_stress_intensity,
+    draw_waves,
 )
+from fenics_crack.draw.plot_curve import draw_content, draw_curve, draw_multipliers
+from fenics_crack.draw.plot_mesh import draw_mesh, draw_modes
 from fenics_crack.draw.plot_study import draw_growth, draw_verification
 from fenics_crack.errors import FEW_MODES, InputError
-from fenics_crack.files.store import read
+from fenics_crack.files.store import IDENTIFICATION, Stored, read, versions
 from fenics_crack.model.modes import LIPS, Modes, n_tied_modes, solve_modes
 from fenics_crack.model.structure import Structure
+from fenics_crack.parallel import on_root
 from fenics_crack.scene.fields import Axis
-from fenics_crack.scene.words import WHOLE, differences, key_in_words, unit_of, value_in_words
-from fenics_crack.study.over_time import stress_intensity
+from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.words import (
+    WHOLE,
+    differences,
+    given_values,
+    key_in_words,
+    unit_of,
+    value_in_words,
+)
 from fenics_crack.study.prepare import prepare
-from fenics_crack.study.run import Run
+from fenics_crack.study.run import Run, stress_intensity
 from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.growth import Growth
 from fenics_crack.sweep.plan import FREQUENCIES
 from fenics_crack.sweep.result import SweepResult
-from fenics_crack.table import ranging, readable, with_unit
+from fenics_crack.table import Table, percent, ranging, readable, with_unit
 from fenics_crack.time.march import TimeHistory
+from fenics_crack.version import VERSION, packaged
+from fenics_crack.whole import write_whole
 
-__all__ = ["can_be_drawn", "draw_result", "draw_several", "draw_swept"]
+__all__ = ["draw_swept", "plot", "report"]
 
 MOST_PICTURES = 12
 """Results in one picture; pictures of a quantity of a sweep."""
@@ -61,16 +88,108 @@ DRAWN_INSTANTS = 801
 
 File = Callable[[str], Path]
 """Takes the name of a picture; remembers and returns its path."""
+CAPTIONS = {
+    "mesh": "The mesh with its named parts.",
+    "modes": "Mode shapes with the crack open. No contact acts in them, so the lips may overlap.",
+    "solution_waves": "The displacement that is watched, and the closing of the lips.",
+    "solution_spectrum": "Amplitudes of the harmonics. There are enough of them where they have "
+    "fallen far.",
+    "solution_orbits": "The motion in the phase plane; thick where the lips touch.",
+    "solution_contact_map": "Where along the crack and when in the period the lips touch.",
+    "solution_breathing_crack": "One period, slowed down and magnified as stated above the plate.",
+    "solution_tips": "What opens the tips of the crack, over the period.",
+    "curve": "Response. Dashed: unstable; dotted: undecided; faint: large estimated error.",
+    "curve_content": "Amplitudes of the lowest harmonics.",
+    "curve_multipliers": "The orbit is stable where the largest multiplier is below 1.",
+    "growth": "The crack over the cycles; dots are the lengths that were solved.",
+    "integration_waves": "The last periods of the motion in time.",
+}
+"""Below the pictures, by the names of their files; others speak for themselves."""
+IN_SHORT = (
+    "geometry", "structure", "material", "damping", "crack", "cracks", "contact", "rotation",
+    "excitation", "loads", "base", "growth",
+)  # fmt: skip
+"""Tables of a scene whose keys stand above its text."""
+Section = tuple[str, str, list[str]]
+"""Name of a part of the page, which links lead to, its heading, and its blocks of HTML."""
 
 
-def draw_result(result: Computed, folder: Path) -> list[Path]:
+def plot(given: Namespace, _: None, console: Console) -> None:
+    """Pictures of a result, of several in one, or of a scene's mesh; by rank 0."""
+    results, labels = given.results, given.label
+    first, several = results[0], len(results) > 1
+    is_scene = first.suffix.lower() == ".toml"
+    folder = given.output or (Path("output") / first.stem if is_scene else first.parent)
+    make_writable(folder, console.comm)
+
+    def draw() -> list[Path]:
+        stored = None if several or is_scene else read(first)
+        if given.show and (stored is None or stored.kind != PeriodicSolution.KIND):
+            raise InputError("--show", str(first), "used with one periodic solution")
+        if several or labels:
+            return _draw_several(results, labels, folder)
+        if stored is None:
+            return [_draw_scene(Scene.load(first), folder)]
+        result: Any = result_of(stored)
+        drawn = _draw_result(result, folder)
+        if given.show:
+            from fenics_crack.draw.animation import show_period  # VTK
+
+            show_period(result.result, material=result.scene.material)
+        return drawn + _for_paraview(result, folder, console)
+
+    with console.stage("pictures"):
+        files = on_root(console.comm, draw)
+    console.note(*map(str, files))
+
+
+def report(given: Namespace, _: None, console: Console) -> None:
+    """The page of some results, by rank 0."""
+    target = given.output or given.results[0].parent / "report.html"
+    words = ["fenics-crack", *given.words]
+    with console.stage("report"):
+        left = on_root(console.comm, lambda: _write_report(given.results, target, words))
+    console.note(str(target), *(f"{path} is left out: {IDENTIFIED}" for path in left))
+
+
+# --- of one result --------------------------------------------------------------------------------
+
+
+def _draw_result(result: Computed, folder: Path) -> list[Path]:
     """Draw the pictures of a result into a folder; return the files."""
     files: list[Path] = []
     DRAW[result.KIND](result, _file_in(folder, files))
     return files
 
 
-def can_be_drawn(result: Computed) -> bool:
+def _draw_scene(scene: Scene, folder: Path, structure: Structure | None = None) -> Path:
+    """Draw the mesh of a scene, which is made unless its structure is there; return the file."""
+    file = folder / "mesh.png"
+    structure = structure or prepare(scene, MPI.COMM_SELF, whole=True).structure
+    draw_mesh(structure, path=file, title=f"{structure.n_dofs} degrees of freedom")
+    return file
+
+
+def _for_paraview(run: Computed, folder: Path, console: Console) -> list[Path]:
+    """Files of modes and of a period; none without a mesh."""
+    found = run.result if isinstance(run, Run) else None
+    if not isinstance(found, Modes | PeriodicSolution):
+        return []
+    if found.structure.whole.meshed is None:
+        console.note("no mesh: what would be drawn on one is left out")
+        return []
+    from fenics_crack.draw.vtk import write_modes, write_period  # VTK
+
+    if isinstance(found, Modes):
+        file = folder / "modes.vtu"
+        write_modes(found, file)
+    else:
+        file = folder / "solution_period.pvd"
+        write_period(found, file, material=run.scene.material)
+    return [file]
+
+
+def _can_be_drawn(result: Computed) -> bool:
     """Tell whether a result can be drawn: a sweep over two or more numbers, if a case of it has
     converged."""
     if not isinstance(result, SweepResult):
@@ -96,14 +215,12 @@ def _solution(run: Run[PeriodicSolution], file: File) -> None:
     title = f"{frequency_in_words(run.scene, found.omega)}, H = {found.harmonics}"
     if found.gap_coefficients.size:
         error = found.report.total
-        title += ", error unknown" if error >= UNKNOWN else f", estimated error {100 * error:.2g} %"
+        title += ", error unknown" if error >= UNKNOWN else f", estimated error {percent(error)}"
     if found.stability is not None:
         title += f", {found.stability.verdict}"
     if not found.converged:
         title += ", NOT CONVERGED"
-    time = np.linspace(0.0, found.period, DRAWN_INSTANTS)
-    motion, gap = found.displacement(time, [dof])[:, 0], found.gap(time)
-    _waves(run, time, motion, gap, found.omega, path=file("solution_waves.png"), title=title)
+    _waves(run, found.omega, path=file("solution_waves.png"), title=title)
     draw_spectrum(found, dof, path=file("solution_spectrum.png"), title=title)
     draw_orbits(found, dof, path=file("solution_orbits.png"), title=title)
     if found.structure.whole.meshed is not None:
@@ -119,8 +236,7 @@ def _solution(run: Run[PeriodicSolution], file: File) -> None:
 def _history(run: Run[TimeHistory], file: File) -> None:
     found, omega = run.result, run.scene.excitation.omega
     title = f"The last periods of {found.periods}, {frequency_in_words(run.scene, omega)}"
-    motion, time = found.displacement([run.watched_dof])[:, 0], found.time - found.time[0]
-    _waves(run, time, motion, found.gap, omega, path=file("integration_waves.png"), title=title)
+    _waves(run, omega, path=file("integration_waves.png"), title=title)
     _tips(run, file)
 
 
@@ -135,14 +251,13 @@ def _tips(run: Run[Any], file: File) -> None:
         draw_stress_intensity(found, path=file(name), title=title)
 
 
-def _waves(
-    run: Run, time: np.ndarray, motion: np.ndarray, gap: np.ndarray, omega: float, **where: Any
-) -> None:
+def _waves(run: Run, omega: float, **where: Any) -> None:
     """Draw the displacement of the load's dof and the gap at the mouths over time."""
-    waves, styles = [Wave(run.watched_name, time, motion)], itertools.cycle(STYLES)
-    if gap.size:
-        waves += [Wave(words, time, wave, *next(styles)) for words, wave in closings(run, gap)]
-    touch = "lips touch" if gap.size else None
+    found, styles = over_time(run, DRAWN_INSTANTS), itertools.cycle(STYLES)
+    time, touch = found.time - found.time[0], "lips touch" if found.closings else None
+    waves = [Wave(run.watched_name, time, found.motion[:, 0])]
+    for place, wave in found.closings.items():
+        waves.append(Wave(f"closing {place}", time, wave, *next(styles)))
     period = 2.0 * np.pi / omega
     draw_waves(waves, quantity="displacement", period=period, zero=touch, **where)
 
@@ -304,7 +419,7 @@ DRAW: dict[str, Callable[[Any, File], None]] = {
 # --- several of one kind --------------------------------------------------------------------------
 
 
-def draw_several(paths: Sequence[Path], labels: Sequence[str], folder: Path) -> list[Path]:
+def _draw_several(paths: Sequence[Path], labels: Sequence[str], folder: Path) -> list[Path]:
     """Draw results of the same kind on the same axes; return the files.
 
     ``labels`` name the results; without any they are called by what differs between their scenes,
@@ -354,15 +469,12 @@ def _solutions(runs: Mapping[str, Run[PeriodicSolution]], file: File) -> None:
     """The displacements, the gaps at the mouth and the spectra of solutions."""
     motions, gaps, places = [], [], []
     for (label, run), colour in zip(runs.items(), distinct_colours(len(runs)), strict=True):
-        found = run.result
-        time = np.linspace(0.0, found.period, DRAWN_INSTANTS)
-        loads = time * found.omega / (2.0 * np.pi)
-        motion = found.displacement(time, [run.watched_dof])[:, 0]
-        motions.append(Wave(label, loads, motion, colour))
-        if found.gap_coefficients.size:
-            pair = found.structure.first_watched
-            places.append(found.structure.where(pair))
-            gaps.append(Wave(label, loads, found.gap(time)[:, pair], colour))
+        found = over_time(run, DRAWN_INSTANTS)
+        loads = found.time * run.result.omega / (2.0 * np.pi)
+        motions.append(Wave(label, loads, found.motion[:, 0], colour))
+        for place, wave in itertools.islice(found.closings.items(), 1):
+            places.append(place)
+            gaps.append(Wave(label, loads, wave, colour))
     name = _common(run.watched_name for run in runs.values())
     how: dict[str, Any] = {"period": 1.0}
     draw_waves(motions, quantity="displacement", path=file("overlay_waves.png"), title=name, **how)
@@ -411,3 +523,155 @@ def _common(names: Iterator[str] | Sequence[str]) -> str | None:
     """The name that all have; None if they differ."""
     found = set(names)
     return found.pop() if len(found) == 1 else None
+
+
+# --- the page -------------------------------------------------------------------------------------
+
+
+def _write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) -> list[Path]:
+    """Write the page of some results; return the files that are left out beside others.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Files of results with their scenes; the page puts them in the order of :data:`RESULTS`.
+    target : Path
+        The .html file.
+    command : sequence of str
+        The words of the command that asked for it.
+
+    Raises
+    ------
+    InputError
+        A file is no result with a scene, or the page cannot be written.
+    """
+    if target.suffix.lower() not in (".html", ".htm"):
+        raise InputError("--output", str(target), "a .html file")
+    stored = [read(path) for path in dict.fromkeys(paths)]
+    shown = [file for file in stored if file.kind != IDENTIFICATION] or stored
+    both = [(file, result_of(file)) for file in shown]
+    both.sort(key=lambda one: list(RESULTS).index(one[0].kind))
+    kinds, scenes = [file.kind for file, _ in both], [result.scene for _, result in both]
+    sections: list[Section] = []
+    facts: list[str] = []
+    doubts: list[str] = []
+    with tempfile.TemporaryDirectory() as folder:
+        scene_part = _scene(both[0][1], Path(folder))
+        own = differences([scene.replace({"reduction": None}) for scene in scenes])
+        for number, ((file, result), differs) in enumerate(zip(both, own, strict=True), 1):
+            found = account_of(result)
+            place, heading = Path(folder) / str(number), RESULTS[file.kind][0]
+            place.mkdir()
+            if kinds.count(file.kind) > 1:
+                heading += f": {differs or file.path}"
+            told = [*found.facts]
+            blocks = [_paragraph(f"In this result {differs}.", "small")] if differs else []
+            doubtful = [f"{text[0].upper()}{text[1:]}" for text in found.warnings]
+            blocks += [_points(told), _points(doubtful, "doubtful")]
+            blocks += [_paragraph(*found.verdict)] if found.verdict else []
+            if _can_be_drawn(result):
+                blocks += [_picture(path) for path in _draw_result(result, place)]
+            blocks += [_table(rows, caption) for caption, rows in found.tables.items()]
+            blocks.append(_paragraph(f"From {file.path}, {_made(file.path)}.", "small"))
+            sections.append((f"result-{number}", heading, blocks))
+            facts += told[:1]
+            doubts += [f"{heading}: {text}" for text in found.warnings]
+    short = [_points(facts), _points(doubts, "doubtful")]
+    if not doubts:
+        short.append(_paragraph("The program warned of nothing.", "good"))
+    before: list[Section] = [("short", "In short", short), ("scene", "Scene", scene_part)]
+    after = "versions", "Versions", _versions([file for file, _ in both], command)
+    stem = both[0][0].path.resolve().parent.name
+    under = f"{datetime.now(UTC).astimezone():%d %B %Y, %H:%M %Z}, fenics_crack {VERSION}"
+    text = _page(f"Breathing crack: {stem}", under, [*before, *sections, after])
+    write_whole(target, text, "--output")
+    return [file.path for file in stored if file.kind == IDENTIFICATION]
+
+
+# --- parts ----------------------------------------------------------------------------------------
+
+
+def _scene(result: Computed, folder: Path) -> list[str]:
+    """The scene of a result in short, its mesh if it has one, its text."""
+    scene, blocks = result.scene, []
+    if scene.geometry is not None:
+        own = result.structure.whole if isinstance(result, Run) else None
+        blocks.append(_picture(_draw_scene(scene, folder, own)))
+    rows: list[tuple[str, object]] = [
+        (key_in_words(key), _value(key, value))
+        for table in IN_SHORT
+        for key, value in given_values(scene).items()
+        if key.startswith(f"{table}.")
+    ]
+    if scene.excitation.order is not None:
+        rows.append(("load frequency", frequency_in_words(scene, scene.excitation.omega)))
+    rows.append(("harmonics", harmonics_in_words(scene)))
+    blocks.append(_table(Table(("quantity", "value"), rows), "The first result's scene"))
+    whole = f"<summary>The whole scene (TOML)</summary><pre>{html.escape(scene.as_toml())}</pre>"
+    beside = "\n".join(blocks)  # where there is room
+    return [f'<div class="beside">{beside}</div>', f"<details>{whole}</details>"]
+
+
+def _value(key: str, value: object) -> str:
+    """A value in words; of a vector both parts."""
+    if isinstance(value, list):
+        return f"{value} {unit_of(key)}".rstrip()
+    return value_in_words(key, value)
+
+
+def _versions(files: Sequence[Stored], command: Sequence[str]) -> list[str]:
+    """What made the results, and what made the page."""
+    rows = []
+    for file in files:
+        made = f"fenics_crack {file.attributes['version']}, {file.attributes['versions']}"
+        rows.append((str(file.path), made))
+    drawn = f"Python {platform.python_version()}, {versions()}, h5py {h5py.__version__}"
+    rows.append(("this page", f"fenics_crack {VERSION}, {drawn}"))
+    return [
+        _table(Table(("file", "made with"), rows), "What computed the results"),
+        _paragraph(f"Command: {shlex.join(command)}"),
+    ]
+
+
+def _made(path: Path) -> str:
+    """When a file was written."""
+    when = datetime.fromtimestamp(path.stat().st_mtime, UTC).astimezone()
+    return f"written on {when:%d %B %Y, %H:%M %Z}"
+
+
+# --- blocks of HTML -------------------------------------------------------------------------------
+
+
+def _page(title: str, under: str, sections: Sequence[Section]) -> str:
+    """A whole page: links to its sections, and these."""
+    links = (f'<a href="#{name}">{html.escape(heading)}</a>' for name, heading, _ in sections)
+    body = [f"<nav>{' '.join(links)}</nav>"]
+    for name, heading, blocks in sections:
+        inside = "\n".join([f"<h2>{html.escape(heading)}</h2>", *blocks])
+        body.append(f'<section id="{name}">{inside}\n</section>')
+    words = {"title": html.escape(title), "under": html.escape(under)}
+    return Template(packaged("cli/report.html")).substitute(words, body="\n".join(body))
+
+
+def _paragraph(text: str, kind: str = "") -> str:
+    """Some words; ``kind`` is "good", "bad" or "doubtful" for a verdict, "small", or empty."""
+    return f'<p class="{kind}">{html.escape(text)}</p>' if kind else f"<p>{html.escape(text)}</p>"
+
+
+def _points(texts: Sequence[str], kind: str = "") -> str:
+    """A list of words; empty without any."""
+    items = "".join(f"<li>{html.escape(text)}</li>" for text in texts)
+    return f'<ul class="{kind}">{items}</ul>' if texts else ""
+
+
+def _table(rows: Table, caption: str) -> str:
+    """A table, of a long one the first rows."""
+    return f'<div class="table">{rows.html(caption)}</div>'
+
+
+def _picture(path: Path) -> str:
+    """A picture file with its caption, as it is."""
+    data = base64.b64encode(path.read_bytes()).decode("ascii")
+    words = html.escape(CAPTIONS.get(path.stem, ""))
+    image = f'<img alt="{words}" src="data:image/{path.suffix[1:]};base64,{data}">'
+    return f"<figure>{image}<figcaption>{words}</figcaption></figure>"

@@ -1,259 +1,625 @@
-"""The results of commands: how they are read, who speaks of them, their headings in a report; and
-what there is to say of sweeps, of growth and of convergence studies."""
+"""What there is to say of modes, of a steady vibration, of a curve and of a motion in time; and the
+results of all commands: how they are read, who speaks of them, their headings in a report."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.cli.account import FINER, MORE, Account, in_one_unit
-from fenics_crack.cli.of_vibration import (
-    account_of_curve,
-    account_of_history,
-    account_of_modes,
-    account_of_solution,
-)
-from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.balance.solution import Indicators, PeriodicSolution
+from fenics_crack.cli.account import (
+    IN_A_TEST,
+    OTHERS,
+    Account,
+    account_of_growth,
+    account_of_sweep,
+    account_of_verification,
+    frequency_in_words,
+    how_it_is_left,
+    in_short,
+    known_to,
+    largest_seen,
+    of_error,
+    of_size,
+    of_stability,
+    readable_rows,
+)  # fmt: skip
+from fenics_crack.cli.scenes import remark_on
+from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, kind_in_words, parameter_axis
+from fenics_crack.curves.peak import top_and_damping
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import IDENTIFICATION, Stored
-from fenics_crack.model.modes import Modes
-from fenics_crack.scene.words import key_in_words
+from fenics_crack.model.modes import KINDS, BilinearFrequencies, Modes, bilinear_frequencies
+from fenics_crack.model.rotation import RunUpStructure
+from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QUANTITIES, SHORT
+from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.tables import Integration
+from fenics_crack.study.asked import asked_along_curve, asked_of_motion
+from fenics_crack.study.coarser_mesh import natural_name
+from fenics_crack.study.key_figures import highest_omega
+from fenics_crack.study.prepare import Watched
 from fenics_crack.study.run import Run, run_of
 from fenics_crack.study.verification import Verification, verification_of
-from fenics_crack.sweep.growth import ENDS, Growth
-from fenics_crack.sweep.plan import FREQUENCIES
-from fenics_crack.sweep.result import SweepResult, by_reason, in_words
-from fenics_crack.table import Table, counted, frequency_axis, quantity
+from fenics_crack.sweep.growth import Growth
+from fenics_crack.sweep.result import SweepResult
+from fenics_crack.table import (
+    UNITS,
+    Table,
+    counted,
+    in_unit,
+    quantity,
+    ranging,
+    with_frequency,
+    with_unit,
+)
 from fenics_crack.time.march import TimeHistory
 
 __all__ = [
-    "HEADINGS", "IDENTIFIED", "Computed", "account_of", "account_of_sweep", "few_cases",
-    "result_of", "stepped_over", "warnings_of",
+    "IDENTIFIED", "RESULTS", "Computed", "account_of", "curve_points",
+    "few_special_points", "over_time", "result_of", "special_points",
 ]  # fmt: skip
 
-Computed = Run[Any] | SweepResult | Verification | Growth
-"""What commands write."""
-
-HEADINGS = {
-    Modes.KIND: "Natural frequencies and modes",
-    PeriodicSolution.KIND: "Steady vibration",
-    ResponseCurve.KIND: "Response curve",
-    SweepResult.KIND: "Sweep",
-    TimeHistory.KIND: "Motion in time",
-    Growth.KIND: "Growth of the crack",
-    Verification.KIND: "Convergence study",
-}
-"""By kind, in the order of a report."""
-IDENTIFIED = (
-    "what identify has found is in identify.json, fit.csv and, of two unknowns or more, "
-    "posterior.png beside it"
-)
-SHOWN_LENGTHS = 9
-"""Rows that are printed; the file has all."""
-TERMINAL_WIDTH, SHOWN_CASES = 120, 12
-"""Columns and rows of a table of cases that are printed; the file has all."""
-SHORT = ("response", "opening", "amplitude", "ratio_2_1")
-"""Columns printed where the scene does not choose; the response is the amplitude at the load."""
-SPEEDS = ("rotation.speed", "rotation.rpm")
+ERROR = "error [%]"
+"""Of modes, harmonics and mesh, as far as it is known."""
+Row = tuple[str, str, object, str]
+"""Name, words, value, unit."""
 
 
-def account_of_verification(found: Verification) -> Account:
-    """A convergence study."""
-    told = found.statement[: -len(found.warnings) or None]
+def _account_of_modes(run: Run[Modes]) -> Account:
+    """Natural frequencies and mode shapes with the crack open."""
+    found, table = run.result, run.result.table()
+    first = float(found.omega[0])
+    hertz = first / (2.0 * np.pi)
+    names = [natural_name(run.scene, "open", number + 1) for number in range(len(found.omega))]
+    known = known_to(run, names[0])
+    fact = f"The first natural frequency with the crack open is {hertz:.5g} Hz ({first:.5g} rad/s)"
+    fact += f", known to {known}." if known else "."
+    if run.stated is not None:
+        rows = [[*row, _errors(run, name)[0]] for row, name in zip(table.rows, names, strict=True)]
+        table = Table([*table.columns, ERROR], rows)
+    tables = {"Natural frequencies with the crack open": table}
+    return Account("modes", table, facts=[fact], tables=tables, run=run)
+
+
+# --- a steady vibration ---------------------------------------------------------------------------
+
+
+def _account_of_solution(run: Run[PeriodicSolution]) -> Account:
+    """A solution, its error and its stability (collective)."""
+    found, scene = run.result, run.scene
+    table = _quantities(run, found.to_dict())
+    notes = [remark_on(run.structure, highest_omega(scene, "solve"))]
+    if found.converged and found.stability is None and run.structure.n_pairs:
+        notes.append(
+            "the stability is not judged, as that would take long: it is for a reduced structure, "
+            "with contact.law = 'unilateral' for lips without mass (reduction.method)"
+        )
+    known = known_to(run)
+    tolerance = scene.harmonic_balance.tolerance
+    missed = tolerance is not None and found.report.total > tolerance
+    warnings = []
+    if not found.converged or missed:
+        failed = "" if found.converged else "not converged: "
+        warnings.append(f"{failed}{found.status}")
+    elif run.structure.n_pairs:
+        warnings += of_error(scene, found.report, found.harmonics)
+    if found.still:
+        warnings.append("nothing vibrates: no load changes in time")
+    if found.converged and not missed and known:
+        notes.insert(0, f"solved; the half peak-to-peak displacement is known to {known}")
+    elif found.converged and run.stated is not None and run.stated.left_out:
+        notes.insert(0, f"the stated errors are {run.stated.left_out}")
+    if found.converged:
+        warnings += of_stability(scene, run, found.stability)
+        warnings += of_size(run, largest_seen(run))
+        warnings += run.stated.dents if run.stated is not None else ()
     return Account(
-        "verify",
-        found.table(),
-        shown=found.totals(),
-        facts=told,
-        notes=told,
-        warnings=found.warnings,
-        tables={"Contributions": found.totals()},
-        done=not found.failures,
-    )
-
-
-def account_of_growth(found: Growth) -> Account:
-    """The table, the life and how sure it is."""
-    table, count = found.table(), len(found.length)
-    ends = SHOWN_LENGTHS - 1
-    places = sorted({round(n * (count - 1) / ends) for n in range(SHOWN_LENGTHS)})
-    shown = in_one_unit(Table(table.columns, [table.rows[n] for n in places]), found.scene)
-    hours = found.time[-1] / 3600.0
-    first, last = (quantity(float(found.length[end]), "m") for end in (0, -1))
-    way = f"from {first} to {last} in {found.life:.4g} cycles ({hours:.4g} h)"
-    if found.repeats is not None:
-        way += f", {found.repeats[-1]:.4g} repeats of the spectrum"
-    fact = f"{way if count > 1 else first}: {ENDS[found.end]}"
-    causes = [f"{name} {error:.2g}" for name, error in found.errors.items() if error > 0.0]
-    known = f"the cycles are known within a factor of {found.factor:.3g}"
-    known += f", standard deviations of their logarithm: {', '.join(causes)}" if causes else ""
-    drop = f"the natural frequency of the breathing crack falls by {found.frequency_drop[-1]:.2%}"
-    facts = [fact, known, drop] if count > 1 else [fact]
-    return Account(
-        "growth",
+        "solution",
         table,
-        shown=shown,
-        facts=[f"{text[0].upper()}{text[1:]}." for text in facts],
-        notes=facts,
-        warnings=[*found.remarks],
-        tables={"The crack over the cycles": shown},
+        rows=_waves(run, over_time(run)),
+        shown=in_short(table, scene, SHORT),
+        facts=_facts(run),
+        verdict=_verdict(found),
+        notes=notes,
+        warnings=warnings,
+        tables=_in_numbers(table, scene),
+        done=found.converged,
+        missed=missed,
+        run=run,
     )
 
 
-# --- sweeps ---------------------------------------------------------------------------------------
+def _in_numbers(table: Table, scene: Scene) -> dict[str, Table]:
+    """All numbers, of which a page shows the first ones; before them those that are asked for."""
+    chosen = scene.quantities or ()
+    rows = [row for row in table.rows if str(row[0]).rpartition(".")[2] in chosen]
+    first = {"What the scene asks for": readable_rows(Table(table.columns, rows))} if rows else {}
+    return first | {"In numbers": readable_rows(table)}
 
 
-def account_of_sweep(found: SweepResult, note: str = "") -> Account:
-    """The cases of a sweep, with a note about its scene."""
-    table = found.table()
-    shown, how = few_cases(found)
-    counts = {"converged": int(found.converged.sum()), "failed": len(found.failed)}
-    counts["pending"] = found.converged.size - sum(counts.values())
-    told = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
-    swept = ", ".join(f"{len(a.values)} values of {key_in_words(a.key)}" for a in found.axes)
-    tables = {f"Cases{how}": shown}
-    stepped, high = stepped_over(found), int(np.sum(found["largest_order"] > 3))
-    told_high = (
-        f"in {counted(high, 'case')} a harmonic above the third is the largest of the higher "
+def _facts(run: Run[PeriodicSolution]) -> Iterator[str]:
+    """The response, and the error report sentence by sentence."""
+    found, report = run.result, run.result.report
+    size = quantity(found.amplitude(run.watched_dof), "m")
+    fact = f"At {frequency_in_words(run.scene, found.omega)} the {run.watched_name} is {size} half "
+    known = known_to(run)
+    fact += f"peak-to-peak (known to {known})" if known else "peak-to-peak"
+    if not found.gap_coefficients.size:
+        yield f"{fact}."
+        yield "There is no contact: the solution is exact for its mesh and modes."
+        return
+    values = found.to_dict()
+    yield (
+        f"{fact}; the crack opens by {quantity(values['opening'], 'm')} and is closed "
+        f"for {values['closed_share']:.0%} of the period."
     )
-    told_high = f"{told_high}ones: ratio_largest, largest_order" if high else ""
-    if found.failed:
-        failed = [(str(index), reason) for index, reason in found.failed]
-        tables["Failed cases"] = Table(("case", "reason"), failed)
+    causes = {
+        "the harmonics left out": report.truncation,
+        "the modes left out": report.reduction,
+        "contact forces taken from samples": report.sampling,
+        "equations not solved exactly": report.residual,
+    }
+    name = max(causes, key=causes.__getitem__)
+    yield (
+        f"Without the mesh, the motion of the lips is known to about {report.total:.2%}; most of "
+        f"that is due to {name} ({causes[name]:.2%})."
+    )
+    yield f"The displacement at the load is then known to about {report.displacement:.2%}."
+    if report.penetration > 0.0:
+        yield (
+            f"The contact law lets the lips penetrate by {report.penetration:.2%} of their motion; "
+            "this belongs to the law, and is no error of its solution."
+        )
+
+
+def _verdict(found: PeriodicSolution) -> tuple[str, str]:
+    """Whether the vibration lasts, and the kind of this verdict."""
+    if not found.converged:
+        return "Not converged: there is no orbit to be judged.", "bad"
+    if found.stability is None:
+        return "The stability was not examined.", "doubtful"
+    judged = found.stability
+    grows = f"grows, and a motion in time leaves it{how_it_is_left(judged)}"
+    undecided = f"Undecided: {judged.reason or 'more harmonics may decide'}", "doubtful"
+    text, kind = {
+        "stable": ("Stable: a small disturbance dies out", "good"),
+        "unstable": (f"Unstable: a small disturbance {grows}", "bad"),
+    }.get(judged.verdict, undecided)
+    return f"{text} (largest multiplier {np.abs(judged.multipliers).max():.6g}).", kind
+
+
+# --- a motion in time -----------------------------------------------------------------------------
+
+
+def _account_of_history(run: Run[TimeHistory]) -> Account:
+    """A motion from rest, and whether it repeats (collective)."""
+    found, scene = run.result, run.scene
+    distance = found.distance
+    table = _quantities(run, vars(found) | {"distance": distance} | found.indicators().to_dict())
+    asked = scene.integration or Integration()
+    change = f"a period changes it by {found.settled:.2g}"
+    left = f", and it is {distance:.2g} from where it settles" if distance < 1.0 else ""
+    facts = [f"The motion in time has settled after {found.periods} periods: {change}{left}."]
+    warnings = []
+    if not found.settled <= asked.settle:
+        facts = [f"The motion in time was followed over {found.periods} periods."]
+        warnings = [
+            f"the motion has not settled after {found.periods} of {asked.periods} periods: "
+            f"{change}{_longer_period(found)}"
+        ]
+    waves = over_time(run)
     return Account(
-        "sweep",
+        "integration",
         table,
-        shown=shown,
-        facts=[
-            f"Of the sweep ({swept}) {counts['converged']} of {found.converged.size} cases "
-            f"converged, {counts['failed']} failed.",
-            *stepped,
-        ],
-        notes=[note, f"cases: {told}{how}", told_high, *(f"remark: {text}" for text in stepped)],
-        warnings=[*warnings_of(found)],
-        tables=tables,
-        done=not found.failed and found.complete,
+        rows=_waves(run, waves),
+        shown=in_short(table, scene, SHORT),
+        facts=facts,
+        warnings=[*warnings, *of_size(run, np.abs(waves.motion).max(axis=0))],
+        tables=_in_numbers(table, scene),
+        done=bool(found.settled <= asked.settle),
+        run=run,
     )
 
 
-def warnings_of(found: SweepResult) -> Iterator[str]:
-    """Failed cases, large errors, and what is not stable; one line for each kind."""
-    yield from by_reason(found, found.failed, "failed")
-    if large := int(np.sum(found.inexact)):
-        wanted = FINER if found.scene.harmonic_balance.tolerance is not None else MORE
-        yield f"{counted(large, 'case')} with an error above {LARGE_ERROR:.0%}: {wanted}"
-    verdicts = found["verdict"][found.converged]
-    unstable, undecided = (int(np.sum(verdicts == name)) for name in ("unstable", "undecided"))
-    if undecided and undecided == verdicts.size:
-        yield "the stability is undecided in all cases"
-    elif unstable or undecided:
-        numbers = [f"{n} {word}" for n, word in ((unstable, "unstable"), (undecided, "undecided"))]
-        told = " and ".join(text for text in numbers if not text.startswith("0 "))
-        yield f"of {counted(verdicts.size, 'case')} {told}"
-    yield from by_reason(found, found.undecided, "undecided")
-    if not found.complete:
-        yield "the sweep was stopped; the same command goes on with it"
+def _longer_period(found: TimeHistory) -> str:
+    """A hint why a motion has not settled: it may repeat after two or three load periods."""
+    waves = found.by_period(found.gap)
+    for count in range(2, len(waves)):
+        change = np.linalg.norm(waves[-1] - waves[-1 - count]) / np.linalg.norm(waves[-1])
+        if change < 0.1 * found.settled:
+            return f", {count} periods only by {change:.2g}: its period is {count} times the load's"
+    return "; it may need more of them (integration.periods), or be irregular"
 
 
-def stepped_over(found: SweepResult) -> list[str]:
-    """A sentence if between two load frequencies there is a peak that is narrower than their
-    distance: between its half-power points the phase falls by a quarter of a turn, between others
-    next to it by more."""
-    over = [at for at, axis in enumerate(found.axes) if axis.key in (*FREQUENCIES, *SPEEDS)]
-    if not over:
-        return []
-    wave = found["sine_1"] + 1j * found["cosine_1"]
-    omega, wave = (np.moveaxis(values, over[0], -1) for values in (found["omega"], wave))
-    omega, wave = (np.take_along_axis(v, omega.argsort(axis=-1), -1) for v in (omega, wave))
-    turns = np.angle(wave[..., 1:] * np.conj(wave[..., :-1])) < -0.5 * np.pi
-    if not turns.any():
-        return []
-    *place, at = map(int, np.argwhere(turns)[0])
-    factor, _, unit = frequency_axis(found.scene.in_hertz)
-    low, high = factor * omega[(*place, at)], factor * omega[(*place, at + 1)]
-    others = [axis for number, axis in enumerate(found.axes) if number != over[0]]
-    where = "".join(f", {words}" for words in [in_words(others, place)] if words)
-    more = int(turns.sum()) - 1
-    also = f", and at {counted(more, 'other place')}" if more else ""
+# --- their numbers --------------------------------------------------------------------------------
+
+
+def _quantities(run: Run[Any], values: Mapping[str, object]) -> Table:
+    """The numbers of a vibration or a motion: indicators of each watched dof, those of the lips,
+    natural frequencies, and others (collective)."""
+    omega = run.scene.excitation.omega if isinstance(run.result, TimeHistory) else run.result.omega
+    rows: list[Row] = [(n, n, v, UNITS[n]) for n, v in with_frequency({"omega": omega}).items()]
+    for watched in run.watched:
+        rows += _of_point(watched, run.result.indicators(watched.dof).to_dict())
+    if not run.structure.n_pairs:  # no errors were estimated
+        values = {n: v for n, v in values.items() if not n.endswith(("_error", "_share"))}
+    rows += _named(OF_LIPS, values)
+    rows += _named(QUANTITIES, asked_of_motion(run, run.result))
+    if run.structure.n_pairs and isinstance(run.result, PeriodicSolution):
+        near = bilinear_frequencies(run.structure).nearest(omega)
+        rows += (
+            (name, f"{words}, mode {near['mode']}", float(value), _shown(unit))
+            for name, words, unit, value in _with_hertz(near)
+        )
+    columns, rows = ["name", "quantity", "value", "unit"], [*rows, *_named(OTHERS, values)]
+    if run.stated is None:
+        return Table(columns, rows)
+    return Table([*columns, ERROR, "most by"], [(*row, *_errors(run, row[0])) for row in rows])
+
+
+def _errors(run: Run[Any], name: str) -> tuple[float, str]:
+    """Error of a number [%], and what most of it is by; of natural frequencies that of the mode
+    which is named."""
+    assert run.stated is not None
+    kind = name.rpartition("_")[2]
+    if kind in KINDS:
+        mode = bilinear_frequencies(run.structure).nearest(run.result.omega)["mode"]
+        name = natural_name(run.scene, kind, int(mode))
+    error, cause = run.stated.stated(name)
+    return float(f"{100.0 * error:.3g}"), cause
+
+
+def _of_point(watched: Watched, values: Mapping[str, object]) -> list[Row]:
+    """What is known of a watched dof; the load's is said once."""
+    order = values["largest_order"]
+    largest = {"ratio_largest": (f"largest harmonic ratio, {order:.0f}/1", "1")}
     return [
-        f"between {low:.6g} and {high:.6g} {unit}{where}{also}, the sweep steps over a peak that "
-        "is narrower than the step: the largest response lies there; smaller steps or the command "
-        "curve find it"
+        (
+            watched.column(name),
+            f"{words}, {watched.words}" if watched.name or name == "amplitude" else words,
+            value,
+            unit,
+        )
+        for name, words, value, unit in _named(OF_POINTS | largest, values)
     ]
 
 
-def few_cases(found: SweepResult) -> tuple[Table, str]:
-    """The cases of a small sweep, of a larger one those of largest response; and which in words.
+def _named(known: Mapping[str, tuple[str, str]], values: Mapping[str, object]) -> list[Row]:
+    """Those of some values that have words and a unit."""
+    return [
+        (n, words, values[n], _shown(unit)) for n, (words, unit) in known.items() if n in values
+    ]
 
-    They are the largest over the load frequency, or over the longest axis, one for each combination
-    of the others.
+
+def _shown(unit: str) -> str:
+    return "-" if unit == "1" else unit
+
+
+def _with_hertz(near: Mapping[str, np.ndarray]) -> Iterator[tuple[str, str, str, np.ndarray]]:
+    """Names, words, units and values of natural frequencies: "omega_open", "frequency_open"..."""
+    for name, (words, unit) in OF_FREQUENCIES.items():
+        yield name, words, unit, near[name]
+        if unit == "rad/s":
+            yield name.replace("omega", "frequency"), words, "Hz", near[name] / (2.0 * np.pi)
+
+
+# --- their waves ----------------------------------------------------------------------------------
+
+
+class Waves(NamedTuple):
+    """One period of a solution, or the record of a motion in time.
+
+    Attributes
+    ----------
+    time : (n,) [s]
+    motion : (n, n_watched) [m]
+        Displacements of what is watched.
+    closings : dict of str to (n,) [m]
+        How far the lips of each crack close, by where it is watched.
+    force : (n, n_pairs) [N]
+        Of the contact.
     """
-    keys = [axis.key for axis in found.axes]
-    chosen = SHORT if found.scene.quantities is None else found.quantities
-    shown = (n for n in found.quantities if n in chosen or n.rpartition(".")[2] in chosen)
-    columns = [*keys, *shown, "verdict"]
-    if not np.all(found.converged):
-        columns.insert(len(keys), "state")
-    verdicts = set(found["verdict"][found.converged].tolist())
-    if verdicts <= {""} or verdicts == {"undecided"}:
-        columns.remove("verdict")
-    table, words = _fitting(found, columns)
-    if len(table.rows) <= SHOWN_CASES:
-        return table, words
-    along = int(np.argmax(found.shape))
-    for key in FREQUENCIES:
-        along = keys.index(key) if key in keys else along
-    height = np.nan_to_num(found["response"], nan=-1.0)
-    numbers = np.arange(height.size).reshape(height.shape)
-    highest = np.expand_dims(height.argmax(axis=along), along)
-    places = np.take_along_axis(numbers, highest, along).ravel()
-    words = f"; the table has the largest responses over {keys[along]}, {found.path.stem}.csv all"
-    if len(places) > SHOWN_CASES:
-        order = np.argsort(-height.ravel()[places], kind="stable")[:SHOWN_CASES]
-        words += f", {SHOWN_CASES} of {len(places)}"
-        places = np.sort(places[order])
-    return Table(table.columns, [table.rows[place] for place in places]), words
+
+    time: np.ndarray
+    motion: np.ndarray
+    closings: dict[str, np.ndarray]
+    force: np.ndarray
 
 
-def _fitting(found: SweepResult, columns: list[str]) -> tuple[Table, str]:
-    """The table of some columns, without the last quantities if it is too wide; and that in words.
+def over_time(run: Run[Any], instants: int = 401) -> Waves:
+    """What a motion does over time; ``instants`` of a solution."""
+    found, dofs = run.result, [watched.dof for watched in run.watched]
+    if isinstance(found, TimeHistory):
+        time, motion, gap = found.time, found.displacement(dofs), found.gap
+        force = found.contact_force
+    else:
+        time = np.linspace(0.0, found.period, instants)
+        motion, gap = found.displacement(time, dofs), found.gap(time)
+        force = found.contact_force(time)
+    whole = run.structure.whole
+    pairs = whole.watched_pairs.values() if gap.size else ()
+    return Waves(time, motion, {whole.where(pair): gap[:, pair] for pair in pairs}, force)
 
-    What a scene asks for by ``output.quantities`` is printed, whatever its width.
+
+def _waves(run: Run, waves: Waves) -> Table:
+    """Watched dofs, the mouths of the cracks and the contact force over time."""
+    columns = ["time [s]", *(f"{watched.words} [m]" for watched in run.watched)]
+    columns += [f"closing {place} [m]" for place in waves.closings]
+    values = [waves.time, *waves.motion.T, *waves.closings.values()]
+    if waves.closings:
+        columns.append("contact force, all pairs [N]")
+        values.append(waves.force.sum(axis=1))
+    return Table(columns, np.column_stack(values).tolist())
+
+
+# --- a curve --------------------------------------------------------------------------------------
+
+ENDS = 3
+"""Rows of special points that are no bifurcations: start, end, largest."""
+SHOWN_POINTS = 5
+"""Special points that are printed beside these; the file has all."""
+LOOKED_AT = 8
+"""Points along a curve whose error is reported, beside the largest response."""
+KNOWN_SPEEDS = 9
+"""Of a run-up, at which natural frequencies are computed."""
+SHORT_OF_CURVE = ("amplitude", "ratio_2_1", "closed_share", "opening", "over_bilinear")
+"""Indicators printed of the special points where the scene does not choose: no wider than a
+terminal."""
+
+
+def _account_of_curve(run: Run[ResponseCurve]) -> Account:
+    """A curve, its special points, its errors and its stability (collective)."""
+    found, scene = run.result, run.scene
+    special = special_points(run)
+    few, hidden = few_special_points(run, special)
+    largest = _largest(run)
+    notes = [
+        *([largest] if run.stated else []),
+        remark_on(run.structure, highest_omega(scene, "curve")),
+    ]
+    if hidden:
+        notes.insert(0, f"{hidden} more bifurcations and changes of stability: curve.json")
+    kinds = dict.fromkeys(point.kind for point in found.bifurcations)
+    notes += [f"{kind_in_words(kind)}: {IN_A_TEST[kind]}" for kind in kinds if kind in IN_A_TEST]
+    seen = found.indicators(run.watched_dof)
+    peak = int(np.argmax(seen.amplitude))
+    if seen.largest_order[peak] > 3:
+        order = f"harmonic {seen.largest_order[peak]:.0f} is the largest of the higher ones"
+        share = f"{seen.ratio_largest[peak]:.2g} of harmonic 1"
+        where = "the largest response" if _passed(found, peak) else "its end"
+        notes.append(f"at {where} {order}, {share}")
+    if scene.harmonic_balance.tolerance is not None and run.structure.n_pairs:
+        notes.append(f"harmonics, by the truncation error: {ranging(found.harmonics)}")
+    return Account(
+        "curve",
+        special,
+        rows=curve_points(run),
+        shown=in_short(few, scene, SHORT_OF_CURVE),
+        facts=_facts_of_curve(run, largest),
+        notes=notes,
+        warnings=[*_warnings_of_curve(run), *of_size(run, largest_seen(run))],
+        tables={"Special points": in_short(special, scene, SHORT_OF_CURVE)},
+        done=bool(found.complete),
+        run=run,
+    )
+
+
+def _largest(run: Run[ResponseCurve]) -> str:
+    """The largest response, and how well it is known."""
+    found = run.result
+    amplitude = found.amplitude(run.watched_dof)
+    place = int(np.argmax(amplitude))
+    if not _passed(found, place):
+        return (
+            f"The response grows up to where the curve ended early, "
+            f"{quantity(amplitude[place], 'm')} half peak-to-peak ({run.watched_name}) at "
+            f"{_place(run, found.values[place])}."
+        )
+    peak, height, _ = top_and_damping(found.values, amplitude, place)
+    known = known_to(run)
+    where = "" if run.stated is None else known_to(run, run.stated.resonance)
+    return (
+        f"The largest response of the curve, {quantity(height, 'm')} half peak-to-peak "
+        f"({run.watched_name}{known and f', known to {known}'}), is at "
+        f"{_place(run, peak)}{where and f', known to {where}'}."
+    )
+
+
+def _passed(found: ResponseCurve, place: int) -> bool:
+    """Whether the largest response is none only because the curve ended early there."""
+    return bool(found.complete) or place < len(found) - 1
+
+
+def _place(run: Run[ResponseCurve], *values: float) -> str:
+    """Values of the parameter in its unit: "50.1 Hz", "50.1 and 50.3 Hz"."""
+    return in_unit(parameter_axis(run.result.parameter, run.scene.in_hertz), *values)
+
+
+def _facts_of_curve(run: Run[ResponseCurve], largest: str) -> Iterator[str]:
+    """The largest response, shares of stability, and where the error is large."""
+    yield largest
+    found = run.result
+    if found.multipliers is not None:
+        states = ("stable", "unstable", "undecided")
+        shares = [f"{np.mean(found.verdicts == state):.0%} {state}" for state in states]
+        yield f"Of {len(found)} points {', '.join(shares)}."
+    inexact = found.displacement_errors > LARGE_ERROR
+    if inexact.any():
+        at = found.values[inexact]
+        yield (
+            f"At {np.mean(inexact):.0%} of the points, between {_place(run, at.min(), at.max())}, "
+            f"the estimated error of the displacement is above {LARGE_ERROR:.0%}; these are faint "
+            "in the picture."
+        )
+
+
+def _warnings_of_curve(run: Run[ResponseCurve]) -> Iterator[str]:
+    """A large error, where and why the stability is undecided, and an early end."""
+    found, scene = run.result, run.scene
+    peak = int(np.argmax(found.amplitude(run.watched_dof)))
+    looked_at = {peak, *np.linspace(0, len(found) - 1, LOOKED_AT).astype(int).tolist()}
+    reports = {index: found.solution(index).report for index in sorted(looked_at)}
+    worst = max(reports, key=lambda index: reports[index].total)
+    where = f" at {_place(run, found.values[worst])}"
+    yield from of_error(scene, reports[worst], int(found.harmonics[worst]), where)
+    stretches = _undecided_stretches(found)
+    for first, last in stretches[:SHOWN_POINTS]:
+        ends = found.values[[first, last]] if last > first else found.values[[first]]
+        where = f"{'between ' if last > first else ''}{_place(run, *ends)}"
+        reason = found.reason((first + last) // 2)
+        count = counted(last + 1 - first, "point")
+        yield f"the stability is undecided at {count}, {where}: {reason}"
+    if len(stretches) > SHOWN_POINTS:
+        more = sum(last + 1 - first for first, last in stretches[SHOWN_POINTS:])
+        yield (
+            f"the stability is undecided at {counted(more, 'other point')}, each for its own "
+            "reason: curve.reason(index) in Python"
+        )
+    yield from run.stated.dents if run.stated is not None else ()
+    if not found.complete:
+        yield f"the curve ended early: {found.status}"
+
+
+def _undecided_stretches(found: ResponseCurve) -> list[tuple[int, int]]:
+    """First and last points of stretches along which no point is decided, the longest first."""
+    if found.undecided is None:
+        return []
+    left = np.concatenate([[0], found.undecided, [0]])
+    first, behind = (np.flatnonzero(np.diff(left) == change).tolist() for change in (1, -1))
+    stretches = [(one, other - 1) for one, other in zip(first, behind, strict=True)]
+    return sorted(stretches, key=lambda ends: ends[0] - ends[1])
+
+
+# --- its points -----------------------------------------------------------------------------------
+
+
+def curve_points(run: Run[ResponseCurve]) -> Table:
+    """Every point of a curve with its indicators."""
+    names = [name for name in run.result.to_dict() if name not in QUANTITIES]
+    table, found = run.result.table(*names), _along(run, run.result)
+    values = zip(*(column.tolist() for column in found.values()), strict=True)
+    rows = [[*row, *more] for row, more in zip(table.rows, values, strict=True)]
+    return Table((*table.columns, *found), rows)
+
+
+def special_points(run: Run[ResponseCurve]) -> Table:
+    """Ends, largest response of the first watched dof, bifurcations and changes of stability.
+
+    Of a curve over the load frequency both columns, rad/s and Hz; of a run-up also the speed, in
+    rad/s and rpm.
     """
-    left, chosen = [*found.quantities], found.scene.quantities is not None
-    while True:
-        table = found.table(*columns)
-        width = len(table.formatted("text").splitlines()[1])
-        if width <= TERMINAL_WIDTH or chosen or len(left) < 2:
-            break
-        columns = [name for name in columns if name != left[-1]]
-        left.pop()
-    whole = len(left) == len(found.quantities)
-    return table, "" if whole else f"; {found.path.stem}.csv has more columns"
+    found = run.result
+    along = _places(found) | _along(run, found)
+    special = found.at_bifurcations if found.bifurcations else found
+    there = _places(special) | _along(run, special)
+    largest = int(np.argmax(found.amplitude(run.watched_dof)))
+    top = "largest" if _passed(found, largest) else "largest so far"
+    rows = [("start", 0, along), ("end", -1, along), (top, largest, along)]
+    for number, point in enumerate(found.bifurcations, 1):
+        name = kind_in_words(point.kind)
+        if found.undecided is not None:
+            name += f", exact {_place(run, point.exact)}" if point.confirmed else ", unconfirmed"
+        rows.append((name, number, there))
+    if found.multipliers is not None:
+        for index in np.flatnonzero(found.verdicts[1:] != found.verdicts[:-1]):
+            after = found.verdicts[index + 1]
+            what = {"stable": "gained", "unstable": "lost", "undecided": "undecided"}[after]
+            rows.append((f"stability {what} after", int(index), along))
+    values = [(name, *(float(column[at]) for column in of.values())) for name, at, of in rows]
+    return Table(("point", *along), values)
+
+
+def _places(curve: ResponseCurve) -> dict[str, np.ndarray]:
+    """Columns of a curve's parameter, of frequencies and speeds in both of their units."""
+    if curve.parameter not in ("omega", "speed"):
+        return {PARAMETERS[curve.parameter]: curve.values}
+    columns = with_frequency({curve.parameter: curve.values, "omega": curve.omega})
+    return {with_unit(name, UNITS[name]): np.asarray(column) for name, column in columns.items()}
+
+
+def few_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table, int]:
+    """The first rows of :func:`special_points` and some others, and how many are left out.
+
+    Bifurcations come before changes of stability, those of the exact orbits before others, and of
+    alike ones those with the larger response. Where no point is decided, none changes.
+    """
+    found, rows = run.result, [*table.rows]
+    ends, others = rows[:ENDS], rows[ENDS:]
+    points = found.bifurcations
+    amplitude = next(n for n, name in enumerate(table.columns) if name.endswith("amplitude [m]"))
+    if found.multipliers is not None and np.all(found.verdicts == "undecided"):
+        others = others[: len(points)]
+
+    def weight(place: int) -> tuple[bool, bool, float]:
+        special = place < len(points)
+        return special, special and points[place].confirmed, others[place][amplitude]
+
+    kept = sorted(sorted(range(len(others)), key=weight, reverse=True)[:SHOWN_POINTS])
+    shown = [*ends, *(others[place] for place in kept)]
+    return Table(table.columns, shown), len(others) - len(kept)
+
+
+def _along(run: Run[ResponseCurve], curve: ResponseCurve) -> dict[str, np.ndarray]:
+    """Columns of indicators of the watched dofs, by their names with units: a value for every point
+    of a curve of the run."""
+    seen: Sequence[Indicators] = curve.measure([watched.dof for watched in run.watched])
+    found: dict[str, np.ndarray] = {}
+    for watched, indicators in zip(run.watched, seen, strict=True):
+        for name, (_, unit) in OF_POINTS.items():
+            found[with_unit(watched.column(name), unit)] = getattr(indicators, name)
+    for name, (_, unit) in OF_LIPS.items():
+        found[with_unit(name, unit)] = getattr(seen[0], name)
+    for name, values in asked_along_curve(run, curve).items():
+        found[with_unit(name, QUANTITIES[name][1])] = values
+    near = _natural_along(run, np.asarray(seen[0].omega)).nearest(seen[0].omega)
+    return found | {with_unit(name, unit): value for name, _, unit, value in _with_hertz(near)}
+
+
+def _natural_along(run: Run[ResponseCurve], omega: np.ndarray) -> BilinearFrequencies:
+    """Natural frequencies; of a run-up those at the speeds where the load has some frequencies
+    (...) [rad/s]: (..., n). Squares are linear in W^2 between :data:`KNOWN_SPEEDS` of them."""
+    structure, found = run.structure, run.result
+    if not isinstance(structure, RunUpStructure):
+        return bilinear_frequencies(structure)
+    speed = omega * (found.values[0] / found.omega[0])
+    known = np.linspace(speed.min(), speed.max(), min(speed.size, KNOWN_SPEEDS))
+    there = [bilinear_frequencies(structure.at_speed(float(one))) for one in known]
+
+    def at_speeds(rows: list[np.ndarray]) -> np.ndarray:
+        columns = [np.interp(speed**2, known**2, row**2) for row in np.transpose(rows)]
+        return np.sqrt(np.stack(columns, axis=-1))
+
+    is_open, tied = ([getattr(one, f"omega_{kind}") for one in there] for kind in ("open", "tied"))
+    return BilinearFrequencies(at_speeds(is_open), at_speeds(tied))
 
 
 # --- all of them ----------------------------------------------------------------------------------
 
-
-SPEAKERS: dict[str, Callable[[Any], Account]] = {
-    Modes.KIND: account_of_modes,
-    PeriodicSolution.KIND: account_of_solution,
-    ResponseCurve.KIND: account_of_curve,
-    SweepResult.KIND: account_of_sweep,
-    TimeHistory.KIND: account_of_history,
-    Growth.KIND: account_of_growth,
-    Verification.KIND: account_of_verification,
+Computed = Run[Any] | SweepResult | Verification | Growth
+"""What commands write."""
+RESULTS: dict[str, tuple[str, Callable[[Any], Account]]] = {
+    Modes.KIND: ("Natural frequencies and modes", _account_of_modes),
+    PeriodicSolution.KIND: ("Steady vibration", _account_of_solution),
+    ResponseCurve.KIND: ("Response curve", _account_of_curve),
+    SweepResult.KIND: ("Sweep", account_of_sweep),
+    TimeHistory.KIND: ("Motion in time", _account_of_history),
+    Growth.KIND: ("Growth of the crack", account_of_growth),
+    Verification.KIND: ("Convergence study", account_of_verification),
 }
+"""Headings and who speaks of them, by kind, in the order of a report."""
+IDENTIFIED = (
+    "what identify has found is in identify.json, fit.csv and, of two unknowns or more, "
+    "posterior.png beside it"
+)
 
 
 def account_of(result: Computed) -> Account:
     """What there is to say of a result (collective)."""
-    return SPEAKERS[result.KIND](result)
+    return RESULTS[result.KIND][1](result)
 
 
 def result_of(stored: Stored) -> Computed:
@@ -266,8 +632,8 @@ def result_of(stored: Stored) -> Computed:
     """
     if stored.kind == IDENTIFICATION:
         raise InputError("result", str(stored.path), f"another kind of result; {IDENTIFIED}")
-    if stored.kind not in HEADINGS:
-        allowed = f"a result of one of these kinds: {', '.join(HEADINGS)}"
+    if stored.kind not in RESULTS:
+        allowed = f"a result of one of these kinds: {', '.join(RESULTS)}"
         raise InputError("result", str(stored.path), allowed)
     if stored.kind == SweepResult.KIND:
         return SweepResult.load(stored.path)

@@ -5,13 +5,11 @@ from __future__ import annotations
 import contextlib
 import itertools
 from argparse import Namespace
-from pathlib import Path
 
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.cli.console import Console
-from fenics_crack.cli.inputs import Inputs
+from fenics_crack.cli.given import Console, Inputs
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.memory import check_memory
@@ -20,14 +18,20 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.coarser_mesh import errors_of_natural
-from fenics_crack.study.key_figures import KeyFigures, find_key_figures, highest_omega
+from fenics_crack.study.key_figures import (
+    KeyFigures,
+    find_key_figures,
+    highest_omega,
+    is_proportional,
+    remarks_on,
+    remarks_on_structure,
+)
 from fenics_crack.study.prepare import Study, check_memory_of, prepare, reduction_of
-from fenics_crack.study.remarks import is_proportional, remarks_on, remarks_on_structure
 from fenics_crack.sweep.plan import Plan
-from fenics_crack.table import RPM, TURN, Table, counted
+from fenics_crack.table import RPM, TURN, Table, counted, percent, ranging
 
 __all__ = [
-    "check", "draw_scene", "harmonics_in_words", "in_words", "remark_on", "remark_on_sweep",
+    "check", "harmonics_in_words", "remark_on", "remark_on_sweep",
 ]  # fmt: skip
 
 MAX_CHECKED = 10_000
@@ -71,16 +75,6 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
     console.note(*(f"remark: {remark}" for remark in remarks))
 
 
-def draw_scene(scene: Scene, folder: Path, structure: Structure | None = None) -> list[Path]:
-    """Draw the mesh of a scene, which is made unless its structure is there; return the file."""
-    from fenics_crack.draw.plot_mesh import draw_mesh
-
-    file = folder / "mesh.png"
-    structure = structure or prepare(scene, MPI.COMM_SELF, whole=True).structure
-    draw_mesh(structure, path=file, title=f"{structure.n_dofs} degrees of freedom")
-    return [file]
-
-
 def _extents(figures: KeyFigures) -> dict[str, object]:
     """The sizes of the mesh."""
     names = ("width", "height", "thickness")[: len(figures.size)]
@@ -121,7 +115,7 @@ def _errors_by_mesh(study: Study, figures: KeyFigures) -> dict[str, object]:
     found = errors_of_natural(study, natural)
     if found.unknown:
         return {"natural frequencies known to": f"without the mesh: {found.unknown['mesh']}"}
-    ends = [f"{100.0 * found.stated(name)[0]:.2g} %" for name in found.values]
+    ends = [percent(found.stated(name)[0]) for name in found.values]
     first = [end for name, end in zip(found.values, ends, strict=True) if name.endswith("_1")]
     return {"first natural frequencies known to, by the mesh": " and ".join(first)}
 
@@ -162,9 +156,9 @@ def _contact(study: Study, figures: KeyFigures) -> dict[str, object]:
         stiffness = np.broadcast_to(law.stiffness, study.structure.n_pairs)
         rows["softest pair [N/m]"] = float(stiffness.min())
         rows["stiffest pair [N/m]"] = float(stiffness.max())
-    rows["lips' own stiffness, pair by pair [N/m]"] = _span(figures.own_stiffness)
+    rows["lips' own stiffness, pair by pair [N/m]"] = ranging(figures.own_stiffness, ".3g")
     if figures.stiffness_ratio is not None:
-        rows["contact stiffness / lips' own"] = _span(figures.stiffness_ratio)
+        rows["contact stiffness / lips' own"] = ranging(figures.stiffness_ratio, ".3g")
     rows["static opening, mean load [m]"] = figures.mean_opening
     rows["static motion of the lips, amplitude of the load [m]"] = figures.static_motion
     return rows
@@ -176,12 +170,6 @@ def harmonics_in_words(scene: Scene) -> int | str:
     if table.tolerance is None:
         return table.harmonics
     return f"as an error of {table.tolerance:g} needs, from {table.harmonics}"
-
-
-def _span(values: np.ndarray) -> str:
-    """Smallest and largest of some numbers."""
-    ends = dict.fromkeys(f"{value:.3g}" for value in (values.min(), values.max()))
-    return " to ".join(ends)
 
 
 def _solved(scene: Scene, whole: Structure) -> str:
@@ -207,12 +195,10 @@ def _impossible(scene: Scene) -> str:
 # --- harmonics that nothing damps -----------------------------------------------------------------
 
 
-def in_words(highest: float, damped: tuple[int, float] | None) -> str:
-    """What to say of harmonics up to a frequency [rad/s]; empty where all of them are damped.
-
-    ``damped``: how many modes are damped, and the highest frequency of one; None if all are
-    (:func:`damped_range`).
-    """
+def remark_on(structure: Structure, highest: float) -> str:
+    """What to say of harmonics up to a frequency [rad/s]; empty where all of them are damped, and
+    without contact, which excites them (collective)."""
+    damped = damped_range(structure) if structure.n_pairs else None
     if damped is None or highest <= damped[1]:
         return ""
     count, end = damped
@@ -223,11 +209,6 @@ def in_words(highest: float, damped: tuple[int, float] | None) -> str:
         f"harmonics up to H w = {highest:g} rad/s reach beyond {modes} ({end:g} rad/s): "
         "nothing damps what they excite there"
     )
-
-
-def remark_on(structure: Structure, highest: float) -> str:
-    """The same of a structure; empty without contact, which excites them (collective)."""
-    return in_words(highest, damped_range(structure)) if structure.n_pairs else ""
 
 
 def _remark_on_whole(scene: Scene, whole: Structure, highest: float) -> str:

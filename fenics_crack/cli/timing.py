@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,24 +18,17 @@ from fenics_crack.arrivals.passages import PassageFit, find_passages
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import Account, in_one_unit, of_error, of_stability
 from fenics_crack.cli.commands import tell
-from fenics_crack.cli.console import Console, make_writable
-from fenics_crack.cli.inputs import Inputs, changes
-from fenics_crack.draw.plot_rotor import draw_arrivals, draw_passages, draw_tip_fit, draw_tip_track
+from fenics_crack.cli.given import Console, Inputs, changes, make_writable
+from fenics_crack.draw.plot_study import draw_arrivals, draw_passages, draw_tip_fit, draw_tip_track
 from fenics_crack.errors import Exit, InputError
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import TipTiming
 from fenics_crack.stages import within
-from fenics_crack.study.remarks import remarks_on_arrivals
-from fenics_crack.study.timing import (
-    arrivals_of,
-    is_run_up,
-    of_another_scene,
-    run_up_ends,
-    tip_in_words,
-    vibration_in,
-)
-from fenics_crack.table import RPM, TURN, UNITS, Table, counted, quantity, speed_in_words
+from fenics_crack.study import timing as study
+from fenics_crack.study.key_figures import remarks_on_arrivals
+from fenics_crack.study.run import Run
+from fenics_crack.table import RPM, TURN, UNITS, Table, counted, quantity, ranging, speed_in_words
 
 __all__ = ["timing"]
 
@@ -71,49 +66,49 @@ def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
         return _record(given, console)
     scene, folder = inputs.scene, inputs.folder
     with console.stage("arrival times"):
-        arrivals, run = arrivals_of(scene, inputs.arrivals, console.comm)
+        arrivals, run = study.arrivals_of(scene, inputs.arrivals, console.comm)
 
     def write() -> None:
         arrivals.to_csv(folder / "arrivals.csv")
         draw_arrivals(arrivals, path=folder / "arrivals.png", in_rpm=scene.in_rpm)
 
     on_root(console.comm, write)
-    size = f"{counted(len(arrivals), 'revolution')}, {counted(len(arrivals.probes), 'probe')}"
     first, last = (speed_in_words(arrivals.speed[end], scene.in_rpm) for end in (0, -1))
-    ends = f"{first} to {last}" if is_run_up(arrivals, run) else first
-    console.note(f"arrivals of {size}, {ends}: {folder / 'arrivals.csv'}, .png")
+    ends = f"{first} to {last}" if study.is_run_up(arrivals, run) else first
+    console.note(f"arrivals of {_size(arrivals)}, {ends}: {folder / 'arrivals.csv'}, .png")
     if run is not None:
-        console.note(tip_in_words(scene.given("tip_timing"), run))
+        console.note(study.tip_in_words(scene.given("tip_timing"), run))
     with console.stage("vibration"):
-        fit = vibration_in(scene, arrivals, run)
-    warnings: list[str] = []
-    if run is None and not isinstance(fit, tuple):
-        warnings += remarks_on_arrivals(arrivals)
-    if run is None and scene.speed > 0.0:
-        ratio = arrivals.mean_speed / scene.speed
-        if not 1.0 / FAR <= ratio <= FAR:
-            seen, own = (
-                speed_in_words(speed, scene.in_rpm) for speed in (arrivals.mean_speed, scene.speed)
-            )
-            warnings.append(
-                f"the arrivals are of {seen}, [rotation] has {own}: are they in seconds?"
-            )
-    if run is not None:
-        warnings += filter(None, (of_another_scene(scene, run), run_up_ends(scene, run)))
-    if run is not None and isinstance(run.result, PeriodicSolution):
-        found = run.result
-        warnings += of_error(run.scene, found.report, found.harmonics)
-        warnings += of_stability(run.scene, run, found.stability)
+        fit = study.vibration_in(scene, arrivals, run)
     if isinstance(fit, tuple):
-        account = _account_of_passages({1: fit}, arrivals)
-        draw = partial(draw_passages, fit, arrivals)
+        account, draw = _account_of_passages({1: fit}), partial(draw_passages, fit, arrivals)
     elif isinstance(fit, TipTrack):
-        account = _account_of_track(fit, scene, warnings)
+        account = _account_of_track(fit, scene)
         draw = partial(draw_tip_track, fit, in_hertz=scene.in_hertz)
     else:
-        account = _account_of_fit(fit, scene, warnings)
-        draw = partial(draw_tip_fit, fit, arrivals)
-    return tell(account, folder, console, draw)
+        account, draw = _account_of_fit(fit, scene), partial(draw_tip_fit, fit, arrivals)
+    warnings = [*_warnings_of(arrivals, scene, run), *account.warnings]
+    return tell(replace(account, warnings=warnings), folder, console, draw)
+
+
+def _size(arrivals: ArrivalTimes) -> str:
+    return f"{counted(len(arrivals), 'revolution')}, {counted(len(arrivals.probes), 'probe')}"
+
+
+def _warnings_of(arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | None) -> Iterator[str]:
+    """What is in doubt of measured arrivals, or of the run that they are computed from."""
+    if run is None:
+        yield from remarks_on_arrivals(arrivals)
+        speeds = arrivals.mean_speed, scene.speed
+        if scene.speed > 0.0 and not 1.0 / FAR <= speeds[0] / speeds[1] <= FAR:
+            seen, own = (speed_in_words(speed, scene.in_rpm) for speed in speeds)
+            yield f"the arrivals are of {seen}, [rotation] has {own}: are they in seconds?"
+        return
+    yield from filter(None, (study.of_another_scene(scene, run), study.run_up_ends(scene, run)))
+    if isinstance(run.result, PeriodicSolution):
+        found = run.result
+        yield from of_error(run.scene, found.report, found.harmonics)
+        yield from of_stability(run.scene, run, found.stability)
 
 
 def _record(given: Namespace, console: Console) -> Exit:
@@ -151,23 +146,20 @@ def _record(given: Namespace, console: Console) -> Exit:
             draw_passages(found[blade], blades[blade], path=path)
 
     on_root(console.comm, write)
-    size = [
-        counted(*one) for one in zip(blades[first].time.shape, ("revolution", "probe"), strict=True)
-    ]
-    console.note(f"{counted(len(blades), 'blade')}, {', '.join(size)}")
+    console.note(f"{counted(len(blades), 'blade')}, {_size(blades[first])}")
     draw = partial(draw_passages, found[first], blades[first])
-    return tell(_account_of_passages(found, blades[first]), folder, console, draw)
+    account = _account_of_passages(found)
+    warnings = [*remarks_on_arrivals(blades[first]), *account.warnings]
+    return tell(replace(account, warnings=warnings), folder, console, draw)
 
 
-def _account_of_passages(
-    found: Mapping[int, Sequence[PassageFit]], arrivals: ArrivalTimes
-) -> Account:
+def _account_of_passages(found: Mapping[int, Sequence[PassageFit]]) -> Account:
     """Resonances of each blade, and what is in doubt."""
     every = [(blade, fit) for blade, fits in found.items() for fit in fits]
     rows = [{"blade": blade} | fit.to_dict() for blade, fit in every]
     names = [name for name in rows[0] if name != "speed"] if rows else [*EMPTY]
     table = Table.of({name: [row[name] for row in rows] for name in names}, UNITS)
-    warnings = [*remarks_on_arrivals(arrivals), *["no resonance stands out"] * (not every)]
+    warnings = ["no resonance stands out"] * (not every)
     for blade, fits in found.items():
         angles = [f"{np.degrees(angle):.5g}" for angle in (fits[0].blind if fits else ())]
         warnings += [f"blade {blade}, probe at {angle} degrees: {BLIND}" for angle in angles]
@@ -182,8 +174,7 @@ def _account_of_passages(
             warnings.append(f"{name}: {BESIDE}")
     biases, notes = [fit.steady_bias for _, fit in every], []
     if biases:
-        ends = f"{min(biases):.2%} to {max(biases):.2%}"
-        notes.append(f"fits of steady vibrations would be off by {ends}")
+        notes.append(f"fits of steady vibrations would be off by {ranging(biases, '.2%')}")
     for blade, fits in found.items():
         lines = fits[0].asynchronous if fits else ()
         notes += [f"blade {blade}: {_of_line(line)}" for line in lines]
@@ -197,7 +188,7 @@ def _of_line(line: TipFit) -> str:
     return f"a vibration that follows no order: {of}"
 
 
-def _account_of_track(track: TipTrack, scene: Scene, warnings: list[str]) -> Account:
+def _account_of_track(track: TipTrack, scene: Scene) -> Account:
     """A run-up: where along it each harmonic is largest."""
 
     table = track.table()
@@ -220,13 +211,13 @@ def _account_of_track(track: TipTrack, scene: Scene, warnings: list[str]) -> Acc
         )
     elif track.may_be_folded:
         doubts.append(FOLDED)
-    return Account("timing", table, shown=shown, warnings=[*warnings, *doubts])
+    return Account("timing", table, shown=shown, warnings=doubts)
 
 
-def _account_of_fit(fit: TipFit, scene: Scene, warnings: list[str]) -> Account:
+def _account_of_fit(fit: TipFit, scene: Scene) -> Account:
     """A fit, the ratio that tells of a crack, and warnings of what the probes cannot tell."""
-    notes, warnings, table = [], [*warnings], fit.table()
-    notes += [f"beside it {_of_line(line)}" for line in fit.asynchronous]
+    notes = [f"beside it {_of_line(line)}" for line in fit.asynchronous]
+    warnings = []
     if np.any(np.isclose(fit.multiples, 2.0)):
         ratio, error = fit.ratio()
         notes.append(f"second harmonic over first: {ratio:.4g} ± {error:.2g}")
@@ -249,5 +240,6 @@ def _account_of_fit(fit: TipFit, scene: Scene, warnings: list[str]) -> Account:
             told = [f"{order:.6g}" for order in orders[:SHOWN_ORDERS]]
             more = ["..."] if len(orders) > SHOWN_ORDERS else []
             warnings.append(f"{what}: {', '.join(told + more)}")
+    table = fit.table()
     shown = in_one_unit(table, scene)
     return Account("timing", table, shown=shown, notes=notes, warnings=warnings)

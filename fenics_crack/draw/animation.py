@@ -30,21 +30,9 @@ from vtkmodules.vtkFiltersSources import vtkArrowSource
 from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper, vtkRenderer, vtkRenderWindow
 
 from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.draw import vtk
 from fenics_crack.draw.figure import COLOURS, drawn_on, label_axis
-from fenics_crack.draw.paraview import PeriodFields
-from fenics_crack.draw.vtk_parts import (
-    add_values,
-    cells_of,
-    in_space,
-    lines,
-    look_from_corner,
-    outline,
-    place,
-    pyvista,
-    seen_parallel,
-    surface,
-    without_screen,
-)
+from fenics_crack.draw.vtk import PeriodFields
 from fenics_crack.errors import InputError
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.tables import Material
@@ -146,7 +134,7 @@ def show_period(
     def show() -> None:
         if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
             raise InputError("screen", None, "there (DISPLAY is set), or use animate_period")
-        plotter = pyvista().Plotter(title="fenics_crack", window_size=(900, 900))
+        plotter = vtk.pyvista().Plotter(title="fenics_crack", window_size=(900, 900))
         slider = _with_slider(plotter, solution, fields)
         plotter.show()
         del slider
@@ -170,12 +158,11 @@ class _Colours:
         self.steps = len(self.levels) - 1
         self.beyond = bool(self.factor * highest > self.levels[-1])
         self.map = ListedColormap(colormaps["viridis"](np.linspace(0.0, 1.0, self.steps)))
-        ends = self.levels[0], self.levels[-1]
         self.table = vtkLookupTable()
         self.table.SetNumberOfTableValues(self.steps)
         for step, colour in enumerate(self.map.colors):
             self.table.SetTableValue(step, *colour)
-        self.table.SetRange(*ends)
+        self.table.SetRange(self.levels[0], self.levels[-1])
 
 
 class _Plate:
@@ -185,19 +172,16 @@ class _Plate:
         self.fields, mesh = fields, fields.mesh
         self.colours, self.height = _Colours(fields), 1e-3 * mesh.size  # of lines above the plate
         solid = mesh.dimension == 3
-        boundary = mesh.boundary
-        if solid:
-            boundary = outline(mesh)
+        boundary = vtk.outline(mesh) if solid else mesh.boundary
 
         def line(edges: np.ndarray, ink: str, width: float) -> vtkPolyData:
-            drawn = lines(self._above(mesh.points), edges)
+            drawn = vtk.lines(self._above(mesh.points), edges)
             if len(edges):
                 _part(renderer, drawn, ink).SetLineWidth(width)
             return drawn
 
         line(boundary, "rest", 2)
-        drawn = mesh.boundary_facets if solid else mesh.triangles
-        self.surface = surface(mesh.points, drawn)
+        self.surface = vtk.surface(mesh.points, mesh.boundary_facets if solid else mesh.triangles)
         _part(renderer, self.surface, self.colours.table)
         self.lines = [line(boundary, "lips", 2)]
         if not solid:  # whose outline has the mouth
@@ -217,24 +201,24 @@ class _Plate:
 
     def _above(self, points: np.ndarray) -> np.ndarray:
         """Where lines are drawn: above a plate."""
-        return in_space(points) + (points.shape[1] == 2) * np.array([0.0, 0.0, self.height])
+        return vtk.in_space(points) + (points.shape[1] == 2) * np.array([0.0, 0.0, self.height])
 
     def move(self, frame: int) -> None:
         """Show another frame."""
         fields = self.fields
-        moved = fields.mesh.points + fields.shown(frame)
-        place(self.surface, moved)
+        moved = fields.moved[frame]
+        vtk.place(self.surface, moved)
         for part in self.lines:
-            place(part, self._above(moved))
+            vtk.place(part, self._above(moved))
         colours = self.colours.factor * fields.colour_values[frame]
-        add_values(self.surface.GetPointData(), "shown", colours)
+        vtk.add_values(self.surface.GetPointData(), "shown", colours)
         pairs = (fields.pair_nodes / fields.pair_nodes.sum(axis=0)).T
-        place(self.dots, in_space(pairs @ moved) + self.room)
-        self.dots.SetVerts(cells_of(np.argwhere(fields.force[frame] > 0.0)))
-        start, arrow = (in_space(part[frame][None])[0] for part in (self.starts, self.arrows))
+        vtk.place(self.dots, vtk.in_space(pairs @ moved) + self.room)
+        self.dots.SetVerts(vtk.cells_of(np.argwhere(fields.force[frame] > 0.0)))
+        start, arrow = (vtk.in_space(part[frame][None])[0] for part in (self.starts, self.arrows))
         _, size, axes = np.linalg.svd(arrow[None])
         axes[0] *= np.sign(axes[0] @ arrow)
-        place(self.arrow, start + self.room + size * (self.unit_arrow @ axes))
+        vtk.place(self.arrow, start + self.room + size * (self.unit_arrow @ axes))
 
 
 def _unit_arrow() -> tuple[vtkPolyData, np.ndarray]:
@@ -280,8 +264,7 @@ def _load_arrows(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
     largest = np.linalg.norm(total, axis=1).max()
     if largest == 0.0:
         return np.zeros_like(total), np.zeros_like(total)
-    places = fields.mesh.points + fields.magnification * fields.displacement
-    return share @ places / share.sum(), fields.mesh.size / 8.0 * total / largest
+    return share @ fields.moved / share.sum(), fields.mesh.size / 8.0 * total / largest
 
 
 def _with_slider(plotter: Any, solution: PeriodicSolution, fields: PeriodFields) -> Any:
@@ -295,7 +278,7 @@ def _with_slider(plotter: Any, solution: PeriodicSolution, fields: PeriodFields)
     plate = _Plate(plotter.renderer, fields)
     figure = Figure(facecolor="white")
     _draw_bar(figure, (0.1, 0.05, 0.2, 0.87), plate.colours)
-    chart = pyvista().ChartMPL(figure, size=(0.14, 0.6), loc=(0.85, 0.25))
+    chart = vtk.pyvista().ChartMPL(figure, size=(0.14, 0.6), loc=(0.85, 0.25))
     chart.border_color = "white"
     plotter.add_chart(chart)
     count, caption = len(fields.time), _caption(solution, fields)
@@ -345,7 +328,7 @@ def _caption(solution: PeriodicSolution, fields: PeriodFields) -> str:
 
 def _write(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> None:
     """Draw all frames and write the GIF."""
-    without_screen()
+    vtk.without_screen()
     window, renderer = vtkRenderWindow(), vtkRenderer()
     window.SetOffScreenRendering(True)
     window.SwapBuffersOff()
@@ -398,15 +381,14 @@ def _image_of(window: vtkRenderWindow) -> Image.Image:
 def _look_at_all(renderer: vtkRenderer, fields: PeriodFields, room: float = 1.03) -> float:
     """Set the camera so that the plate stays in the picture for the whole period; return the width
     that it takes, relative to the height of the picture."""
-    moved = fields.mesh.points + fields.magnification * fields.displacement
     width, height = renderer.GetVTKWindow().GetSize()
     if fields.mesh.dimension == 3:
-        look_from_corner(renderer, fields.mesh.points)
+        vtk.look_from_corner(renderer, fields.mesh.points)
         return float(width / height)
     heads = np.add(*_load_arrows(fields)) if np.any(fields.load) else np.empty((0, 2))
-    points = np.concatenate([fields.mesh.points, *moved, heads])
+    points = np.concatenate([fields.mesh.points, *fields.moved, heads])
     low, high = points.min(axis=0), points.max(axis=0)
-    size, camera = fields.mesh.size, seen_parallel(renderer)
+    size, camera = fields.mesh.size, vtk.seen_parallel(renderer)
     middle, (across, up) = 0.5 * (low + high), high - low
     seen = room * max(up, across * height / width)
     camera.SetFocalPoint(*middle, 0.0)

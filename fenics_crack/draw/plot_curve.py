@@ -15,7 +15,7 @@ from fenics_crack.curves.peak import top_and_damping
 from fenics_crack.draw.figure import COLOURS, FIRST, Picture, Where, label_axis
 from fenics_crack.errors import InputError
 from fenics_crack.numerics.fourier import to_complex
-from fenics_crack.table import frequency_axis, quantity, with_unit
+from fenics_crack.table import frequency_axis, percent, quantity, with_unit
 
 __all__ = ["draw_content", "draw_curve", "draw_multipliers"]
 
@@ -136,7 +136,7 @@ def _mark_peak(
     place, height, damping = top_and_damping(x, y, at)
     words = f"largest: {quantity(height, 'm')} at {place:.5g} {unit}".removesuffix(" -")
     if by_frequency and np.isfinite(damping):
-        words += f",\nhalf-power damping {100.0 * damping:.2g} %"
+        words += f",\nhalf-power damping {percent(damping)}"
     look = {"color": ink or COLOURS["blue"], "mfc": "none", "ms": 7.0, "mew": 1.1}
     axes.plot(place, height, "o", label="" if ink else words, **look)
 

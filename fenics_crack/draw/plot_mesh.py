@@ -186,7 +186,7 @@ def _mode_shape(axes: Axes, mesh: NodalMesh, shape: np.ndarray) -> None:
 
 def _solid(axes: Axes, mesh: NodalMesh, load: np.ndarray) -> None:
     """The mesh with what is clamped, the lips, and the load (3, n_nodes, 3) [N]."""
-    from fenics_crack.draw import vtk_parts as vtk
+    from fenics_crack.draw import vtk
 
     plotter = vtk.off_screen_plotter()
     points, facets = mesh.points, mesh.boundary_facets
@@ -226,7 +226,7 @@ def _solid(axes: Axes, mesh: NodalMesh, load: np.ndarray) -> None:
 def _solid_shape(axes: Axes, mesh: NodalMesh, displacement: np.ndarray) -> None:
     """A displacement (n_nodes, 3), as large as it is to be drawn, coloured by its length, and the
     solid at rest."""
-    from fenics_crack.draw import vtk_parts as vtk
+    from fenics_crack.draw import vtk
 
     plotter = vtk.off_screen_plotter()
     facets = mesh.boundary_facets

@@ -31,6 +31,7 @@ from fenics_crack.fem.model_files import read_with
 from fenics_crack.outside import bytes_of, run_reader, sha256
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene, files_of, with_files
+from fenics_crack.table import UNITS
 from fenics_crack.version import VERSION
 from fenics_crack.whole import write_whole
 
@@ -441,14 +442,13 @@ ABOUT: dict[str, tuple[str, str]] = {
     "cosines": ("m", "motions; harmonics 0 to H; dofs"),
 }
 """Unit, and what it is, axis by axis."""
-VALUES = {"omega": "rad/s", "clearance": "m", "speed": "rad/s"}
-"""Units of the parameters of a curve; the others are factors."""
 
 
 def about(name: str, parts: Mapping[str, Any]) -> dict[str, str]:
     """The attributes of a dataset, of those of its file; none where it is a count or a word."""
     if name in ("values", "bifurcation_values", "exact_values") and "parameter" in parts:
-        found = VALUES.get(str(parts["parameter"]), "1"), f"of the parameter {parts['parameter']}"
+        parameter = str(parts["parameter"])  # most are factors
+        found = UNITS.get(parameter, "1"), f"of the parameter {parameter}"
         if name == "exact_values":
             found = found[0], f"{found[1]} at the exact bifurcations, nan where there is none"
     elif name.startswith("error_"):

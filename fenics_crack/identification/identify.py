@@ -36,7 +36,7 @@ from fenics_crack.scene.tables import Identify, Sweep
 from fenics_crack.scene.words import check_scene
 from fenics_crack.stages import begin
 from fenics_crack.study.coarser_mesh import finer_mesh
-from fenics_crack.study.remarks import is_proportional
+from fenics_crack.study.key_figures import is_proportional
 from fenics_crack.sweep.result import SweepResult, by_reason, run_sweep
 
 __all__ = ["Forward", "identify", "infer", "remarks_on", "solve_forward"]

@@ -66,8 +66,9 @@ def asked_along_curve(study: Study, curve: ResponseCurve) -> dict[str, np.ndarra
         for index, waves, *_ in curve.seen_through(rows):
             whole = curve.problem_of(index).structure.whole
             omega = float(curve.omega[index]) / curve.subharmonic
-            how = omega, curve.subharmonic, _drag(whole), PHASES
-            found[index] |= numbers_at_clamp(*_clamp(whole).of_waves(waves, *how))
+            clamp, drag = _clamp(whole)
+            held = clamp.of_waves(waves, omega, curve.subharmonic, drag, PHASES)
+            found[index] |= numbers_at_clamp(*held)
     return {name: np.array([one[name] for one in found]) for name in names}
 
 
@@ -81,7 +82,7 @@ def clamp_of_motion(
     (collective)."""
     structure = motion.structure
     rows, whole = structure.once(_inertia_rows), structure.whole
-    clamp, drag = _clamp(whole), _drag(whole)
+    clamp, drag = _clamp(whole)
     if isinstance(motion, TimeHistory):
         omega = TURN * (len(motion.time) - 1) / motion.steps_per_period / float(np.ptp(motion.time))
         return motion.time, *clamp.of_record(motion.time, motion.seen_through(rows), omega, drag)
@@ -96,20 +97,16 @@ def numbers_at_clamp(force: np.ndarray, moment: np.ndarray) -> dict[str, float]:
     return dict(zip(OF_CLAMP, map(float, sizes), strict=True))
 
 
-def _clamp(whole: Structure) -> Clamp:
+def _clamp(whole: Structure) -> tuple[Clamp, float]:
+    """The clamp of a structure, and a [1/s] of Rayleigh's damping."""
     assert whole.clamp is not None  # the scene has been checked
-    return whole.clamp
-
-
-def _drag(whole: Structure) -> float:
-    """a [1/s] of Rayleigh's damping."""
-    return whole.damping.mass if isinstance(whole.damping, RayleighDamping) else 0.0
+    return whole.clamp, whole.damping.mass if isinstance(whole.damping, RayleighDamping) else 0.0
 
 
 def _inertia_rows(structure: Structure) -> np.ndarray:
     """r^T M in the coordinates of a structure: (n_rigid, n_local). What has no mass has no inertia:
     what modes leave out answers at once (collective)."""
-    whole, inertia = structure.whole, _clamp(structure.whole).inertia
+    whole, inertia = structure.whole, _clamp(structure.whole)[0].inertia
     if structure is whole:
         return inertia
     known = structure.known_modes(tied=False)  # with mass, where not all coordinates have it

@@ -265,14 +265,12 @@ def campbell(
     >>> diagram = fc.campbell(blade, [0.0, 150.0, 300.0], count=2)
     """
     check_scene(scene)
-    if scene.rotation is None:
-        raise InputError("rotation", None, "given: a table with hub_radius")
+    _, axis = scene.given("rotation").place
     check_count("count", count, 1)
     wanted = np.atleast_1d(numbers(speeds))
     rising = wanted.ndim == 1 and len(wanted) > 1 and bool(np.all(np.diff(wanted) > 0.0))
     if not (rising and wanted[0] >= 0.0 and np.isfinite(wanted[-1])):
         raise InputError("speeds", speeds, "two or more finite numbers, rising from 0 or more")
-    _, axis = scene.rotation.place
     scene = with_crack_length(scene.replace({"rotation.speed": float(wanted[-1])}), comm)
     top = assemble(scene, comm)
     count = min(count, n_tied_modes(top) if top.n_pairs else top.n_modes)

@@ -9,7 +9,7 @@ as they converge with the order 1 at the tip of a crack (:mod:`refinement`).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -26,7 +26,7 @@ from fenics_crack.table import frequency_axis
 
 __all__ = [
     "CLAMP", "COARSER", "TIP", "coarser", "errors_of_natural", "expected", "finer_mesh",
-    "n_elements", "natural_name", "size_of",
+    "n_elements", "natural_name", "parts_of",
 ]  # fmt: skip
 
 COARSER = 2.0
@@ -144,17 +144,27 @@ def expected(
     cause: str, counts: tuple[int, int], own: Mapping[str, float], other: Mapping[str, float],
     scene: Scene,
 ) -> dict[str, GridConvergence]:  # fmt: skip
-    """The part of a cause, of order 1 in :func:`size_of`, without a factor of safety."""
-    sizes = [size_of(cause, count, scene) for count in counts]
+    """The part of a cause, of order 1 in :func:`_size_of`, without a factor of safety."""
+    parts = parts_of(cause, counts, (own, other), scene, formal=1.0)
+    return {name: replace(part, factor=1.0) for name, part in parts.items()}
+
+
+def parts_of(
+    cause: str, counts: Sequence[int], levels: Sequence[Mapping[str, float]], scene: Scene,
+    *, formal: float, highest: float = math.inf,
+) -> dict[str, GridConvergence]:  # fmt: skip
+    """The part of a cause in each number, which is 0 where a run has none, by the numbers of two or
+    three runs, the answer's own first; orders are those of :func:`grid_convergence`."""
+    sizes = [_size_of(cause, count, scene) for count in counts]
     return {
-        name: replace(
-            grid_convergence(sizes, [value, other.get(name, 0.0)], formal=1.0), factor=1.0
+        name: grid_convergence(
+            sizes, [values.get(name, 0.0) for values in levels], formal=formal, highest=highest
         )
-        for name, value in own.items()
+        for name in levels[0]
     }
 
 
-def size_of(cause: str, count: int, scene: Scene) -> float:
+def _size_of(cause: str, count: int, scene: Scene) -> float:
     """The side of a square or cube of the mean size of so many elements, in [m] where the plate is
     the scene's (Celik and others, equation 1); or one over the number of something else."""
     if cause != "mesh":

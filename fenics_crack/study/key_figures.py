@@ -1,7 +1,7 @@
-"""Numbers that tell whether a scene is what its author meant, from one factor of K and few modes.
+"""Whether a scene is what its author meant: key figures, and remarks on what is out of the usual.
 
-Nothing is solved. With the lips open, K^-1 and the lowest modes give displacement and gap at a
-frequency w,
+The figures follow from one factor of K and few modes; nothing is solved. With the lips open, K^-1
+and the lowest modes give displacement and gap at a frequency w,
 
     u(w) = K^-1 f + sum_j phi_j (phi_j^T f) [d_j(w) - 1 / w_j^2],
     d_j(w) = 1 / (w_j^2 - w^2 + 2 i xi_j w_j w),
@@ -9,15 +9,23 @@ frequency w,
 and, by B instead of f, the compliance of the lips R(w) = B^T H(w) B. The mean load and the preload
 alone close some pairs, by a static contact problem. As long as these stay closed and the others
 open, the motion is linear, and the closed ones carry R(w)^-1 B^T u(w) beside their static force.
+
+Each rule for remarks is a function of the scene, or of the scene and its figures or structure, that
+yields them. A remark forbids nothing: it names a key, its value, and what is usual; most often a
+unit or a number is mistyped.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from fenics_crack.arrivals.arrival_times import ArrivalTimes
+from fenics_crack.fem.lips import SAME
 from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.factor import Factor
 from fenics_crack.model.modes import (
@@ -27,25 +35,24 @@ from fenics_crack.model.modes import (
     count_below,
     modes_by,
     partners,
+    solve_modes,
     tied_modes,
     times,
 )
 from fenics_crack.model.reduced import ResidualFlexibility
+from fenics_crack.model.rotation import coriolis_shifts
 from fenics_crack.model.structure import ModalDamping, RayleighDamping, Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.tables import FORCES, Rotation
 from fenics_crack.study.prepare import Study, reduction_of
+from fenics_crack.table import RPM, TURN, ranging
 
 __all__ = [
-    "N_MODES",
-    "SMALL_MOTION",
-    "KeyFigures",
-    "damping_ratios",
-    "extents",
-    "find_key_figures",
-    "highest_omega",
-    "span_of",
-]
+    "SMALL_MOTION", "KeyFigures", "Remark", "coriolis_in_words", "damping_ratios", "extents",
+    "find_key_figures", "highest_omega", "is_proportional", "remarks_on", "remarks_on_arrivals",
+    "remarks_on_rotor", "remarks_on_scene", "remarks_on_structure", "span_of",
+]  # fmt: skip
 
 N_MODES = 4
 """Modes that are computed."""
@@ -276,3 +283,537 @@ def highest_omega(scene: Scene, command: str = "") -> float:
     if command == "sweep":
         harmonics = [*scene.swept.get("harmonic_balance.harmonics", harmonics)]
     return span_of(scene, command)[1] * max(harmonics)
+
+
+# --- remarks --------------------------------------------------------------------------------------
+
+Remarks = Iterator["Remark"]
+
+YOUNG, DENSITY = (1e7, 1.5e12), (50.0, 25000.0)
+"""Of most solids: [Pa], from rubber to diamond, and [kg/m^3], from foam to tungsten and osmium."""
+RATE = (1e-20, 1e-9)
+"""Of growth at 1 MPa m^0.5 [m in a cycle]: metals have 1e-13 to 1e-10, the less the steeper."""
+LARGEST_SIDE = 20.0
+"""Of plates that somebody shakes [m]."""
+MOST_DAMPING = 0.05
+"""Ratio of critical damping that structures hardly exceed; metals have 0.0001 to 0.01."""
+FASTEST = 1000.0
+"""Speed of a rotor's tip that none reaches [m/s]; the longest blades have 700."""
+MOST_CORIOLIS = 0.01
+"""Change of a natural frequency by the Coriolis force up to which nothing is said: the errors of
+usual meshes are as large."""
+AT_CLAMP = 0.01
+"""Distance of clamped nodes from y = 0 that is remarked, relative to the size of the mesh: radii
+are then wrong by that of a blade's length."""
+LEAST_FREQUENCY = 0.02
+"""Load frequency, relative to the first natural one, below which a scene is one of statics."""
+MEANT_FOR = 0.1
+"""Relative distance at which a load frequency is taken to be meant for a natural one."""
+MM = {"mm": 1e-3}
+"""In metres."""
+MANY_MODES = 2000
+"""Modes of a whole structure that take minutes."""
+AS_SOFT, AS_RIGID = 1.0, 1e6
+"""Contact stiffness over that of the lips: as soft as these, and not to be told from rigid."""
+
+
+@dataclass(frozen=True)
+class Remark:
+    """Something unusual: ``key = value: what is usual``."""
+
+    key: str
+    value: object
+    text: str
+
+    def __str__(self) -> str:
+        value = f"{self.value:g}" if isinstance(self.value, float) else str(self.value)
+        return f"{self.key} = {value}: {self.text}"
+
+
+def remarks_on_scene(scene: Scene) -> list[Remark]:
+    """What the scene alone shows; costs nothing."""
+    of_plates = (_material, _plate, _rotor, _damping, _load, _settling, _proportional, _growth)
+    of_matrices = () if scene.damping is None else (_damping, _settling)
+    chosen = of_plates if scene.structure is None else of_matrices
+    return [remark for rule in (*chosen, _probes) for remark in rule(scene)]
+
+
+def remarks_on_structure(scene: Scene, structure: Structure) -> list[Remark]:
+    """What the scene's structure shows, before it is reduced (collective)."""
+    rules = _between_nodes, _outermost, remarks_on_rotor, _bouncing
+    return [remark for rule in rules for remark in rule(scene, structure)]
+
+
+def remarks_on(scene: Scene, figures: KeyFigures) -> list[Remark]:
+    """What the scene and its key figures show."""
+    rules = (_frequency, _curve, _response, _lips, _contact, _closing, _size, _resolution, _modes)
+    of_matrices = (_frequency, _curve, _contact, _size, _modes)
+    chosen = rules if scene.structure is None else of_matrices
+    own = remarks_on_scene(scene)
+    if any(remark.key.startswith(("material.", "geometry.", "rotation.")) for remark in own):
+        return own  # all else may follow from these
+    return own + [remark for rule in chosen for remark in rule(scene, figures)]
+
+
+# --- of the scene alone ---------------------------------------------------------------------------
+
+
+def _unless_usual(
+    key: str, value: float, usual: tuple[float, float], text: str, units: Mapping[str, float] = MM
+) -> Remarks:
+    """A remark on a value that is not a usual one; and the first unit in which it would be, by the
+    factor to that of the key."""
+    if usual[0] <= value <= usual[1]:
+        return
+    for unit, factor in units.items():
+        if usual[0] <= factor * value <= usual[1]:
+            text += f"; in {unit}? then {factor * value:g}"
+            break
+    yield Remark(key, value, text)
+
+
+def _material(scene: Scene) -> Remarks:
+    young, poisson, density = vars(scene.material).values()
+    text = "in Pa, steel has 2.1e11, and most solids from 1e7 to 1.5e12"
+    yield from _unless_usual("material.young", young, YOUNG, text, {"GPa": 1e9, "MPa": 1e6})
+    text = "in kg/m^3, steel has 7850, and most solids from 50 to 25000"
+    units = {"g/cm^3": 1e3, "t/mm^3": 1e12, "kg/mm^3": 1e9}
+    yield from _unless_usual("material.density", density, DENSITY, text, units)
+    text = "most solids have 0 to 0.49, steel 0.3"
+    yield from _unless_usual("material.poisson", poisson, (0.0, 0.49), text, {})
+
+
+def _plate(scene: Scene) -> Remarks:
+    geometry, kind = scene.geometry, scene.geometry.kind
+    sides = {"width": geometry.width, "height": geometry.height}
+    given = [(side, name) for name, side in sides.items() if side is not None]
+    for side, name in sorted(given)[-1:]:
+        largest = (0.0, LARGEST_SIDE)
+        yield from _unless_usual(f"geometry.{name}", side, largest, f"a {kind} of {side:g} m")
+    shortest = min((side for side, _ in given), default=np.inf)
+    thickness = geometry.thickness
+    customary = thickness == 1.0 and kind == "plate"  # in plane problems
+    if not (thickness is None or customary):
+        usual = 0.0, min(shortest, LARGEST_SIDE)
+        text = f"thicker than the {kind} is wide or high"
+        yield from _unless_usual("geometry.thickness", thickness or 0.0, usual, text)
+    for name, crack in scene.all_cracks.items():
+        for key, along in (("length", "width"), ("depth", "thickness")):
+            own, whole = getattr(crack, key), getattr(geometry, along)
+            share = (own or np.nan) / (whole or np.nan)
+            if share < 0.01 or share > 0.9:
+                text = f"{share:.3g} of the {kind}'s {along}; 0.01 to 0.9 are usual"
+                yield Remark(f"{name}.{key}", own, text)
+    size = scene.mesh.size
+    if size is not None:
+        text = f"longer than half the {kind}'s shorter side, {shortest:g} m"
+        units = MM if size > shortest else {}
+        yield from _unless_usual("mesh.size", size, (0.0, shortest / 2.0), text, units)
+
+
+def _rotor(scene: Scene) -> Remarks:
+    table = scene.rotation
+    if table is None or table.hub_radius is None:
+        return
+    hub = table.hub_radius
+    usual = 0.0, LARGEST_SIDE
+    yield from _unless_usual("rotation.hub_radius", hub, usual, f"a hub of {hub:g} m")
+    if hub <= LARGEST_SIDE and scene.geometry.height is not None:
+        yield from _tip_speed(scene, table, hub + scene.geometry.height)
+
+
+def _tip_speed(scene: Scene, table: Rotation, radius: float) -> Remarks:
+    """Of what is ``radius`` away from a rotor's axis, at its speed or along a run-up."""
+    given = [(*_speed_given(table), table.speed, "rotation.rpm")]
+    if scene.curve is not None and scene.curve.followed[0] == "speed":
+        ends = zip(("curve.start", "curve.stop"), scene.curve.followed[1:], strict=True)
+        key, speed = max(ends, key=lambda end: end[1])
+        value = speed / RPM if scene.curve.parameter == "rpm" else speed
+        given.append((key, value, speed, "curve.parameter = 'rpm'"))
+    for key, value, speed, instead in given:
+        if speed * radius > FASTEST:
+            text = f"the tip moves at {speed * radius:.3g} m/s, where the fastest have 700"
+            if value == speed and RPM * speed * radius <= FASTEST:
+                text += f"; in revolutions per minute? then use {instead}"
+            yield Remark(key, value, text)
+
+
+def _speed_given(table: Rotation) -> tuple[str, float]:
+    """A rotor's speed by the key by which it is given, and its value."""
+    return ("rotation.speed", table.speed) if table.rpm is None else ("rotation.rpm", table.rpm)
+
+
+def remarks_on_arrivals(arrivals: ArrivalTimes) -> list[str]:
+    """What measured arrivals may be, but rarely are: numbers in another unit."""
+    found, speed = [], arrivals.mean_speed * arrivals.tip_radius
+    if speed > FASTEST:
+        text = f"the tip moves at {speed:.3g} m/s, where the fastest have 700: are the speed, or "
+        found.append(f"{text}times, and the tip's radius in the units of their headings?")
+    if len(arrivals.probes) > 1 and np.degrees(arrivals.probes[-1]) < TURN:
+        within = float(np.degrees(np.ptp(arrivals.probes)))
+        found.append(f"all probes are within {within:.3g} degrees: are angles in rad?")
+    return found
+
+
+def _probes(scene: Scene) -> Remarks:
+    table, rotation = scene.tip_timing, scene.rotation
+    if table is None:
+        return
+    if len(table.probes) > 1 and table.probes[-1] < TURN:
+        text = f"all of them within {np.ptp(table.probes):.3g} degrees; in rad?"
+        yield Remark("tip_timing.probes", list(table.probes), text)
+    height = None if scene.structure else scene.geometry.height
+    usual, text = (0.0, LARGEST_SIDE), "farther from the axis than a blade's tip"
+    if rotation is not None and rotation.hub_radius is not None and height is not None:
+        hub = rotation.hub_radius
+        usual = hub, hub + 2.0 * height
+        text = f"the {scene.geometry.kind} is {hub:g} to {hub + height:g} m from the axis"
+    yield from _unless_usual("tip_timing.tip_radius", table.tip_radius, usual, text)
+
+
+def _damping(scene: Scene) -> Remarks:
+    for key in ("ratio", "ratios"):
+        given = getattr(scene.damping, key)
+        largest = 0.0 if given is None else float(np.max(given))
+        if largest > MOST_DAMPING:
+            text = (
+                f"{100.0 * largest:g} % of critical damping, where metals have 0.01 to 1 %; "
+                f"in per cent? then {largest / 100.0:g}"
+            )
+            yield Remark(f"damping.{key}", largest if given == largest else given, text)
+
+
+def _growth(scene: Scene) -> Remarks:
+    if (law := scene.growth) is None:
+        return
+    text = "in m in a cycle at 1 MPa m^0.5, steels have 5e-12 to 1.4e-10"
+    units = {"mm in a cycle": 1e-3, "m at 1 Pa m^0.5": 1e6**law.exponent}
+    yield from _unless_usual("growth.rate", law.rate, RATE, text, units)
+
+
+def _load(scene: Scene) -> Remarks:
+    load = scene.excitation
+    if scene.has_other_loads:
+        return
+    if not np.any([load.force_sin, load.force_cos, load.force_mean]):
+        text = "no force at all: excitation.force_sin, force_cos and force_mean are zero"
+        yield Remark("excitation.force_sin", list(load.force_sin), text)
+
+
+def _settling(scene: Scene) -> Remarks:
+    """From rest a motion settles like exp(-xi w t)."""
+    table, ratio = scene.integration, scene.damping.ratio
+    least = 0.0 if ratio is None else float(np.min(ratio))
+    if table is None or not least > 0.0 or table.settle >= 1.0:
+        return
+    needed = -np.log(table.settle) / (TURN * least)
+    if table.periods < 0.5 * needed:
+        text = f"with a damping of {least:g} near resonance a motion from rest settles"
+        yield Remark("integration.periods", table.periods, f"{text} in about {needed:.0f}")
+
+
+def is_proportional(scene: Scene) -> bool:
+    """Whether the response is proportional to the load: no clearance, no smoothing, no rotation.
+
+    Where forces and gaps are multiplied by a positive number, the equations of lips that touch or
+    not, at g = 0, are multiplied by it as a whole. The centrifugal load stays what it is.
+    """
+    if scene.speed > 0.0:
+        return False
+    rounded = scene.contact is not None and scene.contact.law == "smoothed"
+    if scene.structure is not None:
+        return not rounded and scene.structure.clearance == 0.0
+    return not rounded and all(c.clearance == 0.0 for c in scene.all_cracks.values())
+
+
+def _proportional(scene: Scene) -> Remarks:
+    text = (
+        "without a clearance or preload (crack.clearance) the response is proportional to the load"
+    )
+    if scene.curve is not None and scene.curve.parameter == "load" and is_proportional(scene):
+        yield Remark("curve.parameter", "load", f"{text}: such a curve is a straight line")
+    swept = scene.swept
+    loads = [name for name in FORCES if f"excitation.{name}" in swept]
+    others = [name for name in FORCES if np.any(getattr(scene.excitation, name))]
+    if (
+        any(key.endswith(".clearance") for key in swept)
+        or not is_proportional(scene)
+        or scene.has_other_loads
+        or {*loads, *others} != {*loads}
+    ):
+        return
+    if len(loads) == 1 and _of_one_direction(swept[f"excitation.{loads[0]}"]):
+        yield Remark(
+            "sweep.over", f"excitation.{loads[0]}", f"{text}: its size changes nothing else"
+        )
+
+
+def _of_one_direction(vectors: Sequence[Any]) -> bool:
+    """Whether vectors are positive multiples of one of them."""
+    given = np.array(vectors, dtype=float)
+    sizes = np.linalg.norm(given, axis=1, keepdims=True)
+    return bool(np.allclose(given / np.where(sizes > 0.0, sizes, 1.0), given[-1] / sizes[-1]))
+
+
+# --- of the structure ---------------------------------------------------------------------------
+
+
+def _between_nodes(scene: Scene, structure: Structure) -> Remarks:
+    """A load that acts far from all nodes, for its elements; of a model from elsewhere at all."""
+    if structure.nodes is None:
+        return
+    nodes, comm = structure.nodes, structure.comm
+    points, cells = gather_rows(comm, nodes.points), gather_rows(comm, nodes.cells)
+    given = {f"loads.{number}": load.point for number, load in enumerate(scene.loads, 1)}
+    for name, point in {"excitation": scene.excitation.point, **given}.items():
+        if point is None:
+            continue
+        distance = np.linalg.norm(points - point, axis=1)
+        nearest = int(np.argmin(distance))
+        place = ", ".join(f"{x:.6g}" for x in points[nearest].round(12) + 0.0)
+        if scene.structure is not None:
+            near = SAME * np.ptp(points, axis=0).max()
+            text = f"no node is there: the force acts on the nearest one, at ({place})"
+        else:
+            corners = points[cells[np.any(cells == nearest, axis=1)]]
+            near = np.ptp(corners, axis=1).max(axis=1).min() / 2.0
+            text = (
+                f"more than half an element from the nearest node, at ({place}): the "
+                "force acts on all nodes of its element; a smaller mesh.size brings one nearer"
+            )
+        if distance[nearest] > near:
+            yield Remark(f"{name}.point", list(point), text)
+
+
+def _outermost(scene: Scene, structure: Structure) -> Remarks:
+    """The speed of the tip, where the scene does not say how far from the axis it is."""
+    table, nodes = scene.rotation, structure.nodes
+    if table is None or nodes is None:
+        return
+    if table.hub_radius is not None and scene.geometry.height is not None:
+        return
+    point, axis = (vector[: nodes.points.shape[1]] for vector in table.place)
+    away = gather_rows(structure.comm, nodes.points) - point
+    across = away - np.outer(away @ axis, axis)
+    yield from _tip_speed(scene, table, float(np.linalg.norm(across, axis=1).max()))
+
+
+def remarks_on_rotor(scene: Scene, structure: Structure) -> Remarks:
+    """What the structure shows of its rotation (collective)."""
+    yield from _hub(scene, structure)
+    yield from _coriolis(scene, structure)
+
+
+def _hub(scene: Scene, structure: Structure) -> Remarks:
+    """A mesh file whose clamp is not where the radius of the hub is counted from."""
+    table, nodes = scene.rotation, structure.nodes
+    if table is None or table.hub_radius is None or scene.mesh.layout != "file" or nodes is None:
+        return
+    points, dofs = (gather_rows(structure.comm, rows) for rows in (nodes.points, nodes.dofs))
+    heights = points[np.all(dofs < 0, axis=1), 1]
+    if np.abs(heights).max(initial=0.0) > AT_CLAMP * np.ptp(points, axis=0).max():
+        where = ranging(heights.round(12) + 0.0, ".4g")
+        text = (
+            f"the axis goes through (0, {-table.hub_radius:g}) m, as for a clamp at y = 0; that of "
+            f"the mesh is at y = {where} m"
+        )
+        yield Remark("rotation.hub_radius", table.hub_radius, text)
+
+
+def _coriolis(scene: Scene, structure: Structure) -> Remarks:
+    """The force that is left out of solids."""
+    if scene.rotation is not None and structure.rotation is not None and scene.dimension == 3:
+        count = min(N_MODES, structure.n_modes)
+        turning = structure.rotation.speed * scene.rotation.place[1]
+        if text := coriolis_in_words(coriolis_shifts(solve_modes(structure, count), turning)):
+            yield Remark(*_speed_given(scene.rotation), text)
+
+
+def coriolis_in_words(shifts: np.ndarray) -> str:
+    """What the Coriolis force would change, by relative changes of the lowest natural frequencies
+    (m,); nothing where that is little."""
+    if np.abs(shifts).max() <= MOST_CORIOLIS:
+        return ""
+    changes = ", ".join(f"{100.0 * shift:+.3g}" for shift in shifts)
+    modes = "mode 1" if len(shifts) == 1 else f"modes 1 to {len(shifts)}"
+    return f"the Coriolis force, which is left out, would move {modes} by about {changes} %"
+
+
+def _bouncing(scene: Scene, structure: Structure) -> Remarks:
+    """Rigid contact of pairs that keep their mass."""
+    table = reduction_of(scene, structure)
+    massless = table is not None and table.method == "massless"
+    if scene.contact is None or scene.contact.law != "unilateral" or massless:
+        return
+    if structure.n_pairs:
+        text = (
+            "rigid contact of pairs that keep their mass: solve gives no verdict on stability, and "
+            "curve needs 'penalty' or 'smoothed', or reduction.method = 'massless'"
+        )
+        yield Remark("contact.law", "unilateral", text)
+
+
+# --- of the key figures ---------------------------------------------------------------------------
+
+
+def _frequency(scene: Scene, figures: KeyFigures) -> Remarks:
+    load, first = scene.excitation, float(figures.omega_open[0])
+    natural = np.concatenate([figures.omega_open, figures.omega_tied])
+    if first <= 0.0 or load.order is not None or _is_near(load.omega, natural):
+        return
+    in_hertz = load.frequency is not None
+    key, value = ("frequency", load.frequency) if in_hertz else ("omega", load.omega)
+    share = (
+        f"{load.omega / first:.2g} times the first natural frequency, {first / TURN:.4g} Hz = "
+        f"{first:.4g} rad/s"
+    )
+    firsts, text = natural[[0, len(figures.omega_open)]], ""
+    if _is_near(TURN * load.omega, firsts) and not in_hertz:
+        text = "is it in Hz? then use excitation.frequency"
+    elif _is_near(load.omega / TURN, firsts) and in_hertz:
+        text = "is it in rad/s? then use excitation.omega"
+    elif load.omega < LEAST_FREQUENCY * first:
+        unit = "kHz" if in_hertz else "Hz? then use excitation.frequency. Or in kHz"
+        text = f"hardly a vibration; is it in {unit}?"
+    if text:
+        yield Remark(f"excitation.{key}", value, f"{share}; {text}")
+
+
+def _is_near(omega: float, natural: np.ndarray) -> bool:
+    return bool(np.any(np.abs(natural - omega) < MEANT_FOR * natural))
+
+
+def _curve(scene: Scene, figures: KeyFigures) -> Remarks:
+    """A range may also hold a resonance of a harmonic, or one of half the frequency."""
+    if scene.curve is None or scene.curve.followed[0] != "omega":
+        return
+    low, high = span_of(scene, "curve")
+    first, last = float(figures.omega_open[0]), float(figures.omega_tied[-1])
+    if high >= last:
+        return
+    for lowest, highest in zip(figures.omega_open, figures.omega_tied, strict=False):
+        for order in (0.5, 1.0, 2.0, 3.0):
+            if low <= highest / order and high >= lowest / order:
+                return
+    in_hertz = scene.curve.parameter == "frequency"
+    unit = "Hz" if in_hertz else "rad/s"
+    text = (
+        f"no resonance from there to {scene.curve.stop:g} {unit}: the first, crack open, is at "
+        f"{first / TURN:.4g} Hz = {first:.4g} rad/s"
+    )
+    factor = TURN if in_hertz else 1.0 / TURN  # how much too large or too small
+    if low <= factor * last and high >= factor * first:
+        text += f"; are they in {'rad/s' if in_hertz else 'Hz'}? then use curve.parameter = "
+        text += "'omega'" if in_hertz else "'frequency'"
+    yield Remark("curve.start", scene.curve.start, text)
+
+
+def _response(scene: Scene, figures: KeyFigures) -> Remarks:
+    load = scene.excitation
+    if scene.has_other_loads:
+        return
+    key = max(("force_sin", "force_cos"), key=lambda name: math.hypot(*getattr(load, name)))
+    force, kind = list(getattr(load, key)), scene.geometry.kind
+    if 0.0 < figures.displacement < 1e-12:
+        text = (
+            f"it moves the {kind} by {figures.displacement:.2g} m, less than a hundredth of an atom"
+        )
+        yield Remark(f"excitation.{key}", force, text)
+    if figures.displacement > SMALL_MOTION * min(figures.size) and figures.damping.min() > 0.0:
+        text = (
+            f"with open lips it moves the {kind} by {figures.displacement:.2g} m, and the {kind} "
+            f"has {min(figures.size):.2g} m: beyond small displacements; in N?"
+        )
+        yield Remark(f"excitation.{key}", force, text)
+
+
+def _lips(scene: Scene, figures: KeyFigures) -> Remarks:
+    """A slit of half an element is no crack; grids choose their elements."""
+    if figures.elements is None or scene.mesh.layout == "grid":
+        return
+    if scene.contact is not None and scene.contact.pairs == "mouth":
+        return
+    if figures.elements < 4:
+        key = "lip_elements" if scene.mesh.layout == "graded" else "file"
+        text = "elements longer than a quarter of the crack; 4 to 20 along each lip are usual"
+        yield Remark(f"mesh.{key}", getattr(scene.mesh, key), text)
+
+
+def _contact(scene: Scene, figures: KeyFigures) -> Remarks:
+    ratio, contact = figures.stiffness_ratio, scene.contact
+    if contact is None or ratio is None:
+        return
+    key = "stiffness" if contact.stiffness is not None else "stiffness_per_area"
+    value = getattr(contact, key)
+    if ratio.max() < AS_SOFT:
+        text = (
+            f"at most {ratio.max():.2g} of the lips' own stiffness: they pass through each other; "
+            "100 to 10000 times is usual, or contact.law = 'unilateral'"
+        )
+        yield Remark(f"contact.{key}", value, text)
+    if ratio.min() > AS_RIGID:
+        text = (
+            f"at least {ratio.min():.2g} times the lips' own stiffness: rigid for all that can be "
+            "computed, and hard to solve; contact.law = 'unilateral' is"
+        )
+        yield Remark(f"contact.{key}", value, text)
+    if contact.sharpness is not None and contact.sharpness * figures.gap_motion < 10.0:
+        text = (
+            f"the law is rounded over {1.0 / contact.sharpness:.2g} m, and the lips move by "
+            f"{figures.gap_motion:.2g} m: contact acts on open lips"
+        )
+        yield Remark("contact.sharpness", contact.sharpness, text)
+
+
+def _closing(scene: Scene, figures: KeyFigures) -> Remarks:
+    if scene.contact is None or figures.gap_motion == 0.0:
+        return
+    clearances = {f"{name}.clearance": c.clearance for name, c in scene.all_cracks.items()}
+    key, value = max(clearances.items(), key=lambda item: abs(item[1]), default=("", 0.0))
+    if value == 0.0:
+        key, value = "excitation.force_mean", list(scene.excitation.force_mean)  # type: ignore[assignment]
+        if scene.rotation is not None and scene.speed > 0.0 and not np.any(value):
+            key, value = _speed_given(scene.rotation)
+    motion = f"the load moves open lips by {figures.gap_motion:.2g} m"
+    if not figures.breathes:
+        what = "part" if figures.closed else "meet"
+        text = f"the lips never {what}: {motion} at most; the response is linear"
+        yield Remark(key, value, text)
+
+
+def _size(scene: Scene, figures: KeyFigures) -> Remarks:
+    if scene.structure is not None:
+        key, file = "structure.model", scene.structure.model
+    else:
+        key, file = "mesh.file", scene.mesh.file
+    if file is not None and max(figures.size) > LARGEST_SIDE:
+        sides = f"{min(figures.size):.3g} m x {max(figures.size):.3g} m"
+        yield Remark(key, file, f"a structure of {sides}; is the mesh in mm?")
+
+
+def _resolution(scene: Scene, figures: KeyFigures) -> Remarks:
+    rule = scene.damping
+    if rule.mass is not None or rule.stiffness is not None:
+        key = "mass" if rule.mass is not None else "stiffness"
+        if (ratio := float(figures.damping[0])) > MOST_DAMPING:
+            text = (
+                f"{100.0 * ratio:.3g} % of critical damping at the first natural frequency, where "
+                "metals have 0.01 to 1 %"
+            )
+            yield Remark(f"damping.{key}", getattr(rule, key), text)
+
+
+def _modes(scene: Scene, figures: KeyFigures) -> Remarks:
+    every = scene.damping is not None and scene.damping.of_all_modes
+    if every and scene.damping.ratio is not None and figures.modes_kept > MANY_MODES:
+        text = (
+            f"all {figures.modes_kept} modes of the structure are computed for their damping, "
+            "which takes minutes and more; damping.modes = 50, or a reduction, does not"
+        )
+        yield Remark("damping.ratio", scene.damping.ratio, text)
+    if figures.modes_below > figures.modes_kept:
+        text = (
+            f"harmonics up to H w reach {figures.modes_below} modes, and "
+            f"{figures.modes_kept} are kept: raise reduction.modes"
+        )
+        yield Remark("harmonic_balance.harmonics", scene.harmonic_balance.harmonics, text)

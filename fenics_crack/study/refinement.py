@@ -34,7 +34,7 @@ from fenics_crack.model.contact import is_unilateral
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.scene.scene import Scene
 from fenics_crack.stages import within
-from fenics_crack.study.coarser_mesh import CLAMP, TIP, finer_mesh, n_elements, size_of
+from fenics_crack.study.coarser_mesh import CLAMP, TIP, finer_mesh, n_elements, parts_of
 from fenics_crack.study.prepare import REFUSALS, Study, prepare, reduced, reduction_of
 from fenics_crack.study.run import Run, solve_prepared
 from fenics_crack.study.stated_errors import (
@@ -46,7 +46,7 @@ from fenics_crack.study.stated_errors import (
     resonance_of,
     shifted,
 )
-from fenics_crack.study.verification import GridConvergence, Varied, Verification, grid_convergence
+from fenics_crack.study.verification import GridConvergence, Varied, Verification
 
 __all__ = ["verify"]
 
@@ -204,15 +204,8 @@ class _Runs:
             raise ConvergenceError("no finer run has converged")
         if len(set(many)) < len(many):
             return "finer ones have as many elements, as mesh.size is that of the plate"
-        return many, {
-            name: grid_convergence(
-                [size_of(cause, count, scene) for count in many],
-                [values.get(name, 0.0) for _, values in levels],  # 0: none there
-                formal=formal,
-                highest=highest,
-            )
-            for name in numbers.values
-        }
+        found = [values for _, values in levels]
+        return many, parts_of(cause, many, found, scene, formal=formal, highest=highest)
 
     def _values(self, run: Run[PeriodicSolution], cause: str) -> dict[str, float]:
         """The numbers of a finer run; of more modes as the exact orbits change, where both have

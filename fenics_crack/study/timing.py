@@ -147,30 +147,18 @@ def vibration_in(
     """
     table = scene.given("tip_timing")
     order = table.order or scene.excitation.order
-    deviation = np.radians(table.angle_deviation)
+    how: dict[str, Any] = {"harmonics": table.fitted_harmonics}
+    how["angle_deviation"] = np.radians(table.angle_deviation)
     if is_run_up(arrivals, run):
         if order is None:
             return find_passages(arrivals, table.orders or ORDERS)
-        return track_order(
-            arrivals,
-            order,
-            harmonics=table.fitted_harmonics,
-            subharmonic=table.subharmonic,
-            revolutions=table.fitted_revolutions,
-            angle_deviation=deviation,
-        )
+        how |= {"subharmonic": table.subharmonic, "revolutions": table.fitted_revolutions}
+        return track_order(arrivals, order, **how)
     if table.frequencies is not None:
         low, high = (2.0 * np.pi * end for end in table.frequencies)
-        return fit_frequency(
-            arrivals, low, high, harmonics=table.fitted_harmonics, angle_deviation=deviation
-        )
-    return fit_order(
-        arrivals,
-        table.orders or ([order] if order else ORDERS),
-        harmonics=table.fitted_harmonics,
-        subharmonic=table.subharmonic,
-        angle_deviation=deviation,
-    )
+        return fit_frequency(arrivals, low, high, **how)
+    orders = table.orders or ([order] if order else ORDERS)
+    return fit_order(arrivals, orders, **how, subharmonic=table.subharmonic)
 
 
 def tip_direction(table: TipTiming, run: Run) -> dict[int, float]:

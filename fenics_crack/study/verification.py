@@ -41,7 +41,7 @@ from fenics_crack.errors import InputError, check_number
 from fenics_crack.files.store import Stored, write
 from fenics_crack.model.matrices import numbers
 from fenics_crack.scene.scene import Scene
-from fenics_crack.table import Described, Table, Tabular, with_unit
+from fenics_crack.table import Described, Table, Tabular, percent, with_unit
 
 __all__ = [
     "CAUSES", "MESH", "SAFE", "GridConvergence", "Varied", "Verification", "grid_convergence",
@@ -472,7 +472,15 @@ class Verification(Tabular):
     @property
     def dents(self) -> tuple[str, ...]:
         """That the displacement under a force at a point has no limit, where that matters."""
-        return _dented(self.scene, abs(self.values.get("amplitude", 0.0)))
+        amplitude, added = abs(self.values.get("amplitude", 0.0)), _dent(self.scene)
+        if self.scene.points or not added > DENTED * amplitude > 0.0:
+            return ()
+        growth = "log(1/h)" if self.scene.dimension == 2 else "1/h"
+        return (
+            "amplitude: under a force at a point the displacement has no limit, it grows like "
+            f"{growth}, by about {percent(added / amplitude)} with elements half as long; "
+            "watch another place (output.points), or load an edge (loads)",
+        )
 
     def _matters(self, name: str, cause: str) -> bool:
         """Whether a contribution is so large that a doubt of it is told."""
@@ -486,12 +494,12 @@ class Verification(Tabular):
         if not any(parts.values()):
             return f"{text}: nothing that was varied changes it"
         shares = (self.relative(name, self.total(name, independent=way)) for way in (True, False))
-        share, bound = (f"{100.0 * s:.2g}" if s < 0.995 else f"{100.0 * s:.0f}" for s in shares)
+        share, bound = map(percent, shares)
         cause = max(parts, key=lambda one: parts[one])
         most = self.parts[cause][name]
         how = f"observed order {most.order:.2g}" if math.isfinite(most.order) else most.behaviour
         return (
-            f"{text} +- {share} % (sum of all: {bound} %), most of it by {cause}, {how}; "
+            f"{text} +- {share} (sum of all: {bound}), most of it by {cause}, {how}; "
             f"extrapolated {self.extrapolated(name):.5g}"
         )
 
@@ -522,19 +530,6 @@ def verification_of(stored: Stored) -> Verification | None:
         return Verification(
             scene, values, units, grids, counts, absent, unknown, failures, verdicts
         )
-
-
-def _dented(scene: Scene, amplitude: float) -> tuple[str, ...]:
-    """That the displacement under a force at a point has no limit, or nothing."""
-    added = _dent(scene)
-    if scene.points or not added > DENTED * amplitude > 0.0:
-        return ()
-    growth = "log(1/h)" if scene.dimension == 2 else "1/h"
-    return (
-        "amplitude: under a force at a point the displacement has no limit, it grows like "
-        f"{growth}, by about {100.0 * added / amplitude:.2g} % with elements half as long; watch "
-        "another place (output.points), or load an edge (loads)",
-    )
 
 
 def _dent(scene: Scene) -> float:

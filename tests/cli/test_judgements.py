@@ -14,12 +14,11 @@ from surroundings import main
 import fenics_crack as fc
 from fenics_crack import ErrorReport, ResponseCurve, SweepResult
 from fenics_crack.cli import pictures
-from fenics_crack.cli.account import of_error, of_stability
-from fenics_crack.cli.of_vibration import _undecided_stretches, few_special_points
-from fenics_crack.cli.results import few_cases, stepped_over, warnings_of
+from fenics_crack.cli.account import few_cases, of_error, of_stability, stepped_over, warnings_of
+from fenics_crack.cli.results import _undecided_stretches, few_special_points
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.words import differences, key_in_words, value_in_words
-from fenics_crack.study.remarks import remarks_on_scene
+from fenics_crack.study.key_figures import remarks_on_scene
 from fenics_crack.sweep import result
 from fenics_crack.sweep.file import COLUMNS, CONVERGED, FAILED
 from fenics_crack.table import Table

@@ -166,6 +166,30 @@ def test_arrivals_of_another_speed(tmp_path: Path, capsys: pytest.CaptureFixture
         assert (remark in capsys.readouterr().err) == told
 
 
+def test_a_run_up_of_another_speed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The same of a run-up, in which no order is known and resonances are looked for."""
+    rotor = {"rotation.speed": 360.0, "rotation.hub_radius": 0.1, "tip_timing.order": None}
+    scene, low, rise = written(tmp_path, rotor), 300.0, 50.0
+    turns = 2.0 * np.pi * np.arange(301)
+    angles = turns[:-1, None] + np.radians(PROBES)
+    angles = angles + 1e-5 * np.random.default_rng(1).standard_normal(angles.shape)
+
+    def times(angle: np.ndarray) -> np.ndarray:
+        """At constant acceleration."""
+        return (np.sqrt(low**2 + 2.0 * rise * angle) - low) / rise
+
+    for unit, told in ((1.0, False), (1e3, True)):
+        seen, marks = unit * times(angles), unit * times(turns)
+        arrivals = fc.ArrivalTimes(seen, marks, np.radians(PROBES), RADIUS)
+        arrivals.to_csv(tmp_path / "seen.csv")
+        capsys.readouterr()
+        out = ["--output", str(tmp_path)]
+        assert main(["timing", scene, str(tmp_path / "seen.csv"), *out]) == 0
+        found = capsys.readouterr().err
+        assert "no resonance stands out" in found
+        assert ("[rotation] has 360 rad/s: are they in seconds?" in found) == told
+
+
 def followed(folder: Path, captured: Any, changes: dict[str, Any]) -> tuple[str, fc.Run[Any]]:
     """The file of a scene under a small load, and its curve, saved as curve.h5 beside it."""
     scene = written(folder, changes | {"excitation.force_sin": [1.0, 0.0]})

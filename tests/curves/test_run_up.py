@@ -14,7 +14,7 @@ from rotating import cracked
 import fenics_crack as fc
 from fenics_crack import CurvePoint, InputError, Run, Scene
 from fenics_crack.cli.account import in_short
-from fenics_crack.cli.of_vibration import curve_points, special_points
+from fenics_crack.cli.results import curve_points, special_points
 from fenics_crack.curves.family import SpeedFamily
 from fenics_crack.curves.follow import _where
 from fenics_crack.table import RPM

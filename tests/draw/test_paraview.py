@@ -14,8 +14,13 @@ from matplotlib.image import imread
 
 import fenics_crack as fc
 from fenics_crack.draw import animation
-from fenics_crack.draw.paraview import PeriodFields
-from fenics_crack.draw.vtk_parts import moved_grid, nodal_stress, off_screen_plotter, von_mises
+from fenics_crack.draw.vtk import (
+    PeriodFields,
+    grid_at_rest,
+    nodal_stress,
+    off_screen_plotter,
+    von_mises,
+)
 from fenics_crack.fem.nodal_mesh import NodalMesh
 
 
@@ -224,7 +229,7 @@ def test_stress_is_not_smeared_across_the_crack(paper_scene: fc.Scene) -> None:
     """One constant stress above the lips and another below: exact on both, though in one place."""
     scene = graded(paper_scene, "quadrilateral", 2)
     mesh = NodalMesh(fc.build_structure(scene))
-    grid = pyvista.wrap(moved_grid(mesh))
+    grid = pyvista.wrap(grid_at_rest(mesh))
     centres = grid.cell_centers().points
     above = (centres[:, 0] < 0.035) & (centres[:, 1] > 0.05)
     upper = np.zeros(len(mesh.points), dtype=bool)
@@ -402,7 +407,7 @@ def test_window_after_dolfinx() -> None:
 import dolfinx
 import fenics_crack as fc
 from fenics_crack.draw import animation
-from fenics_crack.draw.vtk_parts import off_screen_plotter
+from fenics_crack.draw.vtk import off_screen_plotter
 scene = fc.Scene.load("demos/paper_plate.toml").replace({"mesh.columns": 4, "mesh.rows": 4})
 found = fc.solve_harmonic_balance(fc.build_structure(scene), 2000.0, fc.UnilateralPenalty(1e9))
 plotter = off_screen_plotter(window_size=(300, 300))

@@ -23,7 +23,7 @@ from fenics_crack import InputError, Scene
 from fenics_crack.fem.build import assemble
 from fenics_crack.model.modes import times
 from fenics_crack.model.rotation import static_state
-from fenics_crack.study.remarks import remarks_on_rotor
+from fenics_crack.study.key_figures import remarks_on_rotor
 from fenics_crack.study.timing import probed_displacement, tip_direction, tip_in_words
 from fenics_crack.table import RPM
 

@@ -23,7 +23,7 @@ from fenics_crack.fem.msh_file import cells_of
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.fem.plate import build_mesh
 from fenics_crack.parallel import gather_rows
-from fenics_crack.study.remarks import remarks_on_scene, remarks_on_structure
+from fenics_crack.study.key_figures import remarks_on_scene, remarks_on_structure
 from fenics_crack.sweep.plan import Plan
 
 MESHES = ROOT / "meshes"

@@ -21,8 +21,15 @@ from fenics_crack.model import memory
 from fenics_crack.model.factor import Factor, distributed
 from fenics_crack.model.memory import reduction_memory, whole_memory
 from fenics_crack.study import prepare
-from fenics_crack.study.key_figures import KeyFigures, find_key_figures, highest_omega, span_of
-from fenics_crack.study.remarks import is_proportional, remarks_on, remarks_on_scene
+from fenics_crack.study.key_figures import (
+    KeyFigures,
+    find_key_figures,
+    highest_omega,
+    is_proportional,
+    remarks_on,
+    remarks_on_scene,
+    span_of,
+)
 
 PAPER = fc.Scene.load(DEMOS / "paper_plate.toml").replace({"damping.ratio": 0.01})
 GRID = PAPER.replace({"mesh.columns": 6, "mesh.rows": 6})

@@ -1,0 +1,267 @@
+"""What a command is given: a scene with its changes, measurements and arrivals, read from text, and
+where it prints and writes; and the scene that ``new`` writes, to be given.
+
+Reading it needs NumPy alone, which loads in a tenth of the time of the libraries that compute.
+
+Lines of the template of ``new`` that end in a mark, ``(--blade)``, are commented out, or in, where
+that is asked for: a blade on a rotor in place of a plate, probes in its casing, a crack that is
+looked for.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import tempfile
+import time
+import tomllib
+from argparse import Namespace
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fenics_crack.errors import InputError, check_count
+from fenics_crack.scene.scene import Scene
+from fenics_crack.stages import StageLines, listening
+from fenics_crack.table import Table
+from fenics_crack.version import packaged
+from fenics_crack.whole import not_written, write_whole
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
+
+    from fenics_crack.arrivals.arrival_times import ArrivalTimes
+    from fenics_crack.identification.measurements import Measurements
+
+__all__ = [
+    "Console", "Inputs", "changes", "lines_of", "make_writable", "new", "new_scene",
+    "read_inputs",
+]  # fmt: skip
+
+COMMENTED = "cli/new_scene.toml"
+KINDS = ("blade", "timing", "identify")
+"""What ``new`` writes besides a plate."""
+ASKED_FOR = ("curve", "growth", "identify", "rotation", "sweep", "tip_timing")
+"""Tables that a scene may do without, and commands may not."""
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What was read; None where the command is given no such thing beside its scene."""
+
+    scene: Scene
+    folder: Path  # for results
+    measurements: Measurements | None = None
+    arrivals: ArrivalTimes | Path | None = None  # or the result from which they are computed
+
+
+def read_inputs(given: Namespace) -> Inputs | None:
+    """Read the text files that a command is given; None where it has no scene, as with a record
+    of ``timing``.
+
+    Raises
+    ------
+    InputError
+        One of them cannot be used.
+    """
+    if "scene" not in given or _is_record(given):
+        return None
+    scene = Scene.load(given.scene, changes(given.set))
+    if (count := vars(given).get("count")) is not None:
+        check_count("--count", count, 1)
+    folder = vars(given).get("output") or Path("output") / given.scene.stem
+    rows = _measurements(given, scene) if given.command == "identify" else None
+    return Inputs(scene, folder, rows, _arrivals(scene, vars(given).get("arrivals")))
+
+
+def _measurements(given: Namespace, scene: Scene) -> Measurements | None:
+    """Those of all files, and of responses before the crack; None where arrivals are all."""
+    files, before, modes = given.measurements, given.before, given.modes
+    if not files and given.arrivals is None:
+        allowed = "given: a CSV file (fenics-crack new --identify writes one), or --arrivals"
+        raise InputError("measurements", None, allowed)
+    if not files and before is None and not modes:
+        return None
+    from fenics_crack.identification.measurements import UNIVERSAL, Measurements
+
+    if modes and before is None and not any(one.suffix.lower() in UNIVERSAL for one in files):
+        allowed = f"left out without frequency responses ({', '.join(UNIVERSAL)})"
+        raise InputError("--modes", list(modes), allowed)
+    parts = [Measurements.read(one, modes) for one in files]
+    if before is not None:
+        parts.append(Measurements.from_responses(before, modes, quantity="frequency_uncracked"))
+    rows = sum(parts[1:], parts[0])
+    if files:
+        rows.check(scene)
+    return rows
+
+
+def _arrivals(scene: Scene, source: Path | None) -> ArrivalTimes | Path | None:
+    """Arrivals as they are measured; a result as it is."""
+    if source is None or source.suffix.lower() == ".h5":
+        return source
+    table = scene.given("tip_timing")
+    from fenics_crack.arrivals.arrival_times import read_record
+
+    blades = read_record(source, tip_radius=table.tip_radius, probes=np.radians(table.probes))
+    if len(blades) > 1:
+        raise InputError("arrivals", f"{source} of {len(blades)} blades", "those of one blade")
+    return next(iter(blades.values()))
+
+
+def _is_record(given: Namespace) -> bool:
+    """Tell whether ``timing`` is given a record of arrivals in place of a scene."""
+    return bool(given.command == "timing" and given.scene.suffix.lower() == ".csv")
+
+
+def changes(given: Sequence[str]) -> dict[str, Any]:
+    """Keys and values of ``--set key=value``: TOML, or else a word; ``none`` removes a key."""
+    found: dict[str, Any] = {}
+    for text in given:
+        key, equals, value = text.partition("=")
+        if not equals or not key.strip():
+            raise InputError("--set", text, "key=value, for example contact.stiffness=1e9")
+        value = value.strip()
+        try:
+            parsed = tomllib.loads(f"value = {value}")["value"]
+        except (ValueError, RecursionError):
+            parsed = None if value == "none" else value
+        found[key.strip()] = parsed
+    return found
+
+
+# --- where it prints and writes -------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Console:
+    """Prints a command's table to standard output, all else to standard error."""
+
+    comm: MPI.Comm  # rank 0 writes files
+    form: str  # of the table: "text", "csv" or "json"
+    quiet: bool  # print the table alone
+    verbose: bool  # print how long each part took
+
+    @property
+    def progress(self) -> bool:
+        """Whether to show a progress bar."""
+        return not self.quiet and (self.verbose or sys.stderr.isatty())
+
+    def table(self, table: Table) -> None:
+        """Print a table."""
+        print(table.formatted(self.form), end="", flush=True)
+
+    def note(self, *texts: str) -> None:
+        """Print remarks, unless they are empty or quiet is asked for."""
+        for text in texts:
+            if text and not self.quiet:
+                print(text, file=sys.stderr, flush=True)
+
+    def warn(self, *texts: str) -> None:
+        """Print warnings, even if quiet."""
+        for text in texts:
+            print(f"fenics-crack: warning: {text}", file=sys.stderr, flush=True)
+
+    @contextmanager
+    def timed(self, name: str) -> Iterator[None]:
+        """Print how long a part took, if verbose."""
+        started = time.perf_counter()
+        yield
+        if self.verbose:
+            print(f"{name}: {time.perf_counter() - started:.2f} s", file=sys.stderr, flush=True)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """The same, and unless quiet is asked for what is done in that part while it is done: where
+        no progress is shown, now and then."""
+        lines = nullcontext() if self.quiet else listening(StageLines(kept=self.progress))
+        with self.timed(name), lines:
+            yield
+
+
+def make_writable(folder: Path, comm: MPI.Comm) -> None:
+    """Make a folder for results; raise InputError unless a file can be written there."""
+    from fenics_crack.parallel import on_root  # PETSc
+
+    def work() -> None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                pass
+        except OSError as error:
+            raise not_written("--output", folder, error, "a folder that can be written") from None
+
+    on_root(comm, work)
+
+
+# --- the scene that is written --------------------------------------------------------------------
+
+
+def new(given: Namespace, _: None, console: Console) -> None:
+    """Write a commented scene to start from."""
+    from fenics_crack.parallel import on_root  # PETSc
+
+    path: Path = given.file
+    kinds = [kind for kind in KINDS if vars(given)[kind]]
+    if given.solid and kinds:
+        raise InputError("--solid", f"with --{kinds[0]}", "asked for alone: the others are plates")
+    rows = path.with_name(f"{path.stem}_measured.csv")
+    if given.solid:
+        files = {path: packaged("cli/new_solid.toml").replace("SCENE", path.name)}
+    else:
+        files = {path: new_scene(path.name, rows.name, kinds)}
+    if "identify" in kinds:
+        files[rows] = packaged("cli/new_measured.csv")
+
+    def write() -> None:
+        for file in files:
+            if os.path.exists(file):  # False for a name too long, which writing will say
+                raise InputError("scene", str(file), "a new file; there is one already")
+        for file, text in files.items():
+            write_whole(file, text, "scene")
+
+    on_root(console.comm, write)
+    console.note(f"{path}: a scene to start from; now: fenics-crack check {path}")
+    if rows in files:
+        console.note(f"{rows}: what was measured; then: fenics-crack identify {path} {rows}")
+
+
+def new_scene(name: str, rows: str, kinds: Collection[str]) -> str:
+    """The scene of some :data:`KINDS`, written under a name, beside a file of measurements."""
+    marks = [f"(--{kind})" for kind in {*kinds, *(["blade"] if "timing" in kinds else [])}]
+    lines = (
+        _turned(line) if line.endswith(tuple(marks)) else line
+        for line in packaged(COMMENTED).splitlines()
+    )
+    whole = "\n".join([*map(_without_mark, lines), ""])
+    return whole.replace("SCENE", name).replace("MEASURED", rows)
+
+
+def lines_of(table: str) -> str:
+    """The lines by which the template gives a scene a table of :data:`ASKED_FOR`; else empty."""
+    if table not in ASKED_FOR:
+        return ""
+    for block in packaged(COMMENTED).split("\n\n"):
+        lines = block.splitlines()
+        for place, line in enumerate(lines):
+            if line.removeprefix("# ").startswith((f"[{table}]", f"[{table}.")):
+                asleep = line.startswith("#")
+                chosen = (one for one in lines[place:] if one.startswith("#") == asleep)
+                return "\n".join(_without_mark(_turned(one) if asleep else one) for one in chosen)
+    raise KeyError(table)
+
+
+def _without_mark(line: str) -> str:
+    return re.sub(r"\s+(# )?\(--\w+\)$", "", line)
+
+
+def _turned(line: str) -> str:
+    """A line without the ``#`` that it begins with, or with one; its remark stays in place."""
+    if line.startswith("# "):
+        return line.removeprefix("# ").replace("  #", "    #", 1)
+    return "# " + line.replace("    #", "  #", 1)
