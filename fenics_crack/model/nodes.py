@@ -185,7 +185,6 @@ class Coordinates(Hinted):
     nodes: Nodes | None
     pairs: Pairs
     watched: np.ndarray | None
-    _gap_transposed: sparse.csr_matrix
 
     def _hold(self, **values: Any) -> None:
         """Set attributes of a structure that is being made; arrays become read-only."""
@@ -290,7 +289,7 @@ class Coordinates(Hinted):
 
     def apply_bt(self, displacement: np.ndarray) -> np.ndarray:
         """B^T u of displacements (m, n_local): (m, n_pairs) on every rank (collective)."""
-        return self.sum_over_ranks((self._gap_transposed @ displacement.T).T)
+        return self.sum_over_ranks((self.gap.T @ displacement.T).T)
 
     def apply_b(self, pair_force: np.ndarray) -> np.ndarray:
         """B lambda of forces on the pairs (m, n_pairs): (m, n_local)."""

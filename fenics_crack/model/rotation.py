@@ -36,7 +36,7 @@ from fenics_crack.model.modes import AS_ZERO, NEGLIGIBLE, Modes, solve_modes, ti
 from fenics_crack.model.nodes import Nodes
 from fenics_crack.model.reduced import MasslessInterface
 from fenics_crack.model.reduction import reduce_structure
-from fenics_crack.model.structure import DampingRule, Structure
+from fenics_crack.model.structure import DampingRule, Structure, read_only_rows
 from fenics_crack.parallel import collect_garbage
 from fenics_crack.table import RPM
 
@@ -268,7 +268,7 @@ class Ritz:
             structure.sum_over_ranks(rotation.at_rest.force @ basis),
             structure.sum_over_ranks(rotation.force @ basis),
             distributed(sparse.diags(inverse), MPI.COMM_SELF),
-            sparse.csr_matrix(structure.apply_bt(basis.T)),
+            read_only_rows(structure.apply_bt(basis.T)),
             modes,
         )
 
@@ -360,6 +360,8 @@ class RunUpStructure(MasslessInterface):
         check_number("speed", speed, 0.0, above=True)
         found = RunUpStructure(self._ritz, float(speed))
         added = self.clearance - found.clearance
+        if self.damping_factor == 1.0 and not added.any():
+            return found
         return found.varied(damping=self.damping_factor, clearance=added)
 
     def damped(self, damping: DampingRule | None) -> RunUpStructure:

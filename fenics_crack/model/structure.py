@@ -41,7 +41,7 @@ from fenics_crack.model.nodes import Clamp, Coordinates, Nodes, Pairs
 from fenics_crack.one_thread import alone
 from fenics_crack.table import counted
 
-__all__ = ["DampingRule", "ModalDamping", "RayleighDamping", "Structure"]
+__all__ = ["DampingRule", "ModalDamping", "RayleighDamping", "Structure", "read_only_rows"]
 
 
 @dataclass(frozen=True)
@@ -248,7 +248,7 @@ class Structure(Coordinates):
             mass=mass, stiffness=stiffness, force=force, clearance=clearance, damping=damping,
             nodes=nodes, pairs=pairs or Pairs(), watched=watched, clamp=clamp,
         )  # fmt: skip
-        self._hold(gap=_read_only_rows(gap), _gap_transposed=_read_only_rows(gap.T))
+        self._hold(gap=read_only_rows(gap))
         self._hold(comm=mass.comm.tompi4py(), damping_factor=1.0, _original=None, _known={})
 
     def __repr__(self) -> str:
@@ -458,10 +458,17 @@ def _weights(load: Any) -> np.ndarray:
     return weights
 
 
-def _read_only_rows(matrix: Any) -> sparse.csr_matrix:
-    """A sparse matrix by rows, read-only."""
+def read_only_rows(matrix: Any) -> sparse.csr_matrix:
+    """A sparse matrix by rows, read-only; itself where it is another structure's."""
+
+    def parts(rows: sparse.csr_matrix) -> tuple[np.ndarray, ...]:
+        return rows.data, rows.indices, rows.indptr
+
+    if isinstance(matrix, sparse.csr_matrix):
+        if not any(part.flags.writeable for part in parts(matrix)):
+            return matrix
     rows = sparse.csr_matrix(matrix, copy=True)
     rows.sum_duplicates()
-    for part in (rows.data, rows.indices, rows.indptr):
+    for part in parts(rows):
         part.flags.writeable = False
     return rows
