@@ -16,7 +16,6 @@ from helpers import ROOT, oscillator
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack.curves.peak import top_and_damping
 
 STEEL = ROOT / "benchmarks" / "plate.toml"
 POINT = {"output.points": {"corner": [0.0, 0.3]}}
@@ -124,8 +123,18 @@ def test_half_power_whichever_way_the_curve_was_followed(masses: fc.ResponseCurv
 
 def test_a_peak_beside_nothing_has_a_height() -> None:
     """Next to a place without a vibration of this kind the height is that of the point, no nan."""
-    at, height, damping = top_and_damping(np.array([1.0, 2.0, 3.0]), np.array([0.0, 1.0, 0.9]), 1)
-    assert 1.0 < at < 3.0 and height == 1.0 and np.isnan(damping)
+    absorber = fc.Structure.from_matrices(
+        np.eye(2), np.array([[200.0, -100.0], [-100.0, 100.0]]), np.array([0.0, 1.0]),
+        clearance=1e3, force_sin=[1.0, 0.0], damping=np.diag([1.0, 0.0]),
+    )  # fmt: skip
+    curve = fc.continue_frequency(absorber, 10.0, 20.0, fc.UnilateralPenalty(1.0), harmonics=1)
+    height = curve.amplitude(0)  # none at 10 rad/s, where the second mass alone moves
+    top = int(height.argmax())
+    places = [0, top, top + 1]
+    part = replace(curve, **{name: getattr(curve, name)[places] for name in COLUMNS})
+    peak = part.peak(0)
+    assert height[0] < 1e-12 * height[top] and peak.amplitude == height[top] > height[top + 1]
+    assert 10.0 < peak.omega < curve.omega[top + 1] and np.isnan(peak.damping)
 
 
 def test_half_a_peak_has_no_width() -> None:
