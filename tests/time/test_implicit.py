@@ -53,7 +53,7 @@ def test_second_order_with_contact_that_begins_within_steps(damping: str) -> Non
     """A chain with three pairs against the exact flow, every kind of damping."""
     structure, law = chain(damping), fc.UnilateralPenalty(4.0)
     exact = fc.integrate_events(structure, 0.8, law, periods=2, steps_per_period=64)
-    counts = (64, 128, 256, 512)
+    counts = (64, 128, 256)
     for radius in (1.0, 0.8):
         errors = []
         for steps in counts:
@@ -62,7 +62,7 @@ def test_second_order_with_contact_that_begins_within_steps(damping: str) -> Non
             )
             errors.append(relative(history.gap[:: steps // 64], exact.gap))
         assert log_slope(counts, errors) == pytest.approx(-2.0, abs=0.1)
-        assert errors[-1] < 4e-3
+        assert errors[-1] < 1.6e-2
 
 
 @pytest.mark.verification
@@ -70,7 +70,7 @@ def test_contact_release() -> None:
     """Contact time, peak force and impulse against the closed form, to 1e-3."""
     history = fc.integrate_implicit(
         heavy_mass(), 2.0 * np.pi / 0.04, fc.UnilateralPenalty(1e6), periods=1,
-        steps_per_period=8000, initial=(np.zeros(1), np.ones(1)),
+        steps_per_period=4000, initial=(np.zeros(1), np.ones(1)),
     )  # fmt: skip
     force, step = history.contact_force[:, 0], history.time[1]
     assert np.allclose(force, 1e6 * np.maximum(history.gap[:, 0], 0.0), rtol=1e-12)
@@ -97,14 +97,14 @@ def test_smoothed_law_is_that_of_central_differences(soft_plate: fc.Structure) -
     law = fc.SmoothedPenalty(1e9, 1e8)
     options = {"periods": 3, "record_periods": 1, "initial": None}
     errors = []
-    for steps in (256, 512, 1024):
+    for steps in (256, 512):
         one, two = (
             scheme(soft_plate, 2000.0, law, steps_per_period=steps, **options)  # type: ignore[operator]
             for scheme in SCHEMES
         )
         errors.append(relative(two.gap, one.gap))
         assert np.array_equal(two.contact_force, law.force(two.gap))
-    assert errors[-1] < 8e-3 and log_slope([256, 512, 1024], errors) < -1.5
+    assert errors[-1] < 0.03 and log_slope([256, 512], errors) < -1.5
 
 
 # --- stability and energy -------------------------------------------------------------------------
@@ -192,7 +192,7 @@ def test_energy_balance_closes_to_second_order(
     """Energy of masses, springs and contact less work and losses, from the motion alone."""
     structure, law, omega = chain(damping), fc.UnilateralPenalty(4.0), 0.8
     mass, dashpots, stiffness = dense_matrices(structure)
-    counts, errors = (128, 256, 512, 1024), []
+    counts, errors = (128, 256, 512), []
     for steps in counts:
         history = scheme(structure, omega, law, periods=2, steps_per_period=steps)
         u, time, step = history.displacement(range(structure.n_dofs)), history.time, history.time[1]
@@ -204,7 +204,7 @@ def test_energy_balance_closes_to_second_order(
         work = np.concatenate([[0.0], np.cumsum(0.5 * step * (power[1:] + power[:-1]))])
         errors.append(np.abs(energy - energy[0] - work).max() / energy.max())
     assert log_slope(counts, errors) == pytest.approx(-2.0, abs=0.1)
-    assert errors[-1] < 4e-5  # 1e-5 with twice the steps, by the slope
+    assert errors[-1] < 1.6e-4  # 4e-5 with twice the steps, by the slope
 
 
 # --- without penetration --------------------------------------------------------------------------
@@ -288,7 +288,7 @@ def test_limit_of_stiff_penalty_in_lasting_contact(scheme: Callable[..., fc.Time
         np.eye(2), stiffness, [1.0, 0.0], force_mean=[3.0, 0.0], force_sin=[0.0, 0.5],
         damping=0.2 * stiffness,
     )  # fmt: skip
-    steps, stiffnesses = 500, (1e2, 3e2, 1e3)
+    steps, stiffnesses = 250, (1e2, 3e2, 1e3)
     rigid = scheme(structure, 0.6, RIGID, periods=4, steps_per_period=steps)
     assert np.abs(rigid.gap).max() < 1e-12
     errors, forces = [], []
@@ -323,7 +323,7 @@ def test_reduced_structure(wide_plate: fc.Structure, method: str, law: Any) -> N
 @pytest.mark.parametrize("law", [fc.UnilateralPenalty(4.0), RIGID], ids=["penalty", "constraint"])
 def test_a_run_goes_on_from_another(law: Any) -> None:
     """Two periods and two more are four, to the scheme's order."""
-    structure, errors, counts = chain("modal"), [], (100, 200, 400)
+    structure, errors, counts = chain("modal"), [], (50, 100, 200)
     for steps in counts:
         options = {"steps_per_period": steps, "record_periods": 1}
         whole = fc.integrate_implicit(structure, 0.8, law, periods=4, **options)  # type: ignore[arg-type]
