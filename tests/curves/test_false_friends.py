@@ -202,7 +202,7 @@ def test_cold_start_with_several_stiff_pairs() -> None:
     """The path in the stiffness leads there, through hundreds of folds."""
     rng = np.random.default_rng(4)
     solved = 0
-    for _ in range(6):
+    for _ in range(3):
         turned = np.linalg.qr(rng.normal(size=(6, 6)))[0]
         squares = np.append(1.0, 30.0 ** (2.0 * rng.random(5)))
         structure = fc.Structure.from_matrices(
@@ -214,7 +214,7 @@ def test_cold_start_with_several_stiff_pairs() -> None:
             structure, 1.1, fc.UnilateralPenalty(300.0), harmonics=10, throw=False
         )
         solved += found.converged
-    assert solved == 6
+    assert solved == 3
 
 
 @pytest.mark.parametrize("phase", [0.0, 0.5 * np.pi])

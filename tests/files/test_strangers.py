@@ -366,7 +366,7 @@ def test_flipped_bits_of_a_sweep(swept: SweepResult, home: Path) -> None:
     """In its header, its columns, or the waves of a case."""
     content, path, rng = swept.path.read_bytes(), home / "sweep.h5", random.Random(2)
     found = 0
-    for _ in range(14):
+    for _ in range(7):
         path.write_bytes(flipped(content, rng))
         try:
             again = SweepResult.load(path)
@@ -376,7 +376,7 @@ def test_flipped_bits_of_a_sweep(swept: SweepResult, home: Path) -> None:
         except fc.InputError as error:
             assert "\n" not in str(error)
             found += 1
-    assert 3 <= found < 14
+    assert 1 <= found < 7
 
 
 @pytest.mark.parametrize("name", ["response", "gap", "state", "checksum", "seconds"])

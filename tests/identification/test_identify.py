@@ -121,7 +121,7 @@ def test_higher_modes_on_few_heights(scene: fc.Scene, tmp_path: Path) -> None:
     between these the interpolation is as far off as it says, and regions hold the cracks."""
     point = (0.1, 0.3)
     own = {"geometry.height": 0.3, "excitation.point": point, "output.points": {"tip": point}}
-    scene = scene.replace(own | {"mesh.size": 0.02, "mesh.lip_elements": 3})
+    scene = scene.replace(own | {"mesh.size": 0.03, "mesh.lip_elements": 3})
     unknown = {
         "crack.length": {"start": 0.005, "stop": 0.06, "count": 6},
         "crack.height": {"start": 0.03, "stop": 0.27, "count": 6},

@@ -608,7 +608,7 @@ VALUES = st.recursive(
 )
 
 
-@settings(max_examples=500)
+@settings(max_examples=250)
 @given(
     leaves=st.dictionaries(st.sampled_from(KEYS), VALUES, min_size=1, max_size=3),
     tables=st.dictionaries(st.sampled_from(sorted(GOOD)) | st.text(), VALUES, max_size=1),
