@@ -539,9 +539,10 @@ def totals(scene: Scene, points: list[Any], comm: MPI.Comm) -> list[Any]:
 @pytest.mark.mpi
 def test_load_between_two_ranks(on_ranks: Callable[..., Any]) -> None:
     """A load on the border of two ranks' cells, wherever that runs, is applied once."""
-    points = [(i * WIDTH / 20, 0.75 * HEIGHT) for i in range(21)]
+    points = [(i * WIDTH / 10, 0.75 * HEIGHT) for i in range(11)]
     points += [(0.5 * WIDTH, j * HEIGHT / 4) for j in range(1, 5)]
-    found = on_ranks(totals, plate("grid", "quadrilateral", 1), points)
+    scene = plate("grid", "quadrilateral", 1).replace({"mesh.columns": 10})
+    found = on_ranks(totals, scene, points)
     np.testing.assert_allclose(found, np.ones(len(points)), rtol=1e-9)
 
 
