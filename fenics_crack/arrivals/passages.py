@@ -26,6 +26,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -253,7 +254,7 @@ class _Fit:
         turns = [run.begin + row for run, (row, _) in zip(self._runs, rows, strict=True)]
         return np.concatenate(turns), np.concatenate([probe for _, probe in rows])
 
-    @property
+    @cached_property
     def errors(self) -> np.ndarray:
         """Standard errors of frequency [rad/s] and damping."""
         columns = self._columns / np.sqrt(self.noise.weights)[:, None]
@@ -265,7 +266,7 @@ class _Fit:
         """Probability of what is left to be so correlated by chance."""
         return self.noise.whiteness(self._places)
 
-    @property
+    @cached_property
     def amplitude(self) -> float:
         """Largest amplitude in the runs [m]."""
         root = np.array([self.root])
@@ -298,7 +299,7 @@ class _Fit:
         distinct = apart[off].min() > DISTINCT * apart[~off].max()
         return np.flatnonzero(off & distinct)
 
-    @property
+    @cached_property
     def gain(self) -> float:
         """Difference of -2 log likelihood from no vibration."""
 
