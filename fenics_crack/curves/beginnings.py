@@ -50,9 +50,9 @@ from fenics_crack.numerics.newton import (
     Tangent,
     correct,
     distance,
+    norm_at,
     point_on_path,
     solve_in_plane,
-    square_of,
     tangent_of,
 )
 from fenics_crack.numerics.path import STRAIGHT, Path, PathOptions
@@ -116,7 +116,7 @@ def chord(family: Family, curve: ResponseCurve, first: int, second: int) -> Tang
     rise = family.parameter(float(curve.values[second])) - family.parameter(
         float(curve.values[first])
     )
-    return Tangent(after - before, rise, 1.0 / square_of(family, after))
+    return Tangent(after - before, rise, *norm_at(family, after))
 
 
 def odd_rows(family: Family) -> np.ndarray:
@@ -241,7 +241,7 @@ def next_to_doubled_orbits(
             if found is not None:
                 change = _rows(family, ahead) - _rows(family, orbit)
                 rise = family.parameter(ahead.omega) - found.parameter
-                towards = Tangent(change, rise, 1.0 / square_of(family, found.unknown))
+                towards = Tangent(change, rise, *norm_at(family, found.unknown))
                 return DoubledStart(family.problem, replace(found, tangent=towards))
     ends = sorted((orbits[0].omega, orbits[-1].omega))
     raise ConvergenceError(

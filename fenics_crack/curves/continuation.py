@@ -281,7 +281,7 @@ class Continuation:
             if np.any(odd := odd_rows(self._family)):
                 events.append(_Joined(odd))
         if self._origin is not None and self._origin.unknown.shape == here.unknown.shape:
-            events.append(Closed(self._origin))
+            events.append(Closed(self._origin, self._family))
         options = PathOptions(
             initial_step=step,
             max_step=self._longest,

@@ -41,8 +41,8 @@ from fenics_crack.numerics.newton import (
     LEAST_STEP,
     PathPoint,
     Tangent,
+    norm_at,
     solve_in_plane,
-    square_of,
     tangent_of,
 )
 from fenics_crack.numerics.path import STRAIGHT, Path, PathOptions
@@ -99,7 +99,7 @@ def refine_curve(curve: ResponseCurve, between: int | None = None) -> ResponseCu
     whole = curve.equations(int(curve.harmonics[0]))
     parameters = np.array([whole.parameter(value) for value in curve.values])
     flat = curve.unknowns.reshape(len(curve), -1)
-    sizes = np.sqrt([square_of(whole, row) for row in flat])
+    sizes = np.array([norm_at(whole, row)[0] ** -0.5 for row in flat])
     size = float(sizes.mean())
     place = np.hstack([flat / size, parameters[:, None]])
     # Equal neighbours would have no distance.

@@ -16,13 +16,23 @@ double inner_product(const equations *at, const double *x, const double *y)
     return sum;
 }
 
-double square_of(const equations *at, const double *x)
+norm norm_at(const equations *at, const double *x)
 {
     const double whole = inner_product(at, x, x);
     double means = 0.0;
     for (int i = 0; i < at->means; i++) means += x[i] * x[i];
     const double moving = fmax(whole - means, sqrt(DBL_EPSILON) * whole);
-    return fmax(moving + fmin(means, moving), 1e-300);
+    const double square = fmax(moving + fmin(means, moving), 1e-300);
+    return (norm){1.0 / square, means > moving ? moving / means : 1.0};
+}
+
+double product(const equations *at, norm in, const double *x, const double *y)
+{
+    if (in.of_means == 1.0) return in.weight * inner_product(at, x, y);
+    double means = 0.0, others = 0.0;
+    for (int i = 0; i < at->means; i++) means += x[i] * y[i];
+    for (int i = at->means; i < at->unknowns; i++) others += x[i] * y[i];
+    return in.weight * (others + in.of_means * means);
 }
 
 void add_to(int n, double *x, double s, const double *y)
@@ -39,11 +49,11 @@ static void slope_at(equations *at, int n, double sharp, double *slope)
     for (int i = 0; i < n; i++) slope[i] = -slope[i];
 }
 
-double unit_tangent(equations *at, int n, const double *x, double *tangent, double *weight)
+double unit_tangent(equations *at, int n, const double *x, double *tangent, norm *own)
 {
     slope_at(at, n, SHARP, tangent);
-    *weight = 1.0 / square_of(at, x);
-    const double slope = 1.0 / sqrt(*weight * inner_product(at, tangent, tangent) + 1.0);
+    *own = norm_at(at, x);
+    const double slope = 1.0 / sqrt(product(at, *own, tangent, tangent) + 1.0);
     for (int i = 0; i < n; i++) tangent[i] *= slope;
     return slope;
 }
@@ -68,7 +78,7 @@ int correct_in_plane(equations *at, const plane *in, const correction *how, doub
         if (outcome != FOUND) return outcome;
         at->residual(at, F);
         const double square = inner_product(at, F, F);
-        const double own = in ? in->weight : 1.0 / fmax(inner_product(at, x, x), 1e-300);
+        const double own = in ? in->size.weight : 1.0 / fmax(inner_product(at, x, x), 1e-300);
         const double size = sqrt(own * square);
         if (size <= how->tolerance) return FOUND;
         if (!isfinite(size)) return NOT_FOUND;
@@ -91,8 +101,8 @@ int correct_in_plane(equations *at, const plane *in, const correction *how, doub
         shift = 0.0;
         if (in) {
             if (!former) slope_at(at, n, STEP, rate);
-            const double along = in->weight * inner_product(at, in->across, rate) + in->slope;
-            const double off = in->weight * inner_product(at, in->across, change);
+            const double along = product(at, in->size, in->across, rate) + in->slope;
+            const double off = product(at, in->size, in->across, change);
             shift = -off / (along + 1e-300); /* not 0 */
             add_to(n, change, shift, rate);
             if (!(fabs(*p + shift - guess) <= how->reach))

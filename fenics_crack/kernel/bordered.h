@@ -13,10 +13,17 @@ typedef struct {
     int iterations, patience;
 } correction;
 
+/* How changes are measured beside a solution: weight times their square, of which that of means
+ * counts so much. */
+typedef struct {
+    double weight, of_means;
+} norm;
+
 /* What is orthogonal to a tangent (t_x, t_p). */
 typedef struct {
     const double *across;
-    double slope, weight;
+    double slope;
+    norm size;
 } plane;
 
 /* Relative residual of other solutions with J that take products. */
@@ -30,14 +37,17 @@ int solve_in_plane(equations *at, const plane *in, const correction *how, double
 int correct_in_plane(equations *at, const plane *in, const correction *how, double *x, double *p,
                      int *taken, double *room);
 
-/* The square of a solution's size, to which its means contribute no more than all else. */
-double square_of(const equations *at, const double *x);
+/* Of a solution x: its size is that of what moves, to which its means contribute no more than all
+ * else; and where they are larger they change by parts of themselves. */
+norm norm_at(const equations *at, const double *x);
+/* <x, y> in a norm. */
+double product(const equations *at, norm in, const double *x, const double *y);
 /* <x, y> of the equations; x += s y; the opposite direction. */
 double inner_product(const equations *at, const double *x, const double *y);
 void add_to(int n, double *x, double s, const double *y);
 void turn_round(int n, double *tangent, double *slope);
-/* The unit tangent towards growing p at a point that has been evaluated, and its weight; its slope
+/* The unit tangent towards growing p at a point that has been evaluated, and its norm; its slope
  * t_p. */
-double unit_tangent(equations *at, int n, const double *x, double *tangent, double *weight);
+double unit_tangent(equations *at, int n, const double *x, double *tangent, norm *own);
 
 #endif

@@ -14,6 +14,12 @@ enum {
 #define LOCAL 1e-2
 #define CORNER 1e-7
 
+/* The norm of a point's tangent. */
+static norm norm_of(const path *points, int place)
+{
+    return (norm){points->weights[place], points->of_means[place]};
+}
+
 /* x, p += the quadratic and cubic terms of Hermite's polynomial through the last two points, in the
  * distance along the last tangent; none where these could not help. */
 static void bend(const equations *at, const path *points, double step, double *x, double *p,
@@ -23,13 +29,13 @@ static void bend(const equations *at, const path *points, double step, double *x
     const int n = at->unknowns, last = points->known - 1;
     const double *here = points->unknowns + (size_t)last * n, *before = here - n;
     const double *tangent = points->tangents + (size_t)last * n, *old = tangent - n;
-    const double weight = points->weights[last], slope = points->slopes[last];
-    const double old_slope = points->slopes[last - 1];
+    const double slope = points->slopes[last], old_slope = points->slopes[last - 1];
+    const norm own = norm_of(points, last);
     const double rise = points->parameters[last] - points->parameters[last - 1];
     for (int i = 0; i < n; i++) room[i] = here[i] - before[i];
-    const double back = weight * inner_product(at, room, tangent) + rise * slope;
-    const double size = sqrt(weight * inner_product(at, old, old) + old_slope * old_slope);
-    const double along = (weight * inner_product(at, old, tangent) + old_slope * slope) / size;
+    const double back = product(at, own, room, tangent) + rise * slope;
+    const double size = sqrt(product(at, own, old, old) + old_slope * old_slope);
+    const double along = (product(at, own, old, tangent) + old_slope * slope) / size;
     if (!(back > 0.0 && along > 0.5)) return;
     /* x(s) = x + s t + s^2 A + s^2 (s + back) B, by divided differences with double nodes. */
     for (int i = 0; i <= n; i++) {
@@ -38,7 +44,7 @@ static void bend(const equations *at, const path *points, double step, double *x
         const double third = (second - (mean - start / (size * along)) / back) / back;
         room[i] = step * step * (second + (step + back) * third);
     }
-    const double far = weight * inner_product(at, room, room) + room[n] * room[n];
+    const double far = product(at, own, room, room) + room[n] * room[n];
     if (far < 0.1 * step * step) add_to(n, x, 1.0, room), *p += room[n];
 }
 
@@ -50,22 +56,23 @@ typedef struct {
     int own;     /* points before this one need their own */
 } trust;
 
-/* Of two directions y and z, the second with its weight, as turns are judged. */
-static double product(const equations *at, double weight, const double *y, double y_p,
-                      const double *z, double z_p)
+/* Of two directions y and z, the second with its norm, as turns are judged. */
+static double along_of(const equations *at, norm own, const double *y, double y_p, const double *z,
+                       double z_p)
 {
     const double *counts = at->counts;
-    double sum = counts ? 0.0 : inner_product(at, y, z);
-    for (int i = 0; i < at->unknowns && counts; i++) sum += counts[i] * y[i] * z[i];
-    return weight * sum + y_p * z_p;
+    double sum = 0.0;
+    if (!counts) return product(at, own, y, z) + y_p * z_p;
+    for (int i = 0; i < at->unknowns; i++) sum += counts[i] * y[i] * z[i];
+    return own.weight * sum + y_p * z_p;
 }
 
 /* Cosine of the angle between them. */
-static double cosine_of(const equations *at, double weight, const double *y, double y_p,
+static double cosine_of(const equations *at, norm own, const double *y, double y_p,
                         const double *z, double z_p)
 {
-    const double square = product(at, weight, y, y_p, y, y_p) * product(at, weight, z, z_p, z, z_p);
-    return square > 0.0 ? product(at, weight, y, y_p, z, z_p) / sqrt(square) : 0.0;
+    const double square = along_of(at, own, y, y_p, y, y_p) * along_of(at, own, z, z_p, z, z_p);
+    return square > 0.0 ? along_of(at, own, y, y_p, z, z_p) / sqrt(square) : 0.0;
 }
 
 /* The exact tangent at a point that has been evaluated. The determinant of the bordered matrix
@@ -73,11 +80,11 @@ static double cosine_of(const equations *at, double weight, const double *y, dou
  * is taken that goes on at the smaller angle to the one before, with its slope. */
 static double tangent_onwards(equations *at, int n, double orientation, const double *x,
                               const double *before, double old_slope, double *tangent,
-                              double *weight)
+                              norm *own)
 {
-    double slope = unit_tangent(at, n, x, tangent, weight);
+    double slope = unit_tangent(at, n, x, tangent, own);
     const double sign = isnan(orientation) ? NAN : at->sign(at);
-    const int onwards = isnan(sign) ? product(at, *weight, tangent, slope, before, old_slope) >= 0.0
+    const int onwards = isnan(sign) ? along_of(at, *own, tangent, slope, before, old_slope) >= 0.0
                                     : sign == orientation;
     if (!onwards) turn_round(n, tangent, &slope);
     return slope;
@@ -111,15 +118,16 @@ static correction correction_of(const stepping *how, double step)
 }
 
 /* One more point, whose unknowns and tangent are in their places. */
-static void append(const equations *at, path *points, double p, double slope, double weight,
+static void append(const equations *at, path *points, double p, double slope, norm own,
                    int taken, int crossing, double *room)
 {
     const int n = at->unknowns, next = points->known++;
     const double *x = points->unknowns + (size_t)next * n, rise = p - points->parameters[next - 1];
     for (int i = 0; i < n; i++) room[i] = x[i] - x[i - n];
-    points->parameters[next] = p, points->slopes[next] = slope, points->weights[next] = weight;
+    points->parameters[next] = p, points->slopes[next] = slope;
+    points->weights[next] = own.weight, points->of_means[next] = own.of_means;
     points->iterations[next] = taken, points->crossings[next] = crossing;
-    const double square = points->weights[next - 1] * inner_product(at, room, room);
+    const double square = product(at, norm_of(points, next - 1), room, room);
     points->lengths[next] = sqrt(square + rise * rise);
 }
 
@@ -136,25 +144,26 @@ static int round_corner(equations *at, int n, const stepping *how, path *points,
     double *tangent = points->tangents + (size_t)points->known * n, *way = room + 3 * (n + 1);
     double step = fmax(CORNER * how->longest, how->shortest);
     for (; step <= LOCAL * how->longest; step *= sqrt(10.0)) {
-        double weight, own, p = points->parameters[last] + step * old_slope;
+        double p = points->parameters[last] + step * old_slope;
+        norm of_way, own;
         memcpy(x, here, n * sizeof(double)), add_to(n, x, step, old);
         const int outcome = at->evaluate(at, x, p);
         if (outcome != FOUND) return outcome;
         double slope_of_way =
-            tangent_onwards(at, n, points->orientation, x, old, old_slope, way, &weight);
+            tangent_onwards(at, n, points->orientation, x, old, old_slope, way, &of_way);
         const double straight =
-            cosine_of(at, points->weights[last], way, slope_of_way, old, old_slope);
+            cosine_of(at, norm_of(points, last), way, slope_of_way, old, old_slope);
         const int unsure = isnan(points->orientation) && straight < how->least_cosine;
         for (int ways = 0; ways <= unsure; ways++, turn_round(n, way, &slope_of_way)) {
             int taken;
             memcpy(x, here, n * sizeof(double)), add_to(n, x, step, way);
             p = points->parameters[last] + step * slope_of_way;
-            const plane in = {way, slope_of_way, weight};
+            const plane in = {way, slope_of_way, of_way};
             const correction newton = correction_of(how, step);
             if (correct_in_plane(at, &in, &newton, x, &p, &taken, room) != FOUND) continue;
             const double slope =
                 tangent_onwards(at, n, points->orientation, x, way, slope_of_way, tangent, &own);
-            if (!(cosine_of(at, weight, tangent, slope, way, slope_of_way) > 0.5)) continue;
+            if (!(cosine_of(at, of_way, tangent, slope, way, slope_of_way) > 0.5)) continue;
             append(at, points, p, slope, own, taken, 0, room);
             points->step = step;
             return FOUND;
@@ -168,15 +177,17 @@ static int round_corner(equations *at, int n, const stepping *how, path *points,
 static int advance(equations *at, int n, const stepping *how, path *points, trust *in, double *room)
 {
     const int last = points->known - 1;
-    const double step = points->step, weight = points->weights[last];
+    const double step = points->step;
+    const norm of_last = norm_of(points, last);
     const double old_slope = points->slopes[last];
     const double *here = points->unknowns + (size_t)last * n;
     const double *old = points->tangents + (size_t)last * n;
-    double *x = points->unknowns + (size_t)points->known * n, p, own;
+    double *x = points->unknowns + (size_t)points->known * n, p;
     double *tangent = points->tangents + (size_t)points->known * n;
     const correction newton = correction_of(how, step);
-    const plane across = {old, old_slope, weight};
+    const plane across = {old, old_slope, of_last};
     int taken, crossing = 0;
+    norm own;
     predict(at, points, x, &p, room);
     const int outcome = correct_in_plane(at, &across, &newton, x, &p, &taken, room);
     if (outcome != FOUND) return outcome;
@@ -186,7 +197,7 @@ static int advance(equations *at, int n, const stepping *how, path *points, trus
     double slope =
         tangent_onwards(at, n, sure ? points->orientation : NAN, x, old, old_slope, tangent, &own);
     /* The angle tells whether the step has left the path. */
-    const double cosine = cosine_of(at, weight, tangent, slope, old, old_slope);
+    const double cosine = cosine_of(at, of_last, tangent, slope, old, old_slope);
     if (!(cosine > how->least_cosine)) {
         if (in->sure < last && cosine < 0.0) return DOUBTED;
         if (!(cosine < -0.999 && step < LOCAL * how->longest)) return NOT_FOUND;
@@ -197,7 +208,7 @@ static int advance(equations *at, int n, const stepping *how, path *points, trus
     for (int i = 0; i < n; i++) room[i] = x[i] - here[i];
     const double rise = p - points->parameters[last];
     if (isnan(points->orientation) && /* lest a step across a narrow turn leads back */
-        !(cosine_of(at, weight, room, rise, old, old_slope) > how->least_cosine &&
+        !(cosine_of(at, of_last, room, rise, old, old_slope) > how->least_cosine &&
           cosine_of(at, own, room, rise, tangent, slope) > how->least_cosine))
         return NOT_FOUND;
     append(at, points, p, slope, own, taken, crossing, room);
@@ -262,13 +273,13 @@ static int between(equations *at, int n, const stepping *how, const double *targ
         const double *here = ends->unknowns + (size_t)first * n;
         const double *there = ends->unknowns + (size_t)last * n;
         const double *tangent = ends->tangents + (size_t)first * n;
-        const double slope = ends->slopes[first], weight = ends->weights[first];
+        const double slope = ends->slopes[first];
+        const norm own = norm_of(ends, first);
         const double p = ends->parameters[first], rise = ends->parameters[last] - p;
         for (int i = 0; i < n; i++) room[i] = there[i] - here[i];
-        const double length = weight * inner_product(at, room, tangent) + rise * slope;
+        const double length = product(at, own, room, tangent) + rise * slope;
         const double *after = ends->tangents + (size_t)last * n;
-        const double onwards =
-            weight * inner_product(at, after, tangent) + ends->slopes[last] * slope;
+        const double onwards = product(at, own, after, tangent) + ends->slopes[last] * slope;
         if (!(length > 0.0 && onwards > 0.0)) return NOT_FOUND;
         /* p(s) or dp/ds, of s / length */
         const double begin = length * slope, end = length * ends->slopes[last] / onwards;
@@ -284,15 +295,17 @@ static int between(equations *at, int n, const stepping *how, const double *targ
         ends->parameters[next] = p + step * slope;
         memcpy(x, here, n * sizeof(double));
         add_to(n, x, step, tangent);
-        const plane in = {tangent, slope, weight};
+        const plane in = {tangent, slope, own};
         correction newton = how->newton;
         newton.reach *= step;
         const int outcome =
             correct_in_plane(at, &in, &newton, x, ends->parameters + next,
                              ends->iterations + next, room);
         if (outcome != FOUND) return outcome;
-        ends->slopes[next] = unit_tangent(at, n, x, ahead, ends->weights + next);
-        if (weight * inner_product(at, ahead, tangent) + ends->slopes[next] * slope < 0.0)
+        norm of_next;
+        ends->slopes[next] = unit_tangent(at, n, x, ahead, &of_next);
+        ends->weights[next] = of_next.weight, ends->of_means[next] = of_next.of_means;
+        if (product(at, own, ahead, tangent) + ends->slopes[next] * slope < 0.0)
             turn_round(n, ahead, ends->slopes + next);
         const int before = target ? (ends->parameters[next] - *target) * (p - *target) > 0.0
                                   : ends->slopes[next] * slope > 0.0;

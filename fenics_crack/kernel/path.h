@@ -5,7 +5,7 @@
 #include "bordered.h"
 
 /* What is done and why is said in fenics_crack/numerics/path.py. A point of a path has n unknowns, a
- * parameter and a unit tangent (t_x, t_p) in the norm weight |x|^2 + p^2. */
+ * parameter and a unit tangent (t_x, t_p), of x in its norm. */
 
 typedef struct {
     double longest, shortest, least_cosine, rounding;
@@ -17,7 +17,7 @@ typedef struct {
  * one or two of them with their tangents. */
 typedef struct {
     int room, known;
-    double *unknowns, *parameters, *tangents, *slopes, *weights, *lengths;
+    double *unknowns, *parameters, *tangents, *slopes, *weights, *of_means, *lengths;
     int *iterations;
     signed char *crossings; /* whether another branch crosses before the point */
     double step, orientation; /* sign of t_p det J along the path; 0: not asked for yet */

@@ -6,7 +6,7 @@ serves a system for all attempts at its solution. Where the kernel has the equat
 option is given, the same steps are taken there.
 
 **Bordered by a plane.** A point of a path has a unit tangent (t_x, t_p) in the norm w |x|^2 + p^2,
-w = 1 / |x_0|^2 (:func:`square_of`). In the plane orthogonal to a tangent Newton's method solves
+w = 1 / |x_0|^2 (:func:`norm_at`). In the plane orthogonal to a tangent Newton's method solves
 
     [ J    F_p ] [dx]     [F]
     [ t_x  t_p ] [dp] = - [0],     by two solutions with J:
@@ -47,7 +47,7 @@ from fenics_crack.numerics.equations import EPSILON, Linearisation, System, equa
 __all__ = [
     "FORCING", "FULL_STEPS", "MAX_ITERATIONS", "MIN_DAMPING", "PATIENCE", "STRAY", "Newton",
     "PathPoint", "Tangent", "correct", "distance", "gmres", "kernel_solves", "point_on_path",
-    "solve_at", "solve_in_plane", "solve_near", "square_of", "step_along", "tangent_of",
+    "solve_at", "solve_in_plane", "solve_near", "step_along", "tangent_of",
 ]  # fmt: skip
 
 SELF = PETSc.COMM_SELF
@@ -241,20 +241,30 @@ STRAY = 3.0
 
 @dataclass(frozen=True)
 class Tangent:
-    """Unit tangent (t_x, t_p) in the norm weight |x|^2 + p^2."""
+    """Unit tangent (t_x, t_p) in the norm weight |x|^2 + p^2, where the squares of means count by
+    ``of_means``."""
 
     x: np.ndarray
     p: float
     weight: float
+    of_means: float = 1.0
 
     def reversed(self) -> Tangent:
         """The opposite direction."""
-        return Tangent(-self.x, -self.p, self.weight)
+        return replace(self, x=-self.x, p=-self.p)
+
+    def product(self, system: System, first: np.ndarray, second: np.ndarray) -> float:
+        """<x, y> in its norm."""
+        if self.of_means == 1.0:
+            return self.weight * system.inner(first, second)
+        x, y, means = first.ravel(), second.ravel(), means_of(system)
+        others = float(x[means:] @ y[means:])
+        return self.weight * (others + self.of_means * float(x[:means] @ y[:means]))
 
     def along(self, other: Tangent, system: System) -> float:
         """Cosine of the angle to another tangent, in that one's norm."""
-        product = other.weight * system.inner(self.x, other.x) + self.p * other.p
-        length = other.weight * system.inner(self.x, self.x) + self.p**2
+        product = other.product(system, self.x, other.x) + self.p * other.p
+        length = other.product(system, self.x, self.x) + self.p**2
         # No direction where the Jacobian is singular to rounding: the slope has overflowed.
         return product / float(np.sqrt(length)) if length > 0.0 else 0.0
 
@@ -275,14 +285,23 @@ class PathPoint:
     """Of the chord from the point before in that one's norm, where it is known."""
 
 
-def square_of(system: System, unknown: np.ndarray) -> float:
-    """The square of a solution's size, to which its means over time contribute no more than all
-    else: a clearance or a steady load may make them as large as they like, and steps by which a
-    resonance is seen are parts of what moves."""
-    whole, mean = system.inner(unknown, unknown), unknown.ravel()[: getattr(system, "means", 0)]
+def means_of(system: System) -> int:
+    """How many of a system's unknowns, the first, are means over time."""
+    return int(getattr(system, "means", 0))
+
+
+def norm_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
+    """What makes the norm at a solution: 1 / |x|^2, and how much the squares of means count.
+
+    To its size the means contribute no more than all else: a clearance or a steady load may make
+    them as large as they like, and steps by which a resonance is seen are parts of what moves.
+    Where they are larger, they change by parts of themselves: what holds a crack open grows with a
+    rotor's speed by many times what moves."""
+    whole, mean = system.inner(unknown, unknown), unknown.ravel()[: means_of(system)]
     means = float(mean @ mean)
     moving = max(whole - means, EPSILON**0.5 * whole)
-    return max(moving + min(means, moving), 1e-300)
+    square = max(moving + min(means, moving), 1e-300)
+    return 1.0 / square, moving / means if means > moving else 1.0
 
 
 def tangent_of(
@@ -290,9 +309,9 @@ def tangent_of(
 ) -> Tangent:
     """Tangent at a solution, towards growing p or in a direction that is known roughly."""
     slope = -at.solve(at.by_parameter)
-    weight = 1.0 / square_of(system, unknown)
-    length = float(np.sqrt(weight * system.inner(slope, slope) + 1.0))
-    found = Tangent(slope / length, 1.0 / length, weight)
+    across = Tangent(slope, 1.0, *norm_at(system, unknown))
+    length = float(np.sqrt(across.product(system, slope, slope) + 1.0))
+    found = replace(across, x=slope / length, p=1.0 / length)
     back = towards is not None and found.along(towards, system) < 0.0
     return found.reversed() if back else found
 
@@ -332,7 +351,8 @@ def solve_in_plane(
     taken, border = np.zeros(1, np.intc), NULL
     if plane is not None:
         across = shaped(plane.x, *equations.shape)
-        border = Struct("plane", across=across, slope=plane.p, weight=plane.weight).at
+        size = Struct("norm", weight=plane.weight, of_means=plane.of_means)
+        border = Struct("plane", across=across, slope=plane.p, size=size).at
     how = _correction(
         tolerance=tolerance, reach=reach, iterations=iterations,
         least_damping=-1.0 if least_damping is None else least_damping, patience=patience or 0,
@@ -410,5 +430,5 @@ def solve_near(
 def distance(system: System, before: PathPoint, after: PathPoint) -> float:
     """Length of the chord between two points in the norm of the first one."""
     change = after.unknown - before.unknown
-    square = before.tangent.weight * system.inner(change, change)
+    square = before.tangent.product(system, change, change)
     return float(np.sqrt(square + (after.parameter - before.parameter) ** 2))

@@ -44,7 +44,6 @@ from fenics_crack.numerics.newton import (
     Tangent,
     distance,
     solve_at,
-    square_of,
     step_along,
 )
 
@@ -121,8 +120,8 @@ class Stretch(Sequence[PathPoint]):
     ----------
     unknowns, tangents : (n, *shape)
         x, and its tangent's t_x.
-    parameters, slopes, weights, lengths : (n,)
-        p, its tangent's t_p and w, and the chord from the point before.
+    parameters, slopes, weights, of_means, lengths : (n,)
+        p, its tangent's t_p and norm, and the chord from the point before.
     iterations : (n,) int
     crossings : (n,) int
         1 where another branch has been crossed since the point before.
@@ -133,7 +132,8 @@ class Stretch(Sequence[PathPoint]):
     def __init__(self, known: Sequence[PathPoint], room: int) -> None:
         shape = known[0].unknown.shape
         self.unknowns, self.tangents = np.zeros((room, *shape)), np.zeros((room, *shape))
-        self.parameters, self.slopes, self.weights, self.lengths = np.zeros((4, room))
+        self.parameters, self.slopes, self.lengths = np.zeros((3, room))
+        self.weights, self.of_means = np.zeros((2, room))
         self.iterations, self.crossings = np.zeros(room, np.intc), np.zeros(room, np.int8)
         self.met: list[tuple[Event, PathPoint]] = []
         for place, point in enumerate(known):
@@ -143,7 +143,8 @@ class Stretch(Sequence[PathPoint]):
         """Set a point."""
         self.unknowns[place], self.tangents[place] = point.unknown, point.tangent.x
         self.parameters[place], self.slopes[place] = point.parameter, point.tangent.p
-        self.weights[place], self.lengths[place] = point.tangent.weight, point.length
+        self.weights[place], self.of_means[place] = point.tangent.weight, point.tangent.of_means
+        self.lengths[place] = point.length
         self.iterations[place], self.crossings[place] = point.iterations, point.crosses_branch
 
     def struct(self, known: int, **numbers: float) -> Struct:
@@ -165,13 +166,6 @@ class Stretch(Sequence[PathPoint]):
             part.met = self.met if place == len(self) - 1 else []
             yield part
 
-    def ways_to(self, point: PathPoint) -> np.ndarray:
-        """Distances from each point to another one along its tangent: (n,)."""
-        back = (point.unknown - self.unknowns).reshape(len(self), -1)
-        along = np.einsum("ij,ij->i", back, self.tangents.reshape(len(self), -1))
-        found: np.ndarray = self.weights * along
-        return found + (point.parameter - self.parameters) * self.slopes
-
     @overload
     def __getitem__(self, place: int) -> PathPoint: ...
     @overload
@@ -181,9 +175,8 @@ class Stretch(Sequence[PathPoint]):
             part = object.__new__(Stretch)
             vars(part).update({name: array[place] for name, array in self._arrays.items()}, met=[])
             return part
-        tangent = Tangent(
-            self.tangents[place], float(self.slopes[place]), float(self.weights[place])
-        )
+        norm = float(self.weights[place]), float(self.of_means[place])
+        tangent = Tangent(self.tangents[place], float(self.slopes[place]), *norm)
         return PathPoint(
             self.unknowns[place], float(self.parameters[place]), int(self.iterations[place]),
             tangent, bool(self.crossings[place]), length=float(self.lengths[place]),
@@ -280,7 +273,13 @@ class Fold(Crossing):
         return np.asarray(points.slopes[1:] * points.slopes[:-1] < 0.0)
 
     def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
-        return _between(system, ends, None, rtol) or super().locate(system, ends, rtol)
+        near, length = _between(system, ends, None, rtol), distance(system, *ends)
+        if near is None and length > 4.0 * ARRIVED:  # by shorter steps
+            closer = PathOptions(0.25 * length, 0.25 * length, max_steps=8)
+            for stretch in Path(system, ends[0], closer, [Fold()]):
+                if stretch.met:
+                    return stretch.met[0][1]
+        return near or super().locate(system, ends, rtol)
 
 
 @dataclass(frozen=True)
@@ -307,29 +306,32 @@ class Closed(Event):
     """Where a path comes back to a point of it, by more than some steps."""
 
     origin: PathPoint
+    system: System
     terminal, told = True, "closed loop"
 
     def between(self, points: Stretch) -> np.ndarray:
         lengths = points.lengths[1:]
         near = np.abs(points.parameters[:-1] - self.origin.parameter) <= lengths / STRAIGHT
-        ways = points.ways_to(self.origin)[:-1]
-        return np.asarray(near & (ways > 0.0) & (ways <= lengths))
+        for place in np.flatnonzero(near):
+            here = points[int(place)]
+            ahead, back = here.tangent, self.origin.unknown - here.unknown
+            way = ahead.product(self.system, back, ahead.x)
+            way += ahead.p * (self.origin.parameter - here.parameter)
+            near[place] = 0.0 < way <= lengths[place]
+        return np.asarray(near)
 
     def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
         before, origin = ends[0], self.origin
         chord = distance(system, before, origin)
-        along = Tangent(
-            origin.unknown - before.unknown,
-            origin.parameter - before.parameter,
-            before.tangent.weight,
-        ).along(before.tangent, system)
+        back, rise = origin.unknown - before.unknown, origin.parameter - before.parameter
+        along = replace(before.tangent, x=back, p=rise).along(before.tangent, system)
         if along < STRAIGHT:
             return None
         met = step_along(system, before, along * chord, rtol)
         if met is None or met.tangent.along(origin.tangent, system) < STRAIGHT:
             return None
         off = met.unknown - origin.unknown
-        same = system.inner(off, off) < 1e-10 * square_of(system, origin.unknown)
+        same = origin.tangent.product(system, off, off) < 1e-10
         return origin if same else None
 
 

@@ -140,7 +140,7 @@ def test_stiff_curve_calls_no_orbit_what_it_is_not() -> None:
     )
     assert np.mean(curve.verdicts == "undecided") > 0.5
     decided = np.flatnonzero(curve.verdicts != "undecided")
-    assert len(decided) > 5
+    assert len(decided) >= 5
     for place in decided[::2]:
         solution = own = curve.solution(int(place))
         for count in (20, 40, 80):

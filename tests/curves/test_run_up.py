@@ -70,6 +70,20 @@ def test_derivative_by_the_speed() -> None:
     assert rate == pytest.approx((high - low) / 0.02, rel=1e-3, abs=1e-5 * np.abs(rate).max())
 
 
+def test_a_crack_that_rotation_holds_open() -> None:
+    """By far more than it vibrates, and further at each speed: what holds it open does not make
+    steps short, nor long; the peak is that of a linear structure, proportional to the load."""
+    peaks = []
+    for force in (0.02, 0.2):
+        still = {"excitation.force_mean": [0.0, 0.0], "excitation.force_sin": [force, 0.0]}
+        found = fc.curve(blade(CURVE | {"stability": False}).replace(still), MPI.COMM_SELF).result
+        assert found.complete and len(found) < 200
+        assert found.indicators().closed_share.max() == 0.0
+        peaks.append(found.peak())
+    assert peaks[1].amplitude == pytest.approx(10.0 * peaks[0].amplitude, rel=1e-3)
+    assert peaks[1].damping == pytest.approx(peaks[0].damping, rel=1e-2)
+
+
 def test_run_up_meets_structures_of_each_speed(run_up: Run[fc.ResponseCurve]) -> None:
     """w = order W all along; its solutions are those of structures reduced at their own speed, and
     it is largest between where the order meets the open and the tied mode."""
