@@ -56,6 +56,7 @@ from fenics_crack.motion.orbit import OrbitCoefficients, PeriodicOrbit, affordab
 from fenics_crack.motion.shooting import recurring
 from fenics_crack.numerics.fourier import from_complex, to_complex
 from fenics_crack.stages import begin
+from fenics_crack.table import percent
 
 __all__ = [
     "FIRST_MODES", "check_initial", "linear_response", "solve_harmonic_balance",
@@ -349,8 +350,8 @@ def _told(solver: Solver, found: PeriodicSolution, tolerance: float) -> Periodic
         "more damping, with which fewer harmonics do": report.truncation + report.sampling,
         "a larger tolerance, as this is rounding": report.residual,
     }
-    size = "unknown" if report.total >= UNKNOWN else f"{100.0 * report.total:.2g} %"
-    missed = f"solved; error {size}, {100.0 * tolerance:.2g} % was asked; what helps: "
+    size = "unknown" if report.total >= UNKNOWN else percent(report.total)
+    missed = f"solved; error {size}, {percent(tolerance)} was asked; what helps: "
     missed += f"{max(helps, key=helps.__getitem__)} (H = {found.harmonics}{kept})"
     if solver.throw:
         raise ConvergenceError(

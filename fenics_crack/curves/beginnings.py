@@ -35,7 +35,7 @@ import scipy.linalg
 from fenics_crack.balance.problem import Problem
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.family import Family, FrequencyFamily
-from fenics_crack.curves.orbit_branch import ALIKE, TOLERANCE
+from fenics_crack.curves.orbit_branch import ALIKE
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import SMALL
@@ -43,7 +43,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit
 from fenics_crack.motion.shooting import FlowOrbits, orbit_next_to
-from fenics_crack.numerics.equations import System
+from fenics_crack.numerics.equations import CLOSE, System
 from fenics_crack.numerics.fourier import resized, stretched
 from fenics_crack.numerics.newton import (
     PathPoint,
@@ -291,7 +291,7 @@ def _branch(
         return bool(np.linalg.norm(orbits.unknown(moved) - found.unknown) > step)
 
     try:
-        found = first_aside(orbits, begin, longest_step, TOLERANCE, is_new)
+        found = first_aside(orbits, begin, longest_step, CLOSE, is_new)
         if found is None:
             return
         away = Tangent(found.unknown - begin.unknown, found.parameter - 1.0, 1.0)
@@ -302,7 +302,7 @@ def _branch(
             away_by, longest_step, max_steps=MOST, min_cosine=STRAIGHT, span=(low, high)
         )
         for point in Path(orbits, start, options).points():
-            if not is_new(point, TOLERANCE):
+            if not is_new(point, CLOSE):
                 return
             yield orbits.orbit(point)
     except ConvergenceError:  # pairs that chatter without end

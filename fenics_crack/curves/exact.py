@@ -34,7 +34,7 @@ from fenics_crack.balance.judgement import BELIEVED, FARTHEST, NO_DOUBT, relativ
 from fenics_crack.curves.beginnings import chord
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.family import Family
-from fenics_crack.curves.orbit_branch import ALIKE, TOLERANCE, OrbitBranch
+from fenics_crack.curves.orbit_branch import ALIKE, OrbitBranch
 from fenics_crack.curves.orbit_nodes import EVERY, Node, OrbitBifurcation, blended, cubic
 from fenics_crack.curves.stability import Stability, floquet, leaves, monodromy, stability_of
 from fenics_crack.errors import ConvergenceError, InputError, check_kind
@@ -42,7 +42,7 @@ from fenics_crack.model.contact import is_unilateral
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, exact_flow
 from fenics_crack.motion.orbit import FORMED, KNOWN, PIECES, doubling_test, eigenvalues
 from fenics_crack.motion.shooting import FlowOrbits, OrbitPoint, Patience
-from fenics_crack.numerics.equations import DIFFERENCE
+from fenics_crack.numerics.equations import CLOSE, DIFFERENCE
 from fenics_crack.numerics.fourier import resized
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_at
 from fenics_crack.numerics.path import Crossing, PathOptions
@@ -513,7 +513,7 @@ def _distinct(crossings: list[OrbitBifurcation]) -> list[OrbitBifurcation]:
     for one in crossings:
         known = [other for other in left if other.kind == one.kind]
         apart = [abs(one.parameter - other.parameter) for other in known if other.located]
-        if one.located and min(apart, default=1.0) <= TOLERANCE:
+        if one.located and min(apart, default=1.0) <= CLOSE:
             continue
         if known and not one.located and not known[-1].located and known[-1] is left[-1]:
             left.pop()

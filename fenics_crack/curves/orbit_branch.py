@@ -53,6 +53,7 @@ from fenics_crack.curves.orbit_nodes import (
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.orbit import KNOWN, SHRINKING, eigenvalues
 from fenics_crack.motion.shooting import FlowOrbits, Homotopy, OrbitPoint
+from fenics_crack.numerics.equations import CLOSE, LOCATED
 from fenics_crack.numerics.newton import (
     FULL_STEPS,
     PATIENCE,
@@ -61,13 +62,10 @@ from fenics_crack.numerics.newton import (
     solve_in_plane,
     tangent_of,
 )
-from fenics_crack.numerics.path import LOCATED
 
-__all__ = ["ALIKE", "KINDS", "TOLERANCE", "OrbitBranch"]
+__all__ = ["ALIKE", "KINDS", "OrbitBranch"]
 
 KINDS = "fold", "period_doubling", "neimark_sacker"
-TOLERANCE = 1e-8
-"""|F| / |x| of nodes, and to what part of a segment bifurcations are located."""
 ALIKE = 0.5
 """Farthest orbit from the motion of its point; whether it is the point's own is asked later."""
 REACH = 5e-3
@@ -166,7 +164,7 @@ class OrbitBranch:
         first, last = ends
         whole = round(0.5 * (first.place + last.place))
         inside = first.place < whole < last.place
-        found = self.across(first, last, 0.5, {}, TOLERANCE) if linked or not inside else None
+        found = self.across(first, last, 0.5, {}, CLOSE) if linked or not inside else None
         if found is not None:
             return self.inside(first, last, 0.5, found)
         return self._next_to(whole, [first, last]) if inside else None
@@ -270,11 +268,7 @@ class OrbitBranch:
         return _direction(after - before, rise, self.motion(place))
 
     def _solved(
-        self,
-        unknown: np.ndarray,
-        parameter: float,
-        plane: Tangent | None,
-        tolerance: float = TOLERANCE,
+        self, unknown: np.ndarray, parameter: float, plane: Tangent | None, tolerance: float = CLOSE
     ) -> PathPoint | None:
         """The orbit in a plane, or at a given parameter."""
         try:
@@ -371,13 +365,13 @@ class _Test:
             else:
                 self.values[share] = self._of(_multipliers(found.at.monodromy)[:LEADING])
         value = self.values[share]
-        return value if abs(value) > TOLERANCE * self.largest else 0.0
+        return value if abs(value) > CLOSE * self.largest else 0.0
 
     def located(self) -> Node:
         """Where it vanishes; not located: where it was smallest, as an orbit is missed, or it has
         one sign, or jumps past zero."""
         try:
-            scipy.optimize.brentq(self, 0.0, 1.0, xtol=TOLERANCE)
+            scipy.optimize.brentq(self, 0.0, 1.0, xtol=CLOSE)
             searched = True
         except (ConvergenceError, ValueError):
             searched = False

@@ -28,7 +28,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import SPREAD, CurvePoint, ResponseCurve, columns
 from fenics_crack.curves.exact import verified
 from fenics_crack.curves.family import Family
-from fenics_crack.curves.orbit_branch import ALIKE, KINDS, TOLERANCE, OrbitBranch
+from fenics_crack.curves.orbit_branch import ALIKE, KINDS, OrbitBranch
 from fenics_crack.curves.orbit_nodes import Node
 from fenics_crack.curves.stability import orbits_near
 from fenics_crack.errors import ConvergenceError, InputError, check_count, check_kind, check_number
@@ -36,6 +36,7 @@ from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.motion.shooting import FlowOrbits
+from fenics_crack.numerics.equations import CLOSE
 from fenics_crack.numerics.newton import (
     FULL_STEPS,
     LEAST_STEP,
@@ -220,7 +221,7 @@ def refine_bifurcation(
         )
     far = reach + longest_step
     options = PathOptions(
-        0.1 * longest_step, longest_step, rtol=TOLERANCE, min_cosine=STRAIGHT, at_once=1,
+        0.1 * longest_step, longest_step, rtol=CLOSE, min_cosine=STRAIGHT, at_once=1,
         span=(1.0 - far, 1.0 + far),
     )  # fmt: skip
     ways = start.tangent, start.tangent.reversed()
@@ -243,7 +244,7 @@ def _orbit_next_to(orbits: FlowOrbits) -> PathPoint | None:
         ahead = tangent_of(orbits, orbits.start, orbits.linearise(orbits.start, 1.0))
         found = solve_in_plane(
             orbits, orbits.start, 1.0, ahead,
-            tolerance=TOLERANCE, iterations=FULL_STEPS, reach=0.5, least_damping=LEAST_STEP,
+            tolerance=CLOSE, iterations=FULL_STEPS, reach=0.5, least_damping=LEAST_STEP,
         )  # fmt: skip
     except ConvergenceError:  # pairs chatter without end
         return None

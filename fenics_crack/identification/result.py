@@ -328,27 +328,7 @@ class Identification(Tabular):
 
     @cached_property
     def _judged(self) -> tuple[str, str]:
-        """The verdict and its reason, by what both hypotheses explain, the logarithm of the ratio
-        of their evidences, and where a crack would be."""
-        open_question = "cannot be told"
-        if self.plain is None:
-            return open_question, "there is no plate without a crack to compare with"
-        fits, healthy, ratio = self.misfit[1], self.plain.misfit[1], self.log_bayes_factor
-        told = f"log Bayes factor {ratio:.3g}, crack over no crack"
-        if max(fits, healthy) < MISFIT:
-            why = "neither a crack of this kind nor a plate without one explains the measurements"
-            other = "two cracks, one of another kind or elsewhere, or a wrong measurement might"
-            return open_question, f"{why}; {other} ({told})"
-        if ratio > STRONG and healthy >= EXPLAINS:
-            why = "a plate without a crack explains the measurements, as little as is known of it"
-            return open_question, f"{why} ({told})"
-        if ratio < -STRONG:
-            ends = (
-                f"{key_in_words(key)} {value_in_words(key, low)} to {value_in_words(key, high)}"
-                for key, (low, high) in self.intervals.items()
-            )
-            return "no crack", f"{told}; one that is not seen would be at {', '.join(ends)}"
-        return "crack" if ratio > STRONG else open_question, told
+        return _verdict_of(self)
 
     @property
     def misfit(self) -> tuple[float, float]:
@@ -534,3 +514,27 @@ def _of_fit(found: Identification) -> list[str]:
         name = rows[at].name
         said.append(f"a plate without a crack explains all but {name}: measure that again")
     return said
+
+
+def _verdict_of(found: Identification) -> tuple[str, str]:
+    """The verdict and its reason, by what both hypotheses explain, the logarithm of the ratio of
+    their evidences, and where a crack would be."""
+    open_question = "cannot be told"
+    if found.plain is None:
+        return open_question, "there is no plate without a crack to compare with"
+    fits, healthy, ratio = found.misfit[1], found.plain.misfit[1], found.log_bayes_factor
+    told = f"log Bayes factor {ratio:.3g}, crack over no crack"
+    if max(fits, healthy) < MISFIT:
+        why = "neither a crack of this kind nor a plate without one explains the measurements"
+        other = "two cracks, one of another kind or elsewhere, or a wrong measurement might"
+        return open_question, f"{why}; {other} ({told})"
+    if ratio > STRONG and healthy >= EXPLAINS:
+        why = "a plate without a crack explains the measurements, as little as is known of it"
+        return open_question, f"{why} ({told})"
+    if ratio < -STRONG:
+        ends = (
+            f"{key_in_words(key)} {value_in_words(key, low)} to {value_in_words(key, high)}"
+            for key, (low, high) in found.intervals.items()
+        )
+        return "no crack", f"{told}; one that is not seen would be at {', '.join(ends)}"
+    return "crack" if ratio > STRONG else open_question, told

@@ -40,6 +40,7 @@ from scipy.linalg.lapack import dgeev
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import kernel
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples, Track
+from fenics_crack.numerics.equations import CLOSE, LOCATED
 from fenics_crack.numerics.newton import FORCING, gmres
 from fenics_crack.table import Described, counted
 
@@ -54,9 +55,8 @@ FLOWS, SHORTEST = 20, 1e-3
 PIECES = 20_000
 """Of the flow's series that a search may take: a second, with many pairs; more where M is formed
 and a period of a slow load has many by itself."""
-CLOSED, NEARLY, HURRIED = 1e-11, 1e-8, 0.1
-"""Relative length of a step behind which an orbit is found: of one by factors of M, by products;
-and how short one by products may become."""
+HURRIED = 0.1
+"""How short a step by products may become."""
 SHRINKING = 0.1
 """By how much a Newton step has to shrink the residual that another one with the same derivative
 may follow."""
@@ -360,7 +360,7 @@ class _Search:
     def leads_to_orbit(self, inverse: Inverse | None) -> bool:
         """Whether it ends with an orbit."""
         formed = self._flow.size <= FORMED
-        closed, shortest = (CLOSED, SHORTEST) if formed else (NEARLY, HURRIED)
+        closed, shortest = (LOCATED, SHORTEST) if formed else (CLOSE, HURRIED)
         self.motion = self._follow(self.state)
         share, own = 1.0, False  # whether the derivative is that of the motion here
         steps: list[np.ndarray] = []  # with one derivative

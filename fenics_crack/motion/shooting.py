@@ -31,7 +31,6 @@ from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import Struct, doubles, kernel, owned
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion
 from fenics_crack.motion.orbit import (
-    CLOSED,
     FORMED,
     INSTANTS,
     KNOWN,
@@ -42,7 +41,7 @@ from fenics_crack.motion.orbit import (
     predict,
     unhurried,
 )
-from fenics_crack.numerics.equations import DenseLinearisation, Equations
+from fenics_crack.numerics.equations import LOCATED, DenseLinearisation, Equations
 from fenics_crack.numerics.fourier import derivative, evaluate
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_in_plane
 from fenics_crack.numerics.path import NARROW, Path, Target
@@ -370,7 +369,7 @@ def _by_homotopy(orbits: FlowOrbits) -> PeriodicOrbit | None:
     """The orbit to which the path from the start of some leads; None where that takes too long."""
     try:
         # M - I may be singular where the motion closes: next to a resonance without damping.
-        closed = solve_in_plane(orbits, orbits.start, 1.0, None, tolerance=CLOSED, iterations=1)
+        closed = solve_in_plane(orbits, orbits.start, 1.0, None, tolerance=LOCATED, iterations=1)
     except (ConvergenceError, np.linalg.LinAlgError):
         return None
     if closed is not None:

@@ -23,15 +23,18 @@ from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import Struct, ffi, kernel
 
 __all__ = [
-    "DIFFERENCE", "EPSILON", "NEARLY_SOLVED", "ROUNDING", "DenseLinearisation", "Equations",
-    "Linearisation", "System", "determinant_sign", "equations_of", "factored", "least_residual",
-    "solve_factored",
+    "CLOSE", "DIFFERENCE", "EPSILON", "LOCATED", "NEARLY_SOLVED", "ROUNDING", "DenseLinearisation",
+    "Equations", "Linearisation", "System", "determinant_sign", "equations_of", "factored",
+    "least_residual", "solve_factored",
 ]  # fmt: skip
 
 EPSILON, ROUNDING = float(np.finfo(float).eps), 1e-13
 DIFFERENCE = float(np.cbrt(EPSILON))
 """Of a parameter, for a derivative by central differences: what they leave out is then as small as
 their rounding."""
+LOCATED, CLOSE = 1e-11, 1e-8
+"""|F| / |x| of what lies between two points of a path, and relative length of a step behind which
+an orbit is found; and of orbits that many are sought, or that are found by products."""
 NEARLY_SOLVED = 1e-5
 """|F| / |x| of a solution with which another one begins, or by which it is judged; and the most
 that rounding may leave: equations that ask for more are refused."""

@@ -35,7 +35,7 @@ import numpy as np
 
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import NULL, Struct, doubles, kernel
-from fenics_crack.numerics.equations import EPSILON, ROUNDING, System, equations_of
+from fenics_crack.numerics.equations import EPSILON, LOCATED, ROUNDING, System, equations_of
 from fenics_crack.numerics.newton import (
     MAX_ITERATIONS,
     MIN_DAMPING,
@@ -48,7 +48,6 @@ from fenics_crack.numerics.newton import (
 )
 
 __all__ = [
-    "LOCATED",
     "NARROW",
     "STRAIGHT",
     "BranchPoint",
@@ -66,8 +65,6 @@ __all__ = [
 
 STRAIGHT = 0.9
 """Cosine of an angle up to which two directions are taken for one."""
-LOCATED = 1e-11
-"""|F| / |x| of what is located between two points."""
 ARRIVED = math.sqrt(EPSILON)
 """Distance to a point of a path at which it counts as found, and the shortest step: where the
 parameter turns, it is then known to the square of that."""

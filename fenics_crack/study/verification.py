@@ -325,14 +325,11 @@ class Verification(Tabular):
         if quantity not in self.values:
             raise InputError("quantity", quantity, "one of " + ", ".join(map(repr, self.values)))
         return {
-            cause: found[quantity].uncertainty(self._place(cause))
+            # Sizes are in the order of the smallest; the scene's own choice is the first count.
+            cause: found[quantity].uncertainty(sorted(counts, reverse=True).index(counts[0]))
             for cause, found in self.parts.items()
+            for counts in [self.counts[cause]]
         }
-
-    def _place(self, cause: str) -> int:
-        """Of the scene's own choice among the sizes of a cause, the smallest of which is first."""
-        counts = self.counts[cause]
-        return sorted(counts, reverse=True).index(counts[0])
 
     def total(self, quantity: str, *, independent: bool = True) -> float:
         """Root of the sum of squares of the contributions to a quantity, or their sum; those of the
@@ -472,15 +469,7 @@ class Verification(Tabular):
     @property
     def dents(self) -> tuple[str, ...]:
         """That the displacement under a force at a point has no limit, where that matters."""
-        amplitude, added = abs(self.values.get("amplitude", 0.0)), _dent(self.scene)
-        if self.scene.points or not added > DENTED * amplitude > 0.0:
-            return ()
-        growth = "log(1/h)" if self.scene.dimension == 2 else "1/h"
-        return (
-            "amplitude: under a force at a point the displacement has no limit, it grows like "
-            f"{growth}, by about {percent(added / amplitude)} with elements half as long; "
-            "watch another place (output.points), or load an edge (loads)",
-        )
+        return tuple(_dents(self.scene, abs(self.values.get("amplitude", 0.0))))
 
     def _matters(self, name: str, cause: str) -> bool:
         """Whether a contribution is so large that a doubt of it is told."""
@@ -529,6 +518,18 @@ def verification_of(stored: Stored) -> Verification | None:
         [units[name] for name in values]  # LookupError
         return Verification(
             scene, values, units, grids, counts, absent, unknown, failures, verdicts
+        )
+
+
+def _dents(scene: Scene, amplitude: float) -> Iterator[str]:
+    """That it has no limit, where what is added is much of an amplitude."""
+    added = _dent(scene)
+    if not scene.points and added > DENTED * amplitude > 0.0:
+        growth = "log(1/h)" if scene.dimension == 2 else "1/h"
+        yield (
+            "amplitude: under a force at a point the displacement has no limit, it grows like "
+            f"{growth}, by about {percent(added / amplitude)} with elements half as long; "
+            "watch another place (output.points), or load an edge (loads)"
         )
 
 
