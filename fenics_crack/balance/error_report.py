@@ -33,7 +33,7 @@ import numpy as np
 from fenics_crack.balance.compliance import Compliance
 from fenics_crack.balance.contact_integrals import respond
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
-from fenics_crack.balance.judgement import UNKNOWN, Judgement, more_modes
+from fenics_crack.balance.judgement import UNKNOWN, Judgement, more_modes, seen_parts
 from fenics_crack.balance.problem import Problem
 from fenics_crack.model.contact import REGULAR, UnilateralPenalty, is_regular, is_rigid
 from fenics_crack.model.modal import SMALL, all_modes
@@ -86,8 +86,9 @@ class ErrorReport(Described):
     penetration : float
         Penetration that the contact law lets happen; not an error of the solution of that law.
     displacement : float
-        Of the displacement at the load, in its direction, relative to its own root mean square:
-        truncation and reduction. Usually much smaller than those of the gap.
+        Of the displacement at the load, in the direction of what vibrates of it, relative to the
+        root mean square of its motion about the mean: truncation and reduction. Usually much
+        smaller than those of the gap.
     """
 
     residual: float = 0.0
@@ -202,11 +203,13 @@ class _Change:
 def _of_displacement(
     at: ContactPoint, displacement: np.ndarray, problem: Problem, changes: list[_Change]
 ) -> float:
-    """Change of the displacement at the load, in the direction of each of its parts, relative to
-    its root mean square: the sum of all causes."""
-    structure = problem.structure
-    known = structure.sum_over_ranks(displacement @ structure.force.T)
-    size, total = mean_square(known), 0.0
+    """Change of the displacement at the load, in the direction of each of its parts that vibrates,
+    relative to the root mean square of its motion: the sum of all causes."""
+    structure, seen = problem.structure, seen_parts(problem.structure)
+    known = structure.sum_over_ranks(displacement @ structure.force[seen].T)
+    still, total = mean_square(known), 0.0
+    moving = still - float(np.sum(known[0] ** 2))
+    size = moving if moving > NEGLIGIBLE**2 * still else still
     if not size > 0.0:
         return 0.0
     for change in changes:
@@ -215,10 +218,10 @@ def _of_displacement(
                 continue
             compliance = at.system.compliance
             moved = compliance.displacement(at.force + change.force) - displacement
-            moved = structure.sum_over_ranks(moved @ structure.force.T)
+            moved = structure.sum_over_ranks(moved @ structure.force[seen].T)
         else:
             other, compliance = change.better
-            moved = compliance.displacement(at.force + change.force) @ other.force.T - known
+            moved = compliance.displacement(at.force + change.force) @ other.force[seen].T - known
         found = float(np.sqrt(mean_square(moved) / size))
         total += found if change.settled else UNKNOWN
     return total

@@ -38,6 +38,7 @@ from fenics_crack.errors import MOST_HARMONICS
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import NEGLIGIBLE, times
 from fenics_crack.model.reduced import ReducedStructure, massless
+from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ContactFlow, Samples, flow_of
 from fenics_crack.motion.orbit import (
     FLOWS,
@@ -302,16 +303,16 @@ class Judgement:
         wave, flow, count = self.wave, self.flow, self.flow.size // 2
         change = (self.predicted.states - self.states)[:, :count] @ flow.modes.shapes.T
         time = np.arange(len(change)) * wave.period / len(change)
-        force = wave.structure.force.T
-        return relative(change @ force, wave.coordinates(time) @ force)
+        force = wave.structure.force[seen_parts(wave.structure)].T
+        return relative_to_motion(change @ force, wave.coordinates(time) @ force)
 
     @property
     def _away_at_load(self) -> float:
         assert self.orbit is not None
-        samples, force = self.orbit.sampled, self.wave.structure.force.T
-        moved = samples.displacement
+        samples, structure = self.orbit.sampled, self.wave.structure
+        force, moved = structure.force[seen_parts(structure)].T, samples.displacement
         change = moved - self.wave.coordinates(samples.time)
-        return relative(change @ force, moved @ force)
+        return relative_to_motion(change @ force, moved @ force)
 
     @property
     def reason(self) -> str:
@@ -380,10 +381,26 @@ def _still(samples: Samples) -> bool:
     return bool(np.linalg.norm(moved) <= NEGLIGIBLE * np.linalg.norm(slow))
 
 
+def seen_parts(structure: Structure) -> np.ndarray:
+    """By which parts of the load the displacement at it is seen: (3,) bool; those that vibrate, if
+    there are some (collective)."""
+    found = structure.sum_over_ranks(np.sum(structure.force**2, axis=1)) > 0.0
+    found[0] &= not found[1:].any()
+    return np.asarray(found)
+
+
 def relative(change: np.ndarray, whole: np.ndarray) -> float:
     """Size of a change relative to that of the whole."""
     size = float(np.linalg.norm(whole))
     return float(np.linalg.norm(change)) / size if size > 0.0 else 0.0
+
+
+def relative_to_motion(change: np.ndarray, whole: np.ndarray) -> float:
+    """The same, of motions in time (n, k), relative to what moves; to the whole where nothing
+    does."""
+    moving = whole - whole.mean(axis=0)
+    still = float(np.linalg.norm(moving)) <= NEGLIGIBLE * float(np.linalg.norm(whole))
+    return relative(change, whole if still else moving)
 
 
 def more_modes(judged: Judgement) -> MoreModes | None:
@@ -492,9 +509,12 @@ class MoreModes:
         wave, states = self._judged.wave, self._states
         assert states is not None
         gap = self._gap(states)
-        moved = (self.predicted.states - states)[:, : self.flow.size // 2] @ self.flow.force.T
-        known = wave.coordinates(self._time) @ wave.structure.force.T
-        return self._of_gap(self._gap(self.predicted.states) - gap, gap), relative(moved, known)
+        seen, half = seen_parts(wave.structure), self.flow.size // 2
+        moved = (self.predicted.states - states)[:, :half] @ self.flow.force[seen].T
+        at_load = relative_to_motion(
+            moved, wave.coordinates(self._time) @ wave.structure.force[seen].T
+        )
+        return self._of_gap(self._gap(self.predicted.states) - gap, gap), at_load
 
     def _of_gap(self, change: np.ndarray, gap: np.ndarray) -> float:
         """A change relative to B^T u; 0 where that is rounding."""
@@ -516,8 +536,9 @@ class MoreModes:
         few, many = self._judged.orbit, self.orbit
         if few is None or many is None:
             return None
-        gap = few.sampled.gap
+        gap, seen = few.sampled.gap, seen_parts(few.flow.structure)
         moved, more = (
-            orbit.sampled.displacement @ orbit.flow.structure.force.T for orbit in (few, many)
+            orbit.sampled.displacement @ orbit.flow.structure.force[seen].T for orbit in (few, many)
         )
-        return self._of_gap(many.sampled.gap - gap, gap), relative(more - moved, moved)
+        at_load = relative_to_motion(more - moved, moved)
+        return self._of_gap(many.sampled.gap - gap, gap), at_load
