@@ -60,8 +60,8 @@ class Tip:
         Where it is, and the direction in which the crack would grow straight on.
     position : float [m]
         Its distance along the crack.
-    radius, element : float [m]
-        Of the domain, and the length of the element of the lips at the tip.
+    radius : float [m]
+        Of the domain.
     """
 
     name: str
@@ -70,7 +70,6 @@ class Tip:
     ahead: np.ndarray
     position: float
     radius: float
-    element: float
 
 
 def find_tips(dofs: Dofs) -> list[Tip]:
@@ -95,9 +94,9 @@ def find_tips(dofs: Dofs) -> list[Tip]:
             straight = np.linalg.norm(steps[np.flatnonzero(off).max(initial=-1) + 1 :][0])
             others = [other.locate(tip[None])[0][0] for other in lips if other is not lip]
             room = min(straight, np.linalg.norm(edge - tip, axis=1).min(), *others)
-            element = float(np.linalg.norm(steps[-1]))
-            where = crack, tip, ahead, float(position)
-            found.append(Tip(f"the {name}{several}", *where, DOMAIN * room, element))
+            found.append(
+                Tip(f"the {name}{several}", crack, tip, ahead, float(position), DOMAIN * room)
+            )
     return found
 
 
@@ -113,13 +112,17 @@ def _outer_points(dofs: Dofs) -> np.ndarray:
     return dofs.points[nodes[nodes < dofs.n_nodes]]
 
 
-def _check_resolved(tip: Tip) -> None:
-    """Raise InputError where an element of the lips is longer than the domain's radius: the weight
-    then falls within one element, and what is integrated has nothing to do with K."""
-    if tip.radius < tip.element:
+def _check_resolved(scene: Scene, tips: list[Tip], lips: np.ndarray) -> None:
+    """Raise InputError where the element of the lips at a tip is longer than the domain's radius:
+    the weight then falls within one element, and what is integrated has nothing to do with K."""
+    for tip in tips:
+        distance = np.linalg.norm(lips - tip.point, axis=1)
+        element = scene.mesh.order * distance[distance > 1e-9 * tip.radius].min()
+        if tip.radius >= element:
+            continue
         value = f"{tip.name}, {tip.radius / DOMAIN:.3g} m from an edge, a bend or another crack"
         allowed = (
-            f"further away than {tip.element / DOMAIN:.3g} m where stress intensities are asked "
+            f"further away than {element / DOMAIN:.3g} m where stress intensities are asked "
             "for, or with shorter elements along the lips"
         )
         raise InputError("crack", value, allowed)
@@ -151,8 +154,9 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
     dofs: Dofs = structure.nodes.numbered
     tips, sides, points = find_tips(dofs), _sides(dofs), dofs.points
     row_of, rows, pressed = _form(scene, dofs), [], []
+    on_lips = np.any(sides != 0.0, axis=1)[: dofs.n_nodes]
+    _check_resolved(scene, tips, gather_rows(dofs.comm, points[: dofs.n_nodes][on_lips]))
     for tip in tips:
-        _check_resolved(tip)
         for kind in range(2):
             field = _nodal(scene, tip, kind, points, sides)
             rows.append(row_of(tip, kind, field))
