@@ -227,10 +227,8 @@ def _account_of_history(run: Run[TimeHistory]) -> Account:
 
 def _longer_period(found: TimeHistory) -> str:
     """A hint why a motion has not settled: it may repeat after two or three load periods."""
-    waves = found.by_period(found.gap)
-    for count in range(2, len(waves)):
-        change = np.linalg.norm(waves[-1] - waves[-1 - count]) / np.linalg.norm(waves[-1])
-        if change < 0.1 * found.settled:
+    for count in range(2, len(found.by_period(found.time))):
+        if (change := found.change(count)) < 0.1 * found.settled:
             return f", {count} periods only by {change:.2g}: its period is {count} times the load's"
     return "; it may need more of them (integration.periods), or be irregular"
 

@@ -46,8 +46,9 @@ from fenics_crack.numerics.equations import EPSILON, Linearisation, System, equa
 
 __all__ = [
     "FORCING", "FULL_STEPS", "MAX_ITERATIONS", "MIN_DAMPING", "PATIENCE", "STRAY", "Newton",
-    "PathPoint", "Tangent", "correct", "distance", "gmres", "kernel_solves", "point_on_path",
-    "solve_at", "solve_in_plane", "solve_near", "step_along", "tangent_of",
+    "PathPoint", "Tangent", "correct", "distance", "gmres", "kernel_solves", "moving_square",
+    "norm_at", "point_on_path", "solve_at", "solve_in_plane", "solve_near", "step_along",
+    "tangent_of",
 ]  # fmt: skip
 
 SELF = PETSc.COMM_SELF
@@ -290,6 +291,13 @@ def means_of(system: System) -> int:
     return int(getattr(system, "means", 0))
 
 
+def moving_square(whole: float, means: float) -> float:
+    """The square of a size, given that of all and that of the means over time, which contribute no
+    more than all else."""
+    moving = max(whole - means, EPSILON**0.5 * whole)
+    return max(moving + min(means, moving), 1e-300)
+
+
 def norm_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
     """What makes the norm at a solution: 1 / |x|^2, and how much the squares of means count.
 
@@ -297,11 +305,10 @@ def norm_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
     them as large as they like, and steps by which a resonance is seen are parts of what moves.
     Where they are larger, they change by parts of themselves: what holds a crack open grows with a
     rotor's speed by many times what moves."""
-    whole, mean = system.inner(unknown, unknown), unknown.ravel()[: means_of(system)]
+    mean = unknown.ravel()[: means_of(system)]
     means = float(mean @ mean)
-    moving = max(whole - means, EPSILON**0.5 * whole)
-    square = max(moving + min(means, moving), 1e-300)
-    return 1.0 / square, moving / means if means > moving else 1.0
+    square = moving_square(system.inner(unknown, unknown), means)
+    return 1.0 / square, 0.5 * square / means if 2.0 * means > square else 1.0
 
 
 def tangent_of(

@@ -38,6 +38,7 @@ from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import NEGLIGIBLE, damped_modes, times
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.numerics.fourier import balanced, derivative, evaluate, waves
+from fenics_crack.numerics.newton import moving_square
 from fenics_crack.parallel import StopRequest, raise_together
 from fenics_crack.stages import begin
 from fenics_crack.table import Tabular, counted
@@ -79,7 +80,8 @@ class March:
         State at time 0: a solution's, two arrays (n_local,) [m], [m/s], or rest.
     settle : float
         Stop early when the relative change over a period is below this, of the gaps and of the
-        displacement where the load acts; ``distance`` of the history tells what is left.
+        displacement where the load acts, relative to what moves; ``distance`` of the history tells
+        what is left.
     record_periods : int, optional
         Keep only the last so many periods.
     dofs : sequence of int, optional
@@ -193,6 +195,7 @@ class TimeHistory(Tabular):
     settled : float
         Relative change over the last period, of the gaps or of the displacement where the load
         acts, whichever is larger; a small number says that the motion repeats with the load.
+        Relative to what moves: means over the period count no more than all else.
     created_energy : float
         Net energy created, relative to the energy put in by the load and the initial state. Central
         differences: by contact that opens and closes between steps; it vanishes like dt^2. The
@@ -251,15 +254,12 @@ class TimeHistory(Tabular):
 
     @property
     def distance(self) -> float:
-        """How far the motion is from the one that it settles to, relative, of the gaps or of the
-        displacement watched, if that is recorded, whichever is larger: the last four periods tell
-        where a motion goes that two multipliers are left of (minimal polynomial extrapolation;
-        Sidi, Vector Extrapolation Methods, chapter 2). nan with fewer than three periods kept
-        (collective)."""
-        parts = [self.gap]
-        with suppress(InputError):
-            parts.append(self.displacement())
-        kept = [self.by_period(one)[-RECORDED_PERIODS:] for one in parts]
+        """How far the motion is from the one that it settles to, relative as ``settled`` is, of the
+        gaps or of the displacement watched, if that is recorded, whichever is larger: the last four
+        periods tell where a motion goes that two multipliers are left of (minimal polynomial
+        extrapolation; Sidi, Vector Extrapolation Methods, chapter 2). nan with fewer than three
+        periods kept (collective)."""
+        kept = [one[-RECORDED_PERIODS:] for one in self._watched]
         if len(kept[0]) < 3:
             return math.nan
         sizes = _sizes([one[-1] for one in kept])
@@ -269,6 +269,30 @@ class TimeHistory(Tabular):
         left = (np.tensordot(weights, one[:-1] - one[-1], 1) for one in rows)
         whole = abs(float(weights.sum()))
         return max(float(np.linalg.norm(one)) for one in left) / whole if whole > 0.0 else math.inf
+
+    def change(self, periods: int = 1) -> float:
+        """Relative change of the motion over the last so many periods, of the gaps or of the
+        displacement watched, if that is recorded, whichever is larger: what ``settled`` is of one
+        (collective).
+
+        Raises
+        ------
+        InputError
+            No more periods than these are recorded.
+        """
+        check_count("periods", periods, 1)
+        kept = self._watched
+        if periods >= len(kept[0]):
+            raise InputError("periods", periods, f"fewer than the {len(kept[0])} recorded")
+        return _change([one[-1] for one in kept], [one[-1 - periods] for one in kept])
+
+    @property
+    def _watched(self) -> list[np.ndarray]:
+        """B^T u and the displacement watched, if that is recorded, by period (collective)."""
+        parts = [self.gap + self.structure.clearance]
+        with suppress(InputError):
+            parts.append(self.displacement())
+        return [self.by_period(one) for one in parts]
 
     def displacement(self, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
         """Displacement of recorded dofs, or of the watched one: (n, len(dofs)) [m] (collective).
@@ -400,10 +424,9 @@ def march(asked: March, scheme: Scheme) -> TimeHistory:
             scheme.fill(window, number)
             done = number + 1
             moved = np.concatenate(structure.comm.allgather(load_motion), axis=1)
-            now = window.gap.copy(), moved  # slow modes may hardly move the lips
+            now = window.gap + structure.clearance, moved  # slow modes may hardly move the lips
             if before is not None:
-                parts = zip(now, before, _sizes(now), strict=True)
-                settled = max(float(np.linalg.norm(one - was)) / size for one, was, size in parts)
+                settled = _change(now, before)
             before = now
             if settled < asked.settle or stop.asked(structure.comm):
                 break
@@ -431,10 +454,19 @@ def march(asked: March, scheme: Scheme) -> TimeHistory:
     )
 
 
+def _change(now: Sequence[np.ndarray], before: Sequence[np.ndarray]) -> float:
+    """The largest relative change of parts of a motion, (N, m) each, from one period to another."""
+    parts = zip(now, before, _sizes(now), strict=True)
+    return max(float(np.linalg.norm(one - was)) / size for one, was, size in parts)
+
+
 def _sizes(parts: Sequence[np.ndarray]) -> list[float]:
-    """Of parts of a motion; infinite, so that no change of it counts, where a part is rounding
-    beside the largest one, as the gaps of rigid lips that stay closed."""
-    sizes = [float(np.linalg.norm(part)) for part in parts]
+    """Of what moves of parts of a motion, (N, m) each over a period: a clearance or a steady load
+    may make means as large as they like. Infinite, so that no change of it counts, where a part is
+    rounding beside the largest one, as the gaps of rigid lips that stay closed."""
+    means = [np.broadcast_to(one.mean(axis=0), one.shape) for one in parts]
+    squares = [[float(np.sum(one**2)) for one in some] for some in (parts, means)]
+    sizes = [math.sqrt(moving_square(*one)) for one in zip(*squares, strict=True)]
     return [size if size > NEGLIGIBLE * max(sizes) else math.inf for size in sizes]
 
 
