@@ -211,7 +211,8 @@ class Event(ABC):
 
 
 class BranchPoint(Event):
-    """Where another branch crosses; told by the sign of det J, by the point behind it."""
+    """Where another branch crosses: t_p det J changes its sign. The step is halved as long as the
+    path is found there."""
 
     kind = "branch_point"
 
@@ -219,7 +220,25 @@ class BranchPoint(Event):
         return np.asarray(points.crossings[1:] > 0)
 
     def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
-        return ends[1]
+        before, behind = ends
+        near, far = 0.0, distance(system, before, behind)
+        side = _orientation(system, before)
+        while far - near > ARRIVED:
+            middle = 0.5 * (near + far)
+            point = step_along(system, before, middle, rtol)
+            if point is None:
+                break
+            if _orientation(system, point) == side:
+                near = middle
+            else:
+                behind, far = point, middle
+        return behind
+
+
+def _orientation(system: System, point: PathPoint) -> float:
+    """The sign of t_p det J."""
+    at = point.at or system.linearise(point.unknown, point.parameter)
+    return float(at.sign * np.sign(point.tangent.p))
 
 
 class Crossing(Event):

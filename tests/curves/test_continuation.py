@@ -601,3 +601,17 @@ def test_an_end_that_cannot_be_landed_on(monkeypatch: pytest.MonkeyPatch) -> Non
     with pytest.raises(fc.ConvergenceError, match=r"no solution at the very end at 1\.") as raised:
         fc.continue_frequency(oscillator(), 1.0, 1.3, law, **given)
     assert np.array_equal(raised.value.found.values, found.values)
+
+
+def test_branch_points_are_where_a_multiplier_is_one() -> None:
+    """A mass between two stops loses its symmetry where a multiplier of the exact motion is 1. The
+    branch point was the first point of the curve behind it, where it is up to 1.004."""
+    structure = fc.Structure.from_matrices(
+        [[1.0]], [[1.0]], [[1.0, -1.0]], force_sin=[1.0], clearance=0.5, damping=[[0.04]]
+    )
+    curve = fc.continue_frequency(structure, 0.6, 1.0, fc.UnilateralPenalty(3.0), harmonics=40)
+    points = [one for one in curve.bifurcations if one.kind == "branch_point"]
+    assert len(points) == 2
+    for point in points:
+        largest = fc.shoot(structure, point.solution).multipliers[0]
+        assert abs(largest - 1.0) < 1e-4
