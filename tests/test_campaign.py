@@ -350,7 +350,7 @@ def test_motion_that_does_not_repeat_itself_says_so(monkeypatch: pytest.MonkeyPa
         shorter.setattr("fenics_crack.balance.search.COMPILED", 1500)
         (row,) = campaign.findings(901, case)
     assert row["judgement"] == campaign.WANDERS and row["estimate"] > campaign.LARGE, row
-    assert "followed for 1000 periods, the exact motion comes back" in row["remark"]
+    assert "followed for 1000 periods of the load, the exact motion comes" in row["remark"]
     settles = campaign.draw(901, 50, "tolerance", "mass")
     tolerance = settles.tolerance
     answer = fc.solve_harmonic_balance(

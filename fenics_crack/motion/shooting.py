@@ -399,7 +399,7 @@ def recurring(
         # Where M is huge a step may be short and the motion does not close.
         if orbit is not None and orbit.residual <= KNOWN:
             return orbit, "exact orbit, by following the motion"
-    return None, _comes_back(passed)
+    return None, _comes_back(passed, subharmonic)
 
 
 def in_the_long_run(
@@ -412,7 +412,7 @@ def in_the_long_run(
     before, last = passed[-2 : -LATER - 2 : -1], passed[-1]
     there = np.linalg.norm(before - last, axis=1) <= SETTLED * np.linalg.norm(last)
     if not there.any():
-        return None, f"does not settle: {_comes_back(passed, 'it')}"
+        return None, f"does not settle: {_comes_back(passed, subharmonic, 'it')}"
     periods = (1 + int(np.argmax(there))) * subharmonic
     if periods > subharmonic:
         return None, f"settles to one that repeats itself after {periods} periods of the load"
@@ -439,8 +439,9 @@ def _followed(orbits: FlowOrbits) -> np.ndarray:
     return np.array(passed)
 
 
-def _comes_back(passed: np.ndarray, motion: str = "the exact motion") -> str:
-    """How near a motion, of states a period apart (n, 2 n_modes), came to where it had been."""
+def _comes_back(passed: np.ndarray, subharmonic: int, motion: str = "the exact motion") -> str:
+    """How near a motion, of states so many periods of the load apart (n, 2 n_modes), came to where
+    it had been."""
     found = []
     for later in range(1, min(LATER, len(passed) - 1) + 1):
         sizes = np.linalg.norm(passed[later:], axis=1)
@@ -449,7 +450,8 @@ def _comes_back(passed: np.ndarray, motion: str = "the exact motion") -> str:
     if not found:
         return f"{motion} cannot be followed for a period"
     nearest = int(np.argmin(found))
+    followed, after = (one * subharmonic for one in (len(passed) - 1, nearest + 1))
     return (
-        f"followed for {counted(len(passed) - 1, 'period')}, {motion} comes back to within "
-        f"{found[nearest]:.1%} of where it was at best, after {counted(nearest + 1, 'period')}"
+        f"followed for {counted(followed, 'period')} of the load, {motion} comes back to within "
+        f"{100.0 * found[nearest]:.2g} % of where it was at best, after {counted(after, 'period')}"
     )

@@ -1,5 +1,6 @@
 """Floquet multipliers."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -265,3 +266,18 @@ def test_orbit_far_away_is_confirmed_by_more_harmonics() -> None:
         patch.setattr("fenics_crack.balance.judgement.MOST_HARMONICS", 12)
         found = floquet(structure, replace(wrong, judged=None))
     assert found.verdict == "undecided" and "28% away" in found.reason
+
+
+def test_periods_of_a_motion_that_does_not_settle_are_the_loads() -> None:
+    """A mass between two hard stops, of whose motion every third period is looked at: what it comes
+    back to after one, two or more of these was told as after so many periods, "to within 0.0%"."""
+    structure = fc.Structure.from_matrices(
+        [[1.0]], [[1.0]], [[1.0, -1.0]], force_cos=[0.644], force_sin=[1.332], clearance=0.02127,
+        damping=[[0.6113]],
+    )  # fmt: skip
+    solution = fc.solve_harmonic_balance(
+        structure, 2.6445, fc.UnilateralPenalty(900.0), harmonics=15, subharmonic=3
+    )
+    reason = floquet(structure, solution).reason
+    words = re.search(r"for (\d+) periods of the load, .* after (\d+) periods", reason)
+    assert words is not None and int(words[1]) == 3000 and int(words[2]) % 3 == 0
