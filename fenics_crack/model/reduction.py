@@ -182,31 +182,26 @@ def _static_shapes(
 
 def _massless(structure: Structure, modes: int, *, judged: bool) -> MasslessStructure:
     """Modes and the rest without mass; its reference, by which it is judged, has twice the modes,
-    or ten more."""
-    more = min(modes + max(modes, 10), structure.n_dofs - structure.n_pairs)
-    if more <= modes:  # else something is left for every pair, without which it has mass
-        more = structure.n_dofs
-    counts = (more, modes) if judged else (modes,)
-    more = max(counts)
+    or ten more: where these leave something for every pair, without which it has mass, and no more
+    than half of what the kept ones leave; else it has all modes."""
+    twice, most = modes + max(modes, 10), structure.n_dofs - structure.n_pairs
+    more = min(twice, most) if most > modes else structure.n_dofs
     loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
     sources = sparse.hstack([structure.gap, structure.force[loaded].T]).tocsr()
     begin("factor of the stiffness")
     with Factor(structure.stiffness, definite=True) as factor:
-        found = modes_by(factor, structure, more)
-        begin("static responses")
-        squares, shapes = found.omega**2, found.shapes
-        if rigid := np.count_nonzero(squares[modes:] == 0.0):
-            allowed = f"at least {modes + rigid}: all motions as a rigid body"
-            raise InputError("modes", modes, allowed)
-        static = {
-            count: ResidualFlexibility(structure, shapes[:, :count], squares[:count], sources)
-            for count in counts
-        }
-        compliance = np.zeros((sources.shape[1],) * 2)
-        if more < structure.n_dofs:
-            compliance = static[more].compliance(factor)
+        counts = (more, modes) if judged else (modes,)
+        squares, shapes, static, compliance = _left_out(structure, factor, counts, sources)
+        if judged and more < twice and more == most:
+            here, between = slice(structure.n_pairs), slice(modes, more)
+            seen = static[more].modal[here, between]
+            told = np.sum(seen**2 / squares[between], axis=1)
+            if np.any(np.diag(compliance)[here] > told):
+                counts = (structure.n_dofs, modes)
+                squares, shapes, static, compliance = _left_out(structure, factor, counts, sources)
         for flexibility in static.values():
             flexibility.rows(_loaded_dofs(structure), factor)
+    more = max(counts)
     seen = static[more].modal.T
     force = structure.sum_over_ranks(structure.force @ shapes)
     # The amplitudes of the load's parts are unknowns whose force is S times themselves.
@@ -230,6 +225,28 @@ def _massless(structure: Structure, modes: int, *, judged: bool) -> MasslessStru
         )
     assert reference is not None
     return reference
+
+
+def _left_out(
+    structure: Structure, factor: Factor, counts: tuple[int, ...], sources: sparse.csr_matrix
+) -> tuple[np.ndarray, np.ndarray, dict[int, ResidualFlexibility], np.ndarray]:
+    """omega^2 and shapes of the most of some numbers of modes, what each number leaves out, and of
+    the most the compliance seen by the sources."""
+    most, modes = max(counts), min(counts)
+    found = modes_by(factor, structure, most)
+    begin("static responses")
+    squares, shapes = found.omega**2, found.shapes
+    if rigid := np.count_nonzero(squares[modes:] == 0.0):
+        allowed = f"at least {modes + rigid}: all motions as a rigid body"
+        raise InputError("modes", modes, allowed)
+    static = {
+        count: ResidualFlexibility(structure, shapes[:, :count], squares[:count], sources)
+        for count in counts
+    }
+    compliance = np.zeros((sources.shape[1],) * 2)
+    if most < structure.n_dofs:
+        compliance = static[most].compliance(factor)
+    return squares, shapes, static, compliance
 
 
 def _loaded_dofs(structure: Structure) -> np.ndarray:
