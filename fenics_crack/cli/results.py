@@ -201,7 +201,9 @@ def _account_of_history(run: Run[TimeHistory]) -> Account:
     distance = found.distance
     table = _quantities(run, vars(found) | {"distance": distance} | found.indicators().to_dict())
     asked = scene.integration or Integration()
-    change = f"a period changes it by {found.settled:.2g}"
+    change = "one alone does not tell"
+    if np.isfinite(found.settled):
+        change = f"a period changes it by {found.settled:.2g}"
     left = f", and it is {distance:.2g} from where it settles" if distance < 1.0 else ""
     facts = [f"The motion in time has settled after {found.periods} periods: {change}{left}."]
     warnings = []

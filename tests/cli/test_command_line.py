@@ -286,6 +286,8 @@ def test_not_converged_says_so(tmp_path: Path, capsys: pytest.CaptureFixture) ->
     assert main(words) == 3
     assert "not settled" in capsys.readouterr().err
     assert (tmp_path / "integration.h5").exists()
+    assert main([*words, "--set", "integration.periods=1"]) == 3
+    assert "1 of 1 periods: one alone does not tell;" in capsys.readouterr().err
 
 
 def test_help_and_version(capsys: pytest.CaptureFixture) -> None:
