@@ -56,8 +56,8 @@ from fenics_crack.numerics.equations import EPSILON, ROUNDING
 __all__ = [
     "KEPT", "REGULAR", "ActiveSets", "ContactLaw", "SmoothedPenalty", "UnilateralConstraint",
     "UnilateralPenalty", "by_least_squares", "check_law", "gauss", "is_piecewise_linear",
-    "is_regular", "is_rigid", "is_unilateral", "smooth_forces", "solve_complementarity",
-    "solve_forces",
+    "is_regular", "is_rigid", "is_unilateral", "potential", "smooth_forces",
+    "solve_complementarity", "solve_forces",
 ]  # fmt: skip
 
 
@@ -202,6 +202,13 @@ def gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Gauss's nodes between 0 and 1, and their weights: for means of forces between two gaps."""
     nodes, weights = np.polynomial.legendre.leggauss(count)
     return 0.5 + 0.5 * nodes, 0.5 * weights
+
+
+def potential(contact: ContactLaw, gap: np.ndarray) -> np.ndarray:
+    """V(g), the integral of lambda from 0, by Gauss's rule: (..., n_pairs) [J]."""
+    nodes, weights = gauss(32)
+    forces = contact.force(np.multiply.outer(nodes, gap))
+    return np.asarray(gap * np.tensordot(weights, forces, 1))
 
 
 def is_rigid(contact: object) -> TypeGuard[UnilateralConstraint]:

@@ -53,6 +53,7 @@ from fenics_crack.model.contact import (
     check_law,
     is_piecewise_linear,
     is_rigid,
+    potential,
     solve_complementarity,
 )
 from fenics_crack.model.factor import weighted_sum
@@ -186,8 +187,8 @@ class _ContactEnergy:
         load, gap, force, motion = parts
         self._created -= 0.5 * float(np.sum(force[1:-1] * (gap[2:] - gap[:-2])))
         if not self._asked.rigid:
-            stored = 0.25 * (gap * force).sum(axis=1)
-            self._created += stored[-2:].sum() - stored[:2].sum()
+            before, after = (potential(self._asked.contact, ends) for ends in (gap[:2], gap[-2:]))
+            self._created += 0.5 * float(after.sum() - before.sum())
         work = np.array([0.5 * np.sum(load[1:-1] * (motion[2:] - motion[:-2]))])
         self._put_in += abs(float(self._asked.structure.sum_over_ranks(work)[0]))
         return self._created, self._put_in

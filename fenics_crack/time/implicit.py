@@ -61,7 +61,13 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.errors import InputError, check_number
-from fenics_crack.model.contact import ContactLaw, gauss, solve_complementarity, solve_forces
+from fenics_crack.model.contact import (
+    ContactLaw,
+    gauss,
+    potential,
+    solve_complementarity,
+    solve_forces,
+)
 from fenics_crack.model.factor import factored_sum, weighted_sum
 from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import Structure
@@ -292,7 +298,7 @@ class _GeneralisedAlpha(LoopedSteps):
         """Energy of the motion, and of the law's springs [J]."""
         energy = self._linear_energy(self._velocity[: self.structure.n_local])
         if not self.rigid:
-            energy += float(_potential(self.contact, self._measured(self.displacement)).sum())
+            energy += float(potential(self.contact, self._measured(self.displacement)).sum())
         return energy
 
     def _dissipated(self, velocity: np.ndarray) -> float:
@@ -322,12 +328,6 @@ class _GeneralisedAlpha(LoopedSteps):
         return found
 
 
-def _potential(contact: ContactLaw, gap: np.ndarray) -> np.ndarray:
-    """V(g), the integral of lambda from 0, by Gauss's rule: (n_pairs,) [J]."""
-    nodes, weights = gauss(8)
-    return gap * (weights @ contact.force(nodes[:, None] * gap))
-
-
 def _mean_force(
     contact: ContactLaw, start: np.ndarray, end: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -342,7 +342,7 @@ def _mean_force(
     crosses = start * end < 0.0
     if np.any(crosses):
         length = np.where(crosses, change, 1.0)
-        split = (_potential(contact, end) - _potential(contact, start)) / length
+        split = (potential(contact, end) - potential(contact, start)) / length
         mean = np.where(crosses, split, mean)
         slope = np.where(crosses, (contact.force(end) - split) / length, slope)
     return mean, slope

@@ -395,3 +395,22 @@ def test_a_stopped_run_loses_nothing(
     (tmp_path / "other.h5").write_text("no history")
     with pytest.raises(fc.InputError, match="path"):
         fc.load(tmp_path / "other.h5", structure)
+
+
+def test_created_energy_of_a_smoothed_law() -> None:
+    """It stores another energy than half of force times gap, by which 3e-3 of the energy put in was
+    told to be created whatever the step: like dt^2, too."""
+    structure = fc.Structure.from_matrices(
+        [[1.0]], [[1.0]], [1.0], force_sin=[1.0], clearance=0.1, damping=[[0.1]]
+    )
+    counts: list[int] = [400, 800, 1600]
+    created = []
+    for steps in counts:
+        histories = [
+            fc.integrate_central_difference(
+                structure, 1.1, fc.SmoothedPenalty(4.0, 30.0), periods=4, steps_per_period=count
+            )
+            for count in range(steps, steps + 7)
+        ]
+        created.append(np.mean([one.created_energy**2 for one in histories]) ** 0.5)
+    assert log_slope(counts, created) == pytest.approx(-2.0, abs=0.2)
