@@ -233,7 +233,8 @@ def _response(modes: AllModes, omega: float, force: np.ndarray) -> np.ndarray:
         singular = bool(np.any(np.abs(impedance[loaded]) <= 1e-15 * size[loaded]))
         if omega == 0.0 and modes.unconstrained:
             singular |= bool(np.any(loaded & (np.abs(modes.squares) <= 1e-12 * modes.squares[-1])))
-        found = np.divide(force, impedance, out=np.zeros_like(force), where=loaded)
+        known = loaded & (impedance != 0.0)
+        found = np.divide(force, impedance, out=np.zeros_like(force), where=known)
     if singular:
         raise ConvergenceError(
             f"exponential: at {omega:g} rad/s the load is on an undamped resonance, or moves the "

@@ -236,3 +236,11 @@ def test_settled_march_is_the_balanced_orbit(soft_plate: fc.Structure) -> None:
     solution = fc.solve_harmonic_balance(structure, 2000.0, RIGID, harmonics=80)
     assert relative(history.gap, solution.gap(history.time)) < 1e-3
     assert relative(history.displacement([5]), solution.displacement(history.time, [5])) < 1e-3
+
+
+@pytest.mark.filterwarnings("error")
+def test_an_undamped_resonance_is_refused_without_warnings() -> None:
+    """No steady response is divided by zero before that is said."""
+    structure = fc.Structure.from_matrices([[1.0]], [[1.0]], [1.0], force_sin=[1.0], clearance=9.0)
+    with pytest.raises(fc.ConvergenceError, match="on an undamped resonance"):
+        fc.integrate_exponential(structure, 1.0, fc.UnilateralPenalty(3.0), periods=2)
