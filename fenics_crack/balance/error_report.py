@@ -43,7 +43,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import KNOWN
 from fenics_crack.numerics.equations import NEARLY_SOLVED
 from fenics_crack.numerics.fourier import resized, sampled
-from fenics_crack.numerics.newton import solve_near
+from fenics_crack.numerics.newton import moving_square, solve_near
 from fenics_crack.table import Described
 
 __all__ = [
@@ -87,8 +87,8 @@ class ErrorReport(Described):
         Penetration that the contact law lets happen; not an error of the solution of that law.
     displacement : float
         Of the displacement at the load, in the direction of what vibrates of it, relative to the
-        root mean square of its motion about the mean: truncation and reduction. Usually much
-        smaller than those of the gap.
+        root mean square of that, to which its mean contributes no more than all else: truncation
+        and reduction. Usually much smaller than those of the gap.
     """
 
     residual: float = 0.0
@@ -204,13 +204,12 @@ def _of_displacement(
     at: ContactPoint, displacement: np.ndarray, problem: Problem, changes: list[_Change]
 ) -> float:
     """Change of the displacement at the load, in the direction of each of its parts that vibrates,
-    relative to the root mean square of its motion: the sum of all causes."""
+    relative to its root mean square, to which its mean contributes no more than all else: the sum
+    of all causes."""
     structure, seen = problem.structure, seen_parts(problem.structure)
     known = structure.sum_over_ranks(displacement @ structure.force[seen].T)
-    still, total = mean_square(known), 0.0
-    moving = still - float(np.sum(known[0] ** 2))
-    size = moving if moving > NEGLIGIBLE**2 * still else still
-    if not size > 0.0:
+    size, total = moving_square(mean_square(known), float(np.sum(known[0] ** 2))), 0.0
+    if not known.any():
         return 0.0
     for change in changes:
         if change.better is None:
