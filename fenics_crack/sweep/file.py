@@ -71,7 +71,7 @@ def of_load(quantity: str) -> str:
     return "response" if quantity == "amplitude" else quantity
 
 
-MODES = range(1, FEW_MODES + 1)
+NUMBERED = range(1, FEW_MODES + 1)
 """Numbers of the modes whose natural frequencies are kept of each case."""
 NATURAL = {
     f"omega_{lips}_{mode}": (words.format(mode), "rad/s")
@@ -80,7 +80,7 @@ NATURAL = {
         ("tied", "natural frequency {}, lips tied"),
         ("bilinear", "bilinear frequency of open mode {}"),
     )
-    for mode in MODES
+    for mode in NUMBERED
 }
 """Their words and unit."""
 AT_POINTS = {name: unit for name, (_, unit) in OF_POINTS.items() if name != "ratio_half_1"}
@@ -110,7 +110,7 @@ COLUMNS: dict[str, tuple[str, str]] = {
 }
 """Unit and type of what is kept of each case beside its state and what is seen at points."""
 LATER = (
-    "ratio_largest", "largest_order", "crack_force", *(f"omega_bilinear_{n}" for n in MODES),
+    "ratio_largest", "largest_order", "crack_force", *(f"omega_bilinear_{n}" for n in NUMBERED),
 )  # fmt: skip
 """Quantities that older files do not have, where they are nan."""
 WAVES = {"gap": "m", "force": "N"}

@@ -38,7 +38,7 @@ from fenics_crack.study.key_figures import damping_ratios
 from fenics_crack.study.prepare import prepare
 from fenics_crack.study.run import solve
 from fenics_crack.study.stated_errors import stated_errors
-from fenics_crack.sweep.file import MODES
+from fenics_crack.sweep.file import NUMBERED
 from fenics_crack.sweep.result import UNSOUGHT, SweepResult, resonates, run_sweep
 from fenics_crack.table import TURN, Tabular, counted, with_frequency
 
@@ -491,7 +491,9 @@ class LengthPath:
         rows["response"] = np.nan_to_num(rows["response"])  # nan where nothing moves
         new, leading = _driving(rows, law, cycles)
         one, two = (
-            np.array([table[f"omega_{lips}_{n}"].reshape(len(swept), -1)[solved, 0] for n in MODES])
+            np.array(
+                [table[f"omega_{lips}_{n}"].reshape(len(swept), -1)[solved, 0] for n in NUMBERED]
+            )
             for lips in ("open", "bilinear")
         )
         mode = self.mode  # that of the first length, whichever is nearest later on
