@@ -258,9 +258,10 @@ def smoothed(values: np.ndarray) -> np.ndarray:
 def check_turns(name: str, turns: np.ndarray, first: int = 0) -> None:
     """Raise InputError where the durations of revolutions (n,) [s] show that a mark was missed, or
     another signal taken for one: no rotor turns so unevenly."""
-    from scipy.ndimage import median_filter
-
-    around = median_filter(turns, 2 * EITHER_SIDE + 1, mode="nearest")
+    padded = np.pad(turns, EITHER_SIDE, mode="edge")
+    around = np.median(
+        np.lib.stride_tricks.sliding_window_view(padded, 2 * EITHER_SIDE + 1), axis=1
+    )
     wrong = np.abs(np.log(turns / around)) > np.log(UNEVEN)
     if np.any(wrong):
         at = int(np.argmax(wrong))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import errno
+import fcntl
 import os
 import re
 import shutil
@@ -678,9 +679,12 @@ class Run:
             time.sleep(0.05)  # each look starts a reader
 
     def kill(self) -> None:
-        """End it at once, with all of its ranks."""
+        """End it at once, with all of its ranks, and wait until these have let go of the file."""
         pids = [int(file.read_text()) for file in self._pids if file.exists()]
         kill(self.process, pids)
+        if self.path.exists():
+            with self.path.open("rb") as file:
+                fcntl.flock(file, fcntl.LOCK_EX)
 
 
 @pytest.fixture(scope="module")
