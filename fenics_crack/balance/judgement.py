@@ -27,7 +27,6 @@ flow tells by how much these change; its orbit from there, exactly.
 
 from __future__ import annotations
 
-import math
 from dataclasses import fields
 from functools import cached_property
 
@@ -52,7 +51,7 @@ from fenics_crack.motion.orbit import (
 )
 from fenics_crack.motion.shooting import PARTS, Patience, orbit_next_to, predicted, wave_states
 from fenics_crack.numerics.fourier import waves
-from fenics_crack.numerics.newton import moving_square
+from fenics_crack.numerics.newton import moving_size
 
 __all__ = [
     "BELIEVED", "FARTHEST", "NO_DOUBT", "UNKNOWN", "Judgement", "MoreModes", "more_modes",
@@ -399,11 +398,8 @@ def relative(change: np.ndarray, whole: np.ndarray) -> float:
 
 def relative_to_motion(change: np.ndarray, whole: np.ndarray) -> float:
     """Size of a change of a motion in time (n, k) relative to that of the whole, to which its means
-    contribute no more than all else (:func:`moving_square`): a steady load does not make errors
-    small."""
-    means = len(whole) * float(np.sum(whole.mean(axis=0) ** 2))
-    square = moving_square(float(np.sum(whole**2)), means)
-    return float(np.linalg.norm(change)) / math.sqrt(square) if whole.any() else 0.0
+    contribute no more than all else: a steady load does not make errors small."""
+    return float(np.linalg.norm(change)) / moving_size(whole) if whole.any() else 0.0
 
 
 def more_modes(judged: Judgement) -> MoreModes | None:

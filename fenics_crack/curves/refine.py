@@ -100,15 +100,15 @@ def refine_curve(curve: ResponseCurve, between: int | None = None) -> ResponseCu
     whole = curve.equations(int(curve.harmonics[0]))
     parameters = np.array([whole.parameter(value) for value in curve.values])
     flat = curve.unknowns.reshape(len(curve), -1)
-    sizes = np.array([norm_at(whole, row)[0] ** -0.5 for row in flat])
-    size = float(sizes.mean())
+    norms = [Tangent(row, 0.0, *norm_at(whole, row)) for row in flat]
+    size = float(np.mean([one.weight**-0.5 for one in norms]))
     place = np.hstack([flat / size, parameters[:, None]])
     # Equal neighbours would have no distance.
     distance = np.maximum(np.linalg.norm(np.diff(place, axis=0), axis=1), 1e-12)
     along = np.concatenate([[0.0], np.cumsum(distance)])
     added = np.full(len(distance), between or 0)
     if between is None:
-        added = _for_a_picture(flat, sizes, parameters)
+        added = _for_a_picture(whole, norms, parameters)
     spline, points = CubicSpline(along, place), list[CurvePoint]()
     for index, more in enumerate(added):
         points.append(curve.point(index))
@@ -138,12 +138,14 @@ def _split(place: np.ndarray, family: Family) -> tuple[np.ndarray, float]:
     return place[:-1].reshape(-1, pairs)[:rows], float(place[-1])
 
 
-def _for_a_picture(flat: np.ndarray, sizes: np.ndarray, parameter: np.ndarray) -> np.ndarray:
+def _for_a_picture(system: Family, norms: list[Tangent], parameter: np.ndarray) -> np.ndarray:
     """How many points a picture needs between each two of n, (n-1,), by their distance relative to
-    the range of the frequencies and to the sizes of the solutions there (n,)."""
-    larger = np.maximum(sizes[1:], sizes[:-1])
-    change = np.linalg.norm(np.diff(flat, axis=0), axis=1) / larger
-    distance = np.hypot(change, np.diff(parameter))
+    the range of the frequencies, and in the norm of the larger one of the solutions there."""
+    squares = []
+    for ends in pairwise(norms):
+        larger, change = min(ends, key=lambda one: one.weight), ends[1].x - ends[0].x
+        squares.append(larger.product(system, change, change))
+    distance = np.hypot(np.sqrt(squares), np.diff(parameter))
     return np.maximum(np.ceil(distance * SPREAD).astype(int) - 1, 0)
 
 

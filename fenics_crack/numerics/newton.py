@@ -31,6 +31,7 @@ Sources: those of :mod:`path`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -46,9 +47,9 @@ from fenics_crack.numerics.equations import EPSILON, Linearisation, System, equa
 
 __all__ = [
     "FORCING", "FULL_STEPS", "MAX_ITERATIONS", "MIN_DAMPING", "PATIENCE", "STRAY", "Newton",
-    "PathPoint", "Tangent", "correct", "distance", "gmres", "kernel_solves", "moving_square",
-    "norm_at", "point_on_path", "solve_at", "solve_in_plane", "solve_near", "step_along",
-    "tangent_of",
+    "PathPoint", "Tangent", "correct", "distance", "gmres", "kernel_solves", "moving_size",
+    "moving_square", "norm_at", "point_on_path", "solve_at", "solve_in_plane", "solve_near",
+    "step_along", "tangent_of",
 ]  # fmt: skip
 
 SELF = PETSc.COMM_SELF
@@ -296,6 +297,12 @@ def moving_square(whole: float, means: float) -> float:
     more than all else."""
     moving = max(whole - means, EPSILON**0.5 * whole)
     return max(moving + min(means, moving), 1e-300)
+
+
+def moving_size(motion: np.ndarray) -> float:
+    """The size of a motion in time (n, k), over all of that, likewise."""
+    means = len(motion) * float(np.sum(motion.mean(axis=0) ** 2))
+    return math.sqrt(moving_square(float(np.sum(motion**2)), means))
 
 
 def norm_at(system: System, unknown: np.ndarray) -> tuple[float, float]:

@@ -38,7 +38,7 @@ from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import NEGLIGIBLE, damped_modes, times
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.numerics.fourier import balanced, derivative, evaluate, waves
-from fenics_crack.numerics.newton import moving_square
+from fenics_crack.numerics.newton import moving_size
 from fenics_crack.parallel import StopRequest, raise_together
 from fenics_crack.stages import begin
 from fenics_crack.table import Tabular, counted
@@ -464,9 +464,7 @@ def _sizes(parts: Sequence[np.ndarray]) -> list[float]:
     """Of what moves of parts of a motion, (N, m) each over a period: a clearance or a steady load
     may make means as large as they like. Infinite, so that no change of it counts, where a part is
     rounding beside the largest one, as the gaps of rigid lips that stay closed."""
-    means = [np.broadcast_to(one.mean(axis=0), one.shape) for one in parts]
-    squares = [[float(np.sum(one**2)) for one in some] for some in (parts, means)]
-    sizes = [math.sqrt(moving_square(*one)) for one in zip(*squares, strict=True)]
+    sizes = [moving_size(part) for part in parts]
     return [size if size > NEGLIGIBLE * max(sizes) else math.inf for size in sizes]
 
 

@@ -79,6 +79,7 @@ def test_a_crack_that_rotation_holds_open() -> None:
         found = fc.curve(blade(CURVE | {"stability": False}).replace(still), MPI.COMM_SELF).result
         assert found.complete and len(found) < 200
         assert found.indicators().closed_share.max() == 0.0
+        assert len(fc.refine_curve(found)) < 5 * len(found)  # for a picture
         peaks.append(found.peak())
     assert peaks[1].amplitude == pytest.approx(10.0 * peaks[0].amplitude, rel=1e-3)
     assert peaks[1].damping == pytest.approx(peaks[0].damping, rel=1e-2)
