@@ -548,7 +548,7 @@ class StressIntensity(Tabular):
     two: np.ndarray
     _run: Run[Any] = field(compare=False)
 
-    @property
+    @cached_property
     def numbers(self) -> Mapping[str, np.ndarray]:
         """Each tip's K_max, K_min, delta_K, delta_K_effective and K_II_max: (n_tips,) [Pa m^1/2].
 
