@@ -21,7 +21,7 @@ the exact motion is after 3, 10, 30 and 100 periods, and to solutions with two a
 harmonics. An orbit is the
 answer's own within three times the estimate, or within three times one Newton step of the whole
 wave (``pred``). The error is the distance of the gaps from that orbit of the same reduced
-structure, relative to B^T u. Of a verdict: the modulus of the exact leading multiplier, and for
+structure, relative to what of B^T u moves. Of a verdict: the exact leading multiplier, and for
 "stable" the exact motion that begins with the answer. Of a bifurcation: that the number of exact
 multipliers outside the unit circle changes along the curve within 1 % of its frequency. Of a
 backbone's point: the nearest free motion at rest at t = 0, of any period; the larger of both
@@ -64,7 +64,7 @@ from pathlib import Path
 import common
 import numpy as np
 from campaign_cases import FAMILIES, KINDS, Case, draw, family_of
-from reference_flow import NoOrbit, Orbit, ReferenceFlow, predicted
+from reference_flow import NoOrbit, Orbit, ReferenceFlow, predicted, size_of_motion
 
 import fenics_crack as fc
 
@@ -184,10 +184,9 @@ def estimate(found: fc.PeriodicSolution) -> float:
 
 
 def distance(found: fc.PeriodicSolution, orbit: Orbit) -> float:
-    """Of the gaps over the period, relative to B^T u."""
+    """Of the gaps over the period, relative to what of B^T u moves."""
     times = np.arange(len(orbit.gap)) * found.period / len(orbit.gap)
-    closing = orbit.gap + found.structure.clearance
-    size = max(float(np.linalg.norm(closing)), 1e-300)
+    size = size_of_motion(orbit.gap + found.structure.clearance)
     return float(np.linalg.norm(found.gap(times) - orbit.gap)) / size
 
 
@@ -418,7 +417,7 @@ def _with_more_modes(
     better, apart = exact_orbit(case, near)
     if better is None or max(off, apart) > max(LARGE, TIMES * estimate(found)):
         return None
-    size = float(np.linalg.norm(better.gap + whole.clearance))
+    size = size_of_motion(better.gap + whole.clearance)
     return float(np.linalg.norm(better.gap - orbit.gap)) / size, distance(found, better)
 
 
@@ -572,7 +571,7 @@ def free_motion(case: Case, found: fc.PeriodicSolution) -> Finding:
             break
         if np.linalg.norm(left) < 1e-9 * size:
             gap = flow.advance(state, omega, 0.0, period, 512).gap
-            apart = np.linalg.norm(wave - gap) / np.linalg.norm(gap + free.clearance)
+            apart = np.linalg.norm(wave - gap) / size_of_motion(gap + free.clearance)
             row.true = max(float(apart), abs(period / found.period - 1.0))
             good = row.true <= max(TIMES * row.estimate, ROUNDING)
             row.judgement = RIGHT if good else TOO_LARGE if row.estimate > LARGE else WRONG

@@ -547,6 +547,15 @@ class SmoothFlow(ReferenceFlow):
         return found
 
 
+def size_of_motion(motion: np.ndarray) -> float:
+    """Norm of a motion at equal times (n, k), to which its means contribute no more than what is
+    left of it without them."""
+    mean = motion.mean(axis=0)
+    moving, still = float(np.linalg.norm(motion - mean)), float(np.linalg.norm(mean))
+    still *= float(np.sqrt(len(motion)))
+    return max(float(np.hypot(moving, min(moving, still))), 1e-300)
+
+
 def predicted(flow: ReferenceFlow, found: fc.PeriodicSolution, nodes: int = 32) -> float:
     """How far one Newton step of the whole wave moves a solution, relative to B^T Phi q.
 
@@ -568,4 +577,4 @@ def predicted(flow: ReferenceFlow, found: fc.PeriodicSolution, nodes: int = 32) 
         moved.append(tangent @ moved[-1] + defect)
     half, pairs = size // 2, flow.system.pairs
     change, whole = np.array(moved)[:, :half] @ pairs, states[:, :half] @ pairs
-    return float(np.linalg.norm(change) / np.linalg.norm(whole))
+    return float(np.linalg.norm(change)) / size_of_motion(whole)

@@ -243,6 +243,14 @@ def evaluate(rows: np.ndarray, omega: float, time: np.ndarray) -> np.ndarray:
     return rows[0] + np.cos(phase) @ rows[1::2] + np.sin(phase) @ rows[2::2]
 
 
+def size_of_motion(motion: np.ndarray) -> float:
+    """Norm of a motion at equal times, in rows, to which its means contribute no more than what is
+    left of it without them."""
+    moving = np.linalg.norm(motion - motion.mean(axis=0))
+    means = np.linalg.norm(motion.mean(axis=0)) * np.sqrt(len(motion))
+    return float(np.hypot(moving, min(moving, means)))
+
+
 def to_complex(rows: np.ndarray) -> np.ndarray:
     """a0, a1 - i b1, ... of coefficients a0, a1, b1, ...."""
     return np.concatenate([rows[:1], rows[1::2] - 1j * rows[2::2]])
@@ -272,12 +280,12 @@ def log_slope(sizes: Any, errors: Any) -> float:
 
 
 def true_error(found: fc.PeriodicSolution, exact: fc.PeriodicSolution) -> float:
-    """Root mean square of the gaps' difference relative to that of B^T u, by coefficients."""
+    """Root mean square of the gaps' difference relative to what of B^T u moves, by coefficients."""
     harmonics = max(found.harmonics, exact.harmonics)
     one, two = (resized(s.gap_coefficients, harmonics) for s in (found, exact))
-    closing = two.copy()
-    closing[0] += exact.structure.clearance
-    return float(np.sqrt(mean_square(one - two) / mean_square(closing)))
+    means = float(np.sum((two[0] + exact.structure.clearance) ** 2))
+    moving = mean_square(two) - float(np.sum(two[0] ** 2))
+    return float(np.sqrt(mean_square(one - two) / (moving + min(moving, means))))
 
 
 # --- a Duffing oscillator with one harmonic or more -----------------------------------------------

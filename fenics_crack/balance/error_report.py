@@ -16,7 +16,8 @@ flow is not at hand it, and reduction where pairs are seen through a static comp
 the larger basis. Where it does not settle the error is not known, which an estimate of 1 or more
 says.
 
-All are root mean squares over the period and the pairs, relative to that of B^T u.
+All are root mean squares over the period and the pairs, relative to that of B^T u, to which its
+means contribute no more than all else.
 
 Source of the test of the second step: Deuflhard, Newton Methods for Nonlinear Problems, 2004,
 section 2.1.1, with the monitor |simplified step| / |step|.
@@ -54,6 +55,7 @@ __all__ = [
     "beyond_truncation",
     "estimate_errors",
     "mean_square",
+    "moving_mean_square",
     "of_no_solution",
     "relative_size",
 ]
@@ -68,7 +70,8 @@ of a tolerance is left to it where fewer harmonics may do."""
 
 @dataclass(frozen=True, repr=False)
 class ErrorReport(Described):
-    """Estimated errors of the gap, relative to the root mean square of B^T u.
+    """Estimated errors of the gap, relative to the root mean square of B^T u, to which its means
+    contribute no more than all else.
 
     An estimate of 1 says that the error is not known: the better equations that it is judged by
     were not solved, or lead to another motion.
@@ -86,9 +89,8 @@ class ErrorReport(Described):
     penetration : float
         Penetration that the contact law lets happen; not an error of the solution of that law.
     displacement : float
-        Of the displacement at the load, in the direction of what vibrates of it, relative to the
-        root mean square of that, to which its mean contributes no more than all else: truncation
-        and reduction. Usually much smaller than those of the gap.
+        Of the displacement at the load, in the direction of what vibrates of it, likewise relative
+        to its own: truncation and reduction. Usually much smaller than those of the gap.
     """
 
     residual: float = 0.0
@@ -112,7 +114,8 @@ class ErrorReport(Described):
 
     def _title(self) -> str:
         return ", ".join(
-            f"{name} {value:.2g}" + (" (unknown)" if value >= UNKNOWN else "")
+            f"{name} {value:.2g}"
+            + (" (unknown)" if value >= UNKNOWN and name != "penetration" else "")
             for name, value in self.to_dict().items()
         )
 
@@ -208,7 +211,7 @@ def _of_displacement(
     of all causes."""
     structure, seen = problem.structure, seen_parts(problem.structure)
     known = structure.sum_over_ranks(displacement @ structure.force[seen].T)
-    size, total = moving_square(mean_square(known), float(np.sum(known[0] ** 2))), 0.0
+    size, total = moving_mean_square(known), 0.0
     if not known.any():
         return 0.0
     for change in changes:
@@ -227,14 +230,14 @@ def _of_displacement(
 
 
 def relative_size(change: np.ndarray, at: ContactPoint, clearance: np.ndarray) -> float:
-    """Root mean square of a change of the gap relative to that of B^T u = g + g0; 0 where this is
-    rounding, beside what it would be without contact."""
+    """Root mean square of a change of the gap relative to what moves of B^T u = g + g0; 0 where
+    this is rounding, beside what it would be without contact."""
     closing, free = at.gap.copy(), at.system.compliance.linear_gap.copy()
     closing[0] += clearance
     free[0] += clearance
-    size = mean_square(closing)
-    still = size <= NEGLIGIBLE**2 * mean_square(free)  # lips that the load presses together
-    return 0.0 if still else float(np.sqrt(mean_square(change) / size))
+    rounding = NEGLIGIBLE**2 * mean_square(free)
+    still = mean_square(closing) <= rounding  # lips that the load presses together
+    return 0.0 if still else math.sqrt(mean_square(change) / moving_mean_square(closing))
 
 
 def beyond_truncation(at: ContactPoint) -> _Change:
@@ -329,3 +332,9 @@ def _penetration(at: ContactPoint) -> np.ndarray:
 def mean_square(coefficients: np.ndarray) -> float:
     """Mean over the period of the sum of squares (Parseval), rows a0, a1, b1, ...."""
     return float(np.sum(coefficients[:1] ** 2) + 0.5 * np.sum(coefficients[1:] ** 2))
+
+
+def moving_mean_square(coefficients: np.ndarray) -> float:
+    """The same, to which means contribute no more than all else; never zero."""
+    moving, means = 0.5 * np.sum(coefficients[1:] ** 2), np.sum(coefficients[0] ** 2)
+    return moving_square(float(moving), float(means))

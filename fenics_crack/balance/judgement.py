@@ -52,10 +52,11 @@ from fenics_crack.motion.orbit import (
 from fenics_crack.motion.shooting import PARTS, Patience, orbit_next_to, predicted, wave_states
 from fenics_crack.numerics.fourier import waves
 from fenics_crack.numerics.newton import moving_size
+from fenics_crack.table import percent
 
 __all__ = [
     "BELIEVED", "FARTHEST", "NO_DOUBT", "UNKNOWN", "Judgement", "MoreModes", "more_modes",
-    "relative",
+    "relative", "relative_to_motion",
 ]  # fmt: skip
 
 BELIEVED, FARTHEST, FAR = 3.0, 0.1, 0.3
@@ -232,7 +233,7 @@ class Judgement:
             return 0.0
         samples, wave = orbit.sampled, self.wave
         moved = samples.gap + wave.structure.clearance
-        return relative(samples.gap - wave.gap(samples.time), moved)
+        return relative_to_motion(samples.gap - wave.gap(samples.time), moved)
 
     @property
     def still(self) -> bool:
@@ -335,16 +336,17 @@ def _reason(judged: Judgement) -> str:
     if judged.orbit is None and judged.prediction < FAR:
         return "no exact orbit was found next to it; with more harmonics one may be"
     if judged.orbit is None:
-        size = f"{judged.prediction:.0%}" if judged.prediction < UNKNOWN else "more than its size"
+        known = judged.prediction < UNKNOWN
+        size = percent(judged.prediction) if known else "more than its size"
         return f"the harmonics left out change it by {size}; take more"
     if judged.believes(judged.distance):
         return (
-            f"the exact orbit next to it, {100.0 * judged.distance:.2g}% away, may be another "
+            f"the exact orbit next to it, {percent(judged.distance)} away, may be another "
             "motion's; take more harmonics"
         )
     return (
-        f"the exact orbit next to it is another one, {100.0 * judged.distance:.2g}% away where "
-        f"{100.0 * judged.prediction:.2g}% were predicted; more harmonics tell these apart"
+        f"the exact orbit next to it is another one, {percent(judged.distance)} away where "
+        f"{percent(judged.prediction)} were predicted; more harmonics tell these apart"
     )
 
 
@@ -516,9 +518,9 @@ class MoreModes:
         return self._of_gap(self._gap(self.predicted.states) - gap, gap), at_load
 
     def _of_gap(self, change: np.ndarray, gap: np.ndarray) -> float:
-        """A change relative to B^T u; 0 where that is rounding."""
+        """A change relative to what moves of B^T u; 0 where that is rounding."""
         clearance = self._judged.wave.structure.clearance
-        return 0.0 if self._judged.still else relative(change, gap + clearance)
+        return 0.0 if self._judged.still else relative_to_motion(change, gap + clearance)
 
     @cached_property
     def orbit(self) -> PeriodicOrbit | None:

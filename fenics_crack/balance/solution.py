@@ -185,8 +185,8 @@ class Stability(Described):
     refined : bool
         Whether these are the multipliers of an exact orbit.
     distance : float
-        From the solution to this orbit, in the gaps over the period, relative to B^T u as the
-        estimated errors are: what the error was found to be. nan: no orbit.
+        From the solution to this orbit, in the gaps over the period, relative to what moves of
+        B^T u as the estimated errors are: what the error was found to be. nan: no orbit.
     reason : str
         Why nothing is decided; "" where it is.
     """

@@ -49,7 +49,13 @@ import numpy as np
 from tqdm import tqdm
 
 from fenics_crack.balance.contact_integrals import contact_integrals
-from fenics_crack.balance.error_report import SLIGHT, UNKNOWN, ErrorReport, mean_square
+from fenics_crack.balance.error_report import (
+    SLIGHT,
+    UNKNOWN,
+    ErrorReport,
+    mean_square,
+    moving_mean_square,
+)
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.free_motion import (
     ELSEWHERE,
@@ -188,12 +194,11 @@ class Backbone(Tabular):
         )  # fmt: skip
         wave = np.zeros((2 * harmonics + 1, self.structure.n_pairs))
         wave[motion.rows] = z @ motion.gap_rows
-        size, truncation = mean_square(wave), UNKNOWN
+        size, truncation = moving_mean_square(wave), UNKNOWN
         if found is not None:
             change = found.unknown - start
             wave[motion.rows] = change[:-1].reshape(z.shape) @ motion.gap_rows
-            moved = math.sqrt(mean_square(wave) / size) if size > 0.0 else 0.0
-            truncation = min(moved, UNKNOWN)
+            truncation = min(math.sqrt(mean_square(wave) / size), UNKNOWN)
         residual = float(np.linalg.norm(known) / np.linalg.norm(start))
         return ErrorReport(residual, truncation, math.nan, math.nan, math.nan)
 

@@ -30,7 +30,7 @@ from itertools import pairwise
 import numpy as np
 import scipy.optimize
 
-from fenics_crack.balance.judgement import BELIEVED, FARTHEST, NO_DOUBT, relative
+from fenics_crack.balance.judgement import BELIEVED, FARTHEST, NO_DOUBT, relative_to_motion
 from fenics_crack.curves.beginnings import chord
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.family import Family
@@ -209,7 +209,7 @@ class _Judge:
     def _off(self, wave: np.ndarray, unknown: np.ndarray, parameter: float) -> float:
         """How far the gaps of a point are from those of an orbit, relative."""
         gap = self.system.gap(unknown, parameter, len(wave))
-        return relative(gap - wave, gap + self._curve.structure.clearance)
+        return relative_to_motion(gap - wave, gap + self._curve.structure.clearance)
 
     def _is_own(self, node: Node, place: int, off: float) -> bool:
         """Whether a solution is judged by a node's orbit."""

@@ -51,6 +51,7 @@ from fenics_crack.motion.flow import exact_flow
 from fenics_crack.motion.orbit import FORMED, KNOWN, PeriodicOrbit, eigenvalues, find_orbit
 from fenics_crack.motion.shooting import LATER, FlowOrbits, in_the_long_run, orbit_next_to
 from fenics_crack.numerics.fourier import resized, sampled, to_complex
+from fenics_crack.table import percent
 from fenics_crack.time.march import initial_state
 
 __all__ = [
@@ -396,7 +397,7 @@ def _from_it(judged: Judgement) -> str:
     flow, wave = judged.flow, judged.wave
     assert flow is not None
     orbit, does = in_the_long_run(flow, wave.omega, judged.states[0], wave.subharmonic)
-    away = "" if orbit is None else f" {100.0 * judged.to(orbit):.2g}% away"
+    away = "" if orbit is None else f" {percent(judged.to(orbit))} away"
     return f"the exact motion that begins with it {does}{away}"
 
 

@@ -41,7 +41,7 @@ from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import kernel
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples, Track
 from fenics_crack.numerics.equations import CLOSE, LOCATED
-from fenics_crack.numerics.newton import FORCING, gmres
+from fenics_crack.numerics.newton import FORCING, gmres, moving_size
 from fenics_crack.table import Described, counted
 
 __all__ = [
@@ -289,8 +289,8 @@ def predict(
     inverse = _inverse(flow, track, flow.weights(omega / subharmonic))
     changes = track.carried(inverse(change, FORCING), excess, ends)[:-1]
     count = flow.size // 2
-    size = float(np.linalg.norm(states[:, :count] @ flow.modes.pairs))
-    error = float(np.linalg.norm(changes[:, :count] @ flow.modes.pairs)) / (size or 1.0)
+    gap, moved = states[:, :count] @ flow.modes.pairs, changes[:, :count] @ flow.modes.pairs
+    error = float(np.linalg.norm(moved)) / (moving_size(gap) if gap.any() else 1.0)
     return Prediction(error, states + changes, track, inverse)
 
 

@@ -46,7 +46,7 @@ from fenics_crack.numerics.fourier import derivative, evaluate
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_in_plane
 from fenics_crack.numerics.path import NARROW, Path, Target
 from fenics_crack.stages import begin
-from fenics_crack.table import counted
+from fenics_crack.table import counted, percent
 
 __all__ = [
     "LATER", "PARTS", "FlowOrbits", "Homotopy", "OrbitPoint", "Patience", "in_the_long_run",
@@ -453,5 +453,5 @@ def _comes_back(passed: np.ndarray, subharmonic: int, motion: str = "the exact m
     followed, after = (one * subharmonic for one in (len(passed) - 1, nearest + 1))
     return (
         f"followed for {counted(followed, 'period')} of the load, {motion} comes back to within "
-        f"{100.0 * found[nearest]:.2g} % of where it was at best, after {counted(after, 'period')}"
+        f"{percent(found[nearest])} of where it was at best, after {counted(after, 'period')}"
     )

@@ -292,17 +292,18 @@ def means_of(system: System) -> int:
     return int(getattr(system, "means", 0))
 
 
-def moving_square(whole: float, means: float) -> float:
-    """The square of a size, given that of all and that of the means over time, which contribute no
-    more than all else."""
-    moving = max(whole - means, EPSILON**0.5 * whole)
+def moving_square(moving: float, means: float) -> float:
+    """The square of a size, given that of the means over time, which contribute no more than all
+    else, and that of all else, of which as much as is rounding of the means is none."""
+    moving = max(moving, EPSILON * means)
     return max(moving + min(means, moving), 1e-300)
 
 
 def moving_size(motion: np.ndarray) -> float:
     """The size of a motion in time (n, k), over all of that, likewise."""
-    means = len(motion) * float(np.sum(motion.mean(axis=0) ** 2))
-    return math.sqrt(moving_square(float(np.sum(motion**2)), means))
+    mean = motion.mean(axis=0)
+    means = len(motion) * float(np.sum(mean**2))
+    return math.sqrt(moving_square(float(np.sum((motion - mean) ** 2)), means))
 
 
 def norm_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
@@ -314,7 +315,9 @@ def norm_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
     rotor's speed by many times what moves."""
     mean = unknown.ravel()[: means_of(system)]
     means = float(mean @ mean)
-    square = moving_square(system.inner(unknown, unknown), means)
+    whole = system.inner(unknown, unknown)
+    # Equations are solved to a part of this size, which rounding of the means must not be.
+    square = moving_square(max(whole - means, EPSILON**0.5 * whole), means)
     return 1.0 / square, 0.5 * square / means if 2.0 * means > square else 1.0
 
 

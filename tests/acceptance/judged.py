@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from reference_flow import Orbit, ReferenceFlow
+from reference_flow import Orbit, ReferenceFlow, size_of_motion
 
 import fenics_crack as fc
 
@@ -88,9 +88,9 @@ def orbit_of(found: fc.PeriodicSolution) -> Orbit:
 
 
 def apart(found: fc.PeriodicSolution, orbit: Orbit) -> float:
-    """Root mean square of the gaps' difference over the period, relative to that of B^T u."""
+    """Root mean square of the gaps' difference over the period, relative to what of B^T u moves."""
     times = np.arange(len(orbit.gap)) * found.period / len(orbit.gap)
-    size = np.linalg.norm(orbit.gap + found.structure.clearance)
+    size = size_of_motion(orbit.gap + found.structure.clearance)
     return float(np.linalg.norm(found.gap(times) - orbit.gap) / size)
 
 

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from helpers import OMEGA_0, chain, mean_square, oscillator, resized, true_error
+from helpers import OMEGA_0, chain, mean_square, oscillator, resized, size_of_motion, true_error
 
 import fenics_crack as fc
 
@@ -200,11 +200,11 @@ def test_residual_is_that_of_the_equations() -> None:
     ids=["penalty", "smoothed", "constraint"],
 )
 def test_penetration_by_sampling_time(contact: Contact) -> None:
-    """Root mean square of max(g, 0) over time and pairs, relative to that of B^T u."""
+    """Root mean square of max(g, 0) over time and pairs, relative to what of B^T u moves."""
     structure = chain(n=12)
     solution = fc.solve_harmonic_balance(structure, 0.3, contact, harmonics=8)
     gap = solution.gap(np.arange(200000) * solution.period / 200000)
-    expected = np.linalg.norm(np.maximum(gap, 0.0)) / np.linalg.norm(gap + structure.clearance)
+    expected = np.linalg.norm(np.maximum(gap, 0.0)) / size_of_motion(gap + structure.clearance)
     assert expected > 1e-4
     # Laws that are sampled have their penetration sampled too, more coarsely than here.
     assert solution.report.penetration == pytest.approx(expected, rel=1e-2)
@@ -328,3 +328,27 @@ def test_tolerance_out_of_reach_is_an_error() -> None:
     """A tolerance below rounding is an error."""
     with pytest.raises(fc.ConvergenceError, match="1e-16 % was asked; what helps: more damping"):
         fc.solve_harmonic_balance(oscillator(), 1.0, fc.UnilateralPenalty(1.0), tolerance=1e-18)
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_a_steady_load_makes_no_error_small(smooth: bool) -> None:
+    """A load that moves the mass to a stop farther away leaves its vibration what it is: errors and
+    the harmonics that a tolerance takes are those without it, of a size at most sqrt(2) times."""
+    law = fc.SmoothedPenalty(4.0, 20.0) if smooth else fc.UnilateralPenalty(4.0)
+    own, moved = (
+        fc.Structure.from_matrices(
+            [[1.0]], [[1.0]], [1.0], force_mean=[away], force_cos=[1.0], damping=[[0.1]],
+            clearance=away,
+        )
+        for away in (0.0, 1e4)
+    )  # fmt: skip
+    found = [fc.solve_harmonic_balance(one, 0.6, law, harmonics=4) for one in (own, moved)]
+    shift = found[1].displacement_coefficients - found[0].displacement_coefficients
+    np.testing.assert_allclose(shift[:, 0], [1e4] + 8 * [0.0], atol=1e-6)
+    for name in ("truncation", "penetration", "displacement"):
+        one, other = (getattr(solution.report, name) for solution in found)
+        assert one > 1e-4 and 0.7 * one < other < 1.01 * one, name
+    if not smooth:
+        asked = [fc.solve_harmonic_balance(one, 0.6, law, tolerance=1e-3) for one in (own, moved)]
+        assert abs(asked[0].harmonics - asked[1].harmonics) <= 2
+        assert asked[1].harmonics > 4

@@ -6,14 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers import size_of_motion
 
 import fenics_crack as fc
 
 
 def distance(orbit: fc.PeriodicOrbit, solution: fc.PeriodicSolution) -> float:
-    """Of the gaps over the period, relative to B^T u."""
+    """Of the gaps over the period, relative to what of B^T u moves."""
     gap = solution.gap(np.arange(len(orbit.gap)) * solution.period / len(orbit.gap))
-    size = np.linalg.norm(orbit.gap + solution.structure.clearance)
+    size = size_of_motion(orbit.gap + solution.structure.clearance)
     return float(np.linalg.norm(orbit.gap - gap) / size)
 
 
@@ -50,7 +51,7 @@ much more another one does whose solution, with so many harmonics, leads to the 
 
 @pytest.mark.parametrize("case", PRELOADED)
 def test_preloaded_contact_that_just_opens(case: tuple[int | float, ...]) -> None:
-    """H = 5 says an error below 1e-5, and the orbit next to it, which hardly opens, is stable: the
+    """H = 5 says an error below 5e-5, and the orbit next to it, which hardly opens, is stable: the
     exact motion that begins with the wave settles to it. One that opens lies a little farther away
     and is unstable by far."""
     masses, stiffness, omega, damping, past, more, harmonics = case
@@ -69,16 +70,16 @@ def test_preloaded_contact_that_just_opens(case: tuple[int | float, ...]) -> Non
 
     structure, law = opened_by(past), fc.UnilateralPenalty(stiffness)
     solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=5)
-    assert solution.report.total < 1e-5
+    assert solution.report.total < 5e-5
     own, settled = fc.shoot(structure, solution), fc.shoot(structure, solution, settle=500)
     assert abs(own.multipliers[0]) < 1.0 and fc.floquet(structure, solution).verdict == "stable"
-    assert distance(own, solution) < 1e-5
+    assert distance(own, solution) < 5e-5
     np.testing.assert_allclose(settled.gap, own.gap, atol=1e-8 * np.ptp(own.gap))
     beside = fc.solve_harmonic_balance(
         opened_by(past + more), omega, law, harmonics=int(harmonics), initial=solution
     )
     other = fc.shoot(structure, replace(beside, structure=structure))
-    assert abs(other.multipliers[0]) > 3.0 and 1e-4 < distance(other, solution) < 5e-3
+    assert abs(other.multipliers[0]) > 3.0 and 4e-3 < distance(other, solution) < 0.2
 
 
 SECOND_STOPS = ((0.45, 3.0), (0.6, 3.0), (1.3, 10.0))
@@ -131,10 +132,10 @@ def test_orbit_that_is_none() -> None:
 
 
 def test_stiff_curve_calls_no_orbit_what_it_is_not() -> None:
-    """kc = 100, H = 10: most estimates are unknown. A point is called stable or unstable only where
+    """kc = 50, H = 10: most estimates are unknown. A point is called stable or unstable only where
     solutions with more and more harmonics lead to one exact orbit, however far from it that is;
     once, seven of 24 exactly stable points were called unstable."""
-    structure, law = oscillator(0.0), fc.UnilateralPenalty(100.0)
+    structure, law = oscillator(0.0), fc.UnilateralPenalty(50.0)
     curve = fc.continue_frequency(
         structure, 0.3, 0.6, law, harmonics=10, stability=True, throw=False, most_points=600
     )
@@ -219,7 +220,7 @@ def test_cold_start_with_several_stiff_pairs() -> None:
 
 @pytest.mark.parametrize("phase", [0.0, 0.5 * np.pi])
 def test_verdict_does_not_depend_on_the_origin_of_time(phase: float) -> None:
-    """Three dofs, three pairs, H = 5, two orbits 1.6 and 2.9 % away, the nearer one stable. From
+    """Three dofs, three pairs, H = 5, two orbits 5 and 10 % away, the nearer one stable. From
     one origin of time the other one is found first: twice the harmonics lead to the nearer one,
     whose distance is the error."""
     rng = np.random.default_rng(76)
@@ -247,5 +248,5 @@ def test_verdict_does_not_depend_on_the_origin_of_time(phase: float) -> None:
         damping=damping,
     )  # fmt: skip
     solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=5)
-    assert solution.report.total == pytest.approx(0.016, rel=0.05)
+    assert solution.report.total == pytest.approx(0.053, rel=0.05)
     assert fc.floquet(structure, solution).verdict == "stable"

@@ -265,7 +265,7 @@ def test_orbit_far_away_is_confirmed_by_more_harmonics() -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("fenics_crack.balance.judgement.MOST_HARMONICS", 12)
         found = floquet(structure, replace(wrong, judged=None))
-    assert found.verdict == "undecided" and "28% away" in found.reason
+    assert found.verdict == "undecided" and "28 % away" in found.reason
 
 
 def test_periods_of_a_motion_that_does_not_settle_are_the_loads() -> None:

@@ -5,7 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.linalg
-from helpers import DAMPINGS, ROOT, Cubic, chain, oscillator, period_two_orbit, relative
+from helpers import (
+    DAMPINGS,
+    ROOT,
+    Cubic,
+    chain,
+    oscillator,
+    period_two_orbit,
+    relative,
+    size_of_motion,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from motion.reference import ReferenceFlow
@@ -269,10 +278,10 @@ def next_to(solution: fc.PeriodicSolution) -> tuple[Prediction, PeriodicOrbit]:
 
 
 def distance(solution: fc.PeriodicSolution, orbit: PeriodicOrbit) -> float:
-    """Of the gaps over the period, relative to that of B^T u."""
+    """Of the gaps over the period, relative to what moves of B^T u."""
     time = np.arange(512) * solution.period / 512
     slow = evaluate(solution.slow_gap_coefficients, solution.base_omega, time)
-    size = np.linalg.norm(slow + solution.structure.clearance)
+    size = size_of_motion(slow + solution.structure.clearance)
     return float(np.linalg.norm(solution.gap(time) - orbit.gap_at(time)) / size)
 
 
