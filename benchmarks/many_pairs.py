@@ -47,7 +47,7 @@ import scipy.sparse as sparse
 import fenics_crack as fc
 from fenics_crack.curves.family import Family
 from fenics_crack.model.factor import Factor
-from fenics_crack.model.flow import ExponentialFlow
+from fenics_crack.motion.flow import ExponentialFlow
 from fenics_crack.numerics.fourier import evaluate
 
 REFERENCE = 120

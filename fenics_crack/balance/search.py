@@ -38,8 +38,7 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.kernel import kernel
 from fenics_crack.model.contact import ContactLaw
-from fenics_crack.model.flow import ExponentialFlow
-from fenics_crack.motion.flow import flow_of
+from fenics_crack.motion.flow import ExponentialFlow, flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit, affordable
 from fenics_crack.motion.shooting import orbit_next_to, wave_states
 from fenics_crack.numerics.equations import (

@@ -44,7 +44,6 @@ from fenics_crack.balance.judgement import BELIEVED, FARTHEST, UNKNOWN, Judgemen
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.errors import ConvergenceError, InputError, check_count, check_kind
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid, smooth_forces
-from fenics_crack.model.flow import transition
 from fenics_crack.model.modal import CACHED, AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import exact_flow
@@ -81,9 +80,7 @@ def monodromy(
     ConvergenceError
         It is not found.
     """
-    modes = all_modes(structure)
-    if static_above is not None:
-        modes = modes.below(static_above)
+    modes = all_modes(structure).below(static_above)
     size = np.repeat([np.sqrt(np.abs(modes.squares).max()) or 1.0, 1.0], len(modes.squares))
     count = 1 << (4 * len(gap)).bit_length()
     coarse = found = _product(modes, contact, gap, base_omega, count)
@@ -114,7 +111,7 @@ def _product(
     while stretches**2 < count and stretches * (2 * n) ** 2 < CACHED:
         stretches *= 2
     along = kicks.reshape(stretches, count // stretches, *kicks.shape[1:])
-    moved = transition(modes, h)[0]
+    moved = modes.transition(h)[0]
     state = np.tile(np.eye(2 * n), (stretches, 1, 1))
     with np.errstate(over="ignore", invalid="ignore"):  # of too few steps
         for kick in along.swapaxes(0, 1):
@@ -136,7 +133,7 @@ def _kicked(modes: AllModes, kick: np.ndarray, moved: np.ndarray) -> np.ndarray:
 
 
 def _drifted(modes: AllModes, moved: np.ndarray, state: np.ndarray) -> np.ndarray:
-    """E z of the structure without contact, E as :func:`transition` gives it."""
+    """E z of the structure without contact, E as :meth:`AllModes.transition` gives it."""
     if modes.damping.ndim == 2:
         return np.asarray(moved @ state)
     n, e = moved.shape[1], moved[:, :, None]
@@ -156,9 +153,8 @@ def hill_root(
 
     with a, b from a step of inverse iteration at the multiplier. Found by SciPy's secants.
     """
-    means, modes = _stiffness_means(solution, contact), all_modes(structure)
-    if solution.static_above is not None:
-        modes = modes.below(solution.static_above)
+    means = _stiffness_means(solution, contact)
+    modes = all_modes(structure).below(solution.static_above)
     if not np.any(means):
         return multiplier  # no contact: the monodromy matrix is that of the linear structure
     omega = solution.base_omega

@@ -114,7 +114,7 @@ class AllModes:
             )
         return 1.0 / impedance
 
-    def static_part(self, above: float) -> np.ndarray:
+    def static_part(self, above: float = np.inf) -> np.ndarray:
         """R_inf and the static compliance of the modes beyond a frequency [rad/s]: what answers
         contact forces at once if these modes do; (n_pairs, n_pairs) [m/N]."""
         fast = self._fast(above)
@@ -132,8 +132,11 @@ class AllModes:
         found: np.ndarray = (self.shapes[:, fast] / self.squares[fast]) @ self.pairs[fast]
         return found if self.static_pairs is None else found + self.static_pairs
 
-    def below(self, above: float) -> AllModes:
-        """The same with the modes beyond a frequency [rad/s] among what has no mass."""
+    def below(self, above: float | None) -> AllModes:
+        """The same with the modes beyond a frequency [rad/s], if it is given, among what has no
+        mass."""
+        if above is None:
+            return self
         slow = ~self._fast(above)
         if np.all(slow):
             return self
@@ -176,6 +179,65 @@ class AllModes:
         if self.damping.ndim == 1:
             return np.matmul(self.pairs.T * receptance[..., None, :], self.pairs)
         return self.pairs.T @ receptance @ self.pairs
+
+    def transition(self, h: float) -> tuple[np.ndarray, np.ndarray]:
+        """E = exp(A h) of a step h [s], z' = A z being the free motion of z = (q, q'), and the
+        response to unit forces on the pairs that are held over the step, (2n, n_pairs).
+
+        Where damping leaves the modes uncoupled E is given by the diagonals of its blocks, (4, n),
+        else whole, (2n, 2n).
+        """
+        count, pairs = self.pairs.shape
+        if self.damping.ndim == 1:
+            # Mode by mode: exp of h [A, b; 0, 0], scaled to balance q and q'.
+            scale = np.maximum(np.sqrt(np.abs(self.squares)), 1.0 / h)
+            system = np.zeros((count, 3, 3))
+            system[:, 0, 1] = scale
+            system[:, 1, 0], system[:, 1, 1] = -self.squares / scale, -self.damping
+            system[:, 1, 2] = 1.0
+            found = scipy.linalg.expm(h * system)
+            blocks = found[:, 0, 0], found[:, 0, 1] / scale, found[:, 1, 0] * scale, found[:, 1, 1]
+            shape = (found[:, 0, 2] / scale)[:, None] * self.pairs
+            return np.array(blocks), np.vstack([shape, found[:, 1, 2][:, None] * self.pairs])
+        whole = np.zeros((2 * count + pairs,) * 2)
+        whole[:count, count : 2 * count] = np.eye(count)
+        whole[count : 2 * count, :count] = -np.diag(self.squares)
+        whole[count : 2 * count, count : 2 * count] = -self.damping
+        whole[count : 2 * count, 2 * count :] = self.pairs
+        found = scipy.linalg.expm(h * whole)[: 2 * count]
+        return np.ascontiguousarray(found[:, : 2 * count]), found[:, 2 * count :]
+
+    def steady_response(self, omega: float, force: np.ndarray) -> np.ndarray:
+        """Complex amplitudes of the modes under a load (n,); modes without load are at rest.
+
+        Raises
+        ------
+        ConvergenceError
+            The load is on an undamped resonance, or moves the structure as a rigid body.
+        """
+        loaded = force != 0.0
+        if not np.any(loaded):
+            return np.zeros_like(force)
+        if self.damping.ndim == 2:
+            impedance = np.diag(self.squares - omega**2) + 1j * omega * self.damping
+            found = np.linalg.lstsq(impedance, force, rcond=None)[0]
+            singular = np.abs(impedance @ found - force).max() > 1e-9 * np.abs(force).max()
+        else:
+            impedance = self.squares - omega**2 + 1j * omega * self.damping
+            size = np.abs(self.squares) + omega**2
+            singular = bool(np.any(np.abs(impedance[loaded]) <= 1e-15 * size[loaded]))
+            if omega == 0.0 and self.unconstrained:
+                singular |= bool(
+                    np.any(loaded & (np.abs(self.squares) <= 1e-12 * self.squares[-1]))
+                )
+            known = loaded & (impedance != 0.0)
+            found = np.divide(force, impedance, out=np.zeros_like(force), where=known)
+        if singular:
+            raise ConvergenceError(
+                f"exponential: at {omega:g} rad/s the load is on an undamped resonance, or moves "
+                "the structure as a rigid body"
+            )
+        return found
 
 
 def all_modes(structure: Structure) -> AllModes:

@@ -1,3 +1,3 @@
-"""Motions of small structures: the exact flow, and its periodic orbits."""
+"""Motions of small structures: their flows, and periodic orbits."""
 
 import fenics_crack.parallel  # noqa: F401  (MPI before PETSc)

@@ -1,4 +1,4 @@
-"""The exact flow of a small structure with contact, by Taylor series from event to event.
+"""Flows of a small structure with contact: exact from event to event, and by exponential steps.
 
 In modal coordinates, with R_inf what answers at once (:mod:`fenics_crack.model.contact`) and kappa
 the stiffness of the pairs,
@@ -6,14 +6,37 @@ the stiffness of the pairs,
     q'' + C q' + Lambda q + P lambda = f(t),      s = P^T q + l(t),
     0 <= lambda,   (R_inf + I/kappa) lambda - s >= 0,   complementary.
 
-While the set A of closed pairs stays, lambda_A = S s_A, S = ((R_inf + I/kappa)_AA)^-1, and the
-motion is linear. Its Taylor series gives the motion, the forces of the closed pairs and the
+**Exact.** While the set A of closed pairs stays, lambda_A = S s_A, S = ((R_inf + I/kappa)_AA)^-1,
+and the motion is linear. Its Taylor series gives the motion, the forces of the closed pairs and the
 openings of the others, and where one of these falls through zero: an event, behind which another
 set holds (``kernel/flow.c``). Nothing is truncated: the error is that of rounding. The forces are
 continuous, so that the flow's derivative is the product of the exponentials of the sets passed.
 
+**By exponential steps.** Of z = (q, q') less the steady response to the load, which is known in
+closed form, z' = A z - [0, P]^T lambda(t). A step of length h is exact for a force that is held
+over it, here the mean of those at its ends,
+
+    z_{n+1} = E z_n - Gamma (lambda_n + lambda_{n+1}),        E = exp(A h),
+
+2 Gamma being the response to unit forces that are held. The gap at its end is linear in the forces
+there, with Q z the gap of a state,
+
+    g_{n+1} = s_free - (R_inf + Q Gamma) lambda_{n+1},
+
+so that 0 <= lambda, (R_inf + I/kappa + Q Gamma) lambda - s_free >= 0, complementary. Where the set
+of closed pairs stays, this is one product with a matrix that is kept; modes that the damping leaves
+uncoupled move by themselves, so that a step costs little more than 2 n_modes n_pairs products
+(``kernel/march.c``). The scheme is of second order in h, and without contact exact. The work of a
+held force is known exactly, so that in a step between equal sets of closed pairs no energy is
+created, however long it is. A step in which a pair opens creates 1/2 lambda_n times its opening,
+one in which it closes loses as much: with hardly any R_inf, which softens contact, and long steps
+motions can grow, and the march says so. (With forces linear over the step energy would be created
+everywhere: with mass at the lips that is the method of linear acceleration.)
+
 Sources: Barrio, Applied Mathematics and Computation 163 (2005) 525 (Taylor series as integrator);
-Khan and Barton, Systems & Control Letters 2015 (no end of events).
+Khan and Barton, Systems & Control Letters 2015 (no end of events); Hochbruck and Ostermann, Acta
+Numerica 19 (2010) 209 (exponential integrators); Monjaraz-Tec, Gross and Krack, Computers &
+Structures 267 (2022) 106810.
 """
 
 from __future__ import annotations
@@ -25,20 +48,24 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.errors import ConvergenceError, InputError
-from fenics_crack.kernel import Struct, doubles, ints, kernel, owned
+from fenics_crack.kernel import Struct, doubles, ints, kernel, owned, shaped, signs
 from fenics_crack.model.contact import (
     KEPT,
+    ActiveSets,
     ContactLaw,
     check_law,
     is_regular,
     is_rigid,
     is_unilateral,
 )
-from fenics_crack.model.modal import AllModes, all_modes, is_small
+from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import waves
 
-__all__ = ["Budget", "ContactFlow", "Motion", "Samples", "exact_flow", "flow_of"]
+__all__ = [
+    "Budget", "ContactFlow", "ExponentialFlow", "Flow", "Motion", "Samples", "Steps", "exact_flow",
+    "flow_of",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -60,14 +87,7 @@ class Budget:
 def flow_of(structure: Structure, contact: ContactLaw) -> ContactFlow | None:
     """The exact flow of a structure and a law; None where there is none: for a smooth law, a large
     structure, and rigid contact where what answers at once does not separate the pairs."""
-    check_law(structure, contact, rigid=True)
-    if not is_unilateral(contact) or not is_small(structure):
-        return None
-    modes, pairs = all_modes(structure), structure.n_pairs
-    residual = np.zeros((pairs, pairs)) if modes.residual is None else modes.residual
-    if is_rigid(contact) and not is_regular(residual):
-        return None
-    return ContactFlow(structure, contact, modes, residual)
+    return ContactFlow(structure, contact) if _refused(structure, contact) is None else None
 
 
 def exact_flow(structure: Structure, contact: ContactLaw) -> ContactFlow:
@@ -78,19 +98,29 @@ def exact_flow(structure: Structure, contact: ContactLaw) -> ContactFlow:
     InputError
         There is none.
     """
-    flow = flow_of(structure, contact)
-    if flow is not None:
-        return flow
+    refused = _refused(structure, contact)
+    if refused is not None:
+        raise refused
+    return ContactFlow(structure, contact)
+
+
+def _refused(
+    structure: Structure, contact: ContactLaw, static_above: float | None = None
+) -> InputError | None:
+    """Why a structure and a law have no flow; None where they have one."""
+    check_law(structure, contact, rigid=True)
     if not is_unilateral(contact):
-        raise InputError("contact", contact, "UnilateralPenalty or UnilateralConstraint")
+        return InputError("contact", contact, "UnilateralPenalty or UnilateralConstraint")
     if not is_small(structure):
-        raise InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
-    allowed = "one whose lips have no mass: reduce_structure(structure, method='massless')"
-    raise InputError("structure", repr(structure), allowed)
+        return InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
+    if is_rigid(contact) and not is_regular(all_modes(structure).below(static_above).static_part()):
+        allowed = "one whose lips have no mass: reduce_structure(structure, method='massless')"
+        return InputError("structure", repr(structure), allowed)
+    return None
 
 
-class ContactFlow:
-    """The exact flow of a small structure under its own load, at any frequency of it.
+class Flow:
+    """The flow of a small structure under its own load.
 
     States are (2 n_modes,) arrays (q, q') of modal coordinates.
 
@@ -99,56 +129,88 @@ class ContactFlow:
     structure : Structure
     contact : ContactLaw
     modes : AllModes
+        Those that move; beyond ``static_above`` [rad/s], if it is given, modes answer at once.
     residual : (n_pairs, n_pairs) [m/N]
         R_inf.
     softness : (n_pairs,) [m/N]
         1 / kappa, zero where contact is rigid.
+    compliance : (n_pairs, n_pairs) [m/N]
+        R_inf + I/kappa.
+    force : (3, n_modes)
+        f: mean, cosine and sine.
+    gap : (3, n_pairs) [m]
+        l, likewise.
     """
 
     def __init__(
-        self, structure: Structure, contact: ContactLaw, modes: AllModes, residual: np.ndarray
+        self, structure: Structure, contact: ContactLaw, static_above: float | None = None
     ) -> None:
-        self.structure, self.contact, self.modes, self.residual = (
-            structure, contact, modes, residual,
-        )  # fmt: skip
-        count, pairs = modes.pairs.shape
+        self.structure, self.contact = structure, contact
+        self.modes = modes = all_modes(structure).below(static_above)
+        pairs = structure.n_pairs
+        self.residual = modes.static_part()
         self.softness = np.ones(pairs) / np.asarray(contact.stiffness, dtype=float)
-        compliance = residual + np.diag(self.softness)
-        stiffness = np.diag(modes.squares) + modes.pairs @ np.linalg.solve(
-            compliance, modes.pairs.T
-        )
-        self.fastest = _fastest(float(np.linalg.eigvalsh(stiffness)[-1]), modes.damping)
-        """No set of closed pairs turns or decays faster [1/s]."""
+        self.compliance = self.residual + np.diag(self.softness)
         self.force = np.ascontiguousarray(structure.force @ modes.shapes)
-        """f: mean, cosine and sine, (3, n_modes)."""
         self.gap = np.zeros((3, pairs))
-        """l, likewise: (3, n_pairs) [m]."""
         if modes.static_loads is not None:
             self.gap += structure.apply_bt(structure.force @ modes.static_loads)
         self.gap[0] -= structure.clearance
-        parts = Struct(
-            "flow_parts", modes=count, pairs=pairs, coupled=modes.damping.ndim == 2,
-            squares=_doubles(modes.squares), damping=_doubles(modes.damping),
-            rows=_doubles(modes.pairs.T), compliance=_doubles(compliance), force=self.force,
-            gap=self.gap, fastest=self.fastest, most=KEPT // 8,
-        )  # fmt: skip
-        self.handle = owned(kernel.new_flow(parts.at), kernel.free_flow)
-        """The kernel's own object."""
-        self._sets, self._lengths = np.empty((0, pairs), dtype=bool), np.empty(0)
 
     @property
     def size(self) -> int:
         """Numbers of a state."""
         return 2 * len(self.modes.squares)
 
-    def pieces(self, duration: float) -> float:
-        """Of the Taylor series of a motion so long [s] without events."""
-        return float(self.fastest * duration / kernel.FLOW_REACH)
-
     def state(self, displacement: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """State of a displacement and a velocity (..., n_dofs)."""
         inverse = self.modes.inverse.T
         return np.concatenate([displacement @ inverse, velocity @ inverse], axis=-1)
+
+    def displacement(
+        self,
+        states: np.ndarray,
+        force: np.ndarray,
+        phase: np.ndarray,
+        dofs: np.ndarray | slice = slice(None),
+    ) -> np.ndarray:
+        """Displacement of the structure's own dofs, or of some, in states and under contact forces
+        at phases of the load: (n, n_dofs) [m]."""
+        modes = self.modes
+        found: np.ndarray = states[:, : len(modes.squares)] @ modes.shapes[dofs].T
+        if modes.static_loads is not None and modes.static_pairs is not None:
+            found += waves(phase) @ (self.structure.force @ modes.static_loads[:, dofs])
+            found -= force @ modes.static_pairs[dofs].T
+        return found
+
+
+# --- exact ----------------------------------------------------------------------------------------
+
+
+class ContactFlow(Flow):
+    """The exact flow, at any frequency of the load."""
+
+    def __init__(self, structure: Structure, contact: ContactLaw) -> None:
+        super().__init__(structure, contact)
+        modes, (count, pairs) = self.modes, self.modes.pairs.shape
+        stiffness = np.diag(modes.squares) + modes.pairs @ np.linalg.solve(
+            self.compliance, modes.pairs.T
+        )
+        self.fastest = _fastest(float(np.linalg.eigvalsh(stiffness)[-1]), modes.damping)
+        """No set of closed pairs turns or decays faster [1/s]."""
+        parts = Struct(
+            "flow_parts", modes=count, pairs=pairs, coupled=modes.damping.ndim == 2,
+            squares=_doubles(modes.squares), damping=_doubles(modes.damping),
+            rows=_doubles(modes.pairs.T), compliance=_doubles(self.compliance), force=self.force,
+            gap=self.gap, fastest=self.fastest, most=KEPT // 8,
+        )  # fmt: skip
+        self.handle = owned(kernel.new_flow(parts.at), kernel.free_flow)
+        """The kernel's own object."""
+        self._sets, self._lengths = np.empty((0, pairs), dtype=bool), np.empty(0)
+
+    def pieces(self, duration: float) -> float:
+        """Of the Taylor series of a motion so long [s] without events."""
+        return float(self.fastest * duration / kernel.FLOW_REACH)
 
     def weights(self, base_omega: float) -> np.ndarray:
         """What makes the norm of a state that of its energy, (2 n_modes,); modes slower than a
@@ -309,12 +371,7 @@ class Samples:
     @property
     def displacement(self) -> np.ndarray:
         """Displacement of the structure's own dofs: (n, n_dofs) [m]."""
-        modes, structure = self.flow.modes, self.flow.structure
-        found: np.ndarray = self.states[:, : len(modes.squares)] @ modes.shapes.T
-        if modes.static_loads is not None and modes.static_pairs is not None:
-            found += waves(self.omega * self.time) @ (structure.force @ modes.static_loads)
-            found -= self.force @ modes.static_pairs.T
-        return found
+        return self.flow.displacement(self.states, self.force, self.omega * self.time)
 
 
 @dataclass(frozen=True)
@@ -336,6 +393,117 @@ class Motion:
     pieces: int
     track: Track
     samples: Samples
+
+
+# --- by exponential steps -------------------------------------------------------------------------
+
+
+class ExponentialFlow(Flow):
+    """The flow at one frequency of the load, in steps of a part of its period.
+
+    Attributes
+    ----------
+    omega : float [rad/s]
+    steps : int
+        In one period of the load.
+    step_size : float [s]
+        h.
+    gap_rows : (n_pairs, 2 n_modes)
+        Q.
+    steady : (N, 2 n_modes)
+        Steady response to the load without contact at all instants of its period.
+    linear_gap : (N, n_pairs) [m]
+        Its gap.
+    """
+
+    def __init__(
+        self,
+        structure: Structure,
+        omega: float,
+        contact: ContactLaw,
+        steps: int,
+        *,
+        static_above: float | None = None,
+    ) -> None:
+        refused = _refused(structure, contact, static_above)
+        if refused is not None:
+            raise refused
+        super().__init__(structure, contact, static_above)
+        self.omega, self.steps, self.step_size = omega, steps, 2.0 * np.pi / omega / steps
+        modes, (count, pairs) = self.modes, self.modes.pairs.shape
+        moved, held = modes.transition(self.step_size)
+        pushed = 0.5 * held  # Gamma
+        moved_gap = modes.pairs.T @ pushed[:count]
+        self.gap_rows = np.hstack([modes.pairs.T, np.zeros((pairs, count))])
+        mean = modes.steady_response(0.0, self.force[0] + 0j).real
+        first = modes.steady_response(omega, self.force[1] - 1j * self.force[2])
+        shape = np.vstack([mean, first.real, -first.imag])
+        rate = np.vstack([0.0 * mean, -omega * first.imag, -omega * first.real])
+        instants = waves(2.0 * np.pi * np.arange(steps) / steps)
+        self.steady = instants @ np.hstack([shape, rate])
+        self.linear_gap = instants @ (shape @ modes.pairs + self.gap)
+        self._static = ActiveSets(self.compliance)
+        self._known = Struct(
+            "exponential", modes=count, pairs=pairs, instants=steps,
+            coupled=modes.damping.ndim == 2, moved=moved, rows=_doubles(modes.pairs.T),
+            pushed=_doubles(pushed.T), gaps=_doubles(moved_gap), linear=self.linear_gap,
+            steady=self.steady, contact=ActiveSets(self.compliance + moved_gap).handle,
+            room=np.empty(4 * count + 2 * pairs),
+        )  # fmt: skip
+
+    def coordinates(
+        self, states: np.ndarray, force: np.ndarray, dofs: np.ndarray | slice = slice(None)
+    ) -> np.ndarray:
+        """:meth:`displacement` of states at instants from phase 0 on."""
+        phase = 2.0 * np.pi * np.arange(len(states)) / self.steps
+        return self.displacement(states, force, phase, dofs)
+
+    def advance(self, state: np.ndarray, periods: int = 1) -> Steps:
+        """March whole periods of the load from phase 0.
+
+        Raises ConvergenceError where the contact forces of a step are not found.
+        """
+        state, pairs = shaped(state, self.size), self.structure.n_pairs
+        count = len(state)
+        total = periods * self.steps
+        states, forces = np.empty((total + 1, count)), np.empty((total + 1, pairs))
+        closed = np.empty((total + 1, pairs), dtype=bool)
+        states[0] = state
+        gap = self.gap_rows @ (state - self.steady[0]) + self.linear_gap[0]
+        forces[:1], closed[:1] = self._static.solve(gap[None])
+        done = kernel.march_exponential(
+            self._known.at, total, doubles(states), doubles(forces), signs(closed)
+        )
+        if done < total:
+            raise ConvergenceError(
+                f"exponential: the contact forces of step {done + 1} were not found"
+            )
+        return Steps(self, states, forces, closed)
+
+
+class Steps:
+    """Marched periods of the load.
+
+    Attributes
+    ----------
+    states : (N + 1, 2 n_modes)
+        At all instants, both ends included.
+    forces : (N + 1, n_pairs) [N]
+    closed : (N + 1, n_pairs) bool
+    """
+
+    def __init__(
+        self, flow: ExponentialFlow, states: np.ndarray, forces: np.ndarray, closed: np.ndarray
+    ) -> None:
+        self._flow, self.states, self.forces, self.closed = flow, states, forces, closed
+
+    @property
+    def gap(self) -> np.ndarray:
+        """Gap at all instants but the last: (N, n_pairs) [m]."""
+        flow, count = self._flow, len(self.states) - 1
+        instants = np.arange(count) % flow.steps
+        moved = (self.states[:-1] - flow.steady[instants]) @ flow.gap_rows.T
+        return moved + flow.linear_gap[instants] - self.forces[:-1] @ flow.residual
 
 
 def _fastest(square: float, damping: np.ndarray) -> float:

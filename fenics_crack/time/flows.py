@@ -1,7 +1,7 @@
 """Direct integration in time along the flows of small structures.
 
-Exact from one switching instant to the next (:mod:`fenics_crack.motion.flow`), or by exact
-exponential steps (:mod:`fenics_crack.model.flow`).
+Exact from one switching instant to the next, or by exact exponential steps
+(:mod:`fenics_crack.motion.flow`).
 """
 
 from __future__ import annotations
@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.model.contact import ContactLaw
-from fenics_crack.model.flow import ExponentialFlow, Steps
 from fenics_crack.model.modes import times
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.flow import exact_flow
+from fenics_crack.motion.flow import ExponentialFlow, Steps, exact_flow
 from fenics_crack.time.march import EnergyBalance, March, Scheme, TimeHistory, Window, march
 
 __all__ = ["integrate_events", "integrate_exponential"]
@@ -190,7 +189,7 @@ class _ByExponentials(Scheme):
         motion = flow.coordinates(steps.states[[place]], steps.forces[[place]])[0]
         elastic = motion @ times(flow.structure.stiffness, motion[:, None])[:, 0]
         rate = steps.states[place, len(flow.modes.squares) :]
-        springs = np.sum(flow.springs * steps.forces[place] ** 2)
+        springs = np.sum(flow.softness * steps.forces[place] ** 2)
         return 0.5 * float(elastic + rate @ rate + springs)
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
