@@ -5,7 +5,7 @@ Start with ``docs/cracked_blade.md`` or ``demos/paper_plate.py``; equations and 
 
 The names are those that ``__init__.pyi`` imports. Each is imported here when it is first used: who
 brings matrices needs neither DOLFINx nor gmsh, and who draws nothing neither VTK nor matplotlib.
-Functions called by these names run one at a time (:mod:`fenics_crack.one_thread`).
+Functions called by these names run one at a time (:mod:`fenics_crack.machine`).
 """
 
 import ast
@@ -14,7 +14,7 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
-from fenics_crack.one_thread import alone
+from fenics_crack.machine import alone
 from fenics_crack.version import VERSION
 
 _MODULES = {

@@ -12,7 +12,7 @@ import pytest
 from helpers import ROOT
 
 import fenics_crack as fc
-from fenics_crack import InputError, one_thread
+from fenics_crack import InputError, machine
 
 THREADS = """
 import logging, threading
@@ -50,8 +50,8 @@ class Pool:
 def pool(monkeypatch: pytest.MonkeyPatch) -> Pool:
     """The only OpenBLAS, of a user who has said nothing, on 8 processors."""
     found = Pool(8)
-    monkeypatch.setattr(one_thread, "_pools", lambda modules: [(found, 8)])
-    for name in one_thread.SETTINGS:
+    monkeypatch.setattr(machine, "_pools", lambda modules: [(found, 8)])
+    for name in machine.SETTINGS:
         monkeypatch.delenv(name, raising=False)
     return found
 
@@ -65,20 +65,20 @@ def test_one_thread_of_openblas(pool: Pool) -> None:
     with pytest.raises(InputError):
         solve(structure, 2)
     assert pool.told == [1, 8] * 2
-    with one_thread.alone(), one_thread.alone():
+    with machine.alone(), machine.alone():
         assert pool.threads == 1
     assert pool.told == [1, 8] * 3
 
 
-@pytest.mark.parametrize("name", one_thread.SETTINGS)
+@pytest.mark.parametrize("name", machine.SETTINGS)
 def test_the_user_decides(pool: Pool, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """By a variable, or by a number other than that with which OpenBLAS begins."""
     pool.threads = 3
-    with one_thread.alone():
+    with machine.alone():
         assert pool.threads == 3
     pool.threads = 8
     monkeypatch.setenv(name, "8")
-    with one_thread.alone():
+    with machine.alone():
         assert pool.threads == 8
     assert pool.told == []
 
@@ -89,12 +89,12 @@ def test_loaded_libraries_are_found() -> None:
 import sys
 from unittest.mock import patch
 import fenics_crack as fc
-from fenics_crack import one_thread
+from fenics_crack import machine
 from surroundings import main
 fc.prepare, fc.Scene
 
 def threads():
-    pools = one_thread._pools(len(sys.modules))
+    pools = machine._pools(len(sys.modules))
     return len(pools), {pool("get_num_threads") == begin for pool, begin in pools}, {
         pool("get_num_threads") for pool, _ in pools}
 
@@ -112,9 +112,9 @@ def test_no_thread_of_openmp(chosen: dict[str, str]) -> None:
     program = """
 import os, sys
 import fenics_crack as fc
-from fenics_crack import one_thread
+from fenics_crack import machine
 study = fc.prepare(fc.Scene.load("demos/breathing_plate.toml"), whole=True)
-library, = one_thread._openmp(len(sys.modules))
+library, = machine._openmp(len(sys.modules))
 print(library.omp_get_max_active_levels() > 0)
 before = len(os.listdir("/proc/self/task"))
 fc.solve_modes(study.structure, 2)
@@ -135,7 +135,7 @@ def test_functions_can_be_pickled() -> None:
 
 def run(program: str, chosen: dict[str, str] | None = None) -> str:
     """What a program prints in a process of its own, with these settings of threads alone."""
-    settings = dict.fromkeys(one_thread.SETTINGS)
+    settings = dict.fromkeys(machine.SETTINGS)
     environment = {name: value for name, value in os.environ.items() if name not in settings}
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=120, cwd=ROOT,

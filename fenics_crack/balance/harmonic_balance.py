@@ -33,7 +33,7 @@ import numpy as np
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
 from fenics_crack.balance.error_report import SLIGHT, UNKNOWN, ErrorReport
 from fenics_crack.balance.judgement import FARTHEST, Judgement, more_modes, relative_to_motion
-from fenics_crack.balance.problem import Problem
+from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver, more_harmonics
 from fenics_crack.errors import (
     ConvergenceError,
@@ -45,7 +45,6 @@ from fenics_crack.errors import (
 )
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.matrices import numbers
-from fenics_crack.model.memory import check_memory
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import LIPS
 from fenics_crack.model.reduced import ReducedStructure, massless

@@ -24,6 +24,8 @@ from fenics_crack.errors import (
     check_number,
     check_omega,
 )
+from fenics_crack.kernel import kernel
+from fenics_crack.machine import machine_memory
 from fenics_crack.model.contact import ContactLaw, check_law, is_regular, is_rigid
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
@@ -32,7 +34,7 @@ from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_at, solve_near
 from fenics_crack.numerics.path import NARROW, Path, Target
 
-__all__ = ["Problem", "Wave"]
+__all__ = ["Problem", "Wave", "check_memory"]
 
 BEYOND = 2.0
 """Modes above so many times the highest harmonic answer at once."""
@@ -48,6 +50,9 @@ SINGULAR = (
 """What is allowed where R_inf, which answers a rigid contact at once, is singular to rounding."""
 STIFF = 100.0
 """k R_inf from which a penalty on lips with mass is seen through R_inf."""
+MATRICES = 4
+"""Dense matrices of the size of the Jacobian that are held at a time, or stiffnesses of coupled
+pairs at all instants."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -316,6 +321,26 @@ class Problem:
     def with_harmonics(self, harmonics: int) -> Problem:
         """The same with other harmonics."""
         return self if harmonics == self.harmonics else replace(self, harmonics=harmonics)
+
+
+def check_memory(structure: Structure, harmonics: int) -> None:
+    """Raise InputError where the dense Jacobian of the equations would not fit, or of coupled pairs
+    what they are at all instants, and the vectors of solutions."""
+    pairs = structure.n_pairs
+    unknowns, order = (2 * harmonics + 1) * pairs, 2
+    numbers = MATRICES * unknowns**2
+    if structure.light_lips:  # of an estimate too, with twice the harmonics
+        vectors = 2 * kernel.KRYLOV_MOST + 2  # those kept, and those of a solution
+        numbers, order = 2 * (2 * MATRICES * pairs + vectors) * unknowns, 1
+    memory = machine_memory()
+    if 8 * numbers > 0.8 * memory:
+        fits = int(harmonics * (0.1 * memory / numbers) ** (1.0 / order))
+        raise InputError(
+            "harmonics",
+            harmonics,
+            f"at most {fits} with {pairs} pairs: {unknowns} unknowns need "
+            f"{numbers * 8 / 2**30:.0f} GiB of this machine's {memory / 2**30:.0f}",
+        )
 
 
 def _nearly_solved(system: ContactSystem, start: np.ndarray) -> PathPoint | None:

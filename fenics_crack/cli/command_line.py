@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 from fenics_crack.errors import ConvergenceError, Exit, InputError, StoppedError, WriteError
 from fenics_crack.hints import in_other_words, meant, near
-from fenics_crack.one_thread import alone
+from fenics_crack.machine import alone
 from fenics_crack.version import VERSION
 from fenics_crack.whole import FULL
 

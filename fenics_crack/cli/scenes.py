@@ -9,10 +9,10 @@ from argparse import Namespace
 import numpy as np
 from mpi4py import MPI
 
+from fenics_crack.balance.problem import check_memory
 from fenics_crack.cli.given import Console, Inputs
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import is_rigid
-from fenics_crack.model.memory import check_memory
 from fenics_crack.model.modes import damped_range
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import on_root

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from fenics_crack.balance.harmonic_balance import check_initial
-from fenics_crack.balance.problem import Problem
+from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import (
     PeriodicSolution,
     Solver,
@@ -35,7 +35,6 @@ from fenics_crack.curves.exact import FOLLOWED, verified
 from fenics_crack.curves.family import FAMILIES, Family
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.model.contact import is_rigid
-from fenics_crack.model.memory import check_memory
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.motion.flow import exact_flow

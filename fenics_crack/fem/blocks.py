@@ -38,8 +38,8 @@ import numpy as np
 from fenics_crack.errors import InputError
 from fenics_crack.fem.crack_surface import Lips, Names
 from fenics_crack.fem.lips import Lip
+from fenics_crack.machine import machine_memory
 from fenics_crack.mesher import gmsh
-from fenics_crack.model.memory import machine_memory
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Crack
 

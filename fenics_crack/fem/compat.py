@@ -19,8 +19,8 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from fenics_crack.machine import addresses_left
 from fenics_crack.mesher import gmsh
-from fenics_crack.model.memory import addresses_left
 
 
 @contextmanager

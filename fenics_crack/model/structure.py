@@ -28,6 +28,7 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError, check_count, check_number, check_two_ratios
+from fenics_crack.machine import alone
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.matrices import (
     checked,
@@ -38,7 +39,6 @@ from fenics_crack.model.matrices import (
     with_springs,
 )
 from fenics_crack.model.nodes import Clamp, Coordinates, Nodes, Pairs
-from fenics_crack.one_thread import alone
 from fenics_crack.table import counted
 
 __all__ = ["DampingRule", "ModalDamping", "RayleighDamping", "Structure", "read_only_rows"]

@@ -10,14 +10,13 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.harmonic_balance import solve_linear
-from fenics_crack.balance.problem import Problem
+from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver, indicators_of, solve_beside
 from fenics_crack.curves.peak import top_and_damping
 from fenics_crack.curves.stability import floquet
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.fem.build import clearance_of
 from fenics_crack.model.contact import is_rigid
-from fenics_crack.model.memory import check_memory
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.structure import Structure

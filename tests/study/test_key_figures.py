@@ -17,9 +17,7 @@ from petsc4py import PETSc
 
 import fenics_crack as fc
 from fenics_crack.fem import blocks
-from fenics_crack.model import memory
 from fenics_crack.model.factor import Factor, distributed
-from fenics_crack.model.memory import reduction_memory, whole_memory
 from fenics_crack.study import prepare
 from fenics_crack.study.key_figures import (
     KeyFigures,
@@ -281,9 +279,9 @@ def test_what_does_not_fit_is_refused(
 
 def test_more_modes_and_harmonics_need_more(wide_plate: fc.Structure) -> None:
     """Krylov vectors and shapes; a factor for each harmonic."""
-    few = reduction_memory(wide_plate, 10, "massless")
-    assert few < reduction_memory(wide_plate, 100, "massless")
-    assert whole_memory(wide_plate, 5) < whole_memory(wide_plate, 50)
+    few = prepare.reduction_memory(wide_plate, 10, "massless")
+    assert few < prepare.reduction_memory(wide_plate, 100, "massless")
+    assert prepare.whole_memory(wide_plate, 5) < prepare.whole_memory(wide_plate, 50)
 
 
 def test_parts_of_what_a_solid_needs() -> None:
@@ -304,14 +302,14 @@ def test_parts_of_what_a_solid_needs() -> None:
         structure = fc.build_structure(solid, MPI.COMM_SELF)
         with Factor(structure.stiffness) as factor:
             entries = int(factor._factor.getMumpsInfog(9))
-        assert 0.5 < memory._factor(structure) / (8.0 * entries) < 2.0
+        assert 0.5 < prepare._factor_memory(structure) / (8.0 * entries) < 2.0
         _, columns, values = structure.stiffness.getValuesCSR()
-        assert memory._matrix(structure) == columns.nbytes + values.nbytes
-    before = memory._held(structure)
+        assert prepare._matrix_memory(structure) == columns.nbytes + values.nbytes
+    before = prepare._memory_held(structure)
     pieces = [np.ones(10_000) for _ in range(1000)]
-    assert memory._held(structure) > before + 7e7
+    assert prepare._memory_held(structure) > before + 7e7
     del pieces
-    assert memory._held(structure) < before + 1e7
+    assert prepare._memory_held(structure) < before + 1e7
 
 
 def ordered_by(sides: int, dimension: int, dofs: int) -> int:

@@ -1,9 +1,10 @@
-"""The functions of the package run one at a time, and with one thread of OpenBLAS and of OpenMP.
+"""What the package takes of the machine: one thread at a time, and so much memory.
 
-gmsh, PETSc and MUMPS keep their state in global variables: two threads of Python in them end the
-process. And their dense algebra is small, as ours is: OpenBLAS's threads wait for each other
-longer than they work, and do so by spinning. So do four threads of OpenMP, with which CHOLMOD
-assembles each of its many small blocks, whatever OMP_NUM_THREADS says.
+Its functions run one at a time, and with one thread of OpenBLAS and of OpenMP. gmsh, PETSc and
+MUMPS keep their state in global variables: two threads of Python in them end the process. And their
+dense algebra is small, as ours is: OpenBLAS's threads wait for each other longer than they work,
+and do so by spinning. So do four threads of OpenMP, with which CHOLMOD assembles each of its many
+small blocks, whatever OMP_NUM_THREADS says.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import ctypes
 import os
 import re
+import resource
 import sys
 import threading
 from collections.abc import Iterator
@@ -19,7 +21,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-__all__ = ["alone"]
+__all__ = ["addresses_left", "alone", "machine_memory"]
 
 SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "GOTO_NUM_THREADS")
 """Variables by which a user tells OpenBLAS how many threads to use."""
@@ -104,3 +106,17 @@ def _loaded(name: str) -> list[str]:
     except OSError:
         return []
     return sorted({*re.findall(rf"/\S*/{name}[^/\s]*\.so[.\d]*$", files, re.MULTILINE)})
+
+
+def machine_memory() -> float:
+    """Memory of this machine [byte]."""
+    return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+
+
+def addresses_left() -> float:
+    """Memory that this process may still ask for under ``ulimit -v`` [byte]; inf without one."""
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit == resource.RLIM_INFINITY:
+        return float("inf")
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    return float(limit - pages * os.sysconf("SC_PAGE_SIZE"))
