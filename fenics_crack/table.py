@@ -2,6 +2,10 @@
 
 A result derives from :class:`Described`, or from :class:`Tabular` where it is a table, and defines
 ``to_dict``. Its one line, its table in a notebook and its CSV file follow from that.
+
+The quantities that tell of a breathing crack have names, which are those of columns in tables and
+files, of ``[output] quantities``, and of what sweeps are drawn in; :class:`fenics_crack.Indicators`
+defines each by its equation.
 """
 
 from __future__ import annotations
@@ -22,8 +26,17 @@ from fenics_crack.hints import Hinted
 from fenics_crack.whole import write_whole
 
 __all__ = [
+    "OF_CLAMP",
+    "OF_FREQUENCIES",
+    "OF_GROWTH",
+    "OF_LIPS",
+    "OF_POINTS",
+    "OF_TIPS",
+    "QUANTITIES",
     "RPM",
+    "SHORT",
     "TURN",
+    "UNITS",
     "Described",
     "Table",
     "Tabular",
@@ -46,21 +59,76 @@ TURN = 2.0 * math.pi
 """Of Hz in rad/s."""
 RPM = TURN / 60.0
 """Of revolutions per minute in rad/s."""
-UNITS = {
+
+# --- quantities -----------------------------------------------------------------------------------
+
+OF_POINTS: dict[str, tuple[str, str]] = {
+    "amplitude": ("half peak-to-peak", "m"),
+    "mean": ("mean displacement", "m"),
+    "harmonic_1": ("amplitude at the load frequency", "m"),
+    "harmonic_2": ("amplitude at twice the load frequency", "m"),
+    "harmonic_3": ("amplitude at three times the load frequency", "m"),
+    "ratio_2_1": ("harmonic ratio 2/1", "1"),
+    "ratio_3_1": ("harmonic ratio 3/1", "1"),
+    "ratio_half_1": ("harmonic ratio 1/2 over 1", "1"),
+    "ratio_largest": ("largest harmonic above the load's, over harmonic 1", "1"),
+    "largest_order": ("order of the largest harmonic above the load's", "1"),
+    "mean_shift": ("mean displacement over harmonic 1", "1"),
+}
+"""Words and unit of what is known of each watched point and direction."""
+OF_LIPS: dict[str, tuple[str, str]] = {
+    "opening": ("largest opening", "m"),
+    "penetration": ("largest penetration", "m"),
+    "contact_force": ("largest contact force of a pair", "N"),
+    "crack_force": ("largest contact force of a crack, all pairs", "N"),
+    "closed_share": ("share of the period closed, mean over pairs", "1"),
+}
+"""Of all lips."""
+OF_FREQUENCIES: dict[str, tuple[str, str]] = {
+    "omega_open": ("natural frequency, lips open", "rad/s"),
+    "omega_tied": ("natural frequency, lips tied", "rad/s"),
+    "omega_bilinear": ("bilinear frequency", "rad/s"),
+    "over_open": ("load frequency over that with lips open", "1"),
+    "over_tied": ("load frequency over that with lips tied", "1"),
+    "over_bilinear": ("load frequency over the bilinear one", "1"),
+}
+"""Of the mode whose bilinear frequency is nearest to the load's."""
+OF_TIPS: dict[str, tuple[str, str]] = {
+    "K_max": ("largest stress intensity K_I", "Pa m^0.5"),
+    "K_min": ("smallest K_I", "Pa m^0.5"),
+    "delta_K": ("range of K_I", "Pa m^0.5"),
+    "delta_K_effective": ("range of K_I while the tip is open", "Pa m^0.5"),
+    "K_II_max": ("largest stress intensity K_II, of either sign", "Pa m^0.5"),
+}
+"""Of the tip whose effective range is the largest; known of plates, where a scene asks for them."""
+OF_GROWTH: dict[str, tuple[str, str]] = {
+    "delta_K_equivalent": ("range of K_I, R = 0, that makes the crack grow as much", "Pa m^0.5")
+}
+"""Of the same tip, by the law of the table ``[growth]``."""
+OF_CLAMP: dict[str, tuple[str, str]] = {
+    "reaction_force": ("largest force of the clamp", "N"),
+    "reaction_moment": ("largest moment of the clamp, about its centre", "N m"),
+}
+"""Of the clamp; known of meshes at rest, where a scene asks for them."""
+QUANTITIES = OF_POINTS | OF_LIPS | OF_FREQUENCIES | OF_TIPS | OF_GROWTH | OF_CLAMP
+"""All of them."""
+SHORT = (
+    "amplitude", "ratio_2_1", "ratio_3_1", "ratio_half_1", "ratio_largest", "mean_shift", "opening",
+    "penetration", "contact_force", "crack_force", "closed_share", "over_open", "over_bilinear",
+)  # fmt: skip
+"""Printed where a scene does not choose."""
+UNITS = {name: unit for name, (_, unit) in QUANTITIES.items()} | {
     name: unit
     for unit, names in {
-        "rad/s": "omega omega_open omega_tied omega_partly omega_bilinear speed",
+        "rad/s": "omega omega_partly speed",
         "Hz": "frequency frequency_open frequency_tied frequency_partly frequency_bilinear "
         "frequency_error",
         "rpm": "rpm",
         "rad": "angle phase",
         "s": "time mark next_mark arrival",
-        "m": "amplitude amplitude_error displacement response opening penetration clearance "
-        "crack_length tip_radius",
+        "m": "amplitude_error displacement response clearance crack_length tip_radius",
         "m/cycle": "rate",
-        "N": "contact_force crack_force",
         "J": "energy",
-        "Pa m^0.5": "K_max K_min delta_K_effective delta_K_equivalent K_II_max",
     }.items()
     for name in names.split()
 }

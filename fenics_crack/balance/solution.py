@@ -33,7 +33,6 @@ from fenics_crack.errors import MOST_HARMONICS, ConvergenceError
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.numerics.fourier import evaluate, resized
-from fenics_crack.scene.quantities import QUANTITIES
 from fenics_crack.table import Described, Tabular, counted, quantity, with_frequency
 
 __all__ = [
@@ -100,9 +99,6 @@ class Indicators(Tabular):
     def to_dict(self) -> dict[str, Any]:
         """Numbers by name, or along a curve columns."""
         return {item.name: np.asarray(getattr(self, item.name)).tolist() for item in fields(self)}
-
-    def _units(self) -> Mapping[str, str]:
-        return {name: unit for name, (_, unit) in QUANTITIES.items()} | {"omega": "rad/s"}
 
     def _title(self) -> str:
         if np.ndim(self.omega):

@@ -17,7 +17,6 @@ from fenics_crack.balance.error_report import LARGE_ERROR, UNKNOWN, ErrorReport
 from fenics_crack.curves.stability import Stability
 from fenics_crack.errors import MOST_HARMONICS, Exit
 from fenics_crack.model.modes import damped_range
-from fenics_crack.scene.quantities import QUANTITIES
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import key_in_words
 from fenics_crack.study.key_figures import SMALL_MOTION, extents
@@ -26,7 +25,15 @@ from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.growth import ENDS, Growth
 from fenics_crack.sweep.plan import FREQUENCIES
 from fenics_crack.sweep.result import SweepResult, by_reason, in_words
-from fenics_crack.table import Table, counted, frequency_axis, in_unit, percent, quantity
+from fenics_crack.table import (
+    QUANTITIES,
+    Table,
+    counted,
+    frequency_axis,
+    in_unit,
+    percent,
+    quantity,
+)
 
 __all__ = [
     "FINER", "IN_A_TEST", "MORE", "OTHERS", "Account", "account_of_growth", "account_of_sweep",

@@ -35,7 +35,6 @@ from fenics_crack.errors import InputError
 from fenics_crack.files.store import IDENTIFICATION, Stored
 from fenics_crack.model.modes import KINDS, BilinearFrequencies, Modes, bilinear_frequencies
 from fenics_crack.model.rotation import RunUpStructure
-from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QUANTITIES, SHORT
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
 from fenics_crack.study.asked import asked_along_curve, asked_of_motion
@@ -47,6 +46,11 @@ from fenics_crack.study.verification import Verification, verification_of
 from fenics_crack.sweep.growth import Growth
 from fenics_crack.sweep.result import SweepResult
 from fenics_crack.table import (
+    OF_FREQUENCIES,
+    OF_LIPS,
+    OF_POINTS,
+    QUANTITIES,
+    SHORT,
     UNITS,
     Table,
     counted,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -33,9 +33,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ContactFlow
 from fenics_crack.motion.shooting import Patience
 from fenics_crack.numerics.fourier import evaluate, resized
-from fenics_crack.scene.quantities import QUANTITIES
 from fenics_crack.table import (
-    UNITS,
     Described,
     Tabular,
     counted,
@@ -210,9 +208,6 @@ class _Waves(Tabular):
 
     def __len__(self) -> int:
         return len(self.omega)
-
-    def _units(self) -> Mapping[str, str]:
-        return UNITS | {name: unit for name, (_, unit) in QUANTITIES.items()}
 
     def _linearised(self, places: np.ndarray | None = None) -> Iterator[tuple[int, ContactPoint]]:
         """The equations at all points, or some, with their numbers; not in order."""

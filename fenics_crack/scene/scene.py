@@ -20,7 +20,6 @@ from fenics_crack.errors import InputError, reading
 from fenics_crack.hints import Hinted, converted, meant, near, written
 from fenics_crack.outside import text_of
 from fenics_crack.scene.fields import Axis, Point, Table, components, named
-from fenics_crack.scene.quantities import OF_CLAMP, OF_GROWTH, OF_TIPS
 from fenics_crack.scene.tables import (
     Base,
     Contact,
@@ -43,7 +42,7 @@ from fenics_crack.scene.tables import (
     Sweep,
     TipTiming,
 )
-from fenics_crack.table import RPM, TURN, frequency_axis
+from fenics_crack.table import OF_CLAMP, OF_GROWTH, OF_TIPS, RPM, TURN, frequency_axis
 
 __all__ = [
     "LOOKED_AT", "Scene", "asked_quantities", "check_known", "files_of", "known_keys", "unit_of",

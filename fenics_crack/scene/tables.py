@@ -34,8 +34,7 @@ from fenics_crack.scene.fields import (
     twin,
     vector,
 )
-from fenics_crack.scene.quantities import QUANTITIES
-from fenics_crack.table import RPM, TURN
+from fenics_crack.table import QUANTITIES, RPM, TURN
 
 __all__ = [
     "FORCES",

@@ -19,11 +19,10 @@ from fenics_crack.model.factor import AT_A_TIME
 from fenics_crack.model.nodes import Clamp
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.numerics.fourier import evaluate
-from fenics_crack.scene.quantities import OF_CLAMP, OF_GROWTH, OF_TIPS
 from fenics_crack.scene.scene import Scene, asked_quantities, check_known, without_tips
 from fenics_crack.scene.tables import Growth
 from fenics_crack.study.prepare import Study
-from fenics_crack.table import TURN
+from fenics_crack.table import OF_CLAMP, OF_GROWTH, OF_TIPS, TURN
 from fenics_crack.time.march import TimeHistory
 
 __all__ = [

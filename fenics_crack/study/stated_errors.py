@@ -53,7 +53,6 @@ from fenics_crack.model.modes import KINDS, NEGLIGIBLE, Modes, bilinear_frequenc
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
-from fenics_crack.scene.quantities import OF_LIPS, OF_POINTS, QUANTITIES
 from fenics_crack.study.asked import asked_of_motion
 from fenics_crack.study.coarser_mesh import (
     CLAMP,
@@ -65,7 +64,7 @@ from fenics_crack.study.coarser_mesh import (
 )
 from fenics_crack.study.prepare import REFUSALS, Study
 from fenics_crack.study.verification import GridConvergence, Varied, Verification
-from fenics_crack.table import frequency_axis
+from fenics_crack.table import OF_LIPS, OF_POINTS, QUANTITIES, frequency_axis
 
 __all__ = [
     "Numbers",

@@ -34,8 +34,8 @@ from fenics_crack.errors import FEW_MODES, InputError, WriteError
 from fenics_crack.files import store
 from fenics_crack.files.store import about
 from fenics_crack.outside import MOST_BYTES
-from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QUANTITIES
 from fenics_crack.scene.scene import Scene, asked_quantities
+from fenics_crack.table import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QUANTITIES
 from fenics_crack.version import VERSION
 from fenics_crack.whole import not_written, put, whole_file
 

@@ -31,7 +31,6 @@ from fenics_crack.fem.build import with_crack_length
 from fenics_crack.files.store import Stored, check_shapes, read, write
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.parallel import StopRequest, on_root
-from fenics_crack.scene.quantities import OF_GROWTH, OF_TIPS
 from fenics_crack.scene.scene import Scene, check_known, without_tips
 from fenics_crack.scene.tables import Growth as Law
 from fenics_crack.study.key_figures import damping_ratios
@@ -40,7 +39,7 @@ from fenics_crack.study.run import solve
 from fenics_crack.study.stated_errors import stated_errors
 from fenics_crack.sweep.file import NUMBERED
 from fenics_crack.sweep.result import UNSOUGHT, SweepResult, resonates, run_sweep
-from fenics_crack.table import TURN, Tabular, counted, with_frequency
+from fenics_crack.table import OF_GROWTH, OF_TIPS, TURN, Tabular, counted, with_frequency
 
 __all__ = ["ENDS", "Growth", "grow"]
 
