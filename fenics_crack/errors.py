@@ -21,11 +21,14 @@ __all__ = [
     "InputError",
     "StoppedError",
     "WriteError",
+    "check_choice",
     "check_count",
+    "check_kind",
     "check_number",
     "check_omega",
     "check_options",
     "check_two_ratios",
+    "one_of",
     "reading",
 ]
 
@@ -168,6 +171,17 @@ def check_kind(key: str, value: object, kind: type) -> None:
     """Raise InputError unless a value is an object of a class."""
     if not isinstance(value, kind):
         raise InputError(key, type(value).__name__, f"a {kind.__name__}")
+
+
+def one_of(words: Iterable[str]) -> str:
+    """What is allowed where one of some words is."""
+    return "one of " + ", ".join(map(repr, words))
+
+
+def check_choice(key: str, value: object, words: Iterable[str]) -> None:
+    """Raise InputError unless a value is one of some words."""
+    if not isinstance(value, str) or value not in words:
+        raise InputError(key, value, one_of(words))
 
 
 def check_options(whose: str, options: Mapping[str, object], known: Iterable[str]) -> None:

@@ -38,6 +38,7 @@ from fenics_crack.balance.solution import PeriodicSolution, Solver, more_harmoni
 from fenics_crack.errors import (
     ConvergenceError,
     InputError,
+    check_choice,
     check_count,
     check_kind,
     check_number,
@@ -135,8 +136,7 @@ def linear_response(
     --------
     >>> amplitude = fc.linear_response(structure, tip, np.linspace(1e3, 3e3, 50), lips="tied")
     """
-    if lips not in LIPS:
-        raise InputError("lips", lips, "one of " + ", ".join(map(repr, LIPS)))
+    check_choice("lips", lips, LIPS)
     given = numbers(omega)
     if given.ndim != 1 or not np.all(np.isfinite(given) & (given >= 0.0)):
         raise InputError("omega", omega, "finite numbers >= 0, in an array (n,)")

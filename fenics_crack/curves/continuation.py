@@ -33,7 +33,7 @@ from fenics_crack.curves.beginnings import (
 from fenics_crack.curves.curve import Bifurcation, CurvePoint, ResponseCurve, columns
 from fenics_crack.curves.exact import FOLLOWED, verified
 from fenics_crack.curves.family import FAMILIES, Family
-from fenics_crack.errors import InputError, check_count, check_number
+from fenics_crack.errors import InputError, check_choice, check_count, check_number
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
@@ -398,8 +398,7 @@ class _Joined(Event):
 def _check_range(problem: Problem, parameter: str, start: float, end: float) -> None:
     """Raise InputError unless a curve can go from one value of a parameter to another."""
     structure = problem.structure
-    if parameter not in FAMILIES:
-        raise InputError("parameter", parameter, "one of " + ", ".join(map(repr, FAMILIES)))
+    check_choice("parameter", parameter, FAMILIES)
     if is_rigid(problem.contact) and parameter == "stiffness":
         raise InputError("parameter", parameter, "another one: a rigid contact has no stiffness")
     names = ("omega_start", "omega_end") if parameter == "omega" else ("start", "end")

@@ -31,7 +31,14 @@ from fenics_crack.curves.family import Family
 from fenics_crack.curves.orbit_branch import ALIKE, KINDS, OrbitBranch
 from fenics_crack.curves.orbit_nodes import Node
 from fenics_crack.curves.stability import orbits_near
-from fenics_crack.errors import ConvergenceError, InputError, check_count, check_kind, check_number
+from fenics_crack.errors import (
+    ConvergenceError,
+    InputError,
+    check_choice,
+    check_count,
+    check_kind,
+    check_number,
+)
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
@@ -206,8 +213,7 @@ def refine_bifurcation(
     >>> omega, orbit = fc.refine_bifurcation(doubling.bifurcations[0])
     """
     kind = getattr(bifurcation, "kind", type(bifurcation).__name__)
-    if kind not in KINDS:
-        raise InputError("bifurcation", kind, "one of " + ", ".join(map(repr, KINDS)))
+    check_choice("bifurcation", kind, KINDS)
     solution = bifurcation.solution
     check_number("reach", reach, 0.0, above=True)
     if reach > 0.5:

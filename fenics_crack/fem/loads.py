@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.errors import InputError
+from fenics_crack.errors import InputError, check_choice
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.elasticity import thickness
@@ -141,9 +141,8 @@ def _at_nodes(dofs: Dofs, share: np.ndarray, vector: Vector) -> np.ndarray:
 
 def _edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.ndarray:
     """Tractions and pressures on an edge as consistent nodal forces: (3, n_dofs)."""
-    edges = sorted(set(dofs.plate.groups) - {"clamp"})
-    if load.edge not in edges:
-        raise InputError(f"{key}.edge", load.edge, "one of " + ", ".join(map(repr, edges)))
+    assert load.edge is not None
+    check_choice(f"{key}.edge", load.edge, sorted(set(dofs.plate.groups) - {"clamp"}))
     edge = dofs.plate.along(load.edge)
     test, t = ufl.TestFunction(dofs.space), thickness(scene, dofs.space)
     x = ufl.as_vector(np.eye(dofs.dimension)[0].tolist())

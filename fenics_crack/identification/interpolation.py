@@ -37,10 +37,10 @@ import numpy as np
 from scipy.interpolate import RBFInterpolator, make_interp_spline
 from scipy.spatial.distance import cdist
 
-from fenics_crack.errors import FEW_MODES, InputError
+from fenics_crack.errors import InputError
 from fenics_crack.identification.measurements import Measurement
 from fenics_crack.scene.fields import Axis
-from fenics_crack.sweep.file import CONVERGED, KEPT_ORDERS
+from fenics_crack.sweep.file import CONVERGED, KEPT_ORDERS, NUMBERED
 from fenics_crack.sweep.result import SweepResult
 
 __all__ = ["MESH", "Cube", "Feature", "Interpolation", "Part", "left_out_errors", "poles", "scales"]
@@ -287,9 +287,8 @@ class Part:
         """Root of s, the bilinear frequencies [Hz], which :func:`scales` needs, and those
         without the crack, at all nodes: (n, 1 + 2 modes); 1 for s without a crack, nan where there
         is no frequency."""
-        modes = range(1, FEW_MODES + 1)
         tied, opened, breathing, bare = (
-            np.stack([self.natural(lips, mode) for mode in modes], axis=1)
+            np.stack([self.natural(lips, mode) for mode in NUMBERED], axis=1)
             for lips in ("tied", "open", "bilinear", "uncracked")
         )
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -351,7 +350,7 @@ def poles(
     """r of each mode, and 1 - r^2 + 2 i z r, at m places: (m, f, modes); of ratios of damping
     (m, 1), and what :attr:`Part.basis` has there (m, 1 + 2 modes); 0 and 1 of natural frequencies
     and where there is no mode."""
-    own = basis[:, 1 : 1 + FEW_MODES]
+    own = basis[:, NUMBERED]
     loads = np.array([feature.order * feature.frequency for feature in features])
     r = loads[:, None] / np.where(np.isfinite(own), own, np.inf)[:, None, :]
     return r, 1.0 - r**2 + 2j * damping[..., None] * r

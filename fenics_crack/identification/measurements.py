@@ -13,7 +13,14 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
-from fenics_crack.errors import FEW_MODES, InputError, check_count, check_number, reading
+from fenics_crack.errors import (
+    FEW_MODES,
+    InputError,
+    check_choice,
+    check_count,
+    check_number,
+    reading,
+)
 from fenics_crack.outside import table_lines
 from fenics_crack.scene.fields import LARGEST, OR_ZERO, SMALLEST
 from fenics_crack.scene.scene import Scene
@@ -90,9 +97,7 @@ class Measurement:
     phase: float = math.nan
 
     def __post_init__(self) -> None:
-        if self.quantity not in tuple(IN_WORDS):
-            allowed = f"one of {', '.join(IN_WORDS)}"
-            raise InputError("measurements.quantity", self.quantity, allowed)
+        check_choice("measurements.quantity", self.quantity, IN_WORDS)
         at_probe = self.quantity == "displacement"
         check_number("measurements.value", self.value, -math.inf if at_probe else 0.0)
         check_number("measurements.deviation", self.deviation, 0.0, above=True)

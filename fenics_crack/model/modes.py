@@ -21,7 +21,7 @@ from petsc4py import PETSc
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 from slepc4py import SLEPc
 
-from fenics_crack.errors import FEW_MODES, ConvergenceError, InputError
+from fenics_crack.errors import FEW_MODES, ConvergenceError, InputError, check_choice
 from fenics_crack.model.factor import AT_A_TIME, TOLERATED, Factor, factored_sum
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 from fenics_crack.numerics.equations import EPSILON
@@ -144,8 +144,7 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
     --------
     >>> modes = fc.solve_modes(structure, 3, lips="tied")
     """
-    if lips not in LIPS:
-        raise InputError("lips", lips, "one of " + ", ".join(map(repr, LIPS)))
+    check_choice("lips", lips, LIPS)
     tied = lips == "tied" and structure.n_pairs > 0
     known = structure.known_modes(tied=tied)
     ties = independent_ties(structure) if tied and known is None else None

@@ -34,7 +34,7 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sparse
 
-from fenics_crack.errors import InputError
+from fenics_crack.errors import InputError, check_choice
 from fenics_crack.model.factor import AT_A_TIME, Factor, factored_sum
 from fenics_crack.model.modal import SMALL
 from fenics_crack.model.modes import (
@@ -112,8 +112,7 @@ def reduce_structure(
     --------
     >>> reduced = fc.reduce_structure(structure, modes=10)
     """
-    if method not in METHODS:
-        raise InputError("method", method, "one of " + ", ".join(map(repr, METHODS)))
+    check_choice("method", method, METHODS)
     check_mass(structure, "reduce the whole one")
     rule = _rule_of_all(structure)
     modal = rule is None and isinstance(structure.damping, ModalDamping)

@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fenics_crack.errors import InputError
+from fenics_crack.errors import InputError, one_of
 from fenics_crack.hints import candidates, meant, near, written
 from fenics_crack.table import TURN
 
@@ -299,8 +299,7 @@ def at_least_one(default: Any = MISSING) -> Any:
 
 def choice(*words: str, default: Any = MISSING) -> Any:
     """Field of one of some words."""
-    allowed = "one of " + ", ".join(map(repr, words))
-    return holds(allowed, lambda value: value in words, default, words=words)
+    return holds(one_of(words), lambda value: value in words, default, words=words)
 
 
 def hertz(

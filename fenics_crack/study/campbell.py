@@ -23,7 +23,7 @@ import numpy as np
 from mpi4py import MPI
 from scipy.optimize import brentq
 
-from fenics_crack.errors import InputError, check_count
+from fenics_crack.errors import InputError, check_choice, check_count
 from fenics_crack.fem.build import assemble, with_crack_length
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import (
@@ -140,8 +140,7 @@ class Campbell(Tabular):
             An argument cannot be used.
         """
         check_count("order", order, 1)
-        if kind not in (*STATES, "real"):
-            raise InputError("kind", kind, "one of " + ", ".join(map(repr, (*STATES, "real"))))
+        check_choice("kind", kind, (*STATES, "real"))
         if kind == "real":
             return self._real_crossings(order)
 

@@ -37,7 +37,7 @@ from typing import Any, ClassVar
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.errors import InputError, check_number
+from fenics_crack.errors import InputError, check_choice, check_number
 from fenics_crack.files.store import Stored, write
 from fenics_crack.model.matrices import numbers
 from fenics_crack.scene.scene import Scene
@@ -322,8 +322,7 @@ class Verification(Tabular):
         InputError
             There is no such quantity.
         """
-        if quantity not in self.values:
-            raise InputError("quantity", quantity, "one of " + ", ".join(map(repr, self.values)))
+        check_choice("quantity", quantity, self.values)
         return {
             # Sizes are in the order of the smallest; the scene's own choice is the first count.
             cause: found[quantity].uncertainty(sorted(counts, reverse=True).index(counts[0]))
