@@ -32,7 +32,7 @@ from fenics_crack.balance.compliance import Compliance, FactoredCompliance
 from fenics_crack.balance.contact_integrals import PairIntegrals, apply_to_pairs, respond_to_columns
 from fenics_crack.balance.contact_system import SOFT, ContactPoint, ContactSystem
 from fenics_crack.balance.harmonic_balance import check_initial
-from fenics_crack.balance.search import Search
+from fenics_crack.balance.problem import Search
 from fenics_crack.balance.solution import Solver
 from fenics_crack.errors import check_number
 from fenics_crack.model.contact import is_rigid

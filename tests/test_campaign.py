@@ -352,7 +352,7 @@ def test_motion_that_does_not_repeat_itself_says_so(monkeypatch: pytest.MonkeyPa
     harmonics, which lead to none, are left after a third of their steps."""
     case = campaign.draw(901, 20, "tolerance", "mass")
     with monkeypatch.context() as shorter:
-        shorter.setattr("fenics_crack.balance.search.COMPILED", 1500)
+        shorter.setattr("fenics_crack.balance.problem.COMPILED", 1500)
         (row,) = campaign.findings(901, case)
     assert row["judgement"] == campaign.WANDERS and row["estimate"] > campaign.LARGE, row
     assert "followed for 1000 periods of the load, the exact motion comes" in row["remark"]

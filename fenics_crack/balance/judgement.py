@@ -33,7 +33,8 @@ from functools import cached_property
 import numpy as np
 
 from fenics_crack.balance.contact_integrals import CoupledIntegrals
-from fenics_crack.balance.problem import Problem, Wave
+from fenics_crack.balance.contact_system import Wave
+from fenics_crack.balance.problem import Problem
 from fenics_crack.errors import MOST_HARMONICS
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import NEGLIGIBLE, times

@@ -1,21 +1,52 @@
-"""A problem of harmonic balance, all that a solution depends on but its start; and the motion that
-solves it."""
+"""A problem of harmonic balance, all that a solution depends on; and the search for a solution.
+
+A search takes one start after the other, until Newton's method arrives or the work is done. A
+start gives guesses, and from each of them full Newton steps are taken, and then from where
+shortened steps lead from there:
+
+near       a given solution
+marched    a motion after 40, 160 and 520 periods of exponential steps in time: of pairs that are
+           seen through a static compliance (:mod:`contact_system`), where their law is piecewise
+           linear. Many harmonics come from a solution with few: twice as many from itself, more
+           from the exact orbit next to it, which is near whatever their number, or step by step
+fewer      the linear solution; with many unknowns or pairs that are seen through a static
+           compliance the solution with half the harmonics, which comes from that with half of
+           those, and so on
+path       where the path of solutions in the softness in series with every pair has its end,
+           followed by arc-length through its folds, from where the solution is unique and close to
+           the linear one
+
+The path cannot return to soft contact: with enough steps it comes to its end, unless solutions grow
+without bound. Several stiff pairs with little damping have thousands of folds on their way. So all
+starts together take a certain number of iterations and no more, the same on every machine: a search
+that finds nothing ends within seconds, and says what was tried.
+
+No search can undo what rounding does: a gap rounded to eps |g| makes a contact force rounded to
+eps k |g|, which moves the gap by eps k R |g|, and no residual can be smaller than that.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from fenics_crack.balance.compliance import Compliance, dynamic_compliance, load_coefficients
+from fenics_crack.balance.compliance import (
+    Compliance,
+    ResizedCompliance,
+    dynamic_compliance,
+    load_coefficients,
+)
 from fenics_crack.balance.contact_integrals import (
     ContactIntegrals,
     CoupledIntegrals,
     ExactIntegrals,
     contact_integrals,
 )
-from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, default_weight
+from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, Wave, default_weight
 from fenics_crack.errors import (
     MAX_SAMPLES,
     ConvergenceError,
@@ -29,12 +60,31 @@ from fenics_crack.machine import machine_memory
 from fenics_crack.model.contact import ContactLaw, check_law, is_regular, is_rigid
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.equations import NEARLY_SOLVED
-from fenics_crack.numerics.fourier import evaluate
-from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_at, solve_near
-from fenics_crack.numerics.path import NARROW, Path, Target
+from fenics_crack.motion.flow import ExponentialFlow, flow_of
+from fenics_crack.motion.orbit import PeriodicOrbit, affordable
+from fenics_crack.motion.shooting import orbit_next_to, wave_states
+from fenics_crack.numerics.equations import (
+    EPSILON,
+    NEARLY_SOLVED,
+    ROUNDING,
+    Linearisation,
+    least_residual,
+)
+from fenics_crack.numerics.fourier import balanced
+from fenics_crack.numerics.newton import (
+    FULL_STEPS,
+    PATIENCE,
+    Newton,
+    PathPoint,
+    kernel_solves,
+    point_on_path,
+    solve_at,
+    solve_near,
+)
+from fenics_crack.numerics.path import NARROW, Ended, Path, Target
+from fenics_crack.stages import begin
 
-__all__ = ["Problem", "Wave", "check_memory"]
+__all__ = ["Problem", "Search", "check_memory", "halved", "rounding_left"]
 
 BEYOND = 2.0
 """Modes above so many times the highest harmonic answer at once."""
@@ -53,91 +103,12 @@ STIFF = 100.0
 MATRICES = 4
 """Dense matrices of the size of the Jacobian that are held at a time, or stiffnesses of coupled
 pairs at all instants."""
-
-
-@dataclass(frozen=True, repr=False)
-class Wave:
-    """u(t) = a0 + sum_k a_k cos(k w t) + b_k sin(k w t), w = omega / subharmonic.
-
-    Its attributes are those of :class:`fenics_crack.PeriodicSolution`.
-    """
-
-    structure: Structure
-    omega: float
-    contact: ContactLaw | None
-    displacement_coefficients: np.ndarray
-    gap_coefficients: np.ndarray
-    force_coefficients: np.ndarray
-    subharmonic: int = 1
-    static_above: float | None = None
-
-    @property
-    def harmonics(self) -> int:
-        """H, the highest harmonic kept."""
-        return (len(self.gap_coefficients) - 1) // 2
-
-    @property
-    def base_omega(self) -> float:
-        """Angular frequency of the response [rad/s]."""
-        return self.omega / self.subharmonic
-
-    @property
-    def period(self) -> float:
-        """Period of the response [s]."""
-        return float(2.0 * np.pi / self.base_omega)
-
-    @cached_property
-    def residual(self) -> np.ndarray | None:
-        """R_inf, the compliance of what answers contact forces at once: (n_pairs, n_pairs) [m/N];
-        None where nothing does."""
-        if self.static_above is None:
-            return None
-        return all_modes(self.structure).static_part(self.static_above)
-
-    @cached_property
-    def _forces(self) -> CoupledIntegrals:
-        """lambda(s) where something answers at once."""
-        assert self.contact is not None
-        return CoupledIntegrals(self.contact, self.harmonics, residual=self.residual)
-
-    @property
-    def slow_gap_coefficients(self) -> np.ndarray:
-        """Of s = g + R_inf lambda, the gap without what answers at once: (2H+1, n_pairs) [m]."""
-        if self.residual is None:
-            return self.gap_coefficients
-        return self.gap_coefficients + self.force_coefficients @ self.residual
-
-    def gap(self, time: np.ndarray) -> np.ndarray:
-        """g at times [s]: (len(time), n_pairs) [m]. Where some of it answers contact forces at
-        once, s(t) - R_inf lambda(s(t)), with its kinks."""
-        slow = evaluate(self.slow_gap_coefficients, self.base_omega, time)
-        if self.residual is None:
-            return slow
-        return slow - self.contact_force(time) @ self.residual
-
-    def contact_force(self, time: np.ndarray) -> np.ndarray:
-        """Contact force at times [s]: (len(time), n_pairs) [N], lambda(g(t)) or lambda(s(t)); of a
-        constraint of pairs that nothing couples, eps max(0, g + lambda / eps) of the waves."""
-        gap = evaluate(self.slow_gap_coefficients, self.base_omega, time)
-        if self.contact is None:
-            return np.zeros_like(gap)
-        if self.residual is not None:
-            return self._forces.forces(gap)
-        if not is_rigid(self.contact):
-            return self.contact.force(gap)
-        assert self.contact.weight is not None
-        force = evaluate(self.force_coefficients, self.base_omega, time)
-        return np.asarray(np.maximum(0.0, self.contact.weight * gap + force))
-
-    def coordinates(self, time: np.ndarray) -> np.ndarray:
-        """Displacement of the structure's own dofs on this rank: (len(time), n_local) [m]."""
-        found = evaluate(self.displacement_coefficients, self.base_omega, time)
-        if self.static_above is not None:
-            # What answers at once follows the forces as they are, with their kinks.
-            waves = evaluate(self.force_coefficients, self.base_omega, time)
-            moved = all_modes(self.structure).moved_at_once(self.static_above)
-            found -= (self.contact_force(time) - waves) @ moved.T
-        return found
+COMPILED, INTERPRETED = 5000, 1000
+"""Iterations of all starts together, with 300 unknowns in the kernel, and in Python: 5 to 8 s."""
+MARCHED, BALANCED = (40, 120, 360), 20
+"""Periods of a response that are marched for one guess after the other, and harmonics of the load
+that are balanced from there: with fewer, 10 and 5, 6 of 36 solutions were not found, and with more
+the steps are dear that fail."""
 
 
 @dataclass(frozen=True)
@@ -362,3 +333,273 @@ def _end_of_path(system: ContactSystem, start: np.ndarray) -> PathPoint | None:
     along = system.compile(system.linear + missed, system.moving, linear_rate=-missed)
     options = replace(NARROW, max_steps=most, at_once=most, rtol=NEARLY_SOLVED)
     return Path(along, point_on_path(along, start, 0.0), options, [Target(1.0)]).run()
+
+
+# --- the search -----------------------------------------------------------------------------------
+
+
+Start = tuple[str, Iterator[np.ndarray]]
+"""What a start is called, and its guesses."""
+
+
+@dataclass
+class Search:
+    """The search for a solution of a system, and the record of the attempts."""
+
+    system: ContactSystem
+    problem: Problem | None
+    """What the system balances; None: other equations, which have no motions as guesses."""
+    tolerance: float
+    """|F| / |x| at which a solution is accepted; raised to what rounding allows."""
+    share: float
+    """Of the iterations that may be taken: 1.0 all of them."""
+    converged: bool = False
+    """Whether the last attempt met the tolerance."""
+    iterations: int = 0
+    """Newton iterations, all attempts together."""
+    history: list[float] = field(default_factory=list)
+    """|F| of every iteration by SNES: where the kernel has the equations, of a last attempt when
+    all have failed."""
+    attempts: list[str] = field(default_factory=list)
+    """What was tried and how it ended."""
+    orbit: PeriodicOrbit | None = None
+    """From which a guess was taken."""
+    _rounding: float = ROUNDING
+    _most: float = 0.0
+
+    @property
+    def status(self) -> str:
+        """All attempts, and what to do where none led to a solution."""
+        told = "; then ".join(self.attempts)
+        if self.converged:
+            return told
+        return (
+            f"{told}; none found in {self.iterations} iterations: try other harmonics, a softer "
+            "contact, more damping, or a solution nearby as initial"
+        )
+
+    def solve(self, start: np.ndarray | None = None) -> Linearisation:
+        """The equations where Newton's method arrives, or where it was last, from a solution nearby
+        or cold.
+
+        Raises InputError where the contact is so stiff that rounding leaves nothing of its force.
+        """
+        system = self.system
+        if system.residual is None:
+            self._rounding = rounding_left(system.compliance, system.integrals.law)
+            if self._rounding > ROUNDING:
+                self.tolerance = max(self.tolerance, self._rounding)
+        self._most = self.share * _iterations(system)
+        at: Linearisation | None = None
+        with ExitStack() as held:
+            snes = None
+            if not kernel_solves(system):
+                snes = held.enter_context(Newton(system, self.history))
+            for name, guesses in self._starts(start):
+                begin(name)
+                before = self.iterations
+                for guess in guesses:
+                    at = self._newton(snes, guess)
+                    if self.converged or self._spent:
+                        break
+                self._tell(name, before)
+                if self.converged:
+                    break
+        at = at or system.linearise(np.zeros(system.shape), 1.0)
+        if not self.converged and snes is None:  # for the record
+            before = self.iterations
+            with Newton(system, self.history) as snes:
+                at = self._newton(snes, at.unknown)
+            if self.converged:
+                self._tell("full steps of SNES", before)
+            else:
+                self.iterations = before
+        return at
+
+    def _tell(self, name: str, before: int) -> None:
+        """What a start came to."""
+        outcome = "converged" if self.converged else "failed"
+        self.attempts.append(f"{name}: {outcome} ({self.iterations - before} iterations)")
+
+    def _newton(self, snes: Newton | None, guess: np.ndarray) -> Linearisation:
+        """Where full steps of SNES, or else of the kernel, lead."""
+        if snes is not None:
+            at, self.converged, count = snes.solve(guess, 1.0, self.tolerance, FULL_STEPS)
+            self.iterations += count
+            return at
+        found = self._steps(self.system, guess)
+        self.converged = found is not None
+        return self.system.linearise(guess, 1.0) if found is None else found
+
+    def _steps(
+        self, system: ContactSystem, guess: np.ndarray, tolerance: float = 0.0, at: float = 1.0
+    ) -> Linearisation | None:
+        """Where full steps lead, to a tolerance that is larger than the search's, or at a point of
+        the path; None where they do not arrive."""
+        found = solve_at(system, guess, at, tolerance=max(self.tolerance, tolerance))
+        self.iterations += FULL_STEPS if found is None else found.iterations
+        return None if found is None else found.at
+
+    @property
+    def _spent(self) -> bool:
+        return self.iterations >= self._most
+
+    # --- the starts -------------------------------------------------------------------------------
+
+    def _starts(self, start: np.ndarray | None) -> Iterator[Start]:
+        """Which are tried, one after the other."""
+        system, problem = self.system, self.problem
+        if start is not None:
+            yield "full Newton steps", self._near(system, start)
+        if problem is not None:
+            if system.integrals.coupled and system.integrals.exact:
+                yield "from a marched motion", self._marched(problem)
+            many = system.residual is not None or system.global_size > kernel.MANY
+            enough = problem.subharmonic if many else problem.harmonics
+            counts = halved(problem.harmonics, enough)
+            name = "from fewer harmonics" if many else "full Newton steps"
+            yield name, self._climb(problem, counts)
+        yield "path in the softness", self._path()
+
+    def _near(self, system: ContactSystem, guess: np.ndarray) -> Iterator[np.ndarray]:
+        """A guess, and where steps from there lead that are shortened where the residual would
+        grow."""
+        yield guess
+        point = solve_near(system, guess, 1.0, tolerance=self.tolerance, full=False)
+        self.iterations += PATIENCE if point is None else point.iterations
+        if point is not None:
+            yield point.unknown
+
+    def _climb(
+        self, problem: Problem, counts: list[int], at: ContactPoint | None = None
+    ) -> Iterator[np.ndarray]:
+        """Guesses for the last of some numbers of harmonics: with each of them the solution of the
+        one before, the first from a given one, or the linear one; where one is not found it is left
+        out."""
+        for count in counts:
+            system = self.system
+            if count != counts[-1]:
+                few = ResizedCompliance(system.compliance, count)
+                system = problem.with_harmonics(count).system(few)
+            start = system.linear if at is None else system.slow(at.gap, at.force)
+            guesses = self._near(system, start)
+            if count == counts[-1]:
+                yield from guesses
+            else:
+                at = self._nearly(system, guesses) or at
+
+    def _nearly(self, system: ContactSystem, guesses: Iterator[np.ndarray]) -> ContactPoint | None:
+        """Where full steps lead from one of some guesses; None where they do not arrive."""
+        for guess in guesses:
+            found = self._steps(system, guess, NEARLY_SOLVED)
+            if found is not None:
+                return system.linearise(found.unknown)
+        return None
+
+    def _marched(self, problem: Problem) -> Iterator[np.ndarray]:
+        """The slow gap of a motion after more and more periods; or of the exact orbit next to the
+        solution with few harmonics that it leads to."""
+        few, *more = halved(problem.harmonics, BALANCED * problem.subharmonic)
+        lowest = problem.with_harmonics(few)
+        if not more:
+            yield from self._slow_gaps(self.system, lowest)
+            return
+        system = lowest.system(lowest.compliance())
+        at = self._nearly(system, self._slow_gaps(system, lowest))
+        if at is None:
+            return
+        climb = self._climb(problem, more, at)
+        orbit = self._next_to_orbit(lowest, at)
+        for way in (orbit, climb) if len(more) > 1 else (climb, orbit):
+            yield from way
+
+    def _next_to_orbit(self, lowest: Problem, at: ContactPoint) -> Iterator[np.ndarray]:
+        """The slow gap of the exact orbit next to a solution with few harmonics."""
+        self.orbit = _orbit_next_to(lowest, at)
+        if self.orbit is not None:
+            known = self.orbit.coefficients(self.system.integrals.harmonics)
+            yield from self._near(self.system, self.system.slow(known.gap, known.force))
+
+    def _slow_gaps(self, system: ContactSystem, problem: Problem) -> Iterator[np.ndarray]:
+        """Of a motion that is marched."""
+        harmonics, periods = problem.harmonics, problem.subharmonic
+        steps = 1 << max(8, (4 * harmonics // periods).bit_length())
+        try:
+            flow = ExponentialFlow(
+                problem.structure, problem.omega, problem.contact, steps,
+                static_above=problem.cutoff,
+            )  # fmt: skip
+            state = flow.steady[0]
+            for more in MARCHED:
+                with np.errstate(all="ignore"):  # of motions that run away
+                    state = flow.advance(state, more * periods).states[-1]
+                    last = flow.advance(state, periods)
+                    assert system.residual is not None
+                    slow = last.gap + last.forces[:-1] @ system.residual
+                if not np.all(np.isfinite(slow)):
+                    return
+                yield from self._near(system, balanced(slow, harmonics))
+        except ConvergenceError:
+            return
+
+    def _path(self) -> Iterator[np.ndarray]:
+        """The end of the path in the softness; one that goes as far beyond is left."""
+        system = self.system.softened()
+        begun = self._steps(system, system.linear, at=0.0)
+        if begun is None:
+            return
+        options = replace(NARROW, rounding=self._rounding, max_steps=int(self._most))
+        path = Path(system, point_on_path(system, begun.unknown, 0.0), options, [Target(1.0)])
+        for point in path.points():
+            self.iterations += point.iterations
+            if self._spent:
+                return
+        if path.ended is Ended.MET:
+            yield path.last.unknown
+
+
+def halved(harmonics: int, enough: int) -> list[int]:
+    """Numbers of harmonics, each about half of the next, down to one that is enough."""
+    counts = [harmonics]
+    while counts[0] > enough:
+        counts.insert(0, max((counts[0] + 1) // 2, enough))
+    return counts
+
+
+def _orbit_next_to(problem: Problem, at: ContactPoint) -> PeriodicOrbit | None:
+    """The exact orbit next to a solution, where it does not take long to find."""
+    flow, omega, periods = (
+        flow_of(problem.structure, problem.contact),
+        problem.omega,
+        problem.subharmonic,
+    )
+    if flow is None or not affordable(flow, omega, periods):
+        return None
+    states = wave_states(flow, problem.wave(at).displacement_coefficients, problem.base_omega)
+    return orbit_next_to(flow, omega, states[0], periods, patient=False)
+
+
+def rounding_left(compliance: Compliance, law: ContactLaw) -> float:
+    """What rounding leaves of |F| / |x| of pairs by themselves, by the largest k R.
+
+    Raises InputError where that is nothing of the contact force.
+    """
+    stiffest, seen = float(np.max(law.stiffness)), np.abs(compliance.matrices).sum(axis=2)
+    most = NEARLY_SOLVED / (EPSILON * float(seen[0].max(initial=1e-300)))
+    if not stiffest < most:
+        raise InputError(
+            "contact stiffness",
+            stiffest,
+            f"at most {most:.2g} N/m on this structure, beyond which rounding leaves nothing; "
+            "UnilateralConstraint is the limit",
+        )
+    return least_residual(stiffest * float(seen.max(initial=0.0)))
+
+
+def _iterations(system: ContactSystem) -> float:
+    """How many a search may take: they cost like the square of the unknowns where the kernel has
+    them."""
+    dense = COMPILED * (300.0 / max(kernel.MANY, system.global_size)) ** 2
+    if getattr(system, "compiled", None) is not None:
+        return dense
+    return INTERPRETED if system.matrix_free else min(INTERPRETED, dense)

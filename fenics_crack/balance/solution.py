@@ -24,11 +24,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fenics_crack.balance.compliance import Compliance
-from fenics_crack.balance.contact_system import ContactPoint
+from fenics_crack.balance.contact_system import ContactPoint, Wave
 from fenics_crack.balance.error_report import SLIGHT, ErrorReport, estimate_errors, of_no_solution
 from fenics_crack.balance.judgement import Judgement
-from fenics_crack.balance.problem import Problem, Wave
-from fenics_crack.balance.search import Search
+from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.errors import MOST_HARMONICS, ConvergenceError
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.motion.orbit import PeriodicOrbit

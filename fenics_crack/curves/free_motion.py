@@ -23,7 +23,7 @@ from scipy.linalg.lapack import dgetrf, dgetrs
 from fenics_crack.balance.compliance import DEFLATION_BAND, ModalCompliance
 from fenics_crack.balance.contact_integrals import CoupledIntegrals, PairIntegrals, apply_to_pairs
 from fenics_crack.balance.contact_system import SOFT
-from fenics_crack.balance.search import halved, rounding_left
+from fenics_crack.balance.problem import halved, rounding_left
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import ContactLaw, gauss

@@ -127,7 +127,7 @@ def test_status_tells_the_attempts() -> None:
 def prevent(monkeypatch: pytest.MonkeyPatch, *starts: str) -> None:
     """Let starts of a search have no guesses."""
     for start in starts:
-        monkeypatch.setattr(f"fenics_crack.balance.search.Search.{start}", lambda *_: iter(()))
+        monkeypatch.setattr(f"fenics_crack.balance.problem.Search.{start}", lambda *_: iter(()))
 
 
 @pytest.mark.parametrize("harmonics", [10, 20])
@@ -198,7 +198,7 @@ def test_a_motion_that_runs_away_is_no_guess() -> None:
 
 def test_a_search_ends_and_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     """294 unknowns, hardly damped, by a quarter of the iterations: what was tried, what to do."""
-    monkeypatch.setattr("fenics_crack.balance.search.COMPILED", 1250)
+    monkeypatch.setattr("fenics_crack.balance.problem.COMPILED", 1250)
     structure, law = stopped_chain(6, 2e-4), fc.UnilateralPenalty(1e3)
     solution = fc.solve_harmonic_balance(structure, 0.3, law, harmonics=24, throw=False)
     assert not solution.converged
@@ -226,11 +226,11 @@ def test_many_harmonics_come_from_the_orbit(
         tried.append(search(*given))
         return tried[-1]
 
-    wrap(monkeypatch, "fenics_crack.balance.search._orbit_next_to", searched)
+    wrap(monkeypatch, "fenics_crack.balance.problem._orbit_next_to", searched)
     law = fc.UnilateralConstraint()
     solution = fc.solve_harmonic_balance(plate, 2000.0, law, harmonics=80)
     assert solution.converged and solution.judged.near is tried.pop() is not None
-    monkeypatch.setattr("fenics_crack.balance.search.affordable", lambda *_: False)
+    monkeypatch.setattr("fenics_crack.balance.problem.affordable", lambda *_: False)
     other = fc.solve_harmonic_balance(plate, 2000.0, law, harmonics=80)
     assert tried == [None] and "from a marched motion: converged" in other.status
     assert true_error(other, solution) < 1e-8

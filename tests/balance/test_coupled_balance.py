@@ -267,7 +267,7 @@ def test_every_start_finds_the_solution(
     """Each alone, the others prevented: the same orbit of the rigid plate, cold, H = 20."""
     expected = fc.solve_harmonic_balance(plate, 2000.0, RIGID, harmonics=20)
     for other in {"_marched", "_climb"} - {start}:
-        search = f"fenics_crack.balance.search.Search.{other}"
+        search = f"fenics_crack.balance.problem.Search.{other}"
         monkeypatch.setattr(search, lambda *_: iter(()))
     solution = fc.solve_harmonic_balance(plate, 2000.0, RIGID, harmonics=20)
     assert words in solution.status
