@@ -20,18 +20,7 @@ except ImportError as error:  # pragma: no cover
         "the compiled kernel of fenics_crack is missing or broken: run 'sh install.sh'"
     ) from error
 
-__all__ = [
-    "NULL",
-    "Struct",
-    "doubles",
-    "ffi",
-    "ints",
-    "kernel",
-    "owned",
-    "shaped",
-    "signs",
-    "table",
-]
+__all__ = ["NULL", "Struct", "doubles", "ffi", "ints", "kernel", "owned", "shaped", "signs"]
 
 kernel: Any = lib
 """The functions of the C files, by their names."""
@@ -48,7 +37,7 @@ def _bind() -> None:
     pointer_of.restype, pointer_of.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
     known = {**cython_blas.__pyx_capi__, **cython_lapack.__pyx_capi__}
     table = ffi.new("void *[]", lib.LAPACK_FUNCTIONS)
-    for name in ("dgemv", "dgemm", "dgetrf", "dgetrs", "dpotrf", "dpotrs"):
+    for name in ("dgemv", "dgemm", "dgetrf", "dgetrs"):
         capsule = known[name]
         address = pointer_of(capsule, name_of(capsule))
         table[getattr(lib, name.upper())] = ffi.cast("void *", address)
@@ -95,11 +84,6 @@ def owned(pointer: Any, free: Any) -> Any:
     if not pointer:
         raise MemoryError
     return ffi.gc(pointer, free)
-
-
-def table(kind: str, count: int) -> Any:
-    """Null pointers to so many structs."""
-    return ffi.new(f"{kind} *[]", count)
 
 
 class Struct:

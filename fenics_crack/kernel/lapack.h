@@ -3,7 +3,7 @@
 #define LAPACK_H
 
 /* Names in the order in which bind_lapack takes their addresses. */
-enum { DGEMV, DGEMM, DGETRF, DGETRS, DPOTRF, DPOTRS, LAPACK_FUNCTIONS };
+enum { DGEMV, DGEMM, DGETRF, DGETRS, LAPACK_FUNCTIONS };
 
 void bind_lapack(void **functions);
 
