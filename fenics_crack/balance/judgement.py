@@ -48,9 +48,10 @@ from fenics_crack.motion.orbit import (
     PeriodicOrbit,
     Prediction,
     affordable,
+    predicted,
     too_slow,
 )
-from fenics_crack.motion.shooting import PARTS, Patience, orbit_next_to, predicted, wave_states
+from fenics_crack.motion.shooting import PARTS, Patience, orbit_next_to, wave_states
 from fenics_crack.numerics.fourier import waves
 from fenics_crack.numerics.newton import moving_size
 from fenics_crack.table import percent
@@ -83,11 +84,11 @@ class Judgement:
 
     def __init__(
         self, wave: Wave, orbit: PeriodicOrbit | None = None, flow: ContactFlow | None = None,
-        *, patient: bool | Patience = True,
+        *, patience: Patience | None = None,
     ) -> None:  # fmt: skip
         """With the orbit that a wave was taken from, if it was, and the flow, if it is known;
-        ``patient`` as :func:`orbit_next_to`."""
-        self.wave, self.of_orbit, self._patient = wave, orbit is not None, patient
+        ``patience`` as :func:`orbit_next_to`."""
+        self.wave, self.of_orbit, self._patience = wave, orbit is not None, patience
         if orbit is not None:
             vars(self).update(near=orbit, flow=orbit.flow)
         elif flow is not None:
@@ -128,9 +129,9 @@ class Judgement:
             return None
         assert self.flow is not None
         omega, periods = self.wave.omega, self.wave.subharmonic
-        patient = self.prediction < FAR and self._patient
+        patience = self._patience if self.prediction < FAR else Patience(0)
         return orbit_next_to(
-            self.flow, omega, self.states[0], periods, patient=patient,
+            self.flow, omega, self.states[0], periods, patience=patience,
             inverse=self.predicted.inverse,
         )  # fmt: skip
 
@@ -148,7 +149,7 @@ class Judgement:
             subharmonic=wave.subharmonic,
         )  # fmt: skip
         found = problem.next_to(wave)
-        return None if found is None else Judgement(found, flow=self.flow, patient=self._patient)
+        return None if found is None else Judgement(found, flow=self.flow, patience=self._patience)
 
     @cached_property
     def decisive(self) -> Judgement | None:
@@ -207,7 +208,7 @@ class Judgement:
         if (step := self.predicted) is None or self.flow is None:
             return None
         wave, start = self.wave, step.states[0]
-        return orbit_next_to(self.flow, wave.omega, start, wave.subharmonic, patient=False)
+        return orbit_next_to(self.flow, wave.omega, start, wave.subharmonic, patience=Patience(0))
 
     @cached_property
     def states(self) -> np.ndarray:

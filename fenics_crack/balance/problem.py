@@ -62,7 +62,7 @@ from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ExponentialFlow, flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit, affordable
-from fenics_crack.motion.shooting import orbit_next_to, wave_states
+from fenics_crack.motion.shooting import Patience, orbit_next_to, wave_states
 from fenics_crack.numerics.equations import (
     EPSILON,
     NEARLY_SOLVED,
@@ -576,7 +576,7 @@ def _orbit_next_to(problem: Problem, at: ContactPoint) -> PeriodicOrbit | None:
     if flow is None or not affordable(flow, omega, periods):
         return None
     states = wave_states(flow, problem.wave(at).displacement_coefficients, problem.base_omega)
-    return orbit_next_to(flow, omega, states[0], periods, patient=False)
+    return orbit_next_to(flow, omega, states[0], periods, patience=Patience(0))
 
 
 def rounding_left(compliance: Compliance, law: ContactLaw) -> float:

@@ -454,13 +454,13 @@ class ResponseCurve(_Waves):
         return _expanded(self.problem_of(index), self.unknown(index), search=search)
 
     def judged(
-        self, index: int, flow: ContactFlow | None = None, *, patient: bool | Patience = True
+        self, index: int, flow: ContactFlow | None = None, *, patience: Patience | None = None
     ) -> Judgement:
         """What the exact flow, if it is known, says of a point, as :class:`Judgement`; no error is
         estimated."""
         problem = self.problem_of(index)
         at = problem.system(problem.compliance()).linearise(self.unknown(index))
-        return Judgement(problem.wave(at), flow=flow, patient=patient)
+        return Judgement(problem.wave(at), flow=flow, patience=patience)
 
     def peak(self, dof: int | None = None) -> Peak:
         """The largest response of a dof, or of the watched one: where, how large, how sure, whether

@@ -292,7 +292,7 @@ class _Judge:
         where nodes begin or cease to be accepted, and from each that is decided on to the next that
         is not; by the orbit next to it where they are accepted, or as single solutions are, without
         homotopies when two more of these have decided nothing than have decided a point."""
-        places, patience = np.flatnonzero(np.isnan(found)), Patience()
+        places, patience = np.flatnonzero(np.isnan(found)), Patience(2)
         left = {int(place): bool(accepted[place]) for place in places}
         asked = [int(place) for place in places[:: 1 + len(places) // EVERY]]
         for place, kind in left.items():
@@ -307,10 +307,10 @@ class _Judge:
                     asked += [place - 1, place + 1]
                     patience.left = before + (patience.left < before)
 
-    def by_itself(self, place: int, patient: bool | Patience = True) -> complex:
-        """Leading multiplier of a point judged as a single solution is, as ``patient`` as
+    def by_itself(self, place: int, patience: Patience | None = None) -> complex:
+        """Leading multiplier of a point judged as a single solution is, with the ``patience`` of
         :func:`orbit_next_to`; nan where that is open, or another orbit is as near."""
-        alone = stability_of(self._curve.judged(place, self._flow, patient=patient))
+        alone = stability_of(self._curve.judged(place, self._flow, patience=patience))
         if alone.verdict == "undecided":
             return complex(np.nan)
         return self._unless_rivalled(place, alone.multipliers[0], lambda _: alone.distance)

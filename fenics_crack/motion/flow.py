@@ -252,7 +252,7 @@ class ContactFlow(Flow):
         return Motion(end_state, int(given.at.events), int(given.at.pieces), track, samples)
 
     def steps(
-        self, states: np.ndarray, omega: float, period: float, budget: Budget | None = None
+        self, states: np.ndarray, omega: float, period: float
     ) -> tuple[np.ndarray, Track, np.ndarray]:
         """The motion over equal parts of a period from time zero, from states (n, 2 n_modes) at
         their starts: the states at their ends, the track of all parts, and how many of its
@@ -262,7 +262,7 @@ class ContactFlow(Flow):
         """
         states = _doubles(states)
         moved, ends = np.empty_like(states), np.empty(len(states), dtype=np.intc)
-        given, sets, lengths = self._motion(budget, omega=omega)
+        given, sets, lengths = self._motion(None, omega=omega)
         outcome = kernel.flow_wave(
             self.handle, given.at, len(states), period, doubles(states), doubles(moved), ints(ends)
         )

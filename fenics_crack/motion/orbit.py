@@ -47,7 +47,7 @@ from fenics_crack.table import Described, counted
 __all__ = [
     "FLOWS", "FORMED", "INSTANTS", "KNOWN", "PIECES", "SHRINKING", "Inverse", "OrbitCoefficients",
     "PeriodicOrbit", "Prediction", "affordable", "doubling_test", "eigenvalues", "find_orbit",
-    "predict", "too_slow", "unhurried",
+    "predicted", "too_slow", "unhurried",
 ]  # fmt: skip
 
 FLOWS, SHORTEST = 20, 1e-3
@@ -272,22 +272,19 @@ def unhurried(flow: ContactFlow, omega: float, subharmonic: int = 1) -> float:
     return min(1.0, PIECES / FLOWS / pieces)
 
 
-def predict(
-    flow: ContactFlow, omega: float, states: np.ndarray, *, subharmonic: int = 1
-) -> Prediction:
+def predicted(
+    flow: ContactFlow, omega: float, states: np.ndarray, subharmonic: int = 1
+) -> Prediction | None:
     """One step of Newton's method for a wave, of states at equal parts of its period (n,
-    2 n_modes).
-
-    Raises
-    ------
-    ConvergenceError
-        As :meth:`ContactFlow.advance`.
-    """
-    moved, track, ends = flow.steps(states, omega, 2.0 * np.pi * subharmonic / omega)
-    excess = moved - np.roll(states, -1, axis=0)
-    change = track.carried(np.zeros(flow.size), excess, ends)[-1]
-    inverse = _inverse(flow, track, flow.weights(omega / subharmonic))
-    changes = track.carried(inverse(change, FORCING), excess, ends)[:-1]
+    2 n_modes); None where the motion cannot be followed."""
+    try:
+        moved, track, ends = flow.steps(states, omega, 2.0 * np.pi * subharmonic / omega)
+        excess = moved - np.roll(states, -1, axis=0)
+        change = track.carried(np.zeros(flow.size), excess, ends)[-1]
+        inverse = _inverse(flow, track, flow.weights(omega / subharmonic))
+        changes = track.carried(inverse(change, FORCING), excess, ends)[:-1]
+    except (ConvergenceError, np.linalg.LinAlgError, ValueError):
+        return None
     count = flow.size // 2
     gap, moved = states[:, :count] @ flow.modes.pairs, changes[:, :count] @ flow.modes.pairs
     error = float(np.linalg.norm(moved)) / (moving_size(gap) if gap.any() else 1.0)

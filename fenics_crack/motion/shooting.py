@@ -36,9 +36,7 @@ from fenics_crack.motion.orbit import (
     KNOWN,
     Inverse,
     PeriodicOrbit,
-    Prediction,
     find_orbit,
-    predict,
     unhurried,
 )
 from fenics_crack.numerics.equations import LOCATED, DenseLinearisation, Equations
@@ -50,7 +48,7 @@ from fenics_crack.table import counted, percent
 
 __all__ = [
     "LATER", "PARTS", "FlowOrbits", "Homotopy", "OrbitPoint", "Patience", "in_the_long_run",
-    "orbit_next_to", "predicted", "recurrences", "recurring", "wave_states",
+    "orbit_next_to", "recurrences", "recurring", "wave_states",
 ]  # fmt: skip
 
 PARTS = 32
@@ -190,13 +188,9 @@ class FlowOrbits(Equations):
             state = self.moved(state, 1.0)
         return state
 
-    def gap(
-        self, unknown: np.ndarray, parameter: float, count: int = INSTANTS, later: float = 0.0
-    ) -> np.ndarray:
-        """g at equally spaced instants of a period, ``later`` by a part of their spacing:
-        (count, n_pairs) [m]."""
-        instants = (np.arange(count) + later) / count
-        return self._motion(unknown, parameter, instants).samples.gap
+    def gap(self, unknown: np.ndarray, parameter: float, count: int = INSTANTS) -> np.ndarray:
+        """g at equally spaced instants of a period: (count, n_pairs) [m]."""
+        return self._motion(unknown, parameter, np.arange(count) / count).samples.gap
 
     def orbit(self, found: PathPoint) -> PeriodicOrbit:
         """The orbit of a solution of the equations."""
@@ -322,22 +316,11 @@ def wave_states(flow: ContactFlow, displacement: np.ndarray, base_omega: float) 
     return flow.state(evaluate(displacement, base_omega, time), evaluate(rate, base_omega, time))
 
 
-def predicted(
-    flow: ContactFlow, omega: float, states: np.ndarray, subharmonic: int = 1
-) -> Prediction | None:
-    """The error of a wave of such states under a load of a frequency; None where the motion cannot
-    be followed."""
-    try:
-        return predict(flow, omega, states, subharmonic=subharmonic)
-    except (ConvergenceError, np.linalg.LinAlgError, ValueError):
-        return None
-
-
 @dataclass
 class Patience:
-    """That of several searches together."""
+    """That of searches, perhaps of several together."""
 
-    left: int = 2
+    left: int
     """Homotopies that may still be followed."""
 
 
@@ -347,21 +330,20 @@ def orbit_next_to(
     start: np.ndarray,
     subharmonic: int = 1,
     *,
-    patient: bool | Patience = True,
+    patience: Patience | None = None,
     inverse: Inverse | None = None,
 ) -> PeriodicOrbit | None:
-    """The orbit next to a state: by Newton's method, or else, if ``patient``, where the homotopy
-    from the state leads, where M is formed; None where these lead to none. Newton's method may
-    begin with the inverse of a motion nearby.
+    """The orbit next to a state: by Newton's method, or else, unless ``patience`` is at its end,
+    where the homotopy from the state leads, where M is formed; None where these lead to none.
+    Newton's method may begin with the inverse of a motion nearby.
 
     Where stiff pairs open and close many times, Newton's method finds an orbit only from very near.
     """
     orbit = find_orbit(flow, omega, start, subharmonic=subharmonic, inverse=inverse)
-    left = patient.left if isinstance(patient, Patience) else patient
-    if orbit is not None or not left or flow.size > FORMED:
+    patience = patience or Patience(1)
+    if orbit is not None or not patience.left or flow.size > FORMED:
         return orbit
-    if isinstance(patient, Patience):
-        patient.left -= 1
+    patience.left -= 1
     return _by_homotopy(FlowOrbits(flow, omega, start, subharmonic))
 
 

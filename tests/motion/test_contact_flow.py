@@ -23,8 +23,8 @@ import fenics_crack as fc
 from fenics_crack import PeriodicOrbit
 from fenics_crack.kernel import doubles, kernel
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, flow_of
-from fenics_crack.motion.orbit import Prediction, find_orbit
-from fenics_crack.motion.shooting import FlowOrbits, orbit_next_to, predicted, wave_states
+from fenics_crack.motion.orbit import Prediction, find_orbit, predicted
+from fenics_crack.motion.shooting import FlowOrbits, orbit_next_to, wave_states
 from fenics_crack.numerics.fourier import balanced, evaluate
 
 RIGID = fc.UnilateralConstraint()
