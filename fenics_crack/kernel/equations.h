@@ -12,7 +12,7 @@ enum { MANY = 100 };
 /* The points of each kind begin with it; `at` is such a point. */
 typedef struct equations {
     int unknowns;
-    int means; /* of these the first, which are means over time; none where there is an inner product */
+    int means; /* of these the first, which are means over time */
     int (*evaluate)(struct equations *at, const double *x, double p); /* FOUND, or why not */
     void (*residual)(const struct equations *at, double *found);      /* F there */
     void (*solve)(struct equations *at, double *x);                   /* x = J^-1 x there, */

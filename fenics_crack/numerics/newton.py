@@ -47,9 +47,9 @@ from fenics_crack.numerics.equations import EPSILON, Linearisation, System, equa
 
 __all__ = [
     "FORCING", "FULL_STEPS", "MAX_ITERATIONS", "MIN_DAMPING", "PATIENCE", "STRAY", "Newton",
-    "PathPoint", "Tangent", "correct", "distance", "gmres", "kernel_solves", "moving_size",
-    "moving_square", "norm_at", "point_on_path", "solve_at", "solve_in_plane", "solve_near",
-    "step_along", "tangent_of",
+    "PathPoint", "Tangent", "correct", "correction", "distance", "gmres", "kernel_solves",
+    "moving_size", "moving_square", "norm_at", "point_on_path", "solve_at", "solve_in_plane",
+    "solve_near", "step_along", "tangent_of",
 ]  # fmt: skip
 
 SELF = PETSc.COMM_SELF
@@ -370,11 +370,8 @@ def solve_in_plane(
         across = shaped(plane.x, *equations.shape)
         size = Struct("norm", weight=plane.weight, of_means=plane.of_means)
         border = Struct("plane", across=across, slope=plane.p, size=size).at
-    how = _correction(
-        tolerance=tolerance, reach=reach, iterations=iterations,
-        least_damping=-1.0 if least_damping is None else least_damping, patience=patience or 0,
-        lasting=lasting,
-    )  # fmt: skip
+    shortest = -1.0 if least_damping is None else least_damping
+    how = correction(tolerance, reach, iterations, shortest, patience or 0, lasting)
     outcome = equations.run(
         kernel.solve_in_plane, border, how.at, doubles(shaped(found, *equations.shape)),
         doubles(place), ints(taken),
@@ -386,9 +383,19 @@ def solve_in_plane(
 
 
 @lru_cache
-def _correction(**members: float) -> Struct:
-    """The kernel's own."""
-    return Struct("correction", **members)
+def correction(
+    tolerance: float,
+    reach: float,
+    iterations: int = MAX_ITERATIONS,
+    least_damping: float = MIN_DAMPING,
+    patience: int = 0,
+    lasting: float = 0.0,
+) -> Struct:
+    """The kernel's own, as :func:`solve_in_plane` has it; ``reach`` along a path in steps."""
+    return Struct(
+        "correction", tolerance=tolerance, reach=reach, iterations=iterations,
+        least_damping=least_damping, patience=patience, lasting=lasting,
+    )  # fmt: skip
 
 
 def correct(

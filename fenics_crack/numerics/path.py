@@ -37,11 +37,10 @@ from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import NULL, Struct, doubles, kernel
 from fenics_crack.numerics.equations import EPSILON, LOCATED, ROUNDING, System, equations_of
 from fenics_crack.numerics.newton import (
-    MAX_ITERATIONS,
-    MIN_DAMPING,
     STRAY,
     PathPoint,
     Tangent,
+    correction,
     distance,
     solve_at,
     step_along,
@@ -359,19 +358,11 @@ def _between(system: System, ends: Ends, target: float | None, rtol: float) -> P
     points that enclose it, with s along the tangent of the first one.
     """
     equations, found = equations_of(system, ends[0].unknown.shape), Stretch(ends, 3)
-    how = Struct("stepping", shortest=ARRIVED, newton=_newton(rtol))
+    how = Struct("stepping", shortest=ARRIVED, newton=correction(rtol, STRAY))
     wanted = NULL if target is None else doubles(np.array([target]))
     path = found.struct(2)
     outcome = equations.run(kernel.find_between, how.at, wanted, path.at)
     return found[path.at.known] if equations.check(outcome) else None
-
-
-def _newton(rtol: float) -> Struct:
-    """How the points of a path are corrected."""
-    return Struct(
-        "correction", tolerance=rtol, reach=STRAY, iterations=MAX_ITERATIONS,
-        least_damping=MIN_DAMPING,
-    )  # fmt: skip
 
 
 # --- the path -------------------------------------------------------------------------------------
@@ -510,7 +501,7 @@ class Path:
         how = Struct(
             "stepping", longest=options.max_step, shortest=options.min_step,
             least_cosine=options.min_cosine, rounding=rounding,
-            newton=_newton(max(options.rtol, rounding)),
+            newton=correction(max(options.rtol, rounding), STRAY),
             lowest=max(p for p in bounds if p <= here),
             highest=min(p for p in bounds if p >= here),
         )  # fmt: skip
