@@ -140,10 +140,10 @@ class AllModes:
         slow = ~self._fast(above)
         if np.all(slow):
             return self
-        squares, shapes, fast = self.squares[~slow], self.shapes[:, ~slow], self.pairs[~slow]
-        loads, pairs = (shapes / squares) @ shapes.T, (shapes / squares) @ fast
-        if self.static_loads is not None and self.static_pairs is not None:
-            loads, pairs = loads + self.static_loads, pairs + self.static_pairs
+        squares, shapes = self.squares[~slow], self.shapes[:, ~slow]
+        loads = (shapes / squares) @ shapes.T
+        if self.static_loads is not None:
+            loads = loads + self.static_loads
         rate = self.damping[slow] if self.damping.ndim == 1 else self.damping[np.ix_(slow, slow)]
         return AllModes(
             self.squares[slow],
@@ -152,7 +152,7 @@ class AllModes:
             self.pairs[slow],
             self.unconstrained,
             self.static_part(above),
-            pairs,
+            self.moved_at_once(above),
             loads,
             self.inverse[slow],
         )
