@@ -219,8 +219,8 @@ class Judgement:
 
     @cached_property
     def distance(self) -> float:
-        """Of the gaps of the wave and the orbit over the period, relative to B^T u; nan without an
-        orbit."""
+        """Of the gaps of the wave and the orbit over the period, relative to what moves of B^T u;
+        nan without an orbit."""
         return self._to_near if self.orbit is self.near else self.to(self.orbit)
 
     @cached_property
