@@ -14,9 +14,12 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR, UNKNOWN, ErrorReport
+from fenics_crack.balance.judgement import more_modes
+from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.stability import Stability
 from fenics_crack.errors import MOST_HARMONICS, Exit
 from fenics_crack.model.modes import damped_range
+from fenics_crack.motion.orbit import KNOWN
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import key_in_words
 from fenics_crack.study.key_figures import SMALL_MOTION, extents
@@ -38,8 +41,8 @@ from fenics_crack.table import (
 __all__ = [
     "FINER", "IN_A_TEST", "MORE", "OTHERS", "Account", "account_of_growth", "account_of_sweep",
     "account_of_verification", "few_cases", "frequency_in_words", "how_it_is_left", "in_one_unit",
-    "in_short", "known_to", "largest_seen", "of_error", "of_size", "of_stability", "readable_rows",
-    "stepped_over", "warnings_of",
+    "in_short", "known_to", "largest_seen", "of_error", "of_more_modes", "of_size", "of_stability",
+    "readable_rows", "stepped_over", "warnings_of",
 ]  # fmt: skip
 
 MORE = "more harmonics (harmonic_balance.harmonics, or a tolerance that chooses them)"
@@ -206,6 +209,23 @@ def of_stability(scene: Scene, run: Run, stability: Stability | None) -> Iterato
         if table and not (table.of_all_modes or damped_range(run.structure) is None):
             hints.append("damping of all modes (damping.modes = 'all')")
     yield text + (f"; {' or '.join(hints)} may decide it" if hints else "")
+
+
+def of_more_modes(found: PeriodicSolution, verdict: str) -> Iterator[str]:
+    """A warning of a solution whose orbit has another verdict with twice the modes or more
+    (collective)."""
+    larger = more_modes(found.judged) if verdict in ("stable", "unstable") else None
+    if larger is None or not larger.affordable or larger.orbit is None:
+        return
+    size = abs(larger.orbit.multipliers[0])
+    other = "stable" if size < 1.0 else "unstable"
+    if other == verdict or abs(size - 1.0) <= KNOWN:
+        return
+    many = len(larger.flow.modes.squares)
+    yield (
+        f"with {many} modes the orbit is {other} (largest multiplier {size:.4g}): the verdict "
+        f"{verdict!r} hangs on modes that are left out; raise reduction.modes"
+    )
 
 
 def how_it_is_left(stability: Stability) -> str:

@@ -24,6 +24,7 @@ from fenics_crack.cli.account import (
     known_to,
     largest_seen,
     of_error,
+    of_more_modes,
     of_size,
     of_stability,
     readable_rows,
@@ -119,6 +120,8 @@ def _account_of_solution(run: Run[PeriodicSolution]) -> Account:
         notes.insert(0, f"the stated errors are {run.stated.left_out}")
     if found.converged:
         warnings += of_stability(scene, run, found.stability)
+        if found.stability is not None:
+            warnings += of_more_modes(found, found.stability.verdict)
         warnings += of_size(run, largest_seen(run))
         warnings += run.stated.dents if run.stated is not None else ()
     return Account(
@@ -466,10 +469,14 @@ def _warnings_of_curve(run: Run[ResponseCurve]) -> Iterator[str]:
     found, scene = run.result, run.scene
     peak = int(np.argmax(found.amplitude(run.watched_dof)))
     looked_at = {peak, *np.linspace(0, len(found) - 1, LOOKED_AT).astype(int).tolist()}
-    reports = {index: found.solution(index).report for index in sorted(looked_at)}
+    solutions = {index: found.solution(index) for index in sorted(looked_at)}
+    reports = {index: one.report for index, one in solutions.items()}
     worst = max(reports, key=lambda index: reports[index].total)
     where = f" at {_place(run, found.values[worst])}"
     yield from of_error(scene, reports[worst], int(found.harmonics[worst]), where)
+    if found.multipliers is not None and _passed(found, peak):
+        for said in of_more_modes(solutions[peak], found.verdicts[peak]):
+            yield f"at the largest response, {said}"
     stretches = _undecided_stretches(found)
     for first, last in stretches[:SHOWN_POINTS]:
         ends = found.values[[first, last]] if last > first else found.values[[first]]
