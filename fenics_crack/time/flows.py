@@ -101,7 +101,7 @@ def integrate_exponential(
     Raises
     ------
     InputError
-        The structure is too large or has mass at its lips, or an argument cannot be used.
+        The structure is too large, its pairs with mass are rigid, or an argument cannot be used.
     ConvergenceError
         The load is on an undamped resonance, no contact forces of a step were found, or contact
         creates more than twice the energy put in.
