@@ -13,7 +13,9 @@ A mesh that is certainly not one of a structure is refused, with its place. Cell
 either way round, group by group. They must not be folded: the Jacobian determinant of a cell has
 one sign at all of its nodes, and two cells that share a facet lie on either side of it. In a plane
 the angles at a node are at most 2 pi, too. Then nothing overlaps there in the neighbourhood of any
-point, and elsewhere only where boundaries cross or a part lies on another one.
+point, and elsewhere only where boundaries cross or a part lies on another one. In a solid no facet
+of the boundary has its middle in or on a cell elsewhere: where bodies touch they share their nodes,
+or nothing would hold them together.
 """
 
 from __future__ import annotations
@@ -44,7 +46,8 @@ from fenics_crack.mesher import gmsh
 from fenics_crack.outside import bytes_of, run_reader
 
 __all__ = [
-    "cells_of", "check_cells", "check_parts", "check_there", "named_groups", "put", "read_file",
+    "cells_of", "check_boundary", "check_cells", "check_parts", "check_there", "named_groups",
+    "put", "read_file",
 ]  # fmt: skip
 
 Group = tuple[int, int, str, int, np.ndarray]
@@ -125,6 +128,8 @@ def put(given: Given, dimension: int) -> tuple[Names, Lips]:
     elif sides and not lips:
         lips = tuple(cracks_between(sides[0], sides[1], places))
     check_parts(cells, places, facets["clamp"], sides)
+    if dimension == 3:
+        check_boundary(kind, cells, places, sides)
     tags, sets = _tags_of(facets)
     every = [(dimension, 1, ("plate", "solid")[dimension - 2], kind, cells.nodes)]
     every += [(dimension - 1, tag, name, _KINDS[dimension][kind], own) for tag, name, own in sets]
@@ -345,6 +350,10 @@ DEGENERATE = 1e-9
 angle relative to 2 pi."""
 SAMPLES = 50
 """Cells of a part whose centres must not lie on another part."""
+STEPS = 8
+"""Of Newton's method for where in a cell a point is."""
+BULGE = 0.2
+"""Of a curved cell beyond the box of its nodes, at most, relative to the longest side of that."""
 
 
 def _refusal(found: str, place: np.ndarray, allowed: str) -> InputError:
@@ -404,7 +413,7 @@ def _check_inside(cells: Cells, surfaces: dict[str, np.ndarray], cracks: list[st
     known = np.concatenate([facets[:0], *(corners[name] for name in cracks)])
     for name, rows in corners.items():
         inside = rows_in(rows, shared) & ~rows_in(rows, known)
-        if name != "clamp" and np.all(inside):
+        if name != "clamp" and np.any(inside):
             allowed = "one whose surfaces inside are cracks, named 'crack' or 'crack 1', 'crack 2'"
             raise InputError("mesh", f"a surface {name!r} inside the solid", allowed)
 
@@ -537,3 +546,73 @@ def _check_layers(
         if np.any(inside):
             allowed = "one whose parts lie beside each other: here one lies on another"
             raise _refusal("cells that overlap", centres[np.argmax(inside)], allowed)
+
+
+def check_boundary(kind: int, cells: Cells, places: np.ndarray, lips: Sequence[np.ndarray]) -> None:
+    """Raise InputError where the middle of a facet of a solid's boundary, other than lips, lies in
+    or on a cell that shares no node with it: bodies overlap, or touch and nothing joins them.
+
+    Parameters
+    ----------
+    kind : int
+        gmsh's number of the kind of the cells.
+    cells : Cells
+        With cracks split.
+    places : (n_nodes, 3) [m]
+        Of all nodes.
+    lips : sequence of (n, d) int
+        Corners of the facets of lips.
+    """
+    from scipy.spatial import cKDTree
+
+    facets, owner, at = (rows[cells.alone] for rows in cells.all_facets)
+    other = ~rows_in(facets, np.concatenate([*lips, facets[:0]]))
+    facets, owner, at = facets[other], owner[other], at[other]
+    _, _, _, count, local, _ = gmsh.model.mesh.getElementProperties(kind)
+    middles = np.reshape(local, (count, 3))[at].mean(axis=1)
+    points = np.einsum("in,inx->ix", _functions(kind, middles), places[cells.nodes[owner]])
+
+    here = places[cells.nodes]
+    centres = here.mean(axis=1)
+    reach = np.linalg.norm(here - centres[:, None], axis=2).max(axis=1)
+    near = cKDTree(points).query_ball_point(centres, reach)
+    cell = np.repeat(np.arange(len(near)), [len(own) for own in near])
+    point = np.concatenate(near).astype(int)
+    apart = ~(cells.nodes[cell][:, :, None] == facets[point][:, None, :]).any(axis=(1, 2))
+    cell, point = cell[apart], point[apart]
+    if np.any(covered := _in_cells(kind, cells.n_corners, here[cell], points[point])):
+        allowed = (
+            "one whose cells share their nodes where they touch (gmsh: BooleanFragments, or "
+            "Coherence Mesh), but for the lips of named cracks ('crack', or 'lower_lip' and "
+            "'upper_lip')"
+        )
+        found = "cells that overlap, or touch without a node of both,"
+        raise _refusal(found, points[point[covered][0]], allowed)
+
+
+def _in_cells(kind: int, n_corners: int, cells: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Whether points (n, 3) lie in or on cells, by the places of their nodes (n, n_nodes, 3)."""
+    low, high = cells.min(axis=1), cells.max(axis=1)
+    room = BULGE * (high - low).max(axis=1, keepdims=True)
+    found = np.all((points > low - room) & (points < high + room), axis=1)
+    if not np.any(found):
+        return found
+    cells, points, size = cells[found], points[found], (high - low)[found].max(axis=1)
+    corners = np.reshape(gmsh.model.mesh.getElementProperties(kind)[4], (-1, 3))[:n_corners]
+    at = np.tile(corners.mean(axis=0), (len(points), 1))
+    for _ in range(STEPS):
+        off = points - np.einsum("in,inx->ix", _functions(kind, at), cells)
+        gradients = _functions(kind, at, "GradLagrange").reshape(len(at), -1, 3)
+        slopes = np.linalg.pinv(np.einsum("inx,inr->ixr", cells, gradients))
+        at = np.clip(at + np.einsum("irx,ix->ir", slopes, off), -2.0, 2.0)
+    off = points - np.einsum("in,inx->ix", _functions(kind, at), cells)
+    within = _functions(_LINEAR[3, n_corners], at).min(axis=1) >= -SAME
+    found[found] = within & (np.abs(off).max(axis=1) <= SAME * size)
+    return found
+
+
+def _functions(kind: int, at: np.ndarray, name: str = "Lagrange") -> np.ndarray:
+    """Basis functions of cells, or their gradients, as gmsh names and numbers them, at places in
+    cells (n, 3): (n, n_functions)."""
+    found = gmsh.model.mesh.getBasisFunctions(kind, at.ravel(), name)[1]
+    return np.reshape(found, (len(at), -1))

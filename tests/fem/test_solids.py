@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -640,6 +641,92 @@ def test_a_surface_inside_is_a_crack_by_its_name(tmp_path: Path) -> None:
     write_box(tmp_path / "box.msh", 1, name="fissure")
     scene = of_file(tmp_path / "box.msh").replace({"contact": None})
     with pytest.raises(InputError, match=r"'fissure' inside the solid.*named 'crack'"):
+        fc.build_structure(scene)
+
+
+def write_bodies(path: Path, draw: Callable[[Any], list[int]], size: float = 0.01) -> None:
+    """A mesh of gmsh's of several volumes, clamped at y = 0."""
+    with gmsh_model() as model:
+        volumes = draw(model.occ)
+        model.occ.synchronize()
+        sides = [(tag, model.getBoundingBox(2, tag)) for _, tag in model.getEntities(2)]
+        held = [tag for tag, box in sides if box[4] < 1e-5]
+        model.setPhysicalName(2, model.addPhysicalGroup(2, held), "clamp")
+        model.addPhysicalGroup(3, volumes)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", size)
+        model.mesh.generate(3)
+        model.mesh.setOrder(2)
+        gmsh.write(str(path))
+
+
+@pytest.mark.parametrize("at", [0.015, 0.008, 0.016])
+def test_bodies_that_touch_share_their_nodes(tmp_path: Path, at: float) -> None:
+    """Else a slit parts them, without contact and without a word; or they overlap. Bodies that are
+    joined, or do not touch, are sound."""
+
+    def bodies(occ: Any) -> list[int]:
+        return [occ.addBox(x, 0.0, 0.0, 0.015, HEIGHT, THICKNESS) for x in (0.0, at)]
+
+    def joined(occ: Any) -> list[int]:
+        one, other = bodies(occ)
+        return [tag for _, tag in occ.fragment([(3, one)], [(3, other)])[0]]
+
+    path, free = tmp_path / "bodies.msh", {"crack": None, "contact": None}
+    corner = {"excitation.point": [0.0, HEIGHT, 0.0]}
+    scene = of_file(path).replace(free | corner)
+    write_bodies(path, joined)
+    fc.build_structure(scene)
+    write_bodies(path, bodies)
+    if at > 0.015:
+        fc.build_structure(scene)
+        return
+    with pytest.raises(InputError, match="cells that overlap, or touch") as caught:
+        fc.build_structure(scene)
+    place = re.findall(r"[-\d.e]+(?=[,)])", str(caught.value.value))
+    assert at - 1e-6 <= float(place[0]) <= 0.015 + 1e-6
+
+
+@pytest.mark.parametrize(("gap", "sound"), [(0.0, False), (1e-4, True)])
+def test_curved_bodies_touch(tmp_path: Path, gap: float, sound: bool) -> None:
+    """A pin in a hole, whose cells differ; a gap of a hundredth of its radius is one."""
+
+    def pin_in_a_hole(occ: Any) -> list[int]:
+        radii = 0.01 - gap, 0.01, 0.02
+        pin, hole, ring = (occ.addCylinder(0.0, 0.0, 0.0, 0.0, 0.03, 0.0, r) for r in radii)
+        occ.cut([(3, ring)], [(3, hole)])
+        return [pin, ring]
+
+    path = tmp_path / "pin.msh"
+    write_bodies(path, pin_in_a_hole, 0.006)
+    point = {"excitation.point": [0.0, 0.03, 0.015]}
+    scene = of_file(path).replace({"crack": None, "contact": None} | point)
+    if sound:
+        fc.build_structure(scene)
+        return
+    with pytest.raises(InputError, match="cells that overlap, or touch") as caught:
+        fc.build_structure(scene)
+    x, _, z = map(float, re.findall(r"[-\d.e]+(?=[,)])", str(caught.value.value)))
+    assert math.hypot(x, z) == pytest.approx(0.01, rel=0.01)
+
+
+def test_a_surface_partly_inside_is_refused(tmp_path: Path) -> None:
+    """A load on it would act on its outer part alone."""
+    with gmsh_model() as model:
+        box = model.occ.addBox(0.0, 0.0, 0.0, WIDTH, HEIGHT, THICKNESS)
+        face = model.occ.addRectangle(0.0, 0.03, 0.0, WIDTH, THICKNESS)
+        model.occ.rotate([(2, face)], 0.0, 0.03, 0.0, 1.0, 0.0, 0.0, 0.5 * math.pi)
+        parts = model.occ.fragment([(3, box)], [(2, face)])[0]
+        model.occ.synchronize()
+        at = {tag: model.occ.getCenterOfMass(2, tag)[1] for _, tag in model.getEntities(2)}
+        for name, heights in (("clamp", (0.0,)), ("pressed", (0.03, HEIGHT))):
+            tags = [tag for tag, y in at.items() if min(abs(y - h) for h in heights) < 1e-6]
+            model.setPhysicalName(2, model.addPhysicalGroup(2, tags), name)
+        model.addPhysicalGroup(3, [tag for dimension, tag in parts if dimension == 3])
+        gmsh.option.setNumber("Mesh.MeshSizeMax", 0.01)
+        model.mesh.generate(3)
+        gmsh.write(str(tmp_path / "box.msh"))
+    scene = of_file(tmp_path / "box.msh").replace({"crack": None, "contact": None})
+    with pytest.raises(InputError, match="'pressed' inside the solid"):
         fc.build_structure(scene)
 
 
