@@ -29,7 +29,7 @@ from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.elasticity import thickness
 from fenics_crack.fem.plate import Dofs
-from fenics_crack.model.nodes import Clamp, nearest_node
+from fenics_crack.model.nodes import Clamp, nearest_node, nodes_at
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.fields import Vector
 from fenics_crack.scene.scene import Scene
@@ -97,16 +97,22 @@ def _unit(parts: Sequence[Vector]) -> Vector:
 
 
 def _share_at(scene: Scene, dofs: Dofs, key: str, point: Vector) -> np.ndarray:
-    """What each of this rank's nodes gets of a force at a point: (n_nodes,)."""
+    """What each of this rank's nodes gets of a force at a point: (n_nodes,).
+
+    A node takes all of what acts at it, also where rounding, or a curved boundary between flat
+    sides, puts it out of every cell.
+    """
     if sides := [found for lip in dofs.plate.lips if (found := lip.beside(point)) is not None]:
         (low, high), *_ = sides
         allowed = "on one of the two lips that are there: {} on the lower one, {} on the upper one"
         raise InputError(key, tuple(point), allowed.format(low, high))
+    places, own = gather_rows(dofs.comm, dofs.points), dofs.first_node + np.arange(dofs.n_nodes)
+    if len(found := nodes_at(places, point)):
+        return np.where(own == found[0], 1.0, 0.0)
     nodes, values = compat.basis_at(dofs.space, scene.mesh.order, np.array(point))
     values = np.where(np.abs(values) < 1e-12, 0.0, values)  # rounding
     hits = dofs.comm.allgather(len(nodes) > 0)
     if not any(hits):
-        places = gather_rows(dofs.comm, dofs.space.mesh.geometry.x)[:, : len(point)]
         raise InputError(key, tuple(point), f"on the mesh ({nearest_node(places, point)})")
     if dofs.comm.rank != hits.index(True):
         nodes, values = nodes[:0], values[:0]

@@ -18,7 +18,9 @@ from fenics_crack.model.matrices import numbers, read_only
 from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.parallel import gather_rows
 
-__all__ = ["AXES", "Clamp", "Coordinates", "Nodes", "Pairs", "nearest_node"]
+__all__ = [
+    "AXES", "Clamp", "Coordinates", "Nodes", "Pairs", "nearest_node", "nodes_at", "place_in_words",
+]  # fmt: skip
 
 AXES = "xyz"
 
@@ -64,8 +66,7 @@ class Nodes:
             words = f"[{', '.join(AXES[:d])}], {('two', 'three')[d - 2]} finite numbers"
             raise InputError("point", point, words)
         points = gather_rows(comm, self.points)
-        distance = np.linalg.norm(points - target, axis=1)
-        found = np.flatnonzero(distance <= 1e-6 * np.ptp(points, axis=0).max())
+        found = nodes_at(points, target)
         if len(found) != 1:
             nodes = f"{len(found)} found there; {nearest_node(points, target)}"
             raise InputError("point", tuple(target), f"at a node that exists once ({nodes})")
@@ -94,7 +95,7 @@ class Nodes:
         there = nearest_node(points, point)
         if distance[place] > 0.05 * size:
             raise InputError(key, shown, f"on the mesh ({there})")
-        if np.count_nonzero(np.linalg.norm(points - points[place], axis=1) <= 1e-6 * size) > 1:
+        if len(nodes_at(points, points[place])) > 1:
             raise InputError(key, shown, f"near a node that exists once, not on the lips ({there})")
         if np.all(dofs[place] < 0):
             raise InputError(key, shown, f"near a node that is free to move ({there})")
@@ -103,18 +104,24 @@ class Nodes:
     def dof_name(self, comm: MPI.Comm, dof: int) -> str:
         """Name a dof, as :meth:`Structure.dof_name` (collective)."""
         node, component = np.argwhere(gather_rows(comm, self.dofs) == dof)[0]
-        place = _place(gather_rows(comm, self.points)[node], ".4g")
+        place = place_in_words(gather_rows(comm, self.points)[node], ".4g")
         return f"{AXES[component]} displacement at {place} m"
+
+
+def nodes_at(points: np.ndarray, point: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Which of all nodes, ``points`` (n, d), are at a point, to 1e-6 of the size of the mesh."""
+    near = 1e-6 * np.ptp(points, axis=0).max()
+    return np.flatnonzero(np.linalg.norm(points - point, axis=1) <= near)
 
 
 def nearest_node(points: np.ndarray, point: Sequence[float] | np.ndarray) -> str:
     """Where of all ``points`` (n, d) the one nearest to ``point`` is, in words."""
     nearest = points[np.argmin(np.linalg.norm(points - point, axis=1))]
-    return f"the nearest node is at {_place(nearest)}"
+    return f"the nearest node is at {place_in_words(nearest)}"
 
 
-def _place(point: np.ndarray, digits: str = "g") -> str:
-    """A point in words: "(0.1, 0.1)"."""
+def place_in_words(point: np.ndarray, digits: str = ".8g") -> str:
+    """A point in words, "(0.1, 0.1)"; its digits tell a node, as :func:`nodes_at` asks."""
     return f"({', '.join(format(x, digits) for x in point.round(12) + 0.0)})"  # no -1e-19
 
 

@@ -37,7 +37,7 @@ from fenics_crack.model.nodes import Nodes
 from fenics_crack.model.reduced import MasslessInterface
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import DampingRule, Structure, read_only_rows
-from fenics_crack.parallel import collect_garbage
+from fenics_crack.parallel import collect_garbage, gather_rows
 from fenics_crack.table import RPM
 
 __all__ = [
@@ -144,8 +144,12 @@ def static_state(
 
 def too_fast(structure: Structure, speed: float) -> str:
     """Say what is allowed instead of a speed [rad/s] at which a plate is unstable; or a solid,
-    which the Coriolis force may keep from that."""
+    which the Coriolis force may keep from that. A mesh in mm is: so its size is told (collective).
+    """
     at = f"is unstable at {speed / RPM:.6g} rpm"
+    if structure.nodes is not None:
+        sides = np.ptp(gather_rows(structure.comm, structure.nodes.points), axis=0)
+        at += f"; it measures {' x '.join(f'{side:.3g}' for side in sides)} m"
     if _nodes_of_solid(structure) is not None:
         return f"lower: without the Coriolis force, which is left out, the solid {at}"
     return f"lower: the plate {at}"

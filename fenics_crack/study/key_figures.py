@@ -39,6 +39,7 @@ from fenics_crack.model.modes import (
     tied_modes,
     times,
 )
+from fenics_crack.model.nodes import place_in_words
 from fenics_crack.model.reduced import ResidualFlexibility
 from fenics_crack.model.rotation import coriolis_shifts
 from fenics_crack.model.structure import ModalDamping, RayleighDamping, Structure
@@ -346,11 +347,12 @@ def remarks_on_structure(scene: Scene, structure: Structure) -> list[Remark]:
 
 def remarks_on(scene: Scene, figures: KeyFigures) -> list[Remark]:
     """What the scene and its key figures show."""
-    rules = (_frequency, _curve, _response, _lips, _contact, _closing, _size, _resolution, _modes)
-    of_matrices = (_frequency, _curve, _contact, _size, _modes)
+    rules = (_frequency, _curve, _response, _lips, _contact, _closing, _resolution, _modes)
+    of_matrices = (_frequency, _curve, _contact, _modes)
     chosen = rules if scene.structure is None else of_matrices
-    own = remarks_on_scene(scene)
-    if any(remark.key.startswith(("material.", "geometry.", "rotation.")) for remark in own):
+    own = [*remarks_on_scene(scene), *_size(scene, figures)]
+    firsts = "material.", "geometry.", "rotation.", "mesh.file", "structure.model"
+    if any(remark.key.startswith(firsts) for remark in own):
         return own  # all else may follow from these
     return own + [remark for rule in chosen for remark in rule(scene, figures)]
 
@@ -570,15 +572,15 @@ def _between_nodes(scene: Scene, structure: Structure) -> Remarks:
             continue
         distance = np.linalg.norm(points - point, axis=1)
         nearest = int(np.argmin(distance))
-        place = ", ".join(f"{x:.6g}" for x in points[nearest].round(12) + 0.0)
+        place = place_in_words(points[nearest])
         if scene.structure is not None:
             near = SAME * np.ptp(points, axis=0).max()
-            text = f"no node is there: the force acts on the nearest one, at ({place})"
+            text = f"no node is there: the force acts on the nearest one, at {place}"
         else:
             corners = points[cells[np.any(cells == nearest, axis=1)]]
             near = np.ptp(corners, axis=1).max(axis=1).min() / 2.0
             text = (
-                f"more than half an element from the nearest node, at ({place}): the "
+                f"more than half an element from the nearest node, at {place}: the "
                 "force acts on all nodes of its element; a smaller mesh.size brings one nearer"
             )
         if distance[nearest] > near:
@@ -654,6 +656,16 @@ def _bouncing(scene: Scene, structure: Structure) -> Remarks:
 
 
 # --- of the key figures ---------------------------------------------------------------------------
+
+
+def _size(scene: Scene, figures: KeyFigures) -> Remarks:
+    if scene.structure is not None:
+        key, file = "structure.model", scene.structure.model
+    else:
+        key, file = "mesh.file", scene.mesh.file
+    if file is not None and max(figures.size) > LARGEST_SIDE:
+        sides = f"{min(figures.size):.3g} m x {max(figures.size):.3g} m"
+        yield Remark(key, file, f"a structure of {sides}; is the mesh in mm?")
 
 
 def _frequency(scene: Scene, figures: KeyFigures) -> Remarks:
@@ -779,16 +791,6 @@ def _closing(scene: Scene, figures: KeyFigures) -> Remarks:
         what = "part" if figures.closed else "meet"
         text = f"the lips never {what}: {motion} at most; the response is linear"
         yield Remark(key, value, text)
-
-
-def _size(scene: Scene, figures: KeyFigures) -> Remarks:
-    if scene.structure is not None:
-        key, file = "structure.model", scene.structure.model
-    else:
-        key, file = "mesh.file", scene.mesh.file
-    if file is not None and max(figures.size) > LARGEST_SIDE:
-        sides = f"{min(figures.size):.3g} m x {max(figures.size):.3g} m"
-        yield Remark(key, file, f"a structure of {sides}; is the mesh in mm?")
 
 
 def _resolution(scene: Scene, figures: KeyFigures) -> Remarks:

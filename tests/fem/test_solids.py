@@ -18,13 +18,21 @@ from surroundings import DEMOS, ROOT
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
+from fenics_crack.fem.compat import function_space
 from fenics_crack.fem.crack_surface import FACETS, Cells, split_surface
+from fenics_crack.fem.loads import assemble_loads
 from fenics_crack.fem.matrix_files import coincident
 from fenics_crack.fem.msh_file import cells_of
 from fenics_crack.fem.nodal_mesh import NodalMesh
-from fenics_crack.fem.plate import build_mesh
+from fenics_crack.fem.plate import Dofs, build_mesh
+from fenics_crack.model.nodes import place_in_words
 from fenics_crack.parallel import gather_rows
-from fenics_crack.study.key_figures import remarks_on_scene, remarks_on_structure
+from fenics_crack.study.key_figures import (
+    find_key_figures,
+    remarks_on,
+    remarks_on_scene,
+    remarks_on_structure,
+)
 from fenics_crack.sweep.plan import Plan
 
 MESHES = ROOT / "meshes"
@@ -730,6 +738,20 @@ def test_a_surface_partly_inside_is_refused(tmp_path: Path) -> None:
         fc.build_structure(scene)
 
 
+def test_a_mesh_in_mm_is_told(tmp_path: Path) -> None:
+    """Also where moduli are in MPa, and where its blade is so soft that no speed seems slow."""
+    path = tmp_path / "box.msh"
+    write_bodies(path, lambda occ: [occ.addBox(0.0, 0.0, 0.0, 30.0, 90.0, 6.0)], 10.0)
+    corner = {"excitation.point": [0.0, 90.0, 0.0], "material.young": 2.1e5}
+    scene = of_file(path).replace({"crack": None, "contact": None} | corner)
+    remarks = remarks_on(scene, find_key_figures(fc.prepare(scene, whole=True)))
+    assert [remark.key for remark in remarks] == ["material.young", "mesh.file"]
+    assert str(remarks[1]).endswith("a structure of 6 m x 90 m; is the mesh in mm?")
+    rotor = {"rotation.rpm": 3000.0, "rotation.hub_radius": 0.2, "material.young": 2.1e11}
+    with pytest.raises(InputError, match=r"unstable at 3000 rpm; it measures 30 x 90 x 6 m"):
+        fc.build_structure(scene.replace(rotor))
+
+
 TWO_CELLS = """$MeshFormat
 2.2 0 8
 $EndMeshFormat
@@ -846,6 +868,25 @@ def test_plates_have_no_depth() -> None:
         solid(ELLIPSE, **plate | {"excitation.force_cos": [1.0, 0.0]})
     with pytest.raises(InputError, match=r"excitation.force_cos"):
         solid(THROUGH, **plate)
+
+
+def test_loads_at_the_nodes_of_a_curved_side() -> None:
+    """Each takes all of a load that acts at it, by its place as a refusal words it: the flat sides
+    of cells leave some of them out, and rounding puts half of them beside the mesh."""
+    blade = Scene.load(DEMOS / "solid_blade.toml")
+    force = {"loads": None, "excitation.force_cos": [0.0, 0.0, 2.0]}
+    plate = build_mesh(blade, MPI.COMM_SELF)
+    dofs = Dofs(plate, function_space(plate.mesh, 2), MPI.COMM_SELF)
+    curved = dofs.nodes_on("suction_side")
+    free = curved[(dofs.points[curved, 1] > 1e-9) & ~np.isin(curved, dofs.nodes_on("lower_lip"))]
+    free = free[~np.isin(free, dofs.nodes_on("upper_lip"))]
+    assert len(free) > 500
+    for node in free[::5]:
+        point = place_in_words(dofs.points[node]).strip("()").split(", ")
+        scene = blade.replace(force | {"excitation.point": [float(x) for x in point]})
+        found, watched = assemble_loads(scene, dofs, None)
+        assert np.flatnonzero(found[1]).tolist() == [3 * node + 2]
+        assert found[1].sum() == 2.0 and watched is not None
 
 
 def test_loads_on_a_crack_there_are_two_lips() -> None:
