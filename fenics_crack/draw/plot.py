@@ -31,6 +31,7 @@ from fenics_crack.errors import InputError
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.contact import ContactLaw, is_rigid
 from fenics_crack.model.nodes import AXES, Pairs
+from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import DIFFERENCE
 from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.table import readable
@@ -176,7 +177,7 @@ def draw_contact_map(
     solution: PeriodicSolution, *, instants: int = 400, **where: Unpack[Where]
 ) -> Figure:
     """Draw where along the crack and when in the period the lips touch, and how hard; of a solid
-    where on the crack, how hard at most, and for how much of the period.
+    where on each crack, how hard at most, and for how much of the period.
 
     Colours show the contact pressure if contact is rigid or its stiffness given per area, else the
     force of each pair; grey is open. Several cracks are one above the other, with a line between
@@ -217,14 +218,9 @@ def draw_contact_map(
         values, label, unit = values / structure.pair_areas, "contact pressure", "Pa"
     scale, unit = readable(float(values.max()), unit)
     if points.shape[1] == 3:
-        pictured = NodalMesh(structure.whole)
-        picture = Picture(2, columns=2, size=TWO_PANELS, **where)
-        closed = (values[:-1] > 0.0).mean(axis=0)
         shown = {f"largest {label} [{unit}]": scale * values.max(axis=0)}
-        shown["share of the period closed"] = closed
-        for panel, (words, found) in zip(picture, shown.items(), strict=True):
-            _over_crack(panel, pictured, points, found, words)
-        return picture.saved()
+        shown["share of the period closed"] = (values[:-1] > 0.0).mean(axis=0)
+        return _over_cracks(structure, shown, where)
     depth, ends = _along_cracks(structure.pairs)
     loads = time * solution.omega / (2.0 * np.pi)
     [panel] = picture = Picture(**where)
@@ -242,24 +238,39 @@ def draw_contact_map(
     return picture.saved()
 
 
-def _over_crack(
-    axes: Axes, mesh: NodalMesh, places: np.ndarray, values: np.ndarray, label: str
-) -> None:
-    """Values of pairs at their places over the plane of the cracks, zero at the fronts."""
+def _over_cracks(structure: Structure, shown: Mapping[str, np.ndarray], where: Where) -> Figure:
+    """Values of the pairs of a solid, by their labels, over each of its cracks."""
     from scipy.spatial import cKDTree
 
+    mesh, pairs = NodalMesh(structure.whole), structure.pairs
     facets = mesh.boundary_facets[mesh.lip_facets]
     triangles = facets if facets.shape[1] == 3 else facets[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
-    nodes, corners = np.unique(triangles, return_inverse=True)
-    points = mesh.points[nodes]
-    distance, pair = cKDTree(places).query(points)
-    found = np.where(distance <= 1e-6 * mesh.size, values[pair], 0.0)
+    tree = cKDTree(pairs.points)
+    of_pair = np.zeros(len(tree.data), dtype=int) if pairs.cracks is None else pairs.cracks
+    of_crack = of_pair[tree.query(mesh.points[triangles].mean(axis=1))[1]]
+    cracks = np.unique(of_pair)
+    width, height = TWO_PANELS
+    picture = Picture(2 * len(cracks), columns=2, size=(width, height * len(cracks)), **where)
+    for panel, (crack, label) in zip(picture, itertools.product(cracks, shown), strict=True):
+        nodes, corners = np.unique(triangles[of_crack == crack], return_inverse=True)
+        distance, pair = tree.query(mesh.points[nodes])
+        values = np.where(distance <= 1e-6 * mesh.size, shown[label][pair], 0.0)
+        _over_crack(panel, mesh.points[nodes], corners.reshape(-1, 3), values, label)
+        if len(cracks) > 1:
+            panel.set_title(f"crack {crack + 1}", fontsize="medium")
+    return picture.saved()
+
+
+def _over_crack(
+    axes: Axes, points: np.ndarray, triangles: np.ndarray, values: np.ndarray, label: str
+) -> None:
+    """Values at points of a crack, zero at its front, over the plane in which it lies most."""
     across = int(np.argmin(np.ptp(points, axis=0)))
     one, other = (axis for axis in range(3) if axis != across)
     scale, unit = readable(float(np.abs(points[:, [one, other]]).max()), "m")
-    at = scale * points[:, [one, other]].T
-    drawn = axes.tripcolor(*at, corners.reshape(-1, 3), found, shading="gouraud", cmap="viridis")
-    axes.triplot(*at, corners.reshape(-1, 3), color="black", lw=0.2)
+    at, ends = scale * points[:, [one, other]].T, {"vmin": 0.0, "vmax": values.max() or 1.0}
+    drawn = axes.tripcolor(*at, triangles, values, shading="gouraud", cmap="viridis", **ends)
+    axes.triplot(*at, triangles, color="black", lw=0.2)
     axes.set_aspect("equal")
     axes.set_xlabel(f"{AXES[one]} [{unit}]")
     axes.set_ylabel(f"{AXES[other]} [{unit}]")

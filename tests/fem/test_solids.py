@@ -454,6 +454,23 @@ def test_a_breathing_crack_in_bending() -> None:
     assert fc.floquet(reduced, solution).verdict == "stable"
 
 
+def test_each_crack_has_a_contact_map() -> None:
+    """Of cracks one above the other each shows its own plane; what never touches no negative
+    pressure."""
+    second = {"center": 0.01, "height": 0.06, "length": 0.008, "depth": 0.003}
+    scene = solid(ELLIPSE, **{f"cracks.1.{key}": value for key, value in second.items()})
+    structure = fc.reduce_structure(fc.build_structure(scene), modes=4, method="massless")
+    solution = fc.solve_linear(structure, 1000.0)
+    panels = fc.draw_contact_map(solution).axes
+    maps = [panel for panel in panels if panel.get_title()]
+    assert [panel.get_title() for panel in maps] == ["crack 1"] * 2 + ["crack 2"] * 2
+    for panel, crack in zip(maps, (ELLIPSE, ELLIPSE, second, second), strict=True):
+        assert (panel.get_xlabel(), panel.get_ylabel()) == ("x [mm]", "z [mm]")
+        sides = panel.dataLim.width, panel.dataLim.height
+        assert sides == pytest.approx((1e3 * crack["length"], 1e3 * crack["depth"]), rel=1e-3)
+        assert panel.collections[0].get_clim() == (0.0, 1.0)
+
+
 # --- files ----------------------------------------------------------------------------------------
 
 
