@@ -44,7 +44,7 @@ from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.crack_surface import Lips
 from fenics_crack.fem.elasticity import constants, rotation_of, stress, thickness
-from fenics_crack.fem.lips import along
+from fenics_crack.fem.lips import SAME, along
 from fenics_crack.fem.loads import assemble_loads, clamp_of
 from fenics_crack.fem.matrix_files import read_structure
 from fenics_crack.fem.msh_file import check_there
@@ -137,33 +137,38 @@ def _matched(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Rows (number, weight, x, y, ...) of both lips without the tips, partner by partner in order
     along the cracks; the crack of each pair, and its position."""
+    from scipy.spatial import cKDTree
+
     shared = np.intersect1d(lower[:, 0], upper[:, 0])
     size = np.ptp(lower[:, 2:], axis=0).max()
-    sides = []
-    for side in (lower, upper):
-        own = side[~np.isin(side[:, 0], shared)]
-        cracks, positions = along(lips, own[:, 2:])
-        # Equal positions, along a front, in an order that is the same for both lips.
-        places = np.round(own[:, 2:] / size, 7).T
-        order = np.lexsort((*places, np.round(positions / size, 7), cracks))
-        sides.append((own[order], cracks[order], positions[order]))
-    (lower, cracks, positions), (upper, _, _) = sides
+    lower, upper = (side[~np.isin(side[:, 0], shared)] for side in (lower, upper))
+    cracks, positions = along(lips, lower[:, 2:])
+    # Equal positions, along a front, in the order of their places.
+    places = np.round(lower[:, 2:] / size, 7).T
+    order = np.lexsort((*places, np.round(positions / size, 7), cracks))
+    lower, cracks, positions = lower[order], cracks[order], positions[order]
     alike = len(lower) == len(upper) > 0
     reason = "one has more nodes than the other"
     if alike:
-        distance = np.linalg.norm(lower[:, 2:] - upper[:, 2:], axis=1)
-        alike = distance.max() <= 1e-6 * size
+        distance, partner = cKDTree(upper[:, 2:]).query(lower[:, 2:])
+        alike = distance.max() <= SAME * size and len(np.unique(partner)) == len(partner)
         place = ", ".join(f"{x:g}" for x in lower[int(np.argmax(distance)), 2:])
-        reason = f"the lower node at ({place}) has its partner {distance.max():.2g} m away"
+        reason = (
+            f"the upper node nearest to the lower one at ({place}) is {distance.max():.2g} m away"
+        )
     if not alike:
         found = f"{len(lower)} lower and {len(upper)} upper nodes"
-        allowed = (
-            f"meshed identically, so that the nodes of the two lips pair one to one, but {reason}; "
+        how = (
             "gmsh's Transfinite Curve divides both alike, or its Plugin(Crack) makes both of one "
             "curve"
         )
-        raise InputError("lips", found, allowed)
-    return lower, upper, cracks, positions
+        if lower.shape[1] > 4:  # of a solid
+            how = "a surface 'crack' whose nodes exist once is split into two that do"
+        allowed = (
+            f"meshed identically, so that the nodes of the two lips pair one to one, but {reason}"
+        )
+        raise InputError("lips", found, f"{allowed}; {how}")
+    return lower, upper[partner], cracks, positions
 
 
 def _watched(lips: Lips, cracks: np.ndarray, positions: np.ndarray) -> dict[str, int]:

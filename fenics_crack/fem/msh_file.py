@@ -229,7 +229,9 @@ def _one_kind(
     alike = np.any(ordered[:, 1:] == ordered[:, :-1])
     _require(not alike, "a cell with a node twice", "one whose cells have different nodes")
     facets, points = _named(groups, {0: _POINT, dimension - 1: _KINDS[dimension][kind]}, used)
-    _require("clamp" in facets, "no clamp", f"one with a physical {side} named 'clamp'")
+    there = f"{side}s named {', '.join(map(repr, facets))}" if facets else f"no {side} has a name"
+    allowed = f"one with a physical {side} named 'clamp'"
+    _require("clamp" in facets, f"no clamp; {there}", allowed)
     at = positions[first][np.searchsorted(numbers, used)]
     return kind, cells_of(kind, nodes), at, facets, points
 
@@ -375,6 +377,8 @@ def check_cells(kind: int, cells: Cells, places: np.ndarray) -> None:
     for found, wrong in ((f"a cell without {extent}", flat), ("a folded cell", folded)):
         if np.any(wrong):
             allowed = f"one of cells that are convex and have {extent}"
+            if cells.nodes.shape[1] > cells.n_corners:
+                allowed += "; gmsh: Mesh.HighOrderOptimize = 1, or cells of first order"
             raise _refusal(found, here[np.argmax(wrong)].mean(axis=0), allowed)
     facets, owner, _ = cells.all_facets
     corners, middles = places[facets], here[:, : cells.n_corners].mean(axis=1)
