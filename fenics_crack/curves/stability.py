@@ -452,7 +452,7 @@ def _by_hill(structure: Structure, solution: PeriodicSolution, contact: ContactL
         reason = "the solution's error is not known"
     elif solution.report.truncation > LARGE_ERROR:
         left_out = solution.report.truncation
-        reason = f"the harmonics left out change it by {left_out:.0%}; take more"
+        reason = f"the harmonics left out change it by {percent(left_out)}; take more"
     if reason:
         verdict = "undecided"
     return Stability(values, verdict, off, reason=reason)
