@@ -42,6 +42,12 @@ STRIP: dict[str, Any] = {
 """Pulled slowly, and never closed: R = 1/2."""
 
 
+@pytest.fixture
+def errors_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Errors of the vibration are not sought, in tests of other things: half of the time."""
+    monkeypatch.setattr("fenics_crack.sweep.growth._error_at", lambda *_: (0.0, []))
+
+
 def edge_crack(length: float) -> float:
     """K_I of unit stress in the strip (Tada, Paris and Irwin, 2.11)."""
     x = math.pi * length / 0.2
@@ -79,6 +85,7 @@ def test_closed_integral_of_a_strip() -> None:
     assert not found.remarks
 
 
+@pytest.mark.usefixtures("errors_left_out")
 def test_block_loading_of_a_strip() -> None:
     """Blocks at two slow frequencies, where K is the handbook's: the closed integral in cycles, in
     repeats, and in seconds."""
@@ -95,6 +102,7 @@ def test_block_loading_of_a_strip() -> None:
     assert found.time[-1] == pytest.approx(lasting, rel=1e-9)
 
 
+@pytest.mark.usefixtures("errors_left_out")
 def test_run_up_through_the_resonance(tmp_path: Path) -> None:
     """What drives the crack in a run-up at one length, beside the integral along a curve; one that
     is too fast for a steady vibration is told."""
@@ -117,6 +125,7 @@ def test_run_up_through_the_resonance(tmp_path: Path) -> None:
     assert told and "the crack grows less" in told[0]
 
 
+@pytest.mark.usefixtures("errors_left_out")
 def test_levels_below_the_threshold_do_not_grow() -> None:
     """Of two frequencies the one far below the resonance drops out, and its cycles are for
     nothing."""
@@ -126,6 +135,7 @@ def test_levels_below_the_threshold_do_not_grow() -> None:
     assert both.life == pytest.approx(10.0 * alone.life, rel=0.02)
 
 
+@pytest.mark.usefixtures("errors_left_out")
 def test_full_reversal_takes_the_open_half() -> None:
     """Closure by the lips: with m = 2 four times the cycles of lips that would pass each other."""
     swing = [{"edge": "top", "traction_sin": [0.0, STRESS]}]
@@ -136,6 +146,7 @@ def test_full_reversal_takes_the_open_half() -> None:
     assert found.life == pytest.approx(4.0 * exact, rel=0.02)
 
 
+@pytest.mark.usefixtures("errors_left_out")
 def test_every_opening_makes_the_crack_grow() -> None:
     """Near a half of the resonance the tip opens twice in a period, the second time less: the rate
     is the sum over both, counted by how far each peak of K stands out. With m = 1 the ranges
@@ -165,17 +176,18 @@ def test_growth_asks_for_a_law() -> None:
     assert caught.value.key == "output.quantities"
 
 
-def test_threshold_and_toughness() -> None:
+def test_threshold_and_toughness(request: pytest.FixtureRequest) -> None:
     """A range below the threshold stops the crack where it is; at its toughness the plate
     breaks."""
     coarse = fc.Scene.from_mapping(STRIP).replace({"mesh.lip_elements": 4})
+    stopped = fc.grow(coarse.replace({"growth.threshold": 1e8}), comm=MPI.COMM_SELF)
+    assert stopped.end == "arrested" and stopped.length.tolist() == [0.02]
+    assert stopped.life == 0.0 and math.isfinite(stopped.factor)
+    request.getfixturevalue("errors_left_out")
     largest = 4.0 * STRESS * edge_crack(0.03)
     broken = fc.grow(coarse.replace({"growth.toughness": largest}), comm=MPI.COMM_SELF)
     assert broken.end == "broken" and broken.length[-1] == pytest.approx(0.03, rel=0.02)
     assert broken.largest[-1] == pytest.approx(largest, rel=0.02)
-    stopped = fc.grow(coarse.replace({"growth.threshold": 1e8}), comm=MPI.COMM_SELF)
-    assert stopped.end == "arrested" and stopped.length.tolist() == [0.02]
-    assert stopped.life == 0.0 and math.isfinite(stopped.factor)
     still = fc.grow(coarse.replace({"loads.1.traction_sin": [0.0, 0.0]}), comm=MPI.COMM_SELF)
     assert still.end == "arrested" and still.length.tolist() == [0.02]
 
@@ -209,6 +221,7 @@ def test_brute_force_agrees(driven: fc.Growth) -> None:
     assert driven.life == pytest.approx(simpson(1.0 / np.array(rates), x=lengths), rel=0.01)
 
 
+@pytest.mark.usefixtures("errors_left_out")
 def test_resonance_that_moves() -> None:
     """The load follows the largest response: at each length that of a curve by itself."""
     many = {"reduction.modes": 20}
@@ -442,6 +455,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "growth = None: must be given for this command" in told and "[growth]" in told
 
 
+@pytest.mark.usefixtures("errors_left_out")
 def test_a_resonance_between_two_lengths_is_seen() -> None:
     """Lengths 5 mm apart on both sides of it miss each other's spline by little."""
     law = {"until": 0.05, "rate": 1e-11, "exponent": 3.0}
