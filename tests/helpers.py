@@ -190,7 +190,7 @@ class Cubic:
 
 def dense(matrix: Any) -> np.ndarray:
     """A sequential PETSc matrix as an array."""
-    return np.array(matrix[:, :])
+    return csr(matrix).toarray()
 
 
 def dense_matrices(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
