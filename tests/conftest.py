@@ -18,8 +18,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from hypothesis import settings
-from hypothesis.internal.conjecture import providers
 from ranks import Ranks, command, environment
 from surroundings import DEMOS
 
@@ -31,12 +29,6 @@ if TYPE_CHECKING:
 # 700 by default: with what all tests have imported, to look through it takes 6 % of the time.
 gc.set_threshold(10_000)
 gc.disable()  # until all is collected
-# The same examples in every run; the first call of a form may compile for seconds.
-settings.register_profile("repeatable", derandomize=True, deadline=None, database=None)
-settings.load_profile("repeatable")
-# Else it reads the source of every library that is loaded, 7 s, for constants to try: other ones
-# where other tests have been collected.
-providers._get_local_constants = lambda: providers._local_constants
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -47,9 +39,20 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Where tests are run, MPI starts before PETSc would start it."""
-    if config.getoption("dist", "no") == "no":
-        importlib.import_module("fenics_crack.parallel")
+    """Where tests are run, MPI starts before PETSc would start it, and random examples are the same
+    in every run."""
+    if config.getoption("dist", "no") != "no":
+        return
+    importlib.import_module("fenics_crack.parallel")
+    from hypothesis import settings
+    from hypothesis.internal.conjecture import providers
+
+    # The first call of a form may compile for seconds.
+    settings.register_profile("repeatable", derandomize=True, deadline=None, database=None)
+    settings.load_profile("repeatable")
+    # Else it reads the source of every library that is loaded, 7 s, for constants to try: other
+    # ones where other tests have been collected.
+    providers._get_local_constants = lambda: providers._local_constants
 
 
 def pytest_collection_finish() -> None:
