@@ -86,11 +86,13 @@ def meant(names: Sequence[str]) -> str:
 
 def no_attribute(owner: str, name: str, known: Iterable[str]) -> AttributeError:
     """The error of a name that an owner does not have, with what may be meant."""
-    public = [other for other in known if not other.startswith("_")]
-    others = [] if name.startswith("_") else in_other_words(name)
-    alike = near(name, public, SAME_WORD if others else 0.7)
-    alike = [other for other in alike if not any(other in text for text in others)]
-    question = meant([*alike, *others])
+    question = ""
+    if not name.startswith("_"):  # notebooks and test programs ask for such names of anything
+        others = in_other_words(name)
+        public = (other for other in known if not other.startswith("_"))
+        alike = near(name, public, SAME_WORD if others else 0.7)
+        alike = [other for other in alike if not any(other in text for text in others)]
+        question = meant([*alike, *others])
     return AttributeError(f"{owner} has no attribute {name!r}; {question}".rstrip("; "))
 
 

@@ -128,6 +128,7 @@ def test_settles_on_the_harmonic_balance(soft_plate: fc.Structure) -> None:
     assert motion.max() == pytest.approx(1.156557e-6, rel=1e-3)
 
 
+@pytest.mark.usefixtures("predicted_errors")
 def test_paper_data_does_not_settle(paper_structure: fc.Structure) -> None:
     """k = 1e11, xi = 0.001: started on the orbit of the harmonic balance, the motion leaves it."""
     law = fc.UnilateralPenalty(1e11)
