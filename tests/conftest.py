@@ -79,6 +79,15 @@ def predicted_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     wrap(monkeypatch, "fenics_crack.balance.solution.estimate_errors", predicted)
 
 
+@pytest.fixture(scope="module")
+def not_laid_out() -> Iterator[None]:
+    """Panels stay where matplotlib puts them, in tests that do not look at pictures: room for their
+    labels is found in half of a picture's time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("matplotlib.layout_engine.ConstrainedLayoutEngine.execute", lambda *_: None)
+        yield
+
+
 @pytest.fixture(scope="session")
 def paper_scene() -> Scene:
     """The paper's plate: 2 x 8 bilinear quadrilaterals, a crack one element long."""

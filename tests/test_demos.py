@@ -16,6 +16,8 @@ from helpers import DEMOS
 
 import fenics_crack as fc
 
+pytestmark = pytest.mark.usefixtures("not_laid_out")
+
 
 def load(name: str) -> ModuleType:
     """Import a demo by its name."""

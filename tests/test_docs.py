@@ -18,6 +18,8 @@ from surroundings import main
 
 import fenics_crack as fc
 
+pytestmark = pytest.mark.usefixtures("not_laid_out")
+
 NEWCOMER = ("first_hour", "program", "cluster", "solids")
 """Pages whose lines for the shell are run one after the other."""
 SHELL = re.compile(r"```sh\n(.*?)```", re.S)

@@ -15,6 +15,8 @@ from numpydoc.validate import validate
 
 import fenics_crack as fc
 
+pytestmark = pytest.mark.usefixtures("not_laid_out")
+
 
 def test_site_builds_and_names_everything(tmp_path: Path) -> None:
     """Sphinx warns of text that it cannot read and of references that lead nowhere."""

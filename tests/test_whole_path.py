@@ -20,6 +20,8 @@ from surroundings import ROOT, main
 
 import fenics_crack as fc
 
+pytestmark = pytest.mark.usefixtures("not_laid_out")
+
 BREATHING = "breathing crack resonates near [Hz]"
 LOADS = {"weak": 1.0, "strong": 100.0}
 """Forces in newtons: of the least, the preload keeps the crack closed."""

@@ -16,6 +16,8 @@ from surroundings import main
 import fenics_crack as fc
 from fenics_crack import stages
 
+pytestmark = pytest.mark.usefixtures("not_laid_out")
+
 RECORD = DEMOS / "blisk_blade.csv"
 HERTZ = 2.0 * np.pi
 

@@ -17,6 +17,8 @@ from surroundings import main
 
 import fenics_crack as fc
 
+pytestmark = pytest.mark.usefixtures("not_laid_out")
+
 SCENE = str(DEMOS / "paper_plate.toml")
 COMMANDS = ("modes", "solve", "curve", "integrate", "sweep")
 FILES = ("modes", "solution", "curve", "integration", "sweep")

@@ -14,6 +14,8 @@ from test_any_input import TINY
 
 import fenics_crack as fc
 
+pytestmark = pytest.mark.usefixtures("not_laid_out")
+
 RADIUS = 0.2
 PROBES = [10.0, 31.0, 67.0, 101.0, 148.0, 199.0, 243.0, 300.0]
 TIMING = {"probes": PROBES, "tip_radius": RADIUS, "tangential": -0.5, "order": 5}

@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,8 @@ from test_responses import file_of as universal_file
 
 import fenics_crack as fc
 from fenics_crack import SweepResult
+
+pytestmark = pytest.mark.usefixtures("not_laid_out")
 
 PLATE = """
 geometry = { width = 0.1, height = 0.2, thickness = 0.01 }
@@ -57,26 +60,33 @@ def scene() -> fc.Scene:
     return fc.Scene.from_text(PLATE)
 
 
-def measured(scene: fc.Scene, changes: dict[str, object], seed: int) -> fc.Measurements:
-    """Bilinear frequencies with 0.1 %, and ratios with 5 % of noise, or 1e-4, of a finer mesh."""
-    rng = np.random.default_rng(seed)
-    study = fc.prepare(scene.replace(FINER | changes), MPI.COMM_SELF)
+@cache
+def finely(scene: fc.Scene) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Bilinear frequencies [Hz] and the ratios 2/1 at the points that are watched, with the names
+    of these."""
+    study = fc.prepare(scene, MPI.COMM_SELF)
     natural = fc.bilinear_frequencies(study.structure)
     omega = natural.omega_open if study.contact is None else natural.omega_bilinear
-    exact = omega[:5] / (2.0 * np.pi)
-    rows = fc.Measurements.from_arrays(
-        "frequency_bilinear", exact * (1.0 + 1e-3 * rng.normal(size=5)), 1e-3 * exact,
-        mode=[1, 2, 3, 4, 5],
-    )  # fmt: skip
     ratios = np.zeros(2)
     if study.contact is not None:
         solution = fc.solve_harmonic_balance(
             study.structure, 2.0 * np.pi * 700.0, study.contact, harmonics=8
         )
         ratios = np.array([solution.indicators(one.dof).ratio_2_1 for one in study.watched])
+    names = [one.name for one in study.watched] if study.contact else ["tip.ux", "tip.uy"]
+    return omega[:5] / (2.0 * np.pi), ratios, names
+
+
+def measured(scene: fc.Scene, changes: dict[str, object], seed: int) -> fc.Measurements:
+    """Bilinear frequencies with 0.1 %, and ratios with 5 % of noise, or 1e-4, of a finer mesh."""
+    rng = np.random.default_rng(seed)
+    exact, ratios, names = finely(scene.replace(FINER | changes))
+    rows = fc.Measurements.from_arrays(
+        "frequency_bilinear", exact * (1.0 + 1e-3 * rng.normal(size=5)), 1e-3 * exact,
+        mode=[1, 2, 3, 4, 5],
+    )  # fmt: skip
     deviations = np.hypot(0.05 * ratios, 1e-4)
     values = np.maximum(0.0, ratios + deviations * rng.normal(size=2))
-    names = [one.name for one in study.watched] if study.contact else ["tip.ux", "tip.uy"]
     return rows + fc.Measurements.from_arrays(
         "ratio_2_1", values.tolist(), deviations.tolist(), frequency=[700.0, 700.0], point=names
     )
