@@ -303,7 +303,7 @@ class Quantities:
         # How far frequencies before there was a crack may be from those of the same plate now.
         between = {mode: own for mode, own in enumerate(model.whole.between, 1)}
         before = [row.mode if row.quantity == "frequency_uncracked" else 0 for row in self.rows]
-        self._since = np.array([between.get(mode, np.zeros(2)) for mode in before])
+        self._since = np.array([between.get(mode, np.zeros(3)) for mode in before])
         self._basis = Interpolation(model.cube, model.coarse.basis)
         self._coarse = Interpolation(model.cube, self._smooth(model.coarse))
         self._understated = self._missed()

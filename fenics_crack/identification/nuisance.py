@@ -17,13 +17,15 @@ shorter: it is this that measurements tell of. What is stated of the real one is
 (:func:`act_as`).
 
 Young's modulus and density change the part e of w_j^2 that is elastic, not what rotation adds. A
-clamp that is as soft everywhere, with a radius of gyration q about its middle, takes from w_j^2
+soft clamp takes from w_j^2
 
-    w_j^4 (m^2 + q^2 (m_x^2 + m_y^2)) times its softness to turning,      m = R^T M phi_j
+    w_j^4 m^2 times its softness to turning and w_j^4 (m_x^2 + m_y^2) times that to pushing,
 
-(Rayleigh's quotient, from the moment w_j^2 m and the forces of the clamp, which are those of the
-mode's inertia in rigid motions R about its middle). Its softness is told by what it takes from the
-first mode.
+with m = R^T M phi_j (Rayleigh's quotient, from the moment w_j^2 m and the forces of the clamp,
+which are those of the mode's inertia in rigid motions R about its middle). The two are independent:
+a bolt that is loose lets it turn, jaws that slip let it move. How large they are, one beside the
+other, is that of a clamp that is as soft everywhere, with a radius of gyration q about its middle,
+q^2; together, by what they take from the first mode.
 """
 
 from __future__ import annotations
@@ -72,9 +74,9 @@ class Whole:
         Relative changes by a standard deviation of each.
     sizes : (s,)
         Likewise of the size of harmonics.
-    between : (n, 2)
+    between : (n, 3)
         Relative changes between the plate before it had a crack and now, by temperature and by its
-        clamp.
+        clamp, that turns and that moves.
     """
 
     frequencies: np.ndarray
@@ -122,10 +124,9 @@ def whole_plate(scene: Scene, table: Identify) -> Whole:
     young, density, thickness = (0.0 if k in unknown else w for k, w in widths.items())
     shared = [0.5 * young * elastic, -0.5 * density * elastic, np.zeros(count)]
     by_clamp = _by_clamp(modes)
-    shared.append(-table.clamp_deviation * by_clamp)
-    sizes = np.zeros(4 + count)
+    changes = np.column_stack([*shared, -table.clamp_deviation * by_clamp, np.diag(own)])
+    sizes = np.zeros(changes.shape[1])
     sizes[[0, 2]] = -young, -thickness
-    changes = np.column_stack([*shared, np.diag(own)])
     between = table.before_deviation * np.column_stack([np.ones(count), by_clamp])
     return Whole(modes.omega / (2.0 * np.pi), changes, sizes, between)
 
@@ -137,14 +138,16 @@ def _modes(scene: Scene) -> Modes:
 
 
 def _by_clamp(modes: Modes) -> np.ndarray:
-    """Relative changes of natural frequencies by a soft clamp, over that of the first: (n,); all
-    alike, as of a slender beam, where no node is clamped or it is not known which are."""
+    """Relative changes of natural frequencies by a clamp that turns and one that moves, over that
+    of the first by both: (n, 2); all alike by turning, as of a slender beam, where no node is
+    clamped or it is not known which are."""
     nodes = modes.structure.nodes
+    slender = np.outer(np.ones(len(modes.omega)), [1.0, 0.0])
     if nodes is None:
-        return np.ones(len(modes.omega))
+        return slender
     clamped = nodes.points[(nodes.dofs < 0).all(axis=1)]
     if len(clamped) < 2:
-        return np.ones(len(modes.omega))
+        return slender
     moved = rigid_motions(nodes.points - clamped.mean(axis=0))
     rigid = np.zeros((len(moved), modes.structure.n_local))
     dofs = nodes.dofs.ravel()
@@ -152,8 +155,8 @@ def _by_clamp(modes: Modes) -> np.ndarray:
     squares = (rigid @ times(modes.structure.mass, modes.shapes)) ** 2
     gyration, d = np.sum(np.var(clamped, axis=0)), nodes.points.shape[1]
     pushed, turned = squares[:d].sum(axis=0), squares[d:].sum(axis=0)
-    taken = modes.omega**2 * (turned + gyration * pushed)
-    return np.asarray(taken / taken[0])
+    taken = modes.omega[:, None] ** 2 * np.column_stack([turned, gyration * pushed])
+    return np.asarray(taken / np.hypot(*taken[0]))
 
 
 def relative_changes(

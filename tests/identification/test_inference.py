@@ -18,7 +18,7 @@ import fenics_crack as fc
 from fenics_crack.identification.identify import remarks_on
 from fenics_crack.identification.interpolation import Cube, Interpolation, left_out_errors
 from fenics_crack.identification.model import Passages, Prediction
-from fenics_crack.identification.nuisance import act_as
+from fenics_crack.identification.nuisance import act_as, whole_plate
 from fenics_crack.identification.posterior import Likelihood, Posterior, explore
 from fenics_crack.identification.result import Worth, advice, worth_of
 
@@ -217,6 +217,27 @@ def test_two_that_cannot_be_told_apart() -> None:
     parts = Posterior({"": explore(likelihood)}).parts(0.95, 0.03)
     assert sorted(round(float(x[0]), 1) for _, x, _ in parts) == [2.0, 8.0]
     assert all(mass == pytest.approx(0.475, abs=0.02) for *_, mass in parts)
+
+
+def test_soft_clamps() -> None:
+    """Of a slender beam one that turns takes as much from all natural frequencies, one that moves
+    (s b)^2: of the modes cosh bx - cos bx - s (sinh bx - sin bx) the moments and shear forces at
+    the clamp are as b^2 and s b^3, the frequencies as b^2."""
+    size = 0.006, 0.3
+    changes = {
+        "geometry.width": size[0], "geometry.height": size[1], "excitation.point": size,
+        "output": None, "crack": None, "contact": None, "mesh.lip_elements": None,
+        "mesh.layout": "grid", "mesh.size": None, "mesh.columns": 2, "mesh.rows": 60,
+    }  # fmt: skip
+    scene = fc.Scene.from_text(identification.SCENE)
+    table = scene.given("identify")
+    found = whole_plate(scene.replace(changes | {"identify": None}), table).between
+    roots, shares = np.array([1.8751041, 4.6940911, 7.8547574]), [0.7340955, 1.0184673, 0.9992245]
+    forces = (roots * shares) ** 2
+    for column, expected in ((0, 1.0), (1, 1.0), (2, forces / forces[0])):
+        bending = found[:3, column]
+        np.testing.assert_allclose(bending / bending[0], expected, rtol=0.03)
+    assert np.hypot(*found[0, 1:]) == pytest.approx(table.before_deviation, rel=1e-12)
 
 
 # --- displacements at probes ----------------------------------------------------------------------
