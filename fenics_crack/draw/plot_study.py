@@ -70,7 +70,7 @@ def draw_posterior(
 
     Examples
     --------
-    >>> found = fc.load("identify.h5")  # doctest: +SKIP
+    >>> found = fc.identify(scene, "measured.csv")  # doctest: +SKIP
     >>> figure = fc.draw_posterior(found, path="posterior.png")  # doctest: +SKIP
     """
     for name, key in (("x", x), ("y", y)):
