@@ -85,19 +85,22 @@ class Whole:
     between: np.ndarray
 
     def check(self, measurements: Measurements, *, other: bool = False) -> None:
-        """Raise InputError for natural frequencies that are all in another unit than Hz; and unless
-        the plate may be an ``other`` one for those without the crack that are of another mode."""
+        """Raise InputError for natural frequencies in another unit than Hz, all of them where the
+        plate may be an ``other`` one; and unless it may for those without the crack that are of
+        another mode."""
         rows = [row for row in measurements.rows if row.natural and row.value > 0.0]
         rows = [row for row in rows if row.mode <= len(self.frequencies)]
         ratios = np.log([row.value / self.frequencies[row.mode - 1] for row in rows])
         for unit, factor in FACTORS.items():
-            if rows and np.all(np.abs(ratios - np.log(factor)) < LIKE_A_MULTIPLE):
-                modes = "" if len(rows) > 1 else ", or of another mode"
+            like = np.abs(ratios - np.log(factor)) < LIKE_A_MULTIPLE
+            if rows and (like.all() if other else like.any()):
+                row = rows[int(np.argmax(like))]
+                modes = "" if like.all() and len(rows) > 1 else ", or of another mode"
                 allowed = (
-                    f"in Hz; of this plate it is about {self.frequencies[rows[0].mode - 1]:.4g} "
+                    f"in Hz; of this plate it is about {self.frequencies[row.mode - 1]:.4g} "
                     f"Hz, so that this seems to be in {unit}{modes}"
                 )
-                raise InputError(f"measurements.value, {rows[0].name}", rows[0].value, allowed)
+                raise InputError(f"measurements.value, {row.name}", row.value, allowed)
         for row in rows if not other else ():
             near = int(np.abs(np.log(row.value / self.frequencies)).argmin()) + 1
             if row.quantity == "frequency_uncracked" and near != row.mode:

@@ -383,6 +383,9 @@ def test_other_units(scene: fc.Scene, folder: Path, factor: float, unit: str) ->
     wrong = [replace(row, value=factor * row.value, deviation=factor) for row in rows.rows]
     with pytest.raises(fc.InputError, match=f"must be in Hz; .*seems to be in {unit}$"):
         fc.identify(scene, fc.Measurements(tuple(wrong)), folder=folder / "nothing")
+    one = (replace(rows.rows[0], value=factor * rows.rows[0].value), *rows.rows[1:])
+    with pytest.raises(fc.InputError, match=rf"seems to be in {unit}, or of another mode$"):
+        fc.identify(scene, fc.Measurements(one), folder=folder / "nothing")
     assert not (folder / "nothing").exists()
 
 
