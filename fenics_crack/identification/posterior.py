@@ -84,10 +84,11 @@ class Likelihood:
         return np.asarray(-0.5 * np.sum(self.residuals(x) ** 2, axis=1))
 
     def misfit(self, x: np.ndarray) -> tuple[float, float]:
-        """chi^2 at values (d,) of the unknowns, and the probability of more by chance."""
+        """chi^2 at values (d,) of the unknowns that fit best, and the probability of more by chance
+        with as many measurements less the unknowns and what else is fitted."""
         total = float(np.sum(self.residuals(x[None])[0, :-1] ** 2))
-        count = len(self.values) - self.quantities(x[None]).free.shape[2]
-        return total, float(chdtrc(max(count, 1), total))
+        spare = len(self.values) - len(x) - self.quantities(x[None]).free.shape[2]
+        return total, float(chdtrc(max(spare, 1), total))
 
     def without(self, place: int) -> Likelihood:
         """That of all measurements but one."""
@@ -302,6 +303,13 @@ class Posterior:
         """chi^2 where L is largest, and the probability of more by chance."""
         name, x = self.best
         return self.branches[name].likelihood.misfit(x)
+
+    @property
+    def misfits_without_one(self) -> list[tuple[float, float]]:
+        """The same, at the same place, without each of the measurements."""
+        name, x = self.best
+        likelihood = self.branches[name].likelihood
+        return [likelihood.without(at).misfit(x) for at in range(len(likelihood.values))]
 
     def level(self, share: float) -> float:
         """log L at the border of the region that holds a share of the mass."""

@@ -26,11 +26,11 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.arrivals.harmonics import MISFIT
 from fenics_crack.errors import InputError, check_number
 from fenics_crack.files.store import IDENTIFICATION, write
 from fenics_crack.identification.measurements import Measurement, Measurements
 from fenics_crack.identification.model import Quantities
+from fenics_crack.identification.nuisance import OF_SIZE
 from fenics_crack.identification.posterior import (
     PRIOR,
     Branch,
@@ -169,8 +169,8 @@ def advice(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> list[str]:
             for mode, hertz in enumerate(model.whole.frequencies.tolist(), 1)
             if mode in missing
         ]
-        modes = ", ".join(map(str, missing))
-        what = f"natural frequencies {modes} before there was a crack (frequency_uncracked)"
+        modes = f"{'ies' if len(missing) > 1 else 'y'} {', '.join(map(str, missing))}"
+        what = f"natural frequenc{modes} before there was a crack (frequency_uncracked)"
         if gained := _gained(worth.now, _left_with(likelihood, x, more)):
             found.append(f"{what}, to {BASELINE:.1%}: {gained}")
     if worth.measurements:
@@ -244,7 +244,12 @@ SHARE = 0.95
 LEAST_PART = 0.03
 """Probability of a part of the region that is mentioned."""
 EXPLAINS = 0.05
-"""Probability of more misfit by chance from which a plate without a crack explains what is seen."""
+"""Probability of more misfit by chance from which a crack, or a plate without one, explains what is
+measured."""
+NO_CRACK = "no crack"
+KNOWN_TO = 1e-5
+"""Relative standard deviation of a natural frequency that a warning says to be too small: a tenth
+of a degree changes that of steel by more."""
 STRONG = 3.0
 """Logarithm of the ratio of evidences, 20 to 1, from which a hypothesis is preferred."""
 
@@ -333,7 +338,8 @@ class Identification(Tabular):
     @property
     def misfit(self) -> tuple[float, float]:
         """chi^2 where the likelihood is largest, and the probability of more, by chance, with as
-        many measurements (of displacements three fewer, for what is not known of the load)."""
+        many measurements less the unknowns (and of displacements three, for what is not known of
+        the load)."""
         return self.posterior.misfit
 
     @property
@@ -470,6 +476,9 @@ class Identification(Tabular):
         """Points to be careful about: cases that failed, several cracks that fit, a misfit, a crack
         by one measurement alone, an estimate at a bound."""
         found, others = [*self.doubts], self.alternatives
+        found += _too_sure(self.measurements)
+        if self.verdict == NO_CRACK:
+            return found
         if len(others) > 1:
             cracks = [
                 " and ".join(f"{key_in_words(k)} {value_in_words(k, v)}" for k, v in values.items())
@@ -490,6 +499,8 @@ class Identification(Tabular):
         parts = [self.verdict]
         if not np.isnan(self.log_bayes_factor):
             parts[0] += f" (log Bayes factor {self.log_bayes_factor:.3g})"
+        if self.verdict == NO_CRACK:
+            return parts[0]
         for place, key in enumerate(self.unknown):
             value = value_in_words(key, self.estimate[key])
             parts.append(f"{key} = {value} ± {value_in_words(key, self.posterior.spread(place))}")
@@ -498,21 +509,35 @@ class Identification(Tabular):
         return ", ".join(parts)
 
 
+def _too_sure(measurements: Measurements) -> list[str]:
+    """Natural frequencies that are said to be known better than any is."""
+    rows = [row for row in measurements.rows if row.natural]
+    rows = [row for row in rows if row.deviation < KNOWN_TO * row.value]
+    if not rows:
+        return []
+    name, value, deviation = rows[0].name, rows[0].value, rows[0].deviation
+    told = f"{name} is said to be known to {deviation:.3g} Hz; a tenth of a degree changes it more"
+    return [f"{told}: if that is meant over its value, it is {deviation * value:.3g} Hz"]
+
+
 def _of_fit(found: Identification) -> list[str]:
-    """Whether no crack explains the measurements; or one alone is not explained without a crack."""
-    total, chance = found.misfit
-    told = f"chi^2 = {total:.3g} of {len(found.measurements)}"
-    said = [f"no crack of this kind explains the measurements: {told}"] if chance < MISFIT else []
-    if found.plain is None or found.verdict != "crack":
-        return said
-    branch, x = found.plain.best
-    likelihood = found.plain.branches[branch].likelihood
-    rows = likelihood.quantities.rows
-    now = [at for at, row in enumerate(rows) if row.quantity != "frequency_uncracked"]
-    alone = (at for at in now if likelihood.without(at).misfit(x)[1] >= EXPLAINS)
-    if len(now) > 1 and (at := next(alone, None)) is not None:
-        name = rows[at].name
-        said.append(f"a plate without a crack explains all but {name}: measure that again")
+    """Whether no crack explains the measurements, and without which one it would be nearest; or one
+    alone is not explained without a crack."""
+    (total, chance), rows, said = found.misfit, found.measurements.rows, []
+    now = sum(row.quantity != "frequency_uncracked" for row in rows)
+    if chance < EXPLAINS:
+        told = f"chi^2 = {total:.3g} of {len(rows)}"
+        if now > 1:
+            left = [one[0] for one in found.posterior.misfits_without_one]
+            at = int(np.argmin(left))
+            told += f", {left[at]:.3g} without {rows[at].name}"
+        said.append(f"no crack of this kind explains the measurements: {told}")
+    if now > 1 and found.plain is not None and found.plain.misfit[1] < EXPLAINS:
+        pairs = zip(rows, found.plain.misfits_without_one, strict=True)
+        if names := [row.name for row, (_, without) in pairs if without >= EXPLAINS]:
+            that = "these" if len(names) > 1 else "that"
+            alone = f"a plate without a crack explains all but {' or '.join(names)}"
+            said.append(f"{alone}: measure {that} again")
     return said
 
 
@@ -524,7 +549,7 @@ def _verdict_of(found: Identification) -> tuple[str, str]:
         return open_question, "there is no plate without a crack to compare with"
     fits, healthy, ratio = found.misfit[1], found.plain.misfit[1], found.log_bayes_factor
     told = f"log Bayes factor {ratio:.3g}, crack over no crack"
-    if max(fits, healthy) < MISFIT:
+    if max(fits, healthy) < EXPLAINS:
         why = "neither a crack of this kind nor a plate without one explains the measurements"
         other = "two cracks, one of another kind or elsewhere, or a wrong measurement might"
         return open_question, f"{why}; {other} ({told})"
@@ -532,9 +557,18 @@ def _verdict_of(found: Identification) -> tuple[str, str]:
         why = "a plate without a crack explains the measurements, as little as is known of it"
         return open_question, f"{why} ({told})"
     if ratio < -STRONG:
-        ends = (
-            f"{key_in_words(key)} {value_in_words(key, low)} to {value_in_words(key, high)}"
-            for key, (low, high) in found.intervals.items()
-        )
-        return "no crack", f"{told}; one that is not seen would be at {', '.join(ends)}"
-    return "crack" if ratio > STRONG else open_question, told
+        return NO_CRACK, f"{told}; one that is not seen would be at {_where(found)}"
+    if ratio > STRONG:
+        return "crack", told
+    return open_question, f"{told}; if there is one it is at {_where(found)}"
+
+
+def _where(found: Identification) -> str:
+    """Bounds of the unknowns with a probability of 95 %, in words, and what is not in the prior."""
+    cube = found.posterior.branches[found.posterior.best[0]].likelihood.quantities.model.cube
+    told = []
+    for (key, ends), least in zip(found.intervals.items(), cube.low, strict=True):
+        low, high = (value_in_words(key, end) for end in ends)
+        shorter = f", or below {value_in_words(key, least)}, where it was not looked for"
+        told.append(f"{key_in_words(key)} {low} to {high}{shorter * (key in OF_SIZE)}")
+    return "; ".join(told)

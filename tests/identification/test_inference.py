@@ -13,6 +13,7 @@ import identification
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
+from scipy.stats import kstest
 
 import fenics_crack as fc
 from fenics_crack.identification.identify import remarks_on
@@ -169,6 +170,26 @@ def test_linear_model() -> None:
     assert worth.information[0] == pytest.approx(gain, rel=1e-3)
 
 
+def test_misfit_of_what_is_fitted() -> None:
+    """By chance its probability is as often small as large: chi^2 has as many degrees of freedom as
+    there are measurements more than unknowns. At the same place without one of them it is less by
+    the square of that one's residual."""
+    matrix = np.array([[1.0, 0.2], [0.3, 1.0], [1.0, 1.0], [-0.5, 1.0]])
+    cube = Cube((np.linspace(0.0, 10.0, 4), np.linspace(0.0, 20.0, 4)))
+    linear = Rows(matrix, np.zeros(4), cube, rows=(0, 1, 2, 3))
+    rng, chances = np.random.default_rng(8), []
+    for _ in range(150):
+        values = matrix @ [3.0, 8.0] + 0.1 * rng.normal(size=4)
+        likelihood = Likelihood(values, np.full(4, 0.1), linear)  # type: ignore[arg-type]
+        x = np.linalg.lstsq(matrix, values, rcond=None)[0]
+        total, chance = likelihood.misfit(x)
+        chances.append(chance)
+    assert kstest(chances, "uniform").pvalue > 0.01
+    posterior = Posterior({"": explore(likelihood)})
+    left = (total - ((values - matrix @ x) / 0.1) ** 2).tolist()
+    assert [one[0] for one in posterior.misfits_without_one] == pytest.approx(left, rel=1e-3)
+
+
 class Advised(Linear):
     """The same, with a plate without a crack: what may be measured has the slopes of the first
     row."""
@@ -200,6 +221,14 @@ def test_advice_that_gains_nothing_is_not_given(slope: float) -> None:
     left = {"crack.length": np.array([1e-3]), "crack.height": np.array([1e-3])}
     [*_, text] = advice(likelihood, x, Worth((more,), np.ones(1), left, now))
     assert text.endswith("the crack held closed: height of the crack to 1 mm in place of 2 mm")
+
+
+class Rows(Linear):
+    """Of some of the rows, which are numbers."""
+
+    def quantities(self, rows: Any, more: Any = ()) -> Any:
+        places = list(rows)
+        return replace(self, matrix=self.matrix[places], offset=self.offset[places], rows=rows)
 
 
 class Even(Linear):
