@@ -178,6 +178,7 @@ def verify(_: Namespace, inputs: Inputs, console: Console) -> Exit:
 
 def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     """A crack from measurements: what it is, how sure, and where to measure next."""
+    from fenics_crack.draw.plot_study import draw_posterior  # Matplotlib
     from fenics_crack.identification import identify as search  # SciPy's optimize, interpolate
 
     scene, folder = inputs.scene, inputs.folder
@@ -202,10 +203,7 @@ def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
         found.save(folder)
         worth.to_csv(folder / "where_to_measure.csv")
         found.fit_table().save(folder / "fit.csv")
-        if len(found.unknown) > 1:
-            from fenics_crack.draw.plot_study import draw_posterior  # Matplotlib
-
-            draw_posterior(found, *found.unknown[:2], path=folder / "posterior.png")
+        draw_posterior(found, path=folder / "posterior.png")
 
     before = _content(folder / "identify")
     on_root(console.comm, write)
@@ -215,8 +213,7 @@ def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
         console.note(f"nearest mesh: {found.mesh}")
     console.note(*(f"remark: {remark}" for remark in found.remarks))
     console.note(*(f"next to measure: {advice}" for advice in found.advice))
-    drawn = "posterior.png, " * (len(found.unknown) > 1)
-    console.note(f"{folder / 'identify.h5'}, .json; {drawn}fit.csv, where_to_measure.csv")
+    console.note(f"{folder / 'identify.h5'}, .json; posterior.png, fit.csv, where_to_measure.csv")
     _note_replaced(folder / "identify", before, console)
     console.warn(*found.warnings)
     return Exit.NOT_CONVERGED if found.doubts else Exit.DONE

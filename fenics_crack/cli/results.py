@@ -622,10 +622,7 @@ RESULTS: dict[str, tuple[str, Callable[[Any], Account]]] = {
     Verification.KIND: ("Convergence study", account_of_verification),
 }
 """Headings and who speaks of them, by kind, in the order of a report."""
-IDENTIFIED = (
-    "what identify has found is in identify.json, fit.csv and, of two unknowns or more, "
-    "posterior.png beside it"
-)
+IDENTIFIED = "what identify has found is in identify.json, fit.csv and posterior.png beside it"
 
 
 def account_of(result: Computed) -> Account:

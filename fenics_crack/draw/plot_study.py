@@ -42,9 +42,10 @@ MARKS = "osD^v<>ph*"
 
 
 def draw_posterior(
-    found: Identification, x: str = "crack.length", y: str = "crack.height", **where: Unpack[Where]
+    found: Identification, x: str | None = None, y: str | None = None, **where: Unpack[Where]
 ) -> Figure:
-    """Draw the regions that hold 50, 95 and 99.9 % of the probability of two unknowns.
+    """Draw the regions that hold 50, 95 and 99.9 % of the probability of two unknowns, or the
+    density of one, with the interval that holds 95 %.
 
     Whatever the other unknowns are. Each choice of an unknown that is a word, such as the edge of
     the crack, has its own colour.
@@ -53,8 +54,8 @@ def draw_posterior(
     ----------
     found : Identification
         Made by :func:`identify`.
-    x, y : str
-        The two unknowns.
+    x, y : str, optional
+        The two unknowns, or one. Default: the first two, or the only one.
     **where
         ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
@@ -66,17 +67,22 @@ def draw_posterior(
     Raises
     ------
     InputError
-        These are not two of the unknowns.
+        These are not unknowns, or the same.
 
     Examples
     --------
     >>> found = fc.identify(scene, "measured.csv")  # doctest: +SKIP
     >>> figure = fc.draw_posterior(found, path="posterior.png")  # doctest: +SKIP
     """
-    for name, key in (("x", x), ("y", y)):
-        if key not in found.unknown or x == y:
-            raise InputError(name, key, f"two different ones of {', '.join(found.unknown)}")
+    x, *others = [key for key in (x, y) if key is not None] or found.unknown[:2]
+    for name, key in zip("xy", (x, *others), strict=False):
+        if key not in found.unknown or others == [x]:
+            raise InputError(name, key, f"one or two different ones of {', '.join(found.unknown)}")
     [panel] = picture = Picture(size=(6.0, 4.6), **where)
+    if not others:
+        _draw_density(panel, found, x)
+        return picture.finished()
+    [y] = others
     first, second = (found.unknown.index(key) for key in (x, y))
     posterior = found.posterior
     grids = {}
@@ -107,6 +113,30 @@ def draw_posterior(
     label_axis(panel.xaxis, key_in_words(x), unit_of(x))
     label_axis(panel.yaxis, key_in_words(y), unit_of(y))
     return picture.finished()
+
+
+def _draw_density(panel: Axes, found: Identification, x: str) -> None:
+    """Draw the probability of one unknown, by a line for each choice of words."""
+    place, posterior = found.unknown.index(x), found.posterior
+    low, high = found.intervals[x]
+    lines = {}
+    for name, branch in posterior.branches.items():
+        others = tuple(k for k in range(len(branch.axes)) if k != place)
+        density = posterior.mass[name].sum(axis=others) / branch.weight.sum(axis=others)
+        values = np.unique([*branch.axes[place], low, high])
+        lines[name] = values, np.interp(values, branch.axes[place], density)
+    most = max(density.max() for _, density in lines.values())
+    for (name, (values, density)), colour in zip(
+        lines.items(), distinct_colours(len(lines)), strict=True
+    ):
+        panel.plot(values, density / most, color=colour, label=name or "probability")
+        within = (values >= low) & (values <= high)
+        look: dict[str, Any] = {"color": colour, "alpha": 0.2, "lw": 0.0}
+        panel.fill_between(values[within], density[within] / most, **look, label="95 %")
+    panel.axvline(found.estimate[x], color="black", ls="--", label="estimate")
+    panel.set_ylim(bottom=0.0)
+    label_axis(panel.xaxis, key_in_words(x), unit_of(x))
+    panel.set_ylabel("probability density over the largest")
 
 
 def _levels(grids: list[tuple[np.ndarray, ...]]) -> list[float]:

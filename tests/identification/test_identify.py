@@ -679,7 +679,7 @@ def test_beside_other_results(
     capsys.readouterr()
     assert len(files) == 4 and main(["report", *files, "--output", str(page)]) == 0
     told = capsys.readouterr().err.splitlines()
-    where = "identify.json, fit.csv and, of two unknowns or more, posterior.png beside it"
+    where = "identify.json, fit.csv and posterior.png beside it"
     left_out = f"{own} is left out: what identify has found is in {where}"
     assert told == [str(page), left_out]
     text = page.read_text("utf-8")

@@ -190,6 +190,35 @@ def test_misfit_of_what_is_fitted() -> None:
     assert [one[0] for one in posterior.misfits_without_one] == pytest.approx(left, rel=1e-3)
 
 
+def test_picture_of_one_unknown() -> None:
+    """The density of a normal distribution, over its largest, and what is within 1.96 standard
+    deviations; of two unknowns that of each alone, and neither twice."""
+    cube = Cube((np.linspace(0.0, 0.1, 4), np.linspace(0.0, 0.2, 4)))
+    linear = Linear(np.eye(2), np.zeros(2), cube, rows=(None,) * 2)
+    likelihood = Likelihood(np.array([0.03, 0.08]), np.array([1e-3, 4e-3]), linear)  # type: ignore[arg-type]
+    posterior = Posterior({"": explore(likelihood)})
+    keys = ("crack.length", "crack.height")
+    found: Any = SimpleNamespace(
+        unknown=keys,
+        posterior=posterior,
+        estimate=dict(zip(keys, posterior.best[1].tolist(), strict=True)),
+        intervals={key: posterior.interval(place, 0.95) for place, key in enumerate(keys)},
+    )
+    for key, middle, sigma in (("crack.length", 0.03, 1e-3), ("crack.height", 0.08, 4e-3)):
+        [panel] = fc.draw_posterior(found, key).axes
+        x, density = np.transpose(panel.lines[0].get_xydata())
+        near = np.abs(x - middle) < 3.0 * sigma
+        expected = np.exp(-0.5 * ((x - middle) / sigma) ** 2)
+        assert near.sum() > 10
+        np.testing.assert_allclose(density[near], expected[near], atol=0.02)
+        shaded = panel.collections[0].get_paths()[0].vertices[:, 0]
+        assert np.ptp(shaded) == pytest.approx(2.0 * 1.96 * sigma, rel=0.05)
+        assert panel.get_xlabel() in ("crack length [mm]", "height of the crack [mm]")
+    for wrong in (("crack.length", "crack.length"), ("crack.depth",)):
+        with pytest.raises(fc.InputError, match="one or two different ones of "):
+            fc.draw_posterior(found, *wrong)
+
+
 class Advised(Linear):
     """The same, with a plate without a crack: what may be measured has the slopes of the first
     row."""
