@@ -51,6 +51,8 @@ UNITS = {"frequency": SI[:1], "phase": ("rad",), "value": SI, "deviation": SI}
 """That headings may name, in brackets."""
 UNIVERSAL = (".uff", ".unv")
 """Endings of universal files."""
+LARGEST_PHASE = 4.0 * math.pi
+"""Of a period of 2 pi, for whoever begins it elsewhere [rad]; what is larger is in degrees."""
 FEWEST_PROBES = 4
 """Probes of which displacements tell more than the size and phase of a load, and a constant."""
 
@@ -109,6 +111,9 @@ class Measurement:
             check_number("measurements.frequency", self.frequency, 0.0, above=True)
         if at_probe:
             check_number("measurements.phase", self.phase)
+            if abs(self.phase) > LARGEST_PHASE:
+                allowed = f"of a period, 0 to 2 pi; in degrees? then {math.radians(self.phase):.5g}"
+                raise InputError("measurements.phase", self.phase, allowed)
         needed = ("mode",) if self.natural else ("frequency", "point", *["phase"] * at_probe)
         for key in OPTIONAL:
             given = getattr(self, key)

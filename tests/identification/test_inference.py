@@ -403,6 +403,16 @@ def test_measurements_from_a_file(tmp_path: Path) -> None:
     assert str(arrays.rows[0]) == str(found.rows[0])
 
 
+def test_phases_in_degrees() -> None:
+    """Are refused, and written as they should be."""
+    given = {"frequency": 100.0, "point": "tip.ux"}
+    fc.Measurement("displacement", -1e-5, 1e-7, phase=-2.0, **given)  # type: ignore[arg-type]
+    with pytest.raises(
+        fc.InputError, match=r"phase = 90.0: .* 0 to 2 pi; in degrees\? then 1.5708"
+    ):
+        fc.Measurement("displacement", -1e-5, 1e-7, phase=90.0, **given)  # type: ignore[arg-type]
+
+
 def test_one_value_of_each() -> None:
     """Two of the same are refused, by name, with both values."""
     one = fc.Measurement("frequency_open", 841.0, 0.8, 1)
