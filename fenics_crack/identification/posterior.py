@@ -304,7 +304,7 @@ class Posterior:
         name, x = self.best
         return self.branches[name].likelihood.misfit(x)
 
-    @property
+    @cached_property
     def misfits_without_one(self) -> list[tuple[float, float]]:
         """The same, at the same place, without each of the measurements."""
         name, x = self.best
