@@ -475,8 +475,7 @@ class Identification(Tabular):
     def warnings(self) -> list[str]:
         """Points to be careful about: cases that failed, several cracks that fit, a misfit, a crack
         by one measurement alone, an estimate at a bound."""
-        found, others = [*self.doubts], self.alternatives
-        found += _too_sure(self.measurements)
+        found, others = [*self.doubts, *_too_sure(self.measurements)], self.alternatives
         if self.verdict == NO_CRACK:
             return found
         if len(others) > 1:
@@ -490,8 +489,7 @@ class Identification(Tabular):
         cube = self._at[0].likelihood.quantities.model.cube
         bounds = zip(self.unknown, self.posterior.best[1], cube.low, cube.high, strict=True)
         for key, value, low, high in bounds:
-            margin = 1e-3 * (high - low)
-            if not low + margin < value < high - margin:
+            if not 1e-3 < (value - low) / (high - low) < 1.0 - 1e-3:
                 found.append(f"{key_in_words(key)} is at the end of where it was looked for")
         return found
 
