@@ -55,6 +55,9 @@ AT_ONCE = 500
 """Places at which a likelihood is computed together."""
 SPREAD_FROM = 0.1
 """Of the distance of points: less than that nothing is spread by."""
+STEEP = 2.0
+"""Fall of log L from a point of the grid to those on both sides beyond which these are farther away
+than two standard deviations: sums over such points are no integrals."""
 IMPOSSIBLE = -1e4
 """Difference of log L, where there is nothing."""
 VAGUE = 10.0
@@ -310,6 +313,21 @@ class Posterior:
         name, x = self.best
         likelihood = self.branches[name].likelihood
         return [likelihood.without(at).misfit(x) for at in range(len(likelihood.values))]
+
+    @cached_property
+    def unresolved(self) -> float:
+        """Part of the mass that is narrower than the grid: at points next to which L is next to
+        nothing along one of the unknowns, as on a thin ridge across the grid."""
+        lost = 0.0
+        for name, branch in self.branches.items():
+            falls = [np.zeros(branch.height.shape, dtype=bool)]
+            for place in range(branch.height.ndim):
+                ends = [(int(k == place),) * 2 for k in range(branch.height.ndim)]
+                wider = np.moveaxis(np.pad(branch.height, ends, constant_values=-np.inf), place, 0)
+                beside = np.maximum(wider[:-2], wider[2:])
+                falls.append(branch.height - np.moveaxis(beside, 0, place) > STEEP)
+            lost += float(np.sum(self.mass[name][np.any(falls, axis=0)]))
+        return lost
 
     def level(self, share: float) -> float:
         """log L at the border of the region that holds a share of the mass."""

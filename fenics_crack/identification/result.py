@@ -519,9 +519,15 @@ def _too_sure(measurements: Measurements) -> list[str]:
 
 
 def _of_fit(found: Identification) -> list[str]:
-    """Whether no crack explains the measurements, and without which one it would be nearest; or one
-    alone is not explained without a crack."""
+    """Probabilities that are not resolved; that no crack explains the measurements, and without
+    which one it would be nearest; or that one alone is not explained without a crack."""
     (total, chance), rows, said = found.misfit, found.measurements.rows, []
+    if found.posterior.unresolved > LEAST_PART:
+        said.append(
+            "what is measured leaves less than the places at which probabilities are computed tell "
+            f"apart ({found.posterior.unresolved:.0%} of it): the intervals may be far too small; "
+            "state all that is not known of the plate (identify.*_deviation), or measure more"
+        )
     now = sum(row.quantity != "frequency_uncracked" for row in rows)
     if chance < EXPLAINS:
         told = f"chi^2 = {total:.3g} of {len(rows)}"

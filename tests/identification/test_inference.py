@@ -134,6 +134,26 @@ def exact(values: np.ndarray) -> Prediction:
     return Prediction(values, np.zeros((m, q, q)), np.zeros((m, q, 0)), known)
 
 
+def test_ridge_that_is_narrower_than_the_grid() -> None:
+    """One number of two unknowns: the grid holds the region of a wide ridge, of which it says so
+    little as of that of a bound, and not that of a thin one."""
+    cube = Cube((np.linspace(0.0, 10.0, 4), np.linspace(0.0, 20.0, 4)))
+    rng = np.random.default_rng(7)
+    for deviation, resolved in ((1.0, True), (0.4, True), (1e-2, False), (1e-4, False)):
+        model: Any = Linear(np.array([[1.0, 0.37]]), np.zeros(1), cube)
+        likelihood = Likelihood(np.array([9.13]), np.array([deviation]), model)
+        posterior = Posterior({"": explore(likelihood)})
+        assert (posterior.unresolved < 0.01) == resolved
+        assert (posterior.unresolved > 0.3) != resolved
+        # Of that posterior: along the ridge both are uniform.
+        y = rng.uniform(0.0, 20.0, 4000)
+        x = 9.13 + deviation * rng.standard_normal(4000) - 0.37 * y
+        inside = (x > 0.0) & (x < 10.0)
+        heights = likelihood(np.column_stack([x, y])[inside])
+        held = np.mean(heights >= posterior.level(0.95))
+        assert (abs(held - 0.95) < 0.03) == resolved
+
+
 def test_linear_model() -> None:
     """Estimate, intervals, region, evidence and gain of a Gaussian posterior in closed form."""
     matrix = np.array([[1.0, 0.2], [0.3, 1.0], [1.0, 1.0]])
