@@ -229,10 +229,8 @@ class Judgement:
 
     def to(self, orbit: PeriodicOrbit | None) -> float:
         """The distance to an orbit; nan without one."""
-        if orbit is None:
-            return np.nan
-        if _still(orbit.sampled):
-            return 0.0
+        if orbit is None or _still(orbit.sampled):
+            return np.nan if orbit is None else 0.0
         samples, wave = orbit.sampled, self.wave
         moved = samples.gap + wave.structure.clearance
         return relative_to_motion(samples.gap - wave.gap(samples.time), moved)
@@ -251,7 +249,8 @@ class Judgement:
 
     def believes(self, distance: float) -> bool:
         """Whether an orbit so far away may be the wave's own."""
-        return distance <= max(BELIEVED * self.prediction, KNOWN)
+        near = distance <= max(BELIEVED * self.prediction, KNOWN)
+        return near or distance <= 2.0 * _unsolved(self.wave)
 
     def leads_elsewhere(self, away: float) -> bool:
         """Whether an orbit whose state is so far away is another one, though gaps are near: pairs
@@ -357,6 +356,14 @@ def _apart(judged: Judgement, state: np.ndarray) -> float:
     assert judged.flow is not None
     weights, own = judged.flow.weights(judged.wave.base_omega), judged.states[0]
     return relative(weights * (state - own), weights * own)
+
+
+def _unsolved(wave: Wave) -> float:
+    """How far the gaps of a wave are from those of its displacement, relative: its equations are
+    solved to a part of all its motion, the means with it, of which what moves may be little."""
+    time = wave.period / INSTANTS * np.arange(INSTANTS)
+    moved = wave.structure.apply_bt(wave.coordinates(time))
+    return relative_to_motion(moved - wave.structure.clearance - wave.gap(time), moved)
 
 
 def _leads_back(orbit: PeriodicOrbit | None, wave: Wave) -> bool:

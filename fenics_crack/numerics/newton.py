@@ -293,10 +293,10 @@ def means_of(system: System) -> int:
 
 
 def moving_square(moving: float, means: float) -> float:
-    """The square of a size, given that of the means over time, which contribute no more than all
-    else, and that of all else, of which as much as is rounding of the means is none."""
-    moving = max(moving, EPSILON * means)
-    return max(moving + min(means, moving), 1e-300)
+    """The square of a size, given that of the means over time and that of all else: means
+    contribute no more than all else, unless that is rounding, as where nothing vibrates."""
+    whole = moving + means
+    return max(2.0 * moving if EPSILON**0.75 * means < moving < means else whole, 1e-300)
 
 
 def moving_size(motion: np.ndarray) -> float:
