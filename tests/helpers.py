@@ -243,14 +243,6 @@ def evaluate(rows: np.ndarray, omega: float, time: np.ndarray) -> np.ndarray:
     return rows[0] + np.cos(phase) @ rows[1::2] + np.sin(phase) @ rows[2::2]
 
 
-def size_of_motion(motion: np.ndarray) -> float:
-    """Norm of a motion at equal times, in rows, to which its means contribute no more than what is
-    left of it without them."""
-    moving = np.linalg.norm(motion - motion.mean(axis=0))
-    means = np.linalg.norm(motion.mean(axis=0)) * np.sqrt(len(motion))
-    return float(np.hypot(moving, min(moving, means)))
-
-
 def to_complex(rows: np.ndarray) -> np.ndarray:
     """a0, a1 - i b1, ... of coefficients a0, a1, b1, ...."""
     return np.concatenate([rows[:1], rows[1::2] - 1j * rows[2::2]])

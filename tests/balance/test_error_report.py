@@ -6,7 +6,8 @@ import re
 
 import numpy as np
 import pytest
-from helpers import OMEGA_0, chain, mean_square, oscillator, resized, size_of_motion, true_error
+from helpers import OMEGA_0, chain, mean_square, oscillator, resized, true_error
+from reference_flow import size_of_motion
 
 import fenics_crack as fc
 

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from helpers import size_of_motion
+from reference_flow import size_of_motion
 
 import fenics_crack as fc
 

@@ -8,19 +8,10 @@ import numpy as np
 import pytest
 import pyvista
 import scipy.linalg
-from helpers import (
-    DAMPINGS,
-    ROOT,
-    chain,
-    dense_matrices,
-    log_slope,
-    relative,
-    size_of_motion,
-    true_error,
-    wrap,
-)
+from helpers import DAMPINGS, ROOT, chain, dense_matrices, log_slope, relative, true_error, wrap
 from matplotlib.image import imread
 from mpi4py import MPI
+from reference_flow import size_of_motion
 
 import fenics_crack as fc
 

@@ -5,19 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.linalg
-from helpers import (
-    DAMPINGS,
-    ROOT,
-    Cubic,
-    chain,
-    oscillator,
-    period_two_orbit,
-    relative,
-    size_of_motion,
-)
+from helpers import DAMPINGS, ROOT, Cubic, chain, oscillator, period_two_orbit, relative
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from motion.reference import ReferenceFlow
+from reference_flow import size_of_motion
 
 import fenics_crack as fc
 from fenics_crack import PeriodicOrbit
