@@ -32,7 +32,7 @@ import numpy as np
 
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
 from fenics_crack.balance.error_report import SLIGHT, UNKNOWN, ErrorReport
-from fenics_crack.balance.judgement import FARTHEST, Judgement, more_modes, relative_to_motion
+from fenics_crack.balance.judgement import FARTHEST, Judgement, errors_by_flow, relative_to_motion
 from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver, more_harmonics
 from fenics_crack.errors import (
@@ -459,7 +459,7 @@ def _kept(solver: Solver, orbit: PeriodicOrbit, tolerance: float) -> PeriodicSol
         sampling=0.0,
         reduction=reduction,
         penetration=relative_to_motion(np.maximum(gap, 0.0), closing),
-        displacement=min(judged.errors()[1] + at_load, UNKNOWN),
+        displacement=min(errors_by_flow(judged)[1] + at_load, UNKNOWN),
     )
     return replace(found, report=report, iterations=orbit.iterations)
 
@@ -480,7 +480,7 @@ def _lost(solver: Solver, found: PeriodicSolution) -> tuple[float, float]:
     structure = found.structure
     if not isinstance(structure, ReducedStructure) or structure.reference is None:
         return 0.0, 0.0
-    finer = more_modes(found.judged)
+    finer = found.judged.larger
     if finer is None or finer.too_slow:  # no flow: nothing is left without mass; or a long one
         few = solver.problem.with_harmonics(RUNGS[-1] * found.subharmonic)
         report = replace(solver, problem=few).attempt(found, patient=False)[1].report

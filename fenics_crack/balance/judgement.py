@@ -57,7 +57,7 @@ from fenics_crack.numerics.newton import moving_size
 from fenics_crack.table import percent
 
 __all__ = [
-    "BELIEVED", "FARTHEST", "NO_DOUBT", "UNKNOWN", "Judgement", "MoreModes", "more_modes",
+    "BELIEVED", "FARTHEST", "NO_DOUBT", "UNKNOWN", "Judgement", "MoreModes", "errors_by_flow",
     "relative", "relative_to_motion",
 ]  # fmt: skip
 
@@ -289,33 +289,16 @@ class Judgement:
         flow, wave = self.flow, self.wave
         return flow is not None and too_slow(flow, wave.omega, wave.subharmonic)
 
-    def errors(self, *, search: bool = True) -> tuple[float, float]:
-        """Of the gap, and of the displacement at the load in the direction of each of its parts:
-        the distance to the wave's own orbit; what is predicted where none is looked for; else
-        :data:`UNKNOWN`, which is also the most. A search that fails contradicts the one step that
-        predicts: next to grazing the orbit may be 15 times as far away."""
-        if search and (self.accepted or self.believes(self.distance)):
-            return min(self.distance, UNKNOWN), min(self._away_at_load, UNKNOWN)
-        if self.prediction < UNKNOWN and not (search and self.prediction < FAR):
-            return self.prediction, min(self._predicted_at_load, UNKNOWN)
-        return UNKNOWN, UNKNOWN
-
-    @property
-    def _predicted_at_load(self) -> float:
-        assert self.flow is not None and self.predicted is not None
-        wave, flow, count = self.wave, self.flow, self.flow.size // 2
-        change = (self.predicted.states - self.states)[:, :count] @ flow.modes.shapes.T
-        time = np.arange(len(change)) * wave.period / len(change)
-        force = wave.structure.force[seen_parts(wave.structure)].T
-        return relative_to_motion(change @ force, wave.coordinates(time) @ force)
-
-    @property
-    def _away_at_load(self) -> float:
-        assert self.orbit is not None
-        samples, structure = self.orbit.sampled, self.wave.structure
-        force, moved = structure.force[seen_parts(structure)].T, samples.displacement
-        change = moved - self.wave.coordinates(samples.time)
-        return relative_to_motion(change @ force, moved @ force)
+    @cached_property
+    def larger(self) -> MoreModes | None:
+        """What the reference of the structure makes of the motion; None where there is none whose
+        flow is known."""
+        structure, contact = self.wave.structure, self.wave.contact
+        reference = structure.reference if isinstance(structure, ReducedStructure) else None
+        if self.flow is None or contact is None or reference is None or not is_small(reference):
+            return None
+        flow = flow_of(reference, contact)
+        return None if flow is None else MoreModes(self, flow)
 
     @property
     def reason(self) -> str:
@@ -413,15 +396,33 @@ def relative_to_motion(change: np.ndarray, whole: np.ndarray) -> float:
     return float(np.linalg.norm(change)) / moving_size(whole) if whole.any() else 0.0
 
 
-def more_modes(judged: Judgement) -> MoreModes | None:
-    """What the reference of a judged motion's structure makes of it; None where there is none
-    whose flow is known."""
-    structure, contact = judged.wave.structure, judged.wave.contact
-    reference = structure.reference if isinstance(structure, ReducedStructure) else None
-    if judged.flow is None or contact is None or reference is None or not is_small(reference):
-        return None
-    flow = flow_of(reference, contact)
-    return None if flow is None else MoreModes(judged, flow)
+def errors_by_flow(judged: Judgement, *, search: bool = True) -> tuple[float, float]:
+    """Of the gap, and of the displacement at the load in the direction of each of its parts: the
+    distance to the wave's own orbit; what is predicted where none is looked for; else
+    :data:`UNKNOWN`, which is also the most. A search that fails contradicts the one step that
+    predicts: next to grazing the orbit may be 15 times as far away."""
+    if search and (judged.accepted or judged.believes(judged.distance)):
+        return min(judged.distance, UNKNOWN), min(_away_at_load(judged), UNKNOWN)
+    if judged.prediction < UNKNOWN and not (search and judged.prediction < FAR):
+        return judged.prediction, min(_predicted_at_load(judged), UNKNOWN)
+    return UNKNOWN, UNKNOWN
+
+
+def _predicted_at_load(judged: Judgement) -> float:
+    assert judged.flow is not None and judged.predicted is not None
+    wave, flow, count = judged.wave, judged.flow, judged.flow.size // 2
+    change = (judged.predicted.states - judged.states)[:, :count] @ flow.modes.shapes.T
+    time = np.arange(len(change)) * wave.period / len(change)
+    force = wave.structure.force[seen_parts(wave.structure)].T
+    return relative_to_motion(change @ force, wave.coordinates(time) @ force)
+
+
+def _away_at_load(judged: Judgement) -> float:
+    assert judged.orbit is not None
+    samples, structure = judged.orbit.sampled, judged.wave.structure
+    force, moved = structure.force[seen_parts(structure)].T, samples.displacement
+    change = moved - judged.wave.coordinates(samples.time)
+    return relative_to_motion(change @ force, moved @ force)
 
 
 class MoreModes:

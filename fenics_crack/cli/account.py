@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR, UNKNOWN, ErrorReport
-from fenics_crack.balance.judgement import more_modes
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.stability import Stability
 from fenics_crack.errors import MOST_HARMONICS, Exit
@@ -214,7 +213,7 @@ def of_stability(scene: Scene, run: Run, stability: Stability | None) -> Iterato
 def of_more_modes(found: PeriodicSolution, verdict: str) -> Iterator[str]:
     """A warning of a solution whose orbit has another verdict with twice the modes or more
     (collective)."""
-    larger = more_modes(found.judged) if verdict in ("stable", "unstable") else None
+    larger = found.judged.larger if verdict in ("stable", "unstable") else None
     if larger is None or not larger.affordable or larger.orbit is None:
         return
     size = abs(larger.orbit.multipliers[0])

@@ -43,7 +43,6 @@ import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.harmonic_balance import solve_linear, wave_of
-from fenics_crack.balance.judgement import more_modes
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Solver, contact_extremes
 from fenics_crack.curves.curve import ResponseCurve
@@ -222,7 +221,7 @@ def _more_modes(
     if reference is None or table is None or table.modes is None:
         return "all are kept"
     more, counts = replace(study, structure=reference), (table.modes, 2 * table.modes)
-    larger = more_modes(found.judged) if exact else None
+    larger = found.judged.larger if exact else None
     if exact and larger and larger.affordable and larger.orbit:
         other = as_changed(own.values, exact, _of_orbit(more, found, larger.orbit, own.mode))
     else:
