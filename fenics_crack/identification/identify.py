@@ -38,7 +38,7 @@ from fenics_crack.stages import begin
 from fenics_crack.study.coarser_mesh import finer_mesh
 from fenics_crack.study.key_figures import is_proportional
 from fenics_crack.sweep.result import SweepResult, by_reason, run_sweep
-from fenics_crack.table import counted
+from fenics_crack.table import TURN, counted
 
 __all__ = ["Forward", "identify", "infer", "remarks_on", "solve_forward"]
 
@@ -123,7 +123,8 @@ def identify(
     loads = [row.frequency for row in measurements.rows if not row.natural]
     whole = _whole(scene, comm)
     others = any(not axis.key.startswith(("crack.", "contact.")) for axis in scene.identify.unknown)
-    whole.check(measurements, other=others)
+    known = (scene.excitation.omega / TURN, *scene.identify.frequencies)
+    whole.check(measurements, [load for load in known if load > 0.0], other=others)
     forward = solve_forward(scene, loads, Path(folder), comm, whole=whole, progress=progress)
     begin("inference")
     return infer(forward, measurements)

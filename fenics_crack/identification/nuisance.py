@@ -84,16 +84,28 @@ class Whole:
     sizes: np.ndarray
     between: np.ndarray
 
-    def check(self, measurements: Measurements, *, other: bool = False) -> None:
-        """Raise InputError for natural frequencies in another unit than Hz, all of them where the
-        plate may be an ``other`` one; and unless it may for those without the crack that are of
-        another mode."""
+    def check(
+        self, measurements: Measurements, loads: Sequence[float] = (), *, other: bool = False
+    ) -> None:
+        """Raise InputError for frequencies of loads, of which the scene has these [Hz], and natural
+        ones in another unit than Hz, in rad/s all of them where the plate may be an ``other`` one;
+        and unless it may for those without the crack that are of another mode."""
+        for row in measurements.rows if loads else ():
+            if row.natural:
+                continue
+            near = min(loads, key=lambda load: abs(np.log(row.frequency / load)))
+            for unit in ("kHz", "mHz"):
+                if abs(np.log(row.frequency / near / FACTORS[unit])) < LIKE_A_MULTIPLE:
+                    allowed = (
+                        f"in Hz; the scene has {near:.4g} Hz, so that this seems to be in {unit}"
+                    )
+                    raise InputError(f"measurements.frequency, {row.name}", row.frequency, allowed)
         rows = [row for row in measurements.rows if row.natural and row.value > 0.0]
         rows = [row for row in rows if row.mode <= len(self.frequencies)]
         ratios = np.log([row.value / self.frequencies[row.mode - 1] for row in rows])
         for unit, factor in FACTORS.items():
             like = np.abs(ratios - np.log(factor)) < LIKE_A_MULTIPLE
-            if rows and (like.all() if other else like.any()):
+            if rows and (like.all() if other and unit == "rad/s" else like.any()):
                 row = rows[int(np.argmax(like))]
                 modes = "" if like.all() and len(rows) > 1 else ", or of another mode"
                 allowed = (

@@ -415,6 +415,30 @@ def test_two_cracks(scene: fc.Scene, folder: Path) -> None:
         assert any(remark in told for told in found.remarks) == (count == 3)
 
 
+@pytest.mark.parametrize(("factor", "unit"), [(1e-3, "kHz"), (1e3, "mHz")])
+def test_loads_in_other_units(scene: fc.Scene, folder: Path, factor: float, unit: str) -> None:
+    """Are named, before anything is solved."""
+    rows = measured(scene, {"crack.length": 0.02}, 1).rows
+    wrong = [one if one.natural else replace(one, frequency=factor * 700.0) for one in rows]
+    words = (
+        rf"{wrong[-1].frequency:g} Hz.*the scene has 700 Hz, so that this seems to be in {unit}$"
+    )
+    with pytest.raises(fc.InputError, match=words):
+        fc.identify(scene, fc.Measurements(tuple(wrong)), folder=folder / "nothing")
+
+
+def test_one_frequency_in_another_unit_of_an_unknown_plate(scene: fc.Scene, folder: Path) -> None:
+    """No plate has one frequency alone that is a thousandth of the scene's."""
+    rows = natural_of(measured(scene, {"crack.length": 0.02}, 1)).rows
+    one = (*rows[:2], replace(rows[2], value=1e-3 * rows[2].value), *rows[3:])
+    unknown = {
+        key: [(0.8 + 0.1 * k) * middle for k in range(4)]
+        for key, middle in (("crack.length", 0.02), ("material.young", 2.1e11))
+    }
+    with pytest.raises(fc.InputError, match=f"{rows[2].name}.*seems to be in kHz"):
+        fc.identify(scene, fc.Measurements(one), unknown, folder=folder / "nothing")
+
+
 @pytest.mark.parametrize(("factor", "unit"), [(2.0 * np.pi, "rad/s"), (1e-3, "kHz"), (1e3, "mHz")])
 def test_other_units(scene: fc.Scene, folder: Path, factor: float, unit: str) -> None:
     """Are recognised, before anything is solved."""
