@@ -336,6 +336,15 @@ class Posterior:
         at = min(int(np.searchsorted(held, share)), len(order) - 1)
         return float(self._heights[order[at]])
 
+    def cut(self, place: int, share: float, end: int) -> float | None:
+        """The lower (0) or upper (1) bound of an unknown, if the region that holds a share of the
+        mass goes on to it."""
+        level = self.level(share)
+        for branch in self.branches.values():
+            if np.any(np.take(branch.height, -end, axis=place) >= level):
+                return float(branch.axes[place][-end])
+        return None
+
     def marginal(self, place: int) -> tuple[np.ndarray, np.ndarray]:
         """Values of an unknown, and how much of the mass is at each: (n,) each."""
         values, masses = [], []

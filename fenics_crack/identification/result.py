@@ -474,7 +474,7 @@ class Identification(Tabular):
     @property
     def warnings(self) -> list[str]:
         """Points to be careful about: cases that failed, several cracks that fit, a misfit, a crack
-        by one measurement alone, an estimate at a bound."""
+        by one measurement alone, an interval that the bounds cut."""
         found, others = [*self.doubts, *_too_sure(self.measurements)], self.alternatives
         if self.verdict == NO_CRACK:
             return found
@@ -486,11 +486,11 @@ class Identification(Tabular):
             ]
             found.append(f"these cracks cannot be told apart: {'; '.join(cracks)}")
         found += _of_fit(self)
-        cube = self._at[0].likelihood.quantities.model.cube
-        bounds = zip(self.unknown, self.posterior.best[1], cube.low, cube.high, strict=True)
-        for key, value, low, high in bounds:
-            if not 1e-3 < (value - low) / (high - low) < 1.0 - 1e-3:
-                found.append(f"{key_in_words(key)} is at the end of where it was looked for")
+        for place, key in enumerate(self.unknown):
+            for end, beyond in enumerate(("below", "above")):
+                if (bound := self.posterior.cut(place, SHARE, end)) is not None:
+                    where = f"{beyond} {value_in_words(key, bound)}"
+                    found.append(f"{key_in_words(key)} may be {where}, where it was not looked for")
         return found
 
     def _title(self) -> str:

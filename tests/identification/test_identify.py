@@ -415,6 +415,18 @@ def test_two_cracks(scene: fc.Scene, folder: Path) -> None:
         assert any(remark in told for told in found.remarks) == (count == 3)
 
 
+@pytest.mark.parametrize(("height", "cut"), [(0.148, True), (0.2 / 2, False)])
+def test_intervals_that_the_bounds_cut(
+    scene: fc.Scene, folder: Path, height: float, cut: bool
+) -> None:
+    """Are told, though the best estimate is not at the bound."""
+    rows = measured(scene, {"crack.length": 0.03, "crack.height": height}, 2)
+    found = fc.identify(scene, natural_of(rows), folder=folder)
+    told = [text for text in found.warnings if "where it was not looked for" in text]
+    assert len(told) == cut and all("above" in text for text in told)
+    assert 0.03 < found.posterior.best[1][1] < 0.15
+
+
 @pytest.mark.parametrize(("factor", "unit"), [(1e-3, "kHz"), (1e3, "mHz")])
 def test_loads_in_other_units(scene: fc.Scene, folder: Path, factor: float, unit: str) -> None:
     """Are named, before anything is solved."""
