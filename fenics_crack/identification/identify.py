@@ -38,7 +38,7 @@ from fenics_crack.stages import begin
 from fenics_crack.study.coarser_mesh import finer_mesh
 from fenics_crack.study.key_figures import is_proportional
 from fenics_crack.sweep.result import SweepResult, by_reason, run_sweep
-from fenics_crack.table import TURN, counted
+from fenics_crack.table import TURN
 
 __all__ = ["Forward", "identify", "infer", "remarks_on", "solve_forward"]
 
@@ -209,14 +209,6 @@ def remarks_on(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
                 f"a crack from the {other} edge has the same natural frequencies: they do not tell "
                 "the edges apart"
             )
-    keys = [axis.key for axis in table.unknown if not isinstance(axis.values[0], str)]
-    numbers = len(table.mesh_axes) + sum(key.startswith("crack.") for key in keys)
-    modes = {row.mode for row in rows if row.quantity != "frequency_uncracked"}
-    if all(row.natural for row in rows) and len(modes) <= 2 * numbers:  # as many as two cracks have
-        found.append(
-            "one crack is looked for: two of them, or one elsewhere, may have the same frequencies "
-            f"of {counted(len(modes), 'mode')}"
-        )
     fixed = any(scene.excitation.force_mean) or not is_proportional(scene)
     if any(row.shape for row in rows) and fixed:
         found.append(
