@@ -209,6 +209,11 @@ def remarks_on(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
                 f"a crack from the {other} edge has the same natural frequencies: they do not tell "
                 "the edges apart"
             )
+    if table.meshes:
+        found.append(
+            "a file has one mesh: its error is in no interval; meshes twice as fine show how much "
+            "it changes what is found"
+        )
     fixed = any(scene.excitation.force_mean) or not is_proportional(scene)
     if any(row.shape for row in rows) and fixed:
         found.append(
