@@ -123,6 +123,7 @@ TABLE = [
     ("solve scene.toml mesh.size=0.1", "mesh.size = 0.1: must be left out with layout = 'grid'"),
     ("solve scene.toml mesh.lip_elements=2", "mesh.lip_elements = 2: must be left out with layout = 'grid'"),
     ("solve scene.toml mesh.grading=0", "mesh.grading = 0: must be a number from 1 to 1e+06"),
+    ("solve scene.toml mesh.grading=3", "mesh.grading = 3.0: must be left out with layout = 'grid'"),
     ("solve scene.toml mesh.file=a", "mesh.file = 'a': must be left out with layout = 'grid'"),
     ("solve scene.toml mesh.file=1", "mesh.file = 1: must be the path of a .msh file"),
     ("solve scene.toml mesh.layout=file", "mesh.columns = 2: must be left out with layout = 'file'"),

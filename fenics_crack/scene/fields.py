@@ -461,9 +461,10 @@ class Table:
         return getattr(self, key)
 
     def leave_out(self, keys: Iterable[str], why: str) -> None:
-        """Raise InputError if one of the keys is given."""
+        """Raise InputError if one of the keys is given, other than by default."""
         for key in keys:
-            self.require(getattr(self, key) is None, key, f"left out with {why}")
+            unsaid = getattr(self, key) in (None, getattr(type(self), key, None))
+            self.require(unsaid, key, f"left out with {why}")
 
     @classmethod
     def meant_by(cls, key: str) -> list[str]:

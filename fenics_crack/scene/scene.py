@@ -505,6 +505,7 @@ def _check_dimension(scene: Scene) -> None:
         mesh.require(mesh.order == 2, "order", reason)
         allowed = "'graded' or 'file' with geometry.kind = 'solid'"
         mesh.require(mesh.layout != "grid", "layout", allowed)
+        mesh.leave_out(("cells",), "geometry.kind = 'solid', which is meshed by tetrahedra")
     if dimension == 2 or mesh.layout != "file":
         geometry.given("thickness", "given: a finite number > 0")
 

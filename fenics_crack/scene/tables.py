@@ -522,7 +522,7 @@ class Mesh(Table):
         super().__post_init__()
         keys = {
             "grid": ("columns", "rows"),
-            "graded": ("size", "lip_elements"),
+            "graded": ("size", "lip_elements", "grading"),
             "file": ("file", "coarser"),
         }
         given = keys.pop(self.layout)
@@ -531,6 +531,8 @@ class Mesh(Table):
         for key in given:
             if key not in ("lip_elements", "coarser"):  # an uncracked plate has no lips
                 self.given(key, f"given with layout = {self.layout!r}")
+        if self.layout == "file":
+            self.leave_out(("cells",), "layout = 'file', whose mesh has its own")
 
 
 @dataclass(frozen=True)

@@ -209,6 +209,16 @@ def test_a_surface_without_a_front_parts_two_bodies() -> None:
     assert not len(crack.front) and crack.beside((0.5, 1.0, 0.5)) is not None
 
 
+def test_plates_cells_are_refused() -> None:
+    """A key without effect; so are, beside a mesh file, the cells and the grading of its own."""
+    with pytest.raises(InputError, match=r"mesh\.cells.*meshed by tetrahedra"):
+        solid(THROUGH, **{"mesh.cells": "triangle"})
+    of_a_file = Scene.load(DEMOS / "two_beams.toml")
+    for key, value in {"mesh.cells": "triangle", "mesh.grading": 2.0}.items():
+        with pytest.raises(InputError, match=f"{key}.*layout = 'file'"):
+            of_a_file.replace({key: value})
+
+
 def test_a_surface_on_the_outside_is_refused() -> None:
     """A crack lies between two cells."""
     places = np.array(
