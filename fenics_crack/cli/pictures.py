@@ -31,7 +31,7 @@ from fenics_crack.balance.harmonic_balance import linear_response
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import frequency_in_words
 from fenics_crack.cli.given import Console, make_writable
-from fenics_crack.cli.results import IDENTIFIED, RESULTS, Computed, account_of, over_time, result_of
+from fenics_crack.cli.results import RESULTS, Computed, Identified, account_of, over_time, result_of
 from fenics_crack.cli.scenes import harmonics_in_words
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw.figure import Picture, distinct_colours
@@ -50,7 +50,7 @@ from fenics_crack.draw.plot_curve import draw_content, draw_curve, draw_multipli
 from fenics_crack.draw.plot_mesh import draw_mesh, draw_modes
 from fenics_crack.draw.plot_study import draw_growth, draw_verification
 from fenics_crack.errors import FEW_MODES, InputError
-from fenics_crack.files.store import IDENTIFICATION, Stored, read, versions
+from fenics_crack.files.store import Stored, read, versions
 from fenics_crack.model.modes import LIPS, Modes, n_tied_modes, solve_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import on_root
@@ -97,6 +97,7 @@ CAPTIONS = {
     "solution_orbits": "The motion in the phase plane; thick where the lips touch.",
     "solution_contact_map": "Where along the crack and when in the period the lips touch.",
     "solution_breathing_crack": "One period, slowed down and magnified as stated above the plate.",
+    "posterior": "How probable cracks are by the measurements.",
     "solution_tips": "What opens the tips of the crack, over the period.",
     "curve": "Response. Dashed: unstable; dotted: undecided; faint: large estimated error.",
     "curve_content": "Amplitudes of the lowest harmonics.",
@@ -148,8 +149,8 @@ def report(given: Namespace, _: None, console: Console) -> None:
     target = given.output or given.results[0].parent / "report.html"
     words = ["fenics-crack", *given.words]
     with console.stage("report"):
-        left = on_root(console.comm, lambda: _write_report(given.results, target, words))
-    console.note(str(target), *(f"{path} is left out: {IDENTIFIED}" for path in left))
+        on_root(console.comm, lambda: _write_report(given.results, target, words))
+    console.note(str(target))
 
 
 # --- of one result --------------------------------------------------------------------------------
@@ -403,6 +404,11 @@ def _axis_words(axis: Axis, values: np.ndarray) -> tuple[np.ndarray, str]:
     return factor * values, with_unit(key_in_words(axis.key), unit)
 
 
+def _copy(picture: Path, file: Path) -> None:
+    """Copy a picture that is there, it may be to its own place."""
+    file.write_bytes(picture.read_bytes())
+
+
 DRAW: dict[str, Callable[[Any, File], None]] = {
     Modes.KIND: _modes,
     PeriodicSolution.KIND: _solution,
@@ -412,6 +418,7 @@ DRAW: dict[str, Callable[[Any, File], None]] = {
     Growth.KIND: lambda found, file: draw_growth(
         found, path=file("growth.png"), in_hertz=found.scene.in_hertz
     ),
+    Identified.KIND: lambda found, file: _copy(found.picture, file("posterior.png")),
     Verification.KIND: lambda found, file: draw_verification(found, path=file("verify.png")),
 }
 
@@ -528,8 +535,8 @@ def _common(names: Iterator[str] | Sequence[str]) -> str | None:
 # --- the page -------------------------------------------------------------------------------------
 
 
-def _write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) -> list[Path]:
-    """Write the page of some results; return the files that are left out beside others.
+def _write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) -> None:
+    """Write the page of some results.
 
     Parameters
     ----------
@@ -548,8 +555,7 @@ def _write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) -
     if target.suffix.lower() not in (".html", ".htm"):
         raise InputError("--output", str(target), "a .html file")
     stored = [read(path) for path in dict.fromkeys(paths)]
-    shown = [file for file in stored if file.kind != IDENTIFICATION] or stored
-    both = [(file, result_of(file)) for file in shown]
+    both = [(file, result_of(file)) for file in stored]
     both.sort(key=lambda one: list(RESULTS).index(one[0].kind))
     kinds, scenes = [file.kind for file, _ in both], [result.scene for _, result in both]
     sections: list[Section] = []
@@ -585,7 +591,6 @@ def _write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) -
     under = f"{datetime.now(UTC).astimezone():%d %B %Y, %H:%M %Z}, fenics_crack {VERSION}"
     text = _page(f"Breathing crack: {stem}", under, [*before, *sections, after])
     write_whole(target, text, "--output")
-    return [file.path for file in stored if file.kind == IDENTIFICATION]
 
 
 # --- parts ----------------------------------------------------------------------------------------

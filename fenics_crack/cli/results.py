@@ -3,8 +3,11 @@ results of all commands: how they are read, who speaks of them, their headings i
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from mpi4py import MPI
@@ -38,6 +41,7 @@ from fenics_crack.model.modes import KINDS, BilinearFrequencies, Modes, bilinear
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
+from fenics_crack.scene.words import key_in_words, value_in_words
 from fenics_crack.study.asked import asked_along_curve, asked_of_motion
 from fenics_crack.study.coarser_mesh import natural_name
 from fenics_crack.study.key_figures import highest_omega
@@ -64,7 +68,7 @@ from fenics_crack.table import (
 from fenics_crack.time.march import TimeHistory
 
 __all__ = [
-    "IDENTIFIED", "RESULTS", "Computed", "account_of", "curve_points",
+    "RESULTS", "Computed", "Identified", "account_of", "curve_points",
     "few_special_points", "over_time", "result_of", "special_points",
 ]  # fmt: skip
 
@@ -608,9 +612,58 @@ def _natural_along(run: Run[ResponseCurve], omega: np.ndarray) -> BilinearFreque
     return BilinearFrequencies(at_speeds(is_open), at_speeds(tied))
 
 
+# --- what identify has found ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Identified:
+    """What ``identify`` has found and written."""
+
+    KIND: ClassVar[str] = IDENTIFICATION
+    scene: Scene
+    summary: Mapping[str, Any]
+    """As ``identify.json`` has it."""
+    picture: Path
+    """Of the posterior."""
+
+
+def _identified(stored: Stored) -> Identified:
+    """By the files beside its own."""
+    told, picture = stored.path.with_suffix(".json"), stored.path.with_name("posterior.png")
+    for path in (told, picture):
+        if not path.is_file():
+            raise InputError("result", str(stored.path), f"with {path.name} beside it")
+    scene = stored.scene()
+    assert scene is not None
+    return Identified(scene, json.loads(told.read_text("utf-8")), picture)
+
+
+def _account_of_identified(found: Identified) -> Account:
+    """Verdict, estimates with their intervals, and the fit."""
+    from fenics_crack.identification.result import FITTED  # SciPy's optimize, interpolate
+
+    told, rows = found.summary, []
+    for key, value in told["estimate"].items():
+        ends = told["intervals"].get(key, ("", ""))  # of a word there are none
+        words = (value_in_words(key, one) if one != "" else "" for one in (value, *ends))
+        rows.append([key_in_words(key), *words])
+    summary = Table(("unknown", "estimate", "95 % from", "to"), rows)
+    where = [f"{key} {value} (95 %: {low} to {high})" for key, value, low, high in rows if low]
+    said = [*(where if told["verdict"] == "crack" else []), told["reason"]]
+    facts = [f"{told['verdict']}: {'; '.join(said)}"]
+    facts += [] if told["mesh"] is None else [f"nearest mesh: {told['mesh']}"]
+    facts += [f"remark: {remark}" for remark in told["remarks"]]
+    facts += [f"next to measure: {advice}" for advice in told["advice"]]
+    tables = {
+        "What is looked for": summary,
+        "Measurements, and what the estimate predicts": Table(FITTED, told["measurements"]),
+    }
+    return Account("identify", summary, facts=facts, warnings=told["warnings"], tables=tables)
+
+
 # --- all of them ----------------------------------------------------------------------------------
 
-Computed = Run[Any] | SweepResult | Verification | Growth
+Computed = Run[Any] | SweepResult | Verification | Growth | Identified
 """What commands write."""
 RESULTS: dict[str, tuple[str, Callable[[Any], Account]]] = {
     Modes.KIND: ("Natural frequencies and modes", _account_of_modes),
@@ -619,10 +672,10 @@ RESULTS: dict[str, tuple[str, Callable[[Any], Account]]] = {
     SweepResult.KIND: ("Sweep", account_of_sweep),
     TimeHistory.KIND: ("Motion in time", _account_of_history),
     Growth.KIND: ("Growth of the crack", account_of_growth),
+    Identified.KIND: ("Identification of the crack", _account_of_identified),
     Verification.KIND: ("Convergence study", account_of_verification),
 }
 """Headings and who speaks of them, by kind, in the order of a report."""
-IDENTIFIED = "what identify has found is in identify.json, fit.csv and posterior.png beside it"
 
 
 def account_of(result: Computed) -> Account:
@@ -638,13 +691,13 @@ def result_of(stored: Stored) -> Computed:
     InputError
         It is no result of a command.
     """
-    if stored.kind == IDENTIFICATION:
-        raise InputError("result", str(stored.path), f"another kind of result; {IDENTIFIED}")
     if stored.kind not in RESULTS:
         allowed = f"a result of one of these kinds: {', '.join(RESULTS)}"
         raise InputError("result", str(stored.path), allowed)
     if stored.kind == SweepResult.KIND:
         return SweepResult.load(stored.path)
+    if stored.kind == Identified.KIND:
+        return _identified(stored)
     if stored.kind == Growth.KIND:
         return Growth.of(stored)
     study = verification_of(stored) if stored.kind == Verification.KIND else None

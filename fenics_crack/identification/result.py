@@ -43,10 +43,12 @@ from fenics_crack.scene.words import key_in_words, unit_of, value_in_words
 from fenics_crack.table import Table, Tabular, counted
 from fenics_crack.whole import write_whole
 
-__all__ = ["Identification", "Worth", "advice", "worth_of"]
+__all__ = ["FITTED", "Identification", "Worth", "advice", "worth_of"]
 
 # --- where to measure -----------------------------------------------------------------------------
 
+FITTED = "measurement", "value", "deviation", "predicted", "of the model", "residual"
+"""What is said of each measurement."""
 BASELINE = 1e-3
 """Relative standard deviation of frequencies that are advised, if nothing else is said."""
 
@@ -481,8 +483,7 @@ class Identification(Tabular):
         columns = (likelihood.values, likelihood.deviations, predicted, spread, residuals)
         names = [row.name for row in likelihood.quantities.rows]
         rows = [list(row) for row in zip(names, *(c.tolist() for c in columns), strict=True)]
-        head = ("measurement", "value", "deviation", "predicted", "of the model", "residual")
-        return Table(head, rows)
+        return Table(FITTED, rows)
 
     @property
     def warnings(self) -> list[str]:

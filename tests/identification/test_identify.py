@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import os
 import re
@@ -719,22 +720,29 @@ def test_beside_other_results(
     little: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A report of all files in its folder has the sweeps, one of which is a single case and has no
-    picture, and says that what was inferred is left out; to ask for that alone is answered."""
+    picture, and has what was inferred; alone, too, and not without the files beside it."""
     assert main(little) == 0
     files = sorted(map(str, (tmp_path / "out").glob("*.h5")))
     [own] = [name for name in files if name.endswith("identify.h5")]
     page = tmp_path / "page.html"
     capsys.readouterr()
     assert len(files) == 4 and main(["report", *files, "--output", str(page)]) == 0
-    told = capsys.readouterr().err.splitlines()
-    where = "identify.json, fit.csv and posterior.png beside it"
-    left_out = f"{own} is left out: what identify has found is in {where}"
-    assert told == [str(page), left_out]
+    assert capsys.readouterr().err.splitlines() == [str(page)]
     text = page.read_text("utf-8")
     assert all(text.count(f"of {count} cases") == 2 for count in (1, 3, 4))
+    told = json.loads(Path(own).with_suffix(".json").read_text("utf-8"))
+    said = [told["reason"], *told["remarks"], *told["warnings"], *told["advice"]]
+    said += [str(row[0]) for row in told["measurements"]]
+    assert said and [text.count(html.escape(one)) > 0 for one in said] == [True] * len(said)
+    picture = Path(own).with_name("posterior.png")
+    before = picture.read_bytes()
+    assert main(["report", own, "--output", str(page)]) == 0 and main(["plot", own]) == 0
+    assert picture.read_bytes() == before
+    picture.unlink()
     for command in ("plot", "report"):
+        capsys.readouterr()
         assert main([command, own]) == 2
-        assert "another kind of result; what identify has found is in" in capsys.readouterr().err
+        assert "must be with posterior.png beside it" in capsys.readouterr().err
 
 
 def test_crack_from_frequency_responses(
