@@ -338,19 +338,6 @@ class Identification(Tabular):
         return _verdict_of(self)
 
     @property
-    def if_alone(self) -> str:
-        """Condition of what is stated, in words, where two cracks have as many unknowns as there
-        are measured modes, or more, so that no misfit speaks against two; else empty."""
-        table, rows = self.scene.given("identify"), self.measurements.rows
-        keys = [axis.key for axis in table.unknown if not isinstance(axis.values[0], str)]
-        numbers = len(table.mesh_axes) + sum(key.startswith("crack.") for key in keys)
-        modes = {row.mode for row in rows if row.quantity != "frequency_uncracked"}
-        if not all(row.natural for row in rows) or len(modes) > 2 * numbers:
-            return ""
-        told = f"may have the same frequencies of {counted(len(modes), 'mode')}"
-        return f"; place and size are those of one crack: two of them, or one elsewhere, {told}"
-
-    @property
     def misfit(self) -> tuple[float, float]:
         """chi^2 where the likelihood is largest, and the probability of more, by chance, with as
         many measurements less the unknowns (and of displacements three, for what is not known of
@@ -518,8 +505,7 @@ class Identification(Tabular):
             parts.append(f"{key} = {value} ± {value_in_words(key, self.posterior.spread(place))}")
         if len(self.alternatives) > 1:
             parts.append("NOT THE ONLY ONE")
-        if self.if_alone:
-            parts.append("IF IT IS ONE CRACK")
+        parts += ["IF IT IS ONE CRACK"] if _if_alone(self) else []
         return ", ".join(parts)
 
 
@@ -579,8 +565,21 @@ def _verdict_of(found: Identification) -> tuple[str, str]:
     if ratio < -STRONG:
         return NO_CRACK, f"{told}; one that is not seen would be at {_where(found)}"
     if ratio > STRONG:
-        return "crack", told + found.if_alone
-    return open_question, f"{told}; if there is one it is at {_where(found)}{found.if_alone}"
+        return "crack", told + _if_alone(found)
+    return open_question, f"{told}; if there is one it is at {_where(found)}{_if_alone(found)}"
+
+
+def _if_alone(found: Identification) -> str:
+    """Condition of what is stated, in words, where two cracks have as many unknowns as there are
+    measured modes, or more, so that no misfit speaks against two; else empty."""
+    table, rows = found.scene.given("identify"), found.measurements.rows
+    keys = [axis.key for axis in table.unknown if not isinstance(axis.values[0], str)]
+    numbers = len(table.mesh_axes) + sum(key.startswith("crack.") for key in keys)
+    modes = {row.mode for row in rows if row.quantity != "frequency_uncracked"}
+    if not all(row.natural for row in rows) or len(modes) > 2 * numbers:
+        return ""
+    told = f"may have the same frequencies of {counted(len(modes), 'mode')}"
+    return f"; place and size are those of one crack: two of them, or one elsewhere, {told}"
 
 
 def _where(found: Identification) -> str:
