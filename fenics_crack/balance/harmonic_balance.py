@@ -32,7 +32,7 @@ import numpy as np
 
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
 from fenics_crack.balance.error_report import SLIGHT, UNKNOWN, ErrorReport
-from fenics_crack.balance.judgement import FARTHEST, Judgement, errors_by_flow, relative_to_motion
+from fenics_crack.balance.judgement import FARTHEST, Judgement, errors_by_flow
 from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver, more_harmonics
 from fenics_crack.errors import (
@@ -55,6 +55,7 @@ from fenics_crack.motion.flow import ContactFlow, flow_of
 from fenics_crack.motion.orbit import OrbitCoefficients, PeriodicOrbit, affordable
 from fenics_crack.motion.shooting import recurring
 from fenics_crack.numerics.fourier import from_complex, to_complex
+from fenics_crack.numerics.newton import relative_to_motion
 from fenics_crack.stages import begin
 from fenics_crack.table import percent
 

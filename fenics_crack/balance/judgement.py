@@ -53,12 +53,12 @@ from fenics_crack.motion.orbit import (
 )
 from fenics_crack.motion.shooting import PARTS, Patience, orbit_next_to, wave_states
 from fenics_crack.numerics.fourier import waves
-from fenics_crack.numerics.newton import moving_size
+from fenics_crack.numerics.newton import relative_to_motion
 from fenics_crack.table import percent
 
 __all__ = [
     "BELIEVED", "FARTHEST", "NO_DOUBT", "UNKNOWN", "Judgement", "MoreModes", "errors_by_flow",
-    "relative", "relative_to_motion",
+    "relative",
 ]  # fmt: skip
 
 BELIEVED, FARTHEST, FAR = 3.0, 0.1, 0.3
@@ -388,12 +388,6 @@ def relative(change: np.ndarray, whole: np.ndarray) -> float:
     """Size of a change relative to that of the whole."""
     size = float(np.linalg.norm(whole))
     return float(np.linalg.norm(change)) / size if size > 0.0 else 0.0
-
-
-def relative_to_motion(change: np.ndarray, whole: np.ndarray) -> float:
-    """Size of a change of a motion in time (n, k) relative to that of the whole, to which its means
-    contribute no more than all else: a steady load does not make errors small."""
-    return float(np.linalg.norm(change)) / moving_size(whole) if whole.any() else 0.0
 
 
 def errors_by_flow(judged: Judgement, *, search: bool = True) -> tuple[float, float]:

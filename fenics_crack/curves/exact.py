@@ -30,7 +30,7 @@ from itertools import pairwise
 import numpy as np
 import scipy.optimize
 
-from fenics_crack.balance.judgement import BELIEVED, FARTHEST, NO_DOUBT, relative_to_motion
+from fenics_crack.balance.judgement import BELIEVED, FARTHEST, NO_DOUBT
 from fenics_crack.curves.beginnings import chord
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.family import Family
@@ -44,7 +44,7 @@ from fenics_crack.motion.orbit import FORMED, KNOWN, PIECES, doubling_test, eige
 from fenics_crack.motion.shooting import FlowOrbits, OrbitPoint, Patience
 from fenics_crack.numerics.equations import CLOSE, DIFFERENCE
 from fenics_crack.numerics.fourier import resized
-from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_at
+from fenics_crack.numerics.newton import PathPoint, point_on_path, relative_to_motion, solve_at
 from fenics_crack.numerics.path import Crossing, PathOptions
 from fenics_crack.stages import begin
 

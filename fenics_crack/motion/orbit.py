@@ -41,7 +41,7 @@ from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import kernel
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples, Track
 from fenics_crack.numerics.equations import CLOSE, LOCATED
-from fenics_crack.numerics.newton import FORCING, gmres, moving_size
+from fenics_crack.numerics.newton import FORCING, gmres, relative_to_motion
 from fenics_crack.table import Described, counted
 
 __all__ = [
@@ -290,8 +290,7 @@ def predicted(
         return None
     count = flow.size // 2
     gap, moved = states[:, :count] @ flow.modes.pairs, changes[:, :count] @ flow.modes.pairs
-    error = float(np.linalg.norm(moved)) / (moving_size(gap) if gap.any() else 1.0)
-    return Prediction(error, states + changes, track, inverse)
+    return Prediction(relative_to_motion(moved, gap), states + changes, track, inverse)
 
 
 def _inverse(flow: ContactFlow, track: Track, weights: np.ndarray) -> Inverse:

@@ -48,8 +48,8 @@ from fenics_crack.numerics.equations import EPSILON, Linearisation, System, equa
 __all__ = [
     "FORCING", "FULL_STEPS", "MAX_ITERATIONS", "MIN_DAMPING", "PATIENCE", "STRAY", "Newton",
     "PathPoint", "Tangent", "correct", "correction", "distance", "gmres", "kernel_solves",
-    "moving_size", "moving_square", "norm_at", "point_on_path", "solve_at", "solve_in_plane",
-    "solve_near", "step_along", "tangent_of",
+    "moving_size", "moving_square", "norm_at", "point_on_path", "relative_to_motion", "solve_at",
+    "solve_in_plane", "solve_near", "step_along", "tangent_of",
 ]  # fmt: skip
 
 SELF = PETSc.COMM_SELF
@@ -304,6 +304,12 @@ def moving_size(motion: np.ndarray) -> float:
     mean = motion.mean(axis=0)
     means = len(motion) * float(np.sum(mean**2))
     return math.sqrt(moving_square(float(np.sum((motion - mean) ** 2)), means))
+
+
+def relative_to_motion(change: np.ndarray, whole: np.ndarray) -> float:
+    """Size of a change of a motion in time (n, k) relative to that of the whole, to which its means
+    contribute no more than all else: a steady load does not make errors small."""
+    return float(np.linalg.norm(change)) / moving_size(whole) if whole.any() else 0.0
 
 
 def norm_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
