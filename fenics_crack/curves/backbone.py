@@ -59,6 +59,7 @@ from fenics_crack.balance.error_report import (
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.free_motion import (
     ELSEWHERE,
+    HELPS,
     EnergyMotion,
     Equilibrium,
     MotionPath,
@@ -347,7 +348,7 @@ def follow_backbone(
     if throw and not complete and ended != INTERRUPTED:
         raise ConvergenceError(
             f"backbone of mode {mode} from {energy_start:g} to {energy_end:g} J: {ended}{note} "
-            f"at {energy[-1]:g} J after {len(found)} points"
+            f"at {energy[-1]:g} J after {len(found)} points; {HELPS}"
         )
     unknowns = np.array([point.unknown for point in found])
     modal = unknowns[:, :-1].reshape(len(found), -1, len(rest.frequencies)) / rest.frequencies

@@ -35,8 +35,8 @@ from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_at
 from fenics_crack.numerics.path import NARROW, STRAIGHT, Ended, Path, PathOptions, Target
 
 __all__ = [
-    "ELSEWHERE", "EnergyMotion", "Equilibrium", "FadedMotion", "MotionPath", "MotionPoint",
-    "StiffnessMotion", "cosine_rows", "first_motion",
+    "ELSEWHERE", "HELPS", "EnergyMotion", "Equilibrium", "FadedMotion", "MotionPath",
+    "MotionPoint", "StiffnessMotion", "cosine_rows", "first_motion",
 ]  # fmt: skip
 
 NEAR = 0.05
@@ -362,6 +362,10 @@ FAST = 0.5
 MORE = 1.25
 """How many harmonics there are after a step, relative to those before; one more at least."""
 ELSEWHERE = "the path ended in the motion of another mode"
+HELPS = (
+    "fewer harmonics have fewer internal resonances, and another energy, or a solution given as "
+    "initial, starts elsewhere"
+)
 
 
 def solve_motion(family: FreeMotion, guess: np.ndarray, parameter: float) -> PathPoint | None:
@@ -553,12 +557,11 @@ def _from_linear_mode(family: StiffnessMotion, mode: int) -> PathPoint:
     furthest = max((motion.parameter for motion in path), default=soft)
     if path.ended is Ended.MET:
         if not family.is_fundamental(path.last.unknown):
-            raise ConvergenceError(f"backbone of mode {mode}: {ELSEWHERE}")
+            raise ConvergenceError(f"backbone of mode {mode}: {ELSEWHERE}; {HELPS}")
         return path.last
     raise ConvergenceError(
         f"backbone of mode {mode}: the path in the contact stiffness came as far as "
-        f"{math.exp(furthest):.2g} of it; fewer harmonics have fewer internal resonances, "
-        "and a solution given as initial starts elsewhere"
+        f"{math.exp(furthest):.2g} of it; {HELPS}"
     )
 
 
