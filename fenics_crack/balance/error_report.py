@@ -34,7 +34,7 @@ import numpy as np
 from fenics_crack.balance.compliance import Compliance
 from fenics_crack.balance.contact_integrals import respond
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
-from fenics_crack.balance.judgement import UNKNOWN, Judgement, errors_by_flow, seen_parts
+from fenics_crack.balance.judgement import UNKNOWN, Judgement, seen_parts
 from fenics_crack.balance.problem import Problem
 from fenics_crack.model.contact import REGULAR, UnilateralPenalty, is_regular, is_rigid
 from fenics_crack.model.modal import SMALL, all_modes
@@ -144,7 +144,7 @@ def estimate_errors(
     changes, at_load = [], 0.0
     if judged.affordable:
         # The distance of the orbit is what harmonics and samples leave out together.
-        error, at_load = errors_by_flow(judged, search=search)
+        error, at_load = judged.errors(search=search)
         truncation = UNKNOWN if error >= UNKNOWN else max(error - sampling, 0.0)
     else:
         changes.append(beyond_truncation(at))

@@ -32,7 +32,7 @@ import numpy as np
 
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
 from fenics_crack.balance.error_report import SLIGHT, UNKNOWN, ErrorReport
-from fenics_crack.balance.judgement import FARTHEST, Judgement, errors_by_flow
+from fenics_crack.balance.judgement import FARTHEST, Judgement
 from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver, more_harmonics
 from fenics_crack.errors import (
@@ -460,7 +460,7 @@ def _kept(solver: Solver, orbit: PeriodicOrbit, tolerance: float) -> PeriodicSol
         sampling=0.0,
         reduction=reduction,
         penetration=relative_to_motion(np.maximum(gap, 0.0), closing),
-        displacement=min(errors_by_flow(judged)[1] + at_load, UNKNOWN),
+        displacement=min(judged.errors()[1] + at_load, UNKNOWN),
     )
     return replace(found, report=report, iterations=orbit.iterations)
 

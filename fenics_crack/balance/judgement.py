@@ -57,8 +57,7 @@ from fenics_crack.numerics.newton import relative_to_motion
 from fenics_crack.table import percent
 
 __all__ = [
-    "BELIEVED", "FARTHEST", "NO_DOUBT", "UNKNOWN", "Judgement", "MoreModes", "errors_by_flow",
-    "relative",
+    "BELIEVED", "FARTHEST", "NO_DOUBT", "UNKNOWN", "Judgement", "MoreModes", "relative",
 ]  # fmt: skip
 
 BELIEVED, FARTHEST, FAR = 3.0, 0.1, 0.3
@@ -289,6 +288,17 @@ class Judgement:
         flow, wave = self.flow, self.wave
         return flow is not None and too_slow(flow, wave.omega, wave.subharmonic)
 
+    def errors(self, *, search: bool = True) -> tuple[float, float]:
+        """Of the gap, and of the displacement at the load in the direction of each of its parts:
+        the distance to the wave's own orbit; what is predicted where none is looked for; else
+        :data:`UNKNOWN`, which is also the most. A search that fails contradicts the one step that
+        predicts: next to grazing the orbit may be 15 times as far away."""
+        if search and (self.accepted or self.believes(self.distance)):
+            return min(self.distance, UNKNOWN), min(_away_at_load(self), UNKNOWN)
+        if self.prediction < UNKNOWN and not (search and self.prediction < FAR):
+            return self.prediction, min(_predicted_at_load(self), UNKNOWN)
+        return UNKNOWN, UNKNOWN
+
     @cached_property
     def larger(self) -> MoreModes | None:
         """What the reference of the structure makes of the motion; None where there is none whose
@@ -388,18 +398,6 @@ def relative(change: np.ndarray, whole: np.ndarray) -> float:
     """Size of a change relative to that of the whole."""
     size = float(np.linalg.norm(whole))
     return float(np.linalg.norm(change)) / size if size > 0.0 else 0.0
-
-
-def errors_by_flow(judged: Judgement, *, search: bool = True) -> tuple[float, float]:
-    """Of the gap, and of the displacement at the load in the direction of each of its parts: the
-    distance to the wave's own orbit; what is predicted where none is looked for; else
-    :data:`UNKNOWN`, which is also the most. A search that fails contradicts the one step that
-    predicts: next to grazing the orbit may be 15 times as far away."""
-    if search and (judged.accepted or judged.believes(judged.distance)):
-        return min(judged.distance, UNKNOWN), min(_away_at_load(judged), UNKNOWN)
-    if judged.prediction < UNKNOWN and not (search and judged.prediction < FAR):
-        return judged.prediction, min(_predicted_at_load(judged), UNKNOWN)
-    return UNKNOWN, UNKNOWN
 
 
 def _predicted_at_load(judged: Judgement) -> float:
