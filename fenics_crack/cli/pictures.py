@@ -97,13 +97,13 @@ CAPTIONS = {
     "solution_orbits": "The motion in the phase plane; thick where the lips touch.",
     "solution_contact_map": "Where along the crack and when in the period the lips touch.",
     "solution_breathing_crack": "One period, slowed down and magnified as stated above the plate.",
-    "posterior": "How probable cracks are by the measurements.",
     "solution_tips": "What opens the tips of the crack, over the period.",
     "curve": "Response. Dashed: unstable; dotted: undecided; faint: large estimated error.",
     "curve_content": "Amplitudes of the lowest harmonics.",
     "curve_multipliers": "The orbit is stable where the largest multiplier is below 1.",
     "growth": "The crack over the cycles; dots are the lengths that were solved.",
     "integration_waves": "The last periods of the motion in time.",
+    "posterior": "How probable cracks are by the measurements.",
 }
 """Below the pictures, by the names of their files; others speak for themselves."""
 IN_SHORT = (

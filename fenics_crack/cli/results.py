@@ -628,14 +628,15 @@ class Identified:
 
 
 def _identified(stored: Stored) -> Identified:
-    """By the files beside its own."""
-    told, picture = stored.path.with_suffix(".json"), stored.path.with_name("posterior.png")
-    for path in (told, picture):
-        if not path.is_file():
-            raise InputError("result", str(stored.path), f"with {path.name} beside it")
-    scene = stored.scene()
-    assert scene is not None
-    return Identified(scene, json.loads(told.read_text("utf-8")), picture)
+    """By its file and the picture beside it."""
+    picture = stored.path.with_name("posterior.png")
+    with stored.taken() as parts:
+        scene, summary = stored.scene(), json.loads(parts["summary"])
+        if scene is None:
+            raise LookupError("scene")
+    if not picture.is_file():
+        raise InputError("result", str(stored.path), f"with {picture.name} beside it")
+    return Identified(scene, summary, picture)
 
 
 def _account_of_identified(found: Identified) -> Account:
@@ -644,9 +645,9 @@ def _account_of_identified(found: Identified) -> Account:
 
     told, rows = found.summary, []
     for key, value in told["estimate"].items():
-        ends = told["intervals"].get(key, ("", ""))  # of a word there are none
-        words = (value_in_words(key, one) if one != "" else "" for one in (value, *ends))
-        rows.append([key_in_words(key), *words])
+        ends = told["intervals"].get(key)  # of a word there are none
+        limits = [value_in_words(key, end) for end in ends] if ends else ["", ""]
+        rows.append([key_in_words(key), value_in_words(key, value), *limits])
     summary = Table(("unknown", "estimate", "95 % from", "to"), rows)
     where = [f"{key} {value} (95 %: {low} to {high})" for key, value, low, high in rows if low]
     said = [*(where if told["verdict"] == "crack" else []), told["reason"]]

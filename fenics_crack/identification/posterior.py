@@ -18,9 +18,10 @@ Information Theory, Inference, and Learning Algorithms, 2003, chapter 28).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -336,14 +337,14 @@ class Posterior:
         at = min(int(np.searchsorted(held, share)), len(order) - 1)
         return float(self._heights[order[at]])
 
-    def cut(self, place: int, share: float, end: int) -> float | None:
-        """The lower (0) or upper (1) bound of an unknown, if the region that holds a share of the
-        mass goes on to it."""
-        level = self.level(share)
-        for branch in self.branches.values():
-            if np.any(np.take(branch.height, -end, axis=place) >= level):
-                return float(branch.axes[place][-end])
-        return None
+    def cut(self, share: float) -> Iterator[tuple[int, str, float]]:
+        """The bounds that the region goes on to which holds a share of the mass: the place of the
+        unknown, "below" or "above", and the bound."""
+        level, branches = self.level(share), [*self.branches.values()]
+        for place, end in product(range(len(branches[0].axes)), (0, -1)):
+            cut = [one for one in branches if np.any(one.height.take(end, axis=place) >= level)]
+            if cut:
+                yield place, "above" if end else "below", float(cut[0].axes[place][end])
 
     def marginal(self, place: int) -> tuple[np.ndarray, np.ndarray]:
         """Values of an unknown, and how much of the mass is at each: (n,) each."""

@@ -405,7 +405,7 @@ class Identification(Tabular):
         return worth_of(branch.likelihood, x, measurements, deviations)
 
     def save(self, folder: str | Path) -> None:
-        """Write ``identify.h5``, the posterior on its grid, and ``identify.json`` (collective).
+        """Write ``identify.json``, and ``identify.h5``, with it and the posterior (collective).
 
         Raises
         ------
@@ -419,8 +419,9 @@ class Identification(Tabular):
             parts[f"probability_{number}"] = self.posterior.mass[name]
             for key, axis in zip(self.unknown, branch.axes, strict=True):
                 parts[f"{key}_{number}"] = axis
-        write(parts, Path(folder) / "identify.h5", IDENTIFICATION, self.scene)
         text = json.dumps(self.summary(), indent=1, ensure_ascii=False)
+        parts["summary"] = text
+        write(parts, Path(folder) / "identify.h5", IDENTIFICATION, self.scene)
         write_whole(Path(folder) / "identify.json", text + "\n")
 
     # --- shown ------------------------------------------------------------------------------------
@@ -487,11 +488,10 @@ class Identification(Tabular):
             ]
             found.append(f"these cracks cannot be told apart: {'; '.join(cracks)}")
         found += _of_fit(self)
-        for place, key in enumerate(self.unknown):
-            for end, beyond in enumerate(("below", "above")):
-                if (bound := self.posterior.cut(place, SHARE, end)) is not None:
-                    where = f"{beyond} {value_in_words(key, bound)}"
-                    found.append(f"{key_in_words(key)} may be {where}, where it was not looked for")
+        for place, beyond, bound in self.posterior.cut(SHARE):
+            key = self.unknown[place]
+            where = f"{beyond} {value_in_words(key, bound)}"
+            found.append(f"{key_in_words(key)} may be {where}, where it was not looked for")
         return found
 
     def _title(self) -> str:
