@@ -39,7 +39,7 @@ from mpi4py import MPI
 from fenics_crack.errors import FEW_MODES, InputError
 from fenics_crack.fem.loads import rigid_motions
 from fenics_crack.identification.interpolation import Feature, poles
-from fenics_crack.identification.measurements import Measurements
+from fenics_crack.identification.measurements import Measurement, Measurements
 from fenics_crack.model.modes import Modes, solve_modes, times
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Identify
@@ -90,16 +90,9 @@ class Whole:
         """Raise InputError for frequencies of loads, of which the scene has these [Hz], and natural
         ones in another unit than Hz, in rad/s all of them where the plate may be an ``other`` one;
         and unless it may for those without the crack that are of another mode."""
-        for row in measurements.rows if loads else ():
-            if row.natural:
-                continue
-            near = min(loads, key=lambda load: abs(np.log(row.frequency / load)))
-            for unit in ("kHz", "mHz"):
-                if abs(np.log(row.frequency / near / FACTORS[unit])) < LIKE_A_MULTIPLE:
-                    allowed = (
-                        f"in Hz; the scene has {near:.4g} Hz, so that this seems to be in {unit}"
-                    )
-                    raise InputError(f"measurements.frequency, {row.name}", row.frequency, allowed)
+        for row in measurements.rows:
+            if loads and not row.natural:
+                _check_load(row, loads)
         rows = [row for row in measurements.rows if row.natural and row.value > 0.0]
         rows = [row for row in rows if row.mode <= len(self.frequencies)]
         ratios = np.log([row.value / self.frequencies[row.mode - 1] for row in rows])
@@ -119,6 +112,14 @@ class Whole:
                 own, that = (f"{self.frequencies[mode - 1]:.4g} Hz" for mode in (row.mode, near))
                 allowed = f"near {own} of this plate's mode {row.mode}; its mode {near} has {that}"
                 raise InputError(f"measurements.value, {row.name}", row.value, allowed)
+
+
+def _check_load(row: Measurement, loads: Sequence[float]) -> None:
+    near = min(loads, key=lambda load: abs(np.log(row.frequency / load)))
+    for unit in ("kHz", "mHz"):
+        if abs(np.log(row.frequency / near / FACTORS[unit])) < LIKE_A_MULTIPLE:
+            allowed = f"in Hz; the scene has {near:.4g} Hz, so that this seems to be in {unit}"
+            raise InputError(f"measurements.frequency, {row.name}", row.frequency, allowed)
 
 
 def whole_plate(scene: Scene, table: Identify) -> Whole:

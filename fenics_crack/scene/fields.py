@@ -463,7 +463,7 @@ class Table:
     def leave_out(self, keys: Iterable[str], why: str) -> None:
         """Raise InputError if one of the keys is given, other than by default."""
         for key in keys:
-            unsaid = getattr(self, key) in (None, getattr(type(self), key, None))
+            unsaid = getattr(self, key) in (None, self.keys()[key].default)
             self.require(unsaid, key, f"left out with {why}")
 
     @classmethod

@@ -151,8 +151,7 @@ def test_dent(place: tuple[float, float], share: float) -> None:
     point = tuple(side * at for side, at in zip(scene.geometry.sides, place, strict=True))
     scene = scene.replace({"excitation.point": point, "excitation.force_sin": (0.0, 9.0)})
     grid = {"mesh.layout": "grid", "mesh.size": None, "mesh.lip_elements": None}
-    grid["mesh.grading"] = 4.0
-    grid |= {"damping.ratio": None, "damping.stiffness": 1e-9}
+    grid |= {"mesh.grading": 4.0, "damping.ratio": None, "damping.stiffness": 1e-9}
     sizes = []
     for count in (16, 32):
         finer = scene.replace(grid | {"mesh.columns": count, "mesh.rows": count})
