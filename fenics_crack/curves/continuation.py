@@ -49,6 +49,7 @@ from fenics_crack.numerics.newton import (
     solve_in_plane,
 )
 from fenics_crack.numerics.path import (
+    ARRIVED,
     BranchPoint,
     Closed,
     Ended,
@@ -379,20 +380,28 @@ def _again(family: Family, point: PathPoint, reach: float) -> PathPoint | None:
 
 
 class _Joined(Event):
-    """Where what tells a branch from the one that it left changes its sign; the branch ends with
-    the point before."""
+    """Where what tells a branch from the one that it left vanishes; the branch ends with the point
+    before. It changes its sign there; where nothing is left of much of it, a step led onto the old
+    branch, and shorter ones come nearer."""
 
-    terminal, told = True, "joined the branch that it left"
+    terminal, sought, told = True, True, "joined the branch that it left"
 
     def __init__(self, odd: np.ndarray) -> None:
         self._odd = odd
 
     def between(self, points: Stretch) -> np.ndarray:
         odd = points.unknowns[:, self._odd].reshape(len(points), -1)
-        return np.asarray(np.einsum("ij,ij->i", odd[1:], odd[:-1]) < 0.0)
+        turned = np.einsum("ij,ij->i", odd[1:], odd[:-1]) < 0.0
+        return np.asarray(turned | (self._share(points.unknowns[1:]) <= ARRIVED))
 
     def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
-        return ends[0]
+        before, after = self._share(np.array([one.unknown for one in ends]))
+        return ends[0] if after > ARRIVED or before <= math.sqrt(ARRIVED) else None
+
+    def _share(self, unknowns: np.ndarray) -> np.ndarray:
+        """The size of what tells points from the branch that was left, relative to theirs: (n,)."""
+        odd = np.linalg.norm(unknowns[:, self._odd], axis=(1, 2))
+        return np.asarray(odd / np.linalg.norm(unknowns, axis=(1, 2)))
 
 
 def _check_range(problem: Problem, parameter: str, start: float, end: float) -> None:

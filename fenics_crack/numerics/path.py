@@ -47,6 +47,7 @@ from fenics_crack.numerics.newton import (
 )
 
 __all__ = [
+    "ARRIVED",
     "NARROW",
     "STRAIGHT",
     "BranchPoint",
@@ -194,11 +195,14 @@ class Event(ABC):
         Whether the path ends there,
     told : str
         and what is said then.
+    sought : bool
+        Whether the path goes back, and on by a shorter step, where it may be there and is not
+        found: a long step may have met another part.
     kind : str
         What it is called if it is a special point.
     """
 
-    terminal, told, kind = False, "", ""
+    terminal, sought, told, kind = False, False, "", ""
 
     @abstractmethod
     def between(self, points: Stretch) -> np.ndarray:
@@ -302,7 +306,7 @@ class Target(Event):
     """Where the parameter has a value."""
 
     parameter: float
-    terminal, told = True, Ended.MET.value
+    terminal, sought, told = True, True, Ended.MET.value
 
     def between(self, points: Stretch) -> np.ndarray:
         off = points.parameters - self.parameter
@@ -425,7 +429,7 @@ class Path:
                 left -= len(found)
                 if place is None:
                     self._remember(found)
-                else:  # back, and on by a shorter step: a long one may have met another part
+                else:
                     shorter = 0.25 * min(shorter, float(stretch.lengths[place + 1]))
                     if shorter < self._options.min_step:
                         self.ended = Ended.LOST
@@ -439,7 +443,7 @@ class Path:
 
     def _eventful(self, stretch: Stretch) -> Iterator[tuple[Stretch, int | None]]:
         """The points behind the first one in parts that end where something happens; with the place
-        behind which a target was not found."""
+        behind which what is sought was not found."""
         lowest, highest = self._options.span
         outside = (stretch.parameters[1:] < lowest) | (stretch.parameters[1:] > highest)
         flags = np.array([event.between(stretch) for event in self._events], dtype=bool)
@@ -461,7 +465,7 @@ class Path:
                     self.ended, self.event = Ended.MET, event
                     yield found, None
                     return
-                if near and at is None and isinstance(event, Target):
+                if near and at is None and event.sought:
                     yield stretch[begin : place + 1], place
                     return
             if outside[place]:

@@ -97,3 +97,18 @@ def test_ends_are_judged_as_single_solutions() -> None:
     judgements = [row["judgement"] for row in rows]  # which orbits are found hangs on rounding
     assert len(rows) == 6 and campaign.WRONG not in judgements, rows
     assert judgements.count("right") >= 4
+
+
+def test_no_step_leads_back_onto_the_branch_that_was_left() -> None:
+    """No point is an orbit of half the period, and the branch ends where little tells it from the
+    one that it left; a long step that met that one ended it far from there."""
+    curve = campaign.followed(campaign.draw(75, 35, None, "ends"))
+    places = np.array([one.value for one in curve.bifurcations])
+    for place in (0.403244, 0.429862):
+        one = curve.bifurcations[int(np.abs(places - place).argmin())]
+        branch = fc.follow_branch(curve, one)
+        rows = branch.gap_coefficients
+        odd = np.concatenate([rows[:, 1::4], rows[:, 2::4]], axis=1)
+        sizes = np.linalg.norm(odd, axis=(1, 2)) / np.linalg.norm(rows, axis=(1, 2))
+        assert branch.status == "joined the branch that it left"
+        assert sizes.min() > 1e-6 and sizes[-1] < 0.02 * sizes.max()
