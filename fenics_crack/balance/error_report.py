@@ -49,6 +49,7 @@ from fenics_crack.table import Described
 
 __all__ = [
     "LARGE_ERROR",
+    "PARTS",
     "SLIGHT",
     "UNKNOWN",
     "ErrorReport",
@@ -62,6 +63,8 @@ __all__ = [
 
 LARGE_ERROR = 0.05
 """Estimated error beyond which a solution is not shown without a warning."""
+PARTS = ("truncation", "reduction", "sampling", "residual")
+"""Of a total error; of those that are as large the first is told."""
 
 SLIGHT = 0.05
 """Part of an error or of a tolerance that does not count: how well an error is estimated, and what

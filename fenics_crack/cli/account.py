@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.error_report import LARGE_ERROR, UNKNOWN, ErrorReport
+from fenics_crack.balance.error_report import LARGE_ERROR, PARTS, UNKNOWN, ErrorReport
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.stability import Stability
 from fenics_crack.errors import MOST_HARMONICS, Exit
@@ -157,8 +157,7 @@ def of_error(scene: Scene, report: ErrorReport, harmonics: int, where: str = "")
     never what the scene does already."""
     if report.total <= LARGE_ERROR:
         return
-    parts = ("truncation", "reduction", "sampling", "residual")
-    part = max(parts, key=lambda name: getattr(report, name))
+    part = max(PARTS, key=lambda name: getattr(report, name))
     if part == "truncation":
         wanted = MORE
         if scene.harmonic_balance.tolerance is not None:
@@ -424,9 +423,7 @@ def account_of_sweep(found: SweepResult, note: str = "") -> Account:
 def warnings_of(found: SweepResult) -> Iterator[str]:
     """Failed cases, large errors, and what is not stable; one line for each kind."""
     yield from by_reason(found, found.failed, "failed")
-    if large := int(np.sum(found.inexact)):
-        wanted = FINER if found.scene.harmonic_balance.tolerance is not None else MORE
-        yield f"{counted(large, 'case')} with an error above {LARGE_ERROR:.0%}: {wanted}"
+    yield from _large_errors(found)
     verdicts = found["verdict"][found.converged]
     unstable, undecided = (int(np.sum(verdicts == name)) for name in ("unstable", "undecided"))
     if undecided and undecided == verdicts.size:
@@ -438,6 +435,22 @@ def warnings_of(found: SweepResult) -> Iterator[str]:
     yield from by_reason(found, found.undecided, "undecided")
     if not found.complete:
         yield "the sweep was stopped; the same command goes on with it"
+
+
+def _large_errors(found: SweepResult) -> Iterator[str]:
+    """Cases with a large error, those with the same largest part together, and what is said of the
+    largest of them as of a solution."""
+    errors, inexact = found.errors, found.inexact
+    total, largest = errors.sum(axis=0), errors.argmax(axis=0)
+    for number in np.unique(largest[inexact]):
+        cases = inexact & (largest == number)
+        place = tuple(map(int, np.unravel_index(np.where(cases, total, 0.0).argmax(), total.shape)))
+        values = {axis.key: axis.values[at] for axis, at in zip(found.axes, place, strict=True)}
+        scene = found.scene.replace({"sweep": None} | values)
+        report = ErrorReport(**dict(zip(PARTS, errors[:, *place].tolist(), strict=True)))
+        count = f"{counted(int(cases.sum()), 'case')} with an error above {LARGE_ERROR:.0%}"
+        for text in of_error(scene, report, int(found["harmonics"][place])):
+            yield f"{count}, the largest at {in_words(found.axes, place)}: {text}"
 
 
 def stepped_over(found: SweepResult) -> list[str]:

@@ -37,7 +37,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.contact_system import default_weight
-from fenics_crack.balance.error_report import LARGE_ERROR
+from fenics_crack.balance.error_report import LARGE_ERROR, PARTS
 from fenics_crack.balance.harmonic_balance import solve_linear
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
@@ -267,9 +267,15 @@ class SweepResult(Tabular):
         return self["state"] == CONVERGED
 
     @property
+    def errors(self) -> np.ndarray:
+        """Estimated errors of the cases: (4, *shape), by truncation, reduction, sampling and
+        residual as in :class:`ErrorReport`; 0 where there is no value."""
+        return np.nan_to_num([self[f"{part}_error"] for part in PARTS])
+
+    @property
     def inexact(self) -> np.ndarray:
-        """Which cases have a large estimated truncation error, likewise."""
-        return np.asarray(self["truncation_error"] > LARGE_ERROR)
+        """Which cases have a large estimated error, likewise."""
+        return self.converged & (self.errors.sum(axis=0) > LARGE_ERROR)
 
     @property
     def not_stable(self) -> np.ndarray:

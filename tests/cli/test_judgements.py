@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import DEMOS
+from helpers import DEMOS, wrap
 from surroundings import main
 
 import fenics_crack as fc
@@ -187,6 +187,41 @@ def test_sweep_fits_on_one_screen(
     assert "3 cases failed, the first at frequency = 480.0, length = 0.02: no convergence" in err
     assert err.count("failed, the first at") == 2 and "unstable and" in err
     assert "a smaller harmonic_balance.tolerance" in err  # not: more harmonics
+
+
+def test_sweep_of_few_modes(
+    scene: fc.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    """Loads at natural frequencies that two modes do not have, and at one where twenty are few: the
+    cases are told as solve tells the largest of them, and marked in pictures; none is whose error
+    was not asked for."""
+    path, frequencies = tmp_path / "scene.toml", [800.0, 3205.0, 4232.0]
+    few = {"reduction.modes": 2, "reduction.method": "massless"}
+    axes = {"reduction.modes": [2, 20], "excitation.frequency": frequencies}
+    swept = scene.replace(FIXED | few | {"sweep.over": axes})
+    path.write_text(swept.as_toml())
+    at_third = ["--set", "excitation.frequency=4232.0", "--output", str(tmp_path)]
+    lines = []
+    for command, given in (("solve", at_third), ("sweep", at_third[2:])):
+        assert main([command, str(path), *given]) == 0
+        err = capsys.readouterr().err.splitlines()
+        lines += [line.partition("warning: ")[2] for line in err if "more modes" in line]
+    where = "3 cases with an error above 5%, the largest at modes = 2, frequency = 4232.0"
+    assert "by reduction" in lines[0] and lines[1:] == [f"{where}: {lines[0]}"]
+    found = SweepResult.load(tmp_path / "sweep.h5")
+    assert found.inexact.tolist() == [[False, True, True], [False, False, True]]
+
+    marked: list[list[bool]] = []
+
+    def recorded(draw: Any, x: Any, curves: Any, **how: Any) -> Any:
+        marked.append(how["doubtful"]["modes kept 2"].tolist())
+        return draw(x, curves, **how)
+
+    wrap(monkeypatch, "fenics_crack.cli.pictures.draw_response", recorded)
+    assert main(["plot", str(tmp_path / "sweep.h5"), "--output", str(tmp_path), "--quiet"]) == 0
+    assert marked and all(rings == [False, True, True] for rings in marked)
+    unasked = fc.run_sweep(swept, judged=False)
+    assert not unasked.inexact.any() and not [*warnings_of(unasked)]
 
 
 def test_verdicts_that_say_nothing_are_said_once(scene: fc.Scene, tmp_path: Path) -> None:
