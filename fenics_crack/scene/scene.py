@@ -462,6 +462,11 @@ def _check_matrices(scene: Scene, structure: Structure) -> None:
         given = scene.excitation.force_given or scene.excitation.point is not None
         allowed = "left out with [structure], which has files, or has no model with the places"
         scene.excitation.require(not given, force, allowed)
+        matrices = structure.mass, structure.stiffness, structure.damping or ""
+        if not any(Path(file).suffix.lower() in (".sti", ".mas") for file in matrices):
+            structure.leave_out(("dofs",), "matrices that have no model, and are not CalculiX's")
+    if structure.gap is None and (structure.model is None or scene.contact is None):
+        structure.leave_out(("clearance",), "no pairs: no gap, nor a model with [contact]")
     _check_vectors(scene)
     if scene.excitation.point is None:
         files = (structure.force_sin, structure.force_cos, structure.force_mean)

@@ -317,6 +317,8 @@ class Load(Table):
         self.leave_out(others, "edge" if self.point is None else "point")
         some = any(getattr(self, name) is not None for name in allowed)
         self.require(some, allowed[-1], f"given, or another of {', '.join(allowed[:-1])}")
+        if all(getattr(self, name) is None for name in allowed if not name.endswith("_mean")):
+            self.leave_out(("phase",), "a mean load alone")
 
     @staticmethod
     def _names(kind: str) -> tuple[str, ...]:
@@ -976,6 +978,7 @@ class TipTiming(Table):
         super().__post_init__()
         if self.frequencies is not None:
             self.require(self.subharmonic == 1, "subharmonic", "1 with tip_timing.frequencies")
+            self.leave_out(("orders",), "tip_timing.frequencies")
 
 
 @dataclass(frozen=True)

@@ -339,6 +339,19 @@ def test_rows_of_other_files_follow_the_nodes(folder: Path, scene: Scene) -> Non
     assert structure.dof_name(structure.most_loaded()) == own.dof_name(own.most_loaded())
 
 
+def test_rows_of_calculix_in_another_place(folder: Path, scene: Scene) -> None:
+    """They are read from there without a model, too, where a file of dofs is refused with others:
+    it would do nothing."""
+    own = fc.build_structure(scene)
+    (folder / "plate.dof").rename(folder / "rows.txt")
+    scipy.io.mmwrite(folder / "force.mtx", sparse.csr_matrix(own.force[2][:, None]))
+    files = {"dofs": str(folder / "rows.txt"), "force_sin": str(folder / "force.mtx")}
+    alone = {f"structure.{key}": path for key, path in files.items()} | {"structure.model": None}
+    alone |= {"contact": None, "excitation.point": None, "excitation.force_sin": [0.0, 0.0, 0.0]}
+    other = fc.build_structure(scene.replace(alone))
+    assert frequencies(other) == pytest.approx(frequencies(own), rel=1e-9)
+
+
 def on_ranks_of(text: str, folder: str, comm: MPI.Comm) -> tuple[list[float], float, str]:
     """Frequencies, the sum of B's squares, and what is loaded."""
     structure = fc.build_structure(Scene.from_text(text, folder=Path(folder)), comm)
