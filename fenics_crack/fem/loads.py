@@ -59,8 +59,9 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
         force += _point_force(dofs, "excitation.point", point, share, parts)
         if (scene.has_other_loads or scene.speed > 0.0) and any(map(any, parts)):
             watched = _at_nodes(dofs, share, _unit(parts))[dofs.free]
-    elif not scene.has_other_loads:
-        allowed = "given, or a physical point 'load' in the mesh file"
+    elif (name := excitation.force_given) or not scene.has_other_loads:
+        by = f" with excitation.{name}" if name else ""
+        allowed = f"given{by}, or a physical point 'load' in the mesh file"
         raise InputError("excitation.point", None, allowed)
     for number, load in enumerate(scene.loads, 1):
         key = f"loads.{number}"

@@ -257,6 +257,23 @@ def test_a_load_is_one_point(tmp_path: Path) -> None:
     assert caught.value.key == "mesh.file"
 
 
+def test_a_force_without_a_place(tmp_path: Path) -> None:
+    """Where the mesh has no point for it: it was left out in silence beside another load."""
+    path = tmp_path / "no_point.msh"
+    with gmsh_model() as model:
+        face = model.occ.addRectangle(0.0, 0.0, 0.0, WIDTH, HEIGHT)
+        model.occ.synchronize()
+        for dimension, tag, name in ((2, face, "plate"), (1, 1, "clamp"), (1, 3, "end")):
+            _name(model, dimension, [tag], tag, name)
+        model.mesh.generate(2)
+        gmsh.write(str(path))
+    loads = {"loads.1.edge": "end", "loads.1.pressure_sin": 1.0}
+    scene = file_plate(path, contact=None, crack=None, **loads)
+    with pytest.raises(InputError, match=r"point = None.*given with excitation.force_sin, or a"):
+        build_structure(scene)
+    assert build_structure(scene.replace({"excitation.force_sin": [0.0, 0.0]})).n_dofs > 0
+
+
 # --- meshes that are refused ----------------------------------------------------------------------
 
 
