@@ -32,7 +32,9 @@ from fenics_crack.curves.follow import follow_branch as follow_branch
 from fenics_crack.curves.peak import Peak as Peak
 from fenics_crack.curves.refine import refine_bifurcation as refine_bifurcation
 from fenics_crack.curves.refine import refine_curve as refine_curve
+from fenics_crack.curves.stability import Attractor as Attractor
 from fenics_crack.curves.stability import PeriodicOrbit as PeriodicOrbit
+from fenics_crack.curves.stability import attractors as attractors
 from fenics_crack.curves.stability import floquet as floquet
 from fenics_crack.curves.stability import shoot as shoot
 from fenics_crack.draw.animation import animate_period as animate_period

@@ -57,7 +57,8 @@ from fenics_crack.numerics.newton import relative_to_motion
 from fenics_crack.table import percent
 
 __all__ = [
-    "BELIEVED", "FARTHEST", "NO_DOUBT", "UNKNOWN", "Judgement", "MoreModes", "relative",
+    "BELIEVED", "FARTHEST", "NO_DOUBT", "UNKNOWN", "Judgement", "MoreModes", "alike",
+    "relative",
 ]  # fmt: skip
 
 BELIEVED, FARTHEST, FAR = 3.0, 0.1, 0.3
@@ -167,10 +168,10 @@ class Judgement:
             return self
         if self.finer is None:
             return None
-        if (believed or self._leaves_it_behind) and _alike(self.near, self.finer.near):
+        if (believed or self._leaves_it_behind) and alike(self.near, self.finer.near):
             return self
         found = self.finer.decisive
-        if found is None or not believed or _alike(self.near, found.near):
+        if found is None or not believed or alike(self.near, found.near):
             return found
         return found if self.to(found.near) < self._to_near else None  # the first is the nearer one
 
@@ -192,7 +193,7 @@ class Judgement:
     def _is_only(self) -> bool:
         """Whether no other orbit as near is found from the state behind the wave's step."""
         other = self._ahead
-        return other is None or _alike(self.near, other) or not self.believes(self.to(other))
+        return other is None or alike(self.near, other) or not self.believes(self.to(other))
 
     def _has_none_nearer(self, distance: float) -> bool:
         """Whether an orbit so far away is as near as was predicted, or that which is found from the
@@ -371,7 +372,7 @@ def _leads_back(orbit: PeriodicOrbit | None, wave: Wave) -> bool:
     return problem.left(wave, known.gap, known.force) <= FARTHEST
 
 
-def _alike(one: PeriodicOrbit | None, other: PeriodicOrbit | None) -> bool:
+def alike(one: PeriodicOrbit | None, other: PeriodicOrbit | None) -> bool:
     """Whether two orbits are the same."""
     if one is None or other is None:
         return False

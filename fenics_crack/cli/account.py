@@ -192,13 +192,15 @@ def known_to(run: Run, name: str = "") -> str:
     return ", ".join(filter(None, (f"{percent(error)}{by}", run.stated.left_out)))
 
 
-def of_stability(scene: Scene, run: Run, stability: Stability | None) -> Iterator[str]:
-    """A warning of an orbit that is not known to be stable."""
+def of_stability(
+    scene: Scene, run: Run, stability: Stability | None, seen: str = ""
+) -> Iterator[str]:
+    """A warning of an orbit that is not known to be stable; and what is seen in place of it."""
     if stability is None or stability.verdict == "stable":
         return
     because = f" ({stability.reason})" if stability.reason else ""
     left = how_it_is_left(stability)
-    text = f"the orbit is {stability.verdict}{because}: a motion in time may leave it{left}"
+    text = f"the orbit is {stability.verdict}{because}: a motion in time may leave it{left}{seen}"
     hints = []
     if stability.verdict == "undecided":
         if scene.harmonic_balance.tolerance is None:

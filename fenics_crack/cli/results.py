@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -35,10 +36,12 @@ from fenics_crack.cli.account import (
 from fenics_crack.cli.scenes import remark_on
 from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, kind_in_words, parameter_axis
 from fenics_crack.curves.peak import top_and_damping
-from fenics_crack.errors import InputError
+from fenics_crack.curves.stability import attractors
+from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.files.store import IDENTIFICATION, Stored
 from fenics_crack.model.modes import KINDS, BilinearFrequencies, Modes, bilinear_frequencies
 from fenics_crack.model.rotation import RunUpStructure
+from fenics_crack.motion.orbit import FORMED
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
 from fenics_crack.scene.words import key_in_words, value_in_words
@@ -107,7 +110,7 @@ def _account_of_solution(run: Run[PeriodicSolution]) -> Account:
             "the stability is not judged, as that would take long: it is for a reduced structure, "
             "with contact.law = 'unilateral' for lips without mass (reduction.method)"
         )
-    known = known_to(run)
+    known, seen = known_to(run), _seen_instead(run)
     tolerance = scene.harmonic_balance.tolerance
     missed = tolerance is not None and found.report.total > tolerance
     warnings = []
@@ -123,7 +126,7 @@ def _account_of_solution(run: Run[PeriodicSolution]) -> Account:
     elif found.converged and run.stated is not None and run.stated.left_out:
         notes.insert(0, f"the stated errors are {run.stated.left_out}")
     if found.converged:
-        warnings += of_stability(scene, run, found.stability)
+        warnings += of_stability(scene, run, found.stability, seen)
         if found.stability is not None:
             warnings += of_more_modes(found, found.stability.verdict)
         warnings += of_size(run, largest_seen(run))
@@ -134,7 +137,7 @@ def _account_of_solution(run: Run[PeriodicSolution]) -> Account:
         rows=_waves(run, over_time(run)),
         shown=in_short(table, scene, SHORT),
         facts=_facts(run),
-        verdict=_verdict(found),
+        verdict=_verdict(found, seen),
         notes=notes,
         warnings=warnings,
         tables=_in_numbers(table, scene),
@@ -187,14 +190,32 @@ def _facts(run: Run[PeriodicSolution]) -> Iterator[str]:
         )
 
 
-def _verdict(found: PeriodicSolution) -> tuple[str, str]:
-    """Whether the vibration lasts, and the kind of this verdict."""
+def _seen_instead(run: Run[PeriodicSolution]) -> str:
+    """Of an unstable solution with an exact orbit, how large the motions are that leave it
+    (collective)."""
+    found = run.result
+    unstable = found.stability is not None and found.stability.verdict == "unstable"
+    if not unstable or found.judged.flow is None or found.judged.flow.size > FORMED:
+        return ""
+    said = []
+    with suppress(ConvergenceError):
+        for one in attractors(found.structure, found):
+            sizes = one.amplitudes(run.watched_dof)
+            least, most = (quantity(size, "m") for size in (sizes.min(), sizes.max()))
+            size = most if least == most else f"between {least} and {most}"
+            said.append(f"{'settle to' if one.orbit else 'swell and fall'} {size}")
+    seen = " or ".join(dict.fromkeys(said))
+    return f"; motions that leave it {seen} half peak-to-peak" if seen else ""
+
+
+def _verdict(found: PeriodicSolution, seen: str) -> tuple[str, str]:
+    """Whether the vibration lasts, what is seen in place of it, and the kind of this verdict."""
     if not found.converged:
         return "Not converged: there is no orbit to be judged.", "bad"
     if found.stability is None:
         return "The stability was not examined.", "doubtful"
     judged = found.stability
-    grows = f"grows, and a motion in time leaves it{how_it_is_left(judged)}"
+    grows = f"grows, and a motion in time leaves it{how_it_is_left(judged)}{seen}"
     undecided = f"Undecided: {judged.reason or 'more harmonics may decide'}", "doubtful"
     text, kind = {
         "stable": ("Stable: a small disturbance dies out", "good"),

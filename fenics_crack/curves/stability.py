@@ -40,7 +40,7 @@ import numpy as np
 
 from fenics_crack.balance.contact_integrals import CoupledIntegrals
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.balance.judgement import BELIEVED, FARTHEST, UNKNOWN, Judgement
+from fenics_crack.balance.judgement import BELIEVED, FARTHEST, NO_DOUBT, UNKNOWN, Judgement, alike
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.errors import ConvergenceError, InputError, check_count, check_kind
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid, smooth_forces
@@ -48,14 +48,22 @@ from fenics_crack.model.modal import CACHED, AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import exact_flow
 from fenics_crack.motion.orbit import FORMED, KNOWN, PeriodicOrbit, eigenvalues, find_orbit
-from fenics_crack.motion.shooting import LATER, FlowOrbits, in_the_long_run, orbit_next_to
+from fenics_crack.motion.shooting import (
+    LATER,
+    WANDERING,
+    Attractor,
+    FlowOrbits,
+    in_the_long_run,
+    orbit_next_to,
+)
 from fenics_crack.numerics.fourier import resized, sampled, to_complex
+from fenics_crack.numerics.newton import moving_size
 from fenics_crack.table import percent
 from fenics_crack.time.march import initial_state
 
 __all__ = [
-    "PeriodicOrbit", "Stability", "floquet", "leaves", "monodromy", "orbits_near", "shoot",
-    "stability_of",
+    "Attractor", "PeriodicOrbit", "Stability", "attractors", "floquet", "leaves", "monodromy",
+    "orbits_near", "shoot", "stability_of",
 ]  # fmt: skip
 
 HILL_STEPS = 2**13
@@ -392,9 +400,68 @@ def _from_it(judged: Judgement) -> str:
     """What the exact motion that begins with a solution does."""
     flow, wave = judged.flow, judged.wave
     assert flow is not None
-    orbit, does = in_the_long_run(flow, wave.omega, judged.states[0], wave.subharmonic)
-    away = "" if orbit is None else f" {percent(judged.to(orbit))} away"
-    return f"the exact motion that begins with it {does}{away}"
+    orbits = FlowOrbits(flow, wave.omega, judged.states[0], wave.subharmonic)
+    found, away = in_the_long_run(orbits, orbits.start), ""
+    if found.orbit is not None and found.orbit.subharmonic == wave.subharmonic:
+        away = f" {percent(judged.to(found.orbit))} away"
+    return f"the exact motion that begins with it {found.told}{away}"
+
+
+def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attractor, ...]:
+    """What is seen in place of an unstable solution: where motions go that leave its orbit.
+
+    They begin next to the orbit, 1 % of what moves away from it in the direction v in which small
+    disturbances grow, M v = mu v, and are followed by the exact flow. Where mu > 1 they part in two
+    directions, v and -v, which may lead to two orbits, as those above and below the unstable one
+    of a resonance that leans over.
+
+    Parameters
+    ----------
+    structure : Structure
+        The solution's.
+    solution : PeriodicSolution
+        Whose verdict by :func:`floquet` is "unstable".
+
+    Returns
+    -------
+    tuple of Attractor
+        One, or two where they differ.
+
+    Raises
+    ------
+    InputError
+        The verdict is another one, or there is no exact flow, or more than 120 modes.
+
+    Notes
+    -----
+    Source: Nayfeh and Balachandran, Applied Nonlinear Dynamics, 1995, chapters 3 and 6.
+
+    Examples
+    --------
+    >>> unstable = fc.solve_harmonic_balance(structure, omega, contact, harmonics=20)
+    >>> seen = [one.amplitudes().max() for one in fc.attractors(structure, unstable)]
+    """
+    check_kind("solution", solution, PeriodicSolution)
+    judged = replace(solution, structure=structure).judged
+    followed = judged.flow is not None and judged.flow.size <= FORMED
+    verdict = stability_of(judged).verdict if followed else "no exact flow"
+    if verdict != "unstable":
+        allowed = f"an unstable one by its exact orbit, of at most {FORMED // 2} modes"
+        raise InputError("solution", verdict, allowed)
+    orbit = judged.orbit
+    assert orbit is not None
+    orbits = FlowOrbits(orbit.flow, orbit.omega, orbit.state, orbit.subharmonic)
+    values, vectors = np.linalg.eig(orbits.linearise(orbits.start, 1.0).monodromy)
+    leading = int(np.abs(values).argmax())
+    mu, change = values[leading], vectors[:, leading].real
+    moved = moving_size(orbits.scale * orbit.sampled.states) / np.sqrt(len(orbit.sampled.states))
+    change *= NO_DOUBT * moved / np.linalg.norm(change)
+    found: list[Attractor] = []
+    for start in (orbits.start + change, orbits.start - change)[: 2 if mu == abs(mu) else 1]:
+        one = in_the_long_run(orbits, start, int(orbits.unhurried * WANDERING))
+        if not any(alike(one.orbit, other.orbit) for other in found):
+            found.append(one)
+    return tuple(found)
 
 
 def stability_of(judged: Judgement) -> Stability:

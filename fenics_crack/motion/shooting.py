@@ -47,8 +47,8 @@ from fenics_crack.stages import begin
 from fenics_crack.table import counted, percent
 
 __all__ = [
-    "LATER", "PARTS", "FlowOrbits", "Homotopy", "OrbitPoint", "Patience", "in_the_long_run",
-    "orbit_next_to", "recurrences", "recurring", "wave_states",
+    "LATER", "PARTS", "WANDERING", "Attractor", "FlowOrbits", "Homotopy", "OrbitPoint", "Patience",
+    "in_the_long_run", "orbit_next_to", "recurrences", "recurring", "wave_states",
 ]  # fmt: skip
 
 PARTS = 32
@@ -375,7 +375,9 @@ def recurring(
     Source: Auerbach et al., Physical Review Letters 58 (1987) 2387-2389.
     """
     orbits = FlowOrbits(flow, omega, start, subharmonic)
-    passed = _followed(orbits)
+    periods = _periods(orbits)
+    begin(f"the exact motion over {periods} periods, and orbits that it passes")
+    passed = _followed(orbits, orbits.start, periods)
     for place in recurrences(passed, int(np.ceil(_share(orbits) * PASSED))):
         orbit = find_orbit(flow, omega, orbits.state(passed[place]), subharmonic=subharmonic)
         # Where M is huge a step may be short and the motion does not close.
@@ -384,22 +386,75 @@ def recurring(
     return None, _comes_back(passed, subharmonic)
 
 
-def in_the_long_run(
-    flow: ContactFlow, omega: float, start: np.ndarray, subharmonic: int = 1
-) -> tuple[PeriodicOrbit | None, str]:
-    """What the exact motion from a state does after many periods, in words; and the orbit that it
-    settles to, if it does."""
-    orbits = FlowOrbits(flow, omega, start, subharmonic)
-    passed = _followed(orbits)
-    before, last = passed[-2 : -LATER - 2 : -1], passed[-1]
-    there = np.linalg.norm(before - last, axis=1) <= SETTLED * np.linalg.norm(last)
-    if not there.any():
-        return None, f"does not settle: {_comes_back(passed, subharmonic, 'it')}"
-    periods = (1 + int(np.argmax(there))) * subharmonic
-    if periods > subharmonic:
-        return None, f"settles to one that repeats itself after {periods} periods of the load"
-    orbit = find_orbit(flow, omega, orbits.state(passed[-1]), subharmonic=subharmonic)
-    return orbit, "settles to an orbit"
+@dataclass(frozen=True)
+class Attractor:
+    """Where a motion goes in the long run.
+
+    Attributes
+    ----------
+    orbit : PeriodicOrbit or None
+        The stable orbit to which it settles, perhaps one of several periods; None where it has not.
+    told : str
+        What it does, in words.
+    orbits : FlowOrbits
+        Of its flow and period.
+    last : (2 n_modes,)
+        The state x to which it was followed.
+    """
+
+    orbit: PeriodicOrbit | None
+    told: str
+    orbits: FlowOrbits
+    last: np.ndarray
+
+    def amplitudes(self, dof: int | None = None) -> np.ndarray:
+        """Half the peak-to-peak displacement of a dof, or of the watched one, in each period of the
+        orbit, or in 100 more where the motion does not settle: (n,) [m] (collective).
+
+        Raises
+        ------
+        ConvergenceError
+            It cannot be followed that long.
+        """
+        flow, omega = self.orbits.flow, self.orbits.omega
+        period = 2.0 * np.pi * self.orbits.subharmonic / omega
+        state, count = self.orbits.state(self.last), PASSED
+        if self.orbit is not None:
+            state, count = self.orbit.state, self.orbit.subharmonic // self.orbits.subharmonic
+        time = np.arange(count * INSTANTS) * period / INSTANTS
+        found = flow.advance(state, omega, count * period, instants=time).samples.displacement
+        values = flow.structure.values_at(found, [dof]).reshape(count, INSTANTS)
+        return np.asarray(np.ptp(values, axis=1) / 2.0)
+
+
+def in_the_long_run(orbits: FlowOrbits, start: np.ndarray, periods: int = 0) -> Attractor:
+    """What the exact motion from a state x does after many periods: it is followed until it has
+    settled, for so many, or those that a search follows, if these are more."""
+    passed, most = start[None], max(periods, _periods(orbits))
+    begin(f"the exact motion over {most} periods")
+    while (done := len(passed) - 1) < most:
+        more = _followed(orbits, passed[-1], min(most - done, done + LATER))
+        if len(more) == 1:
+            break
+        passed = np.concatenate([passed, more[1:]])
+        last = passed[-1]
+        changes = np.linalg.norm(passed[-2 : -LATER - 2 : -1] - last, axis=1)
+        there = changes <= SETTLED * np.linalg.norm(last)
+        if not there.any():
+            continue
+        several = int(np.argmax(there))
+        turns = (1 + several) * orbits.subharmonic
+        orbit = find_orbit(orbits.flow, orbits.omega, orbits.state(last), subharmonic=turns)
+        if orbit is None:
+            continue
+        off = np.linalg.norm(orbits.unknown(orbit.state) - last)
+        # What decays by |mu| a period and is off by d changes by no less than (1 - |mu|) d.
+        if 0.0 < (1.0 - abs(orbit.multipliers[0])) * off <= 2.0 * changes[several]:
+            after = f"one that repeats itself after {turns} periods of the load"
+            does = f"settles to {after if several else 'an orbit'}"
+            return Attractor(orbit, does, orbits, last)
+    does = f"does not settle: {_comes_back(passed, orbits.subharmonic, 'it')}"
+    return Attractor(None, does, orbits, passed[-1])
 
 
 def _share(orbits: FlowOrbits) -> float:
@@ -407,12 +462,16 @@ def _share(orbits: FlowOrbits) -> float:
     return min(1.0, (FEW / orbits.flow.size) ** 2) * orbits.unhurried
 
 
-def _followed(orbits: FlowOrbits) -> np.ndarray:
-    """The states a period apart of the motion from the start of some orbits, (n, 2 n_modes), as
-    far as it can be followed."""
+def _periods(orbits: FlowOrbits) -> int:
+    """That a motion is followed for."""
     least = max(LATER + 1, int(orbits.unhurried * SETTLING))
-    passed, periods = [orbits.start], max(int(_share(orbits) * WANDERING), least)
-    begin(f"the exact motion over {periods} periods, and orbits that it passes")
+    return max(int(_share(orbits) * WANDERING), least)
+
+
+def _followed(orbits: FlowOrbits, start: np.ndarray, periods: int) -> np.ndarray:
+    """The states a period apart of the motion from a state, (n, 2 n_modes), as far as it can be
+    followed."""
+    passed = [start]
     try:
         for _ in range(periods):
             passed.append(orbits.moved(passed[-1], 1.0))

@@ -198,3 +198,33 @@ def test_rounding_is_printed_as_zero(
     assert main(["curve", *words]) == 0
     start = capsys.readouterr().out.splitlines()[2].split()
     assert start == ["start", "0.5", "1", shown, f"{mean:g}"]
+
+
+def test_what_is_seen_in_place_of_an_unstable_orbit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Told with the warning and on the page: here two sizes between which a motion that leaves the
+    orbit swells and falls, those of ``fc.attractors``."""
+    stiffness = np.array([[1.0, -1.0], [-1.0, 2.0]])
+    parts = {
+        "mass": np.eye(2), "stiffness": stiffness, "damping": 0.03 * stiffness,
+        "gap": [[1.0], [0.0]], "force_cos": [[0.0], [0.1]],
+    }  # fmt: skip
+    for name, value in parts.items():
+        scipy.io.mmwrite(tmp_path / f"{name}.mtx", np.array(value), precision=17)
+    tables = {
+        "structure": {name: f"{name}.mtx" for name in parts} | {"clearance": 1.0},
+        "contact": {"stiffness": 100.0},
+        "excitation": {"omega": 0.614},
+        "harmonic_balance": {"harmonics": 60},
+    }
+    words = [written(fc.Scene.from_mapping(tables, tmp_path), tmp_path), "--output", str(tmp_path)]
+    assert main(["solve", *words]) == 0
+    run = fc.load_run(tmp_path / "solution.h5")
+    [found] = fc.attractors(run.structure, run.result)
+    sizes = [f"{1e3 * size:.4g} mm" for size in np.sort(found.amplitudes(run.watched_dof))[[0, -1]]]
+    told = f"; motions that leave it swell and fall between {' and '.join(sizes)} half peak-to-peak"
+    assert told in capsys.readouterr().err
+    page = tmp_path / "report.html"
+    assert main(["report", str(tmp_path / "solution.h5"), "--output", str(page)]) == 0
+    assert told in page.read_text()
