@@ -152,10 +152,12 @@ def largest_seen(run: Run[Any]) -> list[float]:
     return [float(np.max(np.abs(one.mean) + one.amplitude)) for one in seen]
 
 
-def of_error(scene: Scene, report: ErrorReport, harmonics: int, where: str = "") -> Iterator[str]:
-    """A warning of a large estimated error, with what makes it smaller: by its largest part, and
-    never what the scene does already."""
-    if report.total <= LARGE_ERROR:
+def of_error(
+    scene: Scene, report: ErrorReport, harmonics: int, where: str = "", limit: float = LARGE_ERROR
+) -> Iterator[str]:
+    """A warning of an estimated error above a limit, with what makes it smaller: by its largest
+    part, and never what the scene does already."""
+    if report.total <= limit:
         return
     part = max(PARTS, key=lambda name: getattr(report, name))
     if part == "truncation":
@@ -440,18 +442,19 @@ def warnings_of(found: SweepResult) -> Iterator[str]:
 
 
 def _large_errors(found: SweepResult) -> Iterator[str]:
-    """Cases with a large error, those with the same largest part together, and what is said of the
-    largest of them as of a solution."""
-    errors, inexact = found.errors, found.inexact
-    total, largest = errors.sum(axis=0), errors.argmax(axis=0)
-    for number in np.unique(largest[inexact]):
-        cases = inexact & (largest == number)
+    """Cases whose error is large, or above the tolerance, those with the same largest part
+    together, and what is said of the largest of them as of a solution."""
+    limit = min(LARGE_ERROR, found.scene.harmonic_balance.tolerance or LARGE_ERROR)
+    errors = found.errors
+    total, largest = np.where(found.converged, errors.sum(axis=0), 0.0), errors.argmax(axis=0)
+    for number in np.unique(largest[total > limit]):
+        cases = (total > limit) & (largest == number)
         place = tuple(map(int, np.unravel_index(np.where(cases, total, 0.0).argmax(), total.shape)))
         values = {axis.key: axis.values[at] for axis, at in zip(found.axes, place, strict=True)}
         scene = found.scene.replace({"sweep": None} | values)
         report = ErrorReport(**dict(zip(PARTS, errors[:, *place].tolist(), strict=True)))
-        count = f"{counted(int(cases.sum()), 'case')} with an error above {LARGE_ERROR:.0%}"
-        for text in of_error(scene, report, int(found["harmonics"][place])):
+        count = f"{counted(int(cases.sum()), 'case')} with an error above {percent(limit)}"
+        for text in of_error(scene, report, int(found["harmonics"][place]), limit=limit):
             yield f"{count}, the largest at {in_words(found.axes, place)}: {text}"
 
 
