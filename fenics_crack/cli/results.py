@@ -41,7 +41,6 @@ from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.files.store import IDENTIFICATION, Stored
 from fenics_crack.model.modes import KINDS, BilinearFrequencies, Modes, bilinear_frequencies
 from fenics_crack.model.rotation import RunUpStructure
-from fenics_crack.motion.orbit import FORMED
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
 from fenics_crack.scene.words import key_in_words, value_in_words
@@ -110,7 +109,9 @@ def _account_of_solution(run: Run[PeriodicSolution]) -> Account:
             "the stability is not judged, as that would take long: it is for a reduced structure, "
             "with contact.law = 'unilateral' for lips without mass (reduction.method)"
         )
-    known, seen = known_to(run), _seen_instead(run)
+    known, seen = known_to(run), ""
+    if found.stability is not None and found.stability.verdict == "unstable":
+        seen = _seen_instead(found, run.watched_dof)
     tolerance = scene.harmonic_balance.tolerance
     missed = tolerance is not None and found.report.total > tolerance
     warnings = []
@@ -190,17 +191,13 @@ def _facts(run: Run[PeriodicSolution]) -> Iterator[str]:
         )
 
 
-def _seen_instead(run: Run[PeriodicSolution]) -> str:
-    """Of an unstable solution with an exact orbit, how large the motions are that leave it
+def _seen_instead(found: PeriodicSolution, dof: int) -> str:
+    """How large the motions are that leave an unstable solution; empty where that is not known
     (collective)."""
-    found = run.result
-    unstable = found.stability is not None and found.stability.verdict == "unstable"
-    if not unstable or found.judged.flow is None or found.judged.flow.size > FORMED:
-        return ""
     said = []
-    with suppress(ConvergenceError):
+    with suppress(ConvergenceError, InputError):
         for one in attractors(found.structure, found):
-            sizes = one.amplitudes(run.watched_dof)
+            sizes = one.amplitudes(dof)
             least, most = (quantity(size, "m") for size in (sizes.min(), sizes.max()))
             size = most if least == most else f"between {least} and {most}"
             said.append(f"{'settle to' if one.orbit else 'swell and fall'} {size}")
@@ -410,7 +407,7 @@ def _account_of_curve(run: Run[ResponseCurve]) -> Account:
     few, hidden = few_special_points(run, special)
     largest = _largest(run)
     notes = [
-        *([largest] if run.stated else []),
+        *([largest] if run.stated or "; it is unstable" in largest else []),
         remark_on(run.structure, highest_omega(scene, "curve")),
     ]
     if hidden:
@@ -454,10 +451,13 @@ def _largest(run: Run[ResponseCurve]) -> str:
     peak, height, _ = top_and_damping(found.values, amplitude, place)
     known = known_to(run)
     where = "" if run.stated is None else known_to(run, run.stated.resonance)
+    seen = ""
+    if found.multipliers is not None and found.verdicts[place] == "unstable":
+        seen = f"; it is unstable{_seen_instead(found.solution(place), run.watched_dof)}"
     return (
         f"The largest response of the curve, {quantity(height, 'm')} half peak-to-peak "
         f"({run.watched_name}{known and f', known to {known}'}), is at "
-        f"{_place(run, peak)}{where and f', known to {where}'}."
+        f"{_place(run, peak)}{where and f', known to {where}'}{seen}."
     )
 
 

@@ -203,7 +203,7 @@ def test_rounding_is_printed_as_zero(
 def test_what_is_seen_in_place_of_an_unstable_orbit(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Told with the warning and on the page: here two sizes between which a motion that leaves the
+    """Told with the warning and on the page, and of the largest response of a curve: two sizes between which a motion that leaves the
     orbit swells and falls, those of ``fc.attractors``."""
     stiffness = np.array([[1.0, -1.0], [-1.0, 2.0]])
     parts = {
@@ -217,6 +217,7 @@ def test_what_is_seen_in_place_of_an_unstable_orbit(
         "contact": {"stiffness": 100.0},
         "excitation": {"omega": 0.614},
         "harmonic_balance": {"harmonics": 60},
+        "curve": {"start": 0.62, "stop": 0.75},
     }
     words = [written(fc.Scene.from_mapping(tables, tmp_path), tmp_path), "--output", str(tmp_path)]
     assert main(["solve", *words]) == 0
@@ -228,3 +229,10 @@ def test_what_is_seen_in_place_of_an_unstable_orbit(
     page = tmp_path / "report.html"
     assert main(["report", str(tmp_path / "solution.h5"), "--output", str(page)]) == 0
     assert told in page.read_text()
+    assert main(["curve", *words]) == 0  # to where two periods of the load are one
+    curve = fc.load_run(tmp_path / "curve.h5")
+    last = curve.result.solution(len(curve.result) - 1)
+    [doubled] = fc.attractors(curve.structure, last)
+    sizes = [f"{size:.4g} m" for size in np.sort(doubled.amplitudes(curve.watched_dof))]
+    told = f"; it is unstable; motions that leave it settle to between {' and '.join(sizes)} half"
+    assert told in capsys.readouterr().err
