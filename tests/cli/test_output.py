@@ -203,8 +203,8 @@ def test_rounding_is_printed_as_zero(
 def test_what_is_seen_in_place_of_an_unstable_orbit(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Told with the warning and on the page, and of the largest response of a curve: two sizes between which a motion that leaves the
-    orbit swells and falls, those of ``fc.attractors``."""
+    """Told with the warning and on the page: two sizes between which a motion that leaves the orbit
+    swells and falls, those of ``fc.attractors``. And of the largest response of a curve."""
     stiffness = np.array([[1.0, -1.0], [-1.0, 2.0]])
     parts = {
         "mass": np.eye(2), "stiffness": stiffness, "damping": 0.03 * stiffness,
