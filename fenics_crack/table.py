@@ -34,6 +34,7 @@ __all__ = [
     "OF_TIPS",
     "QUANTITIES",
     "RPM",
+    "SEEN",
     "SHORT",
     "TURN",
     "UNITS",
@@ -110,7 +111,9 @@ OF_CLAMP: dict[str, tuple[str, str]] = {
     "reaction_moment": ("largest moment of the clamp, about its centre", "N m"),
 }
 """Of the clamp; known of meshes at rest, where a scene asks for them."""
-QUANTITIES = OF_POINTS | OF_LIPS | OF_FREQUENCIES | OF_TIPS | OF_GROWTH | OF_CLAMP
+SEEN: dict[str, tuple[str, str]] = {"seen_amplitude": ("half peak-to-peak that is seen", "m")}
+"""Of the watched point, in place of an unstable vibration; where a scene asks for it."""
+QUANTITIES = OF_POINTS | OF_LIPS | OF_FREQUENCIES | OF_TIPS | OF_GROWTH | OF_CLAMP | SEEN
 """All of them."""
 SHORT = (
     "amplitude", "ratio_2_1", "ratio_3_1", "ratio_half_1", "ratio_largest", "mean_shift", "opening",

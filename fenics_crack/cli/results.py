@@ -403,7 +403,8 @@ terminal."""
 def _account_of_curve(run: Run[ResponseCurve]) -> Account:
     """A curve, its special points, its errors and its stability (collective)."""
     found, scene = run.result, run.scene
-    special = special_points(run)
+    along = _along(run, found)
+    special = special_points(run, along)
     few, hidden = few_special_points(run, special)
     largest = _largest(run)
     notes = [
@@ -426,7 +427,7 @@ def _account_of_curve(run: Run[ResponseCurve]) -> Account:
     return Account(
         "curve",
         special,
-        rows=curve_points(run),
+        rows=curve_points(run, along),
         shown=in_short(few, scene, SHORT_OF_CURVE),
         facts=_facts_of_curve(run, largest),
         notes=notes,
@@ -533,23 +534,27 @@ def _undecided_stretches(found: ResponseCurve) -> list[tuple[int, int]]:
 # --- its points -----------------------------------------------------------------------------------
 
 
-def curve_points(run: Run[ResponseCurve]) -> Table:
-    """Every point of a curve with its indicators."""
+Columns = dict[str, np.ndarray]
+"""Values at every point of a curve, by their headings."""
+
+
+def curve_points(run: Run[ResponseCurve], along: Columns | None = None) -> Table:
+    """Every point of a curve with its indicators, perhaps known already."""
     names = [name for name in run.result.to_dict() if name not in QUANTITIES]
-    table, found = run.result.table(*names), _along(run, run.result)
+    table, found = run.result.table(*names), along or _along(run, run.result)
     values = zip(*(column.tolist() for column in found.values()), strict=True)
     rows = [[*row, *more] for row, more in zip(table.rows, values, strict=True)]
     return Table((*table.columns, *found), rows)
 
 
-def special_points(run: Run[ResponseCurve]) -> Table:
+def special_points(run: Run[ResponseCurve], along: Columns | None = None) -> Table:
     """Ends, largest response of the first watched dof, bifurcations and changes of stability.
 
     Of a curve over the load frequency both columns, rad/s and Hz; of a run-up also the speed, in
     rad/s and rpm.
     """
     found = run.result
-    along = _places(found) | _along(run, found)
+    along = _places(found) | (along or _along(run, found))
     special = found.at_bifurcations if found.bifurcations else found
     there = _places(special) | _along(run, special)
     largest = int(np.argmax(found.amplitude(run.watched_dof)))
@@ -599,7 +604,7 @@ def few_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table, in
     return Table(table.columns, shown), len(others) - len(kept)
 
 
-def _along(run: Run[ResponseCurve], curve: ResponseCurve) -> dict[str, np.ndarray]:
+def _along(run: Run[ResponseCurve], curve: ResponseCurve) -> Columns:
     """Columns of indicators of the watched dofs, by their names with units: a value for every point
     of a curve of the run."""
     seen: Sequence[Indicators] = curve.measure([watched.dof for watched in run.watched])

@@ -42,7 +42,7 @@ from fenics_crack.scene.tables import (
     Sweep,
     TipTiming,
 )
-from fenics_crack.table import OF_CLAMP, OF_GROWTH, OF_TIPS, RPM, TURN, frequency_axis
+from fenics_crack.table import OF_CLAMP, OF_GROWTH, OF_TIPS, RPM, SEEN, TURN, frequency_axis
 
 __all__ = [
     "LOOKED_AT", "Scene", "asked_quantities", "check_known", "files_of", "known_keys", "unit_of",
@@ -355,13 +355,18 @@ def check_known(without: str, key: str, value: object = None) -> None:
 
 
 def asked_quantities(scene: Scene) -> tuple[str, ...]:
-    """What ``output.quantities`` asks for of tips, their growth, and the clamp."""
+    """What ``output.quantities`` asks for of tips, their growth, the clamp, and what is seen."""
     return tuple(
         name for name in scene.quantities or () if any(name in names for names, _ in _ASKED)
     )
 
 
-_ASKED = ((OF_TIPS, without_tips), (OF_GROWTH, _without_growth), (OF_CLAMP, without_clamp))
+_ASKED: tuple[tuple[Mapping[str, object], Callable[[Scene], str]], ...] = (
+    (OF_TIPS, without_tips),
+    (OF_GROWTH, _without_growth),
+    (OF_CLAMP, without_clamp),
+    (SEEN, lambda scene: ""),
+)
 """Quantities that cost something, and why they are not known of a scene."""
 
 

@@ -135,7 +135,8 @@ def numbers_of(study: Study, found: PeriodicSolution, mode: int | None = None) -
                 if abs(value) > (TINY if unit == "1" else least):
                     values[column], units[column] = value, unit.replace("1", "")
     for name, value in asked_of_motion(study, found).items():
-        values[name], units[name] = value, QUANTITIES[name][1]
+        if not math.isnan(value):  # what is seen may not be known
+            values[name], units[name] = value, QUANTITIES[name][1]
     natural = bilinear_frequencies(structure)
     mode = mode or int(natural.nearest(found.omega)["mode"])
     factor, _, unit = frequency_axis(scene.in_hertz)

@@ -200,11 +200,9 @@ def test_rounding_is_printed_as_zero(
     assert start == ["start", "0.5", "1", shown, f"{mean:g}"]
 
 
-def test_what_is_seen_in_place_of_an_unstable_orbit(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Told with the warning and on the page: two sizes between which a motion that leaves the orbit
-    swells and falls, those of ``fc.attractors``. And of the largest response of a curve."""
+@pytest.fixture
+def leaning(tmp_path: Path) -> fc.Scene:
+    """Two masses, one of which meets a stop: a resonance that leans over."""
     stiffness = np.array([[1.0, -1.0], [-1.0, 2.0]])
     parts = {
         "mass": np.eye(2), "stiffness": stiffness, "damping": 0.03 * stiffness,
@@ -219,7 +217,15 @@ def test_what_is_seen_in_place_of_an_unstable_orbit(
         "harmonic_balance": {"harmonics": 60},
         "curve": {"start": 0.62, "stop": 0.75},
     }
-    words = [written(fc.Scene.from_mapping(tables, tmp_path), tmp_path), "--output", str(tmp_path)]
+    return fc.Scene.from_mapping(tables, tmp_path)
+
+
+def test_what_is_seen_in_place_of_an_unstable_orbit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], leaning: fc.Scene
+) -> None:
+    """Told with the warning and on the page: two sizes between which a motion that leaves the orbit
+    swells and falls, those of ``fc.attractors``. And of the largest response of a curve."""
+    words = [written(leaning, tmp_path), "--output", str(tmp_path)]
     assert main(["solve", *words]) == 0
     run = fc.load_run(tmp_path / "solution.h5")
     [found] = fc.attractors(run.structure, run.result)
@@ -236,3 +242,30 @@ def test_what_is_seen_in_place_of_an_unstable_orbit(
     sizes = [f"{size:.4g} m" for size in np.sort(doubled.amplitudes(curve.watched_dof))]
     told = f"; it is unstable; motions that leave it settle to between {' and '.join(sizes)} half"
     assert told in capsys.readouterr().err
+
+
+def test_amplitudes_that_are_seen(tmp_path: Path, leaning: fc.Scene) -> None:
+    """Where they are asked for: of stable solutions the amplitude, in place of unstable ones the
+    largest of their attractors, of a sweep and of a curve alike."""
+    asked = {
+        "output.quantities": ["amplitude", "seen_amplitude"],
+        "sweep.over": {"excitation.omega": [0.614, 0.65]},
+    }  # fmt: skip
+    words = [written(leaning.replace(asked), tmp_path), "--output", str(tmp_path)]
+    assert main(["sweep", *words]) == 0 and main(["curve", *words]) == 0
+    found = fc.SweepResult.load(tmp_path / "sweep.h5")
+    assert found["verdict"].tolist() == ["unstable", "stable"]
+    unstable = found.solution(0)
+    [seen] = fc.attractors(unstable.structure, unstable)
+    expected = seen.amplitudes().max(), found.solution(1).amplitude()
+    assert found["seen_amplitude"] == pytest.approx(expected, rel=1e-6)
+    assert expected[0] > 1.05 * unstable.amplitude()
+    with (tmp_path / "curve.csv").open(encoding="utf-8") as file:
+        rows = [*csv.DictReader(file)]
+    ratios = {"stable": [], "unstable": [], "undecided": []}
+    for row in rows:
+        ratio = float(row["seen_amplitude [m]"]) / float(row["amplitude [m]"])
+        ratios[row["verdict"]].append(ratio)
+    assert ratios["stable"] == pytest.approx(np.ones(len(ratios["stable"])), rel=1e-3)
+    assert np.isfinite(ratios["unstable"]).sum() > 2
+    assert np.isnan(ratios["undecided"]).all()
