@@ -30,7 +30,7 @@ the front to the mouth.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 
 import numpy as np
@@ -38,6 +38,7 @@ import numpy as np
 from fenics_crack.errors import InputError
 from fenics_crack.fem.crack_surface import Lips, Names
 from fenics_crack.fem.lips import Lip
+from fenics_crack.kernel import Struct, kernel
 from fenics_crack.machine import machine_memory
 from fenics_crack.mesher import gmsh
 from fenics_crack.scene.scene import Scene
@@ -476,11 +477,11 @@ def _draw_solid(scene: Scene) -> None:
         at = [name for name, axis, place in sides if abs(middle[axis] - place) < near]
         groups.setdefault(at[0] if at else "crack", (2, []))[1].append(tag)
     _name(groups)
-    size = scene.mesh.given("size")
+    size, around = scene.mesh.given("size"), [one.compiled() for one in gradings]
 
     def length(dimension: int, tag: int, x: float, y: float, z: float, *_: float) -> float:
         """Asked for a hundred thousand times a mesh."""
-        return min([size, *(one.at(x, y, z) for one in gradings)])
+        return min([size, *(kernel.length_at(one.at, x, y, z) for one in around)])
 
     for option in ("MeshSizeFromPoints", "MeshSizeExtendFromBoundary", "MeshSizeFromCurvature"):
         gmsh.option.setNumber(f"Mesh.{option}", 0)
@@ -552,10 +553,10 @@ class _Grading:
     shortest: float
     growth: float
 
-    def at(self, x: float, y: float, z: float) -> float:
-        """At a place [m]."""
-        squares = (self.along - x) ** 2 + (self.height - y) ** 2 + (self.through - z) ** 2
-        return self.shortest + self.growth * math.sqrt(squares.min())
+    def compiled(self) -> Struct:
+        """As the kernel takes it (``length_at``)."""
+        members = {field.name: getattr(self, field.name) for field in fields(self)}
+        return Struct("grading", count=len(self.along), **members)
 
     def cells(self, size: float) -> float:
         """How many are around the front, in the tube in which they are shorter than a size: its
