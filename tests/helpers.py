@@ -23,7 +23,7 @@ from surroundings import ROOT as ROOT
 from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack.files.store import columns_of, digest, places, texts
+from fenics_crack.files.store import column_of, digest, places, texts
 
 OMEGA_0 = 2.0 * np.sqrt(2.0) / (1.0 + np.sqrt(2.0))
 """Natural frequency of the bilinear oscillator with kc = 1."""
@@ -60,7 +60,8 @@ def changed(path: Path) -> Iterator[h5py.File]:
     """A result's file to be changed by hand; its digest is made anew, as a forger would."""
     with h5py.File(path, "r+") as file:
         yield file
-        parts = places(columns_of(file)) if file.attrs["kind"] == "sweep" else {}
+        datasets = file.items() if file.attrs["kind"] == "sweep" else ()
+        parts = places({name: column_of(item) for name, item in datasets})
         for name, item in file.items() if not parts else ():
             words = h5py.check_string_dtype(item.dtype) is not None
             parts[name] = item.asstr()[()] if words else item[()]

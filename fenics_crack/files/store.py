@@ -41,7 +41,7 @@ __all__ = [
     "Stored",
     "about",
     "check_shapes",
-    "columns_of",
+    "column_of",
     "digest",
     "header",
     "places",
@@ -146,9 +146,9 @@ def texts(file: h5py.File) -> dict[str, str]:
     return found
 
 
-def columns_of(file: h5py.File) -> dict[str, Column]:
-    """Types, shapes and places of the datasets of a file that is filled in later."""
-    return {name: Column(one.dtype, one.shape, one.id.get_offset()) for name, one in file.items()}
+def column_of(dataset: h5py.Dataset) -> Column:
+    """Type, shape and place of a dataset that is filled in later."""
+    return Column(dataset.dtype, dataset.shape, dataset.id.get_offset())
 
 
 def places(columns: Mapping[str, Column]) -> dict[str, str]:

@@ -280,17 +280,19 @@ def _image(
 
     with h5py.File(image, "w", libver="earliest") as file:
         store.write_header(file, KIND, scene)
+        texts, columns = store.texts(file), {}  # kept as written: to read them takes longer
         for name, (unit, kind, size) in sizes.items():
             plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
             plan.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
             plan.set_fill_time(h5py.h5d.FILL_TIME_NEVER)  # a new file is zero: pending
             column = file.create_dataset(name, size, kind, dcpl=plan)
-            column.attrs["unit"] = unit
-            if words := _words(name):
-                column.attrs["about"] = words
-        columns = store.columns_of(file)
-        file.attrs["digest"] = store.digest(store.texts(file), store.places(columns))
-        return store.Stored(path, store.texts(file), {}, columns)
+            said = {"unit": unit} | ({"about": words} if (words := _words(name)) else {})
+            for key, text in said.items():
+                column.attrs[key] = texts[f"{name}/{key}"] = text
+            columns[name] = store.column_of(column)
+        texts["digest"] = store.digest(texts, store.places(columns))
+        file.attrs["digest"] = texts["digest"]
+        return store.Stored(path, texts, {}, columns)
 
 
 def _copy_written(image: int, whole: int) -> None:
