@@ -59,6 +59,8 @@ FIRST = "first in the legend"
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 ROWS = 2
 """Of a legend below a panel for which a figure has room."""
+DPI = 150
+"""Dots per inch of a new figure."""
 
 
 class Where(TypedDict, total=False):
@@ -113,7 +115,7 @@ class Picture:
         self._path, self._title, self._comm = path, title, comm
         axes = given_axes(axes, ax)
         if axes is None:
-            figure = Figure(figsize=size, dpi=150, layout="constrained")
+            figure = Figure(figsize=size, dpi=DPI, layout="constrained")
             FigureCanvasAgg(figure)
             rows = -(-count // columns)
             axes = figure.subplots(rows, columns, squeeze=False, sharex=sharex).ravel()
