@@ -55,6 +55,13 @@ def pytest_configure(config: pytest.Config) -> None:
     providers._get_local_constants = lambda: providers._local_constants
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files whose tests share two ranks come first, so that one of two processes starts these and
+    not both: the first half of all tests is one's."""
+    sharing = {item.path for item in items if "on_ranks" in getattr(item, "fixturenames", ())}
+    items.sort(key=lambda item: item.path not in sharing)
+
+
 def pytest_collection_finish() -> None:
     """What is imported and collected stays to the end: no garbage is looked for in it any more."""
     gc.freeze()
