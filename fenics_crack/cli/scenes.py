@@ -26,7 +26,13 @@ from fenics_crack.study.key_figures import (
     remarks_on,
     remarks_on_structure,
 )
-from fenics_crack.study.prepare import Study, check_memory_of, prepare, reduction_of
+from fenics_crack.study.prepare import (
+    Study,
+    check_memory_of,
+    give_back_freed,
+    prepare,
+    reduction_of,
+)
 from fenics_crack.sweep.plan import Plan
 from fenics_crack.table import RPM, TURN, Table, counted, percent, ranging
 
@@ -46,6 +52,7 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
     whole, harmonics = study.structure, scene.harmonic_balance.harmonics
     check_memory(whole, harmonics)
     run_up = scene.curve is not None and scene.curve.followed[0] == "speed"
+    give_back_freed()
     memory = check_memory_of(scene, whole, run_up=run_up)
     with console.stage("natural frequencies"):
         figures = find_key_figures(study)

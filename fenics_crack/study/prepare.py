@@ -48,6 +48,7 @@ __all__ = [
     "Watched",
     "check_memory_of",
     "contact_law",
+    "give_back_freed",
     "law_of",
     "prepare",
     "reduced",
@@ -275,14 +276,10 @@ def check_memory_of(scene: Scene, structure: Structure, *, run_up: bool = False)
     InputError
         This machine has not so much.
     """
-    kept = reduction_of(scene, structure)
-    if kept is None:
-        needed = whole_memory(structure, scene.harmonic_balance.harmonics)
-    elif run_up:
-        needed = run_up_memory(structure, kept.modes)
-    else:
-        needed = reduction_memory(structure, kept.modes, kept.method)
-    machine = machine_memory()
+    needed, machine = _memory_needed(scene, structure, run_up), machine_memory()
+    if needed > MEMORY_SHARE * machine:
+        give_back_freed()  # not before: what needs memory next would have to be given it again
+        needed = _memory_needed(scene, structure, run_up)
     if needed > MEMORY_SHARE * machine:
         sizes = (
             f"{structure.n_dofs} degrees of freedom need {needed / 2**30:.3g} GiB of this "
@@ -295,6 +292,15 @@ def check_memory_of(scene: Scene, structure: Structure, *, run_up: bool = False)
         value = getattr(scene.mesh, key)
         raise InputError(f"mesh.{key}", value, f"that of a coarser mesh: {sizes}")
     return needed
+
+
+def _memory_needed(scene: Scene, structure: Structure, run_up: bool) -> float:
+    kept = reduction_of(scene, structure)
+    if kept is None:
+        return whole_memory(structure, scene.harmonic_balance.harmonics)
+    if run_up:
+        return run_up_memory(structure, kept.modes)
+    return reduction_memory(structure, kept.modes, kept.method)
 
 
 def reduction_memory(structure: Structure, modes: int, method: str) -> float:
@@ -340,10 +346,14 @@ def _factor_memory(structure: Structure) -> float:
     return FACTOR * structure.n_dofs * float(np.log2(structure.n_dofs + 1))
 
 
-def _memory_held(structure: Structure) -> float:
-    """Memory that all ranks hold now, without what is free but kept [byte]."""
+def give_back_freed() -> None:
+    """Give memory that is free but kept back to the system: it counts as held."""
     with suppress(AttributeError):  # a C library without it
         ctypes.CDLL(None).malloc_trim(0)
+
+
+def _memory_held(structure: Structure) -> float:
+    """Memory that all ranks hold now [byte]."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return float(structure.comm.allreduce(pages * os.sysconf("SC_PAGE_SIZE")))
 

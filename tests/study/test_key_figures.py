@@ -286,7 +286,7 @@ def test_more_modes_and_harmonics_need_more(wide_plate: fc.Structure) -> None:
 
 def test_parts_of_what_a_solid_needs() -> None:
     """A factor of a cube's stiffness and one of a plate's are within a factor of two of what is
-    said, a matrix is what it holds, and memory that is freed does not count."""
+    said, a matrix is what it holds."""
     for thickness in (0.03, 0.004):
         sides = {"width": 0.03, "height": 0.03, "thickness": thickness}
         solid = fc.Scene.from_mapping(
@@ -305,11 +305,21 @@ def test_parts_of_what_a_solid_needs() -> None:
         assert 0.5 < prepare._factor_memory(structure) / (8.0 * entries) < 2.0
         _, columns, values = structure.stiffness.getValuesCSR()
         assert prepare._matrix_memory(structure) == columns.nbytes + values.nbytes
-    before = prepare._memory_held(structure)
+
+
+def test_memory_that_is_freed_does_not_count(
+    paper_scene: fc.Scene, wide_plate: fc.Structure, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is given back where there would not be enough otherwise."""
+    prepare.give_back_freed()
+    before = prepare.check_memory_of(paper_scene, wide_plate)
     pieces = [np.ones(10_000) for _ in range(1000)]
-    assert prepare._memory_held(structure) > before + 7e7
-    del pieces
-    assert prepare._memory_held(structure) < before + 1e7
+    machine = (before + 4e7) / prepare.MEMORY_SHARE
+    monkeypatch.setattr(prepare, "machine_memory", lambda: machine)
+    with pytest.raises(fc.InputError, match=r"^mesh.columns = 2: "):
+        prepare.check_memory_of(paper_scene, wide_plate)
+    pieces[:-1] = []  # the last one holds the others' memory for the process
+    assert prepare.check_memory_of(paper_scene, wide_plate) < before + 1e7
 
 
 def ordered_by(sides: int, dimension: int, dofs: int) -> int:
