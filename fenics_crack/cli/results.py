@@ -200,7 +200,8 @@ def _seen_instead(found: PeriodicSolution, dof: int) -> str:
             sizes = one.amplitudes(dof)
             least, most = (quantity(size, "m") for size in (sizes.min(), sizes.max()))
             size = most if least == most else f"between {least} and {most}"
-            said.append(f"{'settle to' if one.orbit else 'swell and fall'} {size}")
+            still = f"still vary after {counted(one.periods, 'period')},"
+            said.append(f"{'settle to' if one.orbit else still} {size}")
     seen = " or ".join(dict.fromkeys(said))
     return f"; motions that leave it {seen} half peak-to-peak" if seen else ""
 

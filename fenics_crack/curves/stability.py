@@ -50,7 +50,6 @@ from fenics_crack.motion.flow import exact_flow
 from fenics_crack.motion.orbit import FORMED, KNOWN, PeriodicOrbit, eigenvalues, find_orbit
 from fenics_crack.motion.shooting import (
     LATER,
-    WANDERING,
     Attractor,
     FlowOrbits,
     in_the_long_run,
@@ -458,7 +457,7 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     change *= NO_DOUBT * moved / np.linalg.norm(change)
     found: list[Attractor] = []
     for start in (orbits.start + change, orbits.start - change)[: 2 if mu == abs(mu) else 1]:
-        one = in_the_long_run(orbits, start, int(orbits.unhurried * WANDERING))
+        one = in_the_long_run(orbits, start)
         if not any(alike(one.orbit, other.orbit) for other in found):
             found.append(one)
     return tuple(found)

@@ -47,7 +47,7 @@ from fenics_crack.stages import begin
 from fenics_crack.table import counted, percent
 
 __all__ = [
-    "LATER", "PARTS", "WANDERING", "Attractor", "FlowOrbits", "Homotopy", "OrbitPoint", "Patience",
+    "LATER", "PARTS", "Attractor", "FlowOrbits", "Homotopy", "OrbitPoint", "Patience",
     "in_the_long_run", "orbit_next_to", "recurrences", "recurring", "wave_states",
 ]  # fmt: skip
 
@@ -396,6 +396,8 @@ class Attractor:
         The stable orbit to which it settles, perhaps one of several periods; None where it has not.
     told : str
         What it does, in words.
+    periods : int
+        Of the load, that it was followed for.
     orbits : FlowOrbits
         Of its flow and period.
     last : (2 n_modes,)
@@ -404,6 +406,7 @@ class Attractor:
 
     orbit: PeriodicOrbit | None
     told: str
+    periods: int
     orbits: FlowOrbits
     last: np.ndarray
 
@@ -427,10 +430,11 @@ class Attractor:
         return np.asarray(np.ptp(values, axis=1) / 2.0)
 
 
-def in_the_long_run(orbits: FlowOrbits, start: np.ndarray, periods: int = 0) -> Attractor:
+def in_the_long_run(orbits: FlowOrbits, start: np.ndarray) -> Attractor:
     """What the exact motion from a state x does after many periods: it is followed until it has
-    settled, for so many, or those that a search follows, if these are more."""
-    passed, most = start[None], max(periods, _periods(orbits))
+    settled, or for 1,000, of more than a few modes for fewer."""
+    passed, share = start[None], min(1.0, FEW / orbits.flow.size) * orbits.unhurried
+    most = max(LATER + 1, int(share * WANDERING))
     begin(f"the exact motion over {most} periods")
     while (done := len(passed) - 1) < most:
         more = _followed(orbits, passed[-1], min(most - done, done + LATER))
@@ -452,9 +456,9 @@ def in_the_long_run(orbits: FlowOrbits, start: np.ndarray, periods: int = 0) -> 
         if 0.0 < (1.0 - abs(orbit.multipliers[0])) * off <= 2.0 * changes[several]:
             after = f"one that repeats itself after {turns} periods of the load"
             does = f"settles to {after if several else 'an orbit'}"
-            return Attractor(orbit, does, orbits, last)
+            return Attractor(orbit, does, (len(passed) - 1) * orbits.subharmonic, orbits, last)
     does = f"does not settle: {_comes_back(passed, orbits.subharmonic, 'it')}"
-    return Attractor(None, does, orbits, passed[-1])
+    return Attractor(None, does, (len(passed) - 1) * orbits.subharmonic, orbits, passed[-1])
 
 
 def _share(orbits: FlowOrbits) -> float:

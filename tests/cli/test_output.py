@@ -224,13 +224,14 @@ def test_what_is_seen_in_place_of_an_unstable_orbit(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], leaning: fc.Scene
 ) -> None:
     """Told with the warning and on the page: two sizes between which a motion that leaves the orbit
-    swells and falls, those of ``fc.attractors``. And of the largest response of a curve."""
+    still varies, those of ``fc.attractors``. And of the largest response of a curve."""
     words = [written(leaning, tmp_path), "--output", str(tmp_path)]
     assert main(["solve", *words]) == 0
     run = fc.load_run(tmp_path / "solution.h5")
     [found] = fc.attractors(run.structure, run.result)
     sizes = [f"{1e3 * size:.4g} mm" for size in np.sort(found.amplitudes(run.watched_dof))[[0, -1]]]
-    told = f"; motions that leave it swell and fall between {' and '.join(sizes)} half peak-to-peak"
+    still = "; motions that leave it still vary after 1000 periods, between"
+    told = f"{still} {' and '.join(sizes)} half peak-to-peak"
     assert told in capsys.readouterr().err
     page = tmp_path / "report.html"
     assert main(["report", str(tmp_path / "solution.h5"), "--output", str(page)]) == 0
