@@ -409,10 +409,10 @@ def _from_it(judged: Judgement) -> str:
 def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attractor, ...]:
     """What is seen in place of an unstable solution: where motions go that leave its orbit.
 
-    They begin next to the orbit, 1 % of what moves away from it in the direction v in which small
-    disturbances grow, M v = mu v, and are followed by the exact flow. Where mu > 1 they part in two
-    directions, v and -v, which may lead to two orbits, as those above and below the unstable one
-    of a resonance that leans over.
+    They begin next to the orbit, away from it by 1 % of what moves in the direction v in which
+    small disturbances grow, M v = mu v, and are followed by the exact flow. Where mu > 1 they part,
+    along v and -v, and may go to two orbits, such as those above and below the unstable one of a
+    resonance that leans over.
 
     Parameters
     ----------

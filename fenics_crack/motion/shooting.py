@@ -386,7 +386,7 @@ def recurring(
     return None, _comes_back(passed, subharmonic)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Attractor:
     """Where a motion goes in the long run.
 
@@ -409,6 +409,9 @@ class Attractor:
     periods: int
     orbits: FlowOrbits
     last: np.ndarray
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.told})"
 
     def amplitudes(self, dof: int | None = None) -> np.ndarray:
         """Half the peak-to-peak displacement of a dof, or of the watched one, in each period of the
