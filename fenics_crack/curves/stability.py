@@ -437,8 +437,8 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
 
     Examples
     --------
-    >>> unstable = fc.solve_harmonic_balance(structure, omega, contact, harmonics=20)
-    >>> seen = [one.amplitudes().max() for one in fc.attractors(structure, unstable)]
+    >>> if fc.floquet(structure, solution).verdict == "unstable":
+    ...     seen = [one.amplitudes().max() for one in fc.attractors(structure, solution)]
     """
     check_kind("solution", solution, PeriodicSolution)
     judged = replace(solution, structure=structure).judged

@@ -435,8 +435,8 @@ class Attractor:
 
 def in_the_long_run(orbits: FlowOrbits, start: np.ndarray) -> Attractor:
     """What the exact motion from a state x does after many periods: it is followed until it has
-    settled, or for 1,000, of more than a few modes for fewer."""
-    passed, share = start[None], min(1.0, FEW / orbits.flow.size) * orbits.unhurried
+    settled, or for 1,000; with more than 24 modes, which take longer, for fewer."""
+    passed, share = start[None], min(1.0, 2.0 * FEW / orbits.flow.size) * orbits.unhurried
     most = max(LATER + 1, int(share * WANDERING))
     begin(f"the exact motion over {most} periods")
     while (done := len(passed) - 1) < most:

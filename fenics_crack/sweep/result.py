@@ -268,8 +268,8 @@ class SweepResult(Tabular):
 
     @property
     def errors(self) -> np.ndarray:
-        """Estimated errors of the cases: (4, *shape), by truncation, reduction, sampling and
-        residual as in :class:`ErrorReport`; 0 where there is no value."""
+        """Estimated errors of the cases, by truncation, reduction, sampling and residual as in
+        :class:`ErrorReport`: (4, ...), then the shape of the axes; 0 where there is no value."""
         return np.nan_to_num([self[f"{part}_error"] for part in PARTS])
 
     @property
