@@ -232,8 +232,8 @@ def _draw_legend(axes: Axes) -> None:
     """Give a panel its legend.
 
     It never hides what is drawn: it stands below the panel where the figure has a
-    constrained layout, which grows by the rows of a long one, else where nothing is, with room made
-    above the data where there is no such place.
+    constrained layout, which grows by the rows of a long one, in lines as wide as the figure, else
+    where nothing is, with room made above the data where there is no such place.
     """
     handles, labels = axes.get_legend_handles_labels()
     both = sorted(zip(labels, handles, strict=True), key=lambda one: _gid(one[1]) != FIRST)
@@ -242,11 +242,13 @@ def _draw_legend(axes: Axes) -> None:
         alone = len(axes.figure.axes) == 1
         room = 0.9 * axes.figure.bbox.width if alone else axes.get_window_extent().width
         letters = 17.0 * room / axes.figure.dpi
+        wide = max(int(letters) - 8, LETTERS)
+        named = {_in_lines(label, wide): handle for label, handle in named.items()}
         lines = [label.splitlines() for label in named]
         longest = max(len(line) for label in lines for line in label)
         columns = max(1, min(len(named), int(letters / (longest + 8))))
-        rows, before = -(-len(named) // columns), axes.get_legend()
-        rows += max(map(len, lines)) - 1
+        high, before = -(-len(named) // columns), axes.get_legend()
+        rows = max(sum(map(len, lines[top : top + high])) for top in range(0, len(lines), high))
         more = max(rows, ROWS) - max(ROWS if before is None else int(before.get_gid()), ROWS)
         if alone:
             axes.figure.set_figheight(axes.figure.get_figheight() + 0.17 * more)
@@ -256,6 +258,11 @@ def _draw_legend(axes: Axes) -> None:
     elif named:
         axes.legend(list(named.values()), list(named), fontsize=8, loc="best", framealpha=0.9)
         _make_room(axes)
+
+
+def _in_lines(label: str, letters: int) -> str:
+    """A label in lines of at most so many letters."""
+    return "\n".join(fill(line, letters) for line in label.splitlines())
 
 
 def _gid(handle: Any) -> str | None:

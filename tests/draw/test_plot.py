@@ -362,6 +362,18 @@ def test_legends_hide_nothing(constrained: bool) -> None:
     assert box.x0 >= inside.x0 and box.y0 >= inside.y0 and box.x1 <= inside.x1
 
 
+def test_long_names_stand_in_lines(tmp_path: Path) -> None:
+    """As wide as the figure, which grows by them: long names pushed the panel out of it."""
+    name = " ".join(f"table.key_{n} = 1.25 mm," for n in range(25))
+    waves = [fc.Wave(f"{name} {end}", X, X) for end in ("a", "b")]
+    figure = fc.draw_waves(waves, quantity="q", path=tmp_path / "waves.png")
+    [panel] = figure.axes
+    seen, inside = panel.get_legend().get_window_extent(), figure.bbox
+    assert seen.x0 >= inside.x0 and seen.x1 <= inside.x1 and seen.y0 >= inside.y0
+    assert [" ".join(words.split()) for words in legend_of(panel)] == [f"{name} {e}" for e in "ab"]
+    assert panel.get_window_extent().height > 0.3 * inside.height
+
+
 def test_mesh(paper_scene: fc.Scene, plate: fc.Structure) -> None:
     """The clamped edge, the lips along the crack, the pairs, and an arrow from the load's point."""
     panel = fc.draw_mesh(plate).axes[0]
