@@ -35,6 +35,7 @@ from fenics_crack.files import store
 from fenics_crack.files.store import about
 from fenics_crack.outside import MOST_BYTES
 from fenics_crack.scene.scene import Scene, asked_quantities
+from fenics_crack.scene.words import differences
 from fenics_crack.table import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QUANTITIES
 from fenics_crack.version import VERSION
 from fenics_crack.whole import not_written, put, whole_file
@@ -338,9 +339,12 @@ def _of_scene(path: Path, scene: Scene) -> store.Stored:
     program."""
     stored = store.header(path)
     stored.check_kind(KIND)
-    if stored.attributes.get("scene") != store.scene_text(scene):
+    if stored.attributes.get("scene") != (text := store.scene_text(scene)):
+        begun, asked = stored.scene(), Scene.from_text(text, str(path))  # both with full paths
+        there = differences([begun, asked])[0] if begun is not None else ""
+        value = f"{path}{there and f', begun with {there}'}"
         allowed = "the file of the same scene; for another one choose a new folder"
-        raise InputError("path", str(path), allowed)
+        raise InputError("path", value, allowed)
     version = str(stored.attributes.get("version"))
     lost = [name for name in _kept(scene) if name not in stored.columns]
     if version != VERSION or lost:

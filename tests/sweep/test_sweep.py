@@ -375,8 +375,13 @@ def test_files_that_cannot_be_used(paper_scene: fc.Scene, tmp_path: Path) -> Non
     scene, path = swept(paper_scene, FAST), tmp_path / "sweep.h5"
     run_sweep(scene, path)
     content = path.read_bytes()
-    with pytest.raises(fc.InputError, match="same scene; for another one"):
-        run_sweep(swept(paper_scene, FAST | {"excitation.omega": [1900.0]}), path)
+    for changes, own in (
+        ({"damping.ratio": 0.037}, f"damping.ratio = {scene.damping.ratio}"),
+        ({"output.quantities": ["amplitude"]}, "output.quantities = none"),
+        ({"sweep.over": {"excitation.omega": [1900.0]}}, "sweep.over.excitation.omega = "),
+    ):
+        with pytest.raises(fc.InputError, match=f"begun with {own}.*same scene; for another one"):
+            run_sweep(scene.replace(changes), path)
     with h5py.File(path, "r+"), pytest.raises(fc.InputError, match="path"):
         run_sweep(scene, path)
     assert path.read_bytes() == content
