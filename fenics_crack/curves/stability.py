@@ -43,7 +43,7 @@ from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.judgement import BELIEVED, FARTHEST, NO_DOUBT, UNKNOWN, Judgement, alike
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.errors import ConvergenceError, InputError, check_count, check_kind
-from fenics_crack.model.contact import ContactLaw, check_law, is_rigid, smooth_forces
+from fenics_crack.model.contact import ContactLaw, check_law, check_slope, is_rigid, smooth_forces
 from fenics_crack.model.modal import CACHED, AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import exact_flow
@@ -86,8 +86,14 @@ def monodromy(
     ------
     ConvergenceError
         It is not found.
+    InputError
+        The law's tangent is not the slope of its force along the wave.
     """
     modes = all_modes(structure).below(static_above)
+    seen = sampled(gap, 4 * len(gap))
+    if modes.residual is not None:
+        seen = seen - smooth_forces(contact, modes.residual, seen)[0] @ modes.residual
+    check_slope(contact, seen)
     size = np.repeat([np.sqrt(np.abs(modes.squares).max()) or 1.0, 1.0], len(modes.squares))
     count = 1 << (4 * len(gap)).bit_length()
     coarse = found = _product(modes, contact, gap, base_omega, count)

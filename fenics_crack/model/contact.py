@@ -51,12 +51,12 @@ from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.kernel import doubles, kernel, owned, shaped, signs
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.equations import EPSILON, ROUNDING
+from fenics_crack.numerics.equations import DIFFERENCE, EPSILON, ROUNDING
 
 __all__ = [
     "KEPT", "REGULAR", "ActiveSets", "ContactLaw", "SmoothedPenalty", "UnilateralConstraint",
-    "UnilateralPenalty", "by_least_squares", "check_law", "gauss", "is_piecewise_linear",
-    "is_regular", "is_rigid", "is_unilateral", "potential", "smooth_forces",
+    "UnilateralPenalty", "by_least_squares", "check_law", "check_slope", "gauss",
+    "is_piecewise_linear", "is_regular", "is_rigid", "is_unilateral", "potential", "smooth_forces",
     "solve_complementarity", "solve_forces",
 ]  # fmt: skip
 
@@ -259,6 +259,23 @@ def _check_values(law: ContactLaw, pairs: int) -> None:
             raise InputError("contact", law, allowed)
     if np.any(found < -EPSILON * np.abs(found).max(initial=0.0)):
         raise InputError("contact", law, "one whose tangent(gap) is >= 0: stiffness, not softness")
+
+
+WRONG_SLOPE = 0.01
+"""Relative; by differences the slope of a smooth force is known to 1e-5."""
+
+
+def check_slope(law: ContactLaw, gap: np.ndarray) -> None:
+    """Raise InputError unless the tangent of a law is the slope of its force along gaps (n,
+    n_pairs), at kinks one between those on both sides."""
+    step = DIFFERENCE * float(np.abs(gap).max(initial=0.0))
+    below, force, above = (np.asarray(law.force(gap + side)) for side in (-step, 0.0, step))
+    rises, stated = np.sort([force - below, above - force], axis=0), step * law.tangent(gap)
+    sizes = np.maximum(np.abs(rises).max(axis=0), np.abs(stated))
+    off = np.maximum(rises[0] - stated, stated - rises[1])
+    rounding = ROUNDING / DIFFERENCE * sizes.max(initial=0.0)
+    if np.any(off > WRONG_SLOPE * sizes + rounding):
+        raise InputError("contact", law, "one whose tangent(gap) is the slope of its force(gap)")
 
 
 def _positive(key: str, value: object, *, each_pair: bool = False) -> float | np.ndarray:

@@ -11,6 +11,7 @@ import scipy.linalg
 from helpers import (
     OMEGA_0,
     ROOT,
+    Cubic,
     chain_stiffness,
     oscillator,
     period_two_orbit,
@@ -281,3 +282,36 @@ def test_periods_of_a_motion_that_does_not_settle_are_the_loads() -> None:
     reason = floquet(structure, solution).reason
     words = re.search(r"for (\d+) periods of the load, .* after (\d+) periods", reason)
     assert words is not None and int(words[1]) == 3000 and int(words[2]) % 3 == 0
+
+
+def test_a_tangent_that_is_not_the_forces_slope_is_refused() -> None:
+    """Of a law of one's own: a third of it called a motion with a multiplier of 1.79 stable. Kinks
+    are no fault, nor is a pair that never closes or rests at one."""
+    one = np.eye(1)
+    structure = fc.Structure.from_matrices(one, one, one, force_cos=[0.3], damping=0.05 * one)
+
+    class Third(Cubic):
+        def tangent(self, gap: np.ndarray) -> np.ndarray:
+            return self.stiffness * gap**2
+
+    class Hardening(Cubic):
+        def force(self, gap: np.ndarray) -> np.ndarray:
+            return np.maximum(gap, 0.0) + 5.0 * np.maximum(gap - 0.1, 0.0)
+
+        def tangent(self, gap: np.ndarray) -> np.ndarray:
+            return 1.0 * (gap > 0.0) + 5.0 * (gap > 0.1)
+
+        def scaled(self, factor: float) -> Cubic:
+            return self
+
+    solution = fc.solve_harmonic_balance(structure, 1.5, Cubic(1.0), harmonics=9)
+    assert floquet(structure, solution).verdict == "stable"
+    with pytest.raises(fc.InputError, match="the slope of its force"):
+        floquet(structure, solution, Third(1.0))
+    two, law = np.eye(2), Hardening(6.0)
+    for clearance in (0.0, 10.0):
+        other = fc.Structure.from_matrices(
+            two, two, two, force_cos=[0.3, 0.0], damping=0.05 * two, clearance=clearance
+        )
+        found = fc.solve_harmonic_balance(other, 1.5, law, harmonics=9)
+        assert floquet(other, found).verdict == "stable"
