@@ -18,7 +18,7 @@ from fenics_crack.curves.family import FAMILIES
 from fenics_crack.errors import InputError
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.files.store import Stored, check_shapes, read, write
-from fenics_crack.model.contact import ContactLaw, UnilateralConstraint, is_rigid
+from fenics_crack.model.contact import ContactLaw, UnilateralConstraint, is_rigid, is_unilateral
 from fenics_crack.model.matrices import LARGEST
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import NEGLIGIBLE, Modes
@@ -228,7 +228,7 @@ def _pack_solution(solution: PeriodicSolution) -> Parts:
         parts["weight"] = solution.contact.weight
     if solution.stability is not None:
         parts |= asdict(solution.stability)
-    return parts | _law_parts(solution.contact)
+    return parts | _law_parts(solution.contact, solution.structure)
 
 
 def _unpack_solution(parts: Parts, structure: Structure, contact: Law) -> PeriodicSolution:
@@ -237,7 +237,7 @@ def _unpack_solution(parts: Parts, structure: Structure, contact: Law) -> Period
     check_shapes(parts, {"gap_coefficients": shape, "force_coefficients": shape})
     check_shapes(parts, {"multipliers": (max(np.size(parts.get("multipliers")), 1),)})
     _check_pairs(structure, gap)
-    _take_law(parts, contact)
+    _take_law(parts, contact, structure)
     return solution_from(parts, structure, contact)
 
 
@@ -312,13 +312,13 @@ def _pack_curve(curve: ResponseCurve) -> Parts:
     parts["exact_values"] = [b.exact for b in curve.bifurcations]
     for number, bifurcation in enumerate(curve.bifurcations):
         parts[f"bifurcation_{number}"] = bifurcation.unknown
-    return parts | _law_parts(curve.contact)
+    return parts | _law_parts(curve.contact, curve.structure)
 
 
 def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseCurve:
     if not is_small(structure):
         structure = reduce_structure(structure, method="massless")
-    _take_law(parts, contact)
+    _take_law(parts, contact, structure)
     unknowns, harmonics, kinds = parts["unknowns"], parts["harmonics"], parts["kinds"]
     _check_pairs(structure, unknowns)
     along = [f.name for f in fields(ResponseCurve) if "np.ndarray" in str(f.type)]
@@ -352,11 +352,11 @@ def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseC
 
 def _pack_backbone(backbone: Backbone) -> Parts:
     parts = _fields(backbone) | {"couplings": _couplings(backbone.structure)}
-    return parts | _law_parts(backbone.contact)
+    return parts | _law_parts(backbone.contact, backbone.structure)
 
 
 def _unpack_backbone(parts: Parts, structure: Structure, contact: Law) -> Backbone:
-    _take_law(parts, contact)
+    _take_law(parts, contact, structure)
     signs, count = _signs(structure, parts.pop("couplings")), parts["omega"].size
     shapes: Shapes = dict.fromkeys(("omega", "energy", "iterations", "jumps"), (count,))
     check_shapes(parts, shapes | {"cosines": (count, -1, structure.n_local)})
@@ -410,21 +410,33 @@ def _signs(structure: Structure, then: np.ndarray) -> np.ndarray:
     return signs
 
 
-def _law_parts(contact: Law) -> Parts:
-    """Name, stiffness and sharpness of a law, by which a file identifies it."""
+LAW_GAPS = np.concatenate([sign * np.logspace(-12, 1, 27) for sign in (-1.0, 1.0)])
+"""At which a law of one's own is asked for its forces [m]."""
+
+
+def _law_parts(contact: Law, structure: Structure) -> Parts:
+    """Name, stiffness and sharpness of a law, or forces of one's own, by which a file identifies
+    it."""
     values = {f"law_{name}": getattr(contact, name, None) for name in ("stiffness", "sharpness")}
     known = {name: value for name, value in values.items() if value is not None}
+    if contact is not None and "law_sharpness" not in known and not is_unilateral(contact):
+        with np.errstate(all="ignore"):  # gaps far from the structure's
+            force = contact.force(np.outer(LAW_GAPS, np.ones(structure.n_pairs))).sum(axis=1)
+        known["law_force"] = np.nan_to_num(force, posinf=LARGEST).clip(-LARGEST, LARGEST)
     return {"law": type(contact).__name__, **known}
 
 
-def _take_law(parts: Parts, contact: Law) -> None:
+def _take_law(parts: Parts, contact: Law, structure: Structure) -> None:
     """Take the law out of the datasets; raise InputError unless it is the one given."""
-    now = _law_parts(contact)
-    names = ("law", "law_stiffness", "law_sharpness")
+    now = _law_parts(contact, structure)
+    names = ("law", "law_stiffness", "law_sharpness", "law_force")
     then = {name: parts.pop(name) for name in names if name in parts}
+    force, forces = now.pop("law_force", None), then.pop("law_force", None)
     same = now.keys() == then.keys() and now["law"] == then["law"]
     if not same or not all(np.allclose(now[n], then[n], rtol=1e-9) for n in now if n != "law"):
         raise InputError("contact", now, f"the law of the file: {then}")
+    if forces is not None and not np.allclose(force, forces, rtol=1e-9, atol=0.0):
+        raise InputError("contact", contact, "the law of the file: its forces are others")
 
 
 Pack = Callable[[Any], Parts]

@@ -417,6 +417,7 @@ ABOUT: dict[str, tuple[str, str]] = {
     "weight": ("N/m", "of the constraint"),
     "law_stiffness": ("N/m", "of all pairs, or of each"),
     "law_sharpness": ("1/m", ""),
+    "law_force": ("N", "of a law of one's own, of all pairs together, at gaps of 1e-12 to 10 m"),
     "unknowns": ("m", f"points; {GAPS}; gaps, or slow gaps where static_above is there"),
     "truncation": ("1", "points; estimated error relative to the gap"),
     "shapes": ("kg^-1/2", "modes; nodes; x and y"),

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
-from helpers import chain, evaluate
+from helpers import chain, evaluate, oscillator
 from mpi4py import MPI
 
 import fenics_crack as fc
@@ -98,3 +100,38 @@ def test_without_watched_dofs(tmp_path: Path) -> None:
         assert "watched" not in file and file["gap_coefficients"].attrs["unit"] == "m"
     read = fc.load(path, structure)
     assert isinstance(read, fc.PeriodicSolution) and read.omega == 1.3
+
+
+@dataclass(frozen=True)
+class Hardening:
+    """lambda = k g (1 + g / depth) in contact."""
+
+    depth: float
+    stiffness: float = 3.0
+
+    def force(self, gap: np.ndarray) -> np.ndarray:
+        """lambda(g)."""
+        closed = np.maximum(gap, 0.0)
+        return self.stiffness * closed * (1.0 + closed / self.depth)
+
+    def tangent(self, gap: np.ndarray) -> np.ndarray:
+        """Its slope."""
+        return np.where(gap > 0.0, self.stiffness * (1.0 + 2.0 * gap / self.depth), 0.0)
+
+    def scaled(self, factor: float) -> Hardening:
+        """With another stiffness."""
+        return replace(self, stiffness=factor * self.stiffness)
+
+
+def test_a_law_of_ones_own_is_known_by_its_forces(tmp_path: Path) -> None:
+    """One of the same name and stiffness, but other forces, is not that of the file."""
+    structure, law = oscillator(0.05, 0.3, 0.4), Hardening(1.0)
+    solution = fc.solve_harmonic_balance(structure, 0.8, law, harmonics=5)
+    curve = fc.continue_frequency(structure, 0.2, 0.5, law, harmonics=5)  # begins without contact
+    for name, result in (("solution", solution), ("curve", curve)):
+        path = tmp_path / f"{name}.h5"
+        fc.save(result, path)
+        again: Any = fc.load(path, structure, Hardening(1.0))
+        assert np.array_equal(again.gap_coefficients, result.gap_coefficients)
+        with pytest.raises(fc.InputError, match="its forces are others"):
+            fc.load(path, structure, Hardening(0.5))
