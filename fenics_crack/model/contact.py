@@ -269,12 +269,13 @@ def check_slope(law: ContactLaw, gap: np.ndarray) -> None:
     """Raise InputError unless the tangent of a law is the slope of its force along gaps (n,
     n_pairs), at kinks one between those on both sides."""
     step = DIFFERENCE * float(np.abs(gap).max(initial=0.0))
-    below, force, above = (np.asarray(law.force(gap + side)) for side in (-step, 0.0, step))
-    rises, stated = np.sort([force - below, above - force], axis=0), step * law.tangent(gap)
+    values = [np.asarray(law.force(gap + side * step)) for side in (-2.0, -1.0, 0.0, 1.0, 2.0)]
+    rises, stated = np.diff(values, axis=0), step * law.tangent(gap)
     sizes = np.maximum(np.abs(rises).max(axis=0), np.abs(stated))
-    off = np.maximum(rises[0] - stated, stated - rises[1])
-    rounding = ROUNDING / DIFFERENCE * sizes.max(initial=0.0)
-    if np.any(off > WRONG_SLOPE * sizes + rounding):
+    off = np.maximum(rises[1:3].min(axis=0) - stated, stated - rises[1:3].max(axis=0))
+    # Rises beside these differ from them by rounding, and where the slope bends within a step.
+    unsure = float(np.abs(rises[[0, 3]] - rises[[1, 2]]).max(initial=0.0))
+    if np.any(off > WRONG_SLOPE * sizes + unsure):
         raise InputError("contact", law, "one whose tangent(gap) is the slope of its force(gap)")
 
 
