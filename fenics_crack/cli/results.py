@@ -407,20 +407,21 @@ def _account_of_curve(run: Run[ResponseCurve]) -> Account:
     along = _along(run, found)
     special = special_points(run, along)
     few, hidden = few_special_points(run, special)
-    largest = _largest(run)
+    seen = _seen_at_largest(run)
+    largest = _largest(run, seen)
     notes = [
-        *([largest] if run.stated or "; it is unstable" in largest else []),
+        *([largest] if run.stated or seen else []),
         remark_on(run.structure, highest_omega(scene, "curve")),
     ]
     if hidden:
         notes.insert(0, f"{hidden} more bifurcations and changes of stability: curve.json")
     kinds = dict.fromkeys(point.kind for point in found.bifurcations)
     notes += [f"{kind_in_words(kind)}: {IN_A_TEST[kind]}" for kind in kinds if kind in IN_A_TEST]
-    seen = found.indicators(run.watched_dof)
-    peak = int(np.argmax(seen.amplitude))
-    if seen.largest_order[peak] > 3:
-        order = f"harmonic {seen.largest_order[peak]:.0f} is the largest of the higher ones"
-        share = f"{seen.ratio_largest[peak]:.2g} of harmonic 1"
+    shown = found.indicators(run.watched_dof)
+    peak = int(np.argmax(shown.amplitude))
+    if shown.largest_order[peak] > 3:
+        order = f"harmonic {shown.largest_order[peak]:.0f} is the largest of the higher ones"
+        share = f"{shown.ratio_largest[peak]:.2g} of harmonic 1"
         where = "the largest response" if _passed(found, peak) else "its end"
         notes.append(f"at {where} {order}, {share}")
     if scene.harmonic_balance.tolerance is not None and run.structure.n_pairs:
@@ -439,8 +440,19 @@ def _account_of_curve(run: Run[ResponseCurve]) -> Account:
     )
 
 
-def _largest(run: Run[ResponseCurve]) -> str:
-    """The largest response, and how well it is known."""
+def _seen_at_largest(run: Run[ResponseCurve]) -> str:
+    """That the largest response is unstable, and what is seen in place of it; empty where it is
+    not, or where the curve ended early there (collective)."""
+    found = run.result
+    place = int(np.argmax(found.amplitude(run.watched_dof)))
+    judged = found.multipliers is not None and _passed(found, place)
+    if not judged or found.verdicts[place] != "unstable":
+        return ""
+    return f"; it is unstable{_seen_instead(found.solution(place), run.watched_dof)}"
+
+
+def _largest(run: Run[ResponseCurve], seen: str) -> str:
+    """The largest response, how well it is known, and what is seen in place of it."""
     found = run.result
     amplitude = found.amplitude(run.watched_dof)
     place = int(np.argmax(amplitude))
@@ -453,9 +465,6 @@ def _largest(run: Run[ResponseCurve]) -> str:
     peak, height, _ = top_and_damping(found.values, amplitude, place)
     known = known_to(run)
     where = "" if run.stated is None else known_to(run, run.stated.resonance)
-    seen = ""
-    if found.multipliers is not None and found.verdicts[place] == "unstable":
-        seen = f"; it is unstable{_seen_instead(found.solution(place), run.watched_dof)}"
     return (
         f"The largest response of the curve, {quantity(height, 'm')} half peak-to-peak "
         f"({run.watched_name}{known and f', known to {known}'}), is at "

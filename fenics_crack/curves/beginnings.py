@@ -281,7 +281,7 @@ def _branch(
     for."""
     periods = 2 * doubling.subharmonic
     orbits = FlowOrbits(doubling.flow, doubling.omega, doubling.state, periods)
-    monodromy = orbits.scale[:, None] * doubling.monodromy / orbits.scale
+    monodromy = orbits.of_unknowns(doubling.monodromy)
     across = np.linalg.svd(np.eye(len(monodromy)) + monodromy)[2][-1]
     begin = PathPoint(orbits.start, 1.0, 0, Tangent(across, 0.0, 1.0))
 

@@ -98,7 +98,7 @@ class VariedOrbits(FlowOrbits):
 
         def monodromy() -> np.ndarray:
             inner = np.linalg.solve(change, motion.track.tangent @ change)
-            return np.asarray(self.scale[:, None] * inner / self.scale)
+            return self.of_unknowns(inner)
 
         def by_parameter() -> np.ndarray:
             # Not beyond the ends of the family: there may be no structure.

@@ -456,7 +456,7 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     orbit = judged.orbit
     assert orbit is not None
     orbits = FlowOrbits(orbit.flow, orbit.omega, orbit.state, orbit.subharmonic)
-    values, vectors = np.linalg.eig(orbits.linearise(orbits.start, 1.0).monodromy)
+    values, vectors = np.linalg.eig(orbits.of_unknowns(orbit.monodromy))
     leading = int(np.abs(values).argmax())
     mu, change = values[leading], vectors[:, leading].real
     moved = moving_size(orbits.scale * orbit.sampled.states) / np.sqrt(len(orbit.sampled.states))

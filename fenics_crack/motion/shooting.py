@@ -167,6 +167,10 @@ class FlowOrbits(Equations):
         """x of z: (2n,)."""
         return np.asarray(self.scale * state)
 
+    def of_unknowns(self, monodromy: np.ndarray) -> np.ndarray:
+        """dx(T)/dx of M = dz(T)/dz: (2n, 2n)."""
+        return np.asarray(self.scale[:, None] * monodromy / self.scale)
+
     def unknown_of(self, displacement: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """x of other motions at phase zero, (..., n_dofs) each."""
         return self.unknown(self.flow.state(displacement, velocity))
