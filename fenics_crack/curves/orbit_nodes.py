@@ -7,9 +7,8 @@ A node has the tangent of the branch and the multipliers mu of its orbit, and of
 A segment between two nodes is in doubt, and is halved,
 
 - where the chord disagrees with their tangents;
-- where the moduli at a node are not those between its neighbours', to their distance from 1, nor
-  those of pairs whose sums and products are (where a pair becomes real, moduli have a corner, but
-  its sum and its product are smooth): the longer of the two segments;
+- where -ln |mu| of a multiplier, followed from node to node by its angle too, is not that between
+  its neighbours', to a quarter of the least of the three: the longer of the two segments;
 - where moduli that went on as they came would pass 1 before its middle;
 - where the parabolas through the sums and products of pairs at three nodes pass it;
 - where the angles of two pairs that went on as they came from both sides would pass each other, or
@@ -71,8 +70,8 @@ NARROWEST, ALONE = 1.0 / 8.0, 1.0 / 32.0
 where several numbers change."""
 LEADING = 8
 """Multipliers by which points are judged."""
-RESOLVED = 0.02
-"""What a modulus may be off that between others, if it does not differ more from 1."""
+RESOLVED = 0.01
+"""What -ln |mu| may be off that between others, if a quarter of it is less."""
 
 
 @dataclass(frozen=True)
@@ -115,8 +114,12 @@ class Node:
     @cached_property
     def turns(self) -> np.ndarray:
         """-ln r and angles in (0, pi) of the pairs of multipliers: (k, 2)."""
-        upper = self.multipliers[self.multipliers.imag > 0.0]
-        return np.column_stack([-np.log(np.abs(upper)), np.angle(upper)])
+        return _turned(self.multipliers[self.multipliers.imag > 0.0])
+
+    @cached_property
+    def upper(self) -> np.ndarray:
+        """The same of the leading ones, with those that are real, at 0 and pi: (k, 2)."""
+        return _turned(self.leading[self.leading.imag >= 0.0])
 
     @cached_property
     def moduli(self) -> np.ndarray:
@@ -164,10 +167,10 @@ def in_doubt(nodes: list[Node], linked: np.ndarray, whole: np.ndarray) -> np.nda
     if len(nodes) > 2:
         lengths, moduli = chords(nodes)[2], np.array([one.moduli for one in nodes])
         before, behind = wide[:-1] >= wide[1:], wide[1:] >= wide[:-1]
-        left = whole & (wide > NARROWEST)
+        left = whole & (wide > 1.0)
         asked = (left[:-1] & before) | (left[1:] & behind)
         asked &= np.maximum(wide[:-1], wide[1:]) <= EVERY
-        bent = _bent(nodes, moduli, lengths, asked)
+        bent = asked & _bent(nodes, lengths)
         doubt[:-1] |= bent & before
         doubt[1:] |= bent & behind
         doubt[1:] |= _pass_one(moduli, lengths)
@@ -295,22 +298,17 @@ def _line(begin: np.ndarray, end: np.ndarray, share: float | np.ndarray) -> np.n
     return np.multiply.outer(begin[:count], rest) + np.multiply.outer(end[:count], share)
 
 
-def _bent(
-    nodes: list[Node], moduli: np.ndarray, lengths: np.ndarray, asked: np.ndarray
-) -> np.ndarray:
-    """Whether the moduli at each inner node that is asked for are not those between its
-    neighbours', to what they differ from 1: (n - 2,) bool."""
-    shares = lengths[:-1] / np.maximum(lengths[:-1] + lengths[1:], 1e-300)
-    away = np.abs(1.0 - moduli)
-    away = np.minimum(np.minimum(away[:-2], away[2:]), away[1:-1])
-    allowed = np.maximum(away, RESOLVED)
-    line = moduli[:-2] + shares[:, None] * (moduli[2:] - moduli[:-2])
-    bent = asked & np.any(np.abs(moduli[1:-1] - line) > allowed, axis=1)
-    for place in np.flatnonzero(bent):
-        smooth = blended(nodes[place], nodes[place + 2], shares[place])[: moduli.shape[1]]
-        off = np.abs(moduli[place + 1, : len(smooth)] - smooth)
-        bent[place] = np.any(off > allowed[place, : len(smooth)])
-    return bent
+def _bent(nodes: list[Node], lengths: np.ndarray) -> np.ndarray:
+    """Whether -ln |mu| of a multiplier at each inner node is not that between its neighbours', to
+    a quarter of the least of the three: (n - 2,) bool."""
+    rows, way = _followed([one.upper for one in nodes])
+    logs, back = rows[..., 0], np.argsort(way[:-1], axis=1)
+    before = np.take_along_axis(logs[:-2], back, 1)
+    behind = np.take_along_axis(logs[2:], way[1:], 1)
+    share = (lengths[:-1] / np.maximum(lengths[:-1] + lengths[1:], 1e-300))[:, None]
+    off = np.abs(logs[1:-1] - before - share * (behind - before))
+    least = np.abs([before, logs[1:-1], behind]).min(axis=0)
+    return np.asarray(np.any(off > np.maximum(0.25 * least, RESOLVED), axis=1))
 
 
 def _pass_one(moduli: np.ndarray, lengths: np.ndarray) -> np.ndarray:
@@ -401,6 +399,11 @@ def _steps(nodes: list[Node]) -> np.ndarray:
 def changes(nodes: list[Node]) -> np.ndarray:
     """Whether a bifurcation of each kind is between each node and the next: (n - 1, 3) bool."""
     return np.asarray(_steps(nodes) % 2 == 1)
+
+
+def _turned(values: np.ndarray) -> np.ndarray:
+    """-ln |mu| and angles of multipliers: (k, 2)."""
+    return np.column_stack([-np.log(np.maximum(np.abs(values), 1e-300)), np.angle(values)])
 
 
 def outside(values: np.ndarray) -> tuple[int, int, int]:
