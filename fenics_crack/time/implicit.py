@@ -50,6 +50,9 @@ to step, and the rebound would depend on where in the step the impact falls. Thi
 order in dt where C couples closed pairs to other dofs and rho < 1; elsewhere second order is
 observed.
 
+Small structures are marched in the coordinates of all their modes by the kernel, under the penalty
+law or a constraint (``kernel/implicit.c``).
+
 Sources: Chung and Hulbert, Journal of Applied Mechanics 60 (1993) 371; for the potential's
 quotient, Simo and Tarnow, Zeitschrift fuer angewandte Mathematik und Physik 43 (1992) 757.
 """
@@ -60,20 +63,39 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.errors import InputError, check_number
+from fenics_crack.errors import ConvergenceError, InputError, check_number
+from fenics_crack.kernel import Struct, doubles, kernel
 from fenics_crack.model.contact import (
+    BISECTIONS,
+    MAX_NEWTON,
+    ActiveSets,
     ContactLaw,
     gauss,
+    is_piecewise_linear,
+    is_regular,
     potential,
     solve_complementarity,
     solve_forces,
 )
 from fenics_crack.model.factor import factored_sum, weighted_sum
+from fenics_crack.model.modal import CACHED, all_modes, is_small
 from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import Structure
-from fenics_crack.time.march import EnergyBalance, LoopedSteps, March, TimeHistory, Window, march
+from fenics_crack.numerics.equations import ROUNDING
+from fenics_crack.time.march import (
+    EnergyBalance,
+    LoopedSteps,
+    March,
+    Scheme,
+    TimeHistory,
+    Window,
+    march,
+)
 
 __all__ = ["integrate_implicit"]
+
+NAME = "generalised alpha"
+REMEDY = "take more steps per period or a smaller spectral radius"
 
 
 def integrate_implicit(
@@ -128,7 +150,131 @@ def integrate_implicit(
         raise InputError("spectral_radius", spectral_radius, "a number from 0 to 1")
     given = structure, omega, contact, periods, steps_per_period
     asked = March.of(integrate_implicit, options, *given)
-    return march(asked, _GeneralisedAlpha(asked, float(spectral_radius)))
+    scheme = _ModalAlpha if _is_compiled(asked) else _GeneralisedAlpha
+    return march(asked, scheme(asked, float(spectral_radius)))
+
+
+def _is_compiled(asked: March) -> bool:
+    """Whether the kernel makes the steps: it knows two laws, and of a constraint, forces that are
+    told by the gaps alone."""
+    if not is_small(asked.structure):
+        return False
+    if not asked.rigid:
+        return is_piecewise_linear(asked.contact)
+    pairs = all_modes(asked.structure).pairs
+    return is_regular(pairs.T @ pairs)
+
+
+def _parameters(radius: float) -> tuple[float, float, float, float]:
+    """am, af, gamma and beta."""
+    am, af = (2.0 * radius - 1.0) / (radius + 1.0), radius / (radius + 1.0)
+    return am, af, 0.5 - am + af, 0.25 * (1.0 - am + af) ** 2
+
+
+class _ModalAlpha(Scheme):
+    """State of a small structure in modal coordinates, marched by the kernel.
+
+    What acts on the modes is "by mode": an array (n,) where the damping leaves them uncoupled, and
+    a matrix (n, n) where it couples them.
+    """
+
+    name, remedy = NAME, REMEDY
+
+    def __init__(self, asked: March, radius: float) -> None:
+        self._asked, self._modes = asked, all_modes(asked.structure)
+        modes, (count, pairs) = self._modes, self._modes.pairs.shape
+        self._shape, self._velocity = (modes.inverse @ part for part in asked.start)
+        gap = self._gap()
+        if asked.rigid and np.any(gap > 0.0):  # moved apart by the least change in the norm of M
+            self._shape -= modes.pairs @ solve_complementarity(modes.pairs.T @ modes.pairs, gap)
+        held = np.zeros(pairs) if asked.rigid else asked.contact.force(gap)
+        change = asked.structure.force[:2].sum(axis=0) @ modes.shapes
+        change -= modes.squares * self._shape + modes.damped(self._velocity) + modes.pairs @ held
+        am, af, gamma, beta = _parameters(radius)
+        self._known = Struct(
+            "generalised_alpha", body=self._body(), instants=asked.steps_per_period,
+            dt=asked.step_size, am=am, af=af, gamma=gamma, beta=beta,
+            damping=np.ascontiguousarray(modes.damping), rounding=ROUNDING, most=MAX_NEWTON,
+            halvings=BISECTIONS, shape=self._shape, velocity=self._velocity, change=change,
+            held=held, lost=0.0, closed=np.zeros(2 * pairs, bool),
+            room=np.empty(5 * count + (7 + pairs) * pairs), pivots=np.empty(pairs, np.intc),
+            **self._answers(1.0 - am, 1.0 - af, gamma, beta),
+        )  # fmt: skip
+        self._balance = EnergyBalance(asked, self._energy())
+
+    def _body(self) -> Struct:
+        """What vibrates, and its load."""
+        asked, modes, (count, pairs) = self._asked, self._modes, self._modes.pairs.shape
+        springs = None if asked.rigid else np.asarray(asked.contact.stiffness, float)
+        return Struct(
+            "vibration", modes=count, pairs=pairs, coupled=modes.damping.ndim == 2,
+            squares=np.ascontiguousarray(modes.squares),
+            rows=np.ascontiguousarray(modes.pairs.T),
+            clearance=np.broadcast_to(np.asarray(asked.structure.clearance, float), pairs).copy(),
+            springs=None if springs is None else np.broadcast_to(springs, pairs).copy(),
+            load=np.ascontiguousarray(asked.structure.force @ modes.shapes), waves=asked.waves,
+        )  # fmt: skip
+
+    def _answers(self, inertia: float, now: float, gamma: float, beta: float) -> dict[str, Any]:
+        """A^-1 by mode, and what unit forces or impulses on pairs change."""
+        modes, dt = self._modes, self._asked.step_size
+        pairs, undamped = modes.pairs, inertia + now * beta * dt**2 * modes.squares
+        if modes.damping.ndim == 1:
+            inverse = 1.0 / (undamped + now * gamma * dt * modes.damping)
+        else:
+            inverse = np.linalg.inv(np.diag(undamped) + now * gamma * dt * modes.damping)
+
+        def solved(columns: np.ndarray) -> np.ndarray:
+            return inverse[:, None] * columns if inverse.ndim == 1 else inverse @ columns
+
+        if not self._asked.rigid:
+            pull = -solved(pairs)
+            compliance = -(dt**2) * beta * (pairs.T @ pull)
+            return {
+                "inverse": inverse, "pull": pull.T.copy(), "kick": None, "contact": None,
+                "stops": None, "compliance": np.ascontiguousarray(compliance),
+            }  # fmt: skip
+        kick = inertia * pairs / undamped[:, None]
+        # C v of the whole step, K u of the end.
+        pull = solved(modes.damped(kick.T).T + now * dt * modes.squares[:, None] * kick)
+        moved = dt * kick - dt**2 * beta * pull
+        return {
+            "inverse": inverse, "pull": pull.T.copy(), "kick": kick.T.copy(), "compliance": None,
+            "contact": ActiveSets(pairs.T @ moved).handle,
+            "stops": ActiveSets(pairs.T @ kick).handle,
+        }  # fmt: skip
+
+    def fill(self, window: Window, number: int) -> None:
+        modes, asked, steps = self._modes, self._asked, len(window.gap)
+        some = max(1, CACHED // len(modes.squares))
+        for first in range(0, steps, some):
+            place = slice(first, min(first + some, steps))
+            shape = np.empty((place.stop - first, len(modes.squares)))
+            made = kernel.march_implicit(
+                self._known.at, first, len(shape), doubles(window.gap[place]),
+                doubles(window.force[place]), doubles(shape),
+            )  # fmt: skip
+            if made < len(shape):
+                raise ConvergenceError(f"contact: no forces of step {first + made} were found")
+            window.motion[place] = shape @ modes.shapes[asked.recorded_dofs].T
+            window.load_motion[place] = shape @ modes.shapes[asked.load_rows].T
+        last = modes.shapes[asked.load_rows] @ self._shape
+        motion = np.vstack([window.load_motion, last])
+        created = self._balance.created(motion, self._energy(), self._known.at.lost)
+        self.book(created, self._balance.put_in)
+
+    def _gap(self) -> np.ndarray:
+        """Gap at the end of the march."""
+        return np.asarray(self._shape @ self._modes.pairs - self._asked.structure.clearance)
+
+    def _energy(self) -> float:
+        """Energy of the motion, and of the law's springs [J]."""
+        energy = self._modes.squares @ self._shape**2 + self._velocity @ self._velocity
+        stored = 0.0 if self._asked.rigid else potential(self._asked.contact, self._gap()).sum()
+        return 0.5 * float(energy) + float(stored)
+
+    def state(self) -> tuple[np.ndarray, np.ndarray]:
+        return self._modes.shapes @ self._shape, self._modes.shapes @ self._velocity
 
 
 class _GeneralisedAlpha(LoopedSteps):
@@ -138,16 +284,12 @@ class _GeneralisedAlpha(LoopedSteps):
     n_local entries, so that these need no product with Phi in a step.
     """
 
-    name = "generalised alpha"
-    remedy = "take more steps per period or a smaller spectral radius"
+    name, remedy = NAME, REMEDY
 
     def __init__(self, asked: March, radius: float) -> None:
         super().__init__(asked)
         dt = self.step_size
-        self._am = (2.0 * radius - 1.0) / (radius + 1.0)
-        self._af = radius / (radius + 1.0)
-        self._gamma = 0.5 - self._am + self._af
-        self._beta = 0.25 * (1.0 - self._am + self._af) ** 2
+        self._am, self._af, self._gamma, self._beta = _parameters(radius)
         self._inertia, self._now = 1.0 - self._am, 1.0 - self._af
         self._prepare_matrix(self._now * self._beta * dt**2, self._now * self._gamma * dt)
         self._prepare_contact()

@@ -366,7 +366,7 @@ def test_a_stopped_run_loses_nothing(
     whole, handler = run(8), signal.getsignal(signal.SIGINT)
     owner = {
         "central": "central_differences._ModalDifferences",
-        "implicit": "implicit._GeneralisedAlpha",
+        "implicit": "implicit._ModalAlpha",
         "events": "flows._ByEvents",
     }[integrate]
     count = 0
