@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import itertools
-import os
-import signal
 import time
 from collections import Counter
 from collections.abc import Callable
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+import ends
 import fuzzing
 import pytest
 
@@ -58,33 +56,12 @@ def test_a_case_is_always_the_same(base: Path, tmp_path: Path) -> None:
     assert [drawn(case) for case in reversed(range(5))] == first[::-1]
 
 
-def _dies(*_: Any) -> None:
-    os.kill(os.getpid(), signal.SIGSEGV)
-
-
-def _hangs(*_: Any) -> None:
-    time.sleep(60.0)
-
-
-ENDS = {"DEATH": _dies, "TOO LONG": _hangs}
-
-
-def _work(connection: Connection, base: Path, folder: Path) -> None:
-    """What :func:`fuzzing.work` does, of a program that dies or hangs."""
-    os.setsid()
-    folder.mkdir(parents=True, exist_ok=True)
-    folder.with_suffix(".log").touch()
-    while (given := connection.recv()) is not None:
-        connection.send("what")
-        ENDS[given[0]]()
-
-
-@pytest.mark.parametrize("end", ENDS)
+@pytest.mark.parametrize("end", ends.ENDS)
 def test_what_the_process_does_is_seen(
     end: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It dies, or does not end; another one takes the next case."""
-    monkeypatch.setattr(fuzzing, "work", _work)
+    monkeypatch.setattr(fuzzing, "work", ends.work)
     monkeypatch.setattr(fuzzing, "SECONDS", 0.5)
     found = [*fuzzing.attempts(end, range(2), 1, tmp_path)]
     assert [(one.case, one.outcome, one.wrong) for one in found] == [(n, end, True) for n in (0, 1)]
