@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -301,9 +302,10 @@ class Quantities:
         self._alike = _alike(self._features)
         self._is_plain = np.array([one.lips == "uncracked" for one in self._features])
         # How far frequencies before there was a crack may be from those of the same plate now.
-        between = {mode: own for mode, own in enumerate(model.whole.between, 1)}
+        count, kinds = model.whole.between.shape
+        between = np.vstack([np.zeros(kinds), model.whole.between])
         before = [row.mode if row.quantity == "frequency_uncracked" else 0 for row in self.rows]
-        self._since = np.array([between.get(mode, np.zeros(3)) for mode in before])
+        self._since = between[[mode if mode <= count else 0 for mode in before]]
         self._basis = Interpolation(model.cube, model.coarse.basis)
         self._coarse = Interpolation(model.cube, self._smooth(model.coarse))
         self._understated = self._missed()
@@ -322,6 +324,12 @@ class Quantities:
         of_features = known.reshape(-1, 2).all(axis=1)
         of_features[self._own] &= of_features[self._plain]
         self.known = np.array([bool(of_features[places].all()) for places in self._places])
+
+    def since(self, factor: float) -> Quantities:
+        """The same where a factor more may have changed since there was no crack."""
+        found = copy(self)
+        found._since = factor * self._since
+        return found
 
     def _smooth(self, part: Part) -> np.ndarray:
         """The smooth forms of all features at the nodes of a sweep: (n, 2f), real and imaginary

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from typing import Any
@@ -314,6 +314,13 @@ class Posterior:
         name, x = self.best
         likelihood = self.branches[name].likelihood
         return [likelihood.without(at).misfit(x) for at in range(len(likelihood.values))]
+
+    def misfit_since(self, factor: float) -> tuple[float, float]:
+        """The same, at the same place, where a factor more may have changed since there was no
+        crack."""
+        name, x = self.best
+        likelihood = self.branches[name].likelihood
+        return replace(likelihood, quantities=likelihood.quantities.since(factor)).misfit(x)
 
     @cached_property
     def unresolved(self) -> float:

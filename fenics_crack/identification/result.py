@@ -505,8 +505,7 @@ class Identification(Tabular):
             parts.append(f"{key} = {value} ± {value_in_words(key, self.posterior.spread(place))}")
         if len(self.alternatives) > 1:
             parts.append("NOT THE ONLY ONE")
-        parts += ["IF IT IS ONE CRACK"] if _if_alone(self) else []
-        return ", ".join(parts)
+        return ", ".join([*parts, *_conditions(self)])
 
 
 def _too_sure(measurements: Measurements) -> list[str]:
@@ -561,12 +560,21 @@ def _verdict_of(found: Identification) -> tuple[str, str]:
         return open_question, f"{why}; {other} ({told})"
     if ratio > STRONG and healthy >= EXPLAINS:
         why = "a plate without a crack explains the measurements, as little as is known of it"
-        return open_question, f"{why} ({told})"
+        return open_question, f"{why} ({told}){_if_as_before(found)}"
     if ratio < -STRONG:
-        return NO_CRACK, f"{told}; one that is not seen would be at {_where(found)}"
+        unseen = f"{told}; one that is not seen would be at {_where(found)}"
+        return NO_CRACK, unseen + _if_as_before(found)
+    conditions = _if_alone(found) + _if_as_before(found)
     if ratio > STRONG:
-        return "crack", told + _if_alone(found)
-    return open_question, f"{told}; if there is one it is at {_where(found)}{_if_alone(found)}"
+        return "crack", told + conditions
+    return open_question, f"{told}; if there is one it is at {_where(found)}{conditions}"
+
+
+def _conditions(found: Identification) -> list[str]:
+    """Conditions of what is stated, as the title has them."""
+    claimed = found.verdict == "crack" and _if_as_before(found)
+    alone = ["IF IT IS ONE CRACK"] if _if_alone(found) else []
+    return alone + (["IF ITS CLAMP HOLDS AS BEFORE"] if claimed else [])
 
 
 def _if_alone(found: Identification) -> str:
@@ -580,6 +588,27 @@ def _if_alone(found: Identification) -> str:
         return ""
     told = f"may have the same frequencies of {counted(len(modes), 'mode')}"
     return f"; place and size are those of one crack: two of them, or one elsewhere, {told}"
+
+
+def _if_as_before(found: Identification) -> str:
+    """Condition of what is stated, in words, where a plate without a crack does not explain what is
+    measured, but would if as much has changed since before as a clamp may take at all; or where it
+    does, but only by what is said to have changed; else empty."""
+    table, rows = found.scene.given("identify"), found.measurements.rows
+    stated, most = table.before_deviation, table.clamp_deviation
+    known = any(row.quantity == "frequency_uncracked" for row in rows)
+    if found.plain is None or not known or stated == 0.0:
+        return ""
+    healthy = found.plain.misfit[1] >= EXPLAINS
+    factor = 0.0 if healthy else max(1.0, most / stated)
+    if (found.plain.misfit_since(factor)[1] >= EXPLAINS) == healthy:
+        return ""
+    return (
+        "; a clamp, a temperature or a sensor that has changed frequencies by "
+        f"{stated if healthy else most:.2g} since before explains the measurements without a crack "
+        f"(identify.before_deviation = {stated:.2g}): open the clamp, close it, measure again and "
+        "state there by what they change"
+    )
 
 
 def _where(found: Identification) -> str:
