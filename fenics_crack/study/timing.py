@@ -78,7 +78,7 @@ def arrivals_of(
         tip_direction(table, run),
         probes=np.radians(table.probes),
         tip_radius=table.tip_radius,
-        **_turning(table, run),
+        **_turning(table, run, source),
         revolutions=table.revolutions,
         noise=table.noise,
         clock=table.clock,
@@ -235,7 +235,7 @@ def _circumferential(rotation: Rotation, point: np.ndarray) -> np.ndarray:
     return np.where(np.abs(along) > ROUNDING * size, along / size, 0.0)
 
 
-def _turning(table: TipTiming, run: Run) -> dict[str, Any]:
+def _turning(table: TipTiming, run: Run, source: Path | None) -> dict[str, Any]:
     """The speed of rotation, or the engine order from which it follows.
 
     Raises
@@ -244,6 +244,7 @@ def _turning(table: TipTiming, run: Run) -> dict[str, Any]:
         As :func:`engine_order`; or a curve is of one speed of a rotor, whose stiffness and mean
         load are not those of a run-up.
     """
+    of_result = "" if source is None else f" of {str(source)!r}"
     if isinstance(run.result, ResponseCurve) and run.scene.speed > 0.0:
         if run.result.parameter != "speed":
             speed = speed_in_words(run.scene.speed, run.scene.in_rpm)
@@ -251,13 +252,20 @@ def _turning(table: TipTiming, run: Run) -> dict[str, Any]:
             raise InputError("curve.parameter", run.scene.given("curve").parameter, allowed)
     steady = run.scene.excitation.order is None and not isinstance(run.result, ResponseCurve)
     if steady and run.scene.speed > 0.0:
-        table.leave_out(("order",), "a rotor's speed, in [rotation]")
+        table.leave_out(("order",), f"a rotor's speed, in [rotation]{of_result}")
         return {"speed": run.scene.speed}
-    return {"order": engine_order(table, run.scene)}
+    if source is not None and run.scene.excitation.order is None and table.order is None:
+        allowed = (
+            "a result whose own scene has [rotation] and excitation.order, which this one lacks; "
+            "or given with tip_timing.order, periods of the load in a revolution"
+        )
+        raise InputError("source", str(source), allowed)
+    return {"order": engine_order(table, run.scene, of_result)}
 
 
-def engine_order(table: TipTiming, scene: Scene) -> int:
-    """Periods of the load in a revolution, by ``[excitation]`` of a scene or ``[tip_timing]``.
+def engine_order(table: TipTiming, scene: Scene, whose: str = "") -> int:
+    """Periods of the load in a revolution, by ``[excitation]`` of a scene, or of whose it is in
+    words, or ``[tip_timing]``.
 
     Raises
     ------
@@ -265,7 +273,7 @@ def engine_order(table: TipTiming, scene: Scene) -> int:
         Neither or both of them have it.
     """
     if scene.excitation.order is not None:
-        table.leave_out(("order",), "excitation.order")
+        table.leave_out(("order",), f"excitation.order{whose}")
         return scene.excitation.order
     found: int = table.given("order", "given without excitation.order: a whole number >= 1")
     return found

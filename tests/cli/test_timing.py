@@ -151,6 +151,32 @@ def test_a_result_of_another_scene(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "this scene" not in capsys.readouterr().err
 
 
+def test_a_result_that_does_not_say_how_the_rotor_turns(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The error names it, what it lacks and what to do, whatever the scene beside it has; and one
+    whose order is known twice."""
+    rotor = {"excitation.omega": None, "excitation.order": 5, "rotation.speed": 360.0}
+    rotor |= {"rotation.hub_radius": 0.1, "tip_timing.order": None}
+    steady, turning = (tmp_path / name for name in ("steady.h5", "rotor.h5"))
+    out = ["--output", str(tmp_path)]
+    for changes, path in (({}, steady), (rotor, turning)):
+        assert main(["solve", written(tmp_path, changes), *out, "--quiet"]) == 0
+        (tmp_path / "solution.h5").rename(path)
+    scene = written(tmp_path, rotor)
+    capsys.readouterr()
+    assert main(["timing", scene, str(steady), *out]) == 2
+    told = f"source = {str(steady)!r}: must be a result whose own scene has [rotation] and "
+    told += "excitation.order, which this one lacks; or given with tip_timing.order, "
+    assert told in capsys.readouterr().err
+    assert main(["timing", scene, str(steady), *out, "--set", "tip_timing.order=5"]) == 0
+    assert main(["timing", scene, str(turning), *out]) == 0
+    capsys.readouterr()
+    assert main(["timing", scene, str(turning), *out, "--set", "tip_timing.order=5"]) == 2
+    told = f"tip_timing.order = 5: must be left out with excitation.order of {str(turning)!r}"
+    assert told in capsys.readouterr().err
+
+
 def test_arrivals_of_another_speed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Times in milliseconds make the rotor 1000 times slower than the scene says: that is told."""
     rotor = {"excitation.omega": None, "excitation.order": 5, "rotation.speed": 360.0}
