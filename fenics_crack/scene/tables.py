@@ -964,8 +964,8 @@ class TipTiming(Table):
         lambda ends: len(ends) == 2 and 0.0 < ends[0] < ends[1],
         None,
     )
-    """Instead of engine orders: ends of a range in which a frequency is sought that need be no
-    multiple of the speed [Hz]."""
+    """Instead of engine orders, at a speed that is held: ends of a range in which a frequency is
+    sought that need be no multiple of the speed [Hz]."""
     fitted_harmonics: int = at_least_one(2)
     """Harmonics that are fitted; 2 or more show a breathing crack."""
     subharmonic: int = at_least_one(1)

@@ -143,13 +143,16 @@ def vibration_in(
     Raises
     ------
     InputError
-        As :func:`fit_order`, :func:`fit_frequency`, :func:`track_order` and :func:`find_passages`.
+        As :func:`fit_order`, :func:`fit_frequency`, :func:`track_order` and :func:`find_passages`;
+        or a frequency is asked for in a run-up.
     """
     table = scene.given("tip_timing")
     order = table.order or scene.excitation.order
     how: dict[str, Any] = {"harmonics": table.fitted_harmonics}
     how["angle_deviation"] = np.radians(table.angle_deviation)
     if is_run_up(arrivals, run):
+        why = "a run-up, in which an order is tracked, or the resonances are found that are passed"
+        table.leave_out(("frequencies",), why)
         if order is None:
             return find_passages(arrivals, table.orders or ORDERS)
         how |= {"subharmonic": table.subharmonic, "revolutions": table.fitted_revolutions}

@@ -245,6 +245,12 @@ def test_a_run_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     printed = capsys.readouterr().out.splitlines()
     assert printed[0].startswith("multiple, where it is largest  speed [rad/s]  omega [rad/s]")
     assert len(printed) == 2 + 3
+    # No frequency is sought in it, which would be left aside in silence.
+    sought = ["--set", "tip_timing.frequencies=[150, 400]", "--output", str(tmp_path)]
+    for source in ("curve.h5", "arrivals.csv"):
+        assert main(["timing", scene, str(tmp_path / source), *sought]) == 2
+        told = "tip_timing.frequencies = (150.0, 400.0): must be left out with a run-up, in which "
+        assert told in capsys.readouterr().err
     # Of another order the fit is wrong by far, which may be why it does not fit.
     other = ["--set", "tip_timing.order=7", "--output", str(tmp_path)]
     assert main(["timing", scene, str(tmp_path / "arrivals.csv"), *other]) == 0
