@@ -8,6 +8,10 @@ half of its power, between f_1 and f_2 with
 f being the frequency of the peak, and 1/A^2 of its amplitude A is a parabola in f^2: the top and
 the width are those of a cubic spline through the 1/A^2 of the points. A crack that breathes without
 clearance keeps this, as its response is proportional to the load.
+
+The width is that of the load's own harmonic. Where a higher one resonates, as the second at half
+the natural frequency, the load's own goes on beside it without a width, and none tells the damping:
+that of the whole motion is too large by what goes on, or, as contact feeds it, too small.
 """
 
 from __future__ import annotations
@@ -20,7 +24,7 @@ import numpy as np
 
 from fenics_crack.table import Described, quantity, with_frequency
 
-__all__ = ["Peak", "top_and_damping"]
+__all__ = ["Peak", "damping_by_width", "top_and_damping"]
 
 
 @dataclass(frozen=True, repr=False)
@@ -42,8 +46,9 @@ class Peak(Described):
     verdict : str
         Whether the vibration is stable.
     damping : float
-        Ratio of critical damping by the half-power bandwidth; nan where the curve does not fall to
-        1/sqrt(2) of the peak on both sides, or is none over the frequency.
+        Ratio of critical damping by the half-power bandwidth of the load's own harmonic; nan where
+        that does not fall to 1/sqrt(2) on both sides, as where a higher one resonates, or the curve
+        is none over the frequency.
     omega_error : float
         Estimated error of the frequency, relative to it; nan where it is not known.
     without : str
@@ -71,7 +76,9 @@ class Peak(Described):
         return with_frequency(dict(vars(self)))
 
     def _title(self) -> str:
-        width = "no half-power width" if math.isnan(self.damping) else f"damping {self.damping:.3g}"
+        width = f"damping {self.damping:.3g}"
+        if math.isnan(self.damping):
+            width = "the load's own harmonic has no half-power width"
         error = f"error {self.error:.2g}"
         if not math.isnan(self.omega_error):
             error += f", of the frequency {self.omega_error:.2g}"
@@ -108,6 +115,13 @@ def top_and_damping(
     width = ends[ends > top].min(initial=math.inf) - ends[ends < top].max(initial=-math.inf)
     damping = float(width / (2.0 * top)) if math.isfinite(width) else math.nan
     return top, point[1] * float(spline(top) ** -0.5), damping
+
+
+def damping_by_width(value: np.ndarray, waves: np.ndarray, subharmonic: int, peak: int) -> float:
+    """Damping by the half-power bandwidth of the load's own harmonic next to a curve's largest
+    response, of coefficients (n, 2H+1); nan where that is missing."""
+    cosine, sine = waves[:, 2 * subharmonic - 1], waves[:, 2 * subharmonic]
+    return top_and_damping(value, np.hypot(cosine, sine), peak)[2]
 
 
 def _end_of_side(value: np.ndarray, amplitude: np.ndarray, peak: int, step: int) -> int:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.curves.curve import ResponseCurve, kind_in_words, parameter_axis
-from fenics_crack.curves.peak import top_and_damping
+from fenics_crack.curves.peak import damping_by_width, top_and_damping
 from fenics_crack.draw.figure import COLOURS, FIRST, Picture, Where, label_axis
 from fenics_crack.errors import InputError
 from fenics_crack.numerics.fourier import to_complex
@@ -88,7 +88,7 @@ def draw_curve(
         panel.plot(factor * values, others, color=grey, lw=0.9, label=name)
     ink = COLOURS.get(colour, colour)
     _draw_parts(panel, curve, factor * curve.values, amplitude, ink, label)
-    _mark_peak(panel, curve, factor * curve.values, amplitude, in_hertz, ink if label else "")
+    _mark_peak(panel, curve, dof, amplitude, in_hertz, ink if label else "")
     _mark_bifurcations(panel, curve, dof, factor, ink if label else "")
     for (name, (values, others)), marker in zip((points or {}).items(), "^v", strict=False):
         look = {"color": COLOURS["green"], "ms": 4.5, "mfc": "none", "label": name}
@@ -126,17 +126,18 @@ def _draw_parts(
 
 
 def _mark_peak(
-    axes: Axes, curve: ResponseCurve, x: np.ndarray, y: np.ndarray, in_hertz: bool, ink: str
+    axes: Axes, curve: ResponseCurve, dof: int | None, y: np.ndarray, in_hertz: bool, ink: str
 ) -> None:
     """Mark the largest response unless it is an end of the curve; ``ink`` as of bifurcations."""
-    at = int(np.argmax(y))
+    at, x = int(np.argmax(y)), _factor(curve, in_hertz) * curve.values
     if at in (0, len(y) - 1):
         return
-    unit, by_frequency = parameter_axis(curve.parameter, in_hertz)[2], curve.parameter == "omega"
-    place, height, damping = top_and_damping(x, y, at)
+    unit = parameter_axis(curve.parameter, in_hertz)[2]
+    place, height, _ = top_and_damping(x, y, at)
     words = f"largest: {quantity(height, 'm')} at {place:.5g} {unit}".removesuffix(" -")
-    if by_frequency and np.isfinite(damping):
-        words += f",\nhalf-power damping {percent(damping)}"
+    if curve.parameter == "omega":
+        damping = damping_by_width(x, curve.coefficients_at(dof), curve.subharmonic, at)
+        words += f",\nhalf-power damping {percent(damping)}" if np.isfinite(damping) else ""
     look = {"color": ink or COLOURS["blue"], "mfc": "none", "ms": 7.0, "mew": 1.1}
     axes.plot(place, height, "o", label="" if ink else words, **look)
 

@@ -151,6 +151,27 @@ def test_half_a_peak_has_no_width() -> None:
     assert turned > peak.index and np.isnan(peak.damping)
 
 
+def test_no_width_tells_the_damping_of_a_higher_harmonic() -> None:
+    """Next to half of the natural frequency of a breathing crack the width is wrong by a factor of
+    40: no damping is told, nor drawn, which the load's own resonance has."""
+    one, xi = np.ones((1, 1)), 0.002
+    structure = fc.Structure.from_matrices(one, one, one, force_cos=[1.0], damping=2.0 * xi * one)
+    law = fc.UnilateralPenalty(1.0)
+    natural = 2.0 / (1.0 + np.sqrt(0.5))  # bilinear
+    for order in (1, 2):
+        ends = 0.95 * natural / order, 1.05 * natural / order
+        curve = fc.continue_frequency(structure, *ends, law, harmonics=9)
+        peak = curve.peak()
+        assert peak.omega == pytest.approx(natural / order, rel=2e-3)
+        drawn = fc.draw_curve(curve).axes[0].get_legend_handles_labels()[1]
+        told = any("half-power damping" in words for words in drawn)
+        if order == 1:
+            assert told and peak.damping == pytest.approx(xi / natural, rel=2e-3)
+        else:
+            assert not told and np.isnan(peak.damping)
+            assert "the load's own harmonic has no half-power width" in str(peak)
+
+
 def test_the_watched_dof_is_the_default() -> None:
     """That of the scene's first point, else the load's, of every result; and of sweeps the load's
     response stays the load's."""
