@@ -484,6 +484,9 @@ def _check_matrices(scene: Scene, structure: Structure) -> None:
         scene.contact.require(scene.contact.pairs == "all", "pairs", allowed)
         if structure.model is None or structure.gap is not None:
             scene.contact.leave_out(("stiffness_per_area",), "[structure], which has no areas")
+        if structure.model is None and structure.gap is None:
+            allowed = "left out without structure.gap or model: there are no pairs"
+            raise InputError("contact", "a table", allowed)
 
 
 def _check_vectors(scene: Scene) -> None:
@@ -544,6 +547,8 @@ def _check_plate(scene: Scene) -> None:
         _check_cracks(scene.all_cracks, geometry, scene.mesh)
         if scene.contact is None:
             raise InputError("contact", None, "given where there is a crack: a table")
+    elif scene.contact is not None:
+        raise InputError("contact", "a table", "left out without a crack, on whose lips it acts")
 
 
 def _check_file(scene: Scene) -> None:
