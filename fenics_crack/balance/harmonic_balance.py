@@ -218,7 +218,8 @@ def solve_harmonic_balance(
     Raises
     ------
     InputError
-        An argument cannot be used.
+        An argument cannot be used; or nothing converged with a law whose tangent is not the slope
+        of its force.
     ConvergenceError
         No attempt converged, with the residual history; or ``tolerance`` is missed.
 

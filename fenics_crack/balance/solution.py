@@ -29,9 +29,10 @@ from fenics_crack.balance.error_report import SLIGHT, ErrorReport, estimate_erro
 from fenics_crack.balance.judgement import Judgement
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.errors import MOST_HARMONICS, ConvergenceError
+from fenics_crack.model.contact import check_slope, is_unilateral
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.motion.orbit import PeriodicOrbit
-from fenics_crack.numerics.fourier import evaluate, resized
+from fenics_crack.numerics.fourier import evaluate, resized, sampled
 from fenics_crack.table import Described, Tabular, counted, quantity, with_frequency
 
 __all__ = [
@@ -403,8 +404,11 @@ class Solver:
     def solve(
         self, initial: PeriodicSolution | None = None, *, reported: bool = True
     ) -> PeriodicSolution:
-        """Solve from a solution nearby, or from the linear one (collective)."""
+        """Solve from a solution nearby, or from the linear one (collective); InputError where
+        nothing converged and the law's tangent is not the slope of its force."""
         search, solution = self.attempt(initial, reported=reported)
+        if not search.converged:
+            self._check_slope(solution.gap_coefficients)
         if self.throw and not search.converged:
             raise ConvergenceError(
                 f"harmonic balance at {self.problem.omega:g} rad/s, "
@@ -412,6 +416,15 @@ class Solver:
                 search.history,
             )
         return solution
+
+    def _check_slope(self, last: np.ndarray) -> None:
+        """Raise InputError unless a law of one's own has the right tangent along the last gaps, by
+        their coefficients (2H+1, n_pairs), and along those against them."""
+        if is_unilateral(self.problem.contact):
+            return
+        gap = sampled(last, 4 * len(last))
+        with np.errstate(all="ignore"):  # they may be far beyond what the law is meant for
+            check_slope(self.problem.contact, np.concatenate([gap, -gap]))
 
     def attempt(
         self, initial: PeriodicSolution | None, *, patient: bool = True, reported: bool = True

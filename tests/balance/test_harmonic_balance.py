@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import chain, dense_matrices, oscillator, relative, two_masses
+from helpers import Cubic, chain, dense_matrices, oscillator, relative, two_masses
 from laboratory import block_system
 from petsc4py import PETSc
 
@@ -308,3 +308,29 @@ print("iterations", solution.iterations)
     output = mpirun(script, 1)
     assert "SNES Function norm" in output
     assert "iterations 4" in output
+
+
+class Steep(Cubic):
+    """With a tangent that is five times the slope of its force."""
+
+    def tangent(self, gap: np.ndarray) -> np.ndarray:
+        """15 c g^2."""
+        return 5.0 * super().tangent(gap)
+
+    def scaled(self, factor: float) -> Cubic:
+        """The same with another c."""
+        return Steep(factor * self.stiffness)
+
+
+@pytest.mark.parametrize("throw", [True, False])
+def test_a_wrong_tangent_is_named_where_newton_fails(throw: bool) -> None:
+    """Advice on harmonics and damping helps nobody then; it stays that of a law that is right."""
+    one = np.eye(1)
+    found = {}
+    for force in (0.3, 3.0):
+        load = fc.Structure.from_matrices(one, one, one, force_cos=[force], damping=0.05 * one)
+        with pytest.raises(fc.InputError, match=r"tangent\(gap\) is the slope of its force"):
+            fc.solve_harmonic_balance(load, 1.5, Steep(100.0), harmonics=9, throw=throw)
+        found[force] = fc.solve_harmonic_balance(load, 1.5, Cubic(100.0), harmonics=9, throw=False)
+    assert found[0.3].converged and not found[3.0].converged
+    assert "try other harmonics" in found[3.0].status
