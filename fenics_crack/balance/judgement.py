@@ -43,11 +43,13 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ContactFlow, Samples, flow_of
 from fenics_crack.motion.orbit import (
     FLOWS,
+    FORMED,
     INSTANTS,
     KNOWN,
     PeriodicOrbit,
     Prediction,
     affordable,
+    eigenvalues,
     predicted,
     too_slow,
 )
@@ -532,6 +534,32 @@ class MoreModes:
             return None
         wave = self._judged.wave
         return orbit_next_to(self.flow, wave.omega, self._states[0], wave.subharmonic)
+
+    def contradicts(self, verdict: str, *, quick: bool = False) -> str:
+        """What the orbit with these modes says against a verdict on stability, in words; "" where
+        it says the same, or is not known. With ``quick`` it is asked where M along the motion says
+        so already, and found from the state behind its step."""
+        if verdict not in ("stable", "unstable") or not self.affordable:
+            return ""
+        orbit = self._foreseen(verdict) if quick else self.orbit
+        size = 1.0 if orbit is None else float(abs(orbit.multipliers[0]))
+        other = "stable" if size < 1.0 else "unstable"
+        if other == verdict or abs(size - 1.0) <= KNOWN:
+            return ""
+        many = len(self.flow.modes.squares)
+        return f"with {many} modes the orbit is {other} (largest multiplier {size:.6g})"
+
+    def _foreseen(self, verdict: str) -> PeriodicOrbit | None:
+        """The orbit ahead of the motion; None where M along that is on the side of the verdict."""
+        wave, step = self._judged.wave, self.predicted
+        if step is None or self.too_slow or self.flow.size > FORMED:
+            return None
+        if (abs(eigenvalues(step.monodromy)[0]) < 1.0) == (verdict == "stable"):
+            return None
+        return orbit_next_to(
+            self.flow, wave.omega, step.states[0], wave.subharmonic, patience=Patience(0),
+            inverse=step.inverse,
+        )  # fmt: skip
 
     @property
     def distances(self) -> tuple[float, float] | None:

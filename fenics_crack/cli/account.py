@@ -18,7 +18,6 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.stability import Stability
 from fenics_crack.errors import MOST_HARMONICS, Exit
 from fenics_crack.model.modes import damped_range
-from fenics_crack.motion.orbit import KNOWN
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import key_in_words
 from fenics_crack.study.key_figures import SMALL_MOTION, extents
@@ -69,6 +68,7 @@ OTHERS = {
 """Words and unit of what is printed of a solution or a motion beside the indicators."""
 ALWAYS = ("omega", "frequency", "verdict", "converged", "total_error")
 """Printed whatever the scene chooses."""
+ON_MODES = "hangs on modes that are left out"
 IN_A_TEST = {
     "fold": "the curve turns back: in a test the vibration jumps to another size here",
     "period_doubling": "beyond it the vibration repeats after two periods of the load: in a test "
@@ -216,18 +216,9 @@ def of_stability(
 def of_more_modes(found: PeriodicSolution, verdict: str) -> Iterator[str]:
     """A warning of a solution whose orbit has another verdict with twice the modes or more
     (collective)."""
-    larger = found.judged.larger if verdict in ("stable", "unstable") else None
-    if larger is None or not larger.affordable or larger.orbit is None:
-        return
-    size = abs(larger.orbit.multipliers[0])
-    other = "stable" if size < 1.0 else "unstable"
-    if other == verdict or abs(size - 1.0) <= KNOWN:
-        return
-    many = len(larger.flow.modes.squares)
-    yield (
-        f"with {many} modes the orbit is {other} (largest multiplier {size:.4g}): the verdict "
-        f"{verdict!r} hangs on modes that are left out; raise reduction.modes"
-    )
+    larger = found.judged.larger
+    if larger is not None and (said := larger.contradicts(verdict)):
+        yield f"{said}: the verdict {verdict!r} {ON_MODES}; raise reduction.modes"
 
 
 def how_it_is_left(stability: Stability) -> str:
@@ -437,6 +428,8 @@ def warnings_of(found: SweepResult) -> Iterator[str]:
         told = " and ".join(text for text in numbers if not text.startswith("0 "))
         yield f"of {counted(verdicts.size, 'case')} {told}"
     yield from by_reason(found, found.undecided, "undecided")
+    for said in by_reason(found, found.contradicted, f"or more whose verdict {ON_MODES}"):
+        yield f"{said}; raise reduction.modes"
     if not found.complete:
         yield "the sweep was stopped; the same command goes on with it"
 

@@ -26,7 +26,7 @@ from fenics_crack.scene.tables import FORCES
 from fenics_crack.study.asked import asked_of_motion, prepare_asked
 from fenics_crack.study.key_figures import damping_ratios
 from fenics_crack.study.prepare import REFUSALS, Study, law_of, prepare
-from fenics_crack.sweep.file import AT_POINTS, OPEN, PHASES, of_load
+from fenics_crack.sweep.file import AT_POINTS, OPEN, PHASES, YET, of_load
 from fenics_crack.sweep.plan import Chunk
 from fenics_crack.table import with_frequency
 
@@ -184,8 +184,7 @@ def solve_chunk(geometry: Geometry, chunk: Chunk, asked: Asked) -> list[Found]:
             found |= asked_of_motion(geometry.study, solution)
             if asked.verdicts:
                 found |= cases.verdict(solution)
-                if reason := found.pop("reason", ""):
-                    found["status"] += f"; {OPEN}{reason}"
+                found["status"] += found.pop("told", "")
             found |= {"gap": solution.gap_coefficients, "force": solution.force_coefficients}
         except REFUSALS as error:
             cases = Cases(geometry)
@@ -277,17 +276,22 @@ class Cases:
         raise reason
 
     def verdict(self, solution: PeriodicSolution) -> Found:
-        """Verdict on a solution, modulus of its leading multiplier, and the reason where it is
-        undecided; empty without a law, and for a constraint of lips with mass."""
-        structure, law = solution.structure, solution.contact
+        """Verdict on a solution, modulus of its leading multiplier, and what is told of it: why it
+        is undecided, or what more modes say against it; empty without a law, and for a constraint
+        of lips with mass."""
+        structure, law, told = solution.structure, solution.contact, ""
         if law is None or (is_rigid(law) and not structure.light_lips):
             return {}
         try:
             found = floquet(structure, solution)
         except REFUSALS as error:
-            return {"verdict": "undecided", "reason": str(error)}
-        largest = abs(found.multipliers[0])
-        return {"verdict": found.verdict, "multiplier": largest, "reason": found.reason}
+            return {"verdict": "undecided", "told": f"; {OPEN}{error}"}
+        if found.reason:
+            told = f"; {OPEN}{found.reason}"
+        elif structure.light_lips and (larger := solution.judged.larger):  # others need all ranks
+            said = larger.contradicts(found.verdict, quick=True)
+            told = YET + said if said else ""
+        return {"verdict": found.verdict, "multiplier": abs(found.multipliers[0]), "told": told}
 
 
 def _around(problem: Problem, step: float, lowest: float, highest: float) -> list[PeriodicSolution]:

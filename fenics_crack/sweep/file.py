@@ -50,6 +50,7 @@ __all__ = [
     "OPEN",
     "PENDING",
     "PHASES",
+    "YET",
     "SweepFile",
     "columns_of",
     "of_load",
@@ -65,6 +66,8 @@ PENDING, CONVERGED, FAILED = 0, 1, 2
 STATUS_BYTES = 200
 OPEN = "undecided: "
 """In the status of a case, before the reason why its stability is."""
+YET = "; yet "
+"""Likewise, before what more modes say against its verdict."""
 
 
 def of_load(quantity: str) -> str:

@@ -56,6 +56,7 @@ from fenics_crack.sweep.file import (
     KIND,
     OPEN,
     PENDING,
+    YET,
     SweepFile,
     columns_of,
     of_load,
@@ -292,6 +293,15 @@ class SweepResult(Tabular):
         """Index and reason of each case whose stability is undecided."""
         told = self._status_where(self.converged & (self["verdict"] == "undecided"))
         return [(at, status.partition(OPEN)[2] or "its reason is not kept") for at, status in told]
+
+    @property
+    def contradicted(self) -> list[tuple[tuple[int, ...], str]]:
+        """Index of each case whose verdict on stability is known to hang on modes that are left
+        out, and what twice the modes say. It is known of lips without mass, where one step of
+        Newton's method with these modes shows it, of two cases in three; of each one
+        :func:`fenics_crack.solve` asks the orbit."""
+        told = self._status_where(self.converged & (self["verdict"] != "undecided"))
+        return [(at, said) for at, status in told if (said := status.partition(YET)[2])]
 
     def _status_where(self, which: np.ndarray) -> list[tuple[tuple[int, ...], str]]:
         return [(tuple(map(int, at)), str(self["status"][tuple(at)])) for at in np.argwhere(which)]

@@ -9,8 +9,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from helpers import changed
+from helpers import ROOT, changed
 from mpi4py import MPI
+from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack import SweepResult, run_sweep
@@ -167,3 +168,29 @@ def test_file_of_an_older_version(scene: fc.Scene, tmp_path: Path) -> None:
         SweepResult.load(path)
     with pytest.raises(fc.InputError, match=r"a new name: .* has no column 'ratio_2_1'"):
         run_sweep(scene, path, MPI.COMM_SELF)
+
+
+def test_verdicts_that_hang_on_modes_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What 8 modes call stable the 18 of their reference do not, by a sweep with these; it is told,
+    and of the case beside it nothing. Without verdicts, or what judges the modes, there is none."""
+    coarse = {
+        "mesh.size": 0.02, "mesh.lip_elements": 4, "crack.length": 0.05, "reduction.modes": 8,
+        "curve": None, "sweep.over": {"excitation.omega": [9050.0, 9150.0]},
+    }  # fmt: skip
+    scene = fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(coarse)
+    (tmp_path / "plate.toml").write_text(scene.as_toml(), encoding="utf-8")
+    out = ["--output", str(tmp_path)]
+    assert main(["sweep", str(tmp_path / "plate.toml"), *out]) == 0
+    few = fc.SweepResult.load(tmp_path / "sweep.h5")
+    many = run_sweep(scene.replace({"reduction.modes": 18}), comm=MPI.COMM_SELF)
+    assert few["verdict"].tolist() == ["stable", "stable"] == [*many["verdict"][1:], "stable"]
+    assert many["verdict"][0] == "unstable"
+    [(place, said)] = few.contradicted
+    largest = f"largest multiplier {many['multiplier'][0]:.6g}"
+    assert place == (0,) and said == f"with 18 modes the orbit is unstable ({largest})"
+    told = "1 case or more whose verdict hangs on modes that are left out, the first at omega = "
+    assert f"{told}9050.0: {said}; raise reduction.modes" in capsys.readouterr().err
+    for asked in ({"verdicts": False}, {"judged": False}):
+        assert not run_sweep(scene, comm=MPI.COMM_SELF, **asked).contradicted
