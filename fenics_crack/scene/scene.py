@@ -509,10 +509,11 @@ def _check_vectors(scene: Scene) -> None:
 
 def _check_dimension(scene: Scene) -> None:
     """Raise InputError where a table is not one of a plate, or of a solid."""
-    geometry, mesh, dimension = scene.geometry, scene.mesh, scene.dimension
+    geometry, dimension = scene.geometry, scene.dimension
     if dimension == 2 and scene.rotation is not None:
         scene.rotation.leave_out(("axis", "center"), "a plate: its axis is parallel to x")
     _check_vectors(scene)
+    mesh = scene.mesh
     if dimension == 3:
         reason = "2 with geometry.kind = 'solid': tetrahedra of order 1 are much too stiff"
         mesh.require(mesh.order == 2, "order", reason)

@@ -502,8 +502,8 @@ class Mesh(Table):
     """As above."""
     cells: str = choice("triangle", "quadrilateral", default="quadrilateral")
     """Of a plate; a mesh file has its own."""
-    order: int = holds("1 or 2", lambda value: value in (1, 2), default=1)
-    """Polynomial order of the displacement."""
+    order: int = holds("1 or 2", lambda value: value in (1, 2), default=None)
+    """Polynomial order of the displacement; default: 1, of a solid 2."""
     columns: int | None = at_least_one(None)
     """Of a grid."""
     rows: int | None = at_least_one(None)
@@ -535,6 +535,17 @@ class Mesh(Table):
                 self.given(key, f"given with layout = {self.layout!r}")
         if self.layout == "file":
             self.leave_out(("cells",), "layout = 'file', whose mesh has its own")
+
+    def with_vectors(self, dimension: int) -> Mesh:
+        """The same in a plane or in space, of the order that is usual there."""
+        found = copy(self)
+        object.__setattr__(found, "order", self.order or dimension - 1)
+        return found
+
+    @property
+    def derived(self) -> set[str]:
+        """Of a plate the order 1, too."""
+        return super().derived | ({"order"} if self.order == 1 else set())
 
 
 @dataclass(frozen=True)

@@ -871,6 +871,20 @@ def test_bad_input_is_named(key: str, changes: dict[str, Any]) -> None:
     assert caught.value.key == key
 
 
+def test_the_order_of_a_mesh_is_that_of_its_dimension() -> None:
+    """Where it is left out: 2 of a solid, whose file then is the same scene, and 1 of a plate."""
+    left_out = solid(ELLIPSE, **{"mesh.order": None})
+    assert left_out == solid(ELLIPSE) and left_out.mesh.order == 2
+    assert Scene.from_text(left_out.as_toml()) == left_out
+    flat = {
+        "geometry.kind": "plate", "excitation.point": [0.0, HEIGHT], "mesh.order": None,
+        "excitation.force_cos": [1.0, 0.0],
+    }  # fmt: skip
+    plate = left_out.replace(flat | {"crack.depth": None, "crack.front": None})
+    assert plate.mesh.order == 1 and "order" not in plate.as_toml()
+    assert Scene.from_text(plate.as_toml()) == plate
+
+
 def test_vectors_and_shares_are_told_of_solids() -> None:
     """Of a vector that is none three numbers, too; of numbers in another unit by the word solid."""
     with pytest.raises(InputError, match=r"or \[fx, fy, fz\] of a solid"):
