@@ -140,19 +140,11 @@ class _Judge:
         self._own: dict[float, bool] = {}
         self._away: dict[float, float] = {}
         self._bounces = not curve.structure.light_lips
-        self.affordable = self._is_affordable()
+        self.affordable = _is_followed(self.system, self._motions, self.parameters)
         """Whether the motion of some point is followed within the budget."""
         if self.affordable:
             self.branch = OrbitBranch(self.system, self.parameters, self._motions)
             self._judge()
-
-    def _is_affordable(self) -> bool:
-        for place in np.unique([0, len(self._curve) // 2, len(self._curve) - 1]):
-            [motion] = self._motions(np.array([place]))
-            with suppress(ConvergenceError):
-                self.system.moved(motion, float(self.parameters[place]))
-                return True
-        return False
 
     def value(self, parameter: float) -> float:
         """Of the curve's parameter."""
@@ -270,7 +262,11 @@ class _Judge:
         nearest = order[np.unique(place[order], return_index=True)[1]]
         near = inside[nearest] | (apart <= np.minimum(expected, FARTHEST)[place])[nearest]
         near &= (accepted & ~disagree(apart <= BELIEVED * least[place]))[place[nearest]]
-        found[place[nearest[near]]] = value[nearest[near]]
+        chosen = nearest[near]
+        found[place[chosen]] = value[chosen]
+        for one in place[chosen[_uncertain(self.branch, segment[chosen], share[chosen])]]:
+            if (node := self._node_at(int(one))) is not None:
+                found[one] = _upper(node.leading[0])
 
     def _parts(self, accepted: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Where a segment, linked or not, has the parameter of a point near it that is accepted:
@@ -343,14 +339,18 @@ class _Judge:
         parts = ((*self.branch.nodes[k : k + 2], s) for k, s in zip(segment, share, strict=True))
         return np.array([self._off(wave, *cubic(*part)) for part in parts])
 
-    def _alone(self, place: int) -> complex:
-        """Leading multiplier of the orbit next to a point at its value of the parameter; nan where
-        there is none, or it is not its own, or does not tell."""
+    def _node_at(self, place: int) -> Node | None:
+        """The node next to a point at its value of the parameter; None where there is none, or it
+        is not its own, or does not tell."""
         node = self.branch.alone(place)
         if node is None or abs(node.moduli[0] - 1.0) <= KNOWN:
-            return complex(np.nan)
+            return None
         self._ask([node])
-        if not self._own[place]:
+        return node if self._own[place] else None
+
+    def _alone(self, place: int) -> complex:
+        """Leading multiplier of the orbit next to a point likewise; nan without one."""
+        if (node := self._node_at(place)) is None:
             return complex(np.nan)
         x, p = node.unknown, node.parameter
         return self._unless_rivalled(place, node.leading[0], lambda wave: self._off(wave, x, p))
@@ -376,6 +376,17 @@ def _budget(curve: ResponseCurve, flow: ContactFlow) -> Budget:
     longest = 2.0 * np.pi * curve.subharmonic / float(curve.omega.min())
     without_events = min(flow.pieces(longest), Budget().pieces) if flow.size <= FORMED else 0.0
     return Budget(pieces=FOR_EVENTS + math.ceil(without_events))
+
+
+def _is_followed(
+    system: FlowOrbits, motions: Callable[[np.ndarray], np.ndarray], parameters: np.ndarray
+) -> bool:
+    """Whether the motion of the first, the middle or the last point keeps to the budget."""
+    for place in np.unique([0, len(parameters) // 2, len(parameters) - 1]):
+        with suppress(ConvergenceError):
+            system.moved(motions(np.array([place]))[0], float(parameters[place]))
+            return True
+    return False
 
 
 def _side(leading: np.ndarray) -> np.ndarray:
@@ -408,6 +419,15 @@ def _between(branch: OrbitBranch, segment: np.ndarray, share: np.ndarray) -> np.
     found *= (_upper(leading) / np.maximum(size, 1e-300))[np.where(share < 0.5, *sides)]
     found[unknown | ~branch.linked[segment]] = np.nan
     return found
+
+
+def _uncertain(branch: OrbitBranch, segment: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Whether ln |mu| of the leading multiplier changes on a segment by more than it differs from
+    zero at a part of it, that is not an end: (n,) bool."""
+    logs = np.log(np.maximum([abs(one.leading[0]) for one in branch.nodes], 1e-300))
+    begin, end = logs[segment], logs[segment + 1]
+    there = np.abs(begin + share * (end - begin))
+    return np.asarray((there < np.abs(end - begin)) & (np.minimum(share, 1.0 - share) > 1e-9))
 
 
 def judge_curve(curve: ResponseCurve) -> ResponseCurve:
