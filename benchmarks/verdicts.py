@@ -23,6 +23,9 @@ verdicts.
 
 varied: the same of curves over the damping and over the contact stiffness, and of a smoothed law
 over the frequency, whose points are judged one by one.
+
+points: each point of the curves of 160 random chains with 0.1 to 1 % of damping, its verdict on the
+curve against that of its own orbit (`floquet`).
 """
 
 from __future__ import annotations
@@ -49,7 +52,7 @@ MARKS = {"stable": ("o", "tab:blue"), "unstable": ("s", "tab:red"), "undecided":
 
 def main() -> None:
     """Run it."""
-    common.run(__doc__, {"verdicts": verdicts, "cost": cost, "varied": varied})
+    common.run(__doc__, {"verdicts": verdicts, "cost": cost, "varied": varied, "points": points})
 
 
 def verdicts(arguments: common.Arguments) -> None:
@@ -192,6 +195,45 @@ def varied(arguments: common.Arguments) -> None:
         rows.append((structure.n_dofs, "omega, smoothed", *found))
     columns = ("dofs", "parameter", "points", "point [ms]", "with verdicts [ms]")
     common.save_table(arguments.folder / "varied.csv", "curves of varied flows", columns, rows)
+
+
+def points(arguments: common.Arguments) -> None:
+    """Points of curves that have another verdict than by themselves."""
+    rows, count = [], 0
+    for seed in range(10 if arguments.quick else 160):
+        structure, law = random_chain(seed)
+        first, second = fc.solve_modes(structure, 2).omega
+        curve = fc.continue_frequency(
+            structure, 0.8 * first, 1.25 * second, law, harmonics=15, stability=True,
+            most_points=400, throw=False,
+        )  # fmt: skip
+        for place in np.flatnonzero(curve.verdicts != "undecided").tolist():
+            solution, count = curve.solution(place, search=False), count + 1
+            alone = fc.floquet(structure, solution)
+            if alone.verdict not in ("undecided", curve.verdicts[place]):
+                size = abs(alone.multipliers[0])
+                rows.append((seed, place, curve.values[place], curve.verdicts[place], size))
+    common.save_table(
+        arguments.folder / "verdicts_points.csv", "Points with another verdict than by themselves",
+        ("seed", "point", "omega [rad/s]", "verdict", "|mu| by itself"), rows,
+    )  # fmt: skip
+    print(f"{len(rows)} of {count} points with a verdict")
+
+
+def random_chain(seed: int) -> tuple[fc.Structure, fc.UnilateralPenalty]:
+    """Three to six masses between springs, the last one and perhaps the middle one with a stop."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(3, 7))
+    springs, mass = rng.uniform(0.5, 2.0, n + 1), rng.uniform(0.5, 1.5, n)
+    inner = np.diag(springs[1:-1], 1)
+    stiffness = np.diag(springs[:-1] + springs[1:]) - inner - inner.T
+    pairs = np.eye(n)[:, [n - 1, n // 2]][:, : 1 + (rng.random() < 0.5)]
+    ratio = float(10.0 ** rng.uniform(-3.0, -2.0))
+    structure = fc.Structure.from_matrices(
+        np.diag(mass), stiffness, pairs, force_cos=np.eye(n)[0], damping=fc.ModalDamping(ratio),
+        clearance=float(rng.choice([0.0, 0.3, -0.3])),
+    )  # fmt: skip
+    return structure, fc.UnilateralPenalty(float(10.0 ** rng.uniform(0.0, 1.5)))
 
 
 def along(

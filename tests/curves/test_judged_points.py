@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import chain_stiffness, oscillator
+from helpers import oscillator
+from verdicts import random_chain
 
 import fenics_crack as fc
 
@@ -118,16 +119,7 @@ def test_points_are_those_of_varied_structures(parameter: str) -> None:
 def test_short_unstable_stretches_are_not_passed_over(seed: int, most_points: int) -> None:
     """Chains with 0.1 to 1 % of damping lose and find their stability within a few points, while
     the multipliers of one pair rise and fall: each verdict is that of the point's own orbit."""
-    rng = np.random.default_rng(seed)
-    n = int(rng.integers(3, 7))
-    stiffness, mass = chain_stiffness(rng.uniform(0.5, 2.0, n + 1)), rng.uniform(0.5, 1.5, n)
-    pairs = np.eye(n)[:, [n - 1, n // 2]][:, : 1 + (rng.random() < 0.5)]
-    ratio = float(10.0 ** rng.uniform(-3.0, -2.0))
-    structure = fc.Structure.from_matrices(
-        np.diag(mass), stiffness, pairs, force_cos=np.eye(n)[0], damping=fc.ModalDamping(ratio),
-        clearance=float(rng.choice([0.0, 0.3, -0.3])),
-    )  # fmt: skip
-    law = fc.UnilateralPenalty(float(10.0 ** rng.uniform(0.0, 1.5)))
+    structure, law = random_chain(seed)
     first, second = fc.solve_modes(structure, 2).omega
     curve = fc.continue_frequency(
         structure, 0.8 * first, 1.25 * second, law, harmonics=15, stability=True,
