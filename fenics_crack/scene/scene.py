@@ -548,8 +548,6 @@ def _check_plate(scene: Scene) -> None:
         _check_cracks(scene.all_cracks, geometry, scene.mesh)
         if scene.contact is None:
             raise InputError("contact", None, "given where there is a crack: a table")
-    elif scene.contact is not None:
-        raise InputError("contact", "a table", "left out without a crack, on whose lips it acts")
 
 
 def _check_file(scene: Scene) -> None:

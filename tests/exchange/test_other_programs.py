@@ -392,7 +392,7 @@ def test_pairs_of_a_solid_are_its_own(crack: str) -> None:
     of nodes hold the lips together as these do."""
     keys = {f"crack.{key}": x for key, x in ({"height": 0.03} | CRACKS[crack]).items()}
     keys |= {f"cracks.1.{key}": x for key, x in SECOND.items() if crack == "two"}
-    own = fc.build_structure(Scene.from_text(SOLID, changes=keys), MPI.COMM_SELF)
+    own = fc.build_structure(Scene.from_text(SOLID).replace(keys), MPI.COMM_SELF)
     assert own.nodes is not None and own.pair_points is not None and own.pair_areas is not None
     points, dofs = own.nodes.points, own.nodes.dofs
     stiffness = csr(own.stiffness)

@@ -60,10 +60,10 @@ AREAS = {
 
 def solid(crack: dict[str, Any] | None = None, **changes: Any) -> Scene:
     """A small one."""
-    if crack is None:
-        return Scene.from_text(TEXT, changes={"contact": None} | changes)
-    keys = {f"crack.{key}": value for key, value in crack.items()}
-    return Scene.from_text(TEXT, changes=keys | changes)
+    scene = Scene.from_text(TEXT)
+    if crack is not None:
+        scene = scene.replace({f"crack.{key}": value for key, value in crack.items()})
+    return scene.replace(changes) if changes else scene
 
 
 def frequencies(scene: Scene, count: int = 4) -> np.ndarray:
@@ -516,7 +516,7 @@ def of_file(path: Path) -> Scene:
     """The scene of a mesh file."""
     removed = {f"geometry.{key}": None for key in ("width", "height", "thickness")}
     mesh = {"mesh.layout": "file", "mesh.file": str(path), "mesh.size": None}
-    return Scene.from_text(TEXT, changes=removed | mesh | {"mesh.lip_elements": None})
+    return solid(**removed | mesh | {"mesh.lip_elements": None})
 
 
 @pytest.mark.parametrize("order", [1, 2])
