@@ -302,12 +302,11 @@ def _bent(nodes: list[Node], lengths: np.ndarray) -> np.ndarray:
     """Whether -ln |mu| of a multiplier at each inner node is not that between its neighbours', to
     a quarter of the least of the three: (n - 2,) bool."""
     rows, way = _followed([one.upper for one in nodes])
-    logs, back = rows[..., 0], np.argsort(way[:-1], axis=1)
-    before = np.take_along_axis(logs[:-2], back, 1)
-    behind = np.take_along_axis(logs[2:], way[1:], 1)
+    here = rows[1:-1, :, 0]
+    before, behind = (one[..., 0] for one in _on_both_sides(rows, way))
     share = (lengths[:-1] / np.maximum(lengths[:-1] + lengths[1:], 1e-300))[:, None]
-    off = np.abs(logs[1:-1] - before - share * (behind - before))
-    least = np.abs([before, logs[1:-1], behind]).min(axis=0)
+    off = np.abs(here - before - share * (behind - before))
+    least = np.abs([before, here, behind]).min(axis=0)
     return np.asarray(np.any(off > np.maximum(0.25 * least, RESOLVED), axis=1))
 
 
@@ -365,12 +364,18 @@ def _followed(rows: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     return found, ways
 
 
+def _on_both_sides(rows: np.ndarray, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What :func:`_followed` gives, of the nodes before and behind each inner one, in its order:
+    (n - 2, k, 2) each."""
+    before = np.take_along_axis(rows[:-2], np.argsort(way[:-1], axis=1)[..., None], 1)
+    return before, np.take_along_axis(rows[2:], way[1:, :, None], 1)
+
+
 def _leave_between(nodes: list[Node], lengths: np.ndarray) -> np.ndarray:
     """Whether on segments with both ends on one side of 1 the parabolas through sums and products
     of pairs at three nodes go to the other side: (n - 1,) bool."""
     pairs, way = _followed([one.pairs for one in nodes])
-    before = np.take_along_axis(pairs[:-2], np.argsort(way[:-1], axis=1)[..., None], 1)
-    behind = np.take_along_axis(pairs[2:], way[1:, :, None], 1)
+    before, behind = _on_both_sides(pairs, way)
     first, last = np.maximum(lengths[:-1], 1e-300), np.maximum(lengths[1:], 1e-300)
     first, last = first[:, None, None], last[:, None, None]
     slope = (pairs[1:-1] - before) / first

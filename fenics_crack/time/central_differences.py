@@ -16,7 +16,7 @@ Modal damping C = M Phi diag(c) Phi^T M is inverted exactly: with s = dt c / (2 
 
 where q is carried along, so that one step costs a product with K, a solution with M and two
 products with Phi. Small structures are marched in the coordinates of all their modes instead, by
-the kernel (:mod:`fenics_crack.time.march`). The scheme is second order. Steps beyond
+the kernel (:mod:`fenics_crack.time.modal_march`). The scheme is second order. Steps beyond
 dt = 2 / omega_max, omega_max the largest natural frequency with every pair closed, are unstable and
 refused. Below that the scheme conserves energy as long as no pair changes its state; a contact from
 step a to step b creates
@@ -45,8 +45,8 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.errors import ConvergenceError, InputError, check_omega
-from fenics_crack.kernel import Struct, doubles, kernel
+from fenics_crack.errors import InputError, check_omega
+from fenics_crack.kernel import Struct, kernel
 from fenics_crack.model.contact import (
     ActiveSets,
     ContactLaw,
@@ -57,12 +57,13 @@ from fenics_crack.model.contact import (
     solve_complementarity,
 )
 from fenics_crack.model.factor import weighted_sum
-from fenics_crack.model.modal import CACHED, all_modes, is_small
+from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import largest_frequency
 from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import collect_garbage
-from fenics_crack.time.march import LoopedSteps, March, Scheme, TimeHistory, Window, march
+from fenics_crack.time.march import LoopedSteps, March, TimeHistory, Window, march
+from fenics_crack.time.modal_march import ModalSteps
 
 __all__ = ["integrate_central_difference", "stable_steps_per_period"]
 
@@ -204,29 +205,18 @@ def _last_velocity(
     return velocity
 
 
-class _ModalDifferences(Scheme):
-    """State of a small structure in modal coordinates, marched by the kernel.
-
-    What acts on the modes is "by mode": an array (n,) where the damping leaves them uncoupled, and
-    a matrix (n, n) where it couples them.
-    """
+class _ModalDifferences(ModalSteps):
+    """State of a small structure in modal coordinates, marched by the kernel."""
 
     name, remedy = NAME, REMEDY
 
     def __init__(self, asked: March) -> None:
-        self._asked, self._modes = asked, all_modes(asked.structure)
-        modes, structure, dt = self._modes, asked.structure, asked.step_size
+        super().__init__(asked)
+        modes, dt, velocity = self._modes, asked.step_size, self._begin()
         count, pairs = modes.pairs.shape
-        self._springs = None
-        if not asked.rigid:
-            self._springs = np.broadcast_to(np.asarray(asked.contact.stiffness, float), pairs)
-        self._shape, velocity = (modes.inverse @ part for part in asked.start)
-        gap = self._gap()
-        if asked.rigid and np.any(gap > 0.0):  # moved apart by the least change in the norm of M
-            self._shape -= modes.pairs @ solve_complementarity(modes.pairs.T @ modes.pairs, gap)
         rate = dt * modes.damping
         keep: np.ndarray
-        if diagonal := rate.ndim == 1:
+        if rate.ndim == 1:
             keep, gain = (2.0 - rate) / (2.0 + rate), 2.0 * dt**2 / (2.0 + rate)
             push = gain[:, None] * modes.pairs
         else:
@@ -237,40 +227,16 @@ class _ModalDifferences(Scheme):
         self._increment = dt * velocity - 0.5 * dt**2 * self._acceleration(velocity)
         energy = 0.5 * float(modes.squares @ self._shape**2 + velocity @ velocity)
         self._energy = _ContactEnergy(asked, energy)
-        rows = np.ascontiguousarray
-        body = Struct(
-            "vibration", modes=count, pairs=pairs, coupled=not diagonal,
-            squares=rows(modes.squares), rows=rows(modes.pairs.T),
-            clearance=np.broadcast_to(np.asarray(structure.clearance, float), pairs).copy(),
-            springs=None if self._springs is None else self._springs.copy(),
-            load=rows(structure.force @ modes.shapes), waves=asked.waves,
-            room=np.empty(2 * count + pairs),
-        )  # fmt: skip
         self._known = Struct(
-            "central_differences", body=body, keep=keep, gain=gain, push=rows(push.T),
+            "central_differences", body=self._body(room=np.empty(2 * count + pairs)), keep=keep,
+            gain=gain, push=np.ascontiguousarray(push.T),
             contact=ActiveSets(modes.pairs.T @ push).handle if asked.rigid else None,
             shape=self._shape, increment=self._increment, closed=np.zeros(pairs, bool),
         )  # fmt: skip
 
     def fill(self, window: Window, number: int) -> None:
-        modes, asked, steps = self._modes, self._asked, len(window.gap)
-        some = max(1, CACHED // len(modes.squares))
-        for first in range(0, steps, some):
-            place = slice(first, min(first + some, steps))
-            shape = np.empty((place.stop - first, len(modes.squares)))
-            made = kernel.march_central(
-                self._known.at, first, len(shape), doubles(window.gap[place]),
-                doubles(window.force[place]), doubles(shape),
-            )  # fmt: skip
-            if made < len(shape):
-                raise ConvergenceError(f"contact: no forces of step {first + made} were found")
-            window.motion[place] = shape @ modes.shapes[asked.recorded_dofs].T
-            window.load_motion[place] = shape @ modes.shapes[asked.load_rows].T
+        self._march(window, kernel.march_central)
         self.book(*self._energy.of(window))
-
-    def _gap(self) -> np.ndarray:
-        """Gap at the end of the march."""
-        return np.asarray(self._shape @ self._modes.pairs - self._asked.structure.clearance)
 
     def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
         """f - w^2 q - P lambda - c v at phase zero of the load; forces of a constraint, which

@@ -63,8 +63,8 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.errors import ConvergenceError, InputError, check_number
-from fenics_crack.kernel import Struct, doubles, kernel
+from fenics_crack.errors import InputError, check_number
+from fenics_crack.kernel import Struct, kernel
 from fenics_crack.model.contact import (
     BISECTIONS,
     MAX_NEWTON,
@@ -78,19 +78,12 @@ from fenics_crack.model.contact import (
     solve_forces,
 )
 from fenics_crack.model.factor import factored_sum, weighted_sum
-from fenics_crack.model.modal import CACHED, all_modes, is_small
+from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import ROUNDING
-from fenics_crack.time.march import (
-    EnergyBalance,
-    LoopedSteps,
-    March,
-    Scheme,
-    TimeHistory,
-    Window,
-    march,
-)
+from fenics_crack.time.march import EnergyBalance, LoopedSteps, March, TimeHistory, Window, march
+from fenics_crack.time.modal_march import ModalSteps
 
 __all__ = ["integrate_implicit"]
 
@@ -171,23 +164,15 @@ def _parameters(radius: float) -> tuple[float, float, float, float]:
     return am, af, 0.5 - am + af, 0.25 * (1.0 - am + af) ** 2
 
 
-class _ModalAlpha(Scheme):
-    """State of a small structure in modal coordinates, marched by the kernel.
-
-    What acts on the modes is "by mode": an array (n,) where the damping leaves them uncoupled, and
-    a matrix (n, n) where it couples them.
-    """
+class _ModalAlpha(ModalSteps):
+    """State of a small structure in modal coordinates, marched by the kernel."""
 
     name, remedy = NAME, REMEDY
 
     def __init__(self, asked: March, radius: float) -> None:
-        self._asked, self._modes = asked, all_modes(asked.structure)
-        modes, (count, pairs) = self._modes, self._modes.pairs.shape
-        self._shape, self._velocity = (modes.inverse @ part for part in asked.start)
-        gap = self._gap()
-        if asked.rigid and np.any(gap > 0.0):  # moved apart by the least change in the norm of M
-            self._shape -= modes.pairs @ solve_complementarity(modes.pairs.T @ modes.pairs, gap)
-        held = np.zeros(pairs) if asked.rigid else asked.contact.force(gap)
+        super().__init__(asked)
+        modes, (count, pairs), self._velocity = self._modes, self._modes.pairs.shape, self._begin()
+        held = np.zeros(pairs) if asked.rigid else asked.contact.force(self._gap())
         change = asked.structure.force[:2].sum(axis=0) @ modes.shapes
         change -= modes.squares * self._shape + modes.damped(self._velocity) + modes.pairs @ held
         am, af, gamma, beta = _parameters(radius)
@@ -201,19 +186,6 @@ class _ModalAlpha(Scheme):
             **self._answers(1.0 - am, 1.0 - af, gamma, beta),
         )  # fmt: skip
         self._balance = EnergyBalance(asked, self._energy())
-
-    def _body(self) -> Struct:
-        """What vibrates, and its load."""
-        asked, modes, (count, pairs) = self._asked, self._modes, self._modes.pairs.shape
-        springs = None if asked.rigid else np.asarray(asked.contact.stiffness, float)
-        return Struct(
-            "vibration", modes=count, pairs=pairs, coupled=modes.damping.ndim == 2,
-            squares=np.ascontiguousarray(modes.squares),
-            rows=np.ascontiguousarray(modes.pairs.T),
-            clearance=np.broadcast_to(np.asarray(asked.structure.clearance, float), pairs).copy(),
-            springs=None if springs is None else np.broadcast_to(springs, pairs).copy(),
-            load=np.ascontiguousarray(asked.structure.force @ modes.shapes), waves=asked.waves,
-        )  # fmt: skip
 
     def _answers(self, inertia: float, now: float, gamma: float, beta: float) -> dict[str, Any]:
         """A^-1 by mode, and what unit forces or impulses on pairs change."""
@@ -245,27 +217,11 @@ class _ModalAlpha(Scheme):
         }  # fmt: skip
 
     def fill(self, window: Window, number: int) -> None:
-        modes, asked, steps = self._modes, self._asked, len(window.gap)
-        some = max(1, CACHED // len(modes.squares))
-        for first in range(0, steps, some):
-            place = slice(first, min(first + some, steps))
-            shape = np.empty((place.stop - first, len(modes.squares)))
-            made = kernel.march_implicit(
-                self._known.at, first, len(shape), doubles(window.gap[place]),
-                doubles(window.force[place]), doubles(shape),
-            )  # fmt: skip
-            if made < len(shape):
-                raise ConvergenceError(f"contact: no forces of step {first + made} were found")
-            window.motion[place] = shape @ modes.shapes[asked.recorded_dofs].T
-            window.load_motion[place] = shape @ modes.shapes[asked.load_rows].T
-        last = modes.shapes[asked.load_rows] @ self._shape
+        self._march(window, kernel.march_implicit)
+        last = self._modes.shapes[self._asked.load_rows] @ self._shape
         motion = np.vstack([window.load_motion, last])
         created = self._balance.created(motion, self._energy(), self._known.at.lost)
         self.book(created, self._balance.put_in)
-
-    def _gap(self) -> np.ndarray:
-        """Gap at the end of the march."""
-        return np.asarray(self._shape @ self._modes.pairs - self._asked.structure.clearance)
 
     def _energy(self) -> float:
         """Energy of the motion, and of the law's springs [J]."""
