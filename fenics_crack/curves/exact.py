@@ -119,6 +119,10 @@ NEARBY = 0.02
 the orbits which confirms it."""
 
 
+END = 1e-9
+"""Of a segment: what of its parts counts as its end."""
+
+
 class _Judge:
     """The branch of orbits along a curve, and which of its nodes are the points' own."""
 
@@ -280,7 +284,7 @@ class _Judge:
         segment, begins = np.repeat(number, counts), np.cumsum(counts) - counts
         place = np.arange(len(segment)) + np.repeat(first - begins, counts)
         share = (self.parameters[place] - parameters[segment]) / rises[segment]
-        there = (np.abs(share - 0.5) <= 0.5 + 1e-9) & accepted[place]
+        there = (np.abs(share - 0.5) <= 0.5 + END) & accepted[place]
         return segment[there], place[there], share[there]
 
     def _singly(self, found: np.ndarray, accepted: np.ndarray) -> None:
@@ -318,7 +322,7 @@ class _Judge:
         where the branch has one there that is as near and may be on the other side of 1: next to a
         fold the error is that of both."""
         segment, _, share = self._parts(np.arange(len(self._curve)) == place)
-        other = _side(_between(self.branch, segment, share)) != _side(leading)
+        other = _side(_between(self.branch, segment, share, linked=False)) != _side(leading)
         if other.any():
             [wave] = self._curve.gaps_in_time(np.array([place]))
             away = self._apart(wave, segment[other], share[other])
@@ -394,10 +398,13 @@ def _side(leading: np.ndarray) -> np.ndarray:
     return np.nan_to_num(np.sign(np.abs(leading) - 1.0))
 
 
-def _between(branch: OrbitBranch, segment: np.ndarray, share: np.ndarray) -> np.ndarray:
+def _between(
+    branch: OrbitBranch, segment: np.ndarray, share: np.ndarray, *, linked: bool = True
+) -> np.ndarray:
     """Leading multipliers at parts of segments, (n,) complex, on the side of 1 of their ends that
     are no bifurcations; nan where these differ, or do not tell it from 1, or where one that is a
-    bifurcation is not located, and on segments that are not linked."""
+    bifurcation is not located, and where they have to be ``linked`` and are not. Nodes at an end
+    tell by themselves."""
     nodes = branch.nodes
     if not len(segment):  # nor is there any node, perhaps
         return np.zeros(0, dtype=complex)
@@ -417,7 +424,11 @@ def _between(branch: OrbitBranch, segment: np.ndarray, share: np.ndarray) -> np.
     inside = np.minimum(moduli, 1.0 - 2.0 * KNOWN), np.maximum(moduli, 1.0 + 2.0 * KNOWN)
     found = np.where(begin > 1.0, inside[1], inside[0]) + 0j
     found *= (_upper(leading) / np.maximum(size, 1e-300))[np.where(share < 0.5, *sides)]
-    found[unknown | ~branch.linked[segment]] = np.nan
+    found[unknown | (linked & ~branch.linked[segment])] = np.nan
+    known = ~met & (np.abs(size - 1.0) > KNOWN)
+    for end, there in ((first, share <= END), (last, share >= 1.0 - END)):
+        told = there & known[end]
+        found[told] = _upper(leading[end[told]])
     return found
 
 
@@ -427,7 +438,7 @@ def _uncertain(branch: OrbitBranch, segment: np.ndarray, share: np.ndarray) -> n
     logs = np.log(np.maximum([abs(one.leading[0]) for one in branch.nodes], 1e-300))
     begin, end = logs[segment], logs[segment + 1]
     there = np.abs(begin + share * (end - begin))
-    return np.asarray((there < np.abs(end - begin)) & (np.minimum(share, 1.0 - share) > 1e-9))
+    return np.asarray((there < np.abs(end - begin)) & (np.minimum(share, 1.0 - share) > END))
 
 
 def judge_curve(curve: ResponseCurve) -> ResponseCurve:

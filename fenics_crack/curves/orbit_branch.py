@@ -4,7 +4,8 @@ Next to every eighth point of the curve an orbit F(x, p) = 0 (:mod:`fenics_crack
 is found by Newton's method, from the point's own motion and what had to be added to that of the
 node beside: at the point's parameter, or, next to folds, in the plane across the curve. Segments
 between these nodes that are in doubt (:mod:`orbit_nodes`) are halved, by the orbit next to
-Hermite's cubic through both; those in whose middle none is found judge no points.
+Hermite's cubic through both. Where none is found in the middle orbits are sought next to each
+point, from either end on; what is left between these judges no points.
 
 Along a smooth branch (-1)^r t_p keeps its sign (det F_x has that of (-1)^r). Where it does not,
 there is a branch point, or the nodes are of different branches: those beyond a fold of the curve
@@ -24,6 +25,7 @@ Source: Seydel, Practical Bifurcation and Stability Analysis, chapters 4, 5 and 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import lru_cache
@@ -135,7 +137,7 @@ class OrbitBranch:
             self.motions(np.array(apart, dtype=int))
             for number in halved:
                 middle = self._middle(segments[number], bool(linked[number]))
-                found += [] if middle is None else [middle]
+                found += [middle] if middle is not None else self._inside(segments[number])
                 self._missed.update([places[number]] if middle is None else [])
             self.nodes = sorted([*self.nodes, *found], key=lambda one: one.place)
             self._refined = now
@@ -168,6 +170,20 @@ class OrbitBranch:
         if found is not None:
             return self.inside(first, last, 0.5, found)
         return self._next_to(whole, [first, last]) if inside else None
+
+    def _inside(self, ends: tuple[Node, Node]) -> list[Node]:
+        """Nodes next to points between two others in whose middle none is found, from either end as
+        far as one is found next to each."""
+        first, last = (one.place for one in ends)
+        places = range(math.floor(first) + 1, math.ceil(last))
+        nodes: dict[int, Node] = {}
+        for side in (places, reversed(places)):
+            for place in side:
+                node = None if place in nodes else self._next_to(place, [*ends, *nodes.values()])
+                if node is None:
+                    break
+                nodes[place] = node
+        return list(nodes.values())
 
     def motion(self, place: int) -> np.ndarray:
         """x of the motion of a point."""

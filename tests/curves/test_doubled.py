@@ -75,7 +75,11 @@ def test_motion_that_leaves_its_orbit_is_not_called_stable() -> None:
     truncated wave is: from there the exact motion goes to another one."""
     case = campaign.draw(75, 95, None, "ends")
     curve = campaign.followed(case)
-    one, *_ = [b for b in curve.bifurcations if b.kind == "period_doubling" and b.confirmed]
+    first, one, *_ = [b for b in curve.bifurcations if b.kind == "period_doubling" and b.confirmed]
+    ends = (11, 12)  # between which the first one lies, next to where no orbits are found
+    [before, behind] = [campaign.exact_orbit(case, curve.solution(place))[0] for place in ends]
+    assert curve.values[11] < first.exact < curve.values[12]
+    assert abs(before.multipliers[0]) < 1.0 and behind.multipliers[0].real < -1.0
     branch = fc.follow_branch(curve, one, throw=False, stability=True, most_points=49)
     verdicts = {"stable": 0, "undecided": 0}
     for place in [*range(3, 7), *range(44, 49)]:
