@@ -174,8 +174,7 @@ class OrbitBranch:
     def _inside(self, ends: tuple[Node, Node]) -> list[Node]:
         """Nodes next to points between two others in whose middle none is found, from either end as
         far as one is found next to each."""
-        first, last = (one.place for one in ends)
-        places = range(math.floor(first) + 1, math.ceil(last))
+        places = range(math.floor(ends[0].place) + 1, math.ceil(ends[1].place))
         nodes: dict[int, Node] = {}
         for side in (places, reversed(places)):
             for place in side:
