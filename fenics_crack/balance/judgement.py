@@ -86,11 +86,13 @@ class Judgement:
 
     def __init__(
         self, wave: Wave, orbit: PeriodicOrbit | None = None, flow: ContactFlow | None = None,
-        *, patience: Patience | None = None,
+        *, patience: Patience | None = None, added: np.ndarray | None = None,
     ) -> None:  # fmt: skip
         """With the orbit that a wave was taken from, if it was, and the flow, if it is known;
-        ``patience`` as :func:`orbit_next_to`."""
+        ``patience`` as :func:`orbit_next_to`; and what had to be added to the state of a wave
+        beside it for its orbit's."""
         self.wave, self.of_orbit, self._patience = wave, orbit is not None, patience
+        self._added = added
         if orbit is not None:
             vars(self).update(near=orbit, flow=orbit.flow)
         elif flow is not None:
@@ -134,7 +136,7 @@ class Judgement:
         patience = self._patience if self.prediction < FAR else Patience(0)
         return orbit_next_to(
             self.flow, omega, self.states[0], periods, patience=patience,
-            inverse=self.predicted.inverse,
+            inverse=self.predicted.inverse, added=self._added,
         )  # fmt: skip
 
     @cached_property

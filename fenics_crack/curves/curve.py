@@ -31,7 +31,6 @@ from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ContactFlow
-from fenics_crack.motion.shooting import Patience
 from fenics_crack.numerics.fourier import evaluate, resized
 from fenics_crack.table import (
     Described,
@@ -453,14 +452,12 @@ class ResponseCurve(_Waves):
         its exact orbit the report is what one Newton step predicts."""
         return _expanded(self.problem_of(index), self.unknown(index), search=search)
 
-    def judged(
-        self, index: int, flow: ContactFlow | None = None, *, patience: Patience | None = None
-    ) -> Judgement:
-        """What the exact flow, if it is known, says of a point, as :class:`Judgement`; no error is
-        estimated."""
+    def judged(self, index: int, flow: ContactFlow | None = None, **search: Any) -> Judgement:
+        """What the exact flow, if it is known, says of a point, as :class:`Judgement`, which takes
+        the options; no error is estimated."""
         problem = self.problem_of(index)
         at = problem.system(problem.compliance()).linearise(self.unknown(index))
-        return Judgement(problem.wave(at), flow=flow, patience=patience)
+        return Judgement(problem.wave(at), flow=flow, **search)
 
     def peak(self, dof: int | None = None) -> Peak:
         """The largest response of a dof, or of the watched one: where, how large, how sure, whether

@@ -148,6 +148,11 @@ class _Judge:
         """Whether the motion of some point is followed within the budget."""
         if self.affordable:
             self.branch = OrbitBranch(self.system, self.parameters, self._motions)
+            # What is added to the states of points for their orbits'.
+            nodes = () if self._flow is None else self.branch.nodes
+            places = {round(one.place): one.unknown for one in nodes if one.away >= 0.0}
+            added = {one: at - self.branch.motion(one) for one, at in places.items()}
+            self._added = {one: self.system.state(change) for one, change in added.items()}
             self._judge()
 
     def value(self, parameter: float) -> float:
@@ -290,43 +295,43 @@ class _Judge:
     def _singly(self, found: np.ndarray, accepted: np.ndarray) -> None:
         """Judge points whose orbits nodes do not tell one by one: some, those next to others, also
         where nodes begin or cease to be accepted, and from each that is decided on to the next that
-        is not; by the orbit next to it where they are accepted, or as single solutions are, without
-        homotopies when two more of these have decided nothing than have decided a point."""
+        is not; without homotopies when two more have decided nothing than have decided a point."""
         places, patience = np.flatnonzero(np.isnan(found)), Patience(2)
-        left = {int(place): bool(accepted[place]) for place in places}
-        asked = [int(place) for place in places[:: 1 + len(places) // EVERY]]
-        for place, kind in left.items():
-            asked += [place] if {left.get(place - 1), left.get(place + 1)} != {kind} else []
+        left = set(places.tolist())
+        asked = places[:: 1 + len(places) // EVERY].tolist()
+        for place in places.tolist():
+            beside = {accepted[one] if one in left else None for one in (place - 1, place + 1)}
+            asked += [place] if beside != {accepted[place]} else []
         while asked:
             place = asked.pop()
             if place in left:
-                alone = self._alone(place) if left.pop(place) else complex(np.nan)
+                left.remove(place)
                 before = patience.left
-                found[place] = self.by_itself(place, patience) if np.isnan(alone) else alone
+                found[place] = self.by_itself(place, patience)
                 if not np.isnan(found[place]):
                     asked += [place - 1, place + 1]
                     patience.left = before + (patience.left < before)
 
     def by_itself(self, place: int, patience: Patience | None = None) -> complex:
         """Leading multiplier of a point judged as a single solution is, with the ``patience`` of
-        :func:`orbit_next_to`; nan where that is open, or another orbit is as near."""
-        alone = stability_of(self._curve.judged(place, self._flow, patience=patience))
+        :func:`orbit_next_to`; nan where that is open, or where the branch has an orbit there that
+        is as near and may be on the other side of 1: next to a fold the error is that of both."""
+        near = min(self._added, key=lambda one: abs(one - place), default=place - 2 * EVERY)
+        added = self._added[near] if abs(near - place) <= EVERY else None
+        judged = self._curve.judged(place, self._flow, patience=patience, added=added)
+        alone = stability_of(judged)
         if alone.verdict == "undecided":
             return complex(np.nan)
-        return self._unless_rivalled(place, alone.multipliers[0], lambda _: alone.distance)
-
-    def _unless_rivalled(
-        self, place: int, leading: complex, distance: Callable[[np.ndarray], float]
-    ) -> complex:
-        """The leading multiplier of the orbit by which a point is judged, so far from its gaps; nan
-        where the branch has one there that is as near and may be on the other side of 1: next to a
-        fold the error is that of both."""
+        assert judged.orbit is not None
+        leading = alone.multipliers[0]
+        if self._flow is not None:
+            self._added[place] = judged.orbit.state - judged.states[0]
         segment, _, share = self._parts(np.arange(len(self._curve)) == place)
         other = _side(_between(self.branch, segment, share, linked=False)) != _side(leading)
         if other.any():
             [wave] = self._curve.gaps_in_time(np.array([place]))
             away = self._apart(wave, segment[other], share[other])
-            leading = np.nan if np.any(away <= (1.0 + FARTHEST) * distance(wave)) else leading
+            leading = np.nan if np.any(away <= (1.0 + FARTHEST) * alone.distance) else leading
         return complex(_upper(np.complex128(leading)))
 
     def _told(
@@ -351,13 +356,6 @@ class _Judge:
             return None
         self._ask([node])
         return node if self._own[place] else None
-
-    def _alone(self, place: int) -> complex:
-        """Leading multiplier of the orbit next to a point likewise; nan without one."""
-        if (node := self._node_at(place)) is None:
-            return complex(np.nan)
-        x, p = node.unknown, node.parameter
-        return self._unless_rivalled(place, node.leading[0], lambda wave: self._off(wave, x, p))
 
     def _accepted(self) -> tuple[np.ndarray, np.ndarray]:
         """Whether the orbits on both sides of a point are the points' own and the branch is not

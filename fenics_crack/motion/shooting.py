@@ -336,14 +336,18 @@ def orbit_next_to(
     *,
     patience: Patience | None = None,
     inverse: Inverse | None = None,
+    added: np.ndarray | None = None,
 ) -> PeriodicOrbit | None:
-    """The orbit next to a state: by Newton's method, or else, unless ``patience`` is at its end,
-    where the homotopy from the state leads, where M is formed; None where these lead to none.
-    Newton's method may begin with the inverse of a motion nearby.
+    """The orbit next to a state: by Newton's method, from the state, or from there with what is
+    ``added``; or else, unless ``patience`` is at its end, where the homotopy from the state leads,
+    where M is formed; None where these lead to none. Newton's method may begin with the inverse of
+    a motion nearby.
 
     Where stiff pairs open and close many times, Newton's method finds an orbit only from very near.
     """
     orbit = find_orbit(flow, omega, start, subharmonic=subharmonic, inverse=inverse)
+    if orbit is None and added is not None:
+        orbit = find_orbit(flow, omega, start + added, subharmonic=subharmonic)
     patience = patience or Patience(1)
     if orbit is not None or not patience.left or flow.size > FORMED:
         return orbit
