@@ -35,7 +35,7 @@ from fenics_crack.cli.account import (
 )  # fmt: skip
 from fenics_crack.cli.scenes import remark_on
 from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, kind_in_words, parameter_axis
-from fenics_crack.curves.peak import top_and_damping
+from fenics_crack.curves.peak import top_of
 from fenics_crack.curves.stability import attractors
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.files.store import IDENTIFICATION, Stored
@@ -462,7 +462,7 @@ def _largest(run: Run[ResponseCurve], seen: str) -> str:
             f"{quantity(amplitude[place], 'm')} half peak-to-peak ({run.watched_name}) at "
             f"{_place(run, found.values[place])}."
         )
-    peak, height, _ = top_and_damping(found.values, amplitude, place)
+    peak, height = top_of(found.values, amplitude, place)
     known = known_to(run)
     where = "" if run.stated is None else known_to(run, run.stated.resonance)
     return (

@@ -24,7 +24,7 @@ from fenics_crack.balance.solution import (
     solution_of,
 )
 from fenics_crack.curves.family import FAMILIES, Family
-from fenics_crack.curves.peak import Peak, damping_by_width, top_and_damping
+from fenics_crack.curves.peak import Peak, damping_by_width, top_of
 from fenics_crack.curves.stability import floquet
 from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
@@ -464,7 +464,7 @@ class ResponseCurve(_Waves):
         stable, and the damping by its width."""
         amplitude = self.amplitude(dof)
         index = int(np.argmax(amplitude))
-        value, height, _ = top_and_damping(self.values, amplitude, index)
+        value, height = top_of(self.values, amplitude, index)
         omega, solution, damping = float(self.omega[index]), self.solution(index), math.nan
         if self.parameter in ("omega", "speed"):
             omega *= value / float(self.values[index])

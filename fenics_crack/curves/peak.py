@@ -24,7 +24,7 @@ import numpy as np
 
 from fenics_crack.table import Described, quantity, with_frequency
 
-__all__ = ["Peak", "damping_by_width", "top_and_damping"]
+__all__ = ["Peak", "damping_by_width", "top_of"]
 
 
 @dataclass(frozen=True, repr=False)
@@ -89,11 +89,16 @@ class Peak(Described):
         )
 
 
-def top_and_damping(
+def top_of(value: np.ndarray, amplitude: np.ndarray, peak: int) -> tuple[float, float]:
+    """Where the top of a curve is and how high, between its points in their order (n,)."""
+    return _top_and_damping(value, amplitude, peak)[:2]
+
+
+def _top_and_damping(
     value: np.ndarray, amplitude: np.ndarray, peak: int
 ) -> tuple[float, float, float]:
-    """Where the top of a curve is and how high, between its points in their order (n,), and the
-    damping by the half-power bandwidth; nan where one side of it is missing."""
+    """The same, and the damping by the half-power bandwidth; nan where one side of it is
+    missing."""
     from scipy.interpolate import CubicSpline  # takes longer to load than a curve to be drawn
 
     point = float(value[peak]), float(amplitude[peak])
@@ -121,7 +126,7 @@ def damping_by_width(value: np.ndarray, waves: np.ndarray, subharmonic: int, pea
     """Damping by the half-power bandwidth of the load's own harmonic next to a curve's largest
     response, of coefficients (n, 2H+1); nan where that is missing."""
     cosine, sine = waves[:, 2 * subharmonic - 1], waves[:, 2 * subharmonic]
-    return top_and_damping(value, np.hypot(cosine, sine), peak)[2]
+    return _top_and_damping(value, np.hypot(cosine, sine), peak)[2]
 
 
 def _end_of_side(value: np.ndarray, amplitude: np.ndarray, peak: int, step: int) -> int:

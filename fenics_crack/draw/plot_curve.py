@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.curves.curve import ResponseCurve, kind_in_words, parameter_axis
-from fenics_crack.curves.peak import damping_by_width, top_and_damping
+from fenics_crack.curves.peak import damping_by_width, top_of
 from fenics_crack.draw.figure import COLOURS, FIRST, Picture, Where, label_axis
 from fenics_crack.errors import InputError
 from fenics_crack.numerics.fourier import to_complex
@@ -133,7 +133,7 @@ def _mark_peak(
     if at in (0, len(y) - 1):
         return
     unit = parameter_axis(curve.parameter, in_hertz)[2]
-    place, height, _ = top_and_damping(x, y, at)
+    place, height = top_of(x, y, at)
     words = f"largest: {quantity(height, 'm')} at {place:.5g} {unit}".removesuffix(" -")
     if curve.parameter == "omega":
         damping = damping_by_width(x, curve.coefficients_at(dof), curve.subharmonic, at)

@@ -12,7 +12,7 @@ from mpi4py import MPI
 from fenics_crack.balance.harmonic_balance import solve_linear
 from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver, indicators_of, solve_beside
-from fenics_crack.curves.peak import top_and_damping
+from fenics_crack.curves.peak import top_of
 from fenics_crack.curves.stability import floquet
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.fem.build import clearance_of
@@ -261,7 +261,7 @@ class Cases:
         else:
             raise ConvergenceError("the largest response was not found: it is no peak")
         self._near = top
-        omega = top_and_damping(top.omega + step * np.array([-1.0, 0.0, 1.0]), sizes, 1)[0]
+        omega = top_of(top.omega + step * np.array([-1.0, 0.0, 1.0]), sizes, 1)[0]
         return self.solve(case.replace({"excitation.omega": omega}))
 
     def _first_of(self, case: Scene, places: list[PeriodicSolution]) -> PeriodicSolution:
