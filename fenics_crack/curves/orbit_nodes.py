@@ -10,13 +10,11 @@ A segment between two nodes is in doubt, and is halved,
 - where -ln |mu| of a multiplier, followed from node to node by its angle too, is not that between
   its neighbours', to a quarter of the least of the three: the longer of the two segments;
 - where moduli that went on as they came would pass 1 before its middle;
-- where the parabolas through the sums and products of pairs at three nodes pass it;
 - where the angles of two pairs that went on as they came from both sides would pass each other, or
   that of one 0 or pi, or from one side before its middle: there pairs of a motion without damping
   leave the unit circle, and meet it again;
 - where pairs of lips open and close a quarter more often at one end than at the other: multipliers
   turn on like a square root where a motion begins to touch;
-- once at either end of the curve, where nothing comes from beyond;
 - where several of r, d and c change, or one by more than 1, until each changes by itself.
 
 Angles that differ by g where the pairs do not act on each other are the same, and moduli r apart
@@ -175,11 +173,10 @@ def in_doubt(nodes: list[Node], linked: np.ndarray, whole: np.ndarray) -> np.nda
         doubt[1:] |= bent & behind
         doubt[1:] |= _pass_one(moduli, lengths)
         doubt[:-1] |= _pass_one(moduli[::-1], lengths[::-1])[::-1]
-        doubt |= _pass_each_other(nodes, lengths) | _leave_between(nodes, lengths)
+        doubt |= _pass_each_other(nodes, lengths)
     events = np.array([one.events for one in nodes])
     least, most = np.sort([events[:-1], events[1:]], axis=0)
     doubt |= (most > least) & (most >= 1.25 * least) & (wide > 1.0)
-    doubt[[0, -1]] |= wide[[0, -1]] > EVERY // 2
     several = ~linked | (_steps(nodes).sum(axis=1) > 1)
     doubt &= wide > NARROWEST
     return whole & ((wide > EVERY) | doubt | (several & (wide > ALONE)))
@@ -302,8 +299,9 @@ def _bent(nodes: list[Node], lengths: np.ndarray) -> np.ndarray:
     """Whether -ln |mu| of a multiplier at each inner node is not that between its neighbours', to
     a quarter of the least of the three: (n - 2,) bool."""
     rows, way = _followed([one.upper for one in nodes])
-    here = rows[1:-1, :, 0]
-    before, behind = (one[..., 0] for one in _on_both_sides(rows, way))
+    before, here, behind = (rows[begin : begin + len(rows) - 2, :, 0] for begin in range(3))
+    before = np.take_along_axis(before, np.argsort(way[:-1], axis=1), 1)
+    behind = np.take_along_axis(behind, way[1:], 1)
     share = (lengths[:-1] / np.maximum(lengths[:-1] + lengths[1:], 1e-300))[:, None]
     off = np.abs(here - before - share * (behind - before))
     least = np.abs([before, here, behind]).min(axis=0)
@@ -362,35 +360,6 @@ def _followed(rows: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     for one in np.flatnonzero(shared):  # of the others each has its nearest
         ways[one] = scipy.optimize.linear_sum_assignment(cost[one])[1]
     return found, ways
-
-
-def _on_both_sides(rows: np.ndarray, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What :func:`_followed` gives, of the nodes before and behind each inner one, in its order:
-    (n - 2, k, 2) each."""
-    before = np.take_along_axis(rows[:-2], np.argsort(way[:-1], axis=1)[..., None], 1)
-    return before, np.take_along_axis(rows[2:], way[1:, :, None], 1)
-
-
-def _leave_between(nodes: list[Node], lengths: np.ndarray) -> np.ndarray:
-    """Whether on segments with both ends on one side of 1 the parabolas through sums and products
-    of pairs at three nodes go to the other side: (n - 1,) bool."""
-    pairs, way = _followed([one.pairs for one in nodes])
-    before, behind = _on_both_sides(pairs, way)
-    first, last = np.maximum(lengths[:-1], 1e-300), np.maximum(lengths[1:], 1e-300)
-    first, last = first[:, None, None], last[:, None, None]
-    slope = (pairs[1:-1] - before) / first
-    bend = ((behind - pairs[1:-1]) / last - slope) / (first + last)
-    shares = np.array([0.25, 0.5, 0.75])[:, None, None, None]
-    outside = np.array([one.moduli[0] > 1.0 for one in nodes])
-    counts = np.array([len(one.pairs) for one in nodes])
-    alike = (counts[:-2] == counts[1:-1]) & (counts[1:-1] == counts[2:])
-    found = np.zeros(len(lengths), dtype=bool)
-    for at, segment in ((first * shares, slice(0, -1)), (first + last * shares, slice(1, None))):
-        sums, products = np.moveaxis(before + at * (slope + (at - first) * bend), -1, 0)
-        largest = np.fmax.reduce(_sizes(sums, products), axis=(0, 3))
-        leaves = np.any((largest > 1.0) != outside[segment][:-1], axis=0)
-        found[segment] |= leaves & alike
-    return found & (outside[:-1] == outside[1:])
 
 
 def _steps(nodes: list[Node]) -> np.ndarray:
