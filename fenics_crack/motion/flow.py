@@ -304,6 +304,12 @@ class Track:
     sets: np.ndarray
     lengths: np.ndarray
 
+    @property
+    def closed_share(self) -> float:
+        """Part of the motion in which a pair is closed, mean over the pairs, of which there are
+        some."""
+        return float(self.lengths @ self.sets.mean(axis=1) / self.lengths.sum())
+
     @cached_property
     def _known(self) -> Struct:
         return Struct(

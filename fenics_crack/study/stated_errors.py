@@ -27,6 +27,10 @@ which some touch and others do not, is not known of the clearance, whatever a co
 pairs says by chance; what it changes is solved for, too. The mesh changes low harmonics and high
 ones alike: half of them show it.
 
+The share of the period in which lips are closed is counted at instants, alike in all these runs.
+Its error is that beside the switching instants of the exact orbit; elsewhere one instant's part is
+added to what harmonics leave out.
+
 The root of the sum of the squares of all causes is stated. These are errors that are expected, not
 bounds: scenes beside a mesh four times finer are in docs/error_report.md.
 """
@@ -254,7 +258,15 @@ def _more_harmonics(
         parts = {
             name: max((p[name] for p in both), key=methodcaller("uncertainty")) for name in parts
         }
+    if "closed_share" in parts:
+        parts["closed_share"] = _counted(parts["closed_share"], len(near.instants()))
     return counts, parts
+
+
+def _counted(part: GridConvergence, instants: int) -> GridConvergence:
+    """The same of a share of the period that is counted at instants: it is not known to one."""
+    error = math.hypot(part.uncertainty(-1), 1.0 / instants)
+    return replace(part, extrapolated=part.values[-1] + error)
 
 
 def by_orbit(
@@ -299,13 +311,15 @@ def _of_orbit(
     study: Study, found: PeriodicSolution, orbit: PeriodicOrbit, mode: int
 ) -> dict[str, float]:
     """The numbers of an orbit next to a solution, of a study's structure: of lips by its motion at
-    the solution's instants, of points with many harmonics (collective)."""
+    the solution's instants, but for the share closed, which its own switching instants tell; of
+    points with many harmonics (collective)."""
     structure, law, harmonics = study.structure, study.contact, _many(found)
     assert law is not None
     problem = Problem(structure, found.omega, law, harmonics, subharmonic=found.subharmonic)
     wave = wave_of(problem, orbit, orbit.coefficients(harmonics))
     samples = orbit.samples(found.instants())
     lips = contact_extremes(samples.gap, samples.force, structure.pairs.cracks)
+    lips["closed_share"] = orbit.motion.track.closed_share
     return numbers_of(study, wave, mode).values | lips
 
 

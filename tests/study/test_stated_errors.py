@@ -97,6 +97,20 @@ def test_the_largest_force_is_that_of_the_exact_orbit(scene: fc.Scene) -> None:
     assert exact - found == pytest.approx(part, rel=0.2)
 
 
+def test_the_share_closed_is_counted_at_instants(run: fc.Run) -> None:
+    """Its stated error has what counting leaves out: beside the orbit's own switching instants, or
+    of a smooth law, without an orbit, one instant's part."""
+    orbit = fc.shoot(run.structure, run.result)
+    time = orbit.period * np.arange(200_000) / 200_000
+    true = run.result.indicators().closed_share - np.mean(orbit.force_at(time) > 0.0)
+    assert run.errors is not None and abs(true) > 5e-5
+    part = run.errors.contributions("closed_share")["harmonics"]
+    assert part == pytest.approx(abs(true), abs=2e-5)
+    smooth = {"contact.law": "smoothed", "contact.stiffness": 1e9, "contact.sharpness": 1e9}
+    other = fc.solve(run.scene.replace(smooth | {"mesh.error": False}), MPI.COMM_SELF).errors
+    assert other is not None and other.contributions("closed_share")["harmonics"] >= 1.0 / 1024
+
+
 def test_a_crack_that_closes_pair_by_pair(scene: fc.Scene) -> None:
     """With a preload some of eight pairs never part, and a coarse mesh of few pairs says next to
     nothing by chance: opening and 2/1 are known to within four times what is stated (in ten such
