@@ -259,6 +259,16 @@ def _check_values(law: ContactLaw, pairs: int) -> None:
             raise InputError("contact", law, allowed)
     if np.any(found < -EPSILON * np.abs(found).max(initial=0.0)):
         raise InputError("contact", law, "one whose tangent(gap) is >= 0: stiffness, not softness")
+    try:
+        softer = law.scaled(0.5)
+        same = isinstance(softer, type(law)) and np.allclose(
+            numbers(softer.stiffness), 0.5 * numbers(law.stiffness), atol=0.0
+        )
+    except (ArithmeticError, TypeError, ValueError):
+        same = False
+    if not same:
+        allowed = "one whose scaled(factor) is a law of its own kind, factor times as stiff"
+        raise InputError("contact", law, allowed)
 
 
 WRONG_SLOPE = 0.01

@@ -969,7 +969,7 @@ class TipTiming(Table):
         None,
     )
     """Engine orders that may be in the arrivals; default: the load's, or 1 to 24 where it is not
-    known."""
+    known. Of a computed run-up it is known."""
     frequencies: tuple[float, ...] | None = holds(
         "two finite numbers > 0, the second one larger",
         lambda ends: len(ends) == 2 and 0.0 < ends[0] < ends[1],

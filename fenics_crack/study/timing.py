@@ -138,13 +138,14 @@ def vibration_in(
     """What ``[tip_timing]`` asks to be sought in arrival times, measured or computed from a run.
 
     At constant speed the load's engine order, or one of those that are given, or a frequency; in a
-    run-up the load's order, or where that is not known the resonances that are passed.
+    run-up the load's order, or where that is not known, or orders are given, the resonances that
+    are passed.
 
     Raises
     ------
     InputError
         As :func:`fit_order`, :func:`fit_frequency`, :func:`track_order` and :func:`find_passages`;
-        or a frequency is asked for in a run-up.
+        or a frequency is asked for in a run-up, or orders in one that is computed.
     """
     table = scene.given("tip_timing")
     order = table.order or scene.excitation.order
@@ -153,8 +154,9 @@ def vibration_in(
     if is_run_up(arrivals, run):
         why = "a run-up, in which an order is tracked, or the resonances are found that are passed"
         table.leave_out(("frequencies",), why)
-        if order is None:
+        if order is None or (run is None and table.orders):
             return find_passages(arrivals, table.orders or ORDERS)
+        table.leave_out(("orders",), f"a computed run-up: order {order} is tracked")
         how |= {"subharmonic": table.subharmonic, "revolutions": table.fitted_revolutions}
         return track_order(arrivals, order, **how)
     if table.frequencies is not None:

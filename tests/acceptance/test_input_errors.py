@@ -1,7 +1,7 @@
 """Bad input of the calls that solve: one InputError, which names the argument."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import judged
@@ -20,11 +20,12 @@ def found() -> fc.PeriodicSolution:
 
 @dataclass(frozen=True)
 class Law:
-    """A law of one's own, with whatever forces and a constant tangent."""
+    """A law of one's own, with whatever forces, a constant tangent and whatever when scaled."""
 
     forces: Callable[[np.ndarray], np.ndarray]
     slope: float = 1.0
     stiffness: float = 1.0
+    other: Callable[[float], Any] | None = None
 
     def force(self, gap: np.ndarray) -> np.ndarray:
         """Whatever."""
@@ -34,9 +35,11 @@ class Law:
         """The same everywhere."""
         return np.full_like(gap, self.slope)
 
-    def scaled(self, factor: float) -> "Law":
-        """Itself."""
-        return self
+    def scaled(self, factor: float) -> Any:
+        """Whatever, or by default the same, so many times as stiff."""
+        if self.other is not None:
+            return self.other(factor)
+        return replace(self, stiffness=factor * self.stiffness)
 
 
 BAD: dict[str, tuple[str, Callable[[], Any]]] = {
@@ -79,6 +82,22 @@ BAD: dict[str, tuple[str, Callable[[], Any]]] = {
     "complex forces": (
         "contact",
         lambda: fc.solve_harmonic_balance(ONE, 1.0, Law(lambda gap: 1j * gap), harmonics=3),
+    ),
+    "scaled to another law": (
+        r"^contact = .*scaled\(factor\)",
+        lambda: fc.solve_harmonic_balance(ONE, 1.0, Law(np.array, other=fc.UnilateralPenalty)),
+    ),
+    "scaled to no law": (
+        r"^contact = .*scaled\(factor\)",
+        lambda: fc.continue_parameter(
+            ONE, 1.0, Law(np.array, other=float), "stiffness", 1.0, 2.0, harmonics=3
+        ),
+    ),
+    "as stiff when scaled": (
+        r"^contact = .*scaled\(factor\)",
+        lambda: fc.continue_frequency(
+            ONE, 1.0, 2.0, Law(np.array, other=lambda factor: Law(np.array)), harmonics=3
+        ),
     ),
     "softness": ("contact", lambda: fc.continue_frequency(ONE, 1.0, 2.0, Law(np.ones_like, -1.0))),
 }

@@ -251,6 +251,14 @@ def test_a_run_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert main(["timing", scene, str(tmp_path / source), *sought]) == 2
         told = "tip_timing.frequencies = (150.0, 400.0): must be left out with a run-up, in which "
         assert told in capsys.readouterr().err
+    # Nor orders in one that is computed; in one that is measured resonances of these are.
+    sought[1] = "tip_timing.orders=[4, 5]"
+    assert main(["timing", scene, str(tmp_path / "curve.h5"), *sought]) == 2
+    told = "tip_timing.orders = (4.0, 5.0): must be left out with a computed run-up: order 5 is "
+    assert told in capsys.readouterr().err
+    assert main(["timing", scene, str(tmp_path / "arrivals.csv"), *sought]) == 0
+    assert (tmp_path / "timing.csv").read_text().startswith("blade,")
+    capsys.readouterr()
     # Of another order the fit is wrong by far, which may be why it does not fit.
     other = ["--set", "tip_timing.order=7", "--output", str(tmp_path)]
     assert main(["timing", scene, str(tmp_path / "arrivals.csv"), *other]) == 0

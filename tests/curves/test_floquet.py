@@ -294,15 +294,18 @@ def test_a_tangent_that_is_not_the_forces_slope_is_refused() -> None:
         def tangent(self, gap: np.ndarray) -> np.ndarray:
             return self.stiffness * gap**2
 
+        def scaled(self, factor: float) -> Cubic:
+            return Third(factor * self.stiffness)
+
     class Hardening(Cubic):
         def force(self, gap: np.ndarray) -> np.ndarray:
-            return np.maximum(gap, 0.0) + 5.0 * np.maximum(gap - 0.1, 0.0)
+            return self.stiffness / 6.0 * (np.maximum(gap, 0.0) + 5.0 * np.maximum(gap - 0.1, 0.0))
 
         def tangent(self, gap: np.ndarray) -> np.ndarray:
-            return 1.0 * (gap > 0.0) + 5.0 * (gap > 0.1)
+            return self.stiffness / 6.0 * (1.0 * (gap > 0.0) + 5.0 * (gap > 0.1))
 
         def scaled(self, factor: float) -> Cubic:
-            return self
+            return Hardening(factor * self.stiffness)
 
     solution = fc.solve_harmonic_balance(structure, 1.5, Cubic(1.0), harmonics=9)
     assert floquet(structure, solution).verdict == "stable"

@@ -78,21 +78,21 @@ def test_pairs_behind_a_compliance() -> None:
 
 @dataclass(frozen=True)
 class Square:
-    """lambda = g^2 / 2, whose stiffness is the gap."""
+    """lambda = c g^2 / 2, whose stiffness is the gap."""
 
     stiffness: float = 1.0
 
     def force(self, gap: np.ndarray) -> np.ndarray:
-        """g^2 / 2."""
-        return 0.5 * gap**2
+        """c g^2 / 2."""
+        return 0.5 * self.stiffness * gap**2
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
-        """g."""
-        return gap
+        """c g."""
+        return self.stiffness * gap
 
     def scaled(self, factor: float) -> Square:
-        """The same."""
-        return self
+        """The same with another c."""
+        return Square(factor * self.stiffness)
 
 
 @pytest.mark.parametrize(("order", "even"), [(1, True), (2, True), (2, False), (3, False)])
