@@ -200,10 +200,11 @@ def solve_harmonic_balance(
         through a static compliance. May have other harmonics, and a subharmonic that divides that
         of the response.
     tolerance : float, optional
-        Choose H, and for a structure with many dofs the modes of a reduction, so that the error
-        (:class:`ErrorReport`) is below this; the solution's status says what was chosen, or what
-        limits the error of the best one. Where the exact flow is known the coefficients are those
-        of an exact orbit. ``harmonics`` and ``samples`` are then left out.
+        Choose H, 5 times ``subharmonic`` or more, and for a structure with many dofs the modes of a
+        reduction, so that the error (:class:`ErrorReport`) is below this; the solution's status
+        says what was chosen, or what limits the error of the best one. Where the exact flow is
+        known the coefficients are those of an exact orbit. ``harmonics`` and ``samples`` are then
+        left out.
     residual_tolerance : float
         ``|F(x)| / |x|`` of the algebraic equations; with very stiff contact (k R > 1e5) rounding
         alone leaves more, eps k R, which is then accepted and reported.
@@ -243,7 +244,7 @@ def solve_harmonic_balance(
             raise InputError("samples", samples, "left out where a tolerance is given")
     if harmonics is None:
         check_count("subharmonic", subharmonic, 1)
-        harmonics = max(5, subharmonic)
+        harmonics = max(5, subharmonic) if tolerance is None else RUNGS[0] * subharmonic
     problem = Problem(structure, omega, contact, harmonics, samples, subharmonic)
     if samples is not None:
         check_count("samples", samples, 4 * harmonics + 1)
@@ -295,14 +296,14 @@ def solve_to_tolerance(
     reduced_to: Callable[[int], Structure] | None = None,
     modes: int = FIRST_MODES,
 ) -> PeriodicSolution:
-    """The solution with the fewest modes and harmonics that meet a tolerance; else the best one, or
-    the error that says how far it is from what was asked for.
+    """The solution with the fewest modes and harmonics that meet a tolerance, no fewer harmonics
+    than the problem has; else the best one, or the error that says how far it is from what was
+    asked for.
 
     ``reduced_to`` gives the structure with so many modes (collective), which are as many as
     ``modes`` at first; by itself only a structure of many dofs is reduced.
     """
-    whole, fewest = solver.problem.structure, 2 * solver.problem.subharmonic
-    solver = replace(solver, problem=solver.problem.with_harmonics(fewest))
+    whole = solver.problem.structure
     if reduced_to is None and not (is_small(whole) or isinstance(whole, ReducedStructure)):
         reduced_to = partial(_without_mass, whole)
     most = min(max(modes, MAX_MODES), whole.n_dofs)
@@ -372,7 +373,8 @@ def _solved(solver: Solver, tolerance: float, initial: PeriodicSolution | None) 
     if orbit is None:  # with more harmonics it may be found, or the error known all the same
         few = solver
         if near is not None:
-            few = replace(solver, problem=problem.with_harmonics(near.harmonics))
+            most = max(near.harmonics, problem.harmonics)
+            few = replace(solver, problem=problem.with_harmonics(most))
         near = _by_harmonics(few, tolerance, near or initial)
         orbit = near.judged.orbit if near.converged else None
         if orbit is None:

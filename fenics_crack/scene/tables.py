@@ -463,7 +463,7 @@ class HarmonicBalance(Table):
     """Truncation of the Fourier series and sampling of the contact force."""
 
     harmonics: int = at_least_one(5)
-    """H; with a tolerance, the fewest of a curve and of a sweep."""
+    """H; with a tolerance, the fewest."""
     samples: int | None = at_least_one(None)
     """Instants per period at which contact is evaluated; chosen by the solver when left out."""
     tolerance: float | None = positive(None)

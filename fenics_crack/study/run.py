@@ -260,7 +260,7 @@ def solve_prepared(
             study.structure, omega, law, **how, initial=initial, throw=False
         )
     else:
-        study, solution = _solve_to_tolerance(whole, law, table.tolerance)
+        study, solution = _solve_to_tolerance(whole, law)
     structure = study.structure
     quick = is_piecewise_linear(law) or structure.n_dofs <= FEW_DOFS  # else it takes minutes
     if is_rigid(law):
@@ -271,17 +271,15 @@ def solve_prepared(
     return Run(**vars(study), result=solution)
 
 
-def _solve_to_tolerance(
-    whole: Study, law: ContactLaw, tolerance: float
-) -> tuple[Study, PeriodicSolution]:
-    """The solution to a tolerance, and its study with the modes that it takes."""
-    scene, structure = whole.scene, whole.structure
-    omega, first = scene.excitation.omega, reduction_of(scene, structure)
+def _solve_to_tolerance(whole: Study, law: ContactLaw) -> tuple[Study, PeriodicSolution]:
+    """The solution to the tolerance, and its study with the modes that it takes."""
+    scene, structure, table = whole.scene, whole.structure, whole.scene.harmonic_balance
+    first, tolerance = reduction_of(scene, structure), table.given("tolerance")
+    problem = Problem(structure, scene.excitation.omega, law, table.harmonics)
     if first is None or (scene.reduction is not None and scene.reduction.modes is not None):
         study = reduced(whole)
-        return study, solve_harmonic_balance(
-            study.structure, omega, law, tolerance=tolerance, throw=False
-        )
+        problem = replace(problem, structure=study.structure)
+        return study, solve_to_tolerance(Solver(problem, throw=False), tolerance)
     studies: list[Study] = []
 
     def reduced_to(modes: int) -> Structure:
@@ -291,7 +289,7 @@ def _solve_to_tolerance(
 
     large = first.method == "massless" and not is_small(structure)
     modes = FIRST_MODES if large else first.modes
-    solver = Solver(Problem(structure, omega, law), throw=False)
+    solver = Solver(problem, throw=False)
     found = solve_to_tolerance(solver, tolerance, reduced_to=reduced_to, modes=modes)
     return next(study for study in studies if study.structure is found.structure), found
 

@@ -186,3 +186,19 @@ def test_own_plate_from_the_settings_of_new(
     rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)}
     assert rows["verdict"]["value"] == "stable" and rows["total_error"]["value"] < 1e-2
     assert 0.5 < rows["amplitude"]["error [%]"] < 6.0
+
+
+def test_the_fewest_harmonics() -> None:
+    """A large tolerance has the third harmonic, too, which the orbit knows; the scene's harmonics
+    are the fewest, as ``check`` says."""
+    given = {"harmonic_balance.tolerance": 0.5, "reduction.modes": 10, "mesh.size": 0.02}
+    scene = fc.Scene.load(BLADE).replace(given | {"curve": None})
+    for count in (5, 12):
+        run = fc.solve(scene.replace({"harmonic_balance.harmonics": count}), MPI.COMM_SELF)
+        assert run.result.harmonics == count and run.result.judged.distance < 0.1
+        assert run.result.indicators().ratio_3_1 > 0.0
+        assert run.errors is not None and run.errors.stated("ratio_3_1")[0] < 1.0
+    solution = fc.solve_harmonic_balance(
+        run.structure, run.result.omega, run.contact, tolerance=0.5, subharmonic=2
+    )
+    assert solution.harmonics == 10
