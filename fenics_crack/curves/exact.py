@@ -234,7 +234,7 @@ class _Judge:
         found, (accepted, expected) = np.full(len(self._curve), np.nan + 0j), self._accepted()
         if self.branch.linked.any():
             self._by_segments(found, accepted, expected)
-        self._singly(found, accepted)
+        self._singly(found)
         return found
 
     def _by_segments(self, found: np.ndarray, accepted: np.ndarray, expected: np.ndarray) -> None:
@@ -292,16 +292,12 @@ class _Judge:
         there = (np.abs(share - 0.5) <= 0.5 + END) & accepted[place]
         return segment[there], place[there], share[there]
 
-    def _singly(self, found: np.ndarray, accepted: np.ndarray) -> None:
-        """Judge points whose orbits nodes do not tell one by one: some, those next to others, also
-        where nodes begin or cease to be accepted, and from each that is decided on to the next that
-        is not; without homotopies when two more have decided nothing than have decided a point."""
-        places, patience = np.flatnonzero(np.isnan(found)), Patience(2)
-        left = set(places.tolist())
-        asked = places[:: 1 + len(places) // EVERY].tolist()
-        for place in places.tolist():
-            beside = {accepted[one] if one in left else None for one in (place - 1, place + 1)}
-            asked += [place] if beside != {accepted[place]} else []
+    def _singly(self, found: np.ndarray) -> None:
+        """Judge points whose orbits nodes do not tell one by one: every other, and those next to
+        one that is decided; without homotopies when two more have decided nothing than have decided
+        a point."""
+        left, patience = set(np.flatnonzero(np.isnan(found)).tolist()), Patience(2)
+        asked = sorted(left)[::2]
         while asked:
             place = asked.pop()
             if place in left:
@@ -310,7 +306,7 @@ class _Judge:
                 found[place] = self.by_itself(place, patience)
                 if not np.isnan(found[place]):
                     asked += [place - 1, place + 1]
-                    patience.left = before + (patience.left < before)
+                    patience.left = before
 
     def by_itself(self, place: int, patience: Patience | None = None) -> complex:
         """Leading multiplier of a point judged as a single solution is, with the ``patience`` of
