@@ -178,16 +178,17 @@ def finer_mesh(scene: Scene, factor: float) -> Scene | None:
 
     Elements along lips are counted up to the next whole number, and all others follow them, so that
     the mesh stays of one kind; three or more of a solid to that next to the factor
-    (:func:`_alike`). Of a solid a size counts as the shortest side if it is longer. A grid becomes
-    finer by the next whole factor, so that cracks stay on its lines; or coarser by 2, where that is
-    possible.
+    (:func:`_alike`). Where a solid becomes finer, a size counts as the shortest side if it is
+    longer; where it becomes coarser, it is as it is, for elements of a thin one may be longer. A
+    grid becomes finer by the next whole factor, so that cracks stay on its lines; or coarser by 2,
+    where that is possible.
     """
     mesh = scene.mesh
     if mesh is None or mesh.layout == "file":
         return None
     changes: dict[str, Any] = {}
     lips, size = mesh.lip_elements, mesh.size
-    if scene.dimension == 3 and size is not None:
+    if scene.dimension == 3 and size is not None and factor > 1.0:
         size = min(size, *scene.geometry.sides)
     if scene.dimension == 3 and lips is not None and lips > 2:
         count, grading, factor = _alike(lips, mesh.grading, factor)

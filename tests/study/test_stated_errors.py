@@ -97,6 +97,23 @@ def test_the_largest_force_is_that_of_the_exact_orbit(scene: fc.Scene) -> None:
     assert exact - found == pytest.approx(part, rel=0.2)
 
 
+@pytest.mark.parametrize(("lips", "size"), [(2, 0.012), (3, 0.012)])
+def test_elements_longer_than_a_solid_is_thick(tmp_path: Path, lips: int, size: float) -> None:
+    """The coarser mesh is coarser away from the crack, too: between a tenth and the whole of what
+    is stated of natural frequencies is seen on a finer one (up to 11 times it was)."""
+    file = tmp_path / "scene.toml"
+    file.write_text(SLENDER, encoding="utf-8")
+    changes = {"crack.height": 0.06, "mesh.size": size, "mesh.lip_elements": lips}
+    scene = fc.Scene.load(file).replace(changes | {"mesh.error": True})
+    finer = scene.replace({"mesh.size": 0.004, "mesh.lip_elements": 5, "mesh.error": False})
+    found, true = (fc.modes(one, comm=MPI.COMM_SELF) for one in (scene, finer))
+    assert found.errors is not None
+    for mode in (1, 2, 3):
+        stated = found.errors.stated(f"frequency_open_{mode}")[0]
+        seen = found.result.omega[mode - 1] / true.result.omega[mode - 1] - 1.0
+        assert 0.1 < seen / stated < 1.0, mode
+
+
 def test_the_share_closed_is_counted_at_instants(run: fc.Run) -> None:
     """Its stated error has what counting leaves out: beside the orbit's own switching instants, or
     of a smooth law, without an orbit, one instant's part."""
