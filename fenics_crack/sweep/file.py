@@ -34,7 +34,7 @@ from fenics_crack.errors import FEW_MODES, InputError, WriteError
 from fenics_crack.files import store
 from fenics_crack.files.store import about
 from fenics_crack.outside import MOST_BYTES
-from fenics_crack.scene.scene import Scene, asked_quantities
+from fenics_crack.scene.scene import LOOKED_AT, Scene, asked_quantities
 from fenics_crack.scene.words import differences
 from fenics_crack.table import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QUANTITIES
 from fenics_crack.version import VERSION
@@ -117,6 +117,8 @@ LATER = (
     "ratio_largest", "largest_order", "crack_force", *(f"omega_bilinear_{n}" for n in NUMBERED),
 )  # fmt: skip
 """Quantities that older files do not have, where they are nan."""
+UNUSED = dict.fromkeys(name for name in LOOKED_AT if name not in ("sweep", "output", "growth"))
+"""Tables that no case depends on; without them."""
 WAVES = {"gap": "m", "force": "N"}
 """Coefficients kept of a case that converged, and their units."""
 WAVES_CHECKSUM, CHECKSUM = "waves_checksum", "checksum"
@@ -342,8 +344,9 @@ def _of_scene(path: Path, scene: Scene) -> store.Stored:
     program."""
     stored = store.header(path)
     stored.check_kind(KIND)
-    if stored.attributes.get("scene") != (text := store.scene_text(scene)):
-        begun, asked = stored.scene(), Scene.from_text(text, str(path))  # both with full paths
+    begun = stored.scene()
+    asked = Scene.from_text(store.scene_text(scene), str(path))  # both with full paths
+    if begun is None or begun.replace(UNUSED) != asked.replace(UNUSED):
         there = differences([begun, asked])[0] if begun is not None else ""
         value = f"{path}{there and f', begun with {there}'}"
         allowed = "the file of the same scene; for another one choose a new folder"
@@ -354,9 +357,7 @@ def _of_scene(path: Path, scene: Scene) -> store.Stored:
         why = f" and has no column {lost[0]!r}" if lost else ""
         allowed = f"a new name: it was begun by version {version}{why}, this is {VERSION}"
         raise InputError("path", str(path), allowed)
-    same = stored.scene()
-    assert same is not None
-    stored.check_files(same)
+    stored.check_files(begun)
     return opened(path)
 
 

@@ -382,6 +382,8 @@ def test_files_that_cannot_be_used(paper_scene: fc.Scene, tmp_path: Path) -> Non
     ):
         with pytest.raises(fc.InputError, match=f"begun with {own}.*same scene; for another one"):
             run_sweep(scene.replace(changes), path)
+    other_curve = {"curve.start": 1000.0, "curve.stop": 1500.0, "integration.periods": 7}
+    assert run_sweep(scene.replace(other_curve), path).complete  # no case depends on these
     with h5py.File(path, "r+"), pytest.raises(fc.InputError, match="path"):
         run_sweep(scene, path)
     assert path.read_bytes() == content
