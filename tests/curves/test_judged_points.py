@@ -130,3 +130,20 @@ def test_short_unstable_stretches_are_not_passed_over(seed: int, most_points: in
         solution = curve.solution(place, search=False)
         alone = fc.floquet(structure, solution).verdict
         assert "undecided" in {alone, curve.verdicts[place]} or alone == curve.verdicts[place]
+
+
+def test_points_that_are_decided_alone_are_along_the_curve() -> None:
+    """Of a chain with 1 % of damping whose curve turns back and forth: where the branch of orbits is
+    lost next to its points most of them are still judged, none otherwise than by itself."""
+    structure, law = random_chain(17)
+    first, second = fc.solve_modes(structure, 2).omega
+    curve = fc.continue_frequency(
+        structure, 0.8 * first, 1.25 * second, law, harmonics=15, stability=True,
+        most_points=60, throw=False,
+    )  # fmt: skip
+    solutions = [curve.solution(place, search=False) for place in range(0, len(curve), 3)]
+    alone = [str(fc.floquet(one.structure, one).verdict) for one in solutions]
+    pairs = list(zip(alone, curve.verdicts[::3].tolist(), strict=True))
+    told = [one == other for one, other in pairs if one != "undecided"]
+    assert len(told) >= 14 and sum(told) >= 0.7 * len(told)
+    assert all("undecided" in pair or pair[0] == pair[1] for pair in pairs)
