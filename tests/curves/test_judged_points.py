@@ -133,8 +133,8 @@ def test_short_unstable_stretches_are_not_passed_over(seed: int, most_points: in
 
 
 def test_points_that_are_decided_alone_are_along_the_curve() -> None:
-    """Of a chain with 1 % of damping whose curve turns back and forth: where the branch of orbits is
-    lost next to its points most of them are still judged, none otherwise than by itself."""
+    """Of a chain with 1 % of damping whose curve turns back and forth: where the branch of orbits
+    is lost next to its points most of them are still judged, none otherwise than by itself."""
     structure, law = random_chain(17)
     first, second = fc.solve_modes(structure, 2).omega
     curve = fc.continue_frequency(
