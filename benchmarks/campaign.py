@@ -93,6 +93,8 @@ be followed."""
 WANDERED, APART, LATER = 60, 0.03, 8
 """Periods after which a motion is followed for as many more, and how far it is in most of them from
 where it was up to so many before if it wanders."""
+FINEST = 160
+"""Harmonics of the solutions from which a reference's search for an orbit begins, at most."""
 SECONDS = 60.0
 """Of processor time that a case may take."""
 PERIODS = {4: 100, 200: 20}
@@ -173,8 +175,8 @@ def _starts(
 def finer(case: Case, found: fc.PeriodicSolution, factor: int) -> fc.PeriodicSolution:
     """A solution with more harmonics from an answer."""
     return fc.solve_harmonic_balance(
-        found.structure, found.omega, found.contact, harmonics=min(factor * found.harmonics, 160),
-        subharmonic=found.subharmonic, initial=found,
+        found.structure, found.omega, found.contact, subharmonic=found.subharmonic,
+        harmonics=min(factor * found.harmonics, FINEST), initial=found,
     )  # fmt: skip
 
 
@@ -409,8 +411,9 @@ def _with_more_modes(
     from the solution."""
     more = fc.reduce_structure(whole, modes=2 * found.structure.n_modes, method="massless")
     orbit, off = exact_orbit(case, found)
+    count = min(found.harmonics, FINEST)
     near = fc.solve_harmonic_balance(
-        more, found.omega, case.law, harmonics=found.harmonics, initial=found, throw=False
+        more, found.omega, case.law, harmonics=count, initial=found, throw=False
     )
     if orbit is None or not near.converged:
         return None
