@@ -145,7 +145,8 @@ def vibration_in(
     ------
     InputError
         As :func:`fit_order`, :func:`fit_frequency`, :func:`track_order` and :func:`find_passages`;
-        or a frequency is asked for in a run-up, or orders in one that is computed.
+        or a frequency is asked for in a run-up, orders in one that is computed, or more than first
+        harmonics, or revolutions together, where its resonances are sought.
     """
     table = scene.given("tip_timing")
     order = table.order or scene.excitation.order
@@ -155,6 +156,8 @@ def vibration_in(
         why = "a run-up, in which an order is tracked, or the resonances are found that are passed"
         table.leave_out(("frequencies",), why)
         if order is None or (run is None and table.orders):
+            of_fits = "fitted_harmonics", "subharmonic", "fitted_revolutions"
+            table.leave_out(of_fits, "a run-up in which resonances are sought")
             return find_passages(arrivals, table.orders or ORDERS)
         table.leave_out(("orders",), f"a computed run-up: order {order} is tracked")
         how |= {"subharmonic": table.subharmonic, "revolutions": table.fitted_revolutions}

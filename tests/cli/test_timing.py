@@ -197,6 +197,7 @@ def test_arrivals_of_another_speed(tmp_path: Path, capsys: pytest.CaptureFixture
 def test_a_run_up_of_another_speed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The same of a run-up, in which no order is known and resonances are looked for."""
     rotor = {"rotation.speed": 360.0, "rotation.hub_radius": 0.1, "tip_timing.order": None}
+    rotor |= {"tip_timing.fitted_harmonics": 2}
     scene, low, rise = written(tmp_path, rotor), 300.0, 50.0
     turns = 2.0 * np.pi * np.arange(301)
     angles = turns[:-1, None] + np.radians(PROBES)
@@ -216,6 +217,13 @@ def test_a_run_up_of_another_speed(tmp_path: Path, capsys: pytest.CaptureFixture
         found = capsys.readouterr().err
         assert "no resonance stands out" in found
         assert ("[rotation] has 360 rad/s: are they in seconds?" in found) == told
+
+    # Resonances that are sought have no harmonics, nor revolutions to fit together.
+    for key, value in (("fitted_harmonics", 3), ("subharmonic", 2), ("fitted_revolutions", 10)):
+        name, words = f"tip_timing.{key}", ["timing", scene, str(tmp_path / "seen.csv"), *out]
+        assert main([*words, "--set", f"{name}={value}"]) == 2
+        refused = f"{name} = {value}: must be left out with a run-up in which resonances are sought"
+        assert refused in capsys.readouterr().err
 
 
 def followed(folder: Path, captured: Any, changes: dict[str, Any]) -> tuple[str, fc.Run[Any]]:
@@ -256,6 +264,7 @@ def test_a_run_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["timing", scene, str(tmp_path / "curve.h5"), *sought]) == 2
     told = "tip_timing.orders = (4.0, 5.0): must be left out with a computed run-up: order 5 is "
     assert told in capsys.readouterr().err
+    sought += ["--set", "tip_timing.fitted_harmonics=2"]
     assert main(["timing", scene, str(tmp_path / "arrivals.csv"), *sought]) == 0
     assert (tmp_path / "timing.csv").read_text().startswith("blade,")
     capsys.readouterr()
