@@ -149,8 +149,9 @@ def shape_of(scene: Scene) -> tuple[int, ...]:
 class SweepFile:
     """A sweep's file, open for writing; continued if it exists, else made.
 
-    ``harmonics`` and ``pairs`` are upper bounds for all cases. Raises InputError if the file cannot
-    be written, another program is writing it, or it is not a sweep of this scene.
+    ``harmonics`` and ``pairs`` are upper bounds for all cases, ``omitted`` names what is not asked
+    of them. Raises InputError if the file cannot be written, another program is writing it, it is
+    not a sweep of this scene, or other cases would have other columns than those in it.
 
     Attributes
     ----------
@@ -162,15 +163,19 @@ class SweepFile:
         In the shape of the axes; of damaged cases PENDING.
     """
 
-    def __init__(self, path: Path, scene: Scene, harmonics: int, pairs: int) -> None:
+    def __init__(
+        self, path: Path, scene: Scene, harmonics: int, pairs: int, omitted: Sequence[str] = ()
+    ) -> None:
         self._path, self._columns = path, columns_of(scene)
         try:
-            made = None if path.exists() else _made(path, scene, harmonics, pairs)
+            made = None if path.exists() else _made(path, scene, harmonics, pairs, omitted)
             self._file = os.open(path, os.O_RDWR)
             try:
                 fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 self.stored = made or _of_scene(path, scene)
                 self.state = _whole_cases(self.stored, scene)
+                if np.any(self.state == PENDING):
+                    _check_omitted(self.stored, omitted)
             except BaseException:
                 os.close(self._file)
                 raise
@@ -257,7 +262,9 @@ def _stored(value: Any) -> Any:
     return value.encode()[:STATUS_BYTES].decode("utf-8", "ignore").encode()
 
 
-def _made(path: Path, scene: Scene, harmonics: int, pairs: int) -> store.Stored | None:
+def _made(
+    path: Path, scene: Scene, harmonics: int, pairs: int, omitted: Sequence[str]
+) -> store.Stored | None:
     """A new file; None where another program has been quicker."""
     shape = shape_of(scene)
     sizes = {name: (unit, kind, shape) for name, (unit, kind) in _kept(scene).items()}
@@ -272,20 +279,25 @@ def _made(path: Path, scene: Scene, harmonics: int, pairs: int) -> store.Stored 
         ):
             least = (math.prod(size) * np.dtype(kind).itemsize for _, kind, size in sizes.values())
             whole.truncate(sum(least))  # OSError where files are limited, which HDF5 would meet
-            stored = _image(image, path, scene, sizes)
+            stored = _image(image, path, scene, sizes, omitted)
             _copy_written(image.fileno(), whole.fileno())
         return stored
     return None
 
 
 def _image(
-    image: BinaryIO, path: Path, scene: Scene, sizes: Mapping[str, tuple[str, str, tuple[int, ...]]]
+    image: BinaryIO,
+    path: Path,
+    scene: Scene,
+    sizes: Mapping[str, tuple[str, str, tuple[int, ...]]],
+    omitted: Sequence[str],
 ) -> store.Stored:
     """Write a new file with datasets of some units, types and shapes; its header."""
     import h5py  # what only reads has its reader
 
     with h5py.File(image, "w", libver="earliest") as file:
         store.write_header(file, KIND, scene)
+        file.attrs["omitted"] = " ".join(omitted)
         texts, columns = store.texts(file), {}  # kept as written: to read them takes longer
         for name, (unit, kind, size) in sizes.items():
             plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
@@ -359,6 +371,17 @@ def _of_scene(path: Path, scene: Scene) -> store.Stored:
         raise InputError("path", str(path), allowed)
     stored.check_files(begun)
     return opened(path)
+
+
+def _check_omitted(stored: store.Stored, omitted: Sequence[str]) -> None:
+    """Raise InputError where more or less was asked of the cases in a file than is of its others;
+    that is not known of older files."""
+    begun = stored.attributes.get("omitted", " ".join(omitted)).split()
+    differ = [f"{name}={name not in begun}" for name in sorted({*begun} ^ {*omitted})]
+    if differ:
+        value = f"{stored.path}, begun with {', '.join(differ)}"
+        allowed = "continued as it was begun; for other columns choose a new folder"
+        raise InputError("path", value, allowed)
 
 
 # --- reading --------------------------------------------------------------------------------------

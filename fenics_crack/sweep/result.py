@@ -102,7 +102,8 @@ def run_sweep(
         With its table ``[sweep]``.
     path : path, optional
         The file for the results. If it exists, it must be of the same scene and mesh files; its
-        cases are kept, failed ones too. Default: a file that lasts as long as the program.
+        cases are kept, failed ones too; where some are missing, with the same ``verdicts`` and
+        ``judged``. Default: a file that lasts as long as the program.
     comm : MPI.Comm
         The ranks; with ``sweep.ranks = s`` a multiple of s.
     progress : bool
@@ -138,7 +139,10 @@ def run_sweep(
 
     def start() -> Asked:
         plan = Plan(scene)
-        file = SweepFile(Path(path or _passing_file()), scene, plan.harmonics, plan.pairs)
+        wanted = {"verdicts": verdicts, "judged": judged}
+        omitted = [name for name, yes in wanted.items() if not yes]
+        where = Path(path or _passing_file())
+        file = SweepFile(where, scene, plan.harmonics, plan.pairs, omitted)
         managers.append(Manager(plan, file, comm.size // ranks, progress=progress))
         hopeless = not plan.reduction_swept
         return Asked(plan.unit_loads, hopeless, at_resonance, verdicts, judged)

@@ -115,6 +115,22 @@ def test_a_reduction_that_is_not_judged(scene: fc.Scene, tmp_path: Path) -> None
         np.testing.assert_allclose(plain[name], judged[name], rtol=1e-6, err_msg=name)
 
 
+def test_cases_of_a_file_are_asked_alike(scene: fc.Scene, tmp_path: Path) -> None:
+    """Where some are missing, no others than those that it was begun with have empty columns."""
+    path = tmp_path / "sweep.h5"
+    whole = run_sweep(scene, path, MPI.COMM_SELF, judged=False)
+    with h5py.File(path, "r+") as file:
+        file["checksum"][0] = 0  # as of a case that was not finished
+    for asked, begun in (
+        ({}, "judged=False"),
+        ({"verdicts": False}, "judged=False, verdicts=True"),
+    ):
+        with pytest.raises(fc.InputError, match=f"begun with {begun}.*continued as it was begun"):
+            run_sweep(scene, path, MPI.COMM_SELF, **asked)
+    again = run_sweep(scene, path, MPI.COMM_SELF, judged=False)
+    assert again.complete and np.all(again["verdict"] == whole["verdict"])
+
+
 def test_names_words_and_units(scene: fc.Scene, tmp_path: Path) -> None:
     """What is drawn and printed, the columns of files, and units in the HDF5 file."""
     scene = scene.replace(
