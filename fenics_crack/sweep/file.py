@@ -236,7 +236,8 @@ class SweepFile:
         """Write the first values of some cases in a column or a wave."""
         column = self.stored.columns[name]
         size = column.size // self.state.size
-        for number, row in zip(places, values.astype(column.dtype), strict=True):
+        rows = np.ascontiguousarray(values, column.dtype).view("u1").reshape(len(values), -1)
+        for number, row in zip(places, rows, strict=True):  # a word by itself would lose its end
             put(self._file, row.tobytes(), column.offset + int(number) * size)
 
     def _is_there(self) -> bool:

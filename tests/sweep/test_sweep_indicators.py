@@ -131,6 +131,17 @@ def test_cases_of_a_file_are_asked_alike(scene: fc.Scene, tmp_path: Path) -> Non
     assert again.complete and np.all(again["verdict"] == whole["verdict"])
 
 
+def test_a_case_with_longer_words_is_written_again(scene: fc.Scene, tmp_path: Path) -> None:
+    """Nothing of them is left behind the new ones, with which no checksum would agree."""
+    path = tmp_path / "sweep.h5"
+    whole = run_sweep(scene, path, MPI.COMM_SELF)
+    with h5py.File(path, "r+") as file:
+        file["status"][0] = b"x" * 100
+    again = run_sweep(scene, path, MPI.COMM_SELF)
+    assert again.complete and np.all(again["verdict"] == whole["verdict"])
+    assert "x" not in again["status"].flat[0]
+
+
 def test_names_words_and_units(scene: fc.Scene, tmp_path: Path) -> None:
     """What is drawn and printed, the columns of files, and units in the HDF5 file."""
     scene = scene.replace(
