@@ -49,6 +49,7 @@ from fenics_crack.study.coarser_mesh import natural_name
 from fenics_crack.study.key_figures import highest_omega
 from fenics_crack.study.prepare import Watched
 from fenics_crack.study.run import Run, run_of
+from fenics_crack.study.stated_errors import largest_left_out
 from fenics_crack.study.verification import Verification, verification_of
 from fenics_crack.sweep.growth import Growth
 from fenics_crack.sweep.result import SweepResult
@@ -108,6 +109,11 @@ def _account_of_solution(run: Run[PeriodicSolution]) -> Account:
         notes.append(
             "the stability is not judged, as that would take long: it is for a reduced structure, "
             "with contact.law = 'unilateral' for lips without mass (reduction.method)"
+        )
+    if found.converged and (larger := largest_left_out(found, run.watched_dof)) is not None:
+        notes.append(
+            f"harmonic {larger[0]}, which the solution leaves out, is the largest of the higher "
+            f"ones: {larger[1]:.2g} of harmonic 1 in the exact orbit; more harmonics show it"
         )
     known, seen = known_to(run), ""
     if found.stability is not None and found.stability.verdict == "unstable":

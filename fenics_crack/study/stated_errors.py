@@ -48,7 +48,7 @@ import numpy as np
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.harmonic_balance import solve_linear, wave_of
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import PeriodicSolution, Solver, contact_extremes
+from fenics_crack.balance.solution import PeriodicSolution, Solver, contact_extremes, indicators_of
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import MOST_HARMONICS
 from fenics_crack.model.modal import is_small
@@ -74,6 +74,7 @@ __all__ = [
     "as_changed",
     "by_orbit",
     "errors_of",
+    "largest_left_out",
     "numbers_of",
     "of_own_orbit",
     "resonance_of",
@@ -82,7 +83,8 @@ __all__ = [
 ]
 
 ANSWER = (
-    "amplitude", "ratio_2_1", "ratio_3_1", "mean_shift", "opening", "crack_force", "closed_share",
+    "amplitude", "ratio_2_1", "ratio_3_1", "ratio_largest", "mean_shift", "opening", "crack_force",
+    "closed_share",
 )  # fmt: skip
 """Quantities that are looked at where the scene does not choose."""
 LOWEST_MODES = (1, 2, 3)
@@ -288,10 +290,28 @@ def by_orbit(
 def of_own_orbit(study: Study, found: PeriodicSolution, mode: int) -> dict[str, float] | None:
     """The numbers of the exact orbit next to a study's solution; None where none is that solution's
     own, or it would be sought for long (collective)."""
+    orbit = _own_orbit(found)
+    return None if orbit is None else _of_orbit(study, found, orbit, mode)
+
+
+def _own_orbit(found: PeriodicSolution) -> PeriodicOrbit | None:
+    """The exact orbit that is a solution's own, unless it would be sought for long (collective)."""
     judged = found.judged
-    if found.contact is None or not (judged.affordable and judged.accepted) or not judged.orbit:
+    known = found.contact is not None and judged.affordable and judged.accepted
+    return judged.orbit if known else None
+
+
+def largest_left_out(found: PeriodicSolution, dof: int) -> tuple[int, float] | None:
+    """The order k and U_k / U_1 of the largest harmonic of a dof above the load's, where that is
+    one which a solution leaves out of its own exact orbit; None elsewhere (collective)."""
+    orbit = _own_orbit(found)
+    if orbit is None:
         return None
-    return _of_orbit(study, found, judged.orbit, mode)
+    rows = found.structure.values_at(orbit.coefficients(_many(found)).displacement, [dof])[:, 0]
+    seen = indicators_of(found.omega, rows, math.nan, {}, found.subharmonic)
+    if not (seen.largest_order * found.subharmonic > found.harmonics and seen.ratio_largest > TINY):
+        return None
+    return int(seen.largest_order), float(seen.ratio_largest)
 
 
 def as_changed(
@@ -330,7 +350,7 @@ def _coarser_mesh(study: Study, near: PeriodicSolution, own: Numbers, of_peak: b
     if isinstance(coarse, str):
         return coarse
     twin, counts = coarse
-    few = max(near.harmonics // 2, min(near.harmonics, 3))  # numbers are of up to the third
+    few = max(near.harmonics // 2, min(near.harmonics, _highest(study, near)))
     half = _solved(study, near.omega, few, near)
     with_few = numbers_of(study, half, own.mode)
     moved = resonance_of(twin.structure, own.mode) / resonance_of(study.structure, own.mode)
@@ -358,6 +378,12 @@ def _coarser_mesh(study: Study, near: PeriodicSolution, own: Numbers, of_peak: b
         at = own.values.get(name, 0.0)
         found[name] = replace(part, values=(at, at + other - value), extrapolated=at + error)
     return counts, found
+
+
+def _highest(study: Study, near: PeriodicSolution) -> int:
+    """The highest harmonic that numbers are of: the third, or the largest of a solution."""
+    orders = [near.indicators(watched.dof).largest_order for watched in study.watched]
+    return int(np.nanmax([3.0, *orders]))
 
 
 def _between_pairs(study: Study, near: PeriodicSolution, mode: int) -> dict[str, float]:
