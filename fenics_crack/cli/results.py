@@ -49,7 +49,7 @@ from fenics_crack.study.coarser_mesh import natural_name
 from fenics_crack.study.key_figures import highest_omega
 from fenics_crack.study.prepare import Watched
 from fenics_crack.study.run import Run, run_of
-from fenics_crack.study.stated_errors import largest_left_out
+from fenics_crack.study.stated_errors import TINY, largest_left_out
 from fenics_crack.study.verification import Verification, verification_of
 from fenics_crack.sweep.growth import Growth
 from fenics_crack.sweep.result import SweepResult
@@ -425,7 +425,7 @@ def _account_of_curve(run: Run[ResponseCurve]) -> Account:
     notes += [f"{kind_in_words(kind)}: {IN_A_TEST[kind]}" for kind in kinds if kind in IN_A_TEST]
     shown = found.indicators(run.watched_dof)
     peak = int(np.argmax(shown.amplitude))
-    if shown.largest_order[peak] > 3:
+    if shown.largest_order[peak] > 3 and shown.ratio_largest[peak] > TINY:
         order = f"harmonic {shown.largest_order[peak]:.0f} is the largest of the higher ones"
         share = f"{shown.ratio_largest[peak]:.2g} of harmonic 1"
         where = "the largest response" if _passed(found, peak) else "its end"

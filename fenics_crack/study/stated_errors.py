@@ -70,6 +70,7 @@ from fenics_crack.study.verification import GridConvergence, Varied, Verificatio
 from fenics_crack.table import OF_LIPS, OF_POINTS, QUANTITIES, frequency_axis
 
 __all__ = [
+    "TINY",
     "Numbers",
     "as_changed",
     "by_orbit",
