@@ -189,23 +189,17 @@ class _Judge:
     def _ask(self, nodes: list[Node]) -> None:
         """Judge some nodes: beyond doubt where the gaps, or all the more the states, are near; but
         where the branch is broken, as it may have gone on along itself where the curve turns back,
-        none whose point has another verdict by itself."""
-        self._own.update({one.place: True for one in nodes})
-        self._away.update({one.place: one.away for one in nodes})
+        points are judged by themselves."""
         broken = self.branch.broken(nodes)
-        apart = [one for one in nodes if one.away > NO_DOUBT**2]
+        self._own.update({one.place: one.place not in broken for one in nodes})
+        self._away.update({one.place: one.away for one in nodes})
+        apart = [one for one in nodes if self._own[one.place] and one.away > NO_DOUBT**2]
         places = np.array([round(one.place) for one in apart], dtype=int)
         waves = self._curve.gaps_in_time(places) if apart else ()
         for node, place, wave in zip(apart, map(int, places), waves, strict=True):
             off = self._off(wave, node.unknown, node.parameter)
-            self._own[node.place] = max(off, node.away) <= NO_DOUBT or (
-                node.place not in broken and self._is_own(node, place, off)
-            )
-        for node in nodes:
-            if node.place in broken and self._own[node.place]:
-                alone = self.by_itself(round(node.place))
-                large = bool(np.abs(alone) > 1.0)  # Python's own abs may raise where it is nan
-                self._own[node.place] = not np.isnan(alone) and large == (sum(node.outside) > 0)
+            near = max(off, node.away) <= NO_DOUBT
+            self._own[node.place] = near or self._is_own(node, place, off)
 
     def _off(self, wave: np.ndarray, unknown: np.ndarray, parameter: float) -> float:
         """How far the gaps of a point are from those of an orbit, relative."""
@@ -293,11 +287,11 @@ class _Judge:
         return segment[there], place[there], share[there]
 
     def _singly(self, found: np.ndarray) -> None:
-        """Judge points whose orbits nodes do not tell one by one: every other, and those next to
-        one that is decided; without homotopies when two more have decided nothing than have decided
-        a point."""
+        """Judge points whose orbits nodes do not tell one by one: the ends of stretches, every
+        other between them, and those next to one that is decided; without homotopies when two more
+        have decided nothing than have decided a point."""
         left, patience = set(np.flatnonzero(np.isnan(found)).tolist()), Patience(2)
-        asked = sorted(left)[::2]
+        asked = [place for place in left if place % 2 or {place - 1, place + 1} - left]
         while asked:
             place = asked.pop()
             if place in left:

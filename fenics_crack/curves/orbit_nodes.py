@@ -13,6 +13,7 @@ A segment between two nodes is in doubt, and is halved,
 - where the angles of two pairs that went on as they came from both sides would pass each other, or
   that of one 0 or pi, or from one side before its middle: there pairs of a motion without damping
   leave the unit circle, and meet it again;
+- once at either end of the curve, where nothing comes from beyond;
 - where pairs of lips open and close a quarter more often at one end than at the other: multipliers
   turn on like a square root where a motion begins to touch;
 - where several of r, d and c change, or one by more than 1, until each changes by itself.
@@ -177,6 +178,7 @@ def in_doubt(nodes: list[Node], linked: np.ndarray, whole: np.ndarray) -> np.nda
     events = np.array([one.events for one in nodes])
     least, most = np.sort([events[:-1], events[1:]], axis=0)
     doubt |= (most > least) & (most >= 1.25 * least) & (wide > 1.0)
+    doubt[[0, -1]] |= wide[[0, -1]] > EVERY // 2
     several = ~linked | (_steps(nodes).sum(axis=1) > 1)
     doubt &= wide > NARROWEST
     return whole & ((wide > EVERY) | doubt | (several & (wide > ALONE)))
