@@ -288,10 +288,10 @@ class _Judge:
 
     def _singly(self, found: np.ndarray) -> None:
         """Judge points whose orbits nodes do not tell one by one: the ends of stretches, every
-        other between them, and those next to one that is decided; without homotopies when two more
-        have decided nothing than have decided a point."""
+        other between them, and those next to one that is decided; without homotopies once two have
+        decided nothing."""
         left, patience = set(np.flatnonzero(np.isnan(found)).tolist()), Patience(2)
-        asked = [place for place in left if place % 2 or {place - 1, place + 1} - left]
+        asked = [place for place in sorted(left) if place % 2 or {place - 1, place + 1} - left]
         while asked:
             place = asked.pop()
             if place in left:
