@@ -32,7 +32,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import DIFFERENCE, Linearisation, determinant_sign
 from fenics_crack.numerics.fourier import resized, to_complex
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_at
-from fenics_crack.numerics.path import NARROW, STRAIGHT, Ended, Path, PathOptions, Target
+from fenics_crack.numerics.path import ARRIVED, NARROW, STRAIGHT, Ended, Path, PathOptions, Target
 
 __all__ = [
     "ELSEWHERE", "HELPS", "EnergyMotion", "Equilibrium", "FadedMotion", "MotionPath",
@@ -421,6 +421,7 @@ class MotionPath:
             ahead = self._step(before, step) if self._pass_over else None
             if ahead is None:
                 yield from self._along()
+                step = 0.2 * self._max_step
                 continue
             self.last, self._left = ahead, self._left - 1
             step = ahead.parameter - before.parameter
@@ -437,7 +438,6 @@ class MotionPath:
         options = PathOptions(
             initial_step=0.2 * self._max_step,
             max_step=self._max_step,
-            min_step=1e-10,
             max_steps=self._left,
             span=(self._lowest, np.inf),
         )
@@ -473,6 +473,8 @@ class MotionPath:
         )
         for base, factor, cosine in trials:
             rise = min(factor * step, left)
+            if rise <= min(ARRIVED, 0.5 * left):  # ever shorter up to where no shape is the same
+                continue
             parameter = self.end if rise == left else here.parameter + rise
             guess = base + rise * slope
             found = solve_motion(family, guess, parameter)
