@@ -13,7 +13,7 @@ twice the harmonics, from there on with twice as many again: the first of these 
 own orbit decides for all, as far as that is within three times the error predicted of each, and
 nearer than one that was found first. An orbit that is farther away, though no farther than 10 %, is
 the wave's own where twice the harmonics leave no more than a third of the distance to it: next to
-grazing one step predicts too little.
+grazing one step predicts too little. It tells the error, and no verdict.
 
 What the modes that a reduction leaves out change of an exact motion is told by the reference of the
 structure, which has them (:mod:`fenics_crack.model.reduction`). The motion is one of
@@ -251,6 +251,20 @@ class Judgement:
         own = decisive is self or (decisive is not None and self.believes(self.distance))
         return self.of_orbit or (own and self.distance <= FAR)
 
+    @property
+    def expected(self) -> bool:
+        """Whether the orbit is as near as was predicted: one that is accepted, though it is not,
+        tells the error and no verdict."""
+        return self.of_orbit or self.believes(self.distance)
+
+    @property
+    def farther(self) -> str:
+        """In words, how far away it is where it is not as near."""
+        return (
+            f"the exact orbit next to it is {percent(self.distance)} away where "
+            f"{percent(self.prediction)} were predicted"
+        )
+
     def believes(self, distance: float) -> bool:
         """Whether an orbit so far away may be the wave's own."""
         near = distance <= max(BELIEVED * self.prediction, KNOWN)
@@ -272,7 +286,8 @@ class Judgement:
             return False
         if self.prediction < UNKNOWN:
             vars(self).setdefault("near", orbit)
-        return self.accepted and abs(distance / self.distance - 1.0) <= FARTHEST
+        own = self.accepted and self.expected
+        return own and abs(distance / self.distance - 1.0) <= FARTHEST
 
     def suggest(self, orbit: PeriodicOrbit) -> None:
         """Take an orbit for the one next to the wave, unless it may be another one's."""
@@ -343,10 +358,7 @@ def _reason(judged: Judgement) -> str:
             f"the exact orbit next to it, {percent(judged.distance)} away, may be another "
             "motion's; take more harmonics"
         )
-    return (
-        f"the exact orbit next to it is another one, {percent(judged.distance)} away where "
-        f"{percent(judged.prediction)} were predicted; more harmonics tell these apart"
-    )
+    return f"{judged.farther}, another one; more harmonics tell these apart"
 
 
 def _apart(judged: Judgement, state: np.ndarray) -> float:

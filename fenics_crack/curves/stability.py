@@ -477,6 +477,9 @@ def stability_of(judged: Judgement) -> Stability:
     verdict, reason, largest = "undecided", judged.reason, abs(orbit.multipliers[0])
     if not reason and abs(largest - 1.0) <= KNOWN:
         reason = "its largest multiplier is 1 to rounding: a bifurcation, or no damping"
+    if not (reason or judged.expected):
+        verdict_of_orbit = "stable" if largest < 1.0 else "unstable"
+        reason = f"{judged.farther}; it is {verdict_of_orbit}; take more harmonics"
     if not reason and largest < 1.0 and not judged.of_orbit:
         assert judged.decisive is not None
         if _left(orbit, judged.decisive):
