@@ -148,11 +148,6 @@ class _Judge:
         """Whether the motion of some point is followed within the budget."""
         if self.affordable:
             self.branch = OrbitBranch(self.system, self.parameters, self._motions)
-            # What is added to the states of points for their orbits'.
-            nodes = () if self._flow is None else self.branch.nodes
-            places = {round(one.place): one.unknown for one in nodes if one.away >= 0.0}
-            added = {one: at - self.branch.motion(one) for one, at in places.items()}
-            self._added = {one: self.system.state(change) for one, change in added.items()}
             self._judge()
 
     def value(self, parameter: float) -> float:
@@ -306,8 +301,8 @@ class _Judge:
         """Leading multiplier of a point judged as a single solution is, with the ``patience`` of
         :func:`orbit_next_to`; nan where that is open, or where the branch has an orbit there that
         is as near and may be on the other side of 1: next to a fold the error is that of both."""
-        near = min(self._added, key=lambda one: abs(one - place), default=place - 2 * EVERY)
-        added = self._added[near] if abs(near - place) <= EVERY else None
+        near = None if self._flow is None else self.branch.added_near(place)
+        added = None if near is None else self.system.state(near)
         judged = self._curve.judged(place, self._flow, patience=patience, added=added)
         alone = stability_of(judged)
         if alone.verdict == "undecided":
@@ -315,7 +310,8 @@ class _Judge:
         assert judged.orbit is not None
         leading = alone.multipliers[0]
         if self._flow is not None:
-            self._added[place] = judged.orbit.state - judged.states[0]
+            added = self.system.unknown(judged.orbit.state - judged.states[0])
+            self.branch.added[place] = added
         segment, _, share = self._parts(np.arange(len(self._curve)) == place)
         other = _side(_between(self.branch, segment, share, linked=False)) != _side(leading)
         if other.any():

@@ -95,6 +95,8 @@ class OrbitBranch:
     ----------
     nodes : list of Node
         Ascending places.
+    added : dict
+        What is added to x of the motions of points, by their numbers, for that of their orbits.
     """
 
     def __init__(
@@ -107,6 +109,7 @@ class OrbitBranch:
         self.system, self._parameters, self._motions = system, parameters, motions
         self._reach = REACH * max(1.0, float(np.ptp(parameters)))
         self._known: dict[int, np.ndarray] = {}
+        self.added: dict[int, np.ndarray] = {}
         self._homotopy = Homotopy(system)
         self._turn = _to_turns(parameters)
         self._halved: set[tuple[float, float]] = set()
@@ -118,7 +121,7 @@ class OrbitBranch:
         places = np.unique(np.append(np.arange(0, last, every), last))
         self.motions(places)
         for place in map(int, places):
-            found = self._next_to(place, self.nodes[-1:])
+            found = self._next_to(place)
             self.nodes += [] if found is None else [found]
         self._refine()
 
@@ -169,7 +172,7 @@ class OrbitBranch:
         found = self.across(first, last, 0.5, {}, CLOSE) if linked or not inside else None
         if found is not None:
             return self.inside(first, last, 0.5, found)
-        return self._next_to(whole, [first, last]) if inside else None
+        return self._next_to(whole) if inside else None
 
     def _inside(self, ends: tuple[Node, Node]) -> list[Node]:
         """Nodes next to points between two others in whose middle none is found, from either end as
@@ -178,7 +181,7 @@ class OrbitBranch:
         nodes: dict[int, Node] = {}
         for side in (places, reversed(places)):
             for place in side:
-                node = None if place in nodes else self._next_to(place, [*ends, *nodes.values()])
+                node = None if place in nodes else self._next_to(place)
                 if node is None:
                     break
                 nodes[place] = node
@@ -209,7 +212,7 @@ class OrbitBranch:
         there = [one for one in self.nodes[number : number + 1] if one.place == place]
         if there and there[0].away >= 0.0:
             return there[0]
-        node = self._next_to(place, self.nodes[max(0, number - 1) : number + 1])
+        node = self._next_to(place)
         if node is not None:
             self.nodes[number : number + len(there)] = [node]
         return node
@@ -217,15 +220,13 @@ class OrbitBranch:
     def alone(self, place: int) -> Node | None:
         """The node next to a point of the curve at the point's own parameter, also next to folds;
         None where none is found."""
-        number = int(np.searchsorted([one.place for one in self.nodes], place))
-        return self._next_to(place, self.nodes[max(0, number - 1) : number + 2], across=False)
+        return self._next_to(place, across=False)
 
-    def _next_to(self, place: int, beside: list[Node], *, across: bool = True) -> Node | None:
-        """The orbit next to a point, with those of some nodes known; with ``across`` also in the
-        plane across the curve."""
+    def _next_to(self, place: int, *, across: bool = True) -> Node | None:
+        """The orbit next to a point; with ``across`` also in the plane across the curve."""
         motion, parameter = self.motion(place), float(self._parameters[place])
         planes = [True] if across and self._turn[place] <= 2 else [False, True][: 1 + across]
-        for start in self._starts(place, beside, far=across):
+        for start in self._starts(place, far=across):
             for plane in planes:
                 chord = self._ahead(place, along=True) if plane else None
                 found = self._solved(start, parameter, chord)
@@ -233,20 +234,27 @@ class OrbitBranch:
                     continue
                 away = relative(found.unknown - motion, motion)
                 if away <= ALIKE:
+                    self.added[place] = found.unknown - motion
                     return self._node(place, found, self._ahead(place, along=False), away)
         return None
 
-    def _starts(self, place: int, beside: list[Node], *, far: bool) -> Iterator[np.ndarray]:
-        """Where the orbit next to a point is sought: from its motion and what had to be added to
-        that of the nearest node, from its motion, and, ``far`` from all nodes, from where the
-        homotopy leads."""
-        motion = self.motion(place)
-        known = [one for one in beside if one.away >= 0.0 and abs(one.place - place) <= EVERY]
-        if known:
-            near = min(known, key=lambda one: (abs(one.place - place), one.away))
-            yield motion + near.unknown - self.motion(round(near.place))
+    def added_near(self, place: int) -> np.ndarray | None:
+        """What is added for the nearest orbit to a point that is known; None without one."""
+        for apart in range(EVERY + 1):
+            near = [one for one in (place - apart, place + apart) if one in self.added]
+            if near:
+                return min((self.added[one] for one in near), key=np.linalg.norm)
+        return None
+
+    def _starts(self, place: int, *, far: bool) -> Iterator[np.ndarray]:
+        """Where the orbit next to a point is sought: from its motion and what is added for the
+        nearest one, from its motion, and, ``far`` from all that are known, from where the homotopy
+        leads."""
+        motion, added = self.motion(place), self.added_near(place)
+        if added is not None:
+            yield motion + added
         yield motion
-        if far and not known:
+        if far and added is None:
             end = self._homotopy.end(motion, float(self._parameters[place]))
             if end is not None:
                 yield end
