@@ -64,7 +64,8 @@ class Indicators(Tabular):
         U_1/2 / U_1, at half the load's frequency; nan unless the solution has an even multiple of
         the load's period.
     ratio_largest, largest_order : [-]
-        U_k / U_1 of the largest harmonic above the load's, and its order k; nan without one.
+        U_k / U_1 of the largest harmonic above the load's, and its order k; nan without one, the
+        order also where all are rounding of the whole motion.
     mean_shift : [-]
         a0 / U_1, positive in the direction of the dof.
     opening, penetration : [m]
@@ -130,7 +131,8 @@ def indicators_of(
     largest = order = unknown
     if harmonics >= 2 * subharmonic:
         above = np.stack([at(k) for k in range(2, harmonics // subharmonic + 1)], axis=-1)
-        largest, order = above.max(axis=-1), 2.0 + above.argmax(axis=-1)
+        largest, whole = above.max(axis=-1), np.abs(coefficients).max(axis=-1)
+        order = np.where(largest > NEGLIGIBLE * whole, 2.0 + above.argmax(axis=-1), np.nan)[()]
     with np.errstate(invalid="ignore", divide="ignore"):
         known = np.where(first > 0.0, first, np.nan)
         ratios = [part / known for part in (second, third, at(0.5), largest)]

@@ -22,7 +22,6 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import key_in_words
 from fenics_crack.study.key_figures import SMALL_MOTION, extents
 from fenics_crack.study.run import Run
-from fenics_crack.study.stated_errors import TINY
 from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.growth import ENDS, Growth
 from fenics_crack.sweep.plan import FREQUENCIES
@@ -393,7 +392,7 @@ def account_of_sweep(found: SweepResult, note: str = "") -> Account:
     swept = ", ".join(f"{len(a.values)} values of {key_in_words(a.key)}" for a in found.axes)
     tables = {f"Cases{how}": shown}
     stepped = stepped_over(found)
-    high = int(np.sum((found["largest_order"] > 3) & (found["ratio_largest"] > TINY)))
+    high = int(np.sum(found["largest_order"] > 3))
     told_high = (
         f"in {counted(high, 'case')} a harmonic above the third is the largest of the higher "
     )

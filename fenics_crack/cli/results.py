@@ -49,7 +49,7 @@ from fenics_crack.study.coarser_mesh import natural_name
 from fenics_crack.study.key_figures import highest_omega
 from fenics_crack.study.prepare import Watched
 from fenics_crack.study.run import Run, run_of
-from fenics_crack.study.stated_errors import TINY, largest_left_out
+from fenics_crack.study.stated_errors import largest_left_out
 from fenics_crack.study.verification import Verification, verification_of
 from fenics_crack.sweep.growth import Growth
 from fenics_crack.sweep.result import SweepResult
@@ -312,7 +312,8 @@ def _errors(run: Run[Any], name: str) -> tuple[float, str]:
 def _of_point(watched: Watched, values: Mapping[str, object]) -> list[Row]:
     """What is known of a watched dof; the load's is said once."""
     order = values["largest_order"]
-    largest = {"ratio_largest": (f"largest harmonic ratio, {order:.0f}/1", "1")}
+    which = "" if np.isnan(order) else f", {order:.0f}/1"
+    largest = {"ratio_largest": (f"largest harmonic ratio{which}", "1")}
     return [
         (
             watched.column(name),
@@ -425,7 +426,7 @@ def _account_of_curve(run: Run[ResponseCurve]) -> Account:
     notes += [f"{kind_in_words(kind)}: {IN_A_TEST[kind]}" for kind in kinds if kind in IN_A_TEST]
     shown = found.indicators(run.watched_dof)
     peak = int(np.argmax(shown.amplitude))
-    if shown.largest_order[peak] > 3 and shown.ratio_largest[peak] > TINY:
+    if shown.largest_order[peak] > 3:
         order = f"harmonic {shown.largest_order[peak]:.0f} is the largest of the higher ones"
         share = f"{shown.ratio_largest[peak]:.2g} of harmonic 1"
         where = "the largest response" if _passed(found, peak) else "its end"

@@ -70,7 +70,6 @@ from fenics_crack.study.verification import GridConvergence, Varied, Verificatio
 from fenics_crack.table import OF_LIPS, OF_POINTS, QUANTITIES, frequency_axis
 
 __all__ = [
-    "TINY",
     "Numbers",
     "as_changed",
     "by_orbit",
@@ -310,7 +309,7 @@ def largest_left_out(found: PeriodicSolution, dof: int) -> tuple[int, float] | N
         return None
     rows = found.structure.values_at(orbit.coefficients(_many(found)).displacement, [dof])[:, 0]
     seen = indicators_of(found.omega, rows, math.nan, {}, found.subharmonic)
-    if not (seen.largest_order * found.subharmonic > found.harmonics and seen.ratio_largest > TINY):
+    if not seen.largest_order * found.subharmonic > found.harmonics:
         return None
     return int(seen.largest_order), float(seen.ratio_largest)
 

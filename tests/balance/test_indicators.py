@@ -42,6 +42,14 @@ def test_few_harmonics_and_no_motion() -> None:
     assert np.isnan([found.ratio_largest, found.largest_order]).all()
 
 
+def test_rounding_has_no_largest_harmonic() -> None:
+    """Of the whole motion, to which the mean belongs: 1e-13 of it is no harmonic, 1e-11 is one."""
+    rows = np.array([[100.0, 1.0, 0.0, 1e-11, 0.0], [100.0, 1.0, 0.0, 0.0, 1e-9]])
+    found = indicators_of(np.ones(2), rows, np.ones(2), {})
+    np.testing.assert_array_equal(found.largest_order, [np.nan, 2.0])
+    np.testing.assert_array_equal(found.ratio_largest, [1e-11, 1e-9])
+
+
 def test_force_of_each_crack() -> None:
     """Pairs of one crack count together at each instant, those of another one by themselves."""
     force = np.array([[3.0, 0.0, 4.0], [2.0, 2.0, 0.0]])
