@@ -34,7 +34,7 @@ from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.scene import Scene, check_known, without_tips
 from fenics_crack.scene.tables import Growth as Law
 from fenics_crack.study.key_figures import damping_ratios
-from fenics_crack.study.prepare import prepare
+from fenics_crack.study.prepare import prepare, reduction_of
 from fenics_crack.study.run import solve
 from fenics_crack.study.stated_errors import stated_errors
 from fenics_crack.sweep.file import NUMBERED
@@ -603,10 +603,11 @@ def _levels(law: Law, damping: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _least_damping(scene: Scene) -> float:
-    """Least ratio of critical damping of the lowest modes."""
-    study = prepare(scene, MPI.COMM_SELF, whole=True)
-    modes = solve_modes(study.structure, min(FEW_MODES, study.structure.n_modes)).omega
-    found = float(damping_ratios(study.structure, modes).min())
+    """Least ratio of critical damping of the lowest modes that are kept."""
+    whole = prepare(scene, MPI.COMM_SELF, whole=True).structure
+    kept = reduction_of(scene, whole)
+    count = min(FEW_MODES, whole.n_modes, kept.modes if kept is not None else FEW_MODES)
+    found = float(damping_ratios(whole, solve_modes(whole, count).omega).min())
     if not found > 0.0:
         raise InputError("damping", None, "a ratio of each mode, with growth.run_up")
     return found

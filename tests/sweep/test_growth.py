@@ -125,6 +125,24 @@ def test_run_up_through_the_resonance(tmp_path: Path) -> None:
     assert told and "the crack grows less" in told[0]
 
 
+RUN_UP: dict[str, Any] = {"drive": "spectrum", "exponent": 10.0, "until": 0.0202}
+
+
+def run_up_of_a_strip(start: float, stop: float) -> fc.Growth:
+    """Through the resonance at 479 Hz of the strip, whose lips stay open."""
+    far = [{"edge": "top", "traction_mean": [0.0, 100 * STRESS], "traction_sin": [0.0, 1e5]}]
+    keys = RUN_UP | {"run_up": (start, stop, 0.5), "life_tolerance": 1.0}
+    scene = fc.Scene.from_mapping(STRIP | {"loads": far})
+    changes = {f"growth.{key}": value for key, value in keys.items()}
+    return fc.grow(scene.replace(changes | {"harmonic_balance.harmonics": 1}), comm=MPI.COMM_SELF)
+
+
+@pytest.mark.usefixtures("errors_left_out")
+def test_damping_of_kept_modes_says_how_close_the_levels_of_a_run_up_are() -> None:
+    """Five modes are damped, and no others are kept."""
+    assert run_up_of_a_strip(478.0, 480.0).end == "reached"
+
+
 @pytest.mark.usefixtures("errors_left_out")
 def test_levels_below_the_threshold_do_not_grow() -> None:
     """Of two frequencies the one far below the resonance drops out, and its cycles are for
