@@ -590,14 +590,15 @@ def _solve_lengths(
 def _levels(law: Law, damping: float) -> tuple[np.ndarray, np.ndarray]:
     """Load frequencies [rad/s] of a spectrum, none without one, and the cycles of each.
 
-    Those of a run-up are so close that a resonance is summed to 0.2 %: the error of a sum over
-    1 / (1 + x^2) by steps of 1 is 2 exp(-2 pi)."""
+    Those of a run-up are so close that a resonance is summed to 0.4 %: over 1 / (1 + x^2)^(m / 2)
+    by steps of sqrt(2 / m), and of 1 where m < 2, the error is 2 exp(-2 pi) or less."""
     if law.frequencies is not None:
         return TURN * np.array(law.frequencies), np.array(law.cycles)
     if law.run_up is None:
         return np.zeros(0), np.ones(1)
     start, stop, rate = law.run_up
-    count = math.ceil(math.log(stop / start) / math.log1p(damping)) + 1
+    step = damping / math.sqrt(max(0.5 * law.exponent, 1.0))
+    count = math.ceil(math.log(stop / start) / math.log1p(step)) + 1
     found = np.geomspace(start, stop, count)
     return TURN * found, found * _trapezoid(found) / rate
 
