@@ -12,6 +12,7 @@ from helpers import two_masses
 
 import fenics_crack as fc
 from fenics_crack.scene.tables import Sweep
+from fenics_crack.scene.words import value_in_words
 from fenics_crack.sweep.file import COLUMNS
 from fenics_crack.table import Described, Table, Tabular, percent, quantity, ranging, readable
 
@@ -189,3 +190,10 @@ def test_units_that_read_well() -> None:
         (3.3e4, "Pa", 1e-3, "kPa"), (5e-14, "m", 1e15, "10^-15 m"),
     ):  # fmt: skip
         assert readable(largest, unit) == (pytest.approx(factor), found)
+
+
+def test_values_of_keys_in_words() -> None:
+    """With the prefix that is usual; none of degrees, which were 500 mdegrees."""
+    assert value_in_words("crack.length", 0.035) == "35 mm"
+    assert value_in_words("excitation.omega", 2000.0) == "2000 rad/s"
+    assert value_in_words("loads.1.phase", 0.5) == "0.5 degrees"

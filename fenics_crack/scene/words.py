@@ -44,7 +44,7 @@ WORDS = {
     "mesh.size": "element size",
 }
 """Of the keys whose own words are not enough."""
-WHOLE = ("rad/s", "rpm", "Hz", "kg/m^3", "N/m^3", "1/m", "1/s", "s")
+WHOLE = ("rad/s", "rpm", "Hz", "kg/m^3", "N/m^3", "1/m", "1/s", "s", "degrees")
 """Units that take no prefix here."""
 
 
