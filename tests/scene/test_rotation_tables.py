@@ -52,6 +52,13 @@ def test_frequencies_of_a_sweep_over_the_speed() -> None:
     assert sorted(scene.swept_omegas) == [20.0, 30.0, 40.0, 60.0]
 
 
+def test_a_swept_frequency_takes_the_place_of_the_order() -> None:
+    """As in each of its cases."""
+    over = {"excitation.omega": [10.0, 20.0]}
+    scene = Scene.from_mapping(changed(ORDERED | {"sweep": {"over": over}}))
+    assert scene.swept_omegas == (10.0, 20.0)
+
+
 @pytest.mark.parametrize(
     ("key", "changes"),
     [
