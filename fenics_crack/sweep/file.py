@@ -63,7 +63,8 @@ __all__ = [
 KIND = "sweep"
 PENDING, CONVERGED, FAILED = 0, 1, 2
 """The states of a case."""
-STATUS_BYTES = 200
+STATUS_BYTES = 400
+"""Of a status with what is told of a verdict, 386 of the paper's plate; cut where it is longer."""
 OPEN = "undecided: "
 """In the status of a case, before the reason why its stability is."""
 YET = "; yet "
@@ -204,10 +205,11 @@ class SweepFile:
             raise WriteError("path", str(self._path), allowed)
         state = np.array([CONVERGED if "gap" in case else FAILED for case in cases])
         waves = {name: [case.get(name, np.zeros((0, 0))) for case in cases] for name in WAVES}
-        columns = {
-            name: np.array([_stored(case.get(name, BLANKS[kind[0]])) for case in cases], kind)
-            for name, (_, kind) in self._columns.items()
-        }
+        columns = {}
+        for name in self._columns:
+            kind = self.stored.columns[name].dtype  # older files have shorter words
+            given = [_stored(case.get(name, BLANKS[kind.kind]), kind.itemsize) for case in cases]
+            columns[name] = np.array(given, kind)
         checksums = [_of_waves(*both) for both in zip(*waves.values(), strict=True)]
         columns[WAVES_CHECKSUM] = np.array(checksums, "u4")
         columns[CHECKSUM] = _of_cases(columns, state)
@@ -256,11 +258,11 @@ def _padded(arrays: list[np.ndarray], pairs: int) -> np.ndarray:
     return found
 
 
-def _stored(value: Any) -> Any:
-    """A value for the file: words are encoded and cut to the column, between characters."""
+def _stored(value: Any, size: int) -> Any:
+    """A value for the file: words are encoded and cut to some bytes, between characters."""
     if not isinstance(value, str):
         return value
-    return value.encode()[:STATUS_BYTES].decode("utf-8", "ignore").encode()
+    return value.encode()[:size].decode("utf-8", "ignore").encode()
 
 
 def _made(
@@ -409,7 +411,8 @@ def opened(path: Path) -> store.Stored:
         if column is None:
             allowed = f"a sweep with a column {name!r}: this one is of an older version"
             raise InputError("path", str(path), f"{allowed}; solve it anew in another folder")
-        if column.shape != shape_of(scene) or column.dtype != np.dtype(kind):
+        same = column.dtype == np.dtype(kind) or column.dtype.kind == kind[0] == "S"
+        if column.shape != shape_of(scene) or not same:
             raise InputError("path", str(path), "a whole sweep")
         total += column.size
     if total > MOST_BYTES:

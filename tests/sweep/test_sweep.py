@@ -422,6 +422,28 @@ def test_two_programs_that_begin_at_once(
     assert [file.name for file in tmp_path.iterdir()] == ["sweep.h5"]
 
 
+def test_what_is_told_of_a_verdict_is_kept(
+    paper_scene: fc.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Behind the longest way to a solution; a file with shorter words goes on with these."""
+    way = "; then ".join(["full Newton steps: failed (28 iterations)"] * 4)
+    reason = "no exact orbit was found next to it: " + 150 * "x"
+    told = {"undecided": f"{way}; undecided: {reason}", "stable": f"{way}; yet it leaves"}
+    waves = {name: np.ones((11, 1)) for name in ("gap", "force")}
+    cases = [waves | {"harmonics": 5, "verdict": v, "status": text} for v, text in told.items()]
+    for path, kind in ((tmp_path / "old.h5", "S200"), (tmp_path / "new.h5", COLUMNS["status"][1])):
+        scene = swept(paper_scene, {"excitation.omega": [1900.0, 2000.0]})
+        with monkeypatch.context() as then:
+            then.setitem(COLUMNS, "status", ("", kind))
+            SweepFile(path, scene, 5, 1).close()
+        file = SweepFile(path, scene, 5, 1)
+        file.record(np.arange(2), cases)
+        file.close()
+        assert SweepResult.load(path).complete
+    found = SweepResult.load(path)
+    assert found.undecided == [((0,), reason)] and found.contradicted == [((1,), "it leaves")]
+
+
 EACH = len(COLUMNS) + 3
 """What is written of each chunk: columns, waves, states."""
 
