@@ -12,7 +12,7 @@ from helpers import two_masses
 
 import fenics_crack as fc
 from fenics_crack.scene.tables import Sweep
-from fenics_crack.scene.words import value_in_words
+from fenics_crack.scene.words import differences, value_in_words
 from fenics_crack.sweep.file import COLUMNS
 from fenics_crack.table import Described, Table, Tabular, percent, quantity, ranging, readable
 
@@ -197,3 +197,12 @@ def test_values_of_keys_in_words() -> None:
     assert value_in_words("crack.length", 0.035) == "35 mm"
     assert value_in_words("excitation.omega", 2000.0) == "2000 rad/s"
     assert value_in_words("loads.1.phase", 0.5) == "0.5 degrees"
+
+
+def test_a_default_of_a_listed_table_is_told(paper_scene: fc.Scene) -> None:
+    """As that of any other: it was "none"."""
+    one = paper_scene.replace({"loads.1.edge": "top", "loads.1.traction_sin": [1.0, 0.0]})
+    lagging = one.replace({"loads.1.phase": 30.0})
+    told = ["loads.1.phase = 0 degrees", "loads.1.phase = 30 degrees"]
+    assert differences([one, lagging]) == told
+    assert differences([paper_scene, one])[0].startswith("loads.1.edge = none")

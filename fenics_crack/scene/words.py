@@ -116,5 +116,8 @@ def _default(scene: Scene, key: str) -> Any:
     """The value of a key that a scene does not write; None if it has none."""
     value: Any = scene
     for name in key.split("."):
-        value = getattr(value, name, None)
+        if name.isdecimal():  # of a list of tables
+            value = dict(enumerate(value, 1)).get(int(name))
+        else:
+            value = getattr(value, name, None)
     return list(value) if isinstance(value, tuple) else value
