@@ -57,7 +57,6 @@ __all__ = [
     "opened",
     "read_columns",
     "read_waves",
-    "shape_of",
 ]
 
 KIND = "sweep"
@@ -140,11 +139,6 @@ def columns_of(scene: Scene) -> dict[str, tuple[str, str]]:
         for name, unit in (AT_POINTS | PHASES).items()
     }
     return COLUMNS | asked | at_points
-
-
-def shape_of(scene: Scene) -> tuple[int, ...]:
-    """Number of values on each axis of a scene's sweep."""
-    return tuple(scene.given("sweep").shape)
 
 
 class SweepFile:
@@ -269,7 +263,7 @@ def _made(
     path: Path, scene: Scene, harmonics: int, pairs: int, omitted: Sequence[str]
 ) -> store.Stored | None:
     """A new file; None where another program has been quicker."""
-    shape = shape_of(scene)
+    shape = scene.given("sweep").shape
     sizes = {name: (unit, kind, shape) for name, (unit, kind) in _kept(scene).items()}
     if pairs:
         wave = (*shape, 2 * harmonics + 1, pairs)
@@ -412,7 +406,7 @@ def opened(path: Path) -> store.Stored:
             allowed = f"a sweep with a column {name!r}: this one is of an older version"
             raise InputError("path", str(path), f"{allowed}; solve it anew in another folder")
         same = column.dtype == np.dtype(kind) or column.dtype.kind == kind[0] == "S"
-        if column.shape != shape_of(scene) or not same:
+        if column.shape != scene.given("sweep").shape or not same:
             raise InputError("path", str(path), "a whole sweep")
         total += column.size
     if total > MOST_BYTES:
@@ -457,7 +451,7 @@ def _confirmed(found: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], np.
 
 def _whole_cases(stored: store.Stored, scene: Scene) -> np.ndarray:
     """The state of each case in the shape of the axes; of damaged ones PENDING."""
-    state: np.ndarray = _cases(stored, scene)[0]["state"].reshape(shape_of(scene))
+    state: np.ndarray = _cases(stored, scene)[0]["state"].reshape(scene.given("sweep").shape)
     for index in np.argwhere(state == CONVERGED):
         if _waves(stored, tuple(map(int, index))) is None:
             state[tuple(index)] = PENDING
@@ -470,7 +464,7 @@ def read_columns(stored: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
     Pending cases have nan, 0 in columns of whole numbers, and empty words.
     """
     columns, damaged = _cases(stored, scene)
-    shape, found = shape_of(scene), {}
+    shape, found = scene.given("sweep").shape, {}
     if damaged.any():
         first = tuple(map(int, np.unravel_index(int(np.argmax(damaged)), shape)))
         allowed = (

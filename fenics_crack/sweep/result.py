@@ -47,6 +47,7 @@ from fenics_crack.files.store import Stored, header
 from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.tables import Sweep
 from fenics_crack.scene.words import check_scene, unit_of
 from fenics_crack.study.prepare import law_of
 from fenics_crack.sweep.case import Asked, build
@@ -63,7 +64,6 @@ from fenics_crack.sweep.file import (
     opened,
     read_columns,
     read_waves,
-    shape_of,
 )
 from fenics_crack.sweep.jobs import Manager, Worker, serve
 from fenics_crack.sweep.plan import Plan
@@ -132,10 +132,8 @@ def run_sweep(
     >>> table = fc.run_sweep(swept, "sweep.h5").to_dict()
     """
     check_scene(scene)
-    ranks = _ranks_of_a_case(scene, comm)
+    table = _checked(scene, comm)
     managers: list[Manager] = []
-
-    at_resonance = scene.given("sweep").at_resonance
 
     def start() -> Asked:
         plan = Plan(scene)
@@ -143,12 +141,12 @@ def run_sweep(
         omitted = [name for name, yes in wanted.items() if not yes]
         where = Path(path or _passing_file())
         file = SweepFile(where, scene, plan.harmonics, plan.pairs, omitted)
-        managers.append(Manager(plan, file, comm.size // ranks, progress=progress))
+        managers.append(Manager(plan, file, comm.size // table.ranks, progress=progress))
         hopeless = not plan.reduction_swept
-        return Asked(plan.unit_loads, hopeless, at_resonance, verdicts, judged)
+        return Asked(plan.unit_loads, hopeless, table.at_resonance, verdicts, judged)
 
     asked = on_root(comm, start)
-    group = comm.Split(comm.rank // ranks, comm.rank)
+    group = comm.Split(comm.rank // table.ranks, comm.rank)
     leaders = comm.Split(min(group.rank, 1), comm.rank)
     worker = Worker(group, asked)
     with StopRequest() as stop:
@@ -179,18 +177,17 @@ def resonates(scene: Scene) -> bool:
     return scene.contact is not None and scene.speed == 0.0 and not moved
 
 
-def _ranks_of_a_case(scene: Scene, comm: MPI.Comm) -> int:
-    """How many ranks solve a case together."""
-    if scene.sweep is None:
-        raise InputError("sweep", None, "given: what to vary")
-    ranks = scene.sweep.ranks
-    if scene.sweep.at_resonance and not resonates(scene):
+def _checked(scene: Scene, comm: MPI.Comm) -> Sweep:
+    """The table of a sweep that these ranks can do."""
+    table: Sweep = scene.given("sweep")
+    if table.at_resonance and not resonates(scene):
         raise InputError("sweep.at_resonance", True, f"false {UNSOUGHT}")
-    if comm.size % ranks:
-        raise InputError("sweep.ranks", ranks, f"a divisor of the number of ranks, {comm.size}")
-    if ranks > 1 and scene.reduction is not None and scene.reduction.method == "off":
+    if comm.size % table.ranks:
+        allowed = f"a divisor of the number of ranks, {comm.size}"
+        raise InputError("sweep.ranks", table.ranks, allowed)
+    if table.ranks > 1 and scene.reduction is not None and scene.reduction.method == "off":
         raise InputError("reduction.method", "off", "a reduction where sweep.ranks > 1")
-    return ranks
+    return table
 
 
 # --- the result -----------------------------------------------------------------------------------
@@ -259,7 +256,7 @@ class SweepResult(Tabular):
     @property
     def shape(self) -> tuple[int, ...]:
         """Number of values on each axis."""
-        return shape_of(self.scene)
+        return tuple(self.scene.given("sweep").shape)
 
     @property
     def complete(self) -> bool:
