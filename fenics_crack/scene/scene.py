@@ -58,10 +58,6 @@ THINNEST = 1e4
 """Largest ratio of the plate's sides."""
 
 
-NEEDED = {"needed": True}
-"""Of the fields for tables that every plate needs."""
-
-
 @dataclass(frozen=True, repr=False)
 class Scene(Hinted):
     """A cracked plate, its load, and how its vibration is computed; or matrices from elsewhere.
@@ -77,11 +73,11 @@ class Scene(Hinted):
         A table is missing or has a key that cannot be used.
     """
 
-    geometry: Geometry = field(default=None, metadata=NEEDED)  # type: ignore[assignment]
-    material: Material = field(default=None, metadata=NEEDED)  # type: ignore[assignment]
-    damping: Damping = field(default=None, metadata=NEEDED)  # type: ignore[assignment]
-    excitation: Excitation = field(default=None, metadata=NEEDED)  # type: ignore[assignment]
-    mesh: Mesh = field(default=None, metadata=NEEDED)  # type: ignore[assignment]
+    geometry: Geometry = None  # type: ignore[assignment]
+    material: Material = None  # type: ignore[assignment]
+    damping: Damping = None  # type: ignore[assignment]
+    excitation: Excitation = None  # type: ignore[assignment]
+    mesh: Mesh = None  # type: ignore[assignment]
     contact: Contact | None = None
     crack: Crack | None = None
     cracks: tuple[Crack, ...] = ()
@@ -824,7 +820,9 @@ _TABLES: dict[str, type[Table]] = {
     name: (get_args(hint) or (hint,))[0] for name, hint in get_type_hints(Scene).items()
 }
 _LISTS = tuple(name for name, hint in get_type_hints(Scene).items() if get_origin(hint) is tuple)
-_OPTIONAL = tuple(item.name for item in fields(Scene) if item.default is None and not item.metadata)
+_OPTIONAL = tuple(
+    name for name, hint in get_type_hints(Scene).items() if type(None) in get_args(hint)
+)
 _PATHS = tuple(
     kind.name_of(key)
     for kind in _TABLES.values()
