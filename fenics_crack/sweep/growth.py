@@ -229,6 +229,8 @@ NOTHING = 1e-200
 """Below which a logarithmic column is zero."""
 LEAST = 1e-4
 """Part of its largest value below which a logarithmic column counts as that: closed cracks."""
+SLICES = 16
+"""Of what lies around a level of a run-up, each above the threshold or below it."""
 SETTLES = 2.0
 """Times 1 / (xi w), in which the run-up of a single mode must pass the width 2 xi f at least:
 its growth with m = 3 is then 3 % below the steady one's."""
@@ -525,11 +527,13 @@ def _driving(
 
         (sum n_i delta K_i^m / sum n_i)^(1 / m)
 
-    of the equivalent ranges, levels below the threshold left out where another is above it."""
+    of the equivalent ranges, levels below the threshold left out where another is above it; of a
+    run-up those parts of what lies around its levels."""
     effective, drive = rows["delta_K_effective"], rows["delta_K_equivalent"]
-    grows = effective >= np.minimum(law.threshold, effective.max(axis=1, keepdims=True))
+    limit = np.minimum(law.threshold, effective.max(axis=1, keepdims=True))
+    grows = effective >= limit if law.run_up is None else _parts_above(effective, limit)
     largest = np.maximum(drive.max(axis=1, keepdims=True), 1e-300)
-    shares = cycles / cycles.sum() * np.where(grows, drive / largest, 0.0) ** law.exponent
+    shares = cycles / cycles.sum() * grows * (drive / largest) ** law.exponent
     place = shares.argmax(axis=1)[:, None]
     found = {name: np.take_along_axis(rows[name], place, axis=1)[:, 0] for name in rows}
     leading = found["omega"]
@@ -537,6 +541,19 @@ def _driving(
     found["omega"] = cycles.sum() / (cycles / rows["omega"]).sum(axis=1)
     found |= {name: rows[name].max(axis=1) for name in ("K_max", "delta_K_effective")}
     return found, leading
+
+
+def _parts_above(ranges: np.ndarray, limit: np.ndarray) -> np.ndarray:
+    """Which part of what lies around each level of a run-up has a range above a limit, some of the
+    largest at least: (k, levels). Next to a resonance 1 / range^2 is a parabola."""
+    from scipy.interpolate import Akima1DInterpolator  # takes a while, and is needed here alone
+
+    largest = np.maximum(ranges.max(axis=1, keepdims=True), 1e-300)
+    places, around = np.arange(ranges.shape[1]), (np.arange(SLICES) + 0.5) / SLICES - 0.5
+    within = np.clip(places[:, None] + around, 0, places[-1])
+    softness = Akima1DInterpolator(places, np.maximum(ranges / largest, LEAST) ** -2.0, axis=1)
+    above = softness(within) * (limit / largest)[..., None] ** 2 <= 1.0
+    return np.maximum(above.mean(axis=2), (ranges >= limit) / SLICES)
 
 
 def _solve_lengths(
@@ -598,7 +615,7 @@ def _levels(law: Law, damping: float) -> tuple[np.ndarray, np.ndarray]:
         return np.zeros(0), np.ones(1)
     start, stop, rate = law.run_up
     step = damping / math.sqrt(max(0.5 * law.exponent, 1.0))
-    count = math.ceil(math.log(stop / start) / math.log1p(step)) + 1
+    count = max(math.ceil(math.log(stop / start) / math.log1p(step)), 2) + 1
     found = np.geomspace(start, stop, count)
     return TURN * found, found * _trapezoid(found) / rate
 

@@ -128,10 +128,10 @@ def test_run_up_through_the_resonance(tmp_path: Path) -> None:
 RUN_UP: dict[str, Any] = {"drive": "spectrum", "exponent": 10.0, "until": 0.0202}
 
 
-def run_up_of_a_strip(start: float, stop: float) -> fc.Growth:
+def run_up_of_a_strip(start: float, stop: float, **law: float) -> fc.Growth:
     """Through the resonance at 479 Hz of the strip, whose lips stay open."""
     far = [{"edge": "top", "traction_mean": [0.0, 100 * STRESS], "traction_sin": [0.0, 1e5]}]
-    keys = RUN_UP | {"run_up": (start, stop, 0.5), "life_tolerance": 1.0}
+    keys = RUN_UP | {"run_up": (start, stop, 0.5), "life_tolerance": 1.0} | law
     scene = fc.Scene.from_mapping(STRIP | {"loads": far})
     changes = {f"growth.{key}": value for key, value in keys.items()}
     return fc.grow(scene.replace(changes | {"harmonic_balance.harmonics": 1}), comm=MPI.COMM_SELF)
@@ -153,6 +153,18 @@ def test_a_run_up_is_summed_alike_wherever_its_levels_are() -> None:
         assert found.repeats is not None
         grown.append((found.length[1] - found.length[0]) / found.repeats[1])
     assert grown[1] / grown[0] == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.usefixtures("errors_left_out")
+def test_a_threshold_cuts_a_run_up_between_its_levels() -> None:
+    """At nine tenths of the largest range two levels were above it or one, and the crack grew by 45
+    % less half a level aside."""
+    keys, grown = {"exponent": 3.0, "threshold": 1.52e5}, []
+    for ends in ((460.0, 500.0), (462.14, 502.32)):
+        found = run_up_of_a_strip(*ends, **keys)
+        assert found.repeats is not None
+        grown.append((found.length[1] - found.length[0]) / found.repeats[1])
+    assert grown[1] / grown[0] == pytest.approx(1.0, abs=0.08)
 
 
 @pytest.mark.usefixtures("errors_left_out")
