@@ -8,18 +8,15 @@ The paper's scheme, with the contact force that its printed form leaves out,
 
 marched in increments d_n = u_n - u_{n-1} with r = f - K u - B lambda:
 
-    (2 M + dt C) d_{n+1} = 2 dt^2 r_n + (2 M - dt C) d_n.
+    (M + dt/2 C) (d_{n+1} - d_n) = dt^2 r_n - dt C d_n.
 
-Modal damping C = M Phi diag(c) Phi^T M is inverted exactly: with s = dt c / (2 + dt c),
-
-    d_{n+1} = d_n + dt^2 M^-1 r_n - Phi s (dt^2 Phi^T r_n + 2 q_n),     q_n = Phi^T M d_n,
-
-where q is carried along, so that one step costs a product with K, a solution with M and two
-products with Phi. Small structures are marched in the coordinates of all their modes instead, by
-the kernel (:mod:`fenics_crack.time.modal_march`). The scheme is second order. Steps beyond
-dt = 2 / omega_max, omega_max the largest natural frequency with every pair closed, are unstable and
-refused. Below that the scheme conserves energy as long as no pair changes its state; a contact from
-step a to step b creates
+Modal damping C = M Phi diag(c) Phi^T M is inverted exactly (:class:`LoopedSteps`): a step costs a
+product with K and one with M, a solution with M and three products with Phi. Small structures are
+marched in the coordinates of all their modes instead, by the kernel
+(:mod:`fenics_crack.time.modal_march`). The scheme is second order. Steps beyond dt = 2 / omega_max,
+omega_max the largest natural frequency with every pair closed, are unstable and refused. Below that
+the scheme conserves energy as long as no pair changes its state; a contact from step a to step b
+creates
 
     1/2 k (g_b |g_{b+1}| - g_a |g_{a-1}|),
 
@@ -56,7 +53,6 @@ from fenics_crack.model.contact import (
     potential,
     solve_complementarity,
 )
-from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import largest_frequency
 from fenics_crack.model.reduced import INSTEAD, check_mass
@@ -258,43 +254,16 @@ class _CentralDifferences(LoopedSteps):
     name, remedy = NAME, REMEDY
 
     def __init__(self, asked: March) -> None:
-        super().__init__(asked)
-        structure, dt = self.structure, self.step_size
-        self._mixed: Any = None
-        matrix = structure.mass
-        if self._modes is not None:
-            growth = dt * self._modes.rate
-            self._share = growth / (2.0 + growth)
-        elif self._damping is not None:
-            matrix = weighted_sum(structure.mass, 0.5 * dt, self._damping)
-            self._mixed = weighted_sum(structure.mass, -0.5 * dt, self._damping)
-        self._inverse = self._factored(matrix)
-        self.owned = self._x, self._y, self._inverse
+        dt = asked.step_size
+        super().__init__(asked, 1.0, 0.0, 0.5 * dt)
         if self.rigid:
-            self._push, self._modal_push = self._response()
-            self._compliance = structure.apply_bt(self._push.T).T
-        self._energy = _ContactEnergy(asked, self._start(*asked.start))
-
-    def _response(self) -> tuple[np.ndarray, np.ndarray]:
-        """Parts that unit forces on the pairs take from the increment (n_local, n_pairs) and q."""
-        dt2 = self.step_size**2
-        pairs = self.structure.gap.T.toarray()
-        push = dt2 * self._inverse.solve(pairs).T
-        if self._modes is None:
-            return push, np.zeros((0, self.structure.n_pairs))
-        pushed = dt2 * self.structure.apply_bt(self._modes.shapes.T)
-        push -= self._modes.shapes @ (self._share[:, None] * pushed)
-        return push, (1.0 - self._share)[:, None] * pushed
-
-    def _start(self, displacement: np.ndarray, velocity: np.ndarray) -> float:
-        """Set the state at time 0, the step before from u_{-1} = u - dt v + dt^2 a / 2; return the
-        energy [J]."""
-        dt = self.step_size
+            self._push = dt**2 * self._answers(self.structure.gap.toarray())
+            self._compliance = self.structure.apply_bt(self._push.T).T
+        displacement, velocity = asked.start
         self.displacement = self._admissible(displacement)
+        # The step before from u_{-1} = u - dt v + dt^2 a / 2.
         self.increment = dt * velocity - 0.5 * dt**2 * self._acceleration(velocity)
-        if self._modes is not None:
-            self._modal = self.structure.sum_over_ranks(self.increment @ self._modes.mass_shapes)
-        return self._linear_energy(velocity)
+        self._energy = _ContactEnergy(asked, self._linear_energy(velocity))
 
     def fill(self, window: Window, number: int) -> None:
         self.record(window)
@@ -305,33 +274,17 @@ class _CentralDifferences(LoopedSteps):
         return self.displacement.copy(), velocity
 
     def advance(self, step: int) -> None:
-        dt2 = self.step_size**2
+        dt = self.step_size
         self.gap = self._measured(self.displacement)
-        push = -self._times(self.structure.stiffness, self.displacement)  # f - K u - B lambda
-        push[self.load_rows] += self.load[step]
+        pull = -self._times(self.structure.stiffness, self.displacement)  # f - K u - B lambda
+        pull[self.load_rows] += self.load[step]
         if not self.rigid:
             self.force = self.contact.force(self.gap)
-            push[self._gap_rows] -= self._gap_block @ self.force
-        push *= dt2
-        if self._mixed is not None:
-            push += self._times(self._mixed, self.increment)
-            self.increment = self._applied(self._inverse.apply, push)
-        else:
-            self.increment += self._applied(self._inverse.apply, push)
-        if self._modes is not None:
-            pushed = self.structure.sum_over_ranks(push @ self._modes.shapes)
-            lost = self._share * (pushed + 2.0 * self._modal)
-            self._modal += pushed - lost
-            self.increment -= self._modes.shapes @ lost
+            pull[self._gap_rows] -= self._gap_block @ self.force
+        self.increment = self.increment + self._answer(dt**2 * pull, dt * self.increment)
         if self.rigid:
-            self._push_apart()
+            reached = self.gap + self._closing(self.increment)
+            self.force = solve_complementarity(self._compliance, reached, self.force > 0.0)
+            self.increment -= self._push @ self.force
         self.before = self.displacement
         self.displacement = self.displacement + self.increment
-
-    def _push_apart(self) -> None:
-        """Find the forces of a constraint and take their part from the increment."""
-        reached = self.gap + self._closing(self.increment)
-        self.force = solve_complementarity(self._compliance, reached, self.force > 0.0)
-        self.increment -= self._push @ self.force
-        if self._modes is not None:
-            self._modal -= self._modal_push @ self.force

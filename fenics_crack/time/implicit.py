@@ -18,11 +18,7 @@ and the equation of motion holds between both ends of the step,
 with rho the spectral radius at infinite frequency: 1 loses no energy, 0 removes in one step what
 the step cannot resolve. Without contact the scheme is of second order and stable for any step.
 
-The matrix A = (1 - am) M + (1 - af) (gamma dt C + beta dt^2 K) is factored once. Modal damping
-C = M Phi diag(c) Phi^T M enters by its low rank: with D the part of A without damping, d_j its
-value on mode j, and e = (1 - af) gamma dt,
-
-    A^-1 = D^-1 + Phi diag(1/(d + e c) - 1/d) Phi^T.
+The matrix A = (1 - am) M + (1 - af) (gamma dt C + beta dt^2 K) is factored once.
 
 The contact force of the step is taken from the potential V of the law, lambda = dV/dg,
 
@@ -77,7 +73,7 @@ from fenics_crack.model.contact import (
     solve_complementarity,
     solve_forces,
 )
-from fenics_crack.model.factor import factored_sum, weighted_sum
+from fenics_crack.model.factor import factored_sum
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import Structure
@@ -234,60 +230,42 @@ class _ModalAlpha(ModalSteps):
 
 
 class _GeneralisedAlpha(LoopedSteps):
-    """State and one step of the scheme, and its energy.
-
-    Velocities and accelerations carry the modal ones of the damped modes, Phi^T M v, behind their
-    n_local entries, so that these need no product with Phi in a step.
-    """
+    """State and one step of the scheme, and its energy."""
 
     name, remedy = NAME, REMEDY
 
     def __init__(self, asked: March, radius: float) -> None:
-        super().__init__(asked)
-        dt = self.step_size
         self._am, self._af, self._gamma, self._beta = _parameters(radius)
-        self._inertia, self._now = 1.0 - self._am, 1.0 - self._af
-        self._prepare_matrix(self._now * self._beta * dt**2, self._now * self._gamma * dt)
+        self._inertia, self._now, dt = 1.0 - self._am, 1.0 - self._af, asked.step_size
+        spring, dashpot = self._now * self._beta * dt**2, self._now * self._gamma * dt
+        super().__init__(asked, self._inertia, spring, dashpot)
         self._prepare_contact()
-        self._start(*asked.start)
+        displacement, self._velocity = asked.start
+        self.displacement = self._admissible(displacement)
+        self.gap = self._measured(self.displacement)
+        if not self.rigid:
+            self._held = self.contact.force(self.gap)
+        self._change, self._lost = self._acceleration(self._velocity), 0.0
         self._balance = EnergyBalance(asked, self._energy())
-
-    def _prepare_matrix(self, spring: float, dashpot: float) -> None:
-        """Factor A, or D where damping is modal, from the weights of K and C in it."""
-        structure = self.structure
-        matrix = structure.mass.copy()
-        matrix.scale(self._inertia)
-        for weight, part in ((spring, structure.stiffness), (dashpot, self._damping)):
-            if part is not None:
-                total = weighted_sum(matrix, weight, part)
-                matrix.destroy()
-                matrix = total
-        self._inverse = self._factored(matrix)
-        self.owned = self._x, self._y, self._inverse, matrix
-        if self._modes is not None:
-            undamped = self._inertia + spring * self._modes.omega**2
-            self._modal = undamped + dashpot * self._modes.rate
-            self._correction = 1.0 / self._modal - 1.0 / undamped
 
     def _prepare_contact(self) -> None:
         """Change of acceleration by unit forces or impulses, of velocity, and the gaps' change."""
         structure, dt = self.structure, self.step_size
         pairs = structure.gap.toarray()
         if self.rigid:
-            kick = self._kicks(pairs)
-            right = np.empty_like(kick)
-            for column in range(structure.n_pairs):
-                # C v of the whole step, K u of the end.
-                right[:, column] = self._damped(kick[:, column]) + self._now * dt * self._times(
-                    structure.stiffness, kick[:, column]
-                )
-            self._kick, self._rates = self._with_modal(kick), structure.apply_bt(kick.T).T
-            pull = self._solve(right)
-            moved = dt * kick - dt**2 * self._beta * pull
+            kick = self._kick = self._kicks(pairs)
+            # C v of the whole step, K u of the end.
+            right = [
+                self._damped(one) + self._now * dt * self._times(structure.stiffness, one)
+                for one in kick.T
+            ]
+            self._rates = structure.apply_bt(kick.T).T
+            self._pull = self._answers(np.array(right).reshape(kick.T.shape).T)
+            moved = dt * kick - dt**2 * self._beta * self._pull
         else:
-            pull = -self._solve(pairs)
-            moved = -(dt**2) * self._beta * pull
-        self._pull, self._compliance = self._with_modal(pull), structure.apply_bt(moved.T).T
+            self._pull = -self._answers(pairs)
+            moved = -(dt**2) * self._beta * self._pull
+        self._compliance = structure.apply_bt(moved.T).T
 
     def _kicks(self, pairs: np.ndarray) -> np.ndarray:
         """(1 - am) D^-1 B: change of velocity by unit impulses."""
@@ -299,63 +277,41 @@ class _GeneralisedAlpha(LoopedSteps):
         with undamped as factor:
             return factor.solve(pairs.T).T
 
-    def _start(self, displacement: np.ndarray, velocity: np.ndarray) -> None:
-        """Set the state at time 0; the acceleration follows from the equation of motion."""
-        self.displacement = self._admissible(displacement)
-        self.gap = self._measured(self.displacement)
-        if not self.rigid:
-            self._held = self.contact.force(self.gap)
-        acceleration = self._acceleration(velocity)[:, None]
-        self._velocity = self._with_modal(velocity[:, None])[:, 0]
-        self._change = self._with_modal(acceleration)[:, 0]
-        self._lost = 0.0
-
     def advance(self, step: int) -> None:
-        dt, local = self.step_size, self.structure.n_local
-        displacement, velocity, acceleration = self.displacement, self._velocity, self._change
+        dt, displacement = self.step_size, self.displacement
+        velocity, acceleration = self._velocity, self._change
         self.before, self.gap = displacement, self._measured(displacement)
 
-        moved = displacement + dt * velocity[:local]
-        moved += (dt**2 * (0.5 - self._beta)) * acceleration[:local]
-        faster = velocity + (dt * (1.0 - self._gamma)) * acceleration
+        moved = displacement + dt * velocity + dt**2 * (0.5 - self._beta) * acceleration
+        faster = velocity + dt * (1.0 - self._gamma) * acceleration
         found = self._without_contact(step, moved, faster)
-        free = self._measured(moved + (self._beta * dt**2) * found[:local])
+        free = self._measured(moved + (self._beta * dt**2) * found)
         if self.rigid:
             impulse = solve_complementarity(self._compliance, free, self.force > 0.0)
             change = self._kick @ impulse
             velocity = velocity - change
             faster -= change
-            moved -= dt * change[:local]
+            moved -= dt * change
         else:
             impulse = self._forces(free)
         found += self._pull @ impulse
-        self.displacement = moved + (self._beta * dt**2) * found[:local]
+        self.displacement = moved + (self._beta * dt**2) * found
         faster += (self._gamma * dt) * found
         self._lost += dt * self._dissipated(0.5 * (velocity + faster))
         if self.rigid:
-            stop = self._stopped(faster[:local], impulse)
+            stop = self._stopped(faster, impulse)
             self.force = (impulse + stop) / dt
             faster -= self._kick @ stop
         self._velocity, self._change = faster, found
 
     def _without_contact(self, step: int, moved: np.ndarray, faster: np.ndarray) -> np.ndarray:
         """Acceleration at the end of a step from what Newmark's formulas know of u and v there."""
-        structure, modes, local = self.structure, self._modes, self.structure.n_local
         following = (step + 1) % len(self.load)
         right = -self._times(
-            structure.stiffness, self._now * moved + self._af * self.displacement
-        ) - self._times(structure.mass, self._am * self._change[:local])
+            self.structure.stiffness, self._now * moved + self._af * self.displacement
+        ) - self._times(self.structure.mass, self._am * self._change)
         right[self.load_rows] += self._now * self.load[following] + self._af * self.load[step]
-        if modes is None:
-            if self._damping is not None:
-                right -= self._damped(self._now * faster + self._af * self._velocity)
-            return self._applied(self._inverse.apply, right)
-        drag = modes.rate * (self._now * faster[local:] + self._af * self._velocity[local:])
-        pushed = structure.sum_over_ranks(right @ modes.shapes)
-        # D^-1 (r - M Phi drag) = D^-1 r - Phi drag / d, and the correction's part of both.
-        found = self._applied(self._inverse.apply, right)
-        found += modes.shapes @ (self._correction * pushed - drag / self._modal)
-        return np.concatenate([found, (pushed - drag) / self._modal])
+        return self._answer(right, self._now * faster + self._af * self._velocity)
 
     def _forces(self, free: np.ndarray) -> np.ndarray:
         """h of a step from the present gap, given the gap at its end without contact forces."""
@@ -382,7 +338,7 @@ class _GeneralisedAlpha(LoopedSteps):
         return stop
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
-        return self.displacement.copy(), self._velocity[: self.structure.n_local].copy()
+        return self.displacement.copy(), self._velocity.copy()
 
     # --- energy -----------------------------------------------------------------------------------
 
@@ -394,7 +350,7 @@ class _GeneralisedAlpha(LoopedSteps):
 
     def _energy(self) -> float:
         """Energy of the motion, and of the law's springs [J]."""
-        energy = self._linear_energy(self._velocity[: self.structure.n_local])
+        energy = self._linear_energy(self._velocity)
         if not self.rigid:
             energy += float(potential(self.contact, self._measured(self.displacement)).sum())
         return energy
@@ -402,28 +358,10 @@ class _GeneralisedAlpha(LoopedSteps):
     def _dissipated(self, velocity: np.ndarray) -> float:
         """v^T C v [W]."""
         if self._modes is not None:
-            return float(self._modes.rate @ velocity[self.structure.n_local :] ** 2)
-        if self._damping is None:
-            return 0.0
+            modal = self.structure.sum_over_ranks(velocity @ self._modes.mass_shapes)
+            return float(self._modes.rate @ modal**2)
         power = np.array([velocity @ self._damped(velocity)])
         return float(self.structure.sum_over_ranks(power)[0])
-
-    # --- linear algebra ---------------------------------------------------------------------------
-
-    def _with_modal(self, columns: np.ndarray) -> np.ndarray:
-        """Columns (n_local, m) with their modal coordinates below."""
-        if self._modes is None:
-            return columns
-        modal = self.structure.sum_over_ranks(self._modes.mass_shapes.T @ columns)
-        return np.vstack([columns, modal])
-
-    def _solve(self, columns: np.ndarray) -> np.ndarray:
-        """A^-1 X of columns (n_local, m)."""
-        found = self._inverse.solve(columns.T).T
-        if self._modes is not None:
-            pushed = self.structure.sum_over_ranks(self._modes.shapes.T @ columns)
-            found += self._modes.shapes @ (self._correction[:, None] * pushed)
-        return found
 
 
 def _mean_force(

@@ -33,7 +33,7 @@ from fenics_crack.errors import (
     check_options,
 )
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid, solve_complementarity
-from fenics_crack.model.factor import Factor
+from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import NEGLIGIBLE, damped_modes, times
 from fenics_crack.model.structure import RayleighDamping, Structure
@@ -501,7 +501,14 @@ def initial_state(
 
 
 class LoopedSteps(Scheme):
-    """State of a structure, and what acts on it (collective)."""
+    """State of a structure, and what acts on it, with A = inertia M + spring K + dashpot C factored
+    (collective).
+
+    Modal damping C = M Phi diag(c) Phi^T M enters by its low rank: with D the part of A without
+    damping, d_j the value of A on mode j and d0_j that of D,
+
+        A^-1 = D^-1 + Phi diag(1/d - 1/d0) Phi^T,     A^-1 C = Phi diag(c/d) Phi^T M.
+    """
 
     displacement: np.ndarray
     """(n_local,)"""
@@ -512,7 +519,7 @@ class LoopedSteps(Scheme):
     force: np.ndarray
     """(n_pairs,) [N], at the same instant; with a constraint the mean until the next."""
 
-    def __init__(self, asked: March) -> None:
+    def __init__(self, asked: March, inertia: float, spring: float, dashpot: float) -> None:
         self.structure = structure = asked.structure
         self.contact, self.rigid, self.step_size = asked.contact, asked.rigid, asked.step_size
         self.load, self.load_rows = asked.load, asked.load_rows
@@ -523,6 +530,21 @@ class LoopedSteps(Scheme):
         self._columns = asked.recorded_dofs - structure.first_dof
         self._modes, self._damping = damped_modes(structure), structure.damping_matrix
         self._x, self._y = structure.mass.createVecs()
+        matrix = structure.mass.copy()
+        matrix.scale(inertia)
+        for weight, part in ((spring, structure.stiffness), (dashpot, self._damping)):
+            if weight > 0.0 and part is not None:
+                total = weighted_sum(matrix, weight, part)
+                matrix.destroy()
+                matrix = total
+        # A C that was given need not be symmetric.
+        symmetric = self._damping is None or isinstance(structure.damping, RayleighDamping)
+        self._inverse = Factor(matrix, symmetric=symmetric, definite=True)
+        self.owned = self._x, self._y, self._inverse, matrix
+        if self._modes is not None:
+            undamped = inertia + spring * self._modes.omega**2
+            damped = undamped + dashpot * self._modes.rate
+            self._correction, self._decay = 1.0 / damped - 1.0 / undamped, self._modes.rate / damped
 
     @abstractmethod
     def advance(self, step: int) -> None:
@@ -554,10 +576,22 @@ class LoopedSteps(Scheme):
         """A matrix times (n_local,)."""
         return self._applied(matrix.mult, rows)
 
-    def _factored(self, matrix: PETSc.Mat) -> Factor:
-        """Factor M with parts of K and C, of which a C that was given need not be symmetric."""
-        rayleigh = isinstance(self.structure.damping, RayleighDamping)
-        return Factor(matrix, symmetric=self._damping is None or rayleigh, definite=True)
+    def _answer(self, right: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """A^-1 (r - C v)."""
+        modes = self._modes
+        if modes is None:
+            return self._applied(self._inverse.apply, right - self._damped(velocity))
+        moved = self._times(self.structure.mass, velocity)
+        both = np.stack([right @ modes.shapes, moved @ modes.shapes])
+        pushed, speed = self.structure.sum_over_ranks(both)
+        found = self._applied(self._inverse.apply, right)
+        return found + modes.shapes @ (self._correction * pushed - self._decay * speed)
+
+    def _answers(self, columns: np.ndarray) -> np.ndarray:
+        """A^-1 X of columns (n_local, m)."""
+        still = np.zeros(len(columns))
+        found = [self._answer(one, still) for one in columns.T]
+        return np.array(found).reshape(columns.T.shape).T
 
     def _damped(self, velocity: np.ndarray) -> np.ndarray:
         """C v."""
