@@ -59,7 +59,7 @@ from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import collect_garbage
 from fenics_crack.time.march import LoopedSteps, March, TimeHistory, Window, march
-from fenics_crack.time.modal_march import ModalSteps
+from fenics_crack.time.modal_march import ModalSteps, times_by_mode
 
 __all__ = ["integrate_central_difference", "stable_steps_per_period"]
 
@@ -210,22 +210,14 @@ class _ModalDifferences(ModalSteps):
         super().__init__(asked)
         modes, dt, velocity = self._modes, asked.step_size, self._begin()
         count, pairs = modes.pairs.shape
-        rate = dt * modes.damping
-        keep: np.ndarray
-        if rate.ndim == 1:
-            keep, gain = (2.0 - rate) / (2.0 + rate), 2.0 * dt**2 / (2.0 + rate)
-            push = gain[:, None] * modes.pairs
-        else:
-            unit = np.eye(count)
-            keep = np.linalg.solve(2.0 * unit + rate, 2.0 * unit - rate)
-            gain = 2.0 * dt**2 * np.linalg.inv(2.0 * unit + rate)
-            push = gain @ modes.pairs
+        inverse = self._inverse(np.ones(count), 0.5 * dt)
+        push = dt**2 * times_by_mode(inverse, modes.pairs)
         self._increment = dt * velocity - 0.5 * dt**2 * self._acceleration(velocity)
-        energy = 0.5 * float(modes.squares @ self._shape**2 + velocity @ velocity)
-        self._energy = _ContactEnergy(asked, energy)
+        self._energy = _ContactEnergy(asked, self._energy_of(velocity))
         self._known = Struct(
-            "central_differences", body=self._body(room=np.empty(2 * count + pairs)), keep=keep,
-            gain=gain, push=np.ascontiguousarray(push.T),
+            "central_differences", body=self._body(room=np.empty(2 * count + pairs)),
+            keep=2.0 * inverse - (1.0 if inverse.ndim == 1 else np.eye(count)),
+            gain=dt**2 * inverse, push=np.ascontiguousarray(push.T),
             contact=ActiveSets(modes.pairs.T @ push).handle if asked.rigid else None,
             shape=self._shape, increment=self._increment, closed=np.zeros(pairs, bool),
         )  # fmt: skip
@@ -233,15 +225,6 @@ class _ModalDifferences(ModalSteps):
     def fill(self, window: Window, number: int) -> None:
         self._march(window, kernel.march_central)
         self.book(*self._energy.of(window))
-
-    def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
-        """f - w^2 q - P lambda - c v at phase zero of the load; forces of a constraint, which
-        belong to the next step, are left out."""
-        modes, mean_and_cosine = self._modes, self._asked.structure.force[:2].sum(axis=0)
-        found = mean_and_cosine @ modes.shapes - modes.squares * self._shape
-        if self._springs is not None:
-            found -= modes.pairs @ self._asked.contact.force(self._gap())
-        return np.asarray(found - modes.damped(velocity))
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
         velocity = _last_velocity(self._asked.step_size, self._increment, self._acceleration)

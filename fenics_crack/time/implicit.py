@@ -79,7 +79,7 @@ from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.time.march import EnergyBalance, LoopedSteps, March, TimeHistory, Window, march
-from fenics_crack.time.modal_march import ModalSteps
+from fenics_crack.time.modal_march import ModalSteps, times_by_mode
 
 __all__ = ["integrate_implicit"]
 
@@ -169,15 +169,13 @@ class _ModalAlpha(ModalSteps):
         super().__init__(asked)
         modes, (count, pairs), self._velocity = self._modes, self._modes.pairs.shape, self._begin()
         held = np.zeros(pairs) if asked.rigid else asked.contact.force(self._gap())
-        change = asked.structure.force[:2].sum(axis=0) @ modes.shapes
-        change -= modes.squares * self._shape + modes.damped(self._velocity) + modes.pairs @ held
         am, af, gamma, beta = _parameters(radius)
         self._known = Struct(
             "generalised_alpha", body=self._body(), instants=asked.steps_per_period,
             dt=asked.step_size, am=am, af=af, gamma=gamma, beta=beta,
             damping=np.ascontiguousarray(modes.damping), rounding=ROUNDING, most=MAX_NEWTON,
-            halvings=BISECTIONS, shape=self._shape, velocity=self._velocity, change=change,
-            held=held, lost=0.0, closed=np.zeros(2 * pairs, bool),
+            halvings=BISECTIONS, shape=self._shape, velocity=self._velocity, held=held, lost=0.0,
+            change=self._acceleration(self._velocity), closed=np.zeros(2 * pairs, bool),
             room=np.empty(5 * count + (7 + pairs) * pairs), pivots=np.empty(pairs, np.intc),
             **self._answers(1.0 - am, 1.0 - af, gamma, beta),
         )  # fmt: skip
@@ -187,27 +185,18 @@ class _ModalAlpha(ModalSteps):
         """A^-1 by mode, and what unit forces or impulses on pairs change."""
         modes, dt = self._modes, self._asked.step_size
         pairs, undamped = modes.pairs, inertia + now * beta * dt**2 * modes.squares
-        if modes.damping.ndim == 1:
-            inverse = 1.0 / (undamped + now * gamma * dt * modes.damping)
-        else:
-            inverse = np.linalg.inv(np.diag(undamped) + now * gamma * dt * modes.damping)
-
-        def solved(columns: np.ndarray) -> np.ndarray:
-            return inverse[:, None] * columns if inverse.ndim == 1 else inverse @ columns
-
+        inverse = self._inverse(undamped, now * gamma * dt)
         if not self._asked.rigid:
-            pull = -solved(pairs)
-            compliance = -(dt**2) * beta * (pairs.T @ pull)
-            return {
-                "inverse": inverse, "pull": pull.T.copy(), "kick": None, "contact": None,
-                "stops": None, "compliance": np.ascontiguousarray(compliance),
-            }  # fmt: skip
+            pull = -times_by_mode(inverse, pairs)
+            compliance = np.ascontiguousarray(-(dt**2) * beta * (pairs.T @ pull))
+            return {"inverse": inverse, "pull": pull.T.copy(), "compliance": compliance}
         kick = inertia * pairs / undamped[:, None]
         # C v of the whole step, K u of the end.
-        pull = solved(modes.damped(kick.T).T + now * dt * modes.squares[:, None] * kick)
+        right = modes.damped(kick.T).T + now * dt * modes.squares[:, None] * kick
+        pull = times_by_mode(inverse, right)
         moved = dt * kick - dt**2 * beta * pull
         return {
-            "inverse": inverse, "pull": pull.T.copy(), "kick": kick.T.copy(), "compliance": None,
+            "inverse": inverse, "pull": pull.T.copy(), "kick": kick.T.copy(),
             "contact": ActiveSets(pairs.T @ moved).handle,
             "stops": ActiveSets(pairs.T @ kick).handle,
         }  # fmt: skip
@@ -221,9 +210,8 @@ class _ModalAlpha(ModalSteps):
 
     def _energy(self) -> float:
         """Energy of the motion, and of the law's springs [J]."""
-        energy = self._modes.squares @ self._shape**2 + self._velocity @ self._velocity
         stored = 0.0 if self._asked.rigid else potential(self._asked.contact, self._gap()).sum()
-        return 0.5 * float(energy) + float(stored)
+        return self._energy_of(self._velocity) + float(stored)
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
         return self._modes.shapes @ self._shape, self._modes.shapes @ self._velocity

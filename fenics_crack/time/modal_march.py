@@ -13,7 +13,7 @@ from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.modal import CACHED, all_modes
 from fenics_crack.time.march import March, Scheme, Window
 
-__all__ = ["ModalSteps"]
+__all__ = ["ModalSteps", "times_by_mode"]
 
 
 class ModalSteps(Scheme):
@@ -41,6 +41,26 @@ class ModalSteps(Scheme):
         if self._asked.rigid and np.any(gap > 0.0):  # by the least change in the norm of M
             self._shape -= pairs @ solve_complementarity(pairs.T @ pairs, gap)
         return np.asarray(velocity)
+
+    def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
+        """f - w^2 q - P lambda - c v at phase zero of the load; forces of a constraint, which
+        belong to the next step, are left out."""
+        modes, mean_and_cosine = self._modes, self._asked.structure.force[:2].sum(axis=0)
+        found = mean_and_cosine @ modes.shapes - modes.squares * self._shape
+        if self._springs is not None:
+            found -= modes.pairs @ self._asked.contact.force(self._gap())
+        return np.asarray(found - modes.damped(velocity))
+
+    def _inverse(self, undamped: np.ndarray, dashpot: float) -> np.ndarray:
+        """Of ``undamped`` (n,) + dashpot C, by mode."""
+        damped = dashpot * self._modes.damping
+        if damped.ndim == 1:
+            return np.asarray(1.0 / (undamped + damped))
+        return np.linalg.inv(np.diag(undamped) + damped)
+
+    def _energy_of(self, velocity: np.ndarray) -> float:
+        """Kinetic and elastic, without contact [J]."""
+        return 0.5 * float(self._modes.squares @ self._shape**2 + velocity @ velocity)
 
     def _body(self, **more: Any) -> Struct:
         """What vibrates, and its load."""
@@ -73,3 +93,8 @@ class ModalSteps(Scheme):
     def _gap(self) -> np.ndarray:
         """Gap at the end of the march."""
         return np.asarray(self._shape @ self._modes.pairs - self._asked.structure.clearance)
+
+
+def times_by_mode(values: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """What is by mode times columns (n, m)."""
+    return np.asarray(values[:, None] * columns if values.ndim == 1 else values @ columns)
