@@ -51,7 +51,7 @@ def solve_form(
     residual_tolerance: float = 1e-10,
     throw: bool = True,
 ) -> fc.PeriodicSolution:
-    """Solve a problem by another form of harmonic balance (collective).
+    """Solve a problem by another form of harmonic balance, on one rank.
 
     Parameters
     ----------
@@ -162,10 +162,11 @@ class BlockSystem:
     ) -> None:
         self.compliance, self.integrals, self._softness = compliance, integrals, softness
         self.structure = compliance.structure
-        self.comm, self.matrix_free = self.structure.comm, False
+        assert self.structure.comm.size == 1, "search and paths know no unknowns of other ranks"
+        self.matrix_free = False
         rows = 2 * integrals.harmonics + 1
         self.shape: tuple[int, ...] = (rows, self.structure.n_local)
-        self.global_size = rows * self.structure.n_dofs
+        self.size = rows * self.structure.n_dofs
         self.linear = compliance.solve_blocks(compliance.load)
 
     def gap(self, amplitude: np.ndarray) -> np.ndarray:
@@ -185,11 +186,6 @@ class BlockSystem:
         integrals = self.integrals.with_softness(self._softness * abs(left) ** 3)
         return BlockPoint(self, amplitude, integrals, -3.0 * self._softness * left * abs(left))
 
-    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
-        """Inner product (collective)."""
-        product = np.array([np.vdot(first, second)])
-        return float(self.structure.sum_over_ranks(product)[0])
-
 
 @contextmanager
 def block_system(problem: fc.Problem) -> Iterator[BlockSystem]:
@@ -200,7 +196,7 @@ def block_system(problem: fc.Problem) -> Iterator[BlockSystem]:
 
 
 class BlockPoint(Linearisation):
-    """:class:`BlockSystem` at an amplitude (collective)."""
+    """:class:`BlockSystem` at an amplitude."""
 
     def __init__(
         self, system: BlockSystem, amplitude: np.ndarray, integrals: PairIntegrals, rate: float

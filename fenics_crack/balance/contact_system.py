@@ -44,7 +44,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 
 from fenics_crack.balance.compliance import Compliance, ModalPart, ResizedCompliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, CoupledIntegrals, respond
@@ -92,14 +91,12 @@ class ContactSystem:
     with every pair is ``softness`` |1 - p|^3, in parts of ``integrals.unit``.
     """
 
-    comm = MPI.COMM_SELF
-
     def __init__(
         self, compliance: Compliance, integrals: ContactIntegrals, softness: float = 0.0
     ) -> None:
         self.compliance, self.integrals, self._softness = compliance, integrals, softness
         self.shape = compliance.shape
-        self.global_size = int(np.prod(self.shape))
+        self.size = int(np.prod(self.shape))
         self.residual = integrals.residual
         """R_inf [m/N]; None: zero."""
         rows, pairs = self.shape
@@ -177,10 +174,6 @@ class ContactSystem:
     def along(self, unknown: np.ndarray, by_parameter: ByParameter) -> ContactPoint:
         """The equations at s, with the derivative by another parameter."""
         return ContactPoint(self, unknown, self.integrals, by_parameter)
-
-    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
-        """Inner product."""
-        return float(np.vdot(first, second))
 
     def steepest_force(self, law: ContactLaw) -> float:
         """Largest slope of lambda(s) for a law, the inverse of the smallest eigenvalue of R_inf +

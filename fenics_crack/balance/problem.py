@@ -317,7 +317,7 @@ def check_memory(structure: Structure, harmonics: int) -> None:
 def _nearly_solved(system: ContactSystem, start: np.ndarray) -> PathPoint | None:
     """By Newton's method; where J is not formed by full steps alone, as those that lead nowhere
     take long. None where J would be formed of too many unknowns."""
-    if system.global_size > MOST_FORMED and not system.matrix_free:
+    if system.size > MOST_FORMED and not system.matrix_free:
         return None
     steps = solve_at if system.matrix_free else solve_near
     return steps(system, start, 1.0, tolerance=NEARLY_SOLVED)
@@ -326,9 +326,9 @@ def _nearly_solved(system: ContactSystem, start: np.ndarray) -> PathPoint | None
 def _end_of_path(system: ContactSystem, start: np.ndarray) -> PathPoint | None:
     """Where the path F(s) = (1 - p) F(s_0) from a start has its end; None where it has none, or
     that takes long."""
-    if system.global_size > MOST_FORMED:
+    if system.size > MOST_FORMED:
         return None
-    most = ON_PATH // system.global_size
+    most = ON_PATH // system.size
     missed = system.linearise(start).residual
     along = system.compile(system.linear + missed, system.moving, linear_rate=-missed)
     options = replace(NARROW, max_steps=most, at_once=most, rtol=NEARLY_SOLVED)
@@ -454,7 +454,7 @@ class Search:
         if problem is not None:
             if system.integrals.coupled and system.integrals.exact:
                 yield "from a marched motion", self._marched(problem)
-            many = system.residual is not None or system.global_size > kernel.MANY
+            many = system.residual is not None or system.size > kernel.MANY
             enough = problem.subharmonic if many else problem.harmonics
             counts = halved(problem.harmonics, enough)
             name = "from fewer harmonics" if many else "full Newton steps"
@@ -599,7 +599,7 @@ def rounding_left(compliance: Compliance, law: ContactLaw) -> float:
 def _iterations(system: ContactSystem) -> float:
     """How many a search may take: they cost like the square of the unknowns where the kernel has
     them."""
-    dense = COMPILED * (300.0 / max(kernel.MANY, system.global_size)) ** 2
+    dense = COMPILED * (300.0 / max(kernel.MANY, system.size)) ** 2
     if getattr(system, "compiled", None) is not None:
         return dense
     return INTERPRETED if system.matrix_free else min(INTERPRETED, dense)

@@ -409,7 +409,6 @@ class _Added:
 
     def __init__(self, motion: EnergyMotion, known: np.ndarray) -> None:
         self._motion, self._known = motion, known
-        self.inner = motion.inner
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> MotionPoint:
         """At a point."""

@@ -194,7 +194,7 @@ def _across(family: Family, unknown: np.ndarray, parameter: float, doubled: bool
         vector = mix[1] * null[0] - mix[0] * null[1]
         across, slope = vector[:-1], float(vector[-1]) * size
     away = Tangent(across.reshape(unknown.shape), slope, old.weight)
-    length = math.sqrt(away.weight * family.inner(away.x, away.x) + away.p**2)
+    length = math.sqrt(away.weight * float(np.vdot(away.x, away.x)) + away.p**2)
     return replace(away, x=away.x / length, p=away.p / length)
 
 

@@ -44,8 +44,7 @@ class Family(ABC):
         self._compliance = ModalCompliance(problem.structure, problem.base_omega, problem.load)
         self._last: tuple[float, ContactSystem] | None = None
         first = self.system(start)
-        self.comm, self.shape, self.global_size = first.comm, first.shape, first.global_size
-        self.matrix_free = first.matrix_free
+        self.shape, self.matrix_free = first.shape, first.matrix_free
         self.counts: np.ndarray | None = None
         """How much unknowns count where turns of a path are judged. Of equations with so many
         harmonics that J is not formed harmonic k counts 1 / k^2: where the phase of the motion
@@ -143,9 +142,6 @@ class Family(ABC):
         value = self.value(parameter)
         rate = self.rate(value)
         return self.system(value).along(unknown, lambda at: rate * self._by_value(value, at))
-
-    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
-        return float(np.vdot(first, second))
 
     @property
     def means(self) -> int:

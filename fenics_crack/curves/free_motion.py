@@ -141,10 +141,6 @@ class FreeMotion(ABC):
         """What rounding leaves of |F| / |x|."""
         return self.rest.rounding
 
-    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
-        """Inner product."""
-        return float(first @ second)
-
 
 class StiffnessMotion(FreeMotion):
     """Free motions of one energy; the parameter is ln of the share of the contact stiffness."""

@@ -8,17 +8,17 @@ enum { PATIENT = 32 };
 #define STEP 1e-4 /* residual of a step of Newton's method that is found with products */
 const double SHARP = 1e-9;
 
-double inner_product(const equations *at, const double *x, const double *y)
+/* x^T y from an entry on. */
+static double inner_product(const equations *at, int first, const double *x, const double *y)
 {
     double sum = 0.0;
-    if (at->inner) return at->inner(at, x, y);
-    for (int i = 0; i < at->unknowns; i++) sum += x[i] * y[i];
+    for (int i = first; i < at->unknowns; i++) sum += x[i] * y[i];
     return sum;
 }
 
 norm norm_at(const equations *at, const double *x)
 {
-    const double whole = inner_product(at, x, x);
+    const double whole = inner_product(at, 0, x, x);
     double means = 0.0;
     for (int i = 0; i < at->means; i++) means += x[i] * x[i];
     const double moving = fmax(whole - means, sqrt(DBL_EPSILON) * whole);
@@ -28,11 +28,10 @@ norm norm_at(const equations *at, const double *x)
 
 double product(const equations *at, norm in, const double *x, const double *y)
 {
-    if (in.of_means == 1.0) return in.weight * inner_product(at, x, y);
-    double means = 0.0, others = 0.0;
+    if (in.of_means == 1.0) return in.weight * inner_product(at, 0, x, y);
+    double means = 0.0;
     for (int i = 0; i < at->means; i++) means += x[i] * y[i];
-    for (int i = at->means; i < at->unknowns; i++) others += x[i] * y[i];
-    return in.weight * (others + in.of_means * means);
+    return in.weight * (inner_product(at, at->means, x, y) + in.of_means * means);
 }
 
 void add_to(int n, double *x, double s, const double *y)
@@ -77,8 +76,8 @@ int correct_in_plane(equations *at, const plane *in, const correction *how, doub
         const int outcome = at->evaluate(at, x, *p);
         if (outcome != FOUND) return outcome;
         at->residual(at, F);
-        const double square = inner_product(at, F, F);
-        const double own = in ? in->size.weight : 1.0 / fmax(inner_product(at, x, x), 1e-300);
+        const double square = inner_product(at, 0, F, F);
+        const double own = in ? in->size.weight : 1.0 / fmax(inner_product(at, 0, x, x), 1e-300);
         const double size = sqrt(own * square);
         if (size <= how->tolerance) return FOUND;
         if (!isfinite(size)) return NOT_FOUND;

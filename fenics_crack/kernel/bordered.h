@@ -42,8 +42,7 @@ int correct_in_plane(equations *at, const plane *in, const correction *how, doub
 norm norm_at(const equations *at, const double *x);
 /* <x, y> in a norm. */
 double product(const equations *at, norm in, const double *x, const double *y);
-/* <x, y> of the equations; x += s y; the opposite direction. */
-double inner_product(const equations *at, const double *x, const double *y);
+/* x += s y; the opposite direction. */
 void add_to(int n, double *x, double s, const double *y);
 void turn_round(int n, double *tangent, double *slope);
 /* The unit tangent towards growing p at a point that has been evaluated, and its norm; its slope

@@ -32,7 +32,6 @@ extern "Python" {
     void python_solve_nearly(equations *at, double *x);
     void python_by_parameter(equations *at, double *found);
     double python_sign(equations *at);
-    double python_inner(const equations *at, const double *x, const double *y);
 }
 """
 """Functions of equations in Python (``numerics/equations.py``)."""

@@ -21,8 +21,6 @@ typedef struct equations {
     void (*by_parameter)(struct equations *at, double *found);        /* dF/dp there */
     double (*sign)(struct equations *at);  /* of det J there; NAN where it is not known: then turns */
     const double *counts;                  /* are judged with unknowns that count so much (n) */
-    /* Inner product of unknowns; NULL: x^T y. */
-    double (*inner)(const struct equations *at, const double *x, const double *y);
     void *context; /* what equations in Python are made of (numerics/equations.py) */
     void (*apply)(struct equations *at, const double *x, double *found); /* J x, for products */
     /* x = J^-1 x with the J of the last point where solve was asked for; NULL: it is not kept. */

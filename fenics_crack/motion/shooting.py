@@ -124,8 +124,6 @@ class FlowOrbits(Equations):
         x of the state nearby, at p = 1.
     """
 
-    matrix_free = False
-
     def __init__(
         self,
         flow: ContactFlow,
@@ -295,10 +293,6 @@ class Homotopy:
         at = self._orbits.linearise(unknown, self._at)
         self.left -= at.events + 1
         return _HomotopyPoint(at, parameter, self._start)
-
-    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
-        """Inner product."""
-        return float(first @ second)
 
     def end(self, start: np.ndarray, parameter: float) -> np.ndarray | None:
         """Where the path from a start leads, with the orbits' own parameter; None where it is lost,

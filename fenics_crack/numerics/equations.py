@@ -73,7 +73,7 @@ class Linearisation(ABC):
 
 
 class System(Protocol):
-    """F(x, p) = 0 for unknowns in arrays of one shape.
+    """F(x, p) = 0 for unknowns in arrays of one shape, the same on every rank.
 
     It may have more: ``compiled``, its kernel's equations; ``counts``, by how much each unknown
     counts where turns are judged; and ``means``, how many of the unknowns, the first, are means
@@ -82,9 +82,6 @@ class System(Protocol):
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> Linearisation:
         """The system at a point."""
-
-    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
-        """Inner product of two unknowns over all ranks."""
 
 
 class DenseLinearisation(Linearisation):
@@ -162,10 +159,6 @@ class Equations(ABC):
         """Itself: the loops are the kernel's."""
         return self
 
-    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
-        """Inner product."""
-        return float(np.vdot(first, second))
-
     @abstractmethod
     def found(self, unknown: np.ndarray, parameter: float) -> Linearisation:
         """The system at a point that a loop has found, where it has just been evaluated."""
@@ -208,7 +201,6 @@ class _Interpreted(Equations):
             evaluate=kernel.python_evaluate, residual=kernel.python_residual,
             solve=kernel.python_solve, solve_nearly=kernel.python_solve_nearly,
             by_parameter=kernel.python_by_parameter, sign=kernel.python_sign,
-            inner=kernel.python_inner,
         )  # fmt: skip
         self.table = self._struct.at
 
@@ -291,8 +283,3 @@ def _by_parameter(state: _State, found: Any) -> None:
 @_called_back(np.nan)
 def _sign(state: _State) -> float:
     return state.at.sign
-
-
-@_called_back(np.nan)
-def _inner(state: _State, first: Any, second: Any) -> float:
-    return state.system.inner(state.array(first), state.array(second))

@@ -38,7 +38,6 @@ from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
-from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenics_crack.errors import ConvergenceError
@@ -99,18 +98,16 @@ def gmres(
     return found
 
 
-class DistributedSystem(System, Protocol):
-    """A system whose unknowns are spread over the ranks of ``comm``; F in the units of x."""
+class SingleSystem(System, Protocol):
+    """A system of which single solutions are sought; F in the units of x."""
 
-    comm: MPI.Comm
-    global_size: int
     shape: tuple[int, ...]
-    """Of the unknowns on this rank."""
+    """Of the unknowns."""
     matrix_free: bool
     """Whether it only applies its Jacobian: GMRES solves with it then."""
 
 
-def kernel_solves(system: DistributedSystem) -> bool:
+def kernel_solves(system: SingleSystem) -> bool:
     """Whether the kernel has a system, and no option is for SNES."""
     has = getattr(system, "compiled", None) is not None
     return has and not PETSc.Options(OPTIONS_PREFIX).getAll()
@@ -123,20 +120,18 @@ class Newton:
     function where contact is sampled. Converged where |F| <= tolerance |x|.
     """
 
-    def __init__(self, system: DistributedSystem, history: list[float] | None = None) -> None:
+    def __init__(self, system: SingleSystem, history: list[float] | None = None) -> None:
         """``history`` is where |F| of every iteration goes."""
         self.system, self._history = system, [] if history is None else history
         self._parameter = self._tolerance = 0.0
         self._at: tuple[np.ndarray, Linearisation] | None = None
         self._failure: ConvergenceError | None = None
         self._tangent: Linearisation
-        local = int(np.prod(system.shape))
-        sizes = (local, system.global_size)
-        self._unknown = PETSc.Vec().createMPI(sizes, comm=system.comm)
-        self._target = self._unknown.duplicate()
-        self._matrix = PETSc.Mat().createPython((sizes, sizes), self, comm=system.comm)
+        size = int(np.prod(system.shape))
+        self._matrix = PETSc.Mat().createPython((size, size), self, SELF)
         self._matrix.setUp()
-        self._snes = PETSc.SNES().create(system.comm)
+        self._unknown, self._target = self._matrix.createVecs()
+        self._snes = PETSc.SNES().create(SELF)
         self._snes.setOptionsPrefix(OPTIONS_PREFIX)
         self._snes.setFunction(self._residual, self._target)
         self._snes.setJacobian(self._jacobian, self._matrix)
@@ -181,12 +176,8 @@ class Newton:
 
     def _point(self, unknown: Any) -> Linearisation:
         """The system at a vector; SNES asks for residual and Jacobian at the same one."""
-        values, comm = unknown.array_r, self.system.comm
-        known = self._at is not None and bool((values == self._at[0]).all())
-        if comm.size > 1:  # a rank alone cannot tell
-            known = comm.allreduce(known, MPI.LAND)
-        if self._at is None or not known:
-            place = values.copy()
+        if self._at is None or not np.array_equal(unknown.array_r, self._at[0]):
+            place = unknown.array_r.copy()
             at = self.system.linearise(place.reshape(self.system.shape), self._parameter)
             self._at = place, at
         return self._at[1]
@@ -258,7 +249,7 @@ class Tangent:
     def product(self, system: System, first: np.ndarray, second: np.ndarray) -> float:
         """<x, y> in its norm."""
         if self.of_means == 1.0:
-            return self.weight * system.inner(first, second)
+            return self.weight * float(np.vdot(first, second))
         x, y, means = first.ravel(), second.ravel(), means_of(system)
         others = float(x[means:] @ y[means:])
         return self.weight * (others + self.of_means * float(x[:means] @ y[:means]))
@@ -321,7 +312,7 @@ def norm_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
     rotor's speed by many times what moves."""
     mean = unknown.ravel()[: means_of(system)]
     means = float(mean @ mean)
-    whole = system.inner(unknown, unknown)
+    whole = float(np.vdot(unknown, unknown))
     # Equations are solved to a part of this size, which rounding of the means must not be.
     square = moving_square(max(whole - means, EPSILON**0.5 * whole), means)
     return 1.0 / square, 0.5 * square / means if 2.0 * means > square else 1.0

@@ -50,10 +50,6 @@ class Plain:
         """As the family."""
         return self._family.linearise(unknown, parameter)
 
-    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
-        """As the family."""
-        return self._family.inner(first, second)
-
 
 def random_gap(random: np.random.Generator, harmonics: int, pairs: int) -> np.ndarray:
     """Coefficients that fall like 1 / k."""

@@ -67,10 +67,6 @@ class Plane:
         """At a point."""
         return Place(self, unknown, parameter)
 
-    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
-        """Inner product."""
-        return float(first @ second)
-
 
 def follow(
     plane: Plane, x: float, p: float, end: float, longest: float
@@ -341,10 +337,6 @@ class Narrow:
         return SimpleNamespace(
             residual=unknown - value, by_parameter=-slope, solve=np.copy, sign=np.nan
         )  # fmt: skip
-
-    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
-        """Of R^3."""
-        return float(first @ second)
 
 
 @pytest.mark.parametrize("number", range(12))
