@@ -47,7 +47,7 @@ import numpy as np
 
 from fenics_crack.balance.compliance import Compliance, ModalPart, ResizedCompliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, CoupledIntegrals, respond
-from fenics_crack.errors import InputError
+from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.kernel import Struct, doubles, kernel, owned, shaped
 from fenics_crack.model.contact import ContactLaw, is_rigid
 from fenics_crack.model.modal import all_modes
@@ -419,9 +419,13 @@ class CompiledEquations(Equations):
         return CompiledPoint(self, shaped(unknown, *self.shape), parameter)
 
     def evaluated(self, at: CompiledPoint) -> Any:
-        """The kernel's equations, evaluated at a point."""
+        """The kernel's equations, evaluated at a point.
+
+        Raises ConvergenceError where an instant has no forces.
+        """
         if self._last is not at:
-            self.check(self.run(self.table.evaluate, doubles(at.unknown), at.parameter))
+            if not self.check(self.run(self.table.evaluate, doubles(at.unknown), at.parameter)):
+                raise ConvergenceError("contact: no forces were found at an instant of the period")
             self._last = at
         return self.table
 

@@ -523,3 +523,8 @@ def test_an_instant_without_forces_is_no_solution() -> None:
     for wrong in (np.nan, np.inf, 1e300):
         guess = np.full(family.shape, wrong)
         assert solve_at(family, guess, 0.5, tolerance=1e-9) is None
+    compiled = family.compiled
+    assert compiled is not None and compiled.linearise(np.zeros(family.shape), 0.5).residual.any()
+    at = compiled.linearise(np.full(family.shape, np.nan), 0.5)  # not the residual of the former
+    with pytest.raises(fc.ConvergenceError, match="no forces were found at an instant"):
+        _ = at.residual
