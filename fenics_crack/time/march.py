@@ -327,14 +327,15 @@ class TimeHistory(Tabular):
         return structure.sum_over_ranks(self.recorded @ rows[:, own].T)
 
     def indicators(self, dof: int | None = None) -> Indicators:
-        """What a dof, or the watched one, and the lips show of a breathing crack: its harmonics and
-        mean in the last period, extremes of the last four, where so many are recorded
-        (collective)."""
+        """What a dof, or the watched one, and the lips show of a breathing crack: its harmonics, as
+        many as the instants of a period tell, and mean in the last period, extremes of the last
+        four, where so many are recorded (collective)."""
+        known = min(HARMONICS, (self.steps_per_period - 1) // 2)
         last = slice(-RECORDED_PERIODS * self.steps_per_period, None)
         motion = self.displacement([dof])[last, 0]
         return indicators_of(
             2.0 * np.pi * (len(self.time) - 1) / self.steps_per_period / np.ptp(self.time),
-            balanced(motion[-self.steps_per_period :], HARMONICS),
+            balanced(motion[-self.steps_per_period :], known),
             float(np.ptp(motion) / 2.0),
             contact_extremes(self.gap[last], self.contact_force[last], self.structure.pairs.cracks),
         )

@@ -141,6 +141,21 @@ def test_indicators_leave_out_the_beginning() -> None:
         )
 
 
+@pytest.mark.parametrize("steps", [3, 8, 12])
+def test_few_instants_tell_few_harmonics(steps: int) -> None:
+    """Of orders beyond half of them nothing is known: they are those of others."""
+    law = fc.UnilateralPenalty(1.0)
+    few, many = (
+        integrate_events(oscillator(), 0.9, law, periods=60, steps_per_period=n).indicators()
+        for n in (steps, 256)
+    )
+    if steps == 3:
+        assert np.isnan([few.ratio_2_1, few.ratio_largest, few.largest_order]).all()
+        return
+    assert few.ratio_2_1 == pytest.approx(many.ratio_2_1, rel=0.01)
+    assert few.ratio_largest == few.ratio_2_1 and few.largest_order == many.largest_order == 2.0
+
+
 def test_what_it_cannot_do_is_refused() -> None:
     """Other laws, and bad arguments, get one error that names them."""
     structure, law = oscillator(), fc.UnilateralPenalty(1.0)
