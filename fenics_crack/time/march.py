@@ -250,7 +250,8 @@ class TimeHistory(Tabular):
 
         The mean over the first axis is the phase-averaged wave, the standard deviation its spread.
         """
-        return values.reshape(-1, self.steps_per_period, *values.shape[1:])
+        periods = len(values) // self.steps_per_period
+        return values.reshape(periods, self.steps_per_period, *values.shape[1:])
 
     @property
     def distance(self) -> float:

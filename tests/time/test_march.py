@@ -111,6 +111,7 @@ def test_a_march_without_pairs_settles_by_the_motion_of_its_load(scheme: Scheme)
     history = scheme(bare, 0.7, law, periods=50, **options)
     assert 8 <= history.periods <= 14 and 1e-3 < history.settled < 1e-2
     assert history.gap.shape == history.contact_force.shape == (128 * history.periods, 0)
+    assert 0.0 < history.distance < 0.3 and history.change() == pytest.approx(history.settled)
 
 
 @pytest.mark.parametrize(("omega", "settle"), [(0.9, 1e-4), (1.7, 1e-4), (1.7, 1e-2)])
