@@ -426,8 +426,12 @@ def _rungs(solver: Solver, fewer: int = 0) -> Iterator[Solver]:
     for count in RUNGS:
         problem = solver.problem.with_harmonics(count * solver.problem.subharmonic)
         if problem.harmonics > fewer:
-            begin(f"H = {problem.harmonics}, {problem.structure.n_dofs} coordinates")
-            yield replace(solver, problem=problem)
+            yield _begun(solver, problem)
+
+
+def _begun(solver: Solver, problem: Problem) -> Solver:
+    begin(f"H = {problem.harmonics}, {problem.structure.n_dofs} coordinates")
+    return replace(solver, problem=problem)
 
 
 def _way(found: PeriodicSolution) -> str:
@@ -499,20 +503,13 @@ def _by_harmonics(
     solver: Solver, tolerance: float, initial: PeriodicSolution | None
 ) -> PeriodicSolution:
     """The best solution, with as many harmonics as bring its estimated error down."""
-    best, found, problem = None, None, solver.problem
-    finer: Problem | None = problem
-    while finer is not None:
-        problem = finer
-        begin(f"H = {problem.harmonics}, {problem.structure.n_dofs} coordinates")
-        solver = replace(solver, problem=problem)
-        if found is None:
-            found = solver.solve(initial)
-        else:
-            found = solver.attempt(found, patient=False)[1]
-        if best is None or (found.converged and found.report.total < best.report.total):
+    solver = _begun(solver, solver.problem)
+    best = found = solver.solve(initial)
+    while found.converged and (finer := _finer(solver.problem, found.report, tolerance)):
+        solver = _begun(solver, finer)
+        found = solver.attempt(found, patient=False)[1]
+        if found.converged and found.report.total < best.report.total:
             best = found
-        finer = _finer(problem, found.report, tolerance) if found.converged else None
-    assert best is not None
     return best
 
 
