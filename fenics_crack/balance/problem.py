@@ -28,7 +28,7 @@ eps k |g|, which moves the gap by eps k R |g|, and no residual can be smaller th
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -246,31 +246,25 @@ class Problem:
     def next_to(self, wave: Wave) -> Wave | None:
         """The motion that Newton's method leads to from a wave, in the kernel, or else a path from
         it; None where these lead to none, or the kernel has no such equations."""
-        try:
+        with suppress(ConvergenceError, np.linalg.LinAlgError):
             system = self.system(self.compliance())
-            if not system.integrals.exact:
-                return None
-            start = system.slow(
-                wave.gap_coefficients, wave.force_coefficients, self.subharmonic // wave.subharmonic
-            )
-            found = _nearly_solved(system, start) or _end_of_path(system, start)
-            return None if found is None else self.wave(system.linearise(found.unknown))
-        except (ConvergenceError, np.linalg.LinAlgError):
-            return None
+            times = self.subharmonic // wave.subharmonic
+            start = system.slow(wave.gap_coefficients, wave.force_coefficients, times)
+            if system.integrals.exact:
+                found = _nearly_solved(system, start) or _end_of_path(system, start)
+                return None if found is None else self.wave(system.linearise(found.unknown))
+        return None
 
     def left(self, wave: Wave, gap: np.ndarray, force: np.ndarray) -> float:
         """What Newton's method from a motion of some coefficients leaves of the way to a wave;
         infinite where it does not arrive."""
-        try:
+        with suppress(ConvergenceError, np.linalg.LinAlgError):
             system = self.system(self.compliance())
             start = system.slow(gap, force)
-            found = _nearly_solved(system, start)
-        except (ConvergenceError, np.linalg.LinAlgError):
-            return np.inf
-        end = system.slow(wave.gap_coefficients, wave.force_coefficients)
-        if found is None:
-            return np.inf
-        return float(np.linalg.norm(found.unknown - end) / np.linalg.norm(start - end))
+            end = system.slow(wave.gap_coefficients, wave.force_coefficients)
+            if found := _nearly_solved(system, start):
+                return float(np.linalg.norm(found.unknown - end) / np.linalg.norm(start - end))
+        return np.inf
 
     def integrals(self) -> ContactIntegrals:
         """How the contact force is integrated; that of a projection by its weight."""
@@ -568,11 +562,8 @@ def halved(harmonics: int, enough: int) -> list[int]:
 
 def _orbit_next_to(problem: Problem, at: ContactPoint) -> PeriodicOrbit | None:
     """The exact orbit next to a solution, where it does not take long to find."""
-    flow, omega, periods = (
-        flow_of(problem.structure, problem.contact),
-        problem.omega,
-        problem.subharmonic,
-    )
+    flow = flow_of(problem.structure, problem.contact)
+    omega, periods = problem.omega, problem.subharmonic
     if flow is None or not affordable(flow, omega, periods):
         return None
     states = wave_states(flow, problem.wave(at).displacement_coefficients, problem.base_omega)
