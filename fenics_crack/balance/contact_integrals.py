@@ -42,7 +42,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.kernel import NULL, doubles, kernel, owned, shaped
+from fenics_crack.kernel import NULL, kernel, owned, pointer, shaped
 from fenics_crack.model.contact import (
     ActiveSets,
     ContactLaw,
@@ -250,9 +250,9 @@ class ExactIntegrals(ContactIntegrals):
         stiffness[:] = self.stiffness
         force, tangent = np.empty((rows, pairs)), np.empty((pairs, rows, rows))
         failed = kernel.contact_integrals(
-            self.harmonics, pairs, doubles(gap), doubles(stiffness),
-            doubles(grid_waves(self.harmonics)), doubles(np.empty(2 * pairs * rows)),
-            doubles(force), doubles(tangent),
+            self.harmonics, pairs, pointer(gap), pointer(stiffness),
+            pointer(grid_waves(self.harmonics)), pointer(np.empty(2 * pairs * rows)),
+            pointer(force), pointer(tangent),
         )  # fmt: skip
         if failed:
             raise MemoryError("contact integrals")
@@ -299,7 +299,7 @@ def respond(matrices: np.ndarray, force: np.ndarray) -> np.ndarray:
     rows, pairs = force.shape
     matrices = shaped(matrices, rows // 2 + 1, pairs, pairs, kind=complex)
     force, found = shaped(force, 2 * (rows // 2) + 1, pairs), np.empty((rows, pairs))
-    kernel.respond(rows // 2, pairs, doubles(matrices), doubles(force), doubles(found))
+    kernel.respond(rows // 2, pairs, pointer(matrices), pointer(force), pointer(found))
     return found
 
 
@@ -315,7 +315,7 @@ def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     tangent = shaped(tangent, pairs, 2 * (rows // 2) + 1, columns)
     product = np.empty((rows * pairs, columns * pairs))
     kernel.respond_to_columns(
-        rows // 2, pairs, columns, doubles(matrices), doubles(tangent), doubles(product)
+        rows // 2, pairs, columns, pointer(matrices), pointer(tangent), pointer(product)
     )
     return product
 
@@ -324,7 +324,7 @@ def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
 def grid_waves(harmonics: int) -> np.ndarray:
     """Waves on the first grid of the search, as the kernel takes them."""
     waves = np.empty((harmonics, 2, kernel.switching_cells(harmonics) // 4 + 1))
-    kernel.switching_waves(harmonics, doubles(waves))
+    kernel.switching_waves(harmonics, pointer(waves))
     return waves
 
 
@@ -341,7 +341,7 @@ def tangent_by_means(means: np.ndarray) -> np.ndarray:
     found = np.empty((rows, count, rows * count))
     for k in range(harmonics + 1):
         kernel.tangent_of_harmonic(
-            harmonics, count, k, doubles(means), doubles(found[max(0, 2 * k - 1) :])
+            harmonics, count, k, pointer(means), pointer(found[max(0, 2 * k - 1) :])
         )
     return found
 
@@ -464,7 +464,7 @@ class _ExactForces(CoupledForces):
         if known.at is not self:
             known.at = None
             outcome = kernel.find_forces(
-                known.handle, doubles(contact.compliance), doubles(self._gap), doubles(self.force)
+                known.handle, pointer(contact.compliance), pointer(self._gap), pointer(self.force)
             )
             if outcome == kernel.NO_MEMORY:
                 raise MemoryError("contact forces")
@@ -475,22 +475,22 @@ class _ExactForces(CoupledForces):
 
     def apply(self, change: np.ndarray) -> np.ndarray:
         change, found = shaped(change, *self._gap.shape), np.empty(self._gap.shape)
-        kernel.forces_by_gap(self._here(), doubles(change), doubles(found))
+        kernel.forces_by_gap(self._here(), pointer(change), pointer(found))
         return found
 
     def means(self, basis: np.ndarray | None = None) -> np.ndarray:
         pairs = self._gap.shape[1]
         count = pairs if basis is None else basis.shape[1]
         found = np.empty((4 * self.harmonics + 1, count, count))
-        seen = NULL if basis is None else doubles(shaped(basis, pairs, count))
-        if kernel.means_of_stiffness(self._here(), seen, count, doubles(found)):
+        seen = NULL if basis is None else pointer(shaped(basis, pairs, count))
+        if kernel.means_of_stiffness(self._here(), seen, count, pointer(found)):
             raise MemoryError("contact forces")
         return found
 
     def _by_compliance(self, rate: np.ndarray) -> np.ndarray:
         """Where the diagonal of D grows by a rate."""
         found, rate = np.empty(self._gap.shape), shaped(rate, self._gap.shape[1])
-        kernel.forces_by_compliance(self._here(), doubles(rate), doubles(found))
+        kernel.forces_by_compliance(self._here(), pointer(rate), pointer(found))
         return found
 
     def by_softness(self) -> np.ndarray:
@@ -520,7 +520,7 @@ class _SampledForces(CoupledForces):
     def apply(self, change: np.ndarray) -> np.ndarray:
         values = sampled(change, len(self._cut_off))
         forces = np.empty_like(values)
-        kernel.multiply_each(*values.shape, *map(doubles, (self._cut_off, values, forces)))
+        kernel.multiply_each(*values.shape, *map(pointer, (self._cut_off, values, forces)))
         return balanced(forces, self.harmonics)
 
     def means(self, basis: np.ndarray | None = None) -> np.ndarray:

@@ -48,7 +48,7 @@ import numpy as np
 from fenics_crack.balance.compliance import Compliance, ModalPart, ResizedCompliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, CoupledIntegrals, respond
 from fenics_crack.errors import ConvergenceError, InputError
-from fenics_crack.kernel import Struct, doubles, kernel, owned, shaped
+from fenics_crack.kernel import Struct, kernel, owned, pointer, shaped
 from fenics_crack.model.contact import ContactLaw, is_rigid
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.structure import Structure
@@ -424,7 +424,7 @@ class CompiledEquations(Equations):
         Raises ConvergenceError where an instant has no forces.
         """
         if self._last is not at:
-            if not self.check(self.run(self.table.evaluate, doubles(at.unknown), at.parameter)):
+            if not self.check(self.run(self.table.evaluate, pointer(at.unknown), at.parameter)):
                 raise ConvergenceError("contact: no forces were found at an instant of the period")
             self._last = at
         return self.table
@@ -452,7 +452,7 @@ class CompiledPoint(Linearisation):
     def residual(self) -> np.ndarray:
         found = np.empty_like(self.unknown)
         at = self.system.evaluated(self)
-        at.residual(at, doubles(found))
+        at.residual(at, pointer(found))
         return found
 
     def solve(self, right: np.ndarray) -> np.ndarray:
@@ -461,14 +461,14 @@ class CompiledPoint(Linearisation):
             raise ValueError(f"{found.size} numbers instead of {self.unknown.size}")
         at = self.system.evaluated(self)
         at.sharp = kernel.SHARP
-        at.solve(at, doubles(found))
+        at.solve(at, pointer(found))
         return found
 
     @property
     def by_parameter(self) -> np.ndarray:
         found = np.empty_like(self.unknown)
         at = self.system.evaluated(self)
-        at.by_parameter(at, doubles(found))
+        at.by_parameter(at, pointer(found))
         return found
 
     @property

@@ -20,14 +20,17 @@ except ImportError as error:  # pragma: no cover
         "the compiled kernel of fenics_crack is missing or broken: run 'sh install.sh'"
     ) from error
 
-__all__ = ["NULL", "Struct", "doubles", "ffi", "ints", "kernel", "owned", "shaped", "signs"]
+__all__ = ["NULL", "Struct", "ffi", "kernel", "owned", "pointer", "shaped"]
 
 kernel: Any = lib
 """The functions of the C files, by their names."""
 NULL: Any = ffi.NULL
 """The null pointer."""
-DOUBLES = (np.dtype(float), np.dtype(complex))
-INT = np.dtype(np.intc)
+IN_C = {
+    np.dtype(float): "double[]", np.dtype(complex): "double[]", np.dtype(np.intc): "int[]",
+    np.dtype(bool): "signed char[]", np.dtype(np.int8): "signed char[]",
+}  # fmt: skip
+"""Kinds of numbers in arrays, and what they are to the kernel."""
 
 
 def _bind() -> None:
@@ -58,25 +61,17 @@ def shaped(array: Any, *shape: int, kind: type = float) -> np.ndarray:
     return found
 
 
-def doubles(array: np.ndarray) -> Any:
-    """Numbers of a C-contiguous array of doubles, or of complex numbers."""
-    if array.dtype not in DOUBLES:
-        raise ValueError(f"numbers of type {array.dtype} instead of double")
-    return ffi.from_buffer("double[]", array)
+def pointer(array: np.ndarray) -> Any:
+    """Numbers of a C-contiguous array, as functions of the kernel take them.
 
-
-def ints(array: np.ndarray) -> Any:
-    """Numbers of a C-contiguous array of C's int."""
-    if array.dtype != INT:
-        raise ValueError(f"numbers of type {array.dtype} instead of int")
-    return ffi.from_buffer("int[]", array)
-
-
-def signs(array: np.ndarray) -> Any:
-    """Numbers of a C-contiguous array of bytes or truth values."""
-    if array.dtype.itemsize != 1:
-        raise ValueError(f"numbers of type {array.dtype} instead of bytes")
-    return ffi.from_buffer("signed char[]", array)
+    Raises
+    ------
+    ValueError
+        It has gaps, or they are of no kind that the kernel knows.
+    """
+    if array.dtype not in IN_C:
+        raise ValueError(f"numbers of type {array.dtype} instead of {', '.join(map(str, IN_C))}")
+    return ffi.from_buffer(IN_C[array.dtype], array)
 
 
 def owned(pointer: Any, free: Any) -> Any:
@@ -104,14 +99,10 @@ class Struct:
 
 def _as_member(value: Any) -> Any:
     if value is None:
-        return ffi.NULL
+        return NULL
     if isinstance(value, Struct):
         return value.at[0]
-    if not isinstance(value, np.ndarray):
-        return value
-    if value.dtype.itemsize == 1:
-        return signs(value)
-    return ints(value) if value.dtype == INT else doubles(value)
+    return pointer(value) if isinstance(value, np.ndarray) else value
 
 
 _bind()

@@ -48,7 +48,7 @@ from typing import Any, Protocol, Self, TypeGuard
 import numpy as np
 
 from fenics_crack.errors import ConvergenceError, InputError
-from fenics_crack.kernel import doubles, kernel, owned, shaped, signs
+from fenics_crack.kernel import kernel, owned, pointer, shaped
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import DIFFERENCE, EPSILON, ROUNDING
@@ -332,14 +332,14 @@ class ActiveSets:
         self.scale = float(np.mean(np.diag(compliance))) if compliance.size else 0.0
         most = KEPT // max(compliance.nbytes, 8)
         count = len(compliance)
-        self.handle = owned(kernel.new_sets(count, doubles(compliance), most), kernel.free_sets)
+        self.handle = owned(kernel.new_sets(count, pointer(compliance), most), kernel.free_sets)
         """The kernel's own object."""
 
     def stack(self, sets: np.ndarray) -> np.ndarray:
         """(D_AA)^-1 with zeros outside A, of sets (m, n_pairs): (m, n_pairs, n_pairs) [N/m]."""
         closed = shaped(sets, len(sets), len(self.compliance), kind=bool)
         found = np.empty((*closed.shape, closed.shape[1]))
-        if kernel.inverses_of(self.handle, len(closed), signs(closed), doubles(found)):
+        if kernel.inverses_of(self.handle, len(closed), pointer(closed), pointer(found)):
             raise ConvergenceError("contact: the compliance of the closed pairs is singular")
         return found
 
@@ -352,8 +352,8 @@ class ActiveSets:
         closed = shaped(guess, *gap.shape, kind=bool)
         force, failed = np.zeros_like(gap), np.empty(len(gap), dtype=bool)
         kernel.forces_of(
-            self.handle, len(gap), doubles(gap), ROUNDING, signs(closed), doubles(force),
-            signs(failed),
+            self.handle, len(gap), pointer(gap), ROUNDING, pointer(closed), pointer(force),
+            pointer(failed),
         )  # fmt: skip
         for row in np.flatnonzero(failed):
             force[row] = by_least_squares(self.compliance, gap[row])

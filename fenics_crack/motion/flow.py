@@ -48,7 +48,7 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.errors import ConvergenceError, InputError
-from fenics_crack.kernel import Struct, doubles, ints, kernel, owned, shaped, signs
+from fenics_crack.kernel import Struct, kernel, owned, pointer, shaped
 from fenics_crack.model.contact import (
     KEPT,
     ActiveSets,
@@ -264,8 +264,9 @@ class ContactFlow(Flow):
         moved, ends = np.empty_like(states), np.empty(len(states), dtype=np.intc)
         given, sets, lengths = self._motion(None, omega=omega)
         outcome = kernel.flow_wave(
-            self.handle, given.at, len(states), period, doubles(states), doubles(moved), ints(ends)
-        )
+            self.handle, given.at, len(states), period, pointer(states), pointer(moved),
+            pointer(ends),
+        )  # fmt: skip
         _check(outcome, given.at.events)
         passed = given.at.passed
         return moved, Track(self, omega, 0.0, sets[:passed].copy(), lengths[:passed].copy()), ends
@@ -321,7 +322,7 @@ class Track:
     def tangent(self) -> np.ndarray:
         """dz(end) / dz(start): (2 n_modes, 2 n_modes)."""
         found = np.empty((self.flow.size, self.flow.size))
-        outcome = kernel.flow_tangent(self.flow.handle, self._known.at, doubles(found))
+        outcome = kernel.flow_tangent(self.flow.handle, self._known.at, pointer(found))
         _check(outcome, len(self.lengths) - 1)
         return found
 
@@ -338,8 +339,8 @@ class Track:
         changes = np.empty((len(ends) + 1, self.flow.size))
         changes[0] = start
         outcome = kernel.flow_carry(
-            self.flow.handle, self._known.at, len(ends), ints(ends), doubles(_doubles(excess)),
-            doubles(changes),
+            self.flow.handle, self._known.at, len(ends), pointer(ends), pointer(_doubles(excess)),
+            pointer(changes),
         )  # fmt: skip
         _check(outcome, len(self.lengths) - 1)
         return changes
@@ -478,7 +479,7 @@ class ExponentialFlow(Flow):
         gap = self.gap_rows @ (state - self.steady[0]) + self.linear_gap[0]
         forces[:1], closed[:1] = self._static.solve(gap[None])
         done = kernel.march_exponential(
-            self._known.at, total, doubles(states), doubles(forces), signs(closed)
+            self._known.at, total, pointer(states), pointer(forces), pointer(closed)
         )
         if done < total:
             raise ConvergenceError(

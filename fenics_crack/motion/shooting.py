@@ -28,7 +28,7 @@ from functools import cached_property
 import numpy as np
 
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.kernel import Struct, doubles, kernel, owned
+from fenics_crack.kernel import Struct, kernel, owned, pointer
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion
 from fenics_crack.motion.orbit import (
     FORMED,
@@ -214,14 +214,14 @@ class FlowOrbits(Equations):
 
     def _evaluate(self, unknown: np.ndarray, parameter: float) -> None:
         assert unknown.shape == self.shape
-        given = doubles(np.ascontiguousarray(unknown, dtype=float))
+        given = pointer(np.ascontiguousarray(unknown, dtype=float))
         if not self.check(self.run(self.table.evaluate, given, parameter)):
             raise ConvergenceError("orbits: the motion over a period cannot be followed")
 
     def _residual(self) -> np.ndarray:
         """F where it was evaluated last."""
         residual = np.empty(self.shape)
-        self.table.residual(self.table, doubles(residual))
+        self.table.residual(self.table, pointer(residual))
         return residual
 
     def found(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
@@ -236,13 +236,13 @@ class FlowOrbits(Equations):
         def monodromy() -> np.ndarray:
             found = np.empty(2 * self.shape)
             return_there()
-            kernel.tangent_of(self._point, doubles(found))
+            kernel.tangent_of(self._point, pointer(found))
             return found
 
         def by_parameter() -> np.ndarray:
             slope = np.empty(self.shape)
             return_there()
-            self.table.by_parameter(self.table, doubles(slope))
+            self.table.by_parameter(self.table, pointer(slope))
             return slope
 
         found = OrbitPoint(unknown, residual, monodromy, by_parameter, events)

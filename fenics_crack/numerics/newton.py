@@ -41,7 +41,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.kernel import NULL, Struct, doubles, ints, kernel, shaped
+from fenics_crack.kernel import NULL, Struct, kernel, pointer, shaped
 from fenics_crack.numerics.equations import EPSILON, Linearisation, System, equations_of
 
 __all__ = [
@@ -370,8 +370,8 @@ def solve_in_plane(
     shortest = -1.0 if least_damping is None else least_damping
     how = correction(tolerance, reach, iterations, shortest, patience or 0, lasting)
     outcome = equations.run(
-        kernel.solve_in_plane, border, how.at, doubles(shaped(found, *equations.shape)),
-        doubles(place), ints(taken),
+        kernel.solve_in_plane, border, how.at, pointer(shaped(found, *equations.shape)),
+        pointer(place), pointer(taken),
     )  # fmt: skip
     if not equations.check(outcome):
         return None

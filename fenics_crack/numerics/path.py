@@ -34,7 +34,7 @@ from typing import overload
 import numpy as np
 
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.kernel import NULL, Struct, doubles, kernel
+from fenics_crack.kernel import NULL, Struct, kernel, pointer
 from fenics_crack.numerics.equations import EPSILON, LOCATED, ROUNDING, System, equations_of
 from fenics_crack.numerics.newton import (
     STRAY,
@@ -363,7 +363,7 @@ def _between(system: System, ends: Ends, target: float | None, rtol: float) -> P
     """
     equations, found = equations_of(system, ends[0].unknown.shape), Stretch(ends, 3)
     how = Struct("stepping", shortest=ARRIVED, newton=correction(rtol, STRAY))
-    wanted = NULL if target is None else doubles(np.array([target]))
+    wanted = NULL if target is None else pointer(np.array([target]))
     path = found.struct(2)
     outcome = equations.run(kernel.find_between, how.at, wanted, path.at)
     return found[path.at.known] if equations.check(outcome) else None

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.kernel import Struct, doubles
+from fenics_crack.kernel import Struct, pointer
 from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.modal import CACHED, all_modes
 from fenics_crack.time.march import March, Scheme, Window
@@ -82,8 +82,8 @@ class ModalSteps(Scheme):
             place = slice(first, min(first + some, count))
             shape = np.empty((place.stop - first, len(modes.squares)))
             made = steps(
-                self._known.at, first, len(shape), doubles(window.gap[place]),
-                doubles(window.force[place]), doubles(shape),
+                self._known.at, first, len(shape), pointer(window.gap[place]),
+                pointer(window.force[place]), pointer(shape),
             )  # fmt: skip
             if made < len(shape):
                 raise ConvergenceError(f"contact: no forces of step {first + made} were found")

@@ -38,7 +38,7 @@ from fenics_crack.balance.contact_integrals import (
     respond_to_columns,
 )
 from fenics_crack.balance.contact_system import CompiledEquations
-from fenics_crack.kernel import Struct, doubles, ints, kernel, owned, shaped, signs
+from fenics_crack.kernel import Struct, kernel, owned, pointer, shaped
 from fenics_crack.model.contact import ActiveSets, solve_complementarity
 from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.numerics.fourier import evaluate, to_complex
@@ -193,11 +193,9 @@ WRONG = {
     ),
     "system, another point": lambda: SYSTEM.linearise(np.ones((5, 2)), 1.0),
     "system, another right side": lambda: SYSTEM.linearise(np.ones((3, 2)), 1.0).solve(np.ones(4)),
-    "doubles of whole numbers": lambda: doubles(np.ones(3, int)),
-    "doubles with gaps": lambda: doubles(np.ones((4, 4))[:, 1]),
-    "doubles of the other order of bytes": lambda: doubles(np.ones(3, ">f8")),
-    "ints of long ones": lambda: ints(np.ones(3, np.int64)),
-    "signs of doubles": lambda: signs(np.ones(3)),
+    "numbers with gaps": lambda: pointer(np.ones((4, 4))[:, 1]),
+    "doubles of the other order of bytes": lambda: pointer(np.ones(3, ">f8")),
+    "long whole numbers": lambda: pointer(np.ones(3, np.int64)),
     "another shape": lambda: shaped(np.ones((3, 2)), 3, 3),
 }  # fmt: skip
 
@@ -207,6 +205,15 @@ def test_wrong_shapes_are_refused(call: Callable[[], object]) -> None:
     """Nothing is read beyond an array; also where Python leaves out what is asserted (-O)."""
     with pytest.raises(ValueError, match=r"instead of|contiguous"):
         call()
+
+
+def test_wrong_kinds_are_refused() -> None:
+    """By a function, and as a member."""
+    ones = pointer(np.ones(3))
+    with pytest.raises(TypeError, match="same type"):
+        kernel.respond(1, 1, ones, pointer(np.ones(3, np.intc)), ones)
+    with pytest.raises(TypeError, match="same type"):
+        Struct("flow_track", lengths=np.ones(3, bool))
 
 
 def test_shapes_that_fit_are_not_copied() -> None:

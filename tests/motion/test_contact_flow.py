@@ -13,7 +13,7 @@ from reference_flow import size_of_motion
 
 import fenics_crack as fc
 from fenics_crack import PeriodicOrbit
-from fenics_crack.kernel import doubles, kernel
+from fenics_crack.kernel import kernel, pointer
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, flow_of
 from fenics_crack.motion.orbit import Prediction, find_orbit, predicted
 from fenics_crack.motion.shooting import FlowOrbits, orbit_next_to, wave_states
@@ -111,7 +111,7 @@ def test_derivatives(light: bool) -> None:
         assert relative(track.tangent[:, place], slope) < 1e-7
     one, other = (flow.advance(state, omega + h, duration, start=0.4) for h in (step, -step))
     by_omega = np.empty(flow.size)
-    assert not kernel.flow_by_omega(flow.handle, track._known.at, doubles(by_omega))
+    assert not kernel.flow_by_omega(flow.handle, track._known.at, pointer(by_omega))
     assert relative(by_omega, (one.state - other.state) / (2.0 * step)) < 1e-7
 
 
