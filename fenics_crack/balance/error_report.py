@@ -33,7 +33,7 @@ import numpy as np
 
 from fenics_crack.balance.compliance import Compliance
 from fenics_crack.balance.contact_integrals import respond
-from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
+from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, Wave
 from fenics_crack.balance.judgement import UNKNOWN, Judgement, seen_parts
 from fenics_crack.balance.problem import Problem
 from fenics_crack.model.contact import REGULAR, UnilateralPenalty, is_regular, is_rigid
@@ -53,6 +53,7 @@ __all__ = [
     "SLIGHT",
     "UNKNOWN",
     "ErrorReport",
+    "beside",
     "beyond_truncation",
     "estimate_errors",
     "mean_square",
@@ -180,6 +181,24 @@ def of_no_solution(at: ContactPoint, problem: Problem) -> ErrorReport:
         for change in (at.residual, _penetration(at))
     )
     return ErrorReport(residual, UNKNOWN, 0.0, 0.0, penetration, UNKNOWN)
+
+
+def beside(found: Wave, better: Wave) -> ErrorReport:
+    """The report of a wave without contact force: what another one, of the reference of its
+    structure, changes (collective)."""
+    clearance, seen = found.structure.clearance, seen_parts(found.structure)
+    closing, moved = better.gap_coefficients.copy(), []
+    closing[0] += clearance
+    for wave in (found, better):
+        at_load = wave.displacement_coefficients @ wave.structure.force[seen].T
+        moved.append(wave.structure.sum_over_ranks(at_load))
+    known = closing, moved[1]
+    changes = better.gap_coefficients - found.gap_coefficients, moved[1] - moved[0]
+    gap, displacement = (
+        math.sqrt(mean_square(change) / moving_mean_square(whole))
+        for change, whole in zip(changes, known, strict=True)
+    )
+    return ErrorReport(reduction=min(gap, UNKNOWN), displacement=min(displacement, UNKNOWN))
 
 
 @dataclass(frozen=True)

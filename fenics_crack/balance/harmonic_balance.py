@@ -31,7 +31,7 @@ from functools import partial
 import numpy as np
 
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
-from fenics_crack.balance.error_report import SLIGHT, UNKNOWN, ErrorReport
+from fenics_crack.balance.error_report import SLIGHT, UNKNOWN, ErrorReport, beside
 from fenics_crack.balance.judgement import FARTHEST, Judgement
 from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver, more_harmonics
@@ -78,7 +78,7 @@ def solve_linear(structure: Structure, omega: float, *, harmonics: int = 5) -> P
     Returns
     -------
     PeriodicSolution
-        Without contact force.
+        Without contact force. Its report has what a reduction leaves out.
 
     Raises
     ------
@@ -93,6 +93,14 @@ def solve_linear(structure: Structure, omega: float, *, harmonics: int = 5) -> P
     """
     check_omega(omega)
     check_count("harmonics", harmonics, 1)
+    found = _without_contact(structure, omega, harmonics)
+    reference = structure.reference if isinstance(structure, ReducedStructure) else None
+    if reference is None:
+        return found
+    return replace(found, report=beside(found, _without_contact(reference, omega, harmonics)))
+
+
+def _without_contact(structure: Structure, omega: float, harmonics: int) -> PeriodicSolution:
     load = to_complex(load_coefficients(structure, harmonics, 1))
     amplitude = np.zeros_like(load)
     for k in (0, 1):

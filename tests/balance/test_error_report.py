@@ -353,3 +353,19 @@ def test_a_steady_load_makes_no_error_small(smooth: bool) -> None:
         asked = [fc.solve_harmonic_balance(one, 0.6, law, tolerance=1e-3) for one in (own, moved)]
         assert abs(asked[0].harmonics - asked[1].harmonics) <= 2
         assert asked[1].harmonics > 4
+
+
+@pytest.mark.parametrize("method", ["massless", "free_interface", "craig_bampton"])
+def test_a_linear_solution_tells_what_its_modes_leave_out(
+    wide_plate: fc.Structure, method: str
+) -> None:
+    """Three modes, at and above their frequencies: a linear one is exact but for them."""
+    few = fc.reduce_structure(wide_plate, modes=3, method=method)
+    for omega in (2000.0, 9000.0):
+        whole, found = (fc.solve_linear(one, omega) for one in (wide_plate, few))
+        assert_estimated(found, whole, "reduction")
+        off = found.coefficients_at() - whole.coefficients_at()
+        moved = np.linalg.norm(off) / np.linalg.norm(whole.coefficients_at())
+        assert moved / 3.0 < found.report.displacement < 3.0 * moved
+    assert found.report.total == found.report.reduction > 0.05
+    assert fc.solve_linear(wide_plate, 2000.0).report == fc.ErrorReport()
