@@ -117,7 +117,8 @@ class Judgement:
     def predicted(self) -> Prediction | None:
         """One step of Newton's method of the whole wave; None where its motion is not followed."""
         wave = self.wave
-        assert self.flow is not None
+        if self.flow is None:
+            return None
         return predicted(self.flow, wave.omega, self.states, wave.subharmonic)
 
     @property
@@ -345,6 +346,8 @@ def _reason(judged: Judgement) -> str:
             f"the load is so slow that the highest modes turn {turns / 1e3:.0f} thousand times "
             "in a period, too often for exact motions to be followed; keep fewer modes"
         )
+    if judged.flow is None:
+        return "its law or its structure has no exact flow"
     if judged.predicted is None:
         return "its pairs open and close too often to be followed; lips without mass do less so"
     if judged.orbit is None and judged.prediction < FAR:

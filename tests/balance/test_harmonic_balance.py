@@ -334,3 +334,12 @@ def test_a_wrong_tangent_is_named_where_newton_fails(throw: bool) -> None:
         found[force] = fc.solve_harmonic_balance(load, 1.5, Cubic(100.0), harmonics=9, throw=False)
     assert found[0.3].converged and not found[3.0].converged
     assert "try other harmonics" in found[3.0].status
+
+
+@pytest.mark.parametrize("law", [fc.SmoothedPenalty(1.0, 10.0), fc.UnilateralConstraint()])
+def test_no_orbit_judges_where_no_flow_is_exact(law: ContactLaw) -> None:
+    """A smoothed law, and rigid lips with mass: nothing is decided, and it is said why."""
+    judged = fc.solve_harmonic_balance(oscillator(), 1.0, law).judged
+    assert judged.orbit is None and judged.prediction == np.inf
+    assert not judged.accepted and np.isnan(judged.distance)
+    assert judged.reason == "its law or its structure has no exact flow"
