@@ -326,7 +326,7 @@ class RunUpStructure(MasslessInterface):
         inverse, turned = np.linalg.eigh((factor * ritz.squares_inverse) @ factor.T)
         inverse, turned = inverse[: -ritz.modes - 1 : -1], turned[:, : -ritz.modes - 1 : -1]
         static = factor.T @ turned
-        damping = ritz.whole.original.damping
+        damping = ritz.whole.damping
         Structure.__init__(
             self,
             ritz.mass,

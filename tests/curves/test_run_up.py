@@ -57,6 +57,17 @@ def test_basis_of_all_speeds() -> None:
             assert np.abs(found - expected).max() < 1e-7 * np.abs(expected).max()
 
 
+def test_factor_of_the_damping() -> None:
+    """A varied structure's run-up is damped as it is, at each speed."""
+    whole = fc.build_structure(blade(), MPI.COMM_SELF)
+    once, twice = (
+        fc.run_up_structure(whole.varied(damping=factor), 560.0, 640.0, 3) for factor in (1.0, 2.0)
+    )
+    assert twice.rate == pytest.approx(2.0 * once.rate, rel=1e-9)
+    assert str(twice.at_speed(600.0).damping) == "modal damping 1 %"
+    assert str(twice.varied(damping=3.0).at_speed(600.0).damping) == "modal damping 3 %"
+
+
 def test_derivative_by_the_speed() -> None:
     """dF/dW of the equations, against wider differences of them, near resonance and in contact."""
     whole = fc.build_structure(blade(), MPI.COMM_SELF)
