@@ -11,11 +11,9 @@ model once. Facets with several names are in a physical group for each combinati
 
 A mesh that is certainly not one of a structure is refused, with its place. Cells may be numbered
 either way round, group by group. They must not be folded: the Jacobian determinant of a cell has
-one sign at all of its nodes, and two cells that share a facet lie on either side of it. In a plane
-the angles at a node are at most 2 pi, too. Then nothing overlaps there in the neighbourhood of any
-point, and elsewhere only where boundaries cross or a part lies on another one. In a solid no facet
-of the boundary has its middle in or on a cell elsewhere: where bodies touch they share their nodes,
-or nothing would hold them together.
+one sign at all of its nodes, and two cells that share a facet lie on either side of it. No facet of
+the boundary but those of lips has its middle in or on another cell than its own: parts do not lie
+on one another, and where they touch they share their nodes, or nothing would hold them together.
 """
 
 from __future__ import annotations
@@ -128,8 +126,7 @@ def put(given: Given, dimension: int) -> tuple[Names, Lips]:
     elif sides and not lips:
         lips = tuple(cracks_between(sides[0], sides[1], places))
     check_parts(cells, places, facets["clamp"], sides)
-    if dimension == 3:
-        check_boundary(kind, cells, places, sides)
+    check_boundary(kind, cells, places, sides)
     tags, sets = _tags_of(facets)
     every = [(dimension, 1, ("plate", "solid")[dimension - 2], kind, cells.nodes)]
     every += [(dimension - 1, tag, name, _KINDS[dimension][kind], own) for tag, name, own in sets]
@@ -261,12 +258,9 @@ def _named(
 def cells_of(kind: int, nodes: np.ndarray) -> Cells:
     """Cells with what gmsh says of their kind: a node lies between those corners whose linear
     functions are not zero there."""
-    _, dimension, _, count, local, corners = gmsh.model.mesh.getElementProperties(kind)
-    at = np.zeros((count, 3))
-    at[:, :dimension] = np.reshape(local, (count, dimension))
-    linear = _LINEAR[dimension, corners]
-    _, shares, _ = gmsh.model.mesh.getBasisFunctions(linear, at.ravel(), "Lagrange")
-    between = [np.flatnonzero(row > 1e-9) for row in np.reshape(shares, (count, corners))]
+    _, dimension, *_, corners = gmsh.model.mesh.getElementProperties(kind)
+    shares = _functions(_LINEAR[dimension, corners], _places_in(kind))
+    between = [np.flatnonzero(row > 1e-9) for row in shares]
     ring = np.arange(corners)
     facets = FACETS[corners] if dimension == 3 else np.column_stack([ring, np.roll(ring, -1)])
     return Cells(nodes, facets, tuple(tuple(own.tolist()) for own in between))
@@ -348,10 +342,7 @@ def _filled(positions: np.ndarray, groups: list[Group]) -> None:
 # --- is it a mesh of a structure? -----------------------------------------------------------------
 
 DEGENERATE = 1e-9
-"""Of a determinant relative to its largest value or to the square of the cell's size, and of an
-angle relative to 2 pi."""
-SAMPLES = 50
-"""Cells of a part whose centres must not lie on another part."""
+"""Of a determinant relative to its largest value or to the square of the cell's size."""
 STEPS = 8
 """Of Newton's method for where in a cell a point is."""
 BULGE = 0.2
@@ -398,11 +389,9 @@ def _determinants(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Least and largest of the Jacobian determinants at the nodes of each cell, as gmsh numbers a
     kind, and the one of least size: (n_cells,) each [m^d]."""
-    _, dimension, _, nodes, local, _ = gmsh.model.mesh.getElementProperties(kind)
-    at = np.zeros((nodes, 3))
-    at[:, :dimension] = np.reshape(local, (nodes, dimension))
-    _, gradients, _ = gmsh.model.mesh.getBasisFunctions(kind, at.ravel(), "GradLagrange")
-    gradients = np.reshape(gradients, (nodes, nodes, 3))[:, :, :dimension]
+    at = _places_in(kind)
+    gradients = _functions(kind, at, "GradLagrange").reshape(len(at), len(at), 3)
+    gradients = gradients[:, :, : places.shape[1]]
     here = places[cells].swapaxes(1, 2)
     every = np.array([np.linalg.det(here @ gradient) for gradient in gradients])
     return every.min(axis=0), every.max(axis=0), np.abs(every).min(axis=0)
@@ -425,8 +414,7 @@ def _check_inside(cells: Cells, surfaces: dict[str, np.ndarray], cracks: list[st
 def check_parts(
     cells: Cells, places: np.ndarray, clamp: np.ndarray, lips: Sequence[np.ndarray]
 ) -> None:
-    """Raise InputError where a part has no clamp; and, of cells in a plane, where they overlap, or
-    edges of the boundary other than lips lie in one place.
+    """Raise InputError where a part, which shares no node with others, has no clamp.
 
     Parameters
     ----------
@@ -439,122 +427,28 @@ def check_parts(
     lips : sequence of (n, d) int
         Corners of the facets of lips.
     """
-    every = np.concatenate([*lips, cells.nodes[:0, cells.facets[0]]])
-    n_parts, part = _parts_of(cells.nodes, places, clamp, every)
-    if places.shape[1] == 2:
-        facets, owner, _ = cells.all_facets
-        corners, boundary = cells.nodes[:, : cells.n_corners], facets[cells.alone]
-        _check_angles(corners, places)
-        _check_boundary(boundary, places, every)
-        if n_parts > 1:
-            _check_layers(boundary, part[owner[cells.alone]], corners, part, places)
-
-
-def _check_angles(cells: np.ndarray, places: np.ndarray) -> None:
-    """Angles at a node are 2 pi inside the mesh and less on its boundary."""
-    here = places[cells]
-    ahead, back = np.roll(here, -1, axis=1) - here, np.roll(here, 1, axis=1) - here
-    crossed = ahead[..., 0] * back[..., 1] - ahead[..., 1] * back[..., 0]
-    angles = np.arctan2(np.abs(crossed), (ahead * back).sum(axis=2))
-    sums = np.bincount(cells.ravel(), angles.ravel(), len(places))
-    worst = int(np.argmax(sums))
-    if sums[worst] > 2.0 * np.pi * (1.0 + DEGENERATE):
-        allowed = "one of cells beside each other: these go round their node more than once"
-        raise _refusal("cells that overlap", places[worst], allowed)
-
-
-def _parts_of(
-    cells: np.ndarray, places: np.ndarray, clamp: np.ndarray, lips: np.ndarray
-) -> tuple[int, np.ndarray]:
-    """Number of parts of a mesh that share no node, all of them clamped, and the part of each
-    cell."""
     from scipy.sparse.csgraph import connected_components  # takes a while, for mesh files alone
 
-    ones = np.ones(cells.size - len(cells), dtype=np.int8)
-    ends = cells[:, :-1].ravel(), cells[:, 1:].ravel()
+    nodes = cells.nodes
+    ones = np.ones(nodes.size - len(nodes), dtype=np.int8)
+    ends = nodes[:, :-1].ravel(), nodes[:, 1:].ravel()
     graph = sparse.coo_matrix((ones, ends), (len(places), len(places)))
     part = connected_components(graph, directed=False)[1]
-    own = np.unique(part[cells[:, 0]], return_inverse=True)[1]
-    loose = np.flatnonzero(~np.isin(part[cells[:, 0]], part[clamp]))
+    of_cell = part[nodes[:, 0]]
+    loose = np.flatnonzero(~np.isin(of_cell, part[clamp]))
     if len(loose):
-        place = places[cells[loose]].mean(axis=(0, 1))
-        held = len(lips) and np.any(np.isin(part[cells[loose, 0]], part[lips[:, 0]]))
+        held = any(np.any(np.isin(of_cell[loose], part[own])) for own in lips)
         found = "a part held by contact alone" if held else "a part without a clamp"
         allowed = (
             f"one whose parts each have {_FACET[places.shape[1]]} in 'clamp', or share nodes with "
             "one that has: nothing else holds them"
         )
-        raise _refusal(found, place, allowed)
-    return int(own.max()) + 1, own
-
-
-def _check_boundary(edges: np.ndarray, places: np.ndarray, lips: np.ndarray) -> None:
-    """Edges of the boundary neither cross nor lie in one place, but for those of lips."""
-    from scipy.spatial import cKDTree
-
-    size = len(places)
-    is_lip = np.isin(edges @ [size, 1], np.sort(lips, axis=1) @ [size, 1])
-    ends = places[edges]
-    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    middles = ends.mean(axis=1)
-    found = cKDTree(middles).query_ball_point(middles, lengths * (1.0 + SAME))
-    one = np.repeat(np.arange(len(edges)), [len(near) for near in found])
-    other = np.concatenate(found).astype(int)
-    behind = (lengths[other] < lengths[one]) | ((lengths[other] == lengths[one]) & (other < one))
-    wanted = behind & ~(is_lip[one] & is_lip[other])
-    one, other = one[wanted], other[wanted]  # the shorter edge
-    close = SAME * float(np.ptp(places, axis=0).max())
-
-    from_one, from_other = _beside(ends[one], ends[other]), _beside(ends[other], ends[one])
-    across = [np.abs(side).min(axis=1) > close for side in (from_one, from_other)]
-    across += [side.prod(axis=1) < 0.0 for side in (from_one, from_other)]
-    if np.any(crossed := np.all(across, axis=0)):
-        place = middles[other[np.argmax(crossed)]]
-        raise _refusal("cells that overlap", place, "one whose boundary does not cross itself")
-
-    span = ends[one, 1] - ends[one, 0]
-    share = np.sum((middles[other] - ends[one, 0]) * span, axis=1) / lengths[one] ** 2
-    along = np.abs(from_one).max(axis=1) <= close
-    inside = np.minimum(share, 1.0 - share) * lengths[one] > close
-    if np.any(same := along & inside):
-        place = middles[other[np.argmax(same)]]
-        allowed = (
-            "one whose cells share their nodes (gmsh: Coherence Mesh), but for the lips of named "
-            "cracks ('crack', or 'lower_lip' and 'upper_lip'): two edges of its boundary lie there"
-        )
-        raise _refusal("doubled nodes", place, allowed)
-
-
-def _beside(edges: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Distance of both ends of other edges from the lines of edges, left of them positive."""
-    span = edges[:, 1] - edges[:, 0]
-    to = others - edges[:, :1]
-    crossed = span[:, None, 0] * to[..., 1] - span[:, None, 1] * to[..., 0]
-    return np.asarray(crossed / np.linalg.norm(span, axis=1)[:, None])
-
-
-def _check_layers(
-    edges: np.ndarray, of_edge: np.ndarray, cells: np.ndarray, part: np.ndarray, places: np.ndarray
-) -> None:
-    """No part lies on another one: a ray from a cell crosses the others' boundaries evenly."""
-    (x_0, y_0), (x_1, y_1) = places[edges].transpose(1, 2, 0)
-    for number in range(int(part.max()) + 1):
-        own = np.flatnonzero(part == number)
-        own = own[np.linspace(0, len(own) - 1, min(SAMPLES, len(own))).astype(int)]
-        centres = places[cells[own]].mean(axis=1)
-        x, y = centres.T[:, :, None]
-        passed = (y_0 <= y) != (y_1 <= y)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            passed &= x_0 + (y - y_0) / (y_1 - y_0) * (x_1 - x_0) > x
-        inside = np.sum(passed & (of_edge != number), axis=1) % 2 == 1
-        if np.any(inside):
-            allowed = "one whose parts lie beside each other: here one lies on another"
-            raise _refusal("cells that overlap", centres[np.argmax(inside)], allowed)
+        raise _refusal(found, places[nodes[loose]].mean(axis=(0, 1)), allowed)
 
 
 def check_boundary(kind: int, cells: Cells, places: np.ndarray, lips: Sequence[np.ndarray]) -> None:
-    """Raise InputError where the middle of a facet of a solid's boundary, other than lips, lies in
-    or on a cell that shares no node with it: bodies overlap, or touch and nothing joins them.
+    """Raise InputError where the middle of a facet of the boundary, other than lips, lies in or on
+    another cell than its own: parts overlap, or touch and nothing joins them.
 
     Parameters
     ----------
@@ -562,7 +456,7 @@ def check_boundary(kind: int, cells: Cells, places: np.ndarray, lips: Sequence[n
         gmsh's number of the kind of the cells.
     cells : Cells
         With cracks split.
-    places : (n_nodes, 3) [m]
+    places : (n_nodes, d) [m]
         Of all nodes.
     lips : sequence of (n, d) int
         Corners of the facets of lips.
@@ -571,10 +465,9 @@ def check_boundary(kind: int, cells: Cells, places: np.ndarray, lips: Sequence[n
 
     facets, owner, at = (rows[cells.alone] for rows in cells.all_facets)
     other = ~rows_in(facets, np.concatenate([*lips, facets[:0]]))
-    facets, owner, at = facets[other], owner[other], at[other]
-    _, _, _, count, local, _ = gmsh.model.mesh.getElementProperties(kind)
-    middles = np.reshape(local, (count, 3))[at].mean(axis=1)
-    points = np.einsum("in,inx->ix", _functions(kind, middles), places[cells.nodes[owner]])
+    owner, at = owner[other], at[other]
+    middles = _functions(kind, _places_in(kind)[at].mean(axis=1))
+    points = np.einsum("in,inx->ix", middles, places[cells.nodes[owner]])
 
     here = places[cells.nodes]
     centres = here.mean(axis=1)
@@ -582,7 +475,7 @@ def check_boundary(kind: int, cells: Cells, places: np.ndarray, lips: Sequence[n
     near = cKDTree(points).query_ball_point(centres, reach)
     cell = np.repeat(np.arange(len(near)), [len(own) for own in near])
     point = np.concatenate(near).astype(int)
-    apart = ~(cells.nodes[cell][:, :, None] == facets[point][:, None, :]).any(axis=(1, 2))
+    apart = owner[point] != cell
     cell, point = cell[apart], point[apart]
     if np.any(covered := _in_cells(kind, cells.n_corners, here[cell], points[point])):
         allowed = (
@@ -595,24 +488,33 @@ def check_boundary(kind: int, cells: Cells, places: np.ndarray, lips: Sequence[n
 
 
 def _in_cells(kind: int, n_corners: int, cells: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Whether points (n, 3) lie in or on cells, by the places of their nodes (n, n_nodes, 3)."""
+    """Whether points (n, d) lie in or on cells, by the places of their nodes (n, n_nodes, d)."""
     low, high = cells.min(axis=1), cells.max(axis=1)
     room = BULGE * (high - low).max(axis=1, keepdims=True)
     found = np.all((points > low - room) & (points < high + room), axis=1)
     if not np.any(found):
         return found
     cells, points, size = cells[found], points[found], (high - low)[found].max(axis=1)
-    corners = np.reshape(gmsh.model.mesh.getElementProperties(kind)[4], (-1, 3))[:n_corners]
-    at = np.tile(corners.mean(axis=0), (len(points), 1))
+    dimension = points.shape[1]
+    at = np.tile(_places_in(kind)[:n_corners].mean(axis=0), (len(points), 1))
     for _ in range(STEPS):
         off = points - np.einsum("in,inx->ix", _functions(kind, at), cells)
-        gradients = _functions(kind, at, "GradLagrange").reshape(len(at), -1, 3)
+        gradients = _functions(kind, at, "GradLagrange").reshape(len(at), -1, 3)[..., :dimension]
         slopes = np.linalg.pinv(np.einsum("inx,inr->ixr", cells, gradients))
-        at = np.clip(at + np.einsum("irx,ix->ir", slopes, off), -2.0, 2.0)
+        at[:, :dimension] += np.einsum("irx,ix->ir", slopes, off)
+        at = np.clip(at, -2.0, 2.0)
     off = points - np.einsum("in,inx->ix", _functions(kind, at), cells)
-    within = _functions(_LINEAR[3, n_corners], at).min(axis=1) >= -SAME
+    within = _functions(_LINEAR[dimension, n_corners], at).min(axis=1) >= -SAME
     found[found] = within & (np.abs(off).max(axis=1) <= SAME * size)
     return found
+
+
+def _places_in(kind: int) -> np.ndarray:
+    """Where the nodes of a cell of gmsh's number of the kind are in it: (n_nodes, 3)."""
+    _, dimension, _, count, local, _ = gmsh.model.mesh.getElementProperties(kind)
+    at = np.zeros((count, 3))
+    at[:, :dimension] = np.reshape(local, (count, dimension))
+    return at
 
 
 def _functions(kind: int, at: np.ndarray, name: str = "Lagrange") -> np.ndarray:
