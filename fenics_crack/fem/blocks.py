@@ -30,7 +30,7 @@ the front to the mouth.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from itertools import pairwise
 
 import numpy as np
@@ -108,10 +108,8 @@ class _Half:
         return (stop - start) * math.log(one / other) / (one - other)
 
 
-def _plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Slit], bool]:
-    """Columns and rows of blocks, the cracks in them, and whether x runs from right to left.
-
-    It does where all cracks begin at the right edge: their meshes mirror those of the left.
+def _plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Slit]]:
+    """Columns and rows of blocks, and the cracks in them.
 
     Raises
     ------
@@ -120,9 +118,6 @@ def _plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Sl
     """
     width, height = scene.geometry.sides
     cracks = list(scene.all_cracks.values())
-    mirrored = bool(cracks) and all(crack.edge == "right" for crack in cracks)
-    if mirrored:
-        cracks = [replace(crack, edge="left") for crack in cracks]
     spans = [crack.span(width) for crack in cracks]
     levels = [crack.height or 0.0 for crack in cracks]
     if scene.mesh.layout == "grid":
@@ -142,7 +137,7 @@ def _plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Sl
         )
         for crack, span, level in zip(cracks, spans, levels, strict=True)
     ]
-    return columns, rows, slits, mirrored
+    return columns, rows, slits
 
 
 def _check_cells(scene: Scene, key: str, cells: float, per_cell: int) -> None:
@@ -167,7 +162,7 @@ def lip_pairs(scene: Scene) -> int:
     crack, order = scene.crack, scene.mesh.order
     if crack is not None and crack.length is None:  # the only one
         return ((scene.mesh.lip_elements or 0) + 1) * order
-    columns, _, slits, _ = _plate_blocks(scene)
+    columns, _, slits = _plate_blocks(scene)
     counts = [sum(column.count for column in columns[s.left : s.right]) for s in slits]
     return sum(count * order for count in counts)
 
@@ -323,28 +318,21 @@ def _lips(scene: Scene) -> tuple[Lip, ...]:
 
 def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:
     """Draw the plate, set how curves and surfaces are divided; return the tags of its sides."""
-    width = scene.geometry.sides[0]
-    columns, rows, slits, mirrored = _plate_blocks(scene)
+    columns, rows, slits = _plate_blocks(scene)
     cells = math.prod(sum(interval.count for interval in side) for side in (columns, rows))
     key = "columns" if scene.mesh.layout == "grid" else "size"
     _check_cells(scene, key, cells, 2 * scene.mesh.order**2)
 
-    def position(x: float, y: float) -> tuple[float, float]:
-        return (width - x, y) if mirrored else (x, y)
-
     xs, ys = ([0.0, *(interval.stop for interval in side)] for side in (columns, rows))
     add_point = gmsh.model.geo.addPoint
-    points = {
-        (i, j): add_point(*position(x, y), 0.0) for i, x in enumerate(xs) for j, y in enumerate(ys)
-    }
+    points = {(i, j): add_point(x, y, 0.0) for i, x in enumerate(xs) for j, y in enumerate(ys)}
     doubled = [
         (i, s.row)
         for s in slits
         for i in range(s.left + s.left_is_tip, s.right + 1 - s.right_is_tip)
     ]
-    above = points | {
-        (i, j): add_point(*position(xs[i], ys[j]), 0.0) for i, j in doubled
-    }  # of the blocks over a crack
+    over = {(i, j): add_point(xs[i], ys[j], 0.0) for i, j in doubled}
+    above = points | over  # of the blocks over a crack
 
     horizontal, vertical = {}, {}
     for i, column in enumerate(columns):
@@ -366,7 +354,7 @@ def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:
             surfaces.append(gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(loop)]))
     _divide(scene, surfaces)
 
-    sides = [[vertical[i, j] for j in range(len(rows))] for i in (0, len(columns))]
+    left, right = ([vertical[i, j] for j in range(len(rows))] for i in (0, len(columns)))
     groups: dict[str, tuple[int, list[int]]] = {
         "plate": (2, surfaces),
         "clamp": (1, [horizontal[i, 0] for i in range(len(columns))]),
@@ -377,11 +365,11 @@ def _draw_blocks(scene: Scene) -> dict[str, tuple[int, ...]]:
             [
                 tag
                 for (i, j), tag in points.items()
-                if position(xs[i], ys[j]) == scene.excitation.point and (i, j) not in doubled
+                if (xs[i], ys[j]) == scene.excitation.point and (i, j) not in doubled
             ],
         ),
-        "left": (1, sides[1 if mirrored else 0]),
-        "right": (1, sides[0 if mirrored else 1]),
+        "left": (1, left),
+        "right": (1, right),
         "top": (1, [horizontal[i, len(rows)] for i in range(len(columns))]),
     }
     curves = {name: tag for name, tag in _name(groups).items() if groups[name][0] == 1}
