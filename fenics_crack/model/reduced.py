@@ -270,7 +270,7 @@ class MasslessStructure(MasslessInterface):
     """
 
     flexibility: np.ndarray
-    _static: ResidualFlexibility | None
+    _static: ResidualFlexibility
 
     def __init__(
         self,
@@ -281,16 +281,15 @@ class MasslessStructure(MasslessInterface):
         force: np.ndarray,
         compliance: np.ndarray,
         *,
-        static: ResidualFlexibility | None = None,
-        reference: MasslessStructure | None = None,
+        static: ResidualFlexibility,
+        reference: MasslessStructure | None,
     ) -> None:
         """Take Phi^T B (n_modes, n_pairs), the load on all coordinates (3, n_dofs), and S."""
         if isinstance(damping, DampingRule):
             damping = damping.of_kept(len(squares))
         seen = np.vstack([pairs, compliance[:, : whole.n_pairs]])
         self._make(whole, squares, damping, seen, force, compliance)
-        self._hold(flexibility=_pseudoinverse(compliance), reference=reference)
-        vars(self)["_static"] = static
+        self._hold(flexibility=_pseudoinverse(compliance), reference=reference, _static=static)
 
     @property
     def shapes(self) -> np.ndarray:  # type: ignore[override]
@@ -347,19 +346,15 @@ class MasslessStructure(MasslessInterface):
     @property
     def basis(self) -> np.ndarray:
         """Phi: (whole.n_local, n_modes)."""
-        return self.shapes if self._static is None else self._static.shapes
+        return self._static.shapes
 
     def expand(self, displacement: np.ndarray) -> np.ndarray:
         """u = Phi q + G X c of coordinates (m, n_dofs): (m, whole.n_local) (collective)."""
-        if self._static is None:
-            return displacement
         modal, static = np.split(displacement, [self.n_modes], axis=1)
         return self._whole.expand(modal @ self._static.shapes.T + self._static.expand(static))
 
     def values_at(self, displacement: np.ndarray, dofs: Sequence[int | None]) -> np.ndarray:
         """Displacement of dofs of the whole structure from coordinates (m, n_dofs) (collective)."""
-        if self._static is None:
-            return displacement[:, self.check_dofs(dofs)]
         wanted = self._whole.check_dofs(dofs)
         modal, static = np.split(displacement, [self.n_modes], axis=1)
         seen = modal @ self._whole.values_at(self._static.shapes.T, dofs)
