@@ -353,31 +353,26 @@ def times(matrix: Any, columns: np.ndarray) -> np.ndarray:
     return found
 
 
-def mass_norms(structure: Structure, columns: np.ndarray) -> np.ndarray:
-    """sqrt(x^T M x) of the columns (n_local, m), never zero (collective)."""
-    squares = (columns * times(structure.mass, columns)).sum(axis=0)
-    return np.sqrt(np.maximum(structure.sum_over_ranks(squares), 1e-300))
+def independent_part(
+    structure: Structure, matrix: Any, basis: np.ndarray, columns: np.ndarray
+) -> np.ndarray:
+    """Part of columns x (n_local, m) that is new to a basis with V^T A V = I, likewise
+    (collective).
 
-
-def independent_part(structure: Structure, basis: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Part of columns (n_local, m) that is new to an M-orthonormal basis, likewise (collective).
-
-    Left out are columns of which no more is new than rounding of their squares, and of what is left
-    the directions whose weight in the Gram matrix is negligible.
+    Of columns of unit size x^T A x the directions whose weight in the Gram matrix is negligible are
+    left out: of a static response no more is lost than that of its square, 1e-6, and of a
+    compliance 1e-12.
     """
 
     def gram(rows: np.ndarray) -> np.ndarray:
-        return structure.sum_over_ranks(rows.T @ times(structure.mass, columns))
+        return structure.sum_over_ranks(rows.T @ times(matrix, columns))
 
-    sizes = mass_norms(structure, columns)
+    squares = structure.sum_over_ranks((columns * times(matrix, columns)).sum(axis=0))
+    columns = columns / np.sqrt(np.maximum(squares, 1e-300))
     for _ in range(2):  # once more against rounding
         columns = columns - basis @ gram(basis)
-    left = mass_norms(structure, columns)
-    new = left > np.sqrt(EPSILON) * sizes
-    columns = columns[:, new] / left[new]
-    for _ in range(2):
         weights, vectors = np.linalg.eigh(gram(columns))
-        kept = weights > NEGLIGIBLE * weights.max(initial=0.0)
+        kept = weights > NEGLIGIBLE
         columns = columns @ (vectors[:, kept] / np.sqrt(weights[kept]))
     return columns
 

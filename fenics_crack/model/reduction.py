@@ -138,9 +138,8 @@ def reduce_structure(
         found = known if known and ties is None else modes_by(own, structure, count, ties)
         kept, squares = found.shapes[:, :count], found.omega[:count] ** 2
         with _regular(own, structure, ties, held=bool(squares[0] > 0.0)) as factor:
-            static = independent_part(
-                structure, kept, _static_shapes(structure, factor, kept, squares, ties)
-            )
+            static = _static_shapes(structure, factor, kept, squares, ties)
+            static = independent_part(structure, structure.mass, kept, static)
             extra = static[:, :0] if method == "truncation" else static
             if ties is not None:  # no modes of the structure with free lips
                 extra, kept, squares = np.hstack([kept, static]), kept[:, :0], squares[:0]
@@ -314,7 +313,7 @@ def _reduced(
     reference: ReducedStructure | None,
 ) -> ReducedStructure:
     """Reduce to known modes and the rest of other vectors, made M-orthonormal and K-diagonal."""
-    extra = independent_part(structure, kept, extra)
+    extra = independent_part(structure, structure.mass, kept, extra)
     elastic = structure.sum_over_ranks(extra.T @ times(structure.stiffness, extra))
     mass = structure.sum_over_ranks(extra.T @ times(structure.mass, extra))
     more, rotation = scipy.linalg.eigh(elastic, mass) if len(mass) else (np.zeros(0), mass)

@@ -32,7 +32,7 @@ from fenics_crack.errors import InputError, check_number
 from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.factor import Factor, distributed, weighted_sum
 from fenics_crack.model.matrices import read_only
-from fenics_crack.model.modes import AS_ZERO, NEGLIGIBLE, Modes, solve_modes, times
+from fenics_crack.model.modes import AS_ZERO, Modes, independent_part, solve_modes, times
 from fenics_crack.model.nodes import Nodes
 from fenics_crack.model.reduced import MasslessInterface
 from fenics_crack.model.reduction import reduce_structure
@@ -244,9 +244,9 @@ class Ritz:
                 del found
             if not np.all(omega > 0.0):  # to rounding, which pivots need not see
                 raise InputError("rotation.speed", float(speed), too_fast(structure, float(speed)))
-            columns = shapes / omega
-            basis = np.hstack([basis, _new_part(structure, basis, columns)])
-            del there, part, shapes, columns
+            new = independent_part(structure, structure.stiffness, basis, shapes)
+            basis = np.hstack([basis, new])
+            del there, part, shapes, new
             collect_garbage(structure.comm)
 
         def projected(matrix: object) -> np.ndarray:
@@ -413,19 +413,3 @@ def run_up_structure(structure: Structure, start: float, stop: float, modes: int
     if not isinstance(structure.damping, DampingRule | None):
         raise InputError("damping", "a matrix", "modal or Rayleigh damping in a run-up")
     return RunUpStructure(Ritz.of_range(structure, start, stop, modes), rotation.speed)
-
-
-def _new_part(structure: Structure, basis: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Part of columns of unit energy (n_local, m) that is new to a basis with V^T K V = I,
-    likewise, without directions of negligible energy: of a static response no more is lost than
-    that of its square, 1e-6, and of a compliance 1e-12 (collective)."""
-
-    def gram(rows: np.ndarray) -> np.ndarray:
-        return structure.sum_over_ranks(rows.T @ times(structure.stiffness, columns))
-
-    for _ in range(2):  # once more against rounding
-        columns = columns - basis @ gram(basis)
-        weights, vectors = np.linalg.eigh(gram(columns))
-        kept = weights > NEGLIGIBLE
-        columns = columns @ (vectors[:, kept] / np.sqrt(weights[kept]))
-    return columns
