@@ -38,7 +38,6 @@ def _versions_by_metadata() -> Iterator[None]:
 
 
 with _versions_by_metadata():
-    import basix
     import dolfinx
     import dolfinx.fem.petsc
     import dolfinx.geometry
@@ -53,7 +52,6 @@ __all__ = [
     "compiled",
     "dolfinx",
     "function_space",
-    "geometry_dofmap",
     "gmsh",
     "gmsh_is_running",
     "model_to_mesh",
@@ -146,7 +144,7 @@ def assembled_vector(form: Any) -> np.ndarray:
     return owned
 
 
-def basis_at(space: Any, order: int, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def basis_at(space: Any, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Nodes of the cell of this rank that holds a point, and their basis functions' values there.
 
     Both are empty where no cell of this rank holds the point.
@@ -165,25 +163,13 @@ def basis_at(space: Any, order: int, point: np.ndarray) -> tuple[np.ndarray, np.
     hits = hits[hits < mesh.topology.index_map(dimension).size_local]
     if not len(hits):
         return np.zeros(0, dtype=np.int32), np.zeros(0)
-    cell = int(hits[0])
-    corners = mesh.geometry.x[geometry_dofmap(mesh)[cell], :dimension]
-    reference = mesh.geometry.cmap.pull_back(where[None, :dimension], corners)
-    element = basix.create_element(
-        basix.ElementFamily.P,
-        getattr(basix.CellType, mesh.topology.cell_type.name),
-        order,
-        basix.LagrangeVariant.gll_warped,
-    )
-    values = element.tabulate(0, reference)[0, 0].ravel()
-    return np.asarray(space.dofmap.cell_dofs(cell)), values
-
-
-def geometry_dofmap(mesh: Any) -> np.ndarray:
-    """Geometry nodes of each local cell: (n_cells, n_nodes)."""
-    dofmap = mesh.geometry.dofmap
-    if isinstance(dofmap, np.ndarray):
-        return dofmap
-    return dofmap.array.reshape(dofmap.num_nodes, -1)
+    nodes, unit = np.asarray(space.dofmap.cell_dofs(hits[0])), dolfinx.fem.Function(space)
+    values = []
+    for first in space.dofmap.index_map_bs * nodes:
+        unit.x.array[first] = 1.0
+        values.append(unit.eval(where, hits[:1])[0])
+        unit.x.array[first] = 0.0
+    return nodes, np.array(values)
 
 
 def vtk_cells(space: Any) -> tuple[np.ndarray, int]:
