@@ -215,23 +215,18 @@ class AllModes:
         ConvergenceError
             The load is on an undamped resonance, or moves the structure as a rigid body.
         """
-        loaded = force != 0.0
-        if not np.any(loaded):
-            return np.zeros_like(force)
         if self.damping.ndim == 2:
             impedance = np.diag(self.squares - omega**2) + 1j * omega * self.damping
             found = np.linalg.lstsq(impedance, force, rcond=None)[0]
             singular = np.abs(impedance @ found - force).max() > 1e-9 * np.abs(force).max()
         else:
             impedance = self.squares - omega**2 + 1j * omega * self.damping
-            size = np.abs(self.squares) + omega**2
-            singular = bool(np.any(np.abs(impedance[loaded]) <= 1e-15 * size[loaded]))
+            size = np.abs(self.squares)
+            free = np.abs(impedance) <= 1e-15 * (size + omega**2)
             if omega == 0.0 and self.unconstrained:
-                singular |= bool(
-                    np.any(loaded & (np.abs(self.squares) <= 1e-12 * self.squares[-1]))
-                )
-            known = loaded & (impedance != 0.0)
-            found = np.divide(force, impedance, out=np.zeros_like(force), where=known)
+                free |= size <= 1e-12 * size[-1]
+            singular = bool(np.any(force[free]))
+            found = np.divide(force, impedance, out=np.zeros_like(force), where=~free)
         if singular:
             raise ConvergenceError(
                 f"exponential: at {omega:g} rad/s the load is on an undamped resonance, or moves "
