@@ -54,28 +54,6 @@ class Nodes:
         for name in ("points", "dofs", "cells"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
-    def find_dof(self, comm: MPI.Comm, point: Sequence[float], component: int | str) -> int:
-        """Find a dof, as :meth:`Structure.find_dof` (collective)."""
-        d = self.points.shape[1]
-        known: list[int | str] = [*range(d), *AXES[:d]]
-        if component not in known:
-            words = ", ".join(map(repr, known[:-1]))
-            raise InputError("component", component, f"{words} or {known[-1]!r}")
-        target = numbers(point)
-        if target.shape != (d,) or not np.all(np.isfinite(target)):
-            words = f"[{', '.join(AXES[:d])}], {('two', 'three')[d - 2]} finite numbers"
-            raise InputError("point", point, words)
-        points = gather_rows(comm, self.points)
-        found = nodes_at(points, target)
-        if len(found) != 1:
-            nodes = f"{len(found)} found there; {nearest_node(points, target)}"
-            raise InputError("point", tuple(target), f"at a node that exists once ({nodes})")
-        dof = int(gather_rows(comm, self.dofs)[found[0], known.index(component) % d])
-        if dof < 0:
-            allowed = f"free in component {component!r}, not clamped"
-            raise InputError("point", tuple(target), allowed)
-        return dof
-
     def nearest(
         self, comm: MPI.Comm, key: str, point: Sequence[float]
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -100,12 +78,6 @@ class Nodes:
         if np.all(dofs[place] < 0):
             raise InputError(key, shown, f"near a node that is free to move ({there})")
         return points[place], dofs[place]
-
-    def dof_name(self, comm: MPI.Comm, dof: int) -> str:
-        """Name a dof, as :meth:`Structure.dof_name` (collective)."""
-        node, component = np.argwhere(gather_rows(comm, self.dofs) == dof)[0]
-        place = place_in_words(gather_rows(comm, self.points)[node], ".4g")
-        return f"{AXES[component]} displacement at {place} m"
 
 
 def nodes_at(points: np.ndarray, point: Sequence[float] | np.ndarray) -> np.ndarray:
@@ -355,13 +327,34 @@ class Coordinates(Hinted):
         """
         if self.nodes is None:
             raise InputError("point", point, "given only for a structure made from a mesh")
-        return self.nodes.find_dof(self.whole.comm, point, component)
+        d, comm = self.nodes.points.shape[1], self.whole.comm
+        known: list[int | str] = [*range(d), *AXES[:d]]
+        if component not in known:
+            words = ", ".join(map(repr, known[:-1]))
+            raise InputError("component", component, f"{words} or {known[-1]!r}")
+        target = numbers(point)
+        if target.shape != (d,) or not np.all(np.isfinite(target)):
+            words = f"[{', '.join(AXES[:d])}], {('two', 'three')[d - 2]} finite numbers"
+            raise InputError("point", point, words)
+        points = gather_rows(comm, self.nodes.points)
+        found = nodes_at(points, target)
+        if len(found) != 1:
+            nodes = f"{len(found)} found there; {nearest_node(points, target)}"
+            raise InputError("point", tuple(target), f"at a node that exists once ({nodes})")
+        dof = int(gather_rows(comm, self.nodes.dofs)[found[0], known.index(component) % d])
+        if dof < 0:
+            allowed = f"free in component {component!r}, not clamped"
+            raise InputError("point", tuple(target), allowed)
+        return dof
 
     def dof_name(self, dof: int) -> str:
         """A dof in words: "x displacement at (0.1, 0.1) m" (collective)."""
         if self.nodes is None:
             return f"displacement of dof {dof}"
-        return self.nodes.dof_name(self.whole.comm, dof)
+        comm = self.whole.comm
+        node, component = np.argwhere(gather_rows(comm, self.nodes.dofs) == dof)[0]
+        place = place_in_words(gather_rows(comm, self.nodes.points)[node], ".4g")
+        return f"{AXES[component]} displacement at {place} m"
 
 
 # --- the clamp ------------------------------------------------------------------------------------
