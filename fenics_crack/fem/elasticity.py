@@ -1,10 +1,10 @@
 """Isotropic linear elasticity of plates in plane stress and of solids, at rest and rotating, as
 DOLFINx's forms.
 
-    plate    sigma = E / (1 - nu^2) ((1 - nu) eps + nu tr(eps) I),    measure t dx
-    solid    sigma = 2 mu eps + lambda tr(eps) I,                     measure dx
+    sigma = E / (1 + nu) (eps + nu / (1 - (d - 1) nu) tr(eps) I),
 
-with eps = sym(grad u), the thickness t, mu = E / (2 (1 + nu)), lambda = 2 mu nu / (1 - 2 nu).
+with eps = sym(grad u); of a plate d = 2, and of a solid d = 3. The measure is t dx, with the
+thickness t of a plate, or dx.
 
 A rotation adds centrifugal load, geometric stiffness and spin softening.
 
@@ -73,11 +73,9 @@ def thickness(scene: Scene, space: Any) -> Any:
 def stress(scene: Scene, space: Any, strain: Any) -> Any:
     """sigma of a strain."""
     young, poisson = constants(space, scene.material.young, scene.material.poisson)
-    if scene.dimension == 2:
-        found = (1.0 - poisson) * strain + poisson * ufl.tr(strain) * ufl.Identity(2)
-        return young / (1.0 - poisson**2) * found
-    found = strain + poisson / (1.0 - 2.0 * poisson) * ufl.tr(strain) * ufl.Identity(3)
-    return young / (1.0 + poisson) * found
+    d = scene.dimension
+    spread = poisson / (1.0 - (d - 1) * poisson) * ufl.tr(strain) * ufl.Identity(d)
+    return young / (1.0 + poisson) * (strain + spread)
 
 
 def rotation_of(scene: Scene, dofs: Dofs, at_rest: Structure) -> Rotation:
