@@ -29,7 +29,7 @@ from pathlib import Path
 import numpy as np
 import scipy.sparse as sparse
 
-from fenics_crack.errors import InputError
+from fenics_crack.errors import InputError, reading
 from fenics_crack.fem.crack_surface import FACETS, Cells, Lips, Names, cracks_between, split_surface
 from fenics_crack.fem.lips import (
     SAME,
@@ -152,37 +152,26 @@ def _groups_of(path: Path) -> Given:
         There is no such file, gmsh cannot read it, or a node is nowhere.
     """
     check_there("mesh.file", path)
-    found = _read_by_child(path)
-    if isinstance(found, str):
-        raise InputError("mesh.file", str(path), f"readable by gmsh ({found})")
-    if not np.all(np.abs(found[1]) < FARTHEST_NODE):
+    with tempfile.TemporaryDirectory() as folder, reading("mesh.file", path, "readable by gmsh"):
+        copy = Path(folder) / "mesh.msh"
+        bytes_of(path)
+        shutil.copyfile(path, copy)
+        with copy.open("rb") as file:
+            if not _BEGINNING.match(file.read(100)):
+                raise ValueError("it does not begin with $MeshFormat and version 2.2 or 4.1")
+        found = run_reader(Path(__file__).with_name("msh_reader.py"), copy, LONGEST_READING)
+        if isinstance(found, str):
+            raise ValueError(found.replace(str(copy), str(path)))
+    if not np.all(np.abs(found["positions"]) < FARTHEST_NODE):
         allowed = f"a mesh whose nodes are within {FARTHEST_NODE:g} m of the origin"
         raise InputError("mesh.file", str(path), allowed)
-    return found
+    return found["numbers"], found["positions"], named_groups(found)
 
 
 def check_there(key: str, path: Path | str) -> None:
     """Raise InputError unless there is a file."""
     if not os.path.isfile(path):
         raise InputError(key, str(path), "an existing gmsh mesh file")
-
-
-def _read_by_child(path: Path) -> Given | str:
-    """Numbers and positions of a file's nodes and its groups, or why it cannot be read."""
-    with tempfile.TemporaryDirectory() as folder:
-        copy = Path(folder) / "mesh.msh"
-        try:
-            bytes_of(path)
-            shutil.copyfile(path, copy)
-            with copy.open("rb") as file:
-                if not _BEGINNING.match(file.read(100)):
-                    return "it does not begin with $MeshFormat and version 2.2 or 4.1"
-        except OSError as error:
-            return error.strerror or str(error)
-        found = run_reader(Path(__file__).with_name("msh_reader.py"), copy, LONGEST_READING)
-    if isinstance(found, str):
-        return found.replace(str(copy), str(path))
-    return found["numbers"], found["positions"], named_groups(found)
 
 
 def named_groups(found: dict[str, np.ndarray]) -> list[Group]:
