@@ -31,7 +31,6 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 import scipy.sparse as sparse
 
 from fenics_crack.errors import InputError, check_choice
@@ -315,8 +314,7 @@ def _reduced(
     """Reduce to known modes and the rest of other vectors, made M-orthonormal and K-diagonal."""
     extra = independent_part(structure, structure.mass, kept, extra)
     elastic = structure.sum_over_ranks(extra.T @ times(structure.stiffness, extra))
-    mass = structure.sum_over_ranks(extra.T @ times(structure.mass, extra))
-    more, rotation = scipy.linalg.eigh(elastic, mass) if len(mass) else (np.zeros(0), mass)
+    more, rotation = np.linalg.eigh(elastic)
     extra = extra @ rotation
     basis = np.hstack([kept, extra])
     squares = np.concatenate([squares, more])
