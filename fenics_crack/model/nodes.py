@@ -123,11 +123,6 @@ class Pairs:
     positions: np.ndarray | None = None
     places: dict[str, int] = field(default_factory=dict)
 
-    @classmethod
-    def none(cls, dimension: int) -> Pairs:
-        """Those of a mesh without a crack."""
-        return cls(np.zeros((0, dimension)), np.zeros(0), np.zeros(0, dtype=int), np.zeros(0))
-
     def __post_init__(self) -> None:
         for name in ("points", "areas", "cracks", "positions"):
             if (given := getattr(self, name)) is not None:
