@@ -125,13 +125,13 @@ class Cells:
         In gmsh's order: the corners first.
     facets : (n_facets, n) int
         Corners of the facets of a cell, by their places in a row of ``nodes``.
-    supports : tuple of tuple of int
+    supports : (k, n_corners) bool
         Of each node of a cell the corners between which it lies.
     """
 
     nodes: np.ndarray
     facets: np.ndarray
-    supports: tuple[tuple[int, ...], ...]
+    supports: np.ndarray
 
     @property
     def n_corners(self) -> int:
@@ -240,7 +240,7 @@ def split_surface(
         "cracks that neither branch nor cross",
     )
     is_upper = touching & (side[label.reshape(touching.shape)] > 0)
-    nodes, new = _renumbered(cells, is_split, is_upper, surface, len(places))
+    nodes, new = _renumbered(cells, is_upper, surface, len(places))
     lips = _lips(surface, n_corners, is_split, new)
     cracks = _cracks(surface[:, :n_corners], fronts, mouths, places)
     return nodes, np.flatnonzero(new >= 0), lips, cracks
@@ -312,21 +312,16 @@ def _stars(cells: Cells, passable: np.ndarray, is_split: np.ndarray) -> np.ndarr
 
 
 def _renumbered(
-    cells: Cells, is_split: np.ndarray, is_upper: np.ndarray, surface: np.ndarray, count: int
+    cells: Cells, is_upper: np.ndarray, surface: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """The cells with new nodes above the cracks, and the new number of each node, -1 where it
     exists once.
 
-    A node between corners is doubled with any of them.
+    A node between corners is doubled with any of them; ``is_upper`` tells it of those of each cell.
     """
     on_crack = np.zeros(count, dtype=bool)
     on_crack[surface] = True
-    columns = []
-    for node, support in enumerate(cells.supports):
-        corners = list(support)
-        doubled = on_crack[cells.nodes[:, node]] & is_split[cells.nodes[:, corners]].any(axis=1)
-        columns.append(doubled & is_upper[:, corners].any(axis=1))
-    above = np.column_stack(columns)
+    above = on_crack[cells.nodes] & (is_upper @ cells.supports.T)
     new = np.full(count, -1)
     doubled = np.unique(cells.nodes[above])
     new[doubled] = count + np.arange(len(doubled))

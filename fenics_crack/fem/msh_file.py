@@ -248,11 +248,10 @@ def cells_of(kind: int, nodes: np.ndarray) -> Cells:
     """Cells with what gmsh says of their kind: a node lies between those corners whose linear
     functions are not zero there."""
     _, dimension, *_, corners = gmsh.model.mesh.getElementProperties(kind)
-    shares = _functions(_LINEAR[dimension, corners], _places_in(kind))
-    between = [np.flatnonzero(row > 1e-9) for row in shares]
+    between = _functions(_LINEAR[dimension, corners], _places_in(kind)) > 1e-9
     ring = np.arange(corners)
     facets = FACETS[corners] if dimension == 3 else np.column_stack([ring, np.roll(ring, -1)])
-    return Cells(nodes, facets, tuple(tuple(own.tolist()) for own in between))
+    return Cells(nodes, facets, between)
 
 
 def _with_lips(

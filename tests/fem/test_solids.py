@@ -202,7 +202,7 @@ def test_a_surface_without_a_front_parts_two_bodies() -> None:
     places = np.array(
         [[i, k, j] for k in range(3) for j in range(2) for i in range(2)], dtype=float
     )
-    cells = Cells(CUBES, FACETS[8], tuple((i,) for i in range(8)))
+    cells = Cells(CUBES, FACETS[8], np.eye(8, dtype=bool))
     nodes, twins, lips, (crack,) = split_surface(cells, np.array([[4, 5, 7, 6]]), places)
     assert twins.tolist() == [4, 5, 6, 7] and not np.intersect1d(*nodes).size
     assert np.sort(lips[0], axis=1).tolist() == [[4, 5, 6, 7], [12, 13, 14, 15]]
@@ -224,7 +224,7 @@ def test_a_surface_on_the_outside_is_refused() -> None:
     places = np.array(
         [[i, k, j] for k in range(3) for j in range(2) for i in range(2)], dtype=float
     )
-    cells = Cells(CUBES, FACETS[8], tuple((i,) for i in range(8)))
+    cells = Cells(CUBES, FACETS[8], np.eye(8, dtype=bool))
     with pytest.raises(InputError, match="inside the solid"):
         split_surface(cells, np.array([[0, 1, 3, 2]]), places)
 
