@@ -41,7 +41,7 @@ from fenics_crack.model.matrices import (
 from fenics_crack.model.nodes import Clamp, Coordinates, Nodes, Pairs
 from fenics_crack.table import counted
 
-__all__ = ["DampingRule", "ModalDamping", "RayleighDamping", "Structure", "read_only_rows"]
+__all__ = ["DampingRule", "ModalDamping", "RayleighDamping", "Structure"]
 
 
 @dataclass(frozen=True)
@@ -248,7 +248,11 @@ class Structure(Coordinates):
             mass=mass, stiffness=stiffness, force=force, clearance=clearance, damping=damping,
             nodes=nodes, pairs=pairs or Pairs(), watched=watched, clamp=clamp,
         )  # fmt: skip
-        self._hold(gap=read_only_rows(gap))
+        rows = sparse.csr_matrix(gap, copy=True)
+        rows.sum_duplicates()
+        for part in (rows.data, rows.indices, rows.indptr):
+            part.flags.writeable = False
+        self._hold(gap=rows)
         self._hold(comm=mass.comm.tompi4py(), damping_factor=1.0, _original=None, _known={})
 
     def __repr__(self) -> str:
@@ -456,19 +460,3 @@ def _weights(load: Any) -> np.ndarray:
     if weights.shape not in ((), (3, 3)) or not np.all(np.isfinite(weights)):
         raise InputError("load", load, "a finite number, or a finite matrix of shape (3, 3)")
     return weights
-
-
-def read_only_rows(matrix: Any) -> sparse.csr_matrix:
-    """A sparse matrix by rows, read-only; itself where it is another structure's."""
-
-    def parts(rows: sparse.csr_matrix) -> tuple[np.ndarray, ...]:
-        return rows.data, rows.indices, rows.indptr
-
-    if isinstance(matrix, sparse.csr_matrix):
-        if not any(part.flags.writeable for part in parts(matrix)):
-            return matrix
-    rows = sparse.csr_matrix(matrix, copy=True)
-    rows.sum_duplicates()
-    for part in parts(rows):
-        part.flags.writeable = False
-    return rows
