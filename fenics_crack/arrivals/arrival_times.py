@@ -429,10 +429,12 @@ def _marks(path: str | Path, columns: dict[str, np.ndarray], turns: np.ndarray) 
     every = np.arange(turns[0], turns[-1] + 1)
     for name, column in columns.items():
         if re.match("mark", name, re.IGNORECASE):
-            ends = np.append(turns, turns[-1] + 1), np.append(column, 2 * column[-1] - column[-2])
+            lasting = np.diff(column) / np.diff(turns)
+            if not np.all((lasting > 0.0) & np.isfinite(lasting)):
+                raise InputError("path", f"{path}: {name}", "increasing times")
+            ends = np.append(turns, turns[-1] + 1), np.append(column, column[-1] + lasting[-1])
             marks = np.interp(np.append(every, every[-1] + 1), *ends)
-            if np.all((durations := np.diff(marks)) > 0.0):
-                check_turns(f"{path}: {name}", durations, int(turns[0]))
+            check_turns(f"{path}: {name}", np.diff(marks), int(turns[0]))
             return smoothed(marks)
         if "speed" in name.lower() and not PASSAGE.search(name):
             speed = column * _unit(path, name, SPEEDS)

@@ -214,6 +214,15 @@ def test_forms_of_files(tmp_path: Path) -> None:
     assert np.array_equal(again.time, three.time, equal_nan=True)
 
 
+def test_a_revolution_missing_before_the_last(tmp_path: Path) -> None:
+    """The last one lasts as long as those around it, and its arrivals are where they are."""
+    rows = [[n, 0.1 * n, 1.0] for n in (*range(11), 12)]
+    path = written(tmp_path / "a.csv", "revolution,mark [s],probe 1 [rad]", rows)
+    [found] = fc.read_record(path, tip_radius=1.0).values()
+    np.testing.assert_allclose(found.speed, 2.0 * np.pi / 0.1)
+    assert found.time[-1, 0] == pytest.approx(1.2 + 0.1 / (2.0 * np.pi))
+
+
 def test_a_blade_at_the_mark(tmp_path: Path) -> None:
     """It is seen at the beginning of a revolution or at its end: angles near 0 and 2 pi."""
     angles = np.array([0.01, 6.28, 0.002, 6.281, 0.0])
@@ -252,6 +261,16 @@ GOOD = [[1000.0, 0.1], [1000.0, 0.1], [1000.0, 0.1]]
             "revolution,mark [s],probe 1 [s]",
             [[n, 0.1 * (n + (n > 6)), 0.1 * (n + (n > 6)) + 0.01] for n in range(12)],
             r"revolution 6 takes 2 times as long",
+        ),
+        (
+            "mark [s],probe 1 [rad]",
+            [[None if n == 5 else 0.1 * n, 0.1] for n in range(12)],
+            r"mark \[s\].*increasing times",
+        ),
+        (
+            "mark [s],probe 1 [s]",
+            [[0.1 * (n - (n == 5)), 0.1 * n + 0.01] for n in range(12)],
+            r"mark \[s\].*increasing times",
         ),
     ],
 )
