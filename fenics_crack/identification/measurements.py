@@ -7,6 +7,7 @@ import csv
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -104,7 +105,7 @@ class Measurement:
         check_number("measurements.value", self.value, -math.inf if at_probe else 0.0)
         check_number("measurements.deviation", self.deviation, 0.0, above=True)
         if self.natural:
-            if not (isinstance(self.mode, int) and 1 <= self.mode <= FEW_MODES):
+            if not (isinstance(self.mode, Integral) and 1 <= self.mode <= FEW_MODES):
                 allowed = f"a whole number from 1 to {FEW_MODES} with {self.quantity}"
                 raise InputError("measurements.mode", self.mode, allowed)
         else:

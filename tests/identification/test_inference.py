@@ -421,6 +421,8 @@ def test_measurements_from_a_file(tmp_path: Path) -> None:
     assert str(found.rows) == str(fc.Measurements.from_csv(path).rows)  # nan is not equal to nan
     arrays = fc.Measurements.from_arrays("frequency_bilinear", [841.1], 0.8, mode=[1])
     assert str(arrays.rows[0]) == str(found.rows[0])
+    own = fc.Measurements.from_arrays("frequency_open", [841.1, 5e3], 0.8, mode=np.array([1, 2]))
+    assert [row.mode for row in own.rows] == [1, 2]
 
 
 def test_phases_in_degrees() -> None:
