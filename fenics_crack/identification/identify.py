@@ -363,27 +363,17 @@ def _models(
 ) -> dict[str, Model]:
     """Models of a sweep, of a finer one and of one between if there are, by the words that tell
     them apart; and the sweeps of the plate without its crack, if there are."""
-    axes, meshes = sweeps[0].axes[:-1], scene.given("identify").mesh_axes
-    words = [
-        range(len(a.values))
-        if isinstance(a.values[0], str) and not (meshes and a.key == MESH)
-        else (None,)
-        for a in axes
-    ]
+    meshes = scene.given("identify").mesh_axes
+    axes = [axis for axis in sweeps[0].axes[:-1] if not (meshes and axis.key == MESH)]
+    words = {axis.key: axis.values for axis in axes if isinstance(axis.values[0], str)}
     found = {}
-    for chosen in itertools.product(*words):
-        places = dict(zip((axis.key for axis in axes), chosen, strict=True))
-        picked = [(axis, at) for axis, at in zip(axes, chosen, strict=True) if at is not None]
-        fixed = {axis.key: axis.values[at] for axis, at in picked}
-        without = [
-            None if one is None else Part.of(one, (), [places[axis.key] for axis in one.axes[:-1]])
-            for one in bare
-        ]
-        coarse, *others = (
-            None if sweep is None else Part.of(sweep, meshes, chosen, under)
-            for sweep, under in zip(sweeps, without, strict=True)
-        )
+    for chosen in itertools.product(*words.values()):
+        fixed = dict(zip(words, chosen, strict=True))
+        parts: list[Part | None] = []
+        for sweep, plain in zip(sweeps, bare, strict=True):
+            under = None if plain is None else Part.of(plain, (), fixed)
+            parts.append(None if sweep is None else Part.of(sweep, meshes, fixed, under))
+        coarse, *others = parts
         assert coarse is not None
-        name = ", ".join(map(str, fixed.values()))
-        found[name] = Model(scene, whole, coarse, *others, fixed=fixed)
+        found[", ".join(chosen)] = Model(scene, whole, coarse, *others, fixed=fixed)
     return found

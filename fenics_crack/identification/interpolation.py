@@ -28,7 +28,7 @@ close in half of each period: that makes even harmonics, n = 1, and odd ones of 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -233,18 +233,18 @@ class Part:
         cls,
         sweep: SweepResult,
         meshes: Sequence[Axis],
-        chosen: Sequence[int | None],
+        fixed: Mapping[str, Any],
         bare: Part | None = None,
     ) -> Part:
-        """Take a sweep, the numbers of its meshes if it has some, and the number of the word chosen
-        on each axis, None on one of numbers, or of such meshes."""
+        """Take a sweep, the numbers of its meshes if it has some, and the words that are chosen."""
         numbers: list[Axis] = []
-        for axis, at in zip(sweep.axes, chosen, strict=False):
-            if at is None:
-                numbers += meshes if axis.key == MESH else [axis]
-        index = tuple(slice(None) if at is None else at for at in chosen)
+        index: list[Any] = []
+        for axis in sweep.axes[:-1]:
+            word = axis.key in fixed
+            index.append(axis.values.index(fixed[axis.key]) if word else slice(None))
+            numbers += [] if word else meshes if axis.key == MESH else [axis]
         cube = Cube(tuple(np.array(axis.values, dtype=float) for axis in numbers))
-        return cls(sweep, tuple(axis.key for axis in numbers), cube, index, bare)
+        return cls(sweep, tuple(axis.key for axis in numbers), cube, tuple(index), bare)
 
     def column(self, name: str) -> np.ndarray:
         """A column at all nodes and load frequencies: (n, n_loads)."""
