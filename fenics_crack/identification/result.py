@@ -5,11 +5,9 @@ the unknowns x is
 
     F = (ds / dx)^T V^-1 (ds / dx) + P,
 
-where P is that of the prior. One more measurement j adds what is new in it, with a slope t_j and a
-variance v_j given the others; in nats it tells
+where P is that of the prior. One more measurement, with which it is F', tells in nats
 
-    log(1 + t_j^T F^-1 t_j / v_j) / 2,
-    t_j = ds_j / dx - V_j V^-1 ds / dx,      v_j = V_jj - V_j V^-1 V_j^T
+    log(det F' / det F) / 2
 
 (A. C. Atkinson, A. N. Donev and R. D. Tobias, Optimum Experimental Designs, 2007, chapter 11:
 D-optimality).
@@ -29,7 +27,7 @@ import numpy as np
 from fenics_crack.errors import InputError, check_number
 from fenics_crack.files.store import IDENTIFICATION, write
 from fenics_crack.identification.measurements import Measurement, Measurements
-from fenics_crack.identification.model import Quantities
+from fenics_crack.identification.model import Model, Quantities
 from fenics_crack.identification.nuisance import OF_SIZE
 from fenics_crack.identification.posterior import (
     PRIOR,
@@ -133,28 +131,19 @@ def worth_of(
         noise = np.where(at_probe, noise, shares * values[count:])
     fit = np.isfinite(values[count:]) & (noise > 0.0)
     every = np.concatenate([likelihood.deviations, np.where(fit, noise, 1.0)])
-    covariance, slopes = _seen(quantities, x, every)
-    span = model.cube.high - model.cube.low
-    # What is new in one more measurement, given those that were made.
-    mine, mixed = covariance[:count, :count], covariance[:count, count:]
-    weights = np.linalg.solve(mine, np.hstack([slopes[:count], mixed]))
-    information = slopes[:count].T @ weights[:, : len(x)] + PRIOR * np.eye(len(x))
-    left = np.diag(covariance)[count:] - np.sum(mixed * weights[:, len(x) :], axis=0)
-    new = (slopes[count:] - mixed.T @ weights[:, : len(x)]) / np.sqrt(left)[:, None]
-    before = np.linalg.inv(information)
-    moved = new @ before
-    gained = np.sum(moved * new, axis=1)
-    other = (model.act_as(x[None])[0] / span) ** 2
-    after = np.sqrt(np.diag(before) - moved**2 / (1.0 + gained)[:, None] + other) * span
-    best = [int(at) for at in np.argsort(-gained, kind="stable") if fit[at]]
+    seen, first = _seen(quantities, x, every), np.arange(count)
+    before, now = _known(model, x, seen, first)
+    each = [_known(model, x, seen, np.append(first, count + at)) for at in range(len(rows))]
+    told = 0.5 * np.maximum([after - before for after, _ in each], 0.0)  # below 0 by rounding
+    best = [int(at) for at in np.argsort(-told, kind="stable") if fit[at]]
     return Worth(
         tuple(
             replace(rows[at], value=float(values[count + at]), deviation=float(noise[at]))
             for at in best
         ),
-        0.5 * np.log1p(gained[best]),
-        {key: after[best, place] for place, key in enumerate(model.keys)},
-        dict(zip(model.keys, (np.sqrt(np.diag(before) + other) * span).tolist(), strict=True)),
+        told[best],
+        {key: np.array([each[at][1][key] for at in best]) for key in model.keys},
+        now,
     )
 
 
@@ -199,11 +188,20 @@ def _left_with(
     model = likelihood.quantities.model
     quantities = model.quantities(likelihood.quantities.rows, more)
     every = np.concatenate([likelihood.deviations, [row.deviation for row in more]])
-    covariance, slopes = _seen(quantities, x, every)
-    span = model.cube.high - model.cube.low
+    return _known(model, x, _seen(quantities, x, every), np.arange(len(every)))[1]
+
+
+def _known(
+    model: Model, x: np.ndarray, seen: tuple[np.ndarray, np.ndarray], places: np.ndarray
+) -> tuple[float, dict[str, float]]:
+    """log det F of the measurements in some places (n,), by the covariance and the derivatives of
+    all; and the standard deviation that each unknown has by them."""
+    covariance, slopes = seen[0][np.ix_(places, places)], seen[1][places]
     information = slopes.T @ np.linalg.solve(covariance, slopes) + PRIOR * np.eye(len(x))
-    left = np.hypot(np.sqrt(np.diag(np.linalg.inv(information))) * span, model.act_as(x[None])[0])
-    return dict(zip(model.keys, left.tolist(), strict=True))
+    own = np.sqrt(np.diag(np.linalg.inv(information))) * (model.cube.high - model.cube.low)
+    left = np.hypot(own, model.act_as(x[None])[0])
+    volume = float(np.linalg.slogdet(information)[1])
+    return volume, dict(zip(model.keys, left.tolist(), strict=True))
 
 
 def _more_probes(made: Sequence[Measurement]) -> list[Measurement]:
