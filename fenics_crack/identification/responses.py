@@ -24,6 +24,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -81,57 +82,43 @@ def read_responses(path: Path) -> list[FrequencyResponse]:
     """
     bytes_of(path)
     found = []
-    for heading, numbers, kind in _functions(path.read_bytes()):
-        function = heading[6].decode("latin-1")
-        if int(function[:5]) == RESPONSE:
-            found.append(_response([line.decode("latin-1") for line in heading], numbers, kind))
+    for heading, numbers, order in _functions(BytesIO(path.read_bytes())):
+        lines = [line.decode("latin-1") for line in heading]
+        if int(lines[6][:5]) == RESPONSE:
+            found.append(_response(lines, numbers, order))
     if not found:
         raise ValueError("it has no frequency response: no dataset 58 with a function of type 4")
     return found
 
 
-def _functions(text: bytes) -> Iterator[tuple[list[bytes], bytes, str]]:
+def _functions(file: BytesIO) -> Iterator[tuple[list[bytes], bytes, str]]:
     """Of each dataset 58 its lines up to the numbers, from that with its own number; the numbers;
     and the order of bytes, "" of text."""
-    at = 0
-
-    def line() -> bytes:
-        nonlocal at
-        end = text.find(b"\n", at)
-        end = len(text) if end < 0 else end
-        found, at = text[at:end].rstrip(), end + 1
-        return found
-
-    while at < len(text):
-        if line().strip() != BORDER:
+    while line := file.readline():
+        if line.strip() != BORDER:
             continue
-        if (own := line())[:6].strip() != b"58":
-            while at < len(text) and line().strip() != BORDER:
-                pass
-            continue
-        heading = [own, *(line() for _ in range(HEADING))]
-        if own[6:7].lower() == b"b":
+        own, order, numbers = file.readline().rstrip(), "", b""
+        response = own[:6].strip() == b"58"
+        heading = [own, *(file.readline().rstrip() for _ in range(response * HEADING))]
+        if response and own[6:7].lower() == b"b":
             order, size = {1: "<", 2: ">"}[int(own[7:13])], int(own[31:43].strip() or 0)
             if (stored := int(heading[7][:10])) in COMPLEX and int(heading[7][20:30]):
                 # Some programs announce half of their bytes.
                 size = 2 * int(heading[7][10:20]) * int(COMPLEX[stored][1])
             if int(own[13:19]) != 2:
                 raise ValueError("its binary numbers are not those of IEEE 754")
-            numbers, at = text[at : at + size], at + size
+            numbers = file.read(size)
             if len(numbers) < size:
                 raise ValueError(f"it ends early: {len(numbers)} of {size} bytes")
-            yield heading, numbers, order
-            while at < len(text) and line().strip() != BORDER:
-                pass
-            continue
-        begin = at
-        while at < len(text):
-            end = at
-            if line().strip() == BORDER:
-                yield heading, text[begin:end], ""
+        rest = []
+        while (line := file.readline()).strip() != BORDER:
+            if not line:
+                if response and not order:
+                    raise ValueError("it ends early: a dataset 58 has no end")
                 break
-        else:
-            raise ValueError("it ends early: a dataset 58 has no end")
+            rest.append(line)
+        if response:
+            yield heading, numbers or b"".join(rest), order
 
 
 def _numbers(text: bytes) -> np.ndarray:
