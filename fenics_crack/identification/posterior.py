@@ -328,13 +328,12 @@ class Posterior:
         nothing along one of the unknowns, as on a thin ridge across the grid."""
         lost = 0.0
         for name, branch in self.branches.items():
-            falls = [np.zeros(branch.height.shape, dtype=bool)]
-            for place in range(branch.height.ndim):
-                ends = [(int(k == place),) * 2 for k in range(branch.height.ndim)]
-                wider = np.moveaxis(np.pad(branch.height, ends, constant_values=-np.inf), place, 0)
-                beside = np.maximum(wider[:-2], wider[2:])
-                falls.append(branch.height - np.moveaxis(beside, 0, place) > STEEP)
-            lost += float(np.sum(self.mass[name][np.any(falls, axis=0)]))
+            falls = np.zeros(branch.height.shape, dtype=bool)
+            for axis in np.eye(falls.ndim, dtype=int):
+                sides = np.reshape([1, 0, 1], 1 + 2 * axis)
+                beside = maximum_filter(branch.height, None, sides, None, "constant", -np.inf)
+                falls |= branch.height - beside > STEEP
+            lost += float(np.sum(self.mass[name][falls]))
         return lost
 
     def level(self, share: float) -> float:
