@@ -49,7 +49,7 @@ from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.numerics.fourier import waves
 from fenics_crack.table import TURN, UNITS, counted, with_frequency
 
-__all__ = ["TipTrack", "fit_order", "track_order"]
+__all__ = ["Means", "TipTrack", "fit_order", "track_order"]
 
 SIGNIFICANT = 0.01
 """Below this probability what is left between the probes' means is no chance."""
@@ -119,17 +119,17 @@ def fit_order(
     check_number("angle_deviation", angle_deviation, 0.0)
     check_places(arrivals)
     period, highest = _period(tried, multiples), float(tried.max())
-    means = _Means(arrivals, period, highest, angle_deviation)
+    means = Means(arrivals, period, highest, angle_deviation)
     fit = _compared(arrivals, means, tried, multiples)
     if means.lines and not fit.does_not_fit:  # once more where the tip is that they move
         moved = means.moved(arrivals, fit)
-        means = _Means(arrivals, period, highest, angle_deviation, moved)
+        means = Means(arrivals, period, highest, angle_deviation, moved)
         fit = _compared(arrivals, means, tried, multiples)
     return fit
 
 
 def _compared(
-    arrivals: ArrivalTimes, means: _Means, tried: np.ndarray, multiples: np.ndarray
+    arrivals: ArrivalTimes, means: Means, tried: np.ndarray, multiples: np.ndarray
 ) -> TipFit:
     """The candidate that fits the means best, with the smallest vibration, and the others."""
     unknowns = 2 * len(multiples) + 1
@@ -238,6 +238,7 @@ class _Seen:
     ) -> None:
         self.nominal, self.values, self.within, self._radius = nominal, values, within, radius
         self.angle = nominal - values / radius
+        self.covariance = covariance
         self._root = np.linalg.cholesky(covariance)
 
     def fit(self, order: float, multiples: np.ndarray) -> _Fit | None:
@@ -344,7 +345,7 @@ class _Seen:
         return (least / between if chance < SIGNIFICANT else pooled), chance
 
 
-class _Means(_Seen):
+class Means(_Seen):
     """What each probe sees alike, every so many revolutions: its means, with their covariance.
 
     Parameters
@@ -364,6 +365,10 @@ class _Means(_Seen):
     ----------
     scatter : float [m]
         Of a displacement about its mean; 1 where it is not known.
+    values, angle : (g,) [m, rad]
+        The means, and the rotor's angles where the tip then is.
+    covariance : (g, g) [m^2]
+        Of the means.
     lines : tuple of TipFit
         Vibrations beside them.
     """

@@ -237,8 +237,9 @@ class Measurements(Tabular):
         """The mean displacement that each probe sees of a vibration of an engine order.
 
         At the rotor's angle alpha of an arrival, where the tip is displaced by u
-        (:class:`ArrivalTimes`), the load is at the phase p alpha of its period. Nothing is fitted:
-        the harmonics are left to the model.
+        (:class:`ArrivalTimes`), the load is at the phase p alpha of its period. No harmonic is
+        fitted: they are left to the model. The means are those of :func:`fit_order`, in which
+        single wrong arrivals have no weight, beside vibrations that follow no order.
 
         Parameters
         ----------
@@ -251,7 +252,8 @@ class Measurements(Tabular):
         against : bool
             Whether the direction of the point is against the rotation.
         noise : float [s]
-            Standard deviation of an arrival; default: from the scatter between revolutions.
+            Standard deviation of an arrival; default: from the scatter between revolutions, and
+            from its correlation.
         angle_deviation : float [rad]
             Standard deviation of the probes' angles, the same in every revolution.
 
@@ -261,40 +263,35 @@ class Measurements(Tabular):
             A value cannot be used, the speed is not constant, there are fewer than four probes, or
             ``noise`` is left out where passages have no scatter, as in one revolution alone.
         """
+        from fenics_crack.arrivals.fit_order import Means  # SciPy
+        from fenics_crack.arrivals.harmonics import rounding
+
         check_count("order", order, 1)
         check_number("angle_deviation", angle_deviation, 0.0)
         if noise is not None:
             check_number("noise", noise, 0.0, above=True)
-        speed = float(np.mean(arrivals.speed))
         if not arrivals.steady:
             raise InputError("arrivals", repr(arrivals), "those of a constant speed")
-        seen = np.isfinite(arrivals.time)
-        count = seen.sum(axis=0)
-        used = count > 0
-        if used.sum() < FEWEST_PROBES:
+        count = np.isfinite(arrivals.time).sum(axis=0)
+        count, speed = count[count > 0], arrivals.mean_speed
+        if len(count) < FEWEST_PROBES:
             raise InputError("arrivals", repr(arrivals), f"those of {FEWEST_PROBES} probes or more")
-        means = np.nansum(arrivals.displacement, axis=0)[used] / count[used]
-        if noise is None:
-            left = np.nansum((arrivals.displacement[:, used] - means) ** 2)
-            spare = int(count.sum() - used.sum())
-            scatter = math.sqrt(left / max(spare, 1))
-            rounding = 10.0 * np.spacing(np.nanmax(arrivals.time)) * arrivals.tip_radius * speed
-            if not spare or scatter <= rounding:
-                raise InputError("noise", None, "given where passages have no scatter")
-        else:
-            scatter = arrivals.tip_radius * speed * noise
-        deviations = np.hypot(scatter / np.sqrt(count[used]), arrivals.tip_radius * angle_deviation)
-        # Of the mean arrival, at the angle phi - u / R.
-        phases = order * (arrivals.probes[used] - means / arrivals.tip_radius)
+        means = Means(arrivals, 1, float(order), angle_deviation)
+        deviations = np.sqrt(np.diag(means.covariance))
+        if noise is not None:
+            own = speed * noise / np.sqrt(count)
+            deviations = arrivals.tip_radius * np.hypot(own, angle_deviation)
+        elif means.within < 1 or means.scatter <= rounding(arrivals):
+            raise InputError("noise", None, "given where passages have no scatter")
         # Rounded, for one sweep to serve all arrivals at a speed.
         frequency = float(f"{order * speed / (2.0 * math.pi):.9g}")
         return cls.from_arrays(
             "displacement",
-            (-means if against else means).tolist(),
+            (-means.values if against else means.values).tolist(),
             deviations.tolist(),
-            frequency=[frequency] * len(means),
-            point=[point] * len(means),
-            phase=(phases % (2.0 * math.pi)).tolist(),
+            frequency=[frequency] * len(count),
+            point=[point] * len(count),
+            phase=(order * means.angle % (2.0 * math.pi)).tolist(),
         )
 
     @classmethod

@@ -202,7 +202,7 @@ def test_arrivals_tell_the_crack(scene: fc.Scene, folder: Path) -> None:
     without them."""
     truth = {"crack.length": 0.026, "crack.height": 0.07}
     few = fc.Measurements(measured(scene, dict(truth), 8).rows[:1])
-    arrivals = arrivals_of(scene.replace(truth), 5, 0.01, 3)
+    arrivals = arrivals_of(scene.replace(truth), 5, 0.01, 2)
     probes = fc.Measurements.from_arrivals(arrivals, 5, "tip.ux")
     assert probes.rows[0].frequency == 700.0
     both = fc.identify(scene, few + probes, folder=folder)
@@ -549,7 +549,7 @@ def test_arrivals_from_the_shell(
 ) -> None:
     """Beside a file of frequencies, or alone; a tip that is watched against the rotation."""
     truth = {"crack.length": 0.026, "crack.height": 0.07}
-    arrivals = arrivals_of(scene.replace(truth), 5, 0.01, 3)
+    arrivals = arrivals_of(scene.replace(truth), 5, 0.01, 2)
     arrivals.to_csv(tmp_path / "a.csv")
     fc.Measurements(measured(scene, dict(truth), 8).rows[:1]).to_csv(tmp_path / "m.csv")
     timing = "probes = [0.0]\ntip_radius = 0.5\norder = 5\n"
