@@ -26,7 +26,15 @@ import numpy as np
 from scipy.special import chdtrc
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
-from fenics_crack.arrivals.harmonics import AS_GOOD, Candidates, TipFit, condition, rounding, taken
+from fenics_crack.arrivals.harmonics import (
+    AS_GOOD,
+    ORDERS,
+    Candidates,
+    TipFit,
+    condition,
+    rounding,
+    taken,
+)
 from fenics_crack.arrivals.robust import Noise, reweighted
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.numerics.fourier import waves
@@ -103,8 +111,8 @@ def fit_frequency(
         raise InputError("arrivals", f"{count} arrivals", f"more than {unknowns}")
     shape = arrivals.time.shape
     constants = np.arange(shape[1]) * bool(angle_deviation) * np.ones(shape, dtype=int)
-    sought = _Sought(arrivals, arrivals.displacement, constants, harmonics, angle_deviation)
-    fit, chance = sought.best(low, high)
+    values, ends = arrivals.displacement, (low, high)
+    fit, chance = _Sought(arrivals, values, constants, harmonics, angle_deviation, ends).best()
     if len(arrivals.probes) == 1 and chance > CHANCE:
         found = f"one at {np.degrees(arrivals.probes[0]):g} degrees, whose arrivals do not vary"
         allowed = "two or more: to one a vibration of a whole order is no vibration"
@@ -116,7 +124,7 @@ def find_lines(
     arrivals: ArrivalTimes,
     values: np.ndarray,
     constants: np.ndarray,
-    ends: tuple[float, float],
+    highest: float,
     *,
     most: int = 3,
 ) -> tuple[tuple[TipFit, ...], np.ndarray]:
@@ -131,15 +139,18 @@ def find_lines(
         Displacements in which they are sought, one after the other.
     constants : (revolutions, probes) int
         Which displacements have the same constant.
-    ends : (float, float) [rad/s]
-        Least and largest of their frequencies.
+    highest : float
+        Order of frequencies up to which they are sought, from half the speed on; no lower than the
+        orders that are tried where none are given.
     most : int
         So many at most.
     """
     found: list[TipFit] = []
+    speed = arrivals.mean_speed
+    ends = 0.5 * speed, speed * (max(highest, ORDERS[-1]) + 1.0)
     left, count = np.array(values), len(np.unique(constants[np.isfinite(values)]))
     while len(found) < most and np.isfinite(left).sum() > 2 * (count + 3):
-        fit, chance = _Sought(arrivals, left, constants, 1, np.inf).best(*ends)
+        fit, chance = _Sought(arrivals, left, constants, 1, np.inf, ends).best()
         if chance > CHANCE:
             break
         found.append(fit)
@@ -162,6 +173,8 @@ class _Sought:
         K.
     deviation : float [rad]
         Standard deviation of the constants, as angles; inf: they are free.
+    ends : (float, float) [rad/s]
+        Where the frequency is sought.
     """
 
     omega: float
@@ -176,9 +189,10 @@ class _Sought:
         constants: np.ndarray,
         harmonics: int,
         deviation: float,
+        ends: tuple[float, float],
     ) -> None:
         seen = np.isfinite(values)
-        self._places = np.nonzero(seen)
+        self._places, self._ends = np.nonzero(seen), ends
         self._arrivals, self._values = arrivals, values[seen]
         self._time = arrivals.time[seen] - arrivals.marks[0]
         self._expected = arrivals.expected[seen] - arrivals.marks[0]
@@ -225,14 +239,15 @@ class _Sought:
         """The frequency after a step of Gauss and Newton."""
         root = np.sqrt(weights)
         step = np.linalg.lstsq(root[:, None] * columns, root * left, rcond=1e-10)[0][-1]
-        return omega + float(np.clip(step, -np.pi / self._span, np.pi / self._span))
+        step = np.clip(step, -np.pi / self._span, np.pi / self._span)
+        return float(np.clip(omega + step, *self._ends))
 
-    def best(self, low: float, high: float) -> tuple[TipFit, float]:
+    def best(self) -> tuple[TipFit, float]:
         """The vibration that explains most, or as much with the smallest amplitude; and the
         probability that noise has one as large."""
         tried: list[tuple[bool, float, float]] = []
         weights = self._none.weights
-        for omega in self._peaks(low, high):
+        for omega in self._peaks():
             best = True, np.inf, float(omega)
             for _ in range(GAUSS_NEWTON):
                 _, left, columns = self._fitted(omega, weights, self._values, self._time)
@@ -240,13 +255,13 @@ class _Sought:
                 if held > best[0] or least >= (1.0 - GAIN) * best[1]:
                     break
                 best = held, least, float(omega)
-                omega = float(np.clip(self._moved(omega, weights, left, columns), low, high))
+                omega = self._moved(omega, weights, left, columns)
             tried.append(best)
         kept: list[float] = []
         for _, _, omega in sorted(tried):
             if all(abs(omega - other) >= APART * TURN / self._span for other in kept):
                 kept.append(omega)
-        self._bounds, self.omega = (low, high), kept[0]
+        self.omega = kept[0]
         self._settle()
         candidates, self.omega = self._compared(np.sort([self.omega, *kept[1:]]))
         self._settle()
@@ -254,7 +269,7 @@ class _Sought:
         spread = self.noise.covariance(self.columns, self._places)[:-1, :-1]
         seen = float(self.found @ np.linalg.lstsq(spread, self.found, rcond=1e-10)[0])
         gain = max(min(self._none.cost - self.noise.cost, seen), 0.0)
-        cells = max((high - low) * self._span / TURN, 1.0)
+        cells = max(float(np.ptp(self._ends)) * self._span / TURN, 1.0)
         chance = min(cells * float(chdtrc(2 * len(self._multiples) + 1, gain)), 1.0)
         return self._described(candidates), 1.0 if self._held(self.columns) else chance
 
@@ -263,8 +278,9 @@ class _Sought:
         values = np.linalg.svd(columns[:, :-1], compute_uv=False)
         return bool(values[-1] ** 2 < 0.25 * len(columns))
 
-    def _peaks(self, low: float, high: float) -> np.ndarray:
+    def _peaks(self) -> np.ndarray:
         """Frequencies at which a periodogram is highest [rad/s]."""
+        low, high = self._ends
         step = TURN / (FINER * self._span)
         begin, end = int(np.ceil(low / step)), int(np.floor(high / step)) + 1
         if not 0 < end - begin < MOST_FREQUENCIES:
@@ -290,10 +306,7 @@ class _Sought:
             nonlocal following
             self.omega = following
             self.found, left, columns = self._fitted(self.omega, weights, self._values, self._time)
-            self.columns = columns
-            following = float(
-                np.clip(self._moved(self.omega, weights, left, columns), *self._bounds)
-            )
+            self.columns, following = columns, self._moved(self.omega, weights, left, columns)
             return left
 
         self.noise = reweighted(solve, np.ones(len(self._values)), self._unknowns, self._least)

@@ -384,8 +384,7 @@ class Means(_Seen):
         count, probes = arrivals.time.shape
         row = (arrivals.first + np.arange(count)) % period
         constants = row[:, None] * probes + np.arange(probes)
-        ends = arrivals.mean_speed * 0.5, arrivals.mean_speed * (max(order, ORDERS[-1]) + 1.0)
-        self.lines, left = find_lines(arrivals, arrivals.displacement - moved, constants, ends)
+        self.lines, left = find_lines(arrivals, arrivals.displacement - moved, constants, order)
         seen = np.isfinite(left)
         places = np.nonzero(seen)
         groups, where = np.unique(constants[seen], return_inverse=True)

@@ -453,7 +453,7 @@ class PassageFit(Tabular):
 
 
 def fit_passage(
-    arrivals: ArrivalTimes, speed: float, orders: Iterable[float] = range(1, 25)
+    arrivals: ArrivalTimes, speed: float, orders: Iterable[float] = ORDERS
 ) -> PassageFit:
     """Fit a mode to all passages of a resonance near a speed.
 
@@ -496,7 +496,7 @@ def fit_passage(
 
 def find_passages(
     arrivals: ArrivalTimes,
-    orders: Iterable[float] = range(1, 25),
+    orders: Iterable[float] = ORDERS,
     *,
     most: int = 8,
     asynchronous: int = 1,
@@ -541,7 +541,6 @@ def find_passages(
     check_count("asynchronous", asynchronous, 0)
     values = arrivals.displacement
     constants = np.arange(values.shape[1]) * np.ones(values.shape, dtype=int)
-    ends = 0.5 * arrivals.mean_speed, arrivals.mean_speed * (max(tried.max(), ORDERS[-1]) + 1.0)
     found: list[_Compared] = []
     lines: tuple[TipFit, ...] = ()
     steady = np.zeros_like(values)
@@ -559,7 +558,7 @@ def find_passages(
         if not asynchronous or (turn and _alike(found, before)):
             break
         begin_stage("vibrations of constant frequency")
-        lines, rest = find_lines(arrivals, left + steady, constants, ends, most=asynchronous)
+        lines, rest = find_lines(arrivals, left + steady, constants, tried.max(), most=asynchronous)
         steady += left - rest
         if turn and not lines:
             break
