@@ -150,10 +150,7 @@ def _compared(
     known = lowest if np.isfinite(lowest) else np.nan
     if means.within > 0 and len(means.values) > unknowns + 1:
         # Nor do harmonics that are left out make another order less likely.
-        beside = [
-            (np.inf, fit) if fit is None else means.beside_others(order, multiples, fit)
-            for order, fit in zip(tried, fits, strict=True)
-        ]
+        beside = [(np.inf, fit) if fit is None else means.beside_others(fit) for fit in fits]
         costs = np.array([cost for cost, _ in beside])
         alike |= costs - costs.min() < AS_GOOD
         chosen = beside[best][1]
@@ -171,7 +168,7 @@ def _compared(
         covariance=chosen.covariance,
         scatter=means.scatter * float(np.sqrt(lowest if np.isfinite(lowest) else np.nan)),
         misfit=misfit,
-        folded=means.folded(tried[best], multiples, chosen),
+        folded=means.folded(chosen),
         candidates=Candidates(tried, residuals, np.array(conditions), alike, hidden),
         spare=len(means.values) - unknowns,
         asynchronous=means.lines,
@@ -195,6 +192,10 @@ class _Fit:
 
     Attributes
     ----------
+    order : float
+        Periods of the load in a revolution.
+    multiples : (K,)
+        Of its frequency, the harmonics.
     coefficients : (2K+1,) [m]
         a0, a1, b1, ....
     covariance : (2K+1, 2K+1) [m^2]
@@ -205,6 +206,8 @@ class _Fit:
         What a mean leaves over its error, as the tip moves meanwhile.
     """
 
+    order: float
+    multiples: np.ndarray
     coefficients: np.ndarray
     covariance: np.ndarray
     least: float
@@ -258,7 +261,8 @@ class _Seen:
             if np.any(slope <= 0.0):
                 return None
         left = values - whitened @ found
-        return _Fit(found, np.linalg.inv(whitened.T @ whitened), float(left @ left), passed)
+        covariance = np.linalg.inv(whitened.T @ whitened)
+        return _Fit(order, multiples, found, covariance, float(left @ left), passed)
 
     def _whitened(self, slope: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Columns (g, m) and the means, over slopes and in standard deviations."""
@@ -266,34 +270,30 @@ class _Seen:
         both = solve_triangular(self._root, both, lower=True)
         return both[:, :-1], both[:, -1]
 
-    def beside_others(self, order: float, multiples: np.ndarray, fit: _Fit) -> tuple[float, _Fit]:
+    def beside_others(self, fit: _Fit) -> tuple[float, _Fit]:
         """-2 log likelihood (restricted) and fit beside the next harmonics, which are left out, as
         normal numbers of the variance that makes the means most likely: so far as they are seen,
         the errors hold what is folded from them onto the harmonics kept."""
-        costs, fits = self.beside_alike(order, multiples, fit, self._sizes(fit))
+        costs, fits = self.beside_alike(fit, self._sizes(fit))
         best = int(np.argmin(costs))
         return float(costs[best]), fits[best]
 
-    def beside_alike(
-        self, order: float, multiples: np.ndarray, fit: _Fit, sizes: np.ndarray
-    ) -> tuple[np.ndarray, list[_Fit]]:
+    def beside_alike(self, fit: _Fit, sizes: np.ndarray) -> tuple[np.ndarray, list[_Fit]]:
         """The same for each deviation (n,) [m] of the next harmonics."""
-        alike = np.repeat(sizes[:, None], OTHERS, axis=1)
-        costs, *parts = self._beside(order, multiples, fit, alike)
-        found = [
-            _Fit(coefficients, covariance, float(least), fit.slope)
+        costs, *parts = self._beside(fit, np.repeat(sizes[:, None], OTHERS, axis=1))
+        return costs, [
+            replace(fit, coefficients=coefficients, covariance=covariance, least=float(least))
             for coefficients, covariance, least in zip(*parts, strict=True)
         ]
-        return costs, found
 
-    def folded(self, order: float, multiples: np.ndarray, fit: _Fit) -> float:
+    def folded(self, fit: _Fit) -> float:
         """Probability that an amplitude is more than three of its errors off, whatever the sizes of
         the harmonics left out, each of its own: averaged over them by how likely they make the
         means, which hardly tell them where few are to spare. nan where errors are not known."""
         if self.within < 1:
             return np.nan
         sizes = np.array(list(product(self._sizes(fit), repeat=OTHERS)))
-        costs, *others, _ = self._beside(order, multiples, fit, sizes)
+        costs, *others, _ = self._beside(fit, sizes)
         weights = np.exp(0.5 * (costs.min() - costs))
         middle, error = strengths(fit.coefficients, fit.covariance)
         amplitudes, errors = strengths(*others)
@@ -311,14 +311,14 @@ class _Seen:
         return float(WIDEST * np.diag(self._root).min())
 
     def _beside(
-        self, order: float, multiples: np.ndarray, fit: _Fit, sizes: np.ndarray
+        self, fit: _Fit, sizes: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Fits beside the next harmonics of deviations (n, OTHERS) [m], further unknowns that are
         known to be 0 within these: -2 log likelihoods (n,), coefficients (n, 2K+1), covariances and
         sums of squares."""
-        unknowns = len(fit.coefficients)
+        unknowns, multiples = len(fit.coefficients), fit.multiples
         others = multiples[-1] + multiples[0] * np.arange(1.0, OTHERS + 1.0)
-        columns = waves(order * self.angle, np.append(multiples, others))
+        columns = waves(fit.order * self.angle, np.append(multiples, others))
         volume = np.linalg.slogdet(columns[:, :unknowns].T @ columns[:, :unknowns])[1]
         columns, values = self._whitened(fit.slope, columns)
         units = np.ones((len(sizes), columns.shape[1]))
@@ -588,7 +588,7 @@ def track_order(
         if (fit := part.fit(order, multiples)) is not None:
             parts[group] = part, fit
     if own > 1 and within > 0:
-        parts = _beside_alike(parts, order, multiples, unknowns)
+        parts = _beside_alike(parts)
     for group, (part, fit) in parts.items():
         found[group] = fit.coefficients
         if count[group] > unknowns:
@@ -598,35 +598,31 @@ def track_order(
     folded = np.nan
     if own > 1 and within > 0 and parts:
         largest = {int(np.nanargmax(sizes)) for sizes in amplitudes.T}
-        folded = max(parts[g][0].folded(order, multiples, parts[g][1]) for g in largest)
+        folded = max(part.folded(fit) for part, fit in map(parts.__getitem__, largest))
     times = arrivals.marks[: groups * revolutions + 1 : revolutions]
     speed = 2.0 * np.pi * revolutions / np.diff(times)
     return TipTrack(order, speed, multiples, found, amplitudes, amplitude_errors, misfit, folded)
 
 
-def _beside_alike(
-    parts: dict[int, tuple[_Seen, _Fit]], order: float, multiples: np.ndarray, unknowns: int
-) -> dict[int, tuple[_Seen, _Fit]]:
+def _beside_alike(parts: dict[int, tuple[_Seen, _Fit]]) -> dict[int, tuple[_Seen, _Fit]]:
     """Fits of groups beside the next harmonics, whose share of the vibration is that which makes a
     group and its neighbours most likely: few probes of one group tell hardly anything."""
     costs, fits = [], []
     for part, fit in parts.values():
         sizes = np.minimum(np.linalg.norm(fit.coefficients[1:]) * SHARES, part.widest)
-        cost, beside = part.beside_alike(order, multiples, fit, sizes)
+        cost, beside = part.beside_alike(fit, sizes)
         costs.append(cost)
         fits.append(beside)
     left = np.array([fit.least for _, fit in parts.values()])
-    spare = np.array([max(len(part.values) - unknowns, 1) for part, _ in parts.values()])
-    best = []
-    for place in range(len(fits)):
+    beyond = [len(part.values) - len(fit.coefficients) for part, fit in parts.values()]
+    spare = np.maximum(beyond, 1)
+    found = {}
+    for place, (group, (part, _)) in enumerate(parts.items()):
         near = slice(max(place - NEIGHBOURS, 0), place + NEIGHBOURS + 1)
         most = _usual(left[near], spare[near]) * chdtri(spare[near], MISFIT)
         told = np.array(costs[near])[left[near] <= most]  # the others have wrong arrivals
-        best.append(int(np.argmin(told.sum(axis=0))))
-    return {
-        group: (part, fits[place][best[place]])
-        for place, (group, (part, _)) in enumerate(parts.items())
-    }
+        found[group] = part, fits[place][int(np.argmin(told.sum(axis=0)))]
+    return found
 
 
 def _not_alike(left: np.ndarray, seen: np.ndarray, spare: np.ndarray) -> tuple[float, int]:
