@@ -39,7 +39,7 @@ from mpi4py import MPI
 from fenics_crack.errors import FEW_MODES, InputError
 from fenics_crack.fem.loads import rigid_motions
 from fenics_crack.identification.interpolation import Feature, poles
-from fenics_crack.identification.measurements import Measurement, Measurements
+from fenics_crack.identification.measurements import Measurements
 from fenics_crack.model.modes import Modes, solve_modes, times
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Identify
@@ -90,23 +90,23 @@ class Whole:
     sizes: np.ndarray
     between: np.ndarray
 
-    def check(
-        self, measurements: Measurements, loads: Sequence[float] = (), *, other: bool = False
-    ) -> None:
+    def check(self, measurements: Measurements, loads: Sequence[float], *, other: bool) -> None:
         """Raise InputError for frequencies of loads, of which the scene has these [Hz], and natural
         ones in another unit than Hz, in rad/s all of them where the plate may be an ``other`` one;
         and unless it may for those without the crack that are of another mode."""
-        for row in measurements.rows:
-            if loads and not row.natural:
-                _check_load(row, loads)
+        for row in [row for row in measurements.rows if loads and not row.natural]:
+            near = loads[int(np.abs(np.log(np.divide(loads, row.frequency))).argmin())]
+            if (unit := _unit(row.frequency / near)) in ("kHz", "mHz"):
+                allowed = f"in Hz; the scene has {near:.4g} Hz, so that this seems to be in {unit}"
+                raise InputError(f"measurements.frequency, {row.name}", row.frequency, allowed)
         rows = [row for row in measurements.rows if row.natural and row.value > 0.0]
         rows = [row for row in rows if row.mode <= len(self.frequencies)]
-        ratios = np.log([row.value / self.frequencies[row.mode - 1] for row in rows])
-        for unit, factor in FACTORS.items():
-            like = np.abs(ratios - np.log(factor)) < LIKE_A_MULTIPLE
-            if rows and (like.all() if other and unit == "rad/s" else like.any()):
-                row = rows[int(np.argmax(like))]
-                modes = "" if like.all() and len(rows) > 1 else ", or of another mode"
+        units = [_unit(row.value / self.frequencies[row.mode - 1]) for row in rows]
+        for unit in FACTORS:
+            like = [one == unit for one in units]
+            if rows and (all(like) if other and unit == "rad/s" else any(like)):
+                row = rows[like.index(True)]
+                modes = "" if all(like) and len(rows) > 1 else ", or of another mode"
                 allowed = (
                     f"in Hz; of this plate it is about {self.frequencies[row.mode - 1]:.4g} "
                     f"Hz, so that this seems to be in {unit}{modes}"
@@ -120,12 +120,10 @@ class Whole:
                 raise InputError(f"measurements.value, {row.name}", row.value, allowed)
 
 
-def _check_load(row: Measurement, loads: Sequence[float]) -> None:
-    near = min(loads, key=lambda load: abs(np.log(row.frequency / load)))
-    for unit in ("kHz", "mHz"):
-        if abs(np.log(row.frequency / near / FACTORS[unit])) < LIKE_A_MULTIPLE:
-            allowed = f"in Hz; the scene has {near:.4g} Hz, so that this seems to be in {unit}"
-            raise InputError(f"measurements.frequency, {row.name}", row.frequency, allowed)
+def _unit(ratio: float) -> str:
+    """The unit of a number that is so many times what it would be in Hz; empty: Hz, or none."""
+    near = (u for u, factor in FACTORS.items() if abs(np.log(ratio / factor)) < LIKE_A_MULTIPLE)
+    return next(near, "")
 
 
 def whole_plate(scene: Scene, table: Identify) -> Whole:
