@@ -219,22 +219,18 @@ class TipFit(Fitted):
         InputError
             The fit has no such harmonic.
         """
-        rows = []
+        places = []
         for wanted in (1.0, multiple):
             found = np.flatnonzero(np.isclose(self.multiples, wanted))
             if not len(found):
                 raise InputError("multiple", wanted, f"one of {self.multiples.tolist()}")
-            rows.append(2 * int(found[0]) + 1)
-        slopes, sizes = np.zeros((2, len(self.coefficients))), []
-        for slope, row in zip(slopes, rows, strict=True):
-            part = self.coefficients[row : row + 2]
-            sizes.append(float(np.hypot(*part)))
-            slope[row : row + 2] = part / sizes[-1]
-        value, covariance = sizes[1] / sizes[0], slopes @ self.covariance @ slopes.T
-        # Of the amplitudes, with what lengthens them.
-        np.fill_diagonal(covariance, self.amplitude_errors[[row // 2 for row in rows]] ** 2)
-        gradient = np.array([-value, 1.0]) / sizes[0]
-        return value, float(np.sqrt(gradient @ covariance @ gradient))
+            places.append(int(found[0]))
+        (first, other), errors = self.amplitudes[places], self.amplitude_errors[places]
+        one, two = (slice(2 * place + 1, 2 * place + 3) for place in places)
+        mixed = self.coefficients[one] @ self.covariance[one, two] @ self.coefficients[two]
+        value, both = other / first, mixed / (first * other)
+        square = errors[1] ** 2 - 2.0 * value * both + (value * errors[0]) ** 2
+        return float(value), float(np.sqrt(square) / first)
 
     def displacement(self, angle: np.ndarray) -> np.ndarray:
         """The fitted vibration at rotor angles: (n,) [m]."""
@@ -347,8 +343,6 @@ def condition(columns: np.ndarray) -> float:
 def check_places(arrivals: ArrivalTimes) -> None:
     """Raise InputError where a probe is passed, but for what moves the tip at all of them, nearer
     to where another one is said to be: a fit would take that for a vibration."""
-    if len(arrivals.probes) < 2:
-        return
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a probe without arrivals
         off = np.nanmedian(arrivals.nominal_angle - arrivals.angle, axis=0)
