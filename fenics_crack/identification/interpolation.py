@@ -268,10 +268,8 @@ class Part:
 
     def harmonic(self, point: str, frequency: float, order: int) -> np.ndarray:
         """Complex amplitude of a harmonic at all nodes: (n,) [m]; 0 where a case has fewer."""
-        parts = []
-        for part in ("cosine", "sine"):
-            name = f"{point}.{part}_{order}" if point else f"{part}_{order}"
-            parts.append(self.column(name))
+        of = f"{point}." if point else ""
+        cosine, sine = (self.column(f"{of}{part}_{order}") for part in ("cosine", "sine"))
         loads = self.sweep.axes[-1].values
         if frequency not in loads:
             solved = ", ".join(f"{load:.9g}" for load in loads)
@@ -279,7 +277,7 @@ class Part:
             raise InputError("measurements.frequency", frequency, allowed)
         load = loads.index(frequency)
         fewer = self.column("harmonics")[:, load] < order
-        value = np.where(fewer, 0.0, (parts[0] - 1j * parts[1])[:, load])
+        value = np.where(fewer, 0.0, (cosine - 1j * sine)[:, load])
         return np.where(self.column("state")[:, load] == CONVERGED, value, np.nan)
 
     @cached_property

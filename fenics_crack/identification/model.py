@@ -473,9 +473,7 @@ def _pairs(values: np.ndarray) -> np.ndarray:
 
 def _together(row: Measurement, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A quantity (m,) from its parts (m, k), and its slopes by them (m, k)."""
-    if parts.shape[1] == 1:
-        return parts[:, 0], np.ones_like(parts)
+    if row.natural or parts.shape[1] == 1:  # a resonance is near the bilinear frequency, the first
+        return parts[:, 0], np.eye(1, parts.shape[1]).repeat(len(parts), axis=0)
     one, two = parts.T
-    if row.natural:  # a resonance is near the bilinear frequency
-        return one, np.column_stack([np.ones_like(one), np.zeros_like(one)])
     return one / two, np.column_stack([1.0 / two, -one / two**2])
