@@ -106,8 +106,9 @@ def fit_frequency(
     check_number("high", high, low, above=True)
     check_count("harmonics", harmonics, 1)
     check_number("angle_deviation", angle_deviation, 0.0)
-    unknowns, count = 2 * harmonics + 2, int(np.isfinite(arrivals.time).sum())
-    if count <= unknowns:
+    seen = np.isfinite(arrivals.time)
+    count, own = int(seen.sum()), int(seen.any(axis=0).sum()) if angle_deviation else 1
+    if count <= (unknowns := 2 * harmonics + 1 + own):
         raise InputError("arrivals", f"{count} arrivals", f"more than {unknowns}")
     shape = arrivals.time.shape
     constants = np.arange(shape[1]) * bool(angle_deviation) * np.ones(shape, dtype=int)

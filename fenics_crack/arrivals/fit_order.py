@@ -44,7 +44,7 @@ from fenics_crack.arrivals.harmonics import (
     taken,
     wanted,
 )
-from fenics_crack.arrivals.robust import reweighted, trend
+from fenics_crack.arrivals.robust import EPSILON, reweighted, trend
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.numerics.fourier import waves
 from fenics_crack.table import TURN, UNITS, counted, with_frequency
@@ -242,7 +242,8 @@ class _Seen:
         self.nominal, self.values, self.within, self._radius = nominal, values, within, radius
         self.angle = nominal - values / radius
         self.covariance = covariance
-        self._root = np.linalg.cholesky(covariance)
+        # Of what a probe sees at two places of a wave the error of its angle is the same.
+        self._root = np.linalg.cholesky(covariance + EPSILON * np.diag(np.diag(covariance)))
 
     def fit(self, order: float, multiples: np.ndarray) -> _Fit | None:
         """Least squares at an order; None where the probes cannot measure it, or the tip would

@@ -21,7 +21,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaln, ndtr
 
-__all__ = ["FREEDOMS", "ROBUST_ROUNDS", "ROBUST_SETTLED", "SEEN", "Noise", "reweighted", "trend"]
+__all__ = [
+    "EPSILON",
+    "FREEDOMS",
+    "ROBUST_ROUNDS",
+    "ROBUST_SETTLED",
+    "SEEN",
+    "Noise",
+    "reweighted",
+    "trend",
+]
 
 FREEDOMS = np.array([3.0, 5.0, 10.0, 30.0, 1e6])
 """Degrees of freedom that are tried."""

@@ -158,6 +158,21 @@ def test_as_many_arrivals_as_unknowns(sine: fc.PeriodicSolution) -> None:
     assert six.amplitudes[0] == pytest.approx(1e-3, rel=1e-9) and "nan" in repr(six)
 
 
+def test_angles_of_probes_that_are_not_known(sine: fc.PeriodicSolution) -> None:
+    """Beside them a wave without noise may repeat after two revolutions, and one revolution tells
+    no frequency."""
+    arrivals = measured(sine, 0.0, order=5)
+    still = replace(arrivals, time=arrivals.expected)
+    for one, size in ((arrivals, 1e-3), (still, 0.0)):
+        fit = fc.fit_order(one, [5], harmonics=2, subharmonic=2, angle_deviation=1e-3)
+        assert abs(fit.amplitudes[1] - size) <= max(3.0 * fit.amplitude_errors[1], 1e-9)
+        track = fc.track_order(one, 5, revolutions=2, angle_deviation=1e-3)
+        assert np.allclose(track.amplitudes, size, atol=1e-9)
+    five = measured(sine, order=5, probes=(*FOUR, 4.0))
+    with pytest.raises(fc.InputError, match="arrivals = '5 arrivals': must be more than 8"):
+        fc.fit_frequency(five.between(3, 4), 900.0, 1100.0, angle_deviation=1e-4)
+
+
 def test_arrivals_that_are_the_marks() -> None:
     """All at one angle, as a clock as coarse as a revolution has them: they tell nothing, and that
     is said."""
