@@ -3,10 +3,10 @@ maps, spectra, orbits in the phase plane, what opens a crack's tips."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import cycle, islice, product
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
@@ -164,8 +164,8 @@ def draw_laws(
     >>> figure = fc.draw_laws({"penalty": contact}, closing, path="laws.png")
     """
     [panel] = picture = Picture(**where)
-    styles = zip(laws.items(), COLOURS.values(), ("-", "--", ":", "-.", "-"), strict=False)
-    for (label, law), colour, style in styles:
+    looks = zip(distinct_colours(len(laws)), cycle(("-", "--", ":", "-.", "-")), strict=False)
+    for (label, law), (colour, style) in zip(laws.items(), looks, strict=True):
         force = law.force(closing[:, None])[:, 0]
         panel.plot(closing, force, style, color=colour, label=label, lw=1.8)
     label_axis(panel.xaxis, "closing g (penetration where g > 0)", "m")
@@ -251,7 +251,7 @@ def _over_cracks(structure: Structure, shown: Mapping[str, np.ndarray], where: W
     cracks = np.unique(of_pair)
     width, height = TWO_PANELS
     picture = Picture(2 * len(cracks), columns=2, size=(width, height * len(cracks)), **where)
-    for panel, (crack, label) in zip(picture, itertools.product(cracks, shown), strict=True):
+    for panel, (crack, label) in zip(picture, product(cracks, shown), strict=True):
         nodes, corners = np.unique(triangles[of_crack == crack], return_inverse=True)
         distance, pair = tree.query(mesh.points[nodes])
         values = np.where(distance <= 1e-6 * mesh.size, shown[label][pair], 0.0)
@@ -336,8 +336,8 @@ def draw_response(
     low, high = np.nanmin(every), np.nanmax(every)
     if 0.0 < low and (unit == "m" or 10.0 * low <= high):
         panel.set_yscale("log")
-    styles = list(itertools.product((".-", ".--", ".:"), COLOURS.values()))
-    styles = styles[sum(line.get_linestyle() != "None" for line in panel.lines) :]
+    there = sum(line.get_linestyle() != "None" for line in panel.lines)
+    styles = islice(cycle(product((".-", ".--", ".:"), COLOURS.values())), there, None)
     size = 4.0 if len(values) <= MARKED else 0.0
     for (label, found), (style, colour) in zip(curves.items(), styles, strict=False):
         panel.plot(values, found, style, color=colour, label=label, lw=1.4, ms=size)
@@ -566,7 +566,7 @@ def _stems(axes: Axes, series: Series, quantity: str, unit: str) -> None:
     most = max(len(values) for values, _ in series.values()) - 1
     size = 4.5 if most < 25 else 3.0 if most <= MANY_STEMS else 1.5
     step = 0.5 / max(2, len(series))
-    styles = zip(series.items(), distinct_colours(len(series)), 3 * "osD^", strict=False)
+    styles = zip(series.items(), distinct_colours(len(series)), cycle("osD^"), strict=False)
     for number, ((label, (values, loads)), colour, marker) in enumerate(styles):
         shift = step * (number - 0.5 * (len(series) - 1)) / loads
         kept = np.flatnonzero(values >= bottom)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import cycle
 from typing import Any, Unpack
 
 import numpy as np
@@ -12,8 +13,8 @@ from matplotlib.figure import Figure
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.curves.curve import ResponseCurve, kind_in_words, parameter_axis
 from fenics_crack.curves.peak import damping_by_width, top_of
-from fenics_crack.draw.figure import COLOURS, FIRST, Picture, Where, label_axis
-from fenics_crack.errors import InputError
+from fenics_crack.draw.figure import COLOURS, FIRST, Picture, Where, distinct_colours, label_axis
+from fenics_crack.errors import InputError, check_count
 from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.table import frequency_axis, percent, quantity, with_unit
 
@@ -84,13 +85,13 @@ def draw_curve(
     if curve.parameter == "omega":
         panel.set_yscale("log")
     amplitude, factor = curve.amplitude(dof), _factor(curve, in_hertz)
-    for (name, (values, others)), grey in zip((behind or {}).items(), BEHIND, strict=False):
+    for (name, (values, others)), grey in zip((behind or {}).items(), cycle(BEHIND), strict=False):
         panel.plot(factor * values, others, color=grey, lw=0.9, label=name)
     ink = COLOURS.get(colour, colour)
     _draw_parts(panel, curve, factor * curve.values, amplitude, ink, label)
     _mark_peak(panel, curve, dof, amplitude, in_hertz, ink if label else "")
     _mark_bifurcations(panel, curve, dof, factor, ink if label else "")
-    for (name, (values, others)), marker in zip((points or {}).items(), "^v", strict=False):
+    for (name, (values, others)), marker in zip((points or {}).items(), cycle("^v"), strict=False):
         look = {"color": COLOURS["green"], "ms": 4.5, "mfc": "none", "label": name}
         panel.plot(factor * values, others, marker, **look)
     if curve.parameter == "omega":
@@ -260,19 +261,26 @@ def draw_content(
     Figure
         Of matplotlib, also where ``axes`` are given.
 
+    Raises
+    ------
+    InputError
+        The highest harmonic is not a whole number >= 1.
+
     Examples
     --------
     >>> figure = fc.draw_content(curve, tip, highest=3, path="content.png")
     """
     from fenics_crack.curves.refine import filled  # SciPy's interpolation
 
+    check_count("highest", highest, 1)
     [panel] = picture = Picture(**where)
     panel.set_yscale("log")
     curve = filled(curve)
     harmonics = _harmonic_amplitudes(curve, dof)[:, curve.subharmonic - 1 :: curve.subharmonic]
     shown = harmonics[:, :highest].T
     x = _factor(curve, in_hertz) * curve.values
-    for order, (values, colour) in enumerate(zip(shown, COLOURS.values(), strict=False), 1):
+    colours = distinct_colours(len(shown))
+    for order, (values, colour) in enumerate(zip(shown, colours, strict=True), 1):
         panel.plot(x, values, color=colour, lw=1.2, label=f"harmonic {order}")
     panel.set_ylim(1e-5 * shown.max(), 2.0 * shown.max())
     _label_parameter(panel, curve, in_hertz)

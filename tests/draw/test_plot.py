@@ -169,6 +169,26 @@ def test_curves_are_told_apart(results: dict[str, Any]) -> None:
     assert len({line.get_color() for line in axes.lines}) >= 2
 
 
+def test_many_lines_are_all_drawn(results: dict[str, Any]) -> None:
+    """More than there are colours."""
+    many = fc.draw_response(X, {f"case {n}": n * X for n in range(1, 21)}, quantity="amplitude")
+    laws = fc.draw_laws({f"law {n}": fc.UnilateralPenalty(n) for n in range(1, 9)}, X)
+    behind = {f"curve {n}": (X, n * X) for n in range(1, 6)}
+    points = {f"point {n}": (X[:1], n * X[:1]) for n in range(1, 5)}
+    curve = fc.draw_curve(results["curve"], 1, behind=behind, points=points)
+    solution = fc.solve_linear(two_masses(), 1.0)
+    spectra = fc.draw_spectra({f"solution {n}": (solution, 1) for n in range(1, 15)})
+    for figure, count in ((many, 20), (laws, 8), (spectra, 14)):
+        assert len(figure.axes[0].lines) == count
+    labels = {text.get_text() for text in curve.axes[0].get_legend().get_texts()}
+    assert labels >= {*behind, *points}
+    law = fc.UnilateralPenalty(1.0)
+    many_harmonics = fc.continue_frequency(two_masses(), 0.8, 0.9, law, harmonics=8)
+    assert len(fc.draw_content(many_harmonics, 1, highest=7).axes[0].lines) == 7
+    with pytest.raises(fc.InputError, match="highest"):
+        fc.draw_content(many_harmonics, 1, highest=0)
+
+
 def test_a_curve_by_long_steps_is_drawn_smoothly() -> None:
     """With solutions between those that were followed, over any parameter."""
     structure, law = oscillator(0.05, 1.0), fc.UnilateralPenalty(1.0)
