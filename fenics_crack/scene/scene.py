@@ -325,7 +325,7 @@ def without_tips(scene: Scene) -> str:
         return "with [structure]: stress intensities take the mesh of a plate"
     if scene.dimension == 3:
         return "with geometry.kind = 'solid': stress intensities are of plates"
-    if not scene.all_cracks and scene.contact is None:
+    if not scene.all_cracks and (scene.contact is None or scene.mesh.layout != "file"):
         return "without a crack, which has a stress intensity"
     return ""
 

@@ -359,13 +359,14 @@ def test_along_a_run_up() -> None:
 
 
 def test_refused_by_name() -> None:
-    """Solids, matrices, curves and plates without a crack."""
+    """Solids, matrices, curves and plates without a crack, whether they have a contact law or
+    not."""
     scene = fc.Scene.load(ROOT / "benchmarks" / "plate.toml")
-    bare = scene.replace({"crack": None, "contact": None})
-    with pytest.raises(fc.InputError, match="left out without a crack"):
-        of(bare)
-    with pytest.raises(fc.InputError, match=r"output.quantities.*left out without a crack"):
-        bare.replace({"output.quantities": ["K_max"]})
+    for bare in (scene.replace({"crack": None, "contact": None}), scene.replace({"crack": None})):
+        with pytest.raises(fc.InputError, match="left out without a crack"):
+            of(bare)
+        with pytest.raises(fc.InputError, match=r"output.quantities.*left out without a crack"):
+            bare.replace({"output.quantities": ["K_max"]})
     with pytest.raises(fc.InputError, match=r"run = .*fc.solve"):
         fc.stress_intensity(3.0)  # type: ignore[arg-type]
     solid = fc.Scene.load(DEMOS / "solid_blade.toml")
