@@ -46,8 +46,6 @@ __all__ = [
 COMMENTED = "cli/new_scene.toml"
 KINDS = ("blade", "timing", "identify")
 """What ``new`` writes besides a plate."""
-ASKED_FOR = ("curve", "growth", "identify", "rotation", "sweep", "tip_timing")
-"""Tables that a scene may do without, and commands may not."""
 
 
 @dataclass(frozen=True)
@@ -243,9 +241,7 @@ def new_scene(name: str, rows: str, kinds: Collection[str]) -> str:
 
 
 def lines_of(table: str) -> str:
-    """The lines by which the template gives a scene a table of :data:`ASKED_FOR`; else empty."""
-    if table not in ASKED_FOR:
-        return ""
+    """The lines by which the template gives a scene a table; empty where it has none."""
     for block in packaged(COMMENTED).split("\n\n"):
         lines = block.splitlines()
         for place, line in enumerate(lines):
@@ -253,7 +249,7 @@ def lines_of(table: str) -> str:
                 asleep = line.startswith("#")
                 chosen = (one for one in lines[place:] if one.startswith("#") == asleep)
                 return "\n".join(_without_mark(_turned(one) if asleep else one) for one in chosen)
-    raise KeyError(table)
+    return ""
 
 
 def _without_mark(line: str) -> str:
