@@ -457,7 +457,7 @@ class Verification(Tabular):
                 if names:
                     found.append(f"{cause}, {', '.join(names)}: {what}")
         found += self.dents
-        contact = self.scene.contact
+        contact = self.scene.contact if self.resonance else None  # of lips
         if "mesh" in self.parts and contact is not None and contact.stiffness is not None:
             found.append(
                 "contact.stiffness is that of a pair, of which a finer mesh has more: the mesh "
