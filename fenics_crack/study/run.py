@@ -45,6 +45,7 @@ from fenics_crack.study.asked import (
     numbers_at_clamp,
     numbers_at_tips,
     periods_of,
+    prepare_asked,
     tip_rows,
 )
 from fenics_crack.study.prepare import (
@@ -346,6 +347,7 @@ def curve(
     if is_rigid(law) and not study.structure.light_lips:
         allowed = "'penalty' or 'smoothed', or used with reduction.method = 'massless', for a curve"
         raise InputError("contact.law", "unilateral", allowed)
+    prepare_asked(study)  # before the curve: it may be refused
     options: dict[str, Any] = {
         "harmonics": balance.harmonics,
         "samples": balance.samples,
@@ -419,6 +421,7 @@ def integrate(
     study = prepare(scene, comm)
     structure, omega, law = study.structure, scene.excitation.omega, _needed_law(study)
     method = _method(study, table, law)
+    prepare_asked(study)  # before the march: it may be refused
     options: dict[str, Any] = {
         "periods": table.periods,
         "settle": table.settle,

@@ -380,6 +380,14 @@ def numbers_on(scene: fc.Scene, comm: MPI.Comm) -> np.ndarray:
     return np.array([found.largest, found.numbers["K_II_max"]])
 
 
+@pytest.mark.parametrize("command", ["curve", "integrate"])
+def test_refused_before_it_is_computed(command: str, tmp_path: Path) -> None:
+    """A tip whose elements are too long for what is asked of it; no result is left."""
+    asked = ["--set", 'output.quantities=["K_max"]', "--output", str(tmp_path)]
+    assert main([command, str(DEMOS / "paper_plate.toml"), *asked, "--quiet"]) == 2
+    assert not [*tmp_path.iterdir()]
+
+
 def test_a_tip_next_to_an_edge(tmp_path: Path) -> None:
     """Whose domain is smaller than an element has no stress intensity; its pictures are drawn."""
     run = fc.solve(strip(crack__length=0.0985, mesh__lip_elements=4))
