@@ -19,7 +19,7 @@ from fenics_crack.curves.stability import Stability
 from fenics_crack.errors import MOST_HARMONICS, Exit
 from fenics_crack.model.modes import damped_range
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.words import key_in_words
+from fenics_crack.scene.words import key_in_words, unit_of
 from fenics_crack.study.key_figures import SMALL_MOTION, extents
 from fenics_crack.study.run import Run
 from fenics_crack.study.verification import Verification
@@ -453,21 +453,23 @@ def _large_errors(found: SweepResult) -> Iterator[str]:
 
 
 def stepped_over(found: SweepResult) -> list[str]:
-    """A sentence if between two load frequencies there is a peak that is narrower than their
-    distance: between its half-power points the phase falls by a quarter of a turn, between others
-    next to it by more."""
+    """A sentence if between two load frequencies, or speeds, there is a peak that is narrower than
+    their distance: between its half-power points the phase falls by a quarter of a turn (rises,
+    where speeds pass a load of one frequency), between others next to it by more."""
     over = [at for at, axis in enumerate(found.axes) if axis.key in (*FREQUENCIES, *SPEEDS)]
     if not over:
         return []
-    wave = found["sine_1"] + 1j * found["cosine_1"]
-    omega, wave = (np.moveaxis(values, over[0], -1) for values in (found["omega"], wave))
-    omega, wave = (np.take_along_axis(v, omega.argsort(axis=-1), -1) for v in (omega, wave))
+    axis, wave = found.axes[over[0]], found["sine_1"] + 1j * found["cosine_1"]
+    rising = np.argsort(axis.values)
+    wave = np.moveaxis(wave, over[0], -1)[..., rising]
+    if axis.key in SPEEDS and found.scene.excitation.order is None:
+        wave = wave.conj()  # the resonance rises past the load's frequency
     turns = np.angle(wave[..., 1:] * np.conj(wave[..., :-1])) < -0.5 * np.pi
     if not turns.any():
         return []
     *place, at = map(int, np.argwhere(turns)[0])
-    ends = omega[(*place, at)], omega[(*place, at + 1)]
-    between = in_unit(frequency_axis(found.scene.in_hertz), *ends)
+    ends = (axis.values[one] for one in rising[at : at + 2])
+    between = in_unit((1.0, axis.key, unit_of(axis.key)), *ends)
     others = [axis for number, axis in enumerate(found.axes) if number != over[0]]
     where = "".join(f", {words}" for words in [in_words(others, place)] if words)
     more = int(turns.sum()) - 1

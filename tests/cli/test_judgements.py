@@ -257,6 +257,27 @@ def test_a_peak_between_two_frequencies(scene: fc.Scene, tmp_path: Path) -> None
             assert "between 720 and 736 Hz, length = 0.01, and at 5 other places, the" in text
 
 
+def test_a_peak_between_two_speeds(tmp_path: Path) -> None:
+    """Of a load at one frequency, whose resonance passes it, in whatever order speeds are swept."""
+    blade = fc.Scene.from_text(
+        """
+        geometry = { width = 0.1, height = 0.3, thickness = 0.002 }
+        crack = { edge = "left", height = 0.15, length = 0.025 }
+        contact = { law = "unilateral" }
+        material = { young = 2.1e11, poisson = 0.3, density = 7850.0 }
+        damping = { ratio = 0.002 }
+        rotation = { rpm = 3000.0, hub_radius = 0.2 }
+        excitation = { frequency = 870.0, point = [0.1, 0.3], force_sin = [10.0, 0.0] }
+        mesh = { layout = "grid", columns = 4, rows = 12, order = 2 }
+        harmonic_balance = { harmonics = 3 }
+        reduction = { modes = 8 }
+        """
+    )
+    speeds = {"sweep.over": {"rotation.rpm": [12000.0, 3000.0, 9000.0]}}
+    [text] = stepped_over(fc.run_sweep(blade.replace(speeds), tmp_path / "sweep.h5"))
+    assert text.startswith("between 9000 and 12000 rpm, the sweep steps over a peak")
+
+
 def test_response_proportional_to_the_load(scene: fc.Scene) -> None:
     """A curve over the load, or a sweep over its size, gets one remark; not with a clearance."""
     over_load = {"curve.parameter": "load", "curve.start": 1.0, "curve.stop": 2.0}
