@@ -326,22 +326,31 @@ def draw_response(
     Figure
         Of matplotlib, also where ``axes`` are given.
 
+    Raises
+    ------
+    InputError
+        There is no curve.
+
     Examples
     --------
     >>> curves = {"tip": curve.amplitude(tip)}
     >>> figure = fc.draw_response(curve.omega, curves, quantity="displacement", path="response.png")
     """
+    if not curves:
+        raise InputError("curves", curves, "one or more")
     [panel] = picture = Picture(**where)
-    every = np.concatenate([np.ravel(found) for found in curves.values()])
-    low, high = np.nanmin(every), np.nanmax(every)
-    if 0.0 < low and (unit == "m" or 10.0 * low <= high):
+    values, curves = np.asarray(values), {name: np.asarray(y, float) for name, y in curves.items()}
+    every = np.concatenate([found[np.isfinite(found)] for found in curves.values()])
+    low, high = every.min(initial=np.inf), every.max(initial=-np.inf)
+    if 0.0 < low < np.inf and (unit == "m" or 10.0 * low <= high):
         panel.set_yscale("log")
     there = sum(line.get_linestyle() != "None" for line in panel.lines)
     styles = islice(cycle(product((".-", ".--", ".:"), COLOURS.values())), there, None)
     size = 4.0 if len(values) <= MARKED else 0.0
     for (label, found), (style, colour) in zip(curves.items(), styles, strict=False):
         panel.plot(values, found, style, color=colour, label=label, lw=1.4, ms=size)
-    ringed = [(values[mask], curves[label][mask]) for label, mask in (doubtful or {}).items()]
+    marked = {label: np.asarray(mask, bool) for label, mask in (doubtful or {}).items()}
+    ringed = [(values[mask], curves[label][mask]) for label, mask in marked.items()]
     if any(len(x) for x, _ in ringed):
         x, y = np.concatenate(ringed, axis=1)
         panel.plot(x, y, "o", color=COLOURS["grey"], mfc="none", ms=size + 4.0, label=DOUBTFUL)

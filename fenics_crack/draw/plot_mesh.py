@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from fenics_crack.draw.figure import COLOURS, Picture, Where, label_axis
-from fenics_crack.errors import InputError
+from fenics_crack.errors import InputError, check_count
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.structure import Structure
@@ -137,7 +137,8 @@ def draw_modes(
     Raises
     ------
     InputError
-        The structure has no mesh, there is no such mode, or the number of axes is wrong.
+        The structure has no mesh, there is no such mode or no column, or the number of axes is
+        wrong.
 
     Examples
     --------
@@ -147,6 +148,7 @@ def draw_modes(
     numbers = list(every if numbers is None else numbers)
     if not numbers or any(number not in every for number in numbers):
         raise InputError("numbers", numbers, f"one or more of 1 to {every[-1]}")
+    check_count("columns", columns, 1)
     columns = min(columns, len(numbers))
     mesh = NodalMesh(modes.structure)
     across, up = np.ptp(mesh.points, axis=0)[:2] + 2.0 * DRAWN_LENGTH * mesh.size

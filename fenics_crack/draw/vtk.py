@@ -289,8 +289,11 @@ def stress_at(
     check_motion(run)
     found, structure = run.result, run.structure
     mesh, places = NodalMesh(structure), numbers(points)
-    if places.ndim != 2 or places.shape[1] != mesh.dimension or not np.all(np.isfinite(places)):
-        raise InputError("points", points, f"rows of {mesh.dimension} finite numbers [m]")
+    fits = places.ndim == 2 and places.shape[1] == mesh.dimension
+    if not (fits and places.size and np.all(np.isfinite(places))):
+        raise InputError(
+            "points", points, f"one or more rows of {mesh.dimension} finite numbers [m]"
+        )
     if isinstance(found, TimeHistory):
         time = found.time
         if len(found.recorded_dofs) < structure.n_local:

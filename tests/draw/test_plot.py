@@ -204,11 +204,24 @@ def test_a_curve_by_long_steps_is_drawn_smoothly() -> None:
     assert min(counts) > 2.0
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_curves_without_values_and_lists() -> None:
+    """Curves that are nan everywhere warn of nothing; lists are drawn; no curve is refused."""
+    fc.draw_response(X, {"unknown": np.full(5, np.nan)}, quantity="amplitude")
+    how: Any = {"quantity": "amplitude", "doubtful": {"a": [True, False]}}
+    [line, rings] = fc.draw_response([1, 2], {"a": [3, 4]}, **how).axes[0].lines  # type: ignore[arg-type, dict-item]
+    assert len(line.get_xdata()) == 2 and len(rings.get_xdata()) == 1
+    with pytest.raises(fc.InputError, match="curves"):
+        fc.draw_response(X, {}, quantity="amplitude")
+
+
 def test_mode_shapes_that_are_not_there(results: dict[str, Any]) -> None:
     """Their numbers begin at 1."""
     for numbers in ([], [0], [5]):
         with pytest.raises(fc.InputError, match="numbers"):
             fc.draw_modes(results["modes"], numbers=numbers)
+    with pytest.raises(fc.InputError, match="columns"):
+        fc.draw_modes(results["modes"], columns=0)
 
 
 def test_neither_pyplot_nor_vtk_is_needed() -> None:

@@ -296,6 +296,8 @@ def test_stress_along_a_line() -> None:
     assert along.sum() * step == pytest.approx(0.1 * STRESS, rel=0.1)  # the rest is at the tip
     far = fc.stress_at(run, [[0.05, 0.35]])[1].mean(axis=0)[0]
     assert far == pytest.approx([0.0, STRESS, 0.0], abs=0.01 * STRESS)
+    with pytest.raises(fc.InputError, match=r"points = .*one or more rows"):
+        fc.stress_at(run, np.empty((0, 2)))
     with pytest.raises(fc.InputError, match=r"points = .*on the mesh"):
         fc.stress_at(run, [[0.2, 0.2]])
     with pytest.raises(fc.InputError, match=r"run = .*fc\.solve"):
