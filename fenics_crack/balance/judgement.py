@@ -116,10 +116,8 @@ class Judgement:
     @cached_property
     def predicted(self) -> Prediction | None:
         """One step of Newton's method of the whole wave; None where its motion is not followed."""
-        wave = self.wave
-        if self.flow is None:
-            return None
-        return predicted(self.flow, wave.omega, self.states, wave.subharmonic)
+        flow, wave = self.flow, self.wave
+        return None if flow is None else predicted(flow, wave.omega, self.states, wave.subharmonic)
 
     @property
     def prediction(self) -> float:
@@ -258,14 +256,6 @@ class Judgement:
         tells the error and no verdict."""
         return self.of_orbit or self.believes(self.distance)
 
-    @property
-    def farther(self) -> str:
-        """In words, how far away it is where it is not as near."""
-        return (
-            f"the exact orbit next to it is {percent(self.distance)} away where "
-            f"{percent(self.prediction)} were predicted"
-        )
-
     def believes(self, distance: float) -> bool:
         """Whether an orbit so far away may be the wave's own."""
         near = distance <= max(BELIEVED * self.prediction, KNOWN)
@@ -287,8 +277,7 @@ class Judgement:
             return False
         if self.prediction < UNKNOWN:
             vars(self).setdefault("near", orbit)
-        own = self.accepted and self.expected
-        return own and abs(distance / self.distance - 1.0) <= FARTHEST
+        return self.accepted and self.expected and abs(distance / self.distance - 1.0) <= FARTHEST
 
     def suggest(self, orbit: PeriodicOrbit) -> None:
         """Take an orbit for the one next to the wave, unless it may be another one's."""
@@ -337,6 +326,14 @@ class Judgement:
         return "" if self.accepted else _reason(self)
 
 
+def farther(judged: Judgement) -> str:
+    """How far away an orbit is that is not as near as predicted, in words."""
+    return (
+        f"the exact orbit next to it is {percent(judged.distance)} away where "
+        f"{percent(judged.prediction)} were predicted"
+    )
+
+
 def _reason(judged: Judgement) -> str:
     """Why no orbit is accepted for a wave."""
     if judged.too_slow:
@@ -361,7 +358,7 @@ def _reason(judged: Judgement) -> str:
             f"the exact orbit next to it, {percent(judged.distance)} away, may be another "
             "motion's; take more harmonics"
         )
-    return f"{judged.farther}, another one; more harmonics tell these apart"
+    return f"{farther(judged)}, another one; more harmonics tell these apart"
 
 
 def _apart(judged: Judgement, state: np.ndarray) -> float:

@@ -337,7 +337,7 @@ class _Judge:
     def _node_at(self, place: int) -> Node | None:
         """The node next to a point at its value of the parameter; None where there is none, or it
         is not its own, or does not tell."""
-        node = self.branch.alone(place)
+        node = self.branch.next_to(place, across=False)
         if node is None or abs(node.moduli[0] - 1.0) <= KNOWN:
             return None
         self._ask([node])

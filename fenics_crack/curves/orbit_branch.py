@@ -121,7 +121,7 @@ class OrbitBranch:
         places = np.unique(np.append(np.arange(0, last, every), last))
         self.motions(places)
         for place in map(int, places):
-            found = self._next_to(place)
+            found = self.next_to(place)
             self.nodes += [] if found is None else [found]
         self._refine()
 
@@ -172,7 +172,7 @@ class OrbitBranch:
         found = self.across(first, last, 0.5, {}, CLOSE) if linked or not inside else None
         if found is not None:
             return self.inside(first, last, 0.5, found)
-        return self._next_to(whole) if inside else None
+        return self.next_to(whole) if inside else None
 
     def _inside(self, ends: tuple[Node, Node]) -> list[Node]:
         """Nodes next to points between two others in whose middle none is found, from either end as
@@ -181,7 +181,7 @@ class OrbitBranch:
         nodes: dict[int, Node] = {}
         for side in (places, reversed(places)):
             for place in side:
-                node = None if place in nodes else self._next_to(place)
+                node = None if place in nodes else self.next_to(place)
                 if node is None:
                     break
                 nodes[place] = node
@@ -207,23 +207,18 @@ class OrbitBranch:
         return first + hermite(changes[segment], lengths[segment, None], *ends, share[:, None])
 
     def anchor(self, place: int) -> Node | None:
-        """The node next to a point of the curve; None where none is found."""
+        """The node next to a point, from now on one of the branch; None where none is found."""
         number = int(np.searchsorted([one.place for one in self.nodes], place))
         there = [one for one in self.nodes[number : number + 1] if one.place == place]
         if there and there[0].away >= 0.0:
             return there[0]
-        node = self._next_to(place)
-        if node is not None:
+        if (node := self.next_to(place)) is not None:
             self.nodes[number : number + len(there)] = [node]
         return node
 
-    def alone(self, place: int) -> Node | None:
-        """The node next to a point of the curve at the point's own parameter, also next to folds;
-        None where none is found."""
-        return self._next_to(place, across=False)
-
-    def _next_to(self, place: int, *, across: bool = True) -> Node | None:
-        """The orbit next to a point; with ``across`` also in the plane across the curve."""
+    def next_to(self, place: int, *, across: bool = True) -> Node | None:
+        """The node next to a point of the curve, with ``across`` also in the plane across that, or
+        else at the point's own parameter, next to folds, too; None where none is found."""
         motion, parameter = self.motion(place), float(self._parameters[place])
         planes = [True] if across and self._turn[place] <= 2 else [False, True][: 1 + across]
         for start in self._starts(place, far=across):
@@ -240,11 +235,11 @@ class OrbitBranch:
 
     def added_near(self, place: int) -> np.ndarray | None:
         """What is added for the nearest orbit to a point that is known; None without one."""
-        for apart in range(EVERY + 1):
-            near = [one for one in (place - apart, place + apart) if one in self.added]
-            if near:
-                return min((self.added[one] for one in near), key=np.linalg.norm)
-        return None
+        near = [one for one in range(place - EVERY, place + EVERY + 1) if one in self.added]
+        if not near:
+            return None
+        first = min(near, key=lambda one: (abs(one - place), np.linalg.norm(self.added[one])))
+        return self.added[first]
 
     def _starts(self, place: int, *, far: bool) -> Iterator[np.ndarray]:
         """Where the orbit next to a point is sought: from its motion and what is added for the
@@ -268,17 +263,15 @@ class OrbitBranch:
     ) -> PathPoint | None:
         """The orbit next to the cubic through two nodes, bent through those that have been met on
         the segment, in the plane across their chord, its tangent."""
-        chord = _direction(
-            last.unknown - first.unknown, last.parameter - first.parameter, first.unknown
-        )
-        if chord is None:
-            return None
-        found = self._solved(*bent_through(first, last, met, share), chord, tolerance)
+        change, rise = last.unknown - first.unknown, last.parameter - first.parameter
+        chord = _direction(change, rise, first.unknown)
+        start = bent_through(first, last, met, share)
+        found = None if chord is None else self._solved(*start, chord, tolerance)
         if found is None:
             return None
-        size = np.linalg.norm(first.unknown - last.unknown)
         ends = [np.linalg.norm(found.unknown - one.unknown) for one in (first, last)]
-        return found if max(ends) <= 1.5 * size + 1e-6 * np.linalg.norm(found.unknown) else None
+        most = 1.5 * np.linalg.norm(change) + 1e-6 * np.linalg.norm(found.unknown)
+        return found if max(ends) <= most else None
 
     def _ahead(self, place: int, *, along: bool) -> Tangent | None:
         """A direction onwards at a point: along the curve, or, unless that is asked for, the
@@ -297,8 +290,7 @@ class OrbitBranch:
         try:
             return solve_in_plane(
                 self.system, unknown, parameter, plane, tolerance=tolerance, iterations=FULL_STEPS,
-                reach=self._reach, least_damping=None, patience=PATIENCE,
-                lasting=SHRINKING,
+                reach=self._reach, least_damping=None, patience=PATIENCE, lasting=SHRINKING,
             )  # fmt: skip
         except ConvergenceError:  # pairs chatter without end
             return None

@@ -40,7 +40,15 @@ import numpy as np
 
 from fenics_crack.balance.contact_integrals import CoupledIntegrals
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.balance.judgement import BELIEVED, FARTHEST, NO_DOUBT, UNKNOWN, Judgement, alike
+from fenics_crack.balance.judgement import (
+    BELIEVED,
+    FARTHEST,
+    NO_DOUBT,
+    UNKNOWN,
+    Judgement,
+    alike,
+    farther,
+)
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.errors import ConvergenceError, InputError, check_count, check_kind
 from fenics_crack.model.contact import ContactLaw, check_law, check_slope, is_rigid, smooth_forces
@@ -479,7 +487,7 @@ def stability_of(judged: Judgement) -> Stability:
         reason = "its largest multiplier is 1 to rounding: a bifurcation, or no damping"
     if not (reason or judged.expected):
         verdict_of_orbit = "stable" if largest < 1.0 else "unstable"
-        reason = f"{judged.farther}; it is {verdict_of_orbit}; take more harmonics"
+        reason = f"{farther(judged)}; it is {verdict_of_orbit}; take more harmonics"
     if not reason and largest < 1.0 and not judged.of_orbit:
         assert judged.decisive is not None
         if _left(orbit, judged.decisive):

@@ -274,11 +274,9 @@ class Scene(Hinted):
         swept = self.swept
         if "excitation.frequency" in swept:
             return tuple(TURN * hertz for hertz in swept["excitation.frequency"])
-        if "excitation.omega" in swept:  # in place of an order
-            return swept["excitation.omega"]
         orders = swept.get("excitation.order", (self.excitation.order,))
-        if None in orders:
-            return (self.excitation.omega,)
+        if None in orders or "excitation.omega" in swept:  # this in place of an order
+            return swept.get("excitation.omega", (self.excitation.omega,))
         speeds = tuple(RPM * rpm for rpm in swept.get("rotation.rpm", ())) or (self.speed,)
         speeds = swept.get("rotation.speed", speeds)
         return tuple(order * speed for order in orders for speed in speeds)

@@ -404,7 +404,7 @@ def test_doublings_do_not_depend_on_the_range_and_its_direction(
 
 def test_a_curve_along_which_no_orbit_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each point is judged by itself, beside no node."""
-    monkeypatch.setattr(orbit_branch.OrbitBranch, "_next_to", lambda *_, **__: None)
+    monkeypatch.setattr(orbit_branch.OrbitBranch, "next_to", lambda *_, **__: None)
     curve = fc.continue_frequency(oscillator(), 0.7, 0.8, SOFT, harmonics=15, stability=True)
     alone = [fc.floquet(one.structure, one).verdict for one in curve.solutions]
     assert curve.verdicts.tolist() == alone and "stable" in alone
