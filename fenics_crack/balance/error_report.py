@@ -236,6 +236,8 @@ def _of_displacement(
     size, total = moving_mean_square(known), 0.0
     if not known.any():
         return 0.0
+    if not all(change.settled for change in changes):
+        return UNKNOWN
     for change in changes:
         if change.better is None:
             if not np.any(change.force):
@@ -246,8 +248,7 @@ def _of_displacement(
         else:
             other, compliance = change.better
             moved = compliance.displacement(at.force + change.force) @ other.force[seen].T - known
-        found = float(np.sqrt(mean_square(moved) / size))
-        total += found if change.settled else UNKNOWN
+        total += float(np.sqrt(mean_square(moved) / size))
     return total
 
 

@@ -369,3 +369,11 @@ def test_a_linear_solution_tells_what_its_modes_leave_out(
         assert moved / 3.0 < found.report.displacement < 3.0 * moved
     assert found.report.total == found.report.reduction > 0.05
     assert fc.solve_linear(wide_plate, 2000.0).report == fc.ErrorReport()
+
+
+@pytest.mark.parametrize("omega", [0.3, 0.5])
+def test_where_no_truncation_is_known_no_displacement_is(omega: float) -> None:
+    """The better equations were not solved: no change is then no error of 0."""
+    law = fc.SmoothedPenalty(10.0, 100.0)
+    report = fc.solve_harmonic_balance(oscillator(0.02, 0.1), omega, law, harmonics=3).report
+    assert report.truncation == report.displacement == 1.0
