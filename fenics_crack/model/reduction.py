@@ -127,14 +127,14 @@ def reduce_structure(
     if method == "massless":
         return _massless(structure, int(modes), judged=judged)
 
-    damped = damped_modes(structure) if modal else None
+    if modal:  # more modes at once, which are kept
+        damped_modes(structure)
     begin("reduction")
     ties, count = None, int(modes)
     if method == "craig_bampton" and structure.n_pairs:
         ties, count = independent_ties(structure), min(count, n_tied_modes(structure))
     with Factor(structure.stiffness, definite=True, border=ties) as own:
-        known = damped if damped is not None and len(damped.omega) >= modes else None
-        found = known if known and ties is None else modes_by(own, structure, count, ties)
+        found = modes_by(own, structure, count, ties)
         kept, squares = found.shapes[:, :count], found.omega[:count] ** 2
         with _regular(own, structure, ties, held=bool(squares[0] > 0.0)) as factor:
             static = _static_shapes(structure, factor, kept, squares, ties)
