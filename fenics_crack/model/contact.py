@@ -323,13 +323,10 @@ class ActiveSets:
     ----------
     compliance : (n_pairs, n_pairs) [m/N]
         D = R_inf + I/k.
-    scale : float
-        Mean of its diagonal, which turns forces into gaps of their size [m/N].
     """
 
     def __init__(self, compliance: np.ndarray) -> None:
         self.compliance = compliance = shaped(compliance, len(compliance), len(compliance))
-        self.scale = float(np.mean(np.diag(compliance))) if compliance.size else 0.0
         most = KEPT // max(compliance.nbytes, 8)
         count = len(compliance)
         self.handle = owned(kernel.new_sets(count, pointer(compliance), most), kernel.free_sets)
