@@ -250,9 +250,6 @@ class MasslessInterface(ReducedStructure):
         """Modes with mass, for open lips."""
         return None if tied else (self.omega, self.shapes)
 
-    def _of_kept(self, damping: DampingRule) -> DampingRule:
-        return damping.of_kept(self.n_modes)
-
 
 class MasslessStructure(MasslessInterface):
     """Modes with free lips, and what they leave out without mass; the same on every rank.

@@ -335,13 +335,9 @@ class Structure(Coordinates):
         """
         if not isinstance(damping, DampingRule | None):
             raise InputError("damping", damping, "a ModalDamping, a RayleighDamping or None")
-        kept = None if damping is None else self._of_kept(damping)
+        kept = damping.of_kept(self.n_modes) if damping and self.light_lips else damping
         parts = self._parts(self._DAMPED_TOO, lambda part: part.damped(damping))
         return self._copied(damping=kept, damping_factor=1.0, _original=None, _known={}, **parts)
-
-    def _of_kept(self, damping: DampingRule) -> DampingRule:
-        """The damping of what has mass."""
-        return damping
 
     def watching(self, dof: int) -> Self:
         """Return this structure with another dof for results to be asked about."""
