@@ -21,6 +21,7 @@ all of its frequencies from there.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -102,9 +103,13 @@ class Rotation:
         found._hold(rotation=replace(self, speed=speed))
         return found
 
+    def changed(self, change: Callable[[Structure], Structure]) -> Rotation:
+        """The same of a structure that is changed."""
+        return replace(self, at_rest=change(self.at_rest))
+
     def damped(self, damping: DampingRule | None) -> Rotation:
         """The same of a structure with another damping."""
-        return replace(self, at_rest=self.at_rest.damped(damping))
+        return self.changed(lambda one: one.damped(damping))
 
 
 def static_state(

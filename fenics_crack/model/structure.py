@@ -311,7 +311,7 @@ class Structure(Coordinates):
         InputError
             A row sum is not positive, as for six-node triangles.
         """
-        return self._changed(mass=lumped_mass(self.mass))
+        return self._turning(lambda one: one._changed(mass=lumped_mass(one.mass)))
 
     def tied(self, stiffness: float | np.ndarray) -> Structure:
         """Return this structure with every pair tied by a spring k [N/m] that pulls and pushes.
@@ -320,9 +320,19 @@ class Structure(Coordinates):
         modes, Rayleigh damping the tied stiffness.
         """
         springs = per_pair("stiffness", stiffness, self.n_pairs)
-        matrix = with_springs(self.stiffness, self.gap, springs)
         gap = sparse.csr_matrix((self.n_local, 0))
-        return self._changed(stiffness=matrix, gap=gap, clearance=np.zeros(0), pairs=Pairs())
+
+        def held(one: Structure) -> Structure:
+            matrix = with_springs(one.stiffness, one.gap, springs)
+            return one._changed(stiffness=matrix, gap=gap, clearance=np.zeros(0), pairs=Pairs())
+
+        return self._turning(held)
+
+    def _turning(self, change: Callable[[Structure], Structure]) -> Structure:
+        """This structure changed, and so what it is at rest where it rotates."""
+        found = change(self)
+        found._hold(rotation=self.rotation and self.rotation.changed(change))
+        return found
 
     def placed(self, nodes: Nodes, pairs: Pairs) -> Structure:
         """Return this structure with the places of its nodes and pairs."""

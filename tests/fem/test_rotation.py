@@ -349,3 +349,16 @@ def test_probes_see_the_displacement_that_rotation_makes(
         assert probed_displacement(by_hand) == ("tip.ux", tangential < 0.0)
     with pytest.raises(InputError, match="its tip first"):
         probed_displacement(scene.replace({"output": None}))
+
+
+def test_lumped_and_tied_blades_rotate_still() -> None:
+    """Part of their mean load is centrifugal, which is not multiplied; their run-ups are theirs."""
+    whole = fc.build_structure(cracked(600.0), MPI.COMM_SELF)
+    for changed in (whole.lumped, lambda: whole.tied(1e12)):
+        other = changed()
+        with pytest.raises(InputError, match="centrifugal"):
+            other.varied(load=2.0)
+        spinning = fc.run_up_structure(other, 500.0, 700.0, 3)
+        there = other.rotation.at(650.0)
+        expected = fc.solve_modes(there, 3).omega
+        assert spinning.at_speed(650.0).omega == pytest.approx(expected, rel=1e-7)
