@@ -97,6 +97,11 @@ class _Run:
         self.along = (self.speed - self.speed.mean()) / np.ptp(self.speed)
         self.least = rounding(arrivals)
 
+    @property
+    def probes(self) -> int:
+        """How many probes see it."""
+        return int(self.seen.any(axis=0).sum())
+
     def waves(self, order: float, roots: np.ndarray, *, steady: bool = False) -> np.ndarray:
         """a(t) exp(i p alpha) at the arrivals, of F = 1 and roots lambda (m,): (m, R, P)."""
         time, path = (self.time - self.time[0, 0]).ravel(), order * self.path.ravel()
@@ -197,7 +202,7 @@ class _Fit:
         self._around = root.imag * (1.0 - WIDTH), root.imag * (1.0 + WIDTH)
         pairs = zip(runs, weights, strict=True)
         begin = np.concatenate([weight[run.seen] for run, weight in pairs])
-        unknowns = 2 + sum(2 + 2 * run.path.shape[1] for run in runs)
+        unknowns = 2 + sum(2 + 2 * run.probes for run in runs)
         if not steady:
             self.noise = reweighted(self._solve, begin, unknowns, runs[0].least)
             return
@@ -291,10 +296,11 @@ class _Fit:
             *parts, values = run.without_drifts(given, weight).real
             square = square + np.einsum("arp,brp->pab", parts, parts)
             seen = seen + np.einsum("arp,rp->pa", parts, values)
-        found = np.linalg.solve(square, seen[..., None])[..., 0]
-        size = np.hypot(*found.T) / np.median(found[:, 0])
+        there = square.any(axis=(1, 2))
+        found, size = np.linalg.solve(square[there], seen[there, :, None])[..., 0], np.ones(count)
+        size[there] = np.hypot(*found.T) / np.median(found[:, 0])
         off, apart = size < BLIND, np.abs(size - 1.0)
-        if not 0 < np.count_nonzero(off) < np.count_nonzero(~off):
+        if not 0 < np.count_nonzero(off) < np.count_nonzero(there & ~off):
             return np.array([], dtype=int)
         distinct = apart[off].min() > DISTINCT * apart[~off].max()
         return np.flatnonzero(off & distinct)
@@ -635,7 +641,9 @@ def _runs(arrivals: ArrivalTimes, values: np.ndarray, speed: float) -> list[_Run
     for rows in np.split(near, np.flatnonzero(np.diff(near) > FEWEST_REVOLUTIONS) + 1):
         if len(rows) >= FEWEST_REVOLUTIONS and apart[rows].min() < 0.0 < apart[rows].max():
             run = _Run(arrivals, values, int(rows[0]), int(rows[-1]) + 1)
-            found += [run] * bool(np.all(run.seen.sum(axis=0) >= FEWEST_REVOLUTIONS))
+            # A probe that has dropped out leaves the others.
+            run.seen &= run.seen.sum(axis=0) >= FEWEST_REVOLUTIONS
+            found += [run] * bool(np.any(run.seen))
     return found
 
 
@@ -657,12 +665,12 @@ def _clearness(
             *parts, left = run.without_drifts(np.stack([*given, run.values]), weights)
             square = np.einsum("arp,brp->pab", parts, parts)
             seen = np.einsum("arp,rp->pa", parts, left)
-            found = np.linalg.solve(square, seen[..., None])[..., 0]
+            found = (np.linalg.pinv(square) @ seen[..., None])[..., 0]
             gain = float((seen * found).sum())
             left = left - np.einsum("arp,pa->rp", parts, found)
             square = left[run.seen] ** 2 / weights[run.seen]
             weights[run.seen] = (FREEDOMS[0] + 1.0) / (FREEDOMS[0] + square / scale**2)
-        total += gain / scale**2 - 2.0 * (run.seen.shape[1] - 1)
+        total += gain / scale**2 - 2.0 * (run.probes - 1)
         energy += gain
     return total, energy
 

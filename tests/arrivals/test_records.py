@@ -138,6 +138,20 @@ def test_arrivals_of_another_blade() -> None:
         assert abs(fit.omega - 100.0 * order) < 4.0 * fit.omega_error
 
 
+def test_a_probe_that_drops_out() -> None:
+    """In the second passage, or from the beginning: the others see the resonance, twice."""
+    whole, _ = swept([(500.0, 4e-3, 5, 8e-6)], noise=2e-5)
+    for begin in (240, 0):
+        time = whole.time.copy()
+        time[begin:, 1] = np.nan
+        lost = replace(whole, time=time)
+        [found] = fc.find_passages(lost, [4, 5, 6], asynchronous=0)
+        for fit in (found, fc.fit_passage(lost, 100.0, [5])):
+            assert fit.order == 5 and len(fit.ends) == 2 and not fit.blind
+            assert abs(fit.omega - 500.0) < 4.0 * fit.omega_error
+            assert fit.compared(lost)[1][1].shape[1] == 4
+
+
 @pytest.mark.parametrize("one", [0, 2])
 def test_a_channel_that_sees_nothing(one: int) -> None:
     """Pulses of a channel that come where the mark says, whatever the blade does: the fit is that
