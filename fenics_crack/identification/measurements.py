@@ -419,24 +419,15 @@ def without_crack(scene: Scene) -> dict[str, Any] | None:
 
 
 def _row(cells: Mapping[str, str]) -> Measurement:
-    """A line of the table; raises InputError or ValueError."""
+    """A line of the table; raises InputError."""
     given: dict[str, Any] = {name: text for name, text in cells.items() if text}
-    for name in ("value", "deviation", "frequency", "phase"):
-        if name in given:
-            given[name] = _number(name, given[name])
-    if "mode" in given:
-        mode = _number("mode", given["mode"])
-        given["mode"] = int(mode) if mode == int(mode) else mode
+    for name in [name for name in given if name not in ("quantity", "point")]:
+        with contextlib.suppress(ValueError):
+            given[name] = float(given[name])
+        check_number(f"measurements.{name}", given[name])
+    if given.get("mode", math.nan).is_integer():
+        given["mode"] = int(given["mode"])
     for name in NEEDED:
         if name not in given:
             raise InputError(f"measurements.{name}", "", "given in every line")
     return Measurement(**given)
-
-
-def _number(name: str, text: str) -> float:
-    """The number in a cell."""
-    value: Any = text
-    with contextlib.suppress(ValueError):
-        value = float(text)
-    check_number(f"measurements.{name}", value)
-    return float(value)
