@@ -253,7 +253,7 @@ class _Fit:
         return -self.root.real / abs(self.root)
 
     @property
-    def _places(self) -> tuple[np.ndarray, np.ndarray]:
+    def places(self) -> tuple[np.ndarray, np.ndarray]:
         """Revolutions and probes of the arrivals: two (n,)."""
         rows = [np.nonzero(run.seen) for run in self._runs]
         turns = [run.begin + row for run, (row, _) in zip(self._runs, rows, strict=True)]
@@ -263,13 +263,8 @@ class _Fit:
     def errors(self) -> np.ndarray:
         """Standard errors of frequency [rad/s] and damping."""
         columns = self._columns / np.sqrt(self.noise.weights)[:, None]
-        spread = self.noise.covariance(columns, self._places)
+        spread = self.noise.covariance(columns, self.places)
         return np.sqrt(np.diag(spread)[:2]) * [self.omega, self.damping]
-
-    @property
-    def whiteness(self) -> float:
-        """Probability of what is left to be so correlated by chance."""
-        return self.noise.whiteness(self._places)
 
     @cached_property
     def amplitude(self) -> float:
@@ -796,6 +791,6 @@ class _Compared:
             orders=orders,
             margins=np.array([self.margins[order] for order in orders]),
             scatter=float(np.sqrt(best.noise.variance)),
-            whiteness=best.whiteness,
+            whiteness=best.noise.whiteness(best.places),
             asynchronous=lines,
         )
