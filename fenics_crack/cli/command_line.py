@@ -99,7 +99,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _say(str(error) if isinstance(error, StoppedError) else f"did not converge: {error}")
         return Exit.NOT_CONVERGED
     except KeyboardInterrupt:
-        atexit.register(_let_go)  # the last to be registered is the first to be called
+        # Say nothing of what a library cannot end well, as it was stopped in the middle of a step;
+        # the last to be registered is the first to be called.
+        atexit.register(setattr, sys, "unraisablehook", lambda _: None)
         _say("stopped")
         return Exit.STOPPED
     except BrokenPipeError:  # the reader of our output has gone
@@ -142,11 +144,6 @@ def _say(text: str, stream: TextIO | None = None) -> None:
     """Print the last line, if that is possible."""
     with contextlib.suppress(OSError):
         print(f"fenics-crack: {text}", file=stream or sys.stderr or sys.__stderr__, flush=True)
-
-
-def _let_go() -> None:
-    """Say nothing of what a library cannot end well, as it was stopped in the middle of a step."""
-    sys.unraisablehook = lambda _: None
 
 
 def _show_lines_of(table: str) -> None:

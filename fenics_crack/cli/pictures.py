@@ -404,12 +404,7 @@ def _axis_words(axis: Axis, values: np.ndarray) -> tuple[np.ndarray, str]:
     return factor * values, with_unit(key_in_words(axis.key), unit)
 
 
-def _copy(picture: Path, file: Path) -> None:
-    """Copy a picture that is there, it may be to its own place."""
-    file.write_bytes(picture.read_bytes())
-
-
-DRAW: dict[str, Callable[[Any, File], None]] = {
+DRAW: dict[str, Callable[[Any, File], object]] = {
     Modes.KIND: _modes,
     PeriodicSolution.KIND: _solution,
     ResponseCurve.KIND: _curve,
@@ -418,7 +413,9 @@ DRAW: dict[str, Callable[[Any, File], None]] = {
     Growth.KIND: lambda found, file: draw_growth(
         found, path=file("growth.png"), in_hertz=found.scene.in_hertz
     ),
-    Identified.KIND: lambda found, file: _copy(found.picture, file("posterior.png")),
+    Identified.KIND: lambda found, file: file("posterior.png").write_bytes(
+        found.picture.read_bytes()  # it may be written to its own place
+    ),
     Verification.KIND: lambda found, file: draw_verification(found, path=file("verify.png")),
 }
 

@@ -40,7 +40,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from operator import methodcaller
 
 import numpy as np
@@ -91,8 +90,6 @@ LOWEST_MODES = (1, 2, 3)
 """Modes whose natural frequencies with lips open are looked at."""
 TINY = 1e-9
 """A ratio that is none."""
-VARIED = ("modes", "harmonics", "mesh")
-"""The causes."""
 ORDERS = CLAMP, TIP
 """Between which that of a mesh is, the one that corrects less first."""
 UNSURE = 0.1
@@ -181,18 +178,20 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
     numbers = numbers_of(study, found)
     stated = Verification(study.scene, numbers.values, numbers.units)
     if not is_small(study.structure):  # three more solutions take three times as long
-        stated.unknown.update(dict.fromkeys(VARIED, "the structure is not reduced"))
+        causes = "modes", "harmonics", "mesh"
+        stated.unknown.update(dict.fromkeys(causes, "the structure is not reduced"))
         return stated
     near = _solved(study, found.omega, found.harmonics, found)
     own = numbers_of(study, near, numbers.mode)
-    mesh = partial(_coarser_mesh, of_peak=of_peak)
     exact = of_own_orbit(study, found, numbers.mode)
-    both = _more_modes, _more_harmonics
-    modes, harmonics = (partial(more, found=found, exact=exact) for more in both)
-    varied: list[Callable[..., Varied]] = [modes, harmonics, mesh]
-    for cause, other in zip(VARIED, varied, strict=True):
+    varied: dict[str, Callable[[], Varied]] = {
+        "modes": lambda: _more_modes(study, near, own, found, exact),
+        "harmonics": lambda: _more_harmonics(study, near, own, found, exact),
+        "mesh": lambda: _coarser_mesh(study, near, own, of_peak),
+    }
+    for cause, other in varied.items():
         try:
-            stated.take(cause, other(study, near, own))
+            stated.take(cause, other())
         except REFUSALS as error:
             stated.unknown[cause] = str(error)
     for name in [*stated.values]:  # of some of the other runs it may be none
