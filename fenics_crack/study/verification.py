@@ -467,18 +467,8 @@ class Verification(Tabular):
 
     @property
     def dents(self) -> tuple[str, ...]:
-        """That the displacement under a force at a point has no limit, where what elements half as
-        long add is much of the amplitude."""
-        scene, amplitude = self.scene, abs(self.values.get("amplitude", 0.0))
-        added = _dent(scene)
-        if scene.points or not added > DENTED * amplitude > 0.0:
-            return ()
-        growth = "log(1/h)" if scene.dimension == 2 else "1/h"
-        return (
-            "amplitude: under a force at a point the displacement has no limit, it grows like "
-            f"{growth}, by about {percent(added / amplitude)} with elements half as long; "
-            "watch another place (output.points), or load an edge (loads)",
-        )
+        """That the displacement under a force at a point has no limit, where that matters."""
+        return _dents(self.scene, abs(self.values.get("amplitude", 0.0)))
 
     def _matters(self, name: str, cause: str) -> bool:
         """Whether a contribution is so large that a doubt of it is told."""
@@ -528,6 +518,19 @@ def verification_of(stored: Stored) -> Verification | None:
         return Verification(
             scene, values, units, grids, counts, absent, unknown, failures, verdicts
         )
+
+
+def _dents(scene: Scene, amplitude: float) -> tuple[str, ...]:
+    """That it has no limit, where what elements half as long add is much of an amplitude."""
+    added = _dent(scene)
+    if scene.points or not added > DENTED * amplitude > 0.0:
+        return ()
+    growth = "log(1/h)" if scene.dimension == 2 else "1/h"
+    return (
+        "amplitude: under a force at a point the displacement has no limit, it grows like "
+        f"{growth}, by about {percent(added / amplitude)} with elements half as long; "
+        "watch another place (output.points), or load an edge (loads)",
+    )
 
 
 def _dent(scene: Scene) -> float:
