@@ -318,8 +318,15 @@ class Structure(Coordinates):
 
         Its stiffness is K + B diag(k) B^T, and it has no pairs; modal damping follows the tied
         modes, Rayleigh damping the tied stiffness.
+
+        Raises
+        ------
+        InputError
+            The stiffness is not one finite number >= 0, or one for each pair.
         """
         springs = per_pair("stiffness", stiffness, self.n_pairs)
+        if np.any(springs < 0.0):
+            raise InputError("stiffness", stiffness, ">= 0: springs that hold the pairs together")
         gap = sparse.csr_matrix((self.n_local, 0))
 
         def held(one: Structure) -> Structure:

@@ -236,3 +236,11 @@ def test_rigid_body_has_no_bilinear_frequency() -> None:
     floating = np.array([[1.0, -1.0], [-1.0, 1.0]])
     found = fc.bilinear_frequencies(fc.Structure.from_matrices(np.eye(2), floating, [1.0, -1.0]))
     np.testing.assert_allclose(found.omega_bilinear[0], 0.0, atol=1e-7)
+
+
+def test_springs_that_push_apart_are_refused() -> None:
+    """Modes of what they made were looked for over minutes."""
+    structure = fc.Structure.from_matrices(np.eye(2), np.eye(2), np.array([1.0, -1.0]))
+    assert structure.tied(0.0).n_pairs == 0
+    with pytest.raises(fc.InputError, match=r"stiffness = -1\.0: must be >= 0"):
+        structure.tied(-1.0)
