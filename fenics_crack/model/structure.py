@@ -248,11 +248,7 @@ class Structure(Coordinates):
             mass=mass, stiffness=stiffness, force=force, clearance=clearance, damping=damping,
             nodes=nodes, pairs=pairs or Pairs(), watched=watched, clamp=clamp,
         )  # fmt: skip
-        rows = sparse.csr_matrix(gap, copy=True)
-        rows.sum_duplicates()
-        for part in (rows.data, rows.indices, rows.indptr):
-            part.flags.writeable = False
-        self._hold(gap=rows)
+        self._hold(gap=_read_only_rows(gap))
         self._hold(comm=mass.comm.tompi4py(), damping_factor=1.0, _original=None, _known={})
 
     def __repr__(self) -> str:
@@ -311,18 +307,14 @@ class Structure(Coordinates):
         InputError
             A row sum is not positive, as for six-node triangles.
         """
-        return self._turning(lambda one: one._changed(mass=lumped_mass(one.mass)))
+        return _turning(self, lambda one: one._changed(mass=lumped_mass(one.mass)))
 
     def tied(self, stiffness: float | np.ndarray) -> Structure:
         """Return this structure with every pair tied by a spring k [N/m] that pulls and pushes.
 
         Its stiffness is K + B diag(k) B^T, and it has no pairs; modal damping follows the tied
         modes, Rayleigh damping the tied stiffness.
-
-        Raises
-        ------
-        InputError
-            The stiffness is not one finite number >= 0, or one for each pair.
+        InputError: the stiffness is not one finite number >= 0, or one for each pair.
         """
         springs = per_pair("stiffness", stiffness, self.n_pairs)
         if np.any(springs < 0.0):
@@ -333,13 +325,7 @@ class Structure(Coordinates):
             matrix = with_springs(one.stiffness, one.gap, springs)
             return one._changed(stiffness=matrix, gap=gap, clearance=np.zeros(0), pairs=Pairs())
 
-        return self._turning(held)
-
-    def _turning(self, change: Callable[[Structure], Structure]) -> Structure:
-        """This structure changed, and so what it is at rest where it rotates."""
-        found = change(self)
-        found._hold(rotation=self.rotation and self.rotation.changed(change))
-        return found
+        return _turning(self, held)
 
     def placed(self, nodes: Nodes, pairs: Pairs) -> Structure:
         """Return this structure with the places of its nodes and pairs."""
@@ -473,3 +459,19 @@ def _weights(load: Any) -> np.ndarray:
     if weights.shape not in ((), (3, 3)) or not np.all(np.isfinite(weights)):
         raise InputError("load", load, "a finite number, or a finite matrix of shape (3, 3)")
     return weights
+
+
+def _turning(structure: Structure, change: Callable[[Structure], Structure]) -> Structure:
+    """A structure changed, and so what it is at rest where it rotates."""
+    found = change(structure)
+    found._hold(rotation=structure.rotation and structure.rotation.changed(change))
+    return found
+
+
+def _read_only_rows(matrix: Any) -> sparse.csr_matrix:
+    """A copy of a sparse matrix by rows that cannot be written to."""
+    rows = sparse.csr_matrix(matrix, copy=True)
+    rows.sum_duplicates()
+    for part in (rows.data, rows.indices, rows.indptr):
+        part.flags.writeable = False
+    return rows
