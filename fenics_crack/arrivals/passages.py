@@ -645,14 +645,15 @@ def _runs(arrivals: ArrivalTimes, values: np.ndarray, speed: float) -> list[_Run
 def _clearness(
     arrivals: ArrivalTimes, values: np.ndarray, speed: float, turns: int = 1
 ) -> tuple[float, float]:
-    """What a steady vibration of any phase at each probe takes off the sum of squares near a
-    speed, in units of the variance of differences from one revolution to the next, less what the
+    """What a steady vibration of any phase at each probe takes off the sum of squares near a speed,
+    in units of the variance of differences from one arrival at a probe to its next, less what the
     further phases take off noise; and in m^2. From the second turn on with the weights that
     arrivals have in Student's t by what is left of them."""
     total = energy = 0.0
     for run in _runs(arrivals, values, speed):
-        changes = np.abs(np.diff(np.where(run.seen, run.values, np.nan), axis=0))
-        scale = max(float(np.nanmedian(changes)) / MEDIAN, run.least)
+        pairs = zip(run.values.T, run.seen.T, strict=True)
+        changes = np.concatenate([np.abs(np.diff(column[seen])) for column, seen in pairs])
+        scale = max(float(np.median(changes)) / MEDIAN, run.least)
         wave = 1.0 / (TYPICAL + 1j * (run.speed / speed - 1.0))
         given = [part[:, None] * run.seen for part in (wave.real, wave.imag)]
         weights = run.seen.astype(float)

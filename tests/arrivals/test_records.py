@@ -152,6 +152,16 @@ def test_a_probe_that_drops_out() -> None:
             assert fit.compared(lost)[1][1].shape[1] == 4
 
 
+@pytest.mark.parametrize("every", [2, 3])
+def test_a_record_of_some_revolutions(every: int) -> None:
+    """Of every second or third one: a resonance stands out as in that of all."""
+    whole, _ = swept([(500.0, 4e-3, 5, 8e-6)], noise=2e-5)
+    time = np.full_like(whole.time, np.nan)
+    time[::every] = whole.time[::every]
+    [fit] = fc.find_passages(replace(whole, time=time), [4, 5, 6], asynchronous=0)
+    assert fit.order == 5 and abs(fit.omega - 500.0) < 4.0 * fit.omega_error
+
+
 @pytest.mark.parametrize("one", [0, 2])
 def test_a_channel_that_sees_nothing(one: int) -> None:
     """Pulses of a channel that come where the mark says, whatever the blade does: the fit is that
