@@ -10,28 +10,6 @@ from enum import IntEnum
 from numbers import Integral, Real
 from typing import Any
 
-__all__ = [
-    "FEW_MODES",
-    "INTERRUPTED",
-    "MAX_SAMPLES",
-    "MOST_HARMONICS",
-    "RECORDED_PERIODS",
-    "ConvergenceError",
-    "Exit",
-    "InputError",
-    "StoppedError",
-    "WriteError",
-    "check_choice",
-    "check_count",
-    "check_kind",
-    "check_number",
-    "check_omega",
-    "check_options",
-    "check_two_ratios",
-    "one_of",
-    "reading",
-]
-
 LONGEST_VALUE = 1000
 """Characters of a value shown in a message."""
 LARGEST_COUNT = 10**9

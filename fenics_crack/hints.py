@@ -12,11 +12,6 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-__all__ = [
-    "Hinted", "candidates", "converted", "in_other_words", "meant", "near", "no_attribute",
-    "written",
-]  # fmt: skip
-
 SAME_WORD = 0.85
 """Likeness of two forms of a word, as "eigenfrequency" and "eigenfrequencies"."""
 WORDS = {

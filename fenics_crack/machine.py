@@ -21,8 +21,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-__all__ = ["addresses_left", "alone", "machine_memory"]
-
 SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "GOTO_NUM_THREADS")
 """Variables by which a user tells OpenBLAS how many threads to use."""
 _lock = threading.RLock()

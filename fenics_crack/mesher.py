@@ -12,8 +12,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-__all__ = ["gmsh", "kept_interrupts"]
-
 
 @contextmanager
 def kept_interrupts() -> Iterator[None]:
@@ -37,4 +35,4 @@ def kept_interrupts() -> Iterator[None]:
 
 
 with kept_interrupts():
-    import gmsh
+    import gmsh as gmsh

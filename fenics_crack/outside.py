@@ -27,11 +27,6 @@ from typing import TextIO
 
 import numpy as np
 
-__all__ = [
-    "MOST_BYTES", "allowance", "bytes_of", "lines_of", "run_reader", "sha256", "table_lines",
-    "text_of",
-]  # fmt: skip
-
 MOST_BYTES = 2**31
 """Bytes of a file of a mesh, a matrix or a result, and of the numbers in it."""
 EXPANSION = 50

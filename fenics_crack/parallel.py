@@ -15,8 +15,6 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-__all__ = ["StopRequest", "collect_garbage", "gather_rows", "on_root", "raise_together"]
-
 Result = TypeVar("Result")
 
 

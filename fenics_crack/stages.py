@@ -13,8 +13,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-__all__ = ["StageLines", "begin", "listening", "within"]
-
 LONG = 1.0
 """Stages are told after their end, with their time, if they took longer [s]."""
 BEAT = 5.0

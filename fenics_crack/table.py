@@ -25,35 +25,6 @@ import numpy as np
 from fenics_crack.hints import Hinted
 from fenics_crack.whole import write_whole
 
-__all__ = [
-    "OF_CLAMP",
-    "OF_FREQUENCIES",
-    "OF_GROWTH",
-    "OF_LIPS",
-    "OF_POINTS",
-    "OF_TIPS",
-    "QUANTITIES",
-    "RPM",
-    "SEEN",
-    "SHORT",
-    "TURN",
-    "UNITS",
-    "Described",
-    "Table",
-    "Tabular",
-    "counted",
-    "frequency_axis",
-    "in_unit",
-    "percent",
-    "quantity",
-    "ranging",
-    "readable",
-    "speed_axis",
-    "speed_in_words",
-    "with_frequency",
-    "with_unit",
-]
-
 SHOWN_ROWS, NOTEBOOK_ROWS = 40, 20
 """Rows shown as text and in a notebook; files have all of them."""
 TURN = 2.0 * math.pi

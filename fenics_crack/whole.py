@@ -16,8 +16,6 @@ from pathlib import Path
 
 from fenics_crack.errors import InputError, WriteError
 
-__all__ = ["FULL", "not_written", "put", "whole_file", "write_together", "write_whole"]
-
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 """Errors of a disk that takes no more; others come from a path that cannot be used."""
 

@@ -22,8 +22,6 @@ from fenics_crack.errors import InputError, check_count, check_number, reading
 from fenics_crack.outside import table_lines
 from fenics_crack.table import RPM, TURN, Tabular, counted
 
-__all__ = ["MOST_PASSAGES", "ArrivalTimes", "check_probes", "read_record"]
-
 COLUMNS = ("revolution", "angle [rad]", "mark [s]", "next_mark [s]", "arrival [s]")
 """What a CSV file must have."""
 STEADY = 1e-2

@@ -40,8 +40,6 @@ from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.numerics.fourier import waves
 from fenics_crack.table import TURN
 
-__all__ = ["find_lines", "fit_frequency"]
-
 FINER = 4
 """Frequencies tried within the resolution, 1 / duration."""
 BAND = 10**6

@@ -49,8 +49,6 @@ from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.numerics.fourier import waves
 from fenics_crack.table import TURN, UNITS, counted, with_frequency
 
-__all__ = ["Means", "TipTrack", "fit_order", "track_order"]
-
 SIGNIFICANT = 0.01
 """Below this probability what is left between the probes' means is no chance."""
 OTHERS = 3

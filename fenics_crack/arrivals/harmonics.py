@@ -18,22 +18,6 @@ from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.numerics.fourier import waves
 from fenics_crack.table import TURN, Tabular, counted, quantity, with_frequency
 
-__all__ = [
-    "AS_GOOD",
-    "MISFIT",
-    "ORDERS",
-    "Candidates",
-    "Fitted",
-    "TipFit",
-    "check_places",
-    "condition",
-    "refuse",
-    "rounding",
-    "strengths",
-    "taken",
-    "wanted",
-]
-
 ORDERS = range(1, 25)
 """Engine orders that are tried where none are given."""
 MISFIT = 0.001

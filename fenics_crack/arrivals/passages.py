@@ -40,8 +40,6 @@ from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.stages import begin as begin_stage
 from fenics_crack.table import RPM, TURN, Tabular, quantity
 
-__all__ = ["PassageFit", "find_passages", "fit_passage"]
-
 WIDTH = 0.035
 """Of the speed, on both sides of a resonance, that is fitted."""
 SHIFTS = np.linspace(-0.01, 0.01, 11)

@@ -21,11 +21,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaln, ndtr
 
-__all__ = [
-    "EPSILON", "FREEDOMS", "ROBUST_ROUNDS", "ROBUST_SETTLED", "SEEN", "Noise", "reweighted",
-    "trend",
-]  # fmt: skip
-
 FREEDOMS = np.array([3.0, 5.0, 10.0, 30.0, 1e6])
 """Degrees of freedom that are tried."""
 ROBUST_ROUNDS = 30

@@ -29,8 +29,6 @@ from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.model.matrices import numbers
 from fenics_crack.numerics.fourier import from_complex, sampled, to_complex
 
-__all__ = ["run_up_points", "tip_timing"]
-
 PASSAGES = 2**15
 """Solved at once."""
 BISECTIONS = 200

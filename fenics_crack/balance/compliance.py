@@ -48,11 +48,6 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import from_complex, resized, to_complex
 from fenics_crack.parallel import collect_garbage
 
-__all__ = [
-    "Compliance", "DynamicStiffness", "FactoredCompliance", "ModalCompliance", "ModalPart",
-    "ResizedCompliance", "dynamic_compliance", "load_coefficients",
-]  # fmt: skip
-
 DEFLATION_BAND = 1e-2
 """A mode is dealt with by itself where |1 - (omega/omega_j)^2| is below this."""
 

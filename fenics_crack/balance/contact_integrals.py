@@ -52,24 +52,6 @@ from fenics_crack.model.contact import (
 )
 from fenics_crack.numerics.fourier import balanced, from_complex, instants, sampled
 
-__all__ = [
-    "ContactForces",
-    "ContactIntegrals",
-    "CoupledForces",
-    "CoupledIntegrals",
-    "ExactIntegrals",
-    "PairForces",
-    "PairIntegrals",
-    "SampledIntegrals",
-    "apply_to_pairs",
-    "contact_integrals",
-    "default_samples",
-    "grid_waves",
-    "respond",
-    "respond_to_columns",
-    "tangent_by_means",
-]
-
 
 class ContactForces(ABC):
     """Coefficients of the contact forces of a wave s, and their derivatives.

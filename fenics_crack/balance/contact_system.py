@@ -61,10 +61,6 @@ from fenics_crack.numerics.equations import (
 from fenics_crack.numerics.fourier import evaluate, resized, stretched
 from fenics_crack.numerics.newton import gmres
 
-__all__ = [
-    "SOFT", "CompiledEquations", "ContactPoint", "ContactSystem", "Wave", "default_weight",
-]  # fmt: skip
-
 MATRIX_FREE = 350
 """Unknowns of a step from which the Jacobian of coupled pairs is not formed. Both ways take equally
 long with about 300 to 350 unknowns of 18 pairs (measured with H = 8 to 40)."""

@@ -47,21 +47,6 @@ from fenics_crack.numerics.fourier import resized, sampled
 from fenics_crack.numerics.newton import moving_square, solve_near
 from fenics_crack.table import Described
 
-__all__ = [
-    "LARGE_ERROR",
-    "PARTS",
-    "SLIGHT",
-    "UNKNOWN",
-    "ErrorReport",
-    "beside",
-    "beyond_truncation",
-    "estimate_errors",
-    "mean_square",
-    "moving_mean_square",
-    "of_no_solution",
-    "relative_size",
-]
-
 LARGE_ERROR = 0.05
 """Estimated error beyond which a solution is not shown without a warning."""
 PARTS = ("truncation", "reduction", "sampling", "residual")

@@ -31,8 +31,8 @@ from functools import partial
 import numpy as np
 
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
-from fenics_crack.balance.error_report import SLIGHT, UNKNOWN, ErrorReport, beside
-from fenics_crack.balance.judgement import FARTHEST, Judgement
+from fenics_crack.balance.error_report import SLIGHT, ErrorReport, beside
+from fenics_crack.balance.judgement import FARTHEST, UNKNOWN, Judgement
 from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver, more_harmonics
 from fenics_crack.errors import (
@@ -58,11 +58,6 @@ from fenics_crack.numerics.fourier import from_complex, to_complex
 from fenics_crack.numerics.newton import relative_to_motion
 from fenics_crack.stages import begin
 from fenics_crack.table import percent
-
-__all__ = [
-    "FIRST_MODES", "check_initial", "linear_response", "solve_harmonic_balance",
-    "solve_linear", "solve_to_tolerance", "wave_of",
-]  # fmt: skip
 
 
 def solve_linear(structure: Structure, omega: float, *, harmonics: int = 5) -> PeriodicSolution:

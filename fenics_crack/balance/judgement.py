@@ -58,11 +58,6 @@ from fenics_crack.numerics.fourier import waves
 from fenics_crack.numerics.newton import relative_to_motion
 from fenics_crack.table import percent
 
-__all__ = [
-    "BELIEVED", "FARTHEST", "NO_DOUBT", "UNKNOWN", "Judgement", "MoreModes", "alike",
-    "relative",
-]  # fmt: skip
-
 BELIEVED, FARTHEST, FAR = 3.0, 0.1, 0.3
 """Times what the linearised motion predicts, beyond which a motion is another one; the distance and
 the prediction beyond which it is not taken for the same without more; and from where on it is no

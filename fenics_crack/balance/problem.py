@@ -84,8 +84,6 @@ from fenics_crack.numerics.newton import (
 from fenics_crack.numerics.path import NARROW, Ended, Path, Target
 from fenics_crack.stages import begin
 
-__all__ = ["Problem", "Search", "check_memory", "halved", "rounding_left"]
-
 BEYOND = 2.0
 """Modes above so many times the highest harmonic answer at once."""
 ON_PATH = 15_000

@@ -35,11 +35,6 @@ from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.numerics.fourier import evaluate, resized, sampled
 from fenics_crack.table import Described, Tabular, counted, quantity, with_frequency
 
-__all__ = [
-    "Indicators", "PeriodicSolution", "Solver", "Stability", "contact_extremes",
-    "fewer_harmonics", "indicators_of", "more_harmonics", "solution_of", "solve_beside",
-]  # fmt: skip
-
 
 @dataclass(frozen=True, repr=False)
 class Indicators(Tabular):

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.error_report import LARGE_ERROR, PARTS, UNKNOWN, ErrorReport
-from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.curves.stability import Stability
+from fenics_crack.balance.error_report import LARGE_ERROR, PARTS, ErrorReport
+from fenics_crack.balance.judgement import UNKNOWN
+from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.errors import MOST_HARMONICS, Exit
 from fenics_crack.model.modes import damped_range
-from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.words import key_in_words, unit_of
+from fenics_crack.scene.scene import Scene, unit_of
+from fenics_crack.scene.words import key_in_words
 from fenics_crack.study.key_figures import SMALL_MOTION, extents
 from fenics_crack.study.run import Run
 from fenics_crack.study.verification import Verification
@@ -35,13 +35,6 @@ from fenics_crack.table import (
     percent,
     quantity,
 )
-
-__all__ = [
-    "FINER", "IN_A_TEST", "MORE", "OTHERS", "Account", "account_of_growth", "account_of_sweep",
-    "account_of_verification", "few_cases", "frequency_in_words", "how_it_is_left", "in_one_unit",
-    "in_short", "known_to", "largest_seen", "of_error", "of_more_modes", "of_size", "of_stability",
-    "readable_rows", "stepped_over", "warnings_of",
-]  # fmt: skip
 
 MORE = "more harmonics (harmonic_balance.harmonics, or a tolerance that chooses them)"
 FINER = "a smaller harmonic_balance.tolerance"

@@ -26,8 +26,6 @@ from fenics_crack.whole import FULL
 if TYPE_CHECKING:
     from fenics_crack.cli.given import Console, Inputs
 
-__all__ = ["main"]
-
 LAUNCHERS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
 """Variables by which mpirun tells a process its rank, before MPI is started."""
 ALONE = {"OMPI_MCA_pml": "ob1", "OMPI_MCA_ess_singleton_isolated": "1"}

@@ -23,11 +23,6 @@ from fenics_crack.study.key_figures import coriolis_in_words, remarks_on_rotor
 from fenics_crack.study.run import Run
 from fenics_crack.table import RPM, counted, quantity
 
-__all__ = [
-    "campbell", "curve", "grow", "identify", "integrate", "modes", "solve", "sweep", "tell",
-    "verify",
-]  # fmt: skip
-
 MOST_SPEEDS = 10_000
 """Of a Campbell diagram."""
 RUNS: dict[str, tuple[str, Callable[..., Run]]] = {

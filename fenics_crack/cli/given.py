@@ -38,11 +38,6 @@ if TYPE_CHECKING:
     from fenics_crack.arrivals.arrival_times import ArrivalTimes
     from fenics_crack.identification.measurements import Measurements
 
-__all__ = [
-    "Console", "Inputs", "changes", "lines_of", "make_writable", "new", "new_scene",
-    "read_inputs",
-]  # fmt: skip
-
 COMMENTED = "cli/new_scene.toml"
 KINDS = ("blade", "timing", "identify")
 """What ``new`` writes besides a plate."""

@@ -26,8 +26,8 @@ import h5py
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.balance.error_report import UNKNOWN
 from fenics_crack.balance.harmonic_balance import linear_response
+from fenics_crack.balance.judgement import UNKNOWN
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import frequency_in_words
 from fenics_crack.cli.given import Console, make_writable
@@ -55,15 +55,8 @@ from fenics_crack.model.modes import LIPS, Modes, n_tied_modes, solve_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.fields import Axis
-from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.words import (
-    WHOLE,
-    differences,
-    given_values,
-    key_in_words,
-    unit_of,
-    value_in_words,
-)
+from fenics_crack.scene.scene import Scene, unit_of
+from fenics_crack.scene.words import WHOLE, differences, given_values, key_in_words, value_in_words
 from fenics_crack.study.prepare import prepare
 from fenics_crack.study.run import Run, stress_intensity
 from fenics_crack.study.verification import Verification
@@ -74,8 +67,6 @@ from fenics_crack.table import Table, percent, ranging, readable, with_unit
 from fenics_crack.time.march import TimeHistory
 from fenics_crack.version import VERSION, packaged
 from fenics_crack.whole import write_whole
-
-__all__ = ["draw_swept", "plot", "report"]
 
 MOST_PICTURES = 12
 """Results in one picture; pictures of a quantity of a sweep."""

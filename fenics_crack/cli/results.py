@@ -70,11 +70,6 @@ from fenics_crack.table import (
 )
 from fenics_crack.time.march import TimeHistory
 
-__all__ = [
-    "RESULTS", "Computed", "Identified", "account_of", "curve_points",
-    "few_special_points", "over_time", "result_of", "special_points",
-]  # fmt: skip
-
 ERROR = "error [%]"
 """Of modes, harmonics and mesh, as far as it is known."""
 Row = tuple[str, str, object, str]

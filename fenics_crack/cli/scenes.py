@@ -36,10 +36,6 @@ from fenics_crack.study.prepare import (
 from fenics_crack.sweep.plan import Plan
 from fenics_crack.table import RPM, TURN, Table, counted, percent, ranging
 
-__all__ = [
-    "check", "harmonics_in_words", "remark_on", "remark_on_sweep",
-]  # fmt: skip
-
 MAX_CHECKED = 10_000
 """Cases of a sweep that are checked before it is run."""
 

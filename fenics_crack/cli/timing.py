@@ -30,8 +30,6 @@ from fenics_crack.study.key_figures import remarks_on_arrivals
 from fenics_crack.study.run import Run
 from fenics_crack.table import RPM, TURN, UNITS, Table, counted, quantity, ranging, speed_in_words
 
-__all__ = ["timing"]
-
 KEYS = ("tip_radius", "orders", "probes")
 """Of [tip_timing], with a record in place of a scene."""
 MISSING = "harmonics are missing (tip_timing.fitted_harmonics), and folded onto those kept"

@@ -49,13 +49,8 @@ import numpy as np
 from tqdm import tqdm
 
 from fenics_crack.balance.contact_integrals import contact_integrals
-from fenics_crack.balance.error_report import (
-    SLIGHT,
-    UNKNOWN,
-    ErrorReport,
-    mean_square,
-    moving_mean_square,
-)
+from fenics_crack.balance.error_report import SLIGHT, ErrorReport, mean_square, moving_mean_square
+from fenics_crack.balance.judgement import UNKNOWN
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.free_motion import (
     ELSEWHERE,
@@ -82,8 +77,6 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.newton import PathPoint, solve_at
 from fenics_crack.numerics.path import Ended
 from fenics_crack.table import Tabular, counted, with_frequency
-
-__all__ = ["Backbone", "BackboneOptions", "follow_backbone"]
 
 
 @dataclass(frozen=True, repr=False)

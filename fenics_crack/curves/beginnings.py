@@ -57,11 +57,6 @@ from fenics_crack.numerics.newton import (
 )
 from fenics_crack.numerics.path import STRAIGHT, Path, PathOptions
 
-__all__ = [
-    "DoubledStart", "check_resumed", "chord", "directions", "first_of_branch",
-    "next_to_doubled_orbits", "odd_rows", "same_problem",
-]  # fmt: skip
-
 UNFINISHED = "a ResponseCurve that is not complete"
 
 

@@ -62,8 +62,6 @@ from fenics_crack.numerics.path import (
     Target,
 )
 
-__all__ = ["LONGEST_STEP", "Continuation"]
-
 LONGEST_STEP = 0.05
 """Longest step, unless another one is asked for."""
 LOOK_EVERY = 4

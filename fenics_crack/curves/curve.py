@@ -42,11 +42,6 @@ from fenics_crack.table import (
     with_frequency,
 )
 
-__all__ = [
-    "PARAMETERS", "SPREAD", "Bifurcation", "CurvePoint", "ResponseCurve", "columns",
-    "kind_in_words", "parameter_axis",
-]  # fmt: skip
-
 PARAMETERS = {
     "omega": "load frequency [rad/s]",
     "load": "load, as a multiple of the scene's [-]",

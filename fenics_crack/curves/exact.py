@@ -31,12 +31,13 @@ import numpy as np
 import scipy.optimize
 
 from fenics_crack.balance.judgement import BELIEVED, FARTHEST, NO_DOUBT
+from fenics_crack.balance.solution import Stability
 from fenics_crack.curves.beginnings import chord
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.family import Family
 from fenics_crack.curves.orbit_branch import ALIKE, OrbitBranch
 from fenics_crack.curves.orbit_nodes import EVERY, Node, OrbitBifurcation, blended, cubic
-from fenics_crack.curves.stability import Stability, floquet, leaves, monodromy, stability_of
+from fenics_crack.curves.stability import floquet, leaves, monodromy, stability_of
 from fenics_crack.errors import ConvergenceError, InputError, check_kind
 from fenics_crack.model.contact import is_unilateral
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, exact_flow
@@ -47,8 +48,6 @@ from fenics_crack.numerics.fourier import resized
 from fenics_crack.numerics.newton import PathPoint, point_on_path, relative_to_motion, solve_at
 from fenics_crack.numerics.path import Crossing, PathOptions
 from fenics_crack.stages import begin
-
-__all__ = ["FOLLOWED", "judge_curve", "verified"]
 
 
 class VariedOrbits(FlowOrbits):

@@ -25,8 +25,6 @@ from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import DIFFERENCE, least_residual
 
-__all__ = ["FAMILIES", "Family", "FrequencyFamily"]
-
 
 class Family(ABC):
     """The condensed equations of a small or reduced structure along a parameter, from its value

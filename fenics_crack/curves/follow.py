@@ -30,8 +30,6 @@ from fenics_crack.numerics.path import PathOptions
 from fenics_crack.stages import begin
 from fenics_crack.table import RPM
 
-__all__ = ["CurveOptions", "continue_frequency", "continue_parameter", "follow_branch"]
-
 ATTEMPTS = 4
 """Places, from the end on, from which another curve is sought that leads to the start."""
 

@@ -34,11 +34,6 @@ from fenics_crack.numerics.fourier import resized, to_complex
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_at
 from fenics_crack.numerics.path import ARRIVED, NARROW, STRAIGHT, Ended, Path, PathOptions, Target
 
-__all__ = [
-    "ELSEWHERE", "HELPS", "EnergyMotion", "Equilibrium", "FadedMotion", "MotionPath",
-    "MotionPoint", "StiffnessMotion", "cosine_rows", "first_motion",
-]  # fmt: skip
-
 NEAR = 0.05
 """Entries relatively that close to resonance are not predicted."""
 

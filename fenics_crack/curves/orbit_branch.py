@@ -65,8 +65,6 @@ from fenics_crack.numerics.newton import (
     tangent_of,
 )
 
-__all__ = ["ALIKE", "KINDS", "OrbitBranch"]
-
 KINDS = "fold", "period_doubling", "neimark_sacker"
 ALIKE = 0.5
 """Farthest orbit from the motion of its point; whether it is the point's own is asked later."""

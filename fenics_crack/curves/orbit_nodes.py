@@ -43,25 +43,6 @@ from scipy.interpolate import barycentric_interpolate
 from fenics_crack.numerics.newton import PathPoint, Tangent
 from fenics_crack.numerics.path import STRAIGHT
 
-__all__ = [
-    "EVERY",
-    "LEADING",
-    "Node",
-    "OrbitBifurcation",
-    "bent_through",
-    "beside",
-    "blended",
-    "broken",
-    "changes",
-    "chords",
-    "cubic",
-    "hermite",
-    "in_doubt",
-    "outside",
-    "paired",
-    "straight",
-]  # fmt: skip
-
 EVERY = 8
 """Points of a curve from one node to the next."""
 NARROWEST, ALONE = 1.0 / 8.0, 1.0 / 32.0

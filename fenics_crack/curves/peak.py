@@ -24,8 +24,6 @@ import numpy as np
 
 from fenics_crack.table import Described, quantity, with_frequency
 
-__all__ = ["Peak", "damping_by_width", "top_of"]
-
 
 @dataclass(frozen=True, repr=False)
 class Peak(Described):

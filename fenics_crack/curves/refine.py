@@ -55,8 +55,6 @@ from fenics_crack.numerics.newton import (
 )
 from fenics_crack.numerics.path import STRAIGHT, Path, PathOptions
 
-__all__ = ["filled", "refine_bifurcation", "refine_curve"]
-
 
 def filled(curve: ResponseCurve) -> ResponseCurve:
     """A curve for a picture: with the points of :func:`refine_curve`, or as it is where that cannot

@@ -68,11 +68,6 @@ from fenics_crack.numerics.newton import moving_size
 from fenics_crack.table import percent
 from fenics_crack.time.march import initial_state
 
-__all__ = [
-    "Attractor", "PeriodicOrbit", "Stability", "attractors", "floquet", "leaves", "monodromy",
-    "orbits_near", "shoot", "stability_of",
-]  # fmt: skip
-
 HILL_STEPS = 2**13
 """In a period."""
 

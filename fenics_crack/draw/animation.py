@@ -40,8 +40,6 @@ from fenics_crack.stages import begin
 from fenics_crack.table import readable
 from fenics_crack.whole import write_whole
 
-__all__ = ["animate_period", "show_period"]
-
 SECONDS = 3.0
 """Duration of the animation."""
 TINT = "#f5d6c1"

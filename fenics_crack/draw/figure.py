@@ -31,18 +31,6 @@ from fenics_crack.stages import begin
 from fenics_crack.table import readable, with_unit
 from fenics_crack.whole import write_whole
 
-__all__ = [
-    "COLOURS",
-    "FIRST",
-    "Picture",
-    "Where",
-    "distinct_colours",
-    "drawn_on",
-    "given_axes",
-    "label_axis",
-    "upright",
-]
-
 COLOURS = {"blue": "#0072B2", "orange": "#D55E00", "green": "#009E73", "pink": "#CC79A7"}
 COLOURS["grey"] = "#5C5C5C"
 """Okabe and Ito's palette, which colour-blind readers can tell apart, and a grey."""

@@ -39,12 +39,6 @@ from fenics_crack.table import readable
 if TYPE_CHECKING:  # which loads DOLFINx
     from fenics_crack.study.run import StressIntensity
 
-__all__ = [
-    "Wave", "draw_contact_map", "draw_laws", "draw_map", "draw_orbits", "draw_response",
-    "draw_spectra", "draw_spectrum", "draw_stress_intensity", "draw_waves",
-]  # fmt: skip
-
-
 MARKED = 60
 """Points of a line that have a dot each, at most: of more the dots would touch."""
 DOUBTFUL = f"not stable, or estimated error above {100 * LARGE_ERROR:g} %"

@@ -18,8 +18,6 @@ from fenics_crack.errors import InputError, check_count
 from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.table import frequency_axis, percent, quantity, with_unit
 
-__all__ = ["draw_content", "draw_curve", "draw_multipliers"]
-
 BEHIND = ("#8f8f8f", "#cc8fb1", "#6fb59a")
 """Other curves, drawn behind the one in question."""
 MARKERS = {"fold": "v", "branch_point": "s", "period_doubling": "D", "neimark_sacker": "^"}

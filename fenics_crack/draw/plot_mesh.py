@@ -19,8 +19,6 @@ from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.structure import Structure
 
-__all__ = ["draw_mesh", "draw_modes"]
-
 MOST_ARROWS = 40
 """Arrows of a load, at most."""
 SOLID = (5.5, 6.5)

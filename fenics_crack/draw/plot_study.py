@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 
 from fenics_crack.draw.figure import COLOURS, Picture, Where, distinct_colours, label_axis
 from fenics_crack.errors import InputError, check_count
-from fenics_crack.scene.words import key_in_words, unit_of
+from fenics_crack.scene.scene import unit_of
+from fenics_crack.scene.words import key_in_words
 from fenics_crack.study.verification import CAUSES, SAFE, GridConvergence, Verification
 from fenics_crack.table import RPM, TURN, frequency_axis, speed_axis, with_unit
 
@@ -25,11 +26,6 @@ if TYPE_CHECKING:  # which load SciPy's interpolation, and DOLFINx
     from fenics_crack.identification.result import Identification
     from fenics_crack.study.campbell import Campbell
     from fenics_crack.sweep.growth import Growth
-
-__all__ = [
-    "draw_arrivals", "draw_campbell", "draw_growth", "draw_passages", "draw_posterior",
-    "draw_tip_fit", "draw_tip_track", "draw_verification",
-]  # fmt: skip
 
 SHARES = (0.5, 0.95, 0.999)
 """Of the probability within each contour."""

@@ -50,13 +50,6 @@ from fenics_crack.whole import write_together, write_whole
 if TYPE_CHECKING:
     from fenics_crack.study.run import Run
 
-__all__ = [
-    "PeriodFields", "add_values", "cells_of", "grid_at_rest", "image_of", "in_space", "lines",
-    "look_from_corner", "nodal_stress", "off_screen_plotter", "outline", "place", "pyvista",
-    "seen_parallel", "stress_at", "surface", "von_mises", "without_screen", "write_modes",
-    "write_period",
-]  # fmt: skip
-
 VIEW = (-1.3, 0.55, 1.6)
 """Where the camera stands, seen from the middle: y goes up, z where a solid is thinnest."""
 PIXELS = (900, 1000)

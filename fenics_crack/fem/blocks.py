@@ -44,8 +44,6 @@ from fenics_crack.mesher import gmsh
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Crack
 
-__all__ = ["draw_box", "draw_plate", "lip_pairs"]
-
 SMALLEST_CELL = 1e-7
 """Relative to the plate: gmsh and the matrices allow no smaller one."""
 GROWTH = 1.0 / 3.0

@@ -59,8 +59,6 @@ from fenics_crack.scene.words import check_scene
 from fenics_crack.stages import begin
 from fenics_crack.whole import write_whole
 
-__all__ = ["assemble", "build_structure", "clearance_of", "find_crack_length", "with_crack_length"]
-
 LIPS = ("lower_lip", "upper_lip")
 
 

@@ -45,20 +45,6 @@ with _versions_by_metadata():
     import dolfinx.plot
     import ufl
 
-__all__ = [
-    "assembled_matrix",
-    "assembled_vector",
-    "basis_at",
-    "compiled",
-    "dolfinx",
-    "function_space",
-    "gmsh",
-    "gmsh_is_running",
-    "model_to_mesh",
-    "ufl",
-    "vtk_cells",
-]
-
 _NEW = hasattr(dolfinx.fem, "functionspace")
 _JIT = {"jit_options" if _NEW else "jit_params": {"timeout": 300}}
 """[s] while another process compiles the same form."""

@@ -18,8 +18,6 @@ import scipy.sparse as sparse
 from fenics_crack.errors import InputError
 from fenics_crack.fem.lips import SAME, Lip, both_sides, connected, rows_in, to_edges, upwards
 
-__all__ = ["FACETS", "Cells", "CrackSurface", "Lips", "Names", "cracks_between", "split_surface"]
-
 STEEPEST = 0.1
 """Cosine of the angle between a crack's normal and the mean one, which no facet must go below."""
 FACETS = {

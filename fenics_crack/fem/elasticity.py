@@ -56,8 +56,6 @@ from fenics_crack.model.rotation import Rotation, static_state
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 
-__all__ = ["constants", "rotation_of", "stress", "thickness"]
-
 
 def constants(space: Any, *values: float | np.ndarray) -> list[Any]:
     """Numbers, vectors and matrices that a form holds without being compiled anew."""

@@ -18,11 +18,6 @@ import scipy.sparse as sparse
 
 from fenics_crack.errors import InputError
 
-__all__ = [
-    "SAME", "Lip", "along", "both_sides", "cell_edges", "check_mouths", "connected", "each_once",
-    "find_lips", "rows_in", "split_crack", "to_edges", "upwards",
-]  # fmt: skip
-
 PLUGIN = (
     "Plugin(Crack) of gmsh, run after meshing with Dimension = 1, PhysicalGroup = the tag of the "
     "curve, and OpenBoundaryPhysicalGroup = the tag of a physical point at the mouth"

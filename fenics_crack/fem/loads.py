@@ -35,8 +35,6 @@ from fenics_crack.scene.fields import Vector
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Load
 
-__all__ = ["assemble_loads", "clamp_of", "rigid_motions"]
-
 
 def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.ndarray | None]:
     """Mean, cosine and sine part of the load on all dofs that this rank owns, clamped ones too,

@@ -36,8 +36,6 @@ from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Structure as Table
 
-__all__ = ["coincident", "count_pairs", "find_pairs", "read_structure"]
-
 MATRICES = {"mass": "M", "stiffness": "K", "damping": "B"}
 """And the letter by which a file with several of them calls each."""
 WEDGES = (13, 26)

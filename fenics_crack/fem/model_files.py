@@ -18,8 +18,6 @@ import numpy as np
 from fenics_crack.model.matrices import numbered_lines, rows_of
 from fenics_crack.scene.fields import LARGEST
 
-__all__ = ["Model", "read_model", "read_with"]
-
 VTK = {4: 10, 6: 13, 8: 12, 10: 24, 15: 26, 20: 25}
 """VTK's number of solid cells by their nodes: tetrahedra, wedges and hexahedra."""
 MAKERS = ("NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY", "SYSTEM", "TRANSFORM", "NMAP")

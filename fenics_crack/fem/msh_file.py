@@ -43,11 +43,6 @@ from fenics_crack.fem.lips import (
 from fenics_crack.mesher import gmsh
 from fenics_crack.outside import bytes_of, run_reader
 
-__all__ = [
-    "cells_of", "check_boundary", "check_cells", "check_parts", "check_there", "named_groups",
-    "put", "read_file",
-]  # fmt: skip
-
 Group = tuple[int, int, str, int, np.ndarray]
 """Dimension, tag and name, and elements of one kind: gmsh's number of it and the nodes."""
 Given = tuple[np.ndarray, np.ndarray, list[Group]]

@@ -12,8 +12,6 @@ from fenics_crack.fem.lips import cell_edges, each_once
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 
-__all__ = ["NodalMesh"]
-
 _TRIANGLES = {
     3: [(0, 1, 2)],
     4: [(0, 1, 2), (0, 2, 3)],

@@ -30,8 +30,6 @@ from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.whole import whole_file
 
-__all__ = ["Dofs", "PlateMesh", "build_mesh", "write_msh"]
-
 
 @dataclass(frozen=True)
 class PlateMesh:

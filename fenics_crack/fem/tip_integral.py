@@ -36,8 +36,6 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
 
-__all__ = ["Tip", "find_tips", "tip_functionals"]
-
 DOMAIN = 0.8
 """Radius of the domain over the distance from the tip to where the crack is no longer alone."""
 INNER = 0.2

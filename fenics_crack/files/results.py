@@ -19,16 +19,14 @@ from fenics_crack.errors import InputError
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.files.store import Stored, check_shapes, read, write
 from fenics_crack.model.contact import ContactLaw, UnilateralConstraint, is_rigid, is_unilateral
-from fenics_crack.model.matrices import LARGEST
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import NEGLIGIBLE, Modes
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
+from fenics_crack.scene.fields import LARGEST
 from fenics_crack.scene.scene import Scene
 from fenics_crack.time.march import TimeHistory
-
-__all__ = ["Result", "load", "save", "solution_from", "type_of", "unpack"]
 
 Result = Modes | PeriodicSolution | ResponseCurve | Backbone | TimeHistory
 Law = ContactLaw | None

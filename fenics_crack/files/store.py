@@ -35,24 +35,6 @@ from fenics_crack.table import UNITS
 from fenics_crack.version import VERSION
 from fenics_crack.whole import write_whole
 
-__all__ = [
-    "IDENTIFICATION",
-    "Column",
-    "Stored",
-    "about",
-    "check_shapes",
-    "column_of",
-    "digest",
-    "header",
-    "places",
-    "read",
-    "scene_text",
-    "texts",
-    "versions",
-    "write",
-    "write_header",
-]
-
 if TYPE_CHECKING:
     import h5py
 

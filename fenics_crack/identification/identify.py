@@ -40,8 +40,6 @@ from fenics_crack.study.key_figures import is_proportional
 from fenics_crack.sweep.result import SweepResult, by_reason, run_sweep
 from fenics_crack.table import TURN
 
-__all__ = ["Forward", "identify", "infer", "remarks_on", "solve_forward"]
-
 FEW_NODES = 4
 """Values of each of one or two unknowns that the finer sweep takes, and that halfway between; of
 more unknowns one less."""

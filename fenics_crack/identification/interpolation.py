@@ -43,8 +43,6 @@ from fenics_crack.scene.fields import Axis
 from fenics_crack.sweep.file import CONVERGED, KEPT_ORDERS, NUMBERED
 from fenics_crack.sweep.result import SweepResult
 
-__all__ = ["MESH", "Cube", "Feature", "Interpolation", "Part", "left_out_errors", "poles", "scales"]
-
 DEGREE = 3
 STATED = 0.3
 """Of what is left with twice the spacing: between 1/16 and 3/4."""

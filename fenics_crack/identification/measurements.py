@@ -27,8 +27,6 @@ from fenics_crack.scene.fields import LARGEST, OR_ZERO, SMALLEST
 from fenics_crack.scene.scene import Scene
 from fenics_crack.table import Tabular, counted
 
-__all__ = ["Measurement", "Measurements", "without_crack"]
-
 IN_WORDS = {
     "frequency_open": "with the crack held open",
     "frequency_tied": "with the crack held closed",

@@ -22,8 +22,6 @@ from fenics_crack.identification.measurements import Measurement
 from fenics_crack.identification.nuisance import OF_SIZE, Whole, act_as, relative_changes
 from fenics_crack.scene.scene import Scene
 
-__all__ = ["Model", "Passages", "Prediction", "Quantities"]
-
 # --- displacements at probes ----------------------------------------------------------------------
 
 TRIED = 64

@@ -45,8 +45,6 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Identify
 from fenics_crack.study.prepare import prepare
 
-__all__ = ["OF_SIZE", "Whole", "act_as", "relative_changes", "whole_plate"]
-
 STIFFENING = 0.05
 """Relative standard deviation of what rotation adds to the square of a natural frequency: beams and
 plates differ by so much in it."""

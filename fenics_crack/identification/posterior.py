@@ -32,8 +32,6 @@ from scipy.special import chdtrc, logsumexp
 
 from fenics_crack.identification.model import Prediction, Quantities
 
-__all__ = ["PRIOR", "Branch", "Likelihood", "Optimum", "Posterior", "explore", "scaled_covariance"]
-
 LOOK = {1: 200, 2: 45, 3: 17}
 """Values of each unknown of the first grid, by the number of unknowns; of more, 9."""
 CLOSER = {1: 101, 2: 31, 3: 13}

@@ -34,8 +34,6 @@ from fenics_crack.errors import InputError
 from fenics_crack.outside import bytes_of
 from fenics_crack.table import TURN
 
-__all__ = ["FrequencyResponse", "read_responses", "resonances"]
-
 BORDER = b"-1"
 HEADING = 11
 """Lines before the numbers."""

@@ -36,12 +36,10 @@ from fenics_crack.identification.posterior import (
     Posterior,
     scaled_covariance,
 )
-from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.words import key_in_words, unit_of, value_in_words
+from fenics_crack.scene.scene import Scene, unit_of
+from fenics_crack.scene.words import key_in_words, value_in_words
 from fenics_crack.table import Table, Tabular, counted
 from fenics_crack.whole import write_whole
-
-__all__ = ["FITTED", "Identification", "Worth", "advice", "worth_of"]
 
 # --- where to measure -----------------------------------------------------------------------------
 

@@ -20,8 +20,6 @@ except ImportError as error:  # pragma: no cover
         "the compiled kernel of fenics_crack is missing or broken: run 'sh install.sh'"
     ) from error
 
-__all__ = ["NULL", "Struct", "ffi", "kernel", "owned", "pointer", "shaped"]
-
 kernel: Any = lib
 """The functions of the C files, by their names."""
 NULL: Any = ffi.NULL

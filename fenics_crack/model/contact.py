@@ -53,13 +53,6 @@ from fenics_crack.model.matrices import numbers
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import DIFFERENCE, EPSILON, ROUNDING
 
-__all__ = [
-    "BISECTIONS", "KEPT", "MAX_NEWTON", "REGULAR", "ActiveSets", "ContactLaw", "SmoothedPenalty",
-    "UnilateralConstraint", "UnilateralPenalty", "by_least_squares", "check_law", "check_slope",
-    "gauss", "is_piecewise_linear", "is_regular", "is_rigid", "is_unilateral", "potential",
-    "smooth_forces", "solve_complementarity", "solve_forces",
-]  # fmt: skip
-
 
 class ContactLaw(Protocol):
     """What every contact law has."""

@@ -24,8 +24,6 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 from petsc4py import PETSc
 
-__all__ = ["AT_A_TIME", "TOLERATED", "Factor", "distributed", "factored_sum", "weighted_sum"]
-
 AT_A_TIME = 16
 """Columns that a factor solves for, or a matrix multiplies, at a time: PETSc copies them."""
 TOLERATED = 1e-10

@@ -44,12 +44,6 @@ from fenics_crack.parallel import gather_rows, raise_together
 from fenics_crack.scene.fields import LARGEST
 from fenics_crack.table import counted
 
-__all__ = [
-    "LabelledMatrix", "checked", "lumped_mass", "numbered_lines", "numbers", "per_pair",
-    "petsc_matrix", "read_matrix", "read_matrix_market", "read_only", "rows_of", "whole_rows",
-    "with_springs",
-]  # fmt: skip
-
 CLAMPED = 1e36
 """What Abaqus writes on the diagonal of a dof that is held."""
 DIRECTIONS = {"UX": 1, "UY": 2, "UZ": 3, "ROTX": 4, "ROTY": 5, "ROTZ": 6}

@@ -15,8 +15,6 @@ from fenics_crack.model.modes import AS_ZERO, NEGLIGIBLE, damped_modes, damping_
 from fenics_crack.model.reduced import MasslessInterface
 from fenics_crack.model.structure import Structure
 
-__all__ = ["CACHED", "SMALL", "AllModes", "all_modes", "is_small"]
-
 SMALL = 600
 """Up to so many dofs a structure is decomposed into all of its modes, and with so many unknowns
 better equations are tried: dense matrices of this size take a part of a second."""

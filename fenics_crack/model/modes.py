@@ -29,31 +29,6 @@ from fenics_crack.parallel import gather_rows
 from fenics_crack.stages import begin
 from fenics_crack.table import Tabular, counted
 
-__all__ = [
-    "AS_ZERO",
-    "KINDS",
-    "NEGLIGIBLE",
-    "BilinearFrequencies",
-    "Modes",
-    "bilinear_frequencies",
-    "check_damped_modes",
-    "count_below",
-    "damped_modes",
-    "damped_range",
-    "damping_in",
-    "independent_part",
-    "independent_ties",
-    "krylov_vectors",
-    "largest_frequency",
-    "modes_by",
-    "n_tied_modes",
-    "partners",
-    "projected_damping",
-    "solve_modes",
-    "tied_modes",
-    "times",
-]  # fmt: skip
-
 LIPS = ("open", "tied")
 LOST = (
     "what is too slender, or held by too little, has frequencies below the rounding of its "

@@ -18,10 +18,6 @@ from fenics_crack.model.matrices import numbers, read_only
 from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.parallel import gather_rows
 
-__all__ = [
-    "AXES", "Clamp", "Coordinates", "Nodes", "Pairs", "nearest_node", "nodes_at", "place_in_words",
-]  # fmt: skip
-
 AXES = "xyz"
 
 

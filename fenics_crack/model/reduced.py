@@ -29,16 +29,6 @@ from fenics_crack.model.modes import NEGLIGIBLE, times
 from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.numerics.equations import EPSILON
 
-__all__ = [
-    "INSTEAD",
-    "MasslessInterface",
-    "MasslessStructure",
-    "ReducedStructure",
-    "ResidualFlexibility",
-    "check_mass",
-    "massless",
-]
-
 INSTEAD = "reduce with method = 'free_interface', or march by integrate_exponential"
 """What to do where a scheme needs mass at the lips."""
 

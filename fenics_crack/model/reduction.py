@@ -57,8 +57,6 @@ from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamp
 from fenics_crack.parallel import gather_rows
 from fenics_crack.stages import begin
 
-__all__ = ["reduce_structure"]
-
 METHODS = ("massless", "free_interface", "craig_bampton", "truncation")
 MODES = 50
 """Kept of a large structure whose modes are all damped."""

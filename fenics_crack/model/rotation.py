@@ -41,11 +41,6 @@ from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.parallel import collect_garbage, gather_rows
 from fenics_crack.table import RPM
 
-__all__ = [
-    "Ritz", "Rotation", "RunUpStructure", "coriolis_shifts", "run_up_structure", "static_state",
-    "too_fast",
-]  # fmt: skip
-
 SPEEDS = 3
 """Speeds of a range whose bases are put together."""
 

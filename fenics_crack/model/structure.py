@@ -41,8 +41,6 @@ from fenics_crack.model.matrices import (
 from fenics_crack.model.nodes import Clamp, Coordinates, Nodes, Pairs
 from fenics_crack.table import counted
 
-__all__ = ["DampingRule", "ModalDamping", "RayleighDamping", "Structure"]
-
 
 @dataclass(frozen=True)
 class ModalDamping:

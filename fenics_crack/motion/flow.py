@@ -62,11 +62,6 @@ from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import waves
 
-__all__ = [
-    "Budget", "ContactFlow", "ExponentialFlow", "Flow", "Motion", "Samples", "Steps", "exact_flow",
-    "flow_of",
-]  # fmt: skip
-
 
 @dataclass(frozen=True)
 class Budget:

@@ -44,12 +44,6 @@ from fenics_crack.numerics.equations import CLOSE, LOCATED
 from fenics_crack.numerics.newton import FORCING, gmres, relative_to_motion
 from fenics_crack.table import Described, counted
 
-__all__ = [
-    "FLOWS", "FORMED", "INSTANTS", "KNOWN", "PIECES", "SHRINKING", "Inverse", "OrbitCoefficients",
-    "PeriodicOrbit", "Prediction", "affordable", "doubling_test", "eigenvalues", "find_orbit",
-    "predicted", "too_slow", "unhurried",
-]  # fmt: skip
-
 FLOWS, SHORTEST = 20, 1e-3
 """Periods followed before an orbit is given up, and how short a step may become."""
 PIECES = 20_000

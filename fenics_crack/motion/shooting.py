@@ -46,11 +46,6 @@ from fenics_crack.numerics.path import NARROW, Path, Target
 from fenics_crack.stages import begin
 from fenics_crack.table import counted, percent
 
-__all__ = [
-    "LATER", "PARTS", "Attractor", "FlowOrbits", "Homotopy", "OrbitPoint", "Patience",
-    "in_the_long_run", "orbit_next_to", "recurrences", "recurring", "wave_states",
-]  # fmt: skip
-
 PARTS = 32
 """Of the period, whose starts' states are corrected together."""
 WANDERING, PASSED, SETTLING, LATER = 1000, 100, 60, 8

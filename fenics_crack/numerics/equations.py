@@ -22,12 +22,6 @@ from scipy.linalg.lapack import dgetrf, dgetrs
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import Struct, ffi, kernel
 
-__all__ = [
-    "CLOSE", "DIFFERENCE", "EPSILON", "LOCATED", "NEARLY_SOLVED", "ROUNDING", "DenseLinearisation",
-    "Equations", "Linearisation", "System", "determinant_sign", "equations_of", "factored",
-    "least_residual", "solve_factored",
-]  # fmt: skip
-
 EPSILON, ROUNDING = float(np.finfo(float).eps), 1e-13
 DIFFERENCE = float(np.cbrt(EPSILON))
 """Of a parameter, for a derivative by central differences: what they leave out is then as small as

@@ -12,19 +12,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-__all__ = [
-    "balanced",
-    "derivative",
-    "evaluate",
-    "from_complex",
-    "instants",
-    "resized",
-    "sampled",
-    "stretched",
-    "to_complex",
-    "waves",
-]
-
 AS_MATRIX = 25_000
 """Numbers in the values of all harmonics at all instants up to which a product with them is less
 work than an FFT (measured with 8 and 100 columns, H = 20 to 100)."""

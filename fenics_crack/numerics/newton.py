@@ -44,13 +44,6 @@ from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import NULL, Struct, kernel, pointer, shaped
 from fenics_crack.numerics.equations import EPSILON, Linearisation, System, equations_of
 
-__all__ = [
-    "FORCING", "FULL_STEPS", "MAX_ITERATIONS", "MIN_DAMPING", "PATIENCE", "STRAY", "Newton",
-    "PathPoint", "Tangent", "correct", "correction", "distance", "gmres", "kernel_solves",
-    "moving_size", "moving_square", "norm_at", "point_on_path", "relative_to_motion", "solve_at",
-    "solve_in_plane", "solve_near", "step_along", "tangent_of",
-]  # fmt: skip
-
 SELF = PETSc.COMM_SELF
 RESTART: int = kernel.KRYLOV_MOST
 """Vectors that GMRES keeps."""

@@ -46,23 +46,6 @@ from fenics_crack.numerics.newton import (
     step_along,
 )
 
-__all__ = [
-    "ARRIVED",
-    "NARROW",
-    "STRAIGHT",
-    "BranchPoint",
-    "Closed",
-    "Crossing",
-    "Ended",
-    "Ends",
-    "Event",
-    "Fold",
-    "Path",
-    "PathOptions",
-    "Stretch",
-    "Target",
-]
-
 STRAIGHT = 0.9
 """Cosine of an angle up to which two directions are taken for one."""
 ARRIVED = math.sqrt(EPSILON)

@@ -21,30 +21,6 @@ from fenics_crack.errors import InputError, one_of
 from fenics_crack.hints import candidates, meant, near, written
 from fenics_crack.table import TURN
 
-__all__ = [
-    "LARGEST",
-    "OR_ZERO",
-    "SMALLEST",
-    "Axis",
-    "MeshFile",
-    "Pair",
-    "Table",
-    "Vector",
-    "at_least_one",
-    "between",
-    "choice",
-    "components",
-    "hertz",
-    "holds",
-    "named",
-    "not_negative",
-    "number",
-    "path",
-    "positive",
-    "twin",
-    "vector",
-]
-
 Pair = tuple[float, float]
 Vector = tuple[float, ...]
 """In a plane two numbers, in space three."""

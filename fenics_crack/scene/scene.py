@@ -44,11 +44,6 @@ from fenics_crack.scene.tables import (
 )
 from fenics_crack.table import OF_CLAMP, OF_GROWTH, OF_TIPS, RPM, SEEN, TURN, frequency_axis
 
-__all__ = [
-    "LOOKED_AT", "Scene", "asked_quantities", "check_known", "files_of", "known_keys", "unit_of",
-    "with_files", "without_clamp", "without_tips",
-]  # fmt: skip
-
 LOOKED_AT = ("curve", "integration", "sweep", "growth", "identify", "tip_timing", "output")
 """Tables that say what is looked at, and change nothing of it."""
 

@@ -36,30 +36,6 @@ from fenics_crack.scene.fields import (
 )
 from fenics_crack.table import QUANTITIES, RPM, TURN
 
-__all__ = [
-    "FORCES",
-    "Base",
-    "Contact",
-    "Crack",
-    "Curve",
-    "Damping",
-    "Excitation",
-    "Geometry",
-    "Growth",
-    "HarmonicBalance",
-    "Identify",
-    "Integration",
-    "Load",
-    "Material",
-    "Mesh",
-    "Output",
-    "Reduction",
-    "Rotation",
-    "Structure",
-    "Sweep",
-    "TipTiming",
-]
-
 FORCES = ("force_mean", "force_cos", "force_sin")
 """Parts of the excitation."""
 KINDS = ("force", "pressure", "traction")

@@ -10,16 +10,6 @@ from fenics_crack.errors import InputError
 from fenics_crack.scene.scene import LOOKED_AT, Scene, unit_of
 from fenics_crack.table import quantity
 
-__all__ = [
-    "WHOLE",
-    "check_scene",
-    "differences",
-    "given_values",
-    "key_in_words",
-    "unit_of",
-    "value_in_words",
-]
-
 WORDS = {
     "excitation.omega": "load frequency",
     "excitation.frequency": "load frequency",

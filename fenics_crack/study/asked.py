@@ -29,11 +29,6 @@ from fenics_crack.study.prepare import Study
 from fenics_crack.table import OF_CLAMP, OF_GROWTH, OF_TIPS, SEEN, TURN
 from fenics_crack.time.march import TimeHistory
 
-__all__ = [
-    "asked_along_curve", "asked_of_motion", "clamp_of_motion", "numbers_at_clamp",
-    "numbers_at_tips", "prepare_asked", "tip_rows",
-]  # fmt: skip
-
 
 def prepare_asked(study: Study) -> None:
     """Make what the quantities of a study are found with, once for its structure (collective)."""

@@ -42,8 +42,6 @@ from fenics_crack.scene.words import check_scene
 from fenics_crack.study.key_figures import damping_ratios
 from fenics_crack.table import RPM, Tabular, counted, with_frequency
 
-__all__ = ["STATES", "Campbell", "campbell"]
-
 HELD = (*KINDS[:2], "partly")
 """Kinds of frequencies of a crack that its resonance does not change."""
 STATES = {

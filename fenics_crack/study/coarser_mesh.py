@@ -24,11 +24,6 @@ from fenics_crack.study.prepare import REFUSALS, Study, prepare
 from fenics_crack.study.verification import GridConvergence, Verification, grid_convergence
 from fenics_crack.table import frequency_axis
 
-__all__ = [
-    "CLAMP", "COARSER", "TIP", "coarser", "errors_of_natural", "expected", "finer_mesh",
-    "n_elements", "natural_name", "parts_of",
-]  # fmt: skip
-
 COARSER = 2.0
 """How much longer elements are made."""
 TIP, CLAMP = 1.0, 1.5

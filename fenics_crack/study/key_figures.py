@@ -49,12 +49,6 @@ from fenics_crack.scene.tables import FORCES, Rotation
 from fenics_crack.study.prepare import Study, reduction_of
 from fenics_crack.table import RPM, TURN, ranging
 
-__all__ = [
-    "SMALL_MOTION", "KeyFigures", "Remark", "coriolis_in_words", "damping_ratios", "extents",
-    "find_key_figures", "highest_omega", "is_proportional", "remarks_on", "remarks_on_arrivals",
-    "remarks_on_rotor", "remarks_on_scene", "remarks_on_structure", "span_of",
-]  # fmt: skip
-
 N_MODES = 4
 """Modes that are computed."""
 SMALL_MOTION = 0.1

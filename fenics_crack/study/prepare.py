@@ -41,22 +41,6 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import LOOKED_AT, Scene
 from fenics_crack.scene.tables import Contact, Reduction
 
-__all__ = [
-    "FEW_DOFS",
-    "REFUSALS",
-    "Study",
-    "Watched",
-    "check_memory_of",
-    "contact_law",
-    "give_back_freed",
-    "law_of",
-    "prepare",
-    "reduced",
-    "reduction_memory",
-    "reduction_of",
-    "whole_memory",
-]
-
 REFUSALS = (InputError, ConvergenceError, np.linalg.LinAlgError)
 """Errors that fail one run while others go on."""
 FEW_DOFS = 100

@@ -48,8 +48,6 @@ from fenics_crack.study.stated_errors import (
 )
 from fenics_crack.study.verification import GridConvergence, Varied, Verification
 
-__all__ = ["verify"]
-
 GRADED, GRID, COUNTS = (1.5, 2.0), (2.0, 3.0), (1, 2, 4)
 """How much finer graded meshes and grids are taken, and numbers of something."""
 EVEN = 1.56

@@ -67,12 +67,6 @@ from fenics_crack.time.flows import integrate_events, integrate_exponential
 from fenics_crack.time.implicit import integrate_implicit
 from fenics_crack.time.march import TimeHistory
 
-__all__ = [
-    "Reaction", "Run", "StressIntensity", "check_motion", "curve", "integrate", "load_run", "modes",
-    "reaction", "run_of", "solve", "solve_prepared", "stress_intensity",
-]  # fmt: skip
-
-
 Found = TypeVar("Found", bound=Result, covariant=True)
 
 

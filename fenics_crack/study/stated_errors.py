@@ -68,19 +68,6 @@ from fenics_crack.study.prepare import REFUSALS, Study
 from fenics_crack.study.verification import GridConvergence, Varied, Verification
 from fenics_crack.table import OF_LIPS, OF_POINTS, QUANTITIES, frequency_axis
 
-__all__ = [
-    "Numbers",
-    "as_changed",
-    "by_orbit",
-    "errors_of",
-    "largest_left_out",
-    "numbers_of",
-    "of_own_orbit",
-    "resonance_of",
-    "shifted",
-    "stated_errors",
-]
-
 ANSWER = (
     "amplitude", "ratio_2_1", "ratio_3_1", "ratio_largest", "mean_shift", "opening", "crack_force",
     "closed_share",

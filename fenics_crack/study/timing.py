@@ -29,11 +29,6 @@ from fenics_crack.scene.words import differences
 from fenics_crack.study.run import Run, load_run, solve
 from fenics_crack.table import speed_in_words
 
-__all__ = [
-    "arrivals_of", "engine_order", "is_run_up", "of_another_scene", "probed_displacement",
-    "run_up_ends", "tip_direction", "tip_in_words", "vibration_in",
-]  # fmt: skip
-
 DECIDED = (*LOOKED_AT, "reduction")
 """Tables of a scene that may differ from those of a result: what is looked at, and what a run
 decides itself."""

@@ -43,11 +43,6 @@ from fenics_crack.model.matrices import numbers
 from fenics_crack.scene.scene import Scene
 from fenics_crack.table import Described, Table, Tabular, percent, with_unit
 
-__all__ = [
-    "CAUSES", "MESH", "SAFE", "GridConvergence", "Varied", "Verification", "grid_convergence",
-    "verification_of",
-]  # fmt: skip
-
 SAFE, CAUTIOUS = 1.25, 3.0
 """Factors of safety."""
 LEAST_ORDER, MOST_OVER_FORMAL = 0.5, 1.5

@@ -30,9 +30,6 @@ from fenics_crack.sweep.file import AT_POINTS, OPEN, PHASES, YET, of_load
 from fenics_crack.sweep.plan import Chunk
 from fenics_crack.table import with_frequency
 
-__all__ = ["Asked", "Found", "Geometry", "build", "solve_chunk"]
-
-
 PEAK_HARMONICS = 10
 """Harmonics with which the largest response is looked for."""
 PEAK_STEPS = 4

@@ -40,25 +40,6 @@ from fenics_crack.table import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QUANTITIES
 from fenics_crack.version import VERSION
 from fenics_crack.whole import not_written, put, whole_file
 
-__all__ = [
-    "AT_POINTS",
-    "COLUMNS",
-    "CONVERGED",
-    "FAILED",
-    "KEPT_ORDERS",
-    "KIND",
-    "OPEN",
-    "PENDING",
-    "PHASES",
-    "YET",
-    "SweepFile",
-    "columns_of",
-    "of_load",
-    "opened",
-    "read_columns",
-    "read_waves",
-]
-
 KIND = "sweep"
 PENDING, CONVERGED, FAILED = 0, 1, 2
 """The states of a case."""

@@ -41,8 +41,6 @@ from fenics_crack.sweep.file import NUMBERED
 from fenics_crack.sweep.result import UNSOUGHT, SweepResult, resonates, run_sweep
 from fenics_crack.table import OF_GROWTH, OF_TIPS, TURN, Tabular, counted, with_frequency
 
-__all__ = ["ENDS", "Growth", "grow"]
-
 # --- the result, and its file ---------------------------------------------------------------------
 
 ENDS = {

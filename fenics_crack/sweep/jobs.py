@@ -27,8 +27,6 @@ from fenics_crack.sweep.case import Asked, Found, Geometry, build, solve_chunk
 from fenics_crack.sweep.file import FAILED, PENDING, SweepFile
 from fenics_crack.sweep.plan import Chunk, Plan
 
-__all__ = ["Manager", "Worker", "serve"]
-
 JOB, END = 0, 1
 """Tags of messages to a group."""
 IDLE = 0.002

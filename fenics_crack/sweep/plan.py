@@ -20,8 +20,6 @@ from fenics_crack.fem.plate import build_mesh
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCES
 
-__all__ = ["FREQUENCIES", "Chunk", "Plan"]
-
 CHUNK = 16
 """Most cases of a chunk."""
 FREQUENCIES = ("excitation.omega", "excitation.frequency")

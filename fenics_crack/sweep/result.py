@@ -46,9 +46,9 @@ from fenics_crack.files.results import solution_from
 from fenics_crack.files.store import Stored, header
 from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.fields import Axis
-from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.scene import Scene, unit_of
 from fenics_crack.scene.tables import Sweep
-from fenics_crack.scene.words import check_scene, unit_of
+from fenics_crack.scene.words import check_scene
 from fenics_crack.study.prepare import law_of
 from fenics_crack.sweep.case import Asked, build
 from fenics_crack.sweep.file import (
@@ -68,8 +68,6 @@ from fenics_crack.sweep.file import (
 from fenics_crack.sweep.jobs import Manager, Worker, serve
 from fenics_crack.sweep.plan import Plan
 from fenics_crack.table import OF_POINTS, QUANTITIES, Tabular, counted
-
-__all__ = ["UNSOUGHT", "SweepResult", "by_reason", "in_words", "resonates", "run_sweep"]
 
 SHOWN_REASONS = 4
 """Why cases failed or are undecided: so many kinds are told."""

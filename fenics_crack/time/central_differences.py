@@ -61,8 +61,6 @@ from fenics_crack.parallel import collect_garbage
 from fenics_crack.time.march import LoopedSteps, March, TimeHistory, Window, march
 from fenics_crack.time.modal_march import ModalSteps, times_by_mode
 
-__all__ = ["integrate_central_difference", "stable_steps_per_period"]
-
 NAME, REMEDY = "central differences", "take more steps per period"
 
 

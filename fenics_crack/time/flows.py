@@ -16,8 +16,6 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ExponentialFlow, Steps, exact_flow
 from fenics_crack.time.march import EnergyBalance, March, Scheme, TimeHistory, Window, march
 
-__all__ = ["integrate_events", "integrate_exponential"]
-
 
 def integrate_events(
     structure: Structure,

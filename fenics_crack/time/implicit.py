@@ -81,8 +81,6 @@ from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.time.march import EnergyBalance, LoopedSteps, March, TimeHistory, Window, march
 from fenics_crack.time.modal_march import ModalSteps, times_by_mode
 
-__all__ = ["integrate_implicit"]
-
 NAME = "generalised alpha"
 REMEDY = "take more steps per period or a smaller spectral radius"
 

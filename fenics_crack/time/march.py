@@ -43,17 +43,6 @@ from fenics_crack.parallel import StopRequest, raise_together
 from fenics_crack.stages import begin
 from fenics_crack.table import Tabular, counted
 
-__all__ = [
-    "EnergyBalance",
-    "LoopedSteps",
-    "March",
-    "Scheme",
-    "TimeHistory",
-    "Window",
-    "initial_state",
-    "march",
-]
-
 HARMONICS = 10
 """Of a motion in time that are among its indicators."""
 MEMORY_LIMIT = 2**31

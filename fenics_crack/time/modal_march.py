@@ -13,8 +13,6 @@ from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.modal import CACHED, all_modes
 from fenics_crack.time.march import March, Scheme, Window
 
-__all__ = ["ModalSteps", "times_by_mode"]
-
 
 class ModalSteps(Scheme):
     """State of a small structure in modal coordinates, and what the kernel's steps have in common.
