@@ -32,8 +32,6 @@ from fenics_crack.curves.follow import follow_branch as follow_branch
 from fenics_crack.curves.peak import Peak as Peak
 from fenics_crack.curves.refine import refine_bifurcation as refine_bifurcation
 from fenics_crack.curves.refine import refine_curve as refine_curve
-from fenics_crack.curves.stability import Attractor as Attractor
-from fenics_crack.curves.stability import PeriodicOrbit as PeriodicOrbit
 from fenics_crack.curves.stability import attractors as attractors
 from fenics_crack.curves.stability import floquet as floquet
 from fenics_crack.curves.stability import shoot as shoot
@@ -93,6 +91,8 @@ from fenics_crack.model.rotation import run_up_structure as run_up_structure
 from fenics_crack.model.structure import ModalDamping as ModalDamping
 from fenics_crack.model.structure import RayleighDamping as RayleighDamping
 from fenics_crack.model.structure import Structure as Structure
+from fenics_crack.motion.orbit import PeriodicOrbit as PeriodicOrbit
+from fenics_crack.motion.shooting import Attractor as Attractor
 from fenics_crack.scene.scene import Scene as Scene
 from fenics_crack.study.campbell import Campbell as Campbell
 from fenics_crack.study.campbell import campbell as campbell
