@@ -38,6 +38,7 @@ def _versions_by_metadata() -> Iterator[None]:
 
 
 with _versions_by_metadata():
+    import basix
     import dolfinx
     import dolfinx.fem.petsc
     import dolfinx.geometry
@@ -130,7 +131,7 @@ def assembled_vector(form: Any) -> np.ndarray:
     return owned
 
 
-def basis_at(space: Any, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def basis_at(space: Any, order: int, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Nodes of the cell of this rank that holds a point, and their basis functions' values there.
 
     Both are empty where no cell of this rank holds the point.
@@ -149,13 +150,25 @@ def basis_at(space: Any, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     hits = hits[hits < mesh.topology.index_map(dimension).size_local]
     if not len(hits):
         return np.zeros(0, dtype=np.int32), np.zeros(0)
-    nodes, unit = np.asarray(space.dofmap.cell_dofs(hits[0])), dolfinx.fem.Function(space)
-    values = []
-    for first in space.dofmap.index_map_bs * nodes:
-        unit.x.array[first] = 1.0
-        values.append(unit.eval(where, hits[:1])[0])
-        unit.x.array[first] = 0.0
-    return nodes, np.array(values)
+    cell = int(hits[0])
+    corners = mesh.geometry.x[geometry_dofmap(mesh)[cell], :dimension]
+    reference = mesh.geometry.cmap.pull_back(where[None, :dimension], corners)
+    element = basix.create_element(
+        basix.ElementFamily.P,
+        getattr(basix.CellType, mesh.topology.cell_type.name),
+        order,
+        basix.LagrangeVariant.gll_warped,
+    )
+    values = element.tabulate(0, reference)[0, 0].ravel()
+    return np.asarray(space.dofmap.cell_dofs(cell)), values
+
+
+def geometry_dofmap(mesh: Any) -> np.ndarray:
+    """Geometry nodes of each local cell: (n_cells, n_nodes)."""
+    dofmap = mesh.geometry.dofmap
+    if isinstance(dofmap, np.ndarray):
+        return dofmap
+    return dofmap.array.reshape(dofmap.num_nodes, -1)
 
 
 def vtk_cells(space: Any) -> tuple[np.ndarray, int]:

@@ -53,7 +53,7 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
     point = excitation.point if excitation.point is not None else dofs.plate.points.get("load")
     if point is not None:
         parts = (excitation.force_mean, excitation.force_cos, excitation.force_sin)
-        share = _share_at(dofs, "excitation.point", point)
+        share = _share_at(scene, dofs, "excitation.point", point)
         force += _point_force(dofs, "excitation.point", point, share, parts)
         if (scene.has_other_loads or scene.speed > 0.0) and any(map(any, parts)):
             watched = _at_nodes(dofs, share, _unit(parts))[dofs.free]
@@ -64,7 +64,7 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
     for number, load in enumerate(scene.loads, 1):
         key = f"loads.{number}"
         if load.point is not None:
-            forces, at = load.parts("force"), _share_at(dofs, f"{key}.point", load.point)
+            forces, at = load.parts("force"), _share_at(scene, dofs, f"{key}.point", load.point)
             force += _point_force(dofs, f"{key}.point", load.point, at, forces)
             if watched is None and any(map(any, forces)):
                 watched = _at_nodes(dofs, at, _unit(forces))[dofs.free]
@@ -95,7 +95,7 @@ def _unit(parts: Sequence[Vector]) -> Vector:
     return tuple(x / size for x in largest)
 
 
-def _share_at(dofs: Dofs, key: str, point: Vector) -> np.ndarray:
+def _share_at(scene: Scene, dofs: Dofs, key: str, point: Vector) -> np.ndarray:
     """What each of this rank's nodes gets of a force at a point: (n_nodes,).
 
     A node takes all of what acts at it, also where rounding, or a curved boundary between flat
@@ -108,7 +108,7 @@ def _share_at(dofs: Dofs, key: str, point: Vector) -> np.ndarray:
     places, own = gather_rows(dofs.comm, dofs.points), dofs.first_node + np.arange(dofs.n_nodes)
     if len(found := nodes_at(places, point)):
         return np.where(own == found[0], 1.0, 0.0)
-    nodes, values = compat.basis_at(dofs.space, np.array(point))
+    nodes, values = compat.basis_at(dofs.space, scene.mesh.order, np.array(point))
     values = np.where(np.abs(values) < 1e-12, 0.0, values)  # rounding
     hits = dofs.comm.allgather(len(nodes) > 0)
     if not any(hits):
