@@ -27,6 +27,7 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError, reading
+from fenics_crack.fem.crack_surface import FACETS
 from fenics_crack.fem.lips import SAME, each_once
 from fenics_crack.fem.model_files import Model, read_model
 from fenics_crack.model.factor import distributed
@@ -204,6 +205,21 @@ def count_pairs(table: Table) -> int:
 
 # --- contact pairs of a model ---------------------------------------------------------------------
 
+SIDES = {
+    4: [FACETS[4]], 8: [FACETS[8]],
+    6: [np.array([[0, 1, 2], [3, 4, 5]]), np.array([[0, 1, 4, 3], [1, 2, 5, 4], [2, 0, 3, 5]])],
+}  # fmt: skip
+"""Facets of a cell by the number of its corners, triangles and quadrilaterals apart."""
+CORNERS = {10: 4, 24: 4, 13: 6, 26: 6, 12: 8, 25: 8}
+"""Of a cell, by VTK's number of its kind."""
+EDGES = {
+    4: [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)],
+    6: [(0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5)],
+    8: [*((i, (i + 1) % 4) for i in range(4)), *((4 + i, 4 + (i + 1) % 4) for i in range(4)),
+        *((i, 4 + i) for i in range(4))],
+}  # fmt: skip
+"""Between the corners of a cell, in the order of the nodes in their middles (VTK's)."""
+
 
 def coincident(points: np.ndarray) -> np.ndarray:
     """Nodes in the same place, two by two: (n, 2)."""
@@ -336,8 +352,15 @@ middles of their cells, (m, 3)."""
 def _lip_facets(model: Model, lips: _Lips) -> list[Facets]:
     """Facets of one cell alone that lie on another one, triangles and quadrilaterals apart."""
     found = []
-    for corners in (3, 4) if model.cells else ():
-        parts = [_facets(model.points, *cells, corners) for cells in model.cells.items()]
+    for corners in (3, 4):
+        parts = [
+            _facets(model.points, cells, CORNERS[kind], own)
+            for kind, cells in model.cells.items()
+            for own in SIDES[CORNERS[kind]]
+            if own.shape[1] == corners
+        ]
+        if not parts:
+            continue
         nodes, middles = (np.concatenate(both) for both in zip(*parts, strict=True))
         alone = _uses(nodes[:, :corners]) == 1
         twice = alone.copy()
@@ -349,27 +372,18 @@ def _lip_facets(model: Model, lips: _Lips) -> list[Facets]:
     return found
 
 
-def _facets(points: np.ndarray, kind: int, cells: np.ndarray, corners: int) -> Facets:
-    """Those with so many corners of all cells of a kind, as VTK has them."""
-    from vtkmodules.vtkCommonDataModel import vtkGenericCell  # takes a while, for models alone
-
-    cell, (count, size) = vtkGenericCell(), cells.shape
-    cell.SetCellType(kind)
-    for node in range(size):
-        cell.GetPointIds().SetId(node, node)
-    sides = map(cell.GetFace, range(cell.GetNumberOfFaces()))
-    own = np.array(
-        [
-            [side.GetPointId(place) for place in range(side.GetNumberOfPoints())]
-            for side in sides
-            if side.GetNumberOfEdges() == corners
-        ],
-        dtype=int,
-    ).reshape(-1, corners if cell.IsLinear() else 2 * corners)
-    nodes = np.full((count, len(own), 2 * corners), -1)
-    nodes[..., : own.shape[1]] = cells[:, own]
-    middles = np.repeat(points[cells].mean(axis=1), len(own), axis=0)
-    return nodes.reshape(-1, 2 * corners), middles
+def _facets(points: np.ndarray, cells: np.ndarray, corners: int, facets: np.ndarray) -> Facets:
+    """Of all cells of a kind."""
+    k = facets.shape[1]
+    middle = {frozenset(edge): corners + i for i, edge in enumerate(EDGES[corners])}
+    ends = np.stack([facets, np.roll(facets, -1, axis=1)], axis=2)
+    own = np.array([[middle[frozenset(edge)] for edge in facet] for facet in ends.tolist()])
+    nodes = np.full((len(cells), len(facets), 2 * k), -1)
+    nodes[..., :k] = cells[:, facets]
+    if cells.shape[1] > corners:
+        nodes[..., k:] = cells[:, own]
+    centres = np.repeat(points[cells[:, :corners]].mean(axis=1), len(facets), axis=0)
+    return nodes.reshape(-1, 2 * k), centres
 
 
 def _uses(rows: np.ndarray) -> np.ndarray:
