@@ -31,7 +31,7 @@ from fenics_crack.fem.crack_surface import FACETS
 from fenics_crack.fem.lips import SAME, each_once
 from fenics_crack.fem.model_files import Model, read_model
 from fenics_crack.model.factor import distributed
-from fenics_crack.model.matrices import LabelledMatrix, read_matrix, read_matrix_market, whole_rows
+from fenics_crack.model.matrices import LabelledMatrix, matrix_market_shape, read_matrix, whole_rows
 from fenics_crack.model.nodes import Nodes, Pairs
 from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.scene.scene import Scene
@@ -197,7 +197,7 @@ def count_pairs(table: Table) -> int:
     try:
         with reading("structure.gap", path, "a file that can be read"):
             if table.gap is not None:
-                return int(read_matrix_market(Path(table.gap)).shape[1])
+                return matrix_market_shape(Path(table.gap))[1]
             return len(coincident(read_model(Path(path)).points))
     except InputError:  # who reads it will say why
         return 0

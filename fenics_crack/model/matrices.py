@@ -28,6 +28,7 @@ import gzip
 import re
 import warnings
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -50,14 +51,10 @@ DIRECTIONS = {"UX": 1, "UY": 2, "UZ": 3, "ROTX": 4, "ROTY": 5, "ROTZ": 6}
 """Of Ansys."""
 SHORTEST = {"coordinate": 4, "array": 2}
 """Bytes of an entry and the end of its line."""
-HEADER = re.compile(
-    r"%%matrixmarket\s+matrix\s+(coordinate\s+pattern|(coordinate|array)\s+(real|integer))\s+"
-    r"(general|symmetric|skew-symmetric)\s*",
-    re.IGNORECASE,
-)
-"""Of a real matrix of Matrix Market."""
+LAYOUTS, FIELDS = ("coordinate", "array"), ("real", "integer", "pattern")
 MIRROR = {"symmetric": 1, "skew-symmetric": -1}
 """What an entry below the diagonal is multiplied by above it."""
+SYMMETRIES = ("general", *MIRROR)
 _LABEL = re.compile(r"\s*(?:(\d+)\s+)?(\d+)[\s.,]+(\d|[A-Z]+)")
 """Node and direction of a row: "12.3", or with its number "7 12 UZ"."""
 
@@ -135,9 +132,8 @@ def read_matrix(
         return _of_nastran(path, kind)
     if ending == ".op4":
         return LabelledMatrix(_of_op4(path, kind), None if labels is None else read_labels(labels))
-    if ending == ".mtx":  # whose first line that says something has five numbers between commas?
-        if next((line for _, line in numbered_lines(path, "*")), "").count(",") == 4:
-            return _of_abaqus(path)
+    if ending == ".mtx" and _begins_as_abaqus(path):
+        return _of_abaqus(path)
     return _of_matrix_market(path, labels, rows)
 
 
@@ -218,6 +214,11 @@ def _of_calculix(path: Path, labels: Path) -> LabelledMatrix:
     if len(missing):
         raise ValueError(f"it ends early: row {missing[0] + 1} of {n} has no diagonal")
     return LabelledMatrix(_mirrored(entries[:, 2], one, other, n), rows)
+
+
+def _begins_as_abaqus(path: Path) -> bool:
+    """Whether the first line that says something has five numbers between commas."""
+    return next((line for _, line in numbered_lines(path, "*")), "").count(",") == 4
 
 
 def _of_abaqus(path: Path) -> LabelledMatrix:
@@ -348,12 +349,9 @@ def read_matrix_market(path: Path, rows: int | None = None) -> sparse.csr_matrix
     OSError, ValueError
         The file cannot be read, or contradicts itself.
     """
-    size = bytes_of(path)
-    unpack: Any = {".gz": gzip.open, ".bz2": bz2.open}.get(path.suffix)
-    most = size if unpack is None else allowance(size)
-    with (unpack or open)(path, "rt", encoding="utf-8") as file:
-        lines = lines_of(file, most)
-        layout, field, symmetry, shape, entries = _announced(lines, most)
+    with _opened(path) as (lines, most):
+        (layout, field, symmetry), sizes, entries = _announced(lines, most)
+        shape = sizes[0], sizes[1]
         if rows is not None and shape[0] != rows:
             raise ValueError(f"it has {shape[0]} rows instead of {rows}")
         if symmetry != "general" and shape[0] != shape[1]:
@@ -380,28 +378,64 @@ def read_matrix_market(path: Path, rows: int | None = None) -> sparse.csr_matrix
     return matrix
 
 
-def _announced(lines: Iterator[str], most: int) -> tuple[str, str, str, tuple[int, int], int]:
-    """Layout, field and symmetry, the shape, and the number of entries."""
-    header = HEADER.fullmatch(first := next(lines, ""))
-    if header is None:
-        allowed = (
-            "%%MatrixMarket matrix, coordinate or array, real, integer or (coordinate) pattern, "
-            "general, symmetric or skew-symmetric"
-        )
-        raise ValueError(f"it begins with {first.strip()[:80]!r} instead of {allowed}")
-    layout, field, symmetry = header[0].lower().split()[2:]
+def matrix_market_shape(path: Path) -> tuple[int, int]:
+    """Rows and columns that a file announces; sparse columns have an entry each.
+
+    Raises
+    ------
+    OSError, ValueError
+        As :func:`read_matrix_market`.
+    """
+    with _opened(path) as (lines, most):
+        _, sizes, _ = _announced(lines, most)
+    if len(sizes) == 3 and sizes[1] > sizes[2]:
+        raise ValueError(f"{sizes[1]} columns, but only {sizes[2]} entries")
+    return sizes[0], sizes[1]
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[Iterator[str], int]]:
+    """The lines of a file, and how many bytes they may have."""
+    size = bytes_of(path)
+    unpack: Any = {".gz": gzip.open, ".bz2": bz2.open}.get(path.suffix)
+    most = size if unpack is None else allowance(size)
+    with (unpack or open)(path, "rt", encoding="utf-8") as file:
+        yield lines_of(file, most), most
+
+
+def _announced(lines: Iterator[str], most: int) -> tuple[tuple[str, str, str], list[int], int]:
+    """Layout, field and symmetry, the numbers of the line with the size, and those of entries."""
+    header = _header(next(lines, ""))
     line = next((line for line in lines if line.strip() and not line.startswith("%")), "")
     sizes = [int(word) for word in line.split()]
-    if len(sizes) != (3 if layout == "coordinate" else 2) or min(sizes) < 0:
+    if len(sizes) != (3 if header[0] == "coordinate" else 2) or min(sizes) < 0:
         raise ValueError("the line with its size is missing or wrong")
-    rows, columns, *entries = sizes
-    if layout == "array" and symmetry == "general":
-        entries = [rows * columns]
-    elif layout == "array":  # from the diagonal down
-        entries = [rows * (rows + MIRROR[symmetry]) // 2]
-    if entries[0] * SHORTEST[layout] > most:
-        raise ValueError(f"it announces {entries[0]} entries, more than it can hold")
-    return layout, field, symmetry, (rows, columns), entries[0]
+    if len(sizes) == 3:
+        entries = sizes[2]
+    else:
+        entries = _entries(sizes[0], sizes[1], header[2])
+    if entries * SHORTEST[header[0]] > most:
+        raise ValueError(f"it announces {entries} entries, more than it can hold")
+    return header, sizes, entries
+
+
+def _header(line: str) -> tuple[str, str, str]:
+    words = line.lower().split()
+    if len(words) != 5 or words[:2] != ["%%matrixmarket", "matrix"]:
+        raise ValueError("it does not begin with %%MatrixMarket matrix")
+    layout, field, symmetry = words[2:]
+    for word, known in ((layout, LAYOUTS), (field, FIELDS), (symmetry, SYMMETRIES)):
+        if word not in known:
+            raise ValueError(f"{word!r} instead of one of {', '.join(known)}")
+    if (layout, field) == ("array", "pattern"):
+        raise ValueError("an array without values")
+    return layout, field, symmetry
+
+
+def _entries(rows: int, columns: int, symmetry: str) -> int:
+    """Number of entries of a dense file: of a symmetric matrix from the diagonal down."""
+    sign = MIRROR.get(symmetry)
+    return rows * columns if sign is None else rows * (rows + sign) // 2
 
 
 def _places_in_array(shape: tuple[int, int], symmetry: str) -> tuple[np.ndarray, np.ndarray]:

@@ -57,9 +57,9 @@ def test_integers_and_patterns(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("", "begins with '' instead of %%MatrixMarket"),
-        ("matrix array complex general\n1 1\n1 0\n", "array complex general' instead of"),
-        ("matrix array pattern general\n1 1\n", "array pattern general' instead of"),
+        ("", "does not begin"),
+        ("matrix array complex general\n1 1\n1 0\n", "'complex' instead of"),
+        ("matrix array pattern general\n1 1\n", "without values"),
         ("matrix array real general\n", "size is missing"),
         ("matrix array real general\n2 1\n1\n2\n3\n", "more entries instead of 2"),
         ("matrix array real symmetric\n2 1\n1\n2\n", "symmetric, but of shape"),
