@@ -477,18 +477,17 @@ def stability_of(judged: Judgement) -> Stability:
     orbit = judged.orbit
     if orbit is None:
         return _along_the_wave(judged, judged.reason)
-    verdict, reason, largest = "undecided", judged.reason, abs(orbit.multipliers[0])
+    reason, largest = judged.reason, abs(orbit.multipliers[0])
+    own = "stable" if largest < 1.0 else "unstable"
     if not reason and abs(largest - 1.0) <= KNOWN:
         reason = "its largest multiplier is 1 to rounding: a bifurcation, or no damping"
     if not (reason or judged.expected):
-        verdict_of_orbit = "stable" if largest < 1.0 else "unstable"
-        reason = f"{farther(judged)}; it is {verdict_of_orbit}; take more harmonics"
+        reason = f"{farther(judged)}; it is {own}; take more harmonics"
     if not reason and largest < 1.0 and not judged.of_orbit:
         assert judged.decisive is not None
         if _left(orbit, judged.decisive):
             reason = "the exact motion that begins with it leaves its orbit; take more harmonics"
-    if not reason:
-        verdict = "stable" if largest < 1.0 else "unstable"
+    verdict = "undecided" if reason else own
     return Stability(orbit.multipliers, verdict, KNOWN, True, judged.distance, reason)
 
 
