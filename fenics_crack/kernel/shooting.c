@@ -127,6 +127,8 @@ equations *equations_of_shooting(shooting_point *at) { return &at->common.own; }
 
 int switches_of(const shooting_point *at) { return at->moved.events; }
 
+int pieces_of(const shooting_point *at) { return at->moved.pieces; }
+
 int tangent_of(shooting_point *at, double *found)
 {
     const long n = at->common.size;

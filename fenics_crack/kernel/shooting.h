@@ -27,6 +27,8 @@ void free_shooting_point(shooting_point *at);
 equations *equations_of_shooting(shooting_point *at);
 /* Pairs that open or close in the period last followed. */
 int switches_of(const shooting_point *at);
+/* Of the Taylor series in it. */
+int pieces_of(const shooting_point *at);
 /* M of the last evaluation, (2 m, 2 m), in the unknowns x: 0, or 1 where there is none. */
 int tangent_of(shooting_point *at, double *found);
 

@@ -262,13 +262,6 @@ def too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> bool:
     return flow.size <= FORMED and 2.0 * pieces > Budget.pieces
 
 
-def unhurried(flow: ContactFlow, omega: float, subharmonic: int = 1) -> float:
-    """Part of a search for which there is time at a frequency: 1, but where the load is so slow
-    that all periods of a search have more pieces, without events, than it may take."""
-    pieces = flow.pieces(2.0 * np.pi * subharmonic / omega)
-    return min(1.0, PIECES / FLOWS / pieces)
-
-
 def predicted(
     flow: ContactFlow, omega: float, states: np.ndarray, subharmonic: int = 1
 ) -> Prediction | None:
@@ -341,7 +334,7 @@ class _Search:
         self._period = 2.0 * np.pi * subharmonic / omega
         most = PIECES
         if flow.size <= FORMED and not too_slow(flow, omega, subharmonic):
-            most = math.ceil(PIECES / unhurried(flow, omega, subharmonic))
+            most = max(most, math.ceil(FLOWS * flow.pieces(self._period)))
         self._left = budget or Budget(pieces=most)
         self._weights = flow.weights(omega / subharmonic)
         self.state, self.flows = state, 0

@@ -21,24 +21,18 @@ Source: Chow, Mallet-Paret and Yorke, Mathematics of Computation 32 (1978) 887-8
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import islice
 
 import numpy as np
 
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import Struct, kernel, owned, pointer
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion
-from fenics_crack.motion.orbit import (
-    FORMED,
-    INSTANTS,
-    KNOWN,
-    Inverse,
-    PeriodicOrbit,
-    find_orbit,
-    unhurried,
-)
+from fenics_crack.motion.orbit import FORMED, INSTANTS, KNOWN, Inverse, PeriodicOrbit, find_orbit
 from fenics_crack.numerics.equations import LOCATED, DenseLinearisation, Equations
 from fenics_crack.numerics.fourier import derivative, evaluate
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_in_plane
@@ -50,7 +44,9 @@ PARTS = 32
 """Of the period, whose starts' states are corrected together."""
 WANDERING, PASSED, SETTLING, LATER = 1000, 100, 60, 8
 """Periods that a motion is followed for, its nearest recurrences from which an orbit is sought, the
-least periods, of large states, and those after which it may be where it was."""
+periods of large states' motions, and those after which it may be where it was."""
+PACE = 400
+"""Pieces a period in a motion that is followed for all of them; one with more, for fewer."""
 SETTLED = 1e-3
 """How near a motion comes to where it was before, relative, that has settled."""
 FEW = 24
@@ -174,9 +170,9 @@ class FlowOrbits(Equations):
         return unknown + self._residual()
 
     @property
-    def unhurried(self) -> float:
-        """Part of a search for which there is time (:func:`motion.orbit.unhurried`)."""
-        return unhurried(self.flow, self.omega, self.subharmonic)
+    def pieces(self) -> int:
+        """Of the Taylor series in the motion last followed."""
+        return int(kernel.pieces_of(self._point))
 
     def followed(self, periods: int) -> np.ndarray:
         """The start after some periods of the response, nearer to what attracts it: (2n,)."""
@@ -271,22 +267,21 @@ class Homotopy:
     Attributes
     ----------
     left : int
-        Switching instants that may still be passed, from all starts together: as many as a motion
-        may have pieces, a second or two.
+        Pieces that motions may still have, from all starts together: a second or two.
     """
 
     def __init__(self, orbits: FlowOrbits) -> None:
         self._orbits, self.shape = orbits, orbits.shape
         self._start, self._at = orbits.start, 1.0
-        self.left = int(_share(orbits) * Budget.pieces)
+        self.left = int(_share(orbits) * PACE * WANDERING)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> _HomotopyPoint:
-        """The equations at a point; raises as :meth:`FlowOrbits.linearise`, and where all switching
-        instants have been passed."""
+        """The equations at a point; raises as :meth:`FlowOrbits.linearise`, and where no pieces
+        are left."""
         if self.left <= 0:
             raise ConvergenceError("orbits: the homotopy takes too long")
         at = self._orbits.linearise(unknown, self._at)
-        self.left -= at.events + 1
+        self.left -= self._orbits.pieces
         return _HomotopyPoint(at, parameter, self._start)
 
     def end(self, start: np.ndarray, parameter: float) -> np.ndarray | None:
@@ -372,10 +367,12 @@ def recurring(
     Source: Auerbach et al., Physical Review Letters 58 (1987) 2387-2389.
     """
     orbits = FlowOrbits(flow, omega, start, subharmonic)
-    periods = _periods(orbits)
-    begin(f"the exact motion over {periods} periods, and orbits that it passes")
-    passed = _followed(orbits, orbits.start, periods)
-    for place in recurrences(passed, int(np.ceil(_share(orbits) * PASSED))):
+    share = _share(orbits)
+    periods = max(int(share * WANDERING), SETTLING)
+    begin(f"the exact motion over up to {periods} periods, and orbits that it passes")
+    passed = np.array([orbits.start, *_followed(orbits, orbits.start, periods)])
+    count = share * min(1.0, PACE / max(1, orbits.pieces)) * PASSED
+    for place in recurrences(passed, int(np.ceil(count))):
         orbit = find_orbit(flow, omega, orbits.state(passed[place]), subharmonic=subharmonic)
         # Where M is huge a step may be short and the motion does not close.
         if orbit is not None and orbit.residual <= KNOWN:
@@ -432,56 +429,47 @@ class Attractor:
 
 def in_the_long_run(orbits: FlowOrbits, start: np.ndarray) -> Attractor:
     """What the exact motion from a state x does after many periods: it is followed until it has
-    settled, or for 1,000; with more than 24 modes, which take longer, for fewer."""
-    passed, share = start[None], min(1.0, 2.0 * FEW / orbits.flow.size) * orbits.unhurried
-    most = max(LATER + 1, int(share * WANDERING))
-    begin(f"the exact motion over {most} periods")
-    while (done := len(passed) - 1) < most:
-        more = _followed(orbits, passed[-1], min(most - done, done + LATER))
-        if len(more) == 1:
-            break
-        passed = np.concatenate([passed, more[1:]])
+    settled, or for 1,000; with more than 24 modes or many events, which take longer, for fewer."""
+    most = max(LATER + 1, int(min(1.0, 2.0 * FEW / orbits.flow.size) * WANDERING))
+    begin(f"the exact motion over up to {most} periods")
+    passed, ahead = start[None], _followed(orbits, start, most)
+    while more := list(islice(ahead, len(passed) - 1 + LATER)):
+        passed = np.concatenate([passed, more])
         last = passed[-1]
         changes = np.linalg.norm(passed[-2 : -LATER - 2 : -1] - last, axis=1)
-        there = changes <= SETTLED * np.linalg.norm(last)
-        if not there.any():
-            continue
-        several = int(np.argmax(there))
-        turns = (1 + several) * orbits.subharmonic
-        orbit = find_orbit(orbits.flow, orbits.omega, orbits.state(last), subharmonic=turns)
-        if orbit is None:
-            continue
-        off = np.linalg.norm(orbits.unknown(orbit.state) - last)
-        # What decays by |mu| a period and is off by d changes by no less than (1 - |mu|) d.
-        if 0.0 < (1.0 - abs(orbit.multipliers[0])) * off <= 2.0 * changes[several]:
-            after = f"one that repeats itself after {turns} periods of the load"
-            does = f"settles to {after if several else 'an orbit'}"
-            return Attractor(orbit, does, (len(passed) - 1) * orbits.subharmonic, orbits, last)
+        size = np.linalg.norm(last)
+        for several in np.flatnonzero(changes <= SETTLED * size):
+            turns = int(1 + several) * orbits.subharmonic
+            orbit = find_orbit(orbits.flow, orbits.omega, orbits.state(last), subharmonic=turns)
+            if orbit is None:
+                continue
+            decays = 1.0 - abs(orbit.multipliers[0])
+            off = np.linalg.norm(orbits.unknown(orbit.state) - last)
+            # What decays by |mu| a period and is off by d changes by no less than (1 - |mu|) d.
+            if decays > 0.0 and decays * off <= 2.0 * changes[several] + LOCATED * size:
+                after = f"one that repeats itself after {turns} periods of the load"
+                does = f"settles to {after if several else 'an orbit'}"
+                return Attractor(orbit, does, (len(passed) - 1) * orbits.subharmonic, orbits, last)
     does = f"does not settle: {_comes_back(passed, orbits.subharmonic, 'it')}"
     return Attractor(None, does, (len(passed) - 1) * orbits.subharmonic, orbits, passed[-1])
 
 
 def _share(orbits: FlowOrbits) -> float:
     """Of what a small structure's motion is followed, and of its recurrences that are tried."""
-    return min(1.0, (FEW / orbits.flow.size) ** 2) * orbits.unhurried
+    return min(1.0, (FEW / orbits.flow.size) ** 2)
 
 
-def _periods(orbits: FlowOrbits) -> int:
-    """That a motion is followed for."""
-    least = max(LATER + 1, int(orbits.unhurried * SETTLING))
-    return max(int(_share(orbits) * WANDERING), least)
-
-
-def _followed(orbits: FlowOrbits, start: np.ndarray, periods: int) -> np.ndarray:
-    """The states a period apart of the motion from a state, (n, 2 n_modes), as far as it can be
-    followed."""
-    passed = [start]
-    try:
+def _followed(orbits: FlowOrbits, state: np.ndarray, periods: int) -> Iterator[np.ndarray]:
+    """States x a period apart of the motion from a state, after the first period and later ones; as
+    far as it can be followed, and in as many pieces as there is time for."""
+    left = PACE * periods
+    with suppress(ConvergenceError):  # pairs that chatter without end
         for _ in range(periods):
-            passed.append(orbits.moved(passed[-1], 1.0))
-    except ConvergenceError:  # pairs that chatter without end
-        pass
-    return np.array(passed)
+            if left <= 0:
+                return
+            state = orbits.moved(state, 1.0)
+            left -= orbits.pieces
+            yield state
 
 
 def _comes_back(passed: np.ndarray, subharmonic: int, motion: str = "the exact motion") -> str:

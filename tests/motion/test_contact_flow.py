@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.linalg
-from helpers import DAMPINGS, ROOT, Cubic, chain, oscillator, period_two_orbit, relative
+from helpers import DAMPINGS, ROOT, Cubic, chain, oscillator, period_two_orbit, relative, two_masses
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from motion.reference import ReferenceFlow
@@ -16,7 +16,14 @@ from fenics_crack import PeriodicOrbit
 from fenics_crack.kernel import kernel, pointer
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, flow_of
 from fenics_crack.motion.orbit import Prediction, find_orbit, predicted
-from fenics_crack.motion.shooting import FlowOrbits, orbit_next_to, wave_states
+from fenics_crack.motion.shooting import (
+    PACE,
+    WANDERING,
+    FlowOrbits,
+    in_the_long_run,
+    orbit_next_to,
+    wave_states,
+)
 from fenics_crack.numerics.fourier import balanced, evaluate
 
 RIGID = fc.UnilateralConstraint()
@@ -371,6 +378,26 @@ def test_by_omega() -> None:
     at = system.linearise(system.start, 1.0)
     slope = -at.solve(at.by_parameter) / (system.scale * omega)
     assert relative(slope, (after.state - before.state) / (2.0 * step)) < 1e-5
+
+
+def test_a_motion_of_many_events_is_followed_for_fewer_periods() -> None:
+    """One that repeats itself after 160 periods of the load, seen every 41 of them."""
+    flow = known(two_masses(), fc.UnilateralPenalty(100.0))
+    orbits = FlowOrbits(flow, 0.614, np.zeros(flow.size), 41)
+    found = in_the_long_run(orbits, orbits.start)
+    followed = found.periods // 41
+    assert found.orbit is None and f"followed for {41 * followed} periods" in found.told
+    assert followed < WANDERING
+    assert followed * orbits.pieces == pytest.approx(PACE * WANDERING, rel=0.1)
+
+
+def test_the_least_periods_after_which_a_motion_is_where_it_was() -> None:
+    """It nearly is after two times forty of the load, and is after four: to rounding."""
+    flow = known(two_masses(), fc.UnilateralPenalty(100.0))
+    orbits = FlowOrbits(flow, 0.614, np.zeros(flow.size), 40)
+    found = in_the_long_run(orbits, orbits.start)
+    assert found.told == "settles to one that repeats itself after 160 periods of the load"
+    assert found.orbit is not None and abs(found.orbit.multipliers[0]) < 0.01
 
 
 @pytest.mark.parametrize("light", [False, True])
