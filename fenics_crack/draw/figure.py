@@ -81,8 +81,8 @@ class Picture:
     Raises
     ------
     InputError
-        The number of axes is not that of the panels, there are both axes and a path, or a keyword
-        is none of these.
+        The number of axes is not that of the panels, there are both axes and a path, the path's
+        kind of picture is not known, or a keyword is none of these.
     """
 
     def __init__(
@@ -112,6 +112,9 @@ class Picture:
             axes = axes[:count]
         elif path is not None:
             raise InputError("path", str(path), "left out with axes: save their figure")
+        kinds = sorted(FigureCanvasAgg.get_supported_filetypes())
+        if path is not None and Path(path).suffix[1:].lower() not in ["", *kinds]:
+            raise InputError("path", str(path), f"a file of one of the kinds .{', .'.join(kinds)}")
         self.panels: list[Axes] = list(np.atleast_1d(axes).ravel())
         if len(self.panels) != count:
             raise InputError("axes", f"{len(self.panels)} axes", f"{count}, one for each panel")

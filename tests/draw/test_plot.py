@@ -108,6 +108,8 @@ def test_on_axes_that_are_given(
         draw(results, axes=panels)
     with pytest.raises(fc.InputError, match="path"):
         draw(results, axes=given, path="again.png")
+    with pytest.raises(fc.InputError, match=r"^path = '.*drawn\.xls': .*\.png"):
+        draw(results, path=tmp_path / "drawn.xls")
 
 
 @pytest.mark.parametrize("name", DRAWN)
