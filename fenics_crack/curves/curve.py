@@ -25,7 +25,7 @@ from fenics_crack.balance.solution import (
 )
 from fenics_crack.curves.family import FAMILIES, Family
 from fenics_crack.curves.peak import Peak, damping_by_width, top_of
-from fenics_crack.curves.stability import floquet
+from fenics_crack.curves.stability import floquet, stability_of
 from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import all_modes
@@ -413,12 +413,15 @@ class ResponseCurve(_Waves):
     def reason(self, index: int) -> str:
         """Why the stability is undecided at a point, and what to do; "" where it is decided.
 
-        It is what :func:`fenics_crack.floquet` says of the point's solution by itself.
+        It is what :func:`fenics_crack.floquet` says of the point's solution by itself; but where an
+        exact orbit lies next to it not where the motion goes that begins with it: neighbours tell.
         """
         if not self._open[index]:
             return ""
         solution = self.solution(index)
-        alone = floquet(solution.structure, solution)
+        judged = solution.judged
+        apart = judged.orbit is not None
+        alone = stability_of(judged) if apart else floquet(solution.structure, solution)
         if self._open.all():
             why = "no orbit along the curve was followed, or accepted: fewer modes are followed"
             why += " sooner, and more harmonics lead to more orbits"
