@@ -29,6 +29,7 @@ from fenics_crack.curves.stability import floquet, stability_of
 from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import all_modes
+from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ContactFlow
 from fenics_crack.numerics.fourier import evaluate, resized
@@ -463,16 +464,15 @@ class ResponseCurve(_Waves):
         amplitude = self.amplitude(dof)
         index = int(np.argmax(amplitude))
         value, height = top_of(self.values, amplitude, index)
-        omega, solution, damping = float(self.omega[index]), self.solution(index), math.nan
+        omega, solution = float(self.omega[index]), self.solution(index)
         if self.parameter in ("omega", "speed"):
             omega *= value / float(self.values[index])
-            waves = self.coefficients_at(dof)
-            damping = damping_by_width(self.values, waves, self.subharmonic, index)
         if self.multipliers is None:
             verdict = floquet(solution.structure, solution).verdict
         else:
             verdict = str(self.verdicts[index])
         error = solution.report.displacement
+        damping = _damping(self, index, self.coefficients_at(dof))
         return Peak(index, value, omega, height, error, verdict, damping)
 
     @cached_property
@@ -569,3 +569,16 @@ class ResponseCurve(_Waves):
         if self.multipliers is not None:
             parts.append(f"{np.mean(self.stable):.0%} stable")
         return ", ".join([*parts, "complete" if self.complete else "NOT COMPLETE"])
+
+
+def _damping(curve: ResponseCurve, index: int, waves: np.ndarray) -> float:
+    """By the half-power bandwidth next to a point, of coefficients (n, 2H+1); over a rotor's speed
+    natural frequencies follow the load's, and it takes longer to pass them."""
+    if curve.parameter not in ("omega", "speed"):
+        return math.nan
+    damping = damping_by_width(curve.values, waves, curve.subharmonic, index)
+    structure = curve.structure
+    if isinstance(structure, RunUpStructure):
+        there = structure.at_speed(float(curve.values[index]))
+        damping *= 1.0 - there.stiffening(float(curve.omega[index]))
+    return damping

@@ -368,6 +368,15 @@ class RunUpStructure(MasslessInterface):
             return found
         return found.varied(damping=self.damping_factor, clearance=added)
 
+    def stiffening(self, omega: float) -> float:
+        """d ln w / d ln W of the natural frequency w, lips open, that is nearest to one [rad/s]:
+        phi^T dK/d(ln W) phi / (2 w^2), phi being its mode."""
+        first, second, third = self.speed**2 * self._ritz.stiffness
+        mode = int(np.abs(self.omega - omega).argmin())
+        shape = self.shapes[:, mode]
+        change = 2.0 * (first + second + 2.0 * self.speed**2 * third)
+        return float(shape @ change @ shape / (2.0 * self.omega[mode] ** 2))
+
     def damped(self, damping: DampingRule | None) -> RunUpStructure:
         """Return this structure with a modal or Rayleigh damping, or none."""
         raise InputError("damping", damping, "that of the structure from which this one was made")

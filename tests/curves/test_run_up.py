@@ -94,6 +94,16 @@ def test_a_crack_that_rotation_holds_open() -> None:
         peaks.append(found.peak())
     assert peaks[1].amplitude == pytest.approx(10.0 * peaks[0].amplitude, rel=1e-3)
     assert peaks[1].damping == pytest.approx(peaks[0].damping, rel=1e-2)
+    whole, (speed, omega) = (
+        fc.build_structure(blade(), MPI.COMM_SELF),
+        (peaks[1].value, peaks[1].omega),
+    )
+    spinning = fc.run_up_structure(whole, 560.0, 640.0, 6).at_speed(speed)
+    beside = [spinning.at_speed(speed * (1.0 + h)).omega for h in (-1e-4, 1e-4)]
+    mode = int(np.abs(spinning.omega - omega).argmin())
+    stiffening = float(np.log(beside[1] / beside[0])[mode]) / 2e-4
+    assert spinning.stiffening(omega) == pytest.approx(stiffening, rel=1e-4)
+    assert 0.02 < stiffening and peaks[1].damping == pytest.approx(0.005, rel=3e-3)
 
 
 def test_run_up_meets_structures_of_each_speed(run_up: Run[fc.ResponseCurve]) -> None:
