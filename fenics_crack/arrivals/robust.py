@@ -208,4 +208,5 @@ def _noise(left: np.ndarray, unknowns: int, scale: float, least: float) -> Noise
                 break
         weights = (freedom + 1.0) / (freedom + square / value**2)
         found.append(Noise(left, weights, value, float(freedom), unknowns))
-    return min(found, key=lambda noise: noise.cost)
+    # Tails are one unknown more, by which the likelihood has to gain (Akaike's criterion).
+    return min(found, key=lambda noise: noise.cost + 2.0 * (noise.freedom < FREEDOMS[-1]))

@@ -52,6 +52,8 @@ UNIVERSAL = (".uff", ".unv")
 """Endings of universal files."""
 LARGEST_PHASE = 4.0 * math.pi
 """Of a period of 2 pi, for whoever begins it elsewhere [rad]; what is larger is in degrees."""
+STUDENT = 2
+"""Degrees of freedom up to which Student's t has no variance."""
 FEWEST_PROBES = 4
 """Probes of which displacements tell more than the size and phase of a load, and a constant."""
 
@@ -251,7 +253,7 @@ class Measurements(Tabular):
             Whether the direction of the point is against the rotation.
         noise : float [s]
             Standard deviation of an arrival; default: from the scatter between revolutions, and
-            from its correlation.
+            from its correlation, which few revolutions tell less well.
         angle_deviation : float [rad]
             Standard deviation of the probes' angles, the same in every revolution.
 
@@ -259,7 +261,8 @@ class Measurements(Tabular):
         ------
         InputError
             A value cannot be used, the speed is not constant, there are fewer than four probes, or
-            ``noise`` is left out where passages have no scatter, as in one revolution alone.
+            ``noise`` is left out where passages have no scatter, or too little to tell it, as in
+            one revolution alone.
         """
         from fenics_crack.arrivals.fit_order import Means  # SciPy
         from fenics_crack.arrivals.harmonics import rounding
@@ -275,12 +278,20 @@ class Measurements(Tabular):
         if len(count) < FEWEST_PROBES:
             raise InputError("arrivals", repr(arrivals), f"those of {FEWEST_PROBES} probes or more")
         means = Means(arrivals, 1, float(order), angle_deviation)
-        deviations = np.sqrt(np.diag(means.covariance))
+        places, within = arrivals.tip_radius * angle_deviation, means.within
         if noise is not None:
             own = speed * noise / np.sqrt(count)
             deviations = arrivals.tip_radius * np.hypot(own, angle_deviation)
-        elif means.within < 1 or means.scatter <= rounding(arrivals):
+        elif means.scatter <= rounding(arrivals):
             raise InputError("noise", None, "given where passages have no scatter")
+        elif within <= STUDENT:
+            found = counted(int(count.sum()), "arrival")
+            allowed = f"given for {found} at {counted(len(count), 'probe')}, too few to tell it"
+            raise InputError("noise", None, allowed)
+        else:
+            # Of Student's t with so many degrees of freedom, whose scale is that of the scatter.
+            own = np.diag(means.covariance) - places**2
+            deviations = np.sqrt(own * within / (within - STUDENT) + places**2)
         # Rounded, for one sweep to serve all arrivals at a speed.
         frequency = float(f"{order * speed / (2.0 * math.pi):.9g}")
         return cls.from_arrays(
