@@ -268,15 +268,25 @@ class Part:
         """Complex amplitude of a harmonic at all nodes: (n,) [m]; 0 where a case has fewer."""
         of = f"{point}." if point else ""
         cosine, sine = (self.column(f"{of}{part}_{order}") for part in ("cosine", "sine"))
+        load = self._load(frequency)
+        fewer = self.column("harmonics")[:, load] < order
+        value = np.where(fewer, 0.0, (cosine - 1j * sine)[:, load])
+        return np.where(self.column("state")[:, load] == CONVERGED, value, np.nan)
+
+    def harmonics(self, frequency: float) -> int:
+        """How many harmonics all cases have at a load that were solved; 1 if none was."""
+        load = self._load(frequency)
+        solved = self.column("state")[:, load] == CONVERGED
+        return int(self.column("harmonics")[solved, load].min()) if solved.any() else 1
+
+    def _load(self, frequency: float) -> int:
+        """Place of a load frequency [Hz] among those of the sweep; InputError if it has none."""
         loads = self.sweep.axes[-1].values
         if frequency not in loads:
             solved = ", ".join(f"{load:.9g}" for load in loads)
             allowed = f"one of those that are solved, {solved} Hz; identify.frequencies adds others"
             raise InputError("measurements.frequency", frequency, allowed)
-        load = loads.index(frequency)
-        fewer = self.column("harmonics")[:, load] < order
-        value = np.where(fewer, 0.0, (cosine - 1j * sine)[:, load])
-        return np.where(self.column("state")[:, load] == CONVERGED, value, np.nan)
+        return loads.index(frequency)
 
     @cached_property
     def basis(self) -> np.ndarray:

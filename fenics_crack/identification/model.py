@@ -9,18 +9,20 @@ not as the scene says from its prior (:mod:`fenics_crack.identification.nuisance
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from fenics_crack.errors import FEW_MODES
-from fenics_crack.identification.interpolation import Feature, Interpolation, Part, scales
+from fenics_crack.errors import FEW_MODES, MOST_HARMONICS
+from fenics_crack.identification.interpolation import Feature, Interpolation, Part, poles, scales
 from fenics_crack.identification.measurements import Measurement
 from fenics_crack.identification.nuisance import OF_SIZE, Whole, act_as, relative_changes
 from fenics_crack.scene.scene import Scene
+from fenics_crack.sweep.file import NUMBERED
 
 # --- displacements at probes ----------------------------------------------------------------------
 
@@ -102,11 +104,11 @@ class Passages:
             found.append(cls(places, mine, [rows[place] for place in places[len(mine) :]]))
         return found
 
-    def beyond(self, last: int) -> np.ndarray:
-        """Displacements by the parts of the two harmonics above the last, together of size 1 at
-        any phase: (n, 4)."""
-        angles = np.multiply.outer(self._phases, [last + 1, last + 2])
-        return np.hstack([np.cos(angles), np.sin(angles)]) / np.sqrt(2.0)
+    def together(self, orders: np.ndarray) -> np.ndarray:
+        """Covariance of the displacements by a harmonic of mean square 1 and any phase, of each of
+        some orders (k,): (k, n, n)."""
+        apart = self._phases[:, None] - self._phases
+        return np.asarray(0.5 * np.cos(np.multiply.outer(orders, apart)))
 
     def aligned(self, waves: np.ndarray) -> Aligned:
         """The displacements of harmonics U_k: (m, K) [m]."""
@@ -305,6 +307,7 @@ class Quantities:
         before = [row.mode if row.quantity == "frequency_uncracked" else 0 for row in self.rows]
         self._since = between[[mode if mode <= count else 0 for mode in before]]
         self._basis = Interpolation(model.cube, model.coarse.basis)
+        self._highest = float(np.nanmax(model.coarse.basis[:, NUMBERED], initial=0.0))
         self._coarse = Interpolation(model.cube, self._smooth(model.coarse))
         self._understated = self._missed()
         harmonic = np.repeat([not one.natural for one in self._features], 2)
@@ -371,17 +374,20 @@ class Quantities:
         changes = changes * np.where(self._is_plain, 1.0, waves * scale)[..., None]
         waves[:, self._own] += waves[:, self._plain]
         values, turns, rest = self._of_numbers(damping, waves, scale)
-        free, beyond = [np.zeros((*values.shape, 0))], []
+        free = [np.zeros((*values.shape, 0))]
+        left_out = np.zeros((len(x), len(self.rows), len(self.rows)))
         unsure = sum(np.sum(errors**2, axis=1) for errors in scatter)
         unsure = (unsure[:, ::2] + unsure[:, 1::2]) / np.abs(scale) ** 2
         for passages in self._passages:
             at = self._places[passages.rows[0]]
             found = passages.aligned(waves[:, at])
             values[:, passages.rows] = found.values
-            # What harmonics above the last one may be: as much as that may be.
-            last = np.sqrt(np.abs(waves[:, at[-1]]) ** 2 + unsure[:, at[-1]]) * found.size
-            beyond.append(np.zeros((*values.shape, 4)))
-            beyond[-1][:, passages.rows] = last[:, None, None] * passages.beyond(len(at))
+            above, square = self._left_out(
+                self._features[at[0]], np.abs(waves[:, at]) ** 2 + unsure[:, at], damping, basis
+            )
+            both = np.ix_(range(len(x)), passages.rows, passages.rows)
+            size = found.size[:, None, None] ** 2
+            left_out[both] = size * np.tensordot(square, passages.together(above), axes=1)
             turns[:, np.array(passages.rows)[:, None], at] = found.turns / scale[:, None, at]
             moved = np.zeros((*values.shape, found.free.shape[2]))
             moved[:, passages.rows] = found.free
@@ -390,10 +396,34 @@ class Quantities:
         slopes = _pairs(turns.conj())
         errors = self._errors(smooth, left, scatter, slopes)
         unknown = slopes @ _pairs(changes.transpose(0, 2, 1)).transpose(0, 2, 1)
-        errors = np.concatenate([errors, unknown, values[..., None] * self._since, *beyond], axis=2)
-        total = errors @ errors.transpose(0, 2, 1) + rest[:, :, None] * np.eye(len(self.rows))
+        errors = np.concatenate([errors, unknown, values[..., None] * self._since], axis=2)
+        total = errors @ errors.transpose(0, 2, 1) + left_out
+        total += rest[:, :, None] * np.eye(len(self.rows))
         values = np.where(self.known, values, np.nan)
         return Prediction(values, total, np.concatenate(free, axis=2), self.known)
+
+    def _left_out(
+        self, first: Feature, squares: np.ndarray, damping: np.ndarray, basis: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Orders (k,) above those that all cases have, as far as modes resonate there, and mean
+        squares (m, k) [m^2] of their harmonics, by those (m, K) of the first ones at a point.
+
+        Harmonics of the contact force fall like 1 / k and act on modes of static compliances
+        1 / w_j^2: |U_k|^2 = c^2 sum_j |w_j^2 - (k W)^2 + 2 i z w_j k W|^-2 / k^2, with c^2 the mean
+        of the upper half of those that are known. Of 150 cracks under loads of 120 to 1500 Hz what
+        twelve and six of 30 harmonics leave is 1.0 and 1.3 times this, in root mean square.
+        """
+        kept, highest = self.model.coarse.harmonics(first.frequency), self._highest
+        kept = min(kept, squares.shape[1])
+        last = min(max(2 * kept, math.ceil(highest / first.frequency)), MOST_HARMONICS)
+        every = [replace(first, order=order) for order in range(1, last + 1)]
+        soft = np.nan_to_num(basis[:, None, NUMBERED], nan=np.inf) ** -4.0
+        moved = np.sum(soft / np.abs(poles(every, damping, basis)[1]) ** 2, axis=2)
+        moved /= np.arange(1.0, last + 1.0) ** 2
+        upper = slice(kept // 2, kept)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            strength = np.nan_to_num(np.mean(squares[:, upper] / moved[:, upper], axis=1))
+        return np.arange(kept + 1, last + 1), strength[:, None] * moved[:, kept:]
 
     def _of_numbers(
         self, damping: np.ndarray, waves: np.ndarray, scale: np.ndarray
