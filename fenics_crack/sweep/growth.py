@@ -79,7 +79,8 @@ class Growth(Tabular):
         Lengths that were solved; between them are splines.
     errors : dict of str to float
         Relative standard deviations of the cycles by the "rate", the "exponent", the "vibration"
-        (mesh, modes and harmonics, where half of the cycles are over), and by "interpolation".
+        (mesh, modes and harmonics, where half of the cycles are over; also by what part of a
+        spectrum is above the threshold), and by "interpolation", between lengths and in a run-up.
     remarks : tuple of str
         What is in doubt.
     """
@@ -218,9 +219,10 @@ REDUCED = 4.0
 ROUGH = 0.05
 """Error of ln delta K above which an interval is halved even where few cycles pass in it: the peak
 of a resonance that passes is seen."""
-LOGARITHMIC = ("driving", "K_max", "delta_K_effective", "response")
+LOGARITHMIC = ("driving", "coarser", "K_max", "delta_K_effective", "response")
 """Columns whose logarithm is smooth: resonances pass through them."""
 LINEAR = ("omega", "omega_open", "omega_bilinear", "K_min", "K_II_max")
+NO_COLUMNS = dict.fromkeys((*LOGARITHMIC, *LINEAR), np.zeros(0))
 READ = ("K_max", "delta_K_effective", "delta_K_equivalent", "response", *LINEAR)
 """Columns of the sweep: those of a spectrum are of the load that drives the crack most."""
 NOTHING = 1e-200
@@ -228,7 +230,10 @@ NOTHING = 1e-200
 LEAST = 1e-4
 """Part of its largest value below which a logarithmic column counts as that: closed cracks."""
 SLICES = 16
-"""Of what lies around a level of a run-up, each above the threshold or below it."""
+"""Of what lies around a level of a run-up."""
+TOP = 1.12
+"""Largest range between two levels of a run-up over the larger one of theirs: of a resonance in
+their middle, half of its half width from both."""
 SETTLES = 2.0
 """Times 1 / (xi w), in which the run-up of a single mode must pass the width 2 xi f at least:
 its growth with m = 3 is then 3 % below the steady one's."""
@@ -294,11 +299,12 @@ def grow(
     over = np.diff(cycles)
     weights = _trapezoid(cycles) if cycles[-1] > 0.0 else None
     mean = abs(float(np.average(strength, weights=weights)))
+    of_levels = _longer(path, path.columns["coarser"], law, length, cycles) / REDUCED
     errors = {
         "rate": law.rate_deviation,
         "exponent": law.exponent_deviation * mean,
-        "vibration": law.exponent * vibration,
-        "interpolation": missed,
+        "vibration": law.exponent * vibration + _lost(path, law, length, cycles, vibration),
+        "interpolation": math.hypot(missed, of_levels),
     }
     seen = {name: path.at(name, length) for name in path.columns}
     for name in LOGARITHMIC:
@@ -309,7 +315,7 @@ def grow(
         scene, length, cycles, time, seen["omega"], seen["omega_open"], seen["omega_bilinear"],
         seen["response"], seen["K_max"], seen["K_min"], seen["delta_K_effective"],
         seen["K_II_max"], _rate(path, law, length), end, path.lengths, errors,
-        (*_remarks(scene, path, seen, length, vibration), *without),
+        (*_remarks(scene, path, seen, length, vibration, end), *without),
     )  # fmt: skip
 
 
@@ -384,12 +390,39 @@ def _error_at(scene: Scene, path: LengthPath, length: float) -> tuple[float, lis
     return stated.stated("delta_K_equivalent")[0], without
 
 
+def _lost(
+    path: LengthPath, law: Law, length: np.ndarray, cycles: np.ndarray, error: float
+) -> float:
+    """What ln N rises by, beside the power of the exponent, if all ranges are smaller by a relative
+    error: more of a spectrum is below the threshold then."""
+    if law.drive != "spectrum" or not law.threshold or not 0.0 < error < 1.0:
+        return 0.0
+    higher = replace(law, threshold=law.threshold / (1.0 - error))
+    less = LengthPath(np.zeros(0), NO_COLUMNS)
+    for table in path.tables:
+        less = less.joined(table, higher, _levels(law, path.damping)[1])
+    return _longer(path, less.columns["driving"], law, length, cycles)
+
+
+def _longer(
+    path: LengthPath, drive: np.ndarray, law: Law, length: np.ndarray, cycles: np.ndarray
+) -> float:
+    """What ln N rises by if another range (k,) drives the crack at the lengths of a path."""
+    if not cycles[-1] > 0.0:
+        return 0.0
+    other = replace(path, columns=path.columns | {"driving": drive})
+    middle = 0.5 * (length[1:] + length[:-1])
+    ratio = path.at("driving", middle) / other.at("driving", middle)
+    return math.log(float(np.average(ratio**law.exponent, weights=np.diff(cycles))))
+
+
 def _remarks(
     scene: Scene,
     path: LengthPath,
     seen: Mapping[str, np.ndarray],
     length: np.ndarray,
     vibration: float,
+    end: str,
 ) -> list[str]:
     """What is in doubt of a crack's growth."""
     found = []
@@ -425,6 +458,13 @@ def _remarks(
             "possible there, of which growth takes the one that is found first; a curve shows them"
         )
     found += [f"a crack of {at:.4g} m was not solved: {why}" for at, why in path.failed]
+    # A crack that is arrested on its way has been at its threshold, however well that is known.
+    near = np.abs(seen["delta_K_effective"] - law.threshold) < vibration * law.threshold
+    if np.any(near) and (end != "arrested" or len(length) == 1):
+        found.append(
+            f"at {length[np.argmax(near)]:.4g} m the effective range is growth.threshold within "
+            f"its error of {vibration:.1%}: whether the crack grows there is not known"
+        )
     if not math.isfinite(vibration):
         found.append("the error of the vibration is not known")
     return found
@@ -442,7 +482,8 @@ class LengthPath:
     lengths : (k,) [m]
         Ascending.
     columns : dict of str to (k,)
-        The :data:`LOGARITHMIC` and the linear ones.
+        The :data:`LOGARITHMIC` and the linear ones; of a run-up what drives the crack also
+        "coarser", by every second level.
     failed : tuple of (float, str)
         Lengths [m] that were not solved, and why.
     not_stable : (j,) [m]
@@ -454,6 +495,8 @@ class LengthPath:
         Load frequencies at which most of the growth happens.
     damping : float
         Least ratio of critical damping of the lowest modes, with a run-up; else nan.
+    tables : tuple of SweepResult
+        Of which they are.
     mode : int or None
         Whose natural frequencies the columns have, from 0: the nearest to the leading load of the
         first length; None before there is one.
@@ -466,6 +509,7 @@ class LengthPath:
     jumps: tuple[float, ...] = ()
     leading: np.ndarray = field(default_factory=lambda: np.zeros(0))
     damping: float = math.nan
+    tables: tuple[SweepResult, ...] = ()
     mode: int | None = None
 
     def at(self, name: str, lengths: np.ndarray) -> np.ndarray:
@@ -489,6 +533,11 @@ class LengthPath:
         rows = {name: table[name].reshape(len(swept), -1)[solved] for name in READ}
         rows["response"] = np.nan_to_num(rows["response"])  # nan where nothing moves
         new, leading = _driving(rows, law, cycles)
+        new["coarser"] = new["driving"]
+        if law.run_up is not None:
+            few = {name: values[:, ::2] for name, values in rows.items()}
+            hertz = np.array(table.axes[1].values[::2])
+            new["coarser"] = _driving(few, law, hertz * _trapezoid(hertz))[0]["driving"]
         one, two = (
             np.array(
                 [table[f"omega_{lips}_{n}"].reshape(len(swept), -1)[solved, 0] for n in NUMBERED]
@@ -512,6 +561,7 @@ class LengthPath:
             failed=self.failed + tuple(failed.items()),
             not_stable=self.not_stable + tuple(swept[unsure & solved].tolist()),
             leading=np.append(self.leading, leading)[order],
+            tables=(*self.tables, table),
             mode=mode,
         )
 
@@ -526,32 +576,66 @@ def _driving(
         (sum n_i delta K_i^m / sum n_i)^(1 / m)
 
     of the equivalent ranges, levels below the threshold left out where another is above it; of a
-    run-up those parts of what lies around its levels."""
+    run-up the integral, and the parts above it."""
     effective, drive = rows["delta_K_effective"], rows["delta_K_equivalent"]
-    limit = np.minimum(law.threshold, effective.max(axis=1, keepdims=True))
-    grows = effective >= limit if law.run_up is None else _parts_above(effective, limit)
+    found = {name: rows[name].max(axis=1) for name in ("K_max", "delta_K_effective")}
+    if law.run_up is not None:
+        found = {name: _highest(rows[name]) for name in found}
+    limit = np.minimum(law.threshold, found["delta_K_effective"])[:, None]
     largest = np.maximum(drive.max(axis=1, keepdims=True), 1e-300)
-    shares = cycles / cycles.sum() * grows * (drive / largest) ** law.exponent
+    if law.run_up is None:
+        grown = (effective >= limit) * (drive / largest) ** law.exponent
+    else:
+        grown = _grown_around(drive, effective, limit, law.exponent)
+    shares = cycles / cycles.sum() * grown
     place = shares.argmax(axis=1)[:, None]
-    found = {name: np.take_along_axis(rows[name], place, axis=1)[:, 0] for name in rows}
-    leading = found["omega"]
+    of_place = {name: np.take_along_axis(rows[name], place, axis=1)[:, 0] for name in rows}
+    leading = of_place["omega"]
     found["driving"] = largest[:, 0] * shares.sum(axis=1) ** (1.0 / law.exponent)
     found["omega"] = cycles.sum() / (cycles / rows["omega"]).sum(axis=1)
-    found |= {name: rows[name].max(axis=1) for name in ("K_max", "delta_K_effective")}
-    return found, leading
+    return of_place | found, leading
 
 
-def _parts_above(ranges: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    """Which part of what lies around each level of a run-up has a range above a limit, some of the
-    largest at least: (k, levels). Next to a resonance 1 / range^2 is a parabola."""
+def _between_levels(ranges: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Ranges at places (j,) between the levels of a run-up, counted from 0, over the largest range:
+    (k, j) of ranges (k, levels). Their logarithms are Akima's splines, which do not ring behind a
+    jump."""
     from scipy.interpolate import Akima1DInterpolator  # takes a while, and is needed here alone
 
     largest = np.maximum(ranges.max(axis=1, keepdims=True), 1e-300)
-    places, around = np.arange(ranges.shape[1]), (np.arange(SLICES) + 0.5) / SLICES - 0.5
-    within = np.clip(places[:, None] + around, 0, places[-1])
-    softness = Akima1DInterpolator(places, np.maximum(ranges / largest, LEAST) ** -2.0, axis=1)
-    above = softness(within) * (limit / largest)[..., None] ** 2 <= 1.0
-    return np.maximum(above.mean(axis=2), (ranges >= limit) / SLICES)
+    known = np.log(np.maximum(ranges / largest, LEAST))
+    found = Akima1DInterpolator(np.arange(ranges.shape[1]), known, axis=1)(places)
+    left = np.minimum(places.astype(int), ranges.shape[1] - 2)
+    most = np.maximum(known[:, left], known[:, left + 1]) + math.log(TOP)
+    return np.asarray(np.exp(np.minimum(found, most)))
+
+
+def _highest(ranges: np.ndarray) -> np.ndarray:
+    """The largest range (k,) of a run-up, at its levels (k, levels) or between them."""
+    places = np.linspace(0.0, ranges.shape[1] - 1.0, SLICES * (ranges.shape[1] - 1) + 1)
+    within = np.maximum(_between_levels(ranges, places).max(axis=1), 1.0)  # closed: none > 0
+    return np.asarray(ranges.max(axis=1) * within)
+
+
+def _grown_around(
+    drive: np.ndarray, effective: np.ndarray, limit: np.ndarray, exponent: float
+) -> np.ndarray:
+    """The mean of what drives a crack, to the power of the exponent, around each level of a run-up,
+    (k, levels), over that of the largest at a level; of what is there the part whose effective
+    range is above a limit (k, 1), some of the largest at least."""
+    levels = drive.shape[1]
+    edges = np.clip(np.linspace(-0.5, levels - 0.5, SLICES * levels + 1), 0.0, levels - 1.0)
+    width = np.diff(edges)
+    limit = limit / np.maximum(effective.max(axis=1, keepdims=True), 1e-300)
+    ends = _between_levels(effective, edges)
+    low, high = np.minimum(ends[:, 1:], ends[:, :-1]), np.maximum(ends[:, 1:], ends[:, :-1])
+    above = np.clip((high - limit) / np.maximum(high - low, 1e-300), 0.0, 1.0)
+    above = np.where(low >= limit, 1.0, above)
+    power = width * _between_levels(drive, 0.5 * (edges[1:] + edges[:-1])) ** exponent
+    both = (part.reshape(-1, levels, SLICES).sum(axis=2) for part in (above * power, power))
+    largest = np.maximum(drive.max(axis=1, keepdims=True), 1e-300)
+    grown = (drive / largest) ** exponent * np.divide(*both)
+    return np.asarray(np.maximum(grown, (drive >= drive.max(axis=1, keepdims=True)) / SLICES))
 
 
 def _solve_lengths(
@@ -571,8 +655,7 @@ def _solve_lengths(
     damping = math.nan if law.run_up is None else _least_damping(scene)
     levels, cycles = _levels(law, damping)
     wanted, missed, own = np.linspace(start, stop, FIRST), np.inf, np.zeros(0)
-    columns = dict.fromkeys((*LOGARITHMIC, *LINEAR), np.zeros(0))
-    path = LengthPath(np.zeros(0), columns, damping=damping)
+    path = LengthPath(np.zeros(0), NO_COLUMNS, damping=damping)
     for number in range(1, ROUNDS + 1):
         file = None if folder is None else folder / f"growth_{number}.h5"
         swept = _swept(scene, wanted, levels)
@@ -605,15 +688,16 @@ def _solve_lengths(
 def _levels(law: Law, damping: float) -> tuple[np.ndarray, np.ndarray]:
     """Load frequencies [rad/s] of a spectrum, none without one, and the cycles of each.
 
-    Those of a run-up are so close that a resonance is summed to 0.4 %: over 1 / (1 + x^2)^(m / 2)
-    by steps of sqrt(2 / m), and of 1 where m < 2, the error is 2 exp(-2 pi) or less."""
+    Those of a run-up are as close as sqrt(2 / m) of the half width of a resonance, and as that
+    where m < 2: over 1 / (1 + x^2)^(m / 2) even their sum is within 2 exp(-2 pi) of the integral.
+    They are an odd number, for every second one to tell the error."""
     if law.frequencies is not None:
         return TURN * np.array(law.frequencies), np.array(law.cycles)
     if law.run_up is None:
         return np.zeros(0), np.ones(1)
     start, stop, rate = law.run_up
     step = damping / math.sqrt(max(0.5 * law.exponent, 1.0))
-    count = max(math.ceil(math.log(stop / start) / math.log1p(step)), 2) + 1
+    count = 2 * max(math.ceil(0.5 * math.log(stop / start) / math.log1p(step)), 1) + 1
     found = np.geomspace(start, stop, count)
     return TURN * found, found * _trapezoid(found) / rate
 
