@@ -31,6 +31,7 @@ from fenics_crack.arrivals.harmonics import (
     ORDERS,
     Candidates,
     TipFit,
+    check_places,
     condition,
     rounding,
     taken,
@@ -93,8 +94,8 @@ def fit_frequency(
     Raises
     ------
     InputError
-        A value cannot be used, there are too few arrivals, or those of a probe alone do not vary:
-        a vibration of a whole order looks like none to it.
+        A value cannot be used, there are too few arrivals, they are not where the probes are, or
+        those of a probe alone do not vary: a vibration of a whole order looks like none to it.
 
     Examples
     --------
@@ -104,6 +105,7 @@ def fit_frequency(
     check_number("high", high, low, above=True)
     check_count("harmonics", harmonics, 1)
     check_number("angle_deviation", angle_deviation, 0.0)
+    check_places(arrivals)
     seen = np.isfinite(arrivals.time)
     count, own = int(seen.sum()), int(seen.any(axis=0).sum()) if angle_deviation else 1
     if count <= (unknowns := 2 * harmonics + 1 + own):

@@ -326,11 +326,17 @@ def condition(columns: np.ndarray) -> float:
 
 def check_places(arrivals: ArrivalTimes) -> None:
     """Raise InputError where a probe is passed, but for what moves the tip at all of them, nearer
-    to where another one is said to be: a fit would take that for a vibration."""
+    to where another one is said to be, or in another revolution: a fit would take that for a
+    vibration."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a probe without arrivals
         off = np.nanmedian(arrivals.nominal_angle - arrivals.angle, axis=0)
     off -= np.nanmedian(off)
+    late = np.flatnonzero(np.abs(off) > 0.5 * TURN)
+    if len(late):
+        where = f"those at {np.degrees(arrivals.probes[late[0]]):g} degrees"
+        found = f"{where} are of the revolutions {'before' if off[late[0]] > 0.0 else 'after'}"
+        raise InputError("time", found, "in the rows of their own revolutions, at all probes")
     apart = np.abs(arrivals.probes - off - arrivals.probes[:, None])  # [said, passed]
     apart = np.minimum(apart % TURN, -apart % TURN)
     nearest = np.argmin(apart, axis=0)

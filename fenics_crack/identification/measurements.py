@@ -260,12 +260,12 @@ class Measurements(Tabular):
         Raises
         ------
         InputError
-            A value cannot be used, the speed is not constant, there are fewer than four probes, or
-            ``noise`` is left out where passages have no scatter, or too little to tell it, as in
-            one revolution alone.
+            A value cannot be used, the speed is not constant, arrivals are not where the probes
+            are, there are fewer than four, or ``noise`` is left out where passages have no scatter,
+            or too little to tell it, as in one revolution alone.
         """
         from fenics_crack.arrivals.fit_order import Means  # SciPy
-        from fenics_crack.arrivals.harmonics import rounding
+        from fenics_crack.arrivals.harmonics import check_places, rounding
 
         check_count("order", order, 1)
         check_number("angle_deviation", angle_deviation, 0.0)
@@ -273,6 +273,7 @@ class Measurements(Tabular):
             check_number("noise", noise, 0.0, above=True)
         if not arrivals.steady:
             raise InputError("arrivals", repr(arrivals), "those of a constant speed")
+        check_places(arrivals)
         count = np.isfinite(arrivals.time).sum(axis=0)
         count, speed = count[count > 0], arrivals.mean_speed
         if len(count) < FEWEST_PROBES:

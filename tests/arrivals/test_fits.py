@@ -1,5 +1,6 @@
 """What is found again in arrival times, and what is said where it cannot be."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -335,15 +336,25 @@ def test_a_wrong_order_makes_no_vibrations(sine: fc.PeriodicSolution) -> None:
 
 
 def test_probes_that_are_swapped(sine: fc.PeriodicSolution) -> None:
-    """Named with where they are passed, by a fit and by a track; what leans all of them is none."""
+    """Named with where they are passed, by fits, a track and displacements: these had 170 mm of
+    them, and a fit of a frequency 134 mm. So is one whose arrivals are a row late. What leans all
+    of them is none."""
     arrivals = measured(sine, order=5, probes=SEVEN)
-    time = arrivals.time.copy()
-    time[:, [1, 4]] = time[:, [4, 1]]
-    wrong = r"^probes = 'the one at 20 degrees is passed where that at 88 degrees is'.*swapped"
-    with pytest.raises(fc.InputError, match=wrong):
-        fc.fit_order(replace(arrivals, time=time))
-    with pytest.raises(fc.InputError, match=wrong):
-        fc.track_order(replace(arrivals, time=time), 5)
+    swapped, late = arrivals.time.copy(), arrivals.time.copy()
+    swapped[:, [1, 4]] = swapped[:, [4, 1]]
+    late[1:, 2], late[0, 2] = late[:-1, 2], np.nan
+    place = r"^probes = 'the one at 20 degrees is passed where that at 88 degrees is'.*swapped"
+    turn = r"^time = 'those at 41 degrees are of the revolutions before': must be in the rows"
+    calls: list[Callable[[fc.ArrivalTimes], Any]] = [
+        fc.fit_order,
+        lambda one: fc.track_order(one, 5),
+        lambda one: fc.fit_frequency(one, 900.0, 1100.0),
+        lambda one: fc.Measurements.from_arrivals(one, 5),
+    ]
+    for time, told in ((swapped, place), (late, turn)):
+        for call in calls:
+            with pytest.raises(fc.InputError, match=told):
+                call(replace(arrivals, time=time))
     lean = np.radians(15.0) / arrivals.speed[0]
     assert fc.fit_order(replace(arrivals, time=arrivals.time + lean)).order == 5
 
