@@ -14,7 +14,13 @@ run-down. With the speed W_j constant from each arrival to the next, as the mark
     a_k = exp(lambda t_k - i p alpha_k) (b + zeta w_n F sum_j<k D_j / (i p W_j - lambda)),
 
 D_j the change of exp(i p alpha - lambda t) from arrival j to j + 1 and b of the steady vibration
-where the passage begins. The displacement is linear in F and in a constant and a slope over the
+where the passage begins.
+
+Where w_n itself follows the speed, as a blade's that rotation stiffens, with s = d ln w_n / d ln W
+where the order meets it, lambda - i p W is (1 - s) times that of a constant w_n whose damping is
+zeta / (1 - s): alpha and t in the exponents are, and zeta is (1 - s) times what is fitted.
+
+The displacement is linear in F and in a constant and a slope over the
 speed for each probe, which are its place and the blade's drift. Frequency and damping are found by
 Gauss-Newton from the best of a grid, the order by comparison, all passages of a resonance together;
 errors are those of :mod:`fenics_crack.arrivals.robust`. The envelope is the averaged one of Lewis
@@ -62,6 +68,8 @@ PASSAGE_ROUNDS = 3
 PASSAGE_TURNS, PASSAGE_SETTLED = 5, 0.1
 """Of neighbours, each fitted beside the others, at most; and the change that is none, in standard
 errors."""
+STIFFEST = 0.9
+"""Of d ln w_n / d ln W: an order hardly meets a frequency that follows it more closely."""
 CLEAR = 60.0
 """Difference of -2 log likelihood from which on a vibration is no chance: some 1e5 of them are
 tried, each of six numbers."""
@@ -82,10 +90,14 @@ class _Run:
         Its displacements, without what has been found in them.
     begin, end : int
         First revolution, and the one after the last.
+    stiffening : float
+        s.
     """
 
-    def __init__(self, arrivals: ArrivalTimes, values: np.ndarray, begin: int, end: int) -> None:
-        self.begin, self.end = begin, end
+    def __init__(
+        self, arrivals: ArrivalTimes, values: np.ndarray, begin: int, end: int, stiffening: float
+    ) -> None:
+        self.begin, self.end, self._slower = begin, end, 1.0 - stiffening
         rows = slice(begin, end)
         self.seen = np.isfinite(values[rows])
         self.values = np.where(self.seen, values[rows], 0.0)
@@ -111,12 +123,12 @@ class _Run:
             envelope = np.empty((len(roots), len(time)), dtype=complex)
             envelope[:, :1] = 1.0 / (1j * turning[0] - roots)
             # In parts, over which exp does not overflow.
-            parts = int(-roots.real.min() * time[-1] // 300.0) + 1
+            parts = int(-roots.real.min() * self._slower * time[-1] // 300.0) + 1
             edges = np.linspace(0, len(turning), parts + 1).astype(int)
             for begin, end in itertools.pairwise(edges):
                 here = slice(begin, end + 1)
-                passed = time[here] - time[begin]
-                phase = path[here] - path[begin] - roots.imag * passed
+                passed = self._slower * (time[here] - time[begin])
+                phase = self._slower * (path[here] - path[begin]) - roots.imag * passed
                 wave = np.exp(-roots.real * passed) * (np.cos(phase) + 1j * np.sin(phase))
                 pushed = np.cumsum(np.diff(wave) / (1j * turning[begin:end] - roots), axis=1)
                 envelope[:, begin + 1 : end + 1] = (envelope[:, [begin]] + pushed) / wave[:, 1:]
@@ -154,6 +166,31 @@ class _Run:
         size -= (np.abs(drifts) ** 2).sum(axis=(1, 2))
         gain = size * np.abs(seen) ** 2 - (both.conj() * seen**2).real
         return np.asarray(2.0 * gain / (size**2 - np.abs(both) ** 2))
+
+
+@dataclass(frozen=True)
+class _Record:
+    """Arrivals, and how natural frequencies follow the speed in them."""
+
+    arrivals: ArrivalTimes
+    stiffening: float
+
+    def run(self, values: np.ndarray, begin: int, end: int) -> _Run:
+        """Revolutions of displacements (revolutions, probes)."""
+        return _Run(self.arrivals, values, begin, end, self.stiffening)
+
+    def runs(self, values: np.ndarray, speed: float) -> list[_Run]:
+        """Stretches in which the speed is near one, and on both sides of it."""
+        apart = self.arrivals.speed / speed - 1.0
+        near = np.flatnonzero(np.abs(apart) < WIDTH)
+        found = []
+        for rows in np.split(near, np.flatnonzero(np.diff(near) > FEWEST_REVOLUTIONS) + 1):
+            if len(rows) >= FEWEST_REVOLUTIONS and apart[rows].min() < 0.0 < apart[rows].max():
+                run = self.run(values, int(rows[0]), int(rows[-1]) + 1)
+                # A probe that has dropped out leaves the others.
+                run.seen &= run.seen.sum(axis=0) >= FEWEST_REVOLUTIONS
+                found += [run] * bool(np.any(run.seen))
+        return found
 
 
 def _pole(omega: np.ndarray, damping: float) -> np.ndarray:
@@ -322,7 +359,8 @@ class PassageFit(Tabular):
     omega, omega_error : float [rad/s]
         Natural frequency and its standard error.
     damping, damping_error : float
-        Ratio of critical damping, and its standard error.
+        Ratio of critical damping, and its standard error. By a constant natural frequency it is
+        1 / (1 - s) times as large as by one that follows the speed.
     amplitude : float [m]
         Largest amplitude in the passages.
     forces : (passages,) complex [m]
@@ -347,6 +385,8 @@ class PassageFit(Tabular):
         Vibrations of constant frequency, which follow no order, found in the record.
     blind : tuple of float [rad]
         Angles of probes that see nothing of what the others see alike, and are left out.
+    stiffening : float
+        s = d ln w_n / d ln W, as it was given.
     """
 
     order: float
@@ -366,6 +406,7 @@ class PassageFit(Tabular):
     whiteness: float
     asynchronous: tuple[TipFit, ...] = ()
     blind: tuple[float, ...] = ()
+    stiffening: float = 0.0
 
     @property
     def speed(self) -> float:
@@ -410,9 +451,10 @@ class PassageFit(Tabular):
         """Of each passage the speeds (R,) [rad/s], and the displacements (R, P) [m], seen without
         drift (nan where none was seen) and of the fit; without blind probes."""
         arrivals = arrivals.without(np.flatnonzero(np.isin(arrivals.probes, self.blind)))
-        root, found = np.array([_pole(self.omega, self.damping)]), []
+        root = np.array([_pole(self.omega, self.damping / (1.0 - self.stiffening))])
+        record, found = _Record(arrivals, self.stiffening), []
         for (begin, end), force in zip(self.ends, self.forces, strict=True):
-            run = _Run(arrivals, arrivals.displacement, int(begin), int(end))
+            run = record.run(arrivals.displacement, int(begin), int(end))
             motion = (force * run.waves(self.order, root)[0]).real
             left = run.without_drifts(run.values - motion, run.seen.astype(float))
             found.append((run.speed, np.where(run.seen, left + motion, np.nan), motion))
@@ -429,6 +471,7 @@ class PassageFit(Tabular):
             "frequency_error": self.omega_error / TURN,
             "damping": self.damping,
             "damping_error": self.damping_error,
+            "stiffening": self.stiffening,
             "amplitude": self.amplitude,
             "passages": len(self.ends),
             "apart": self.apart,
@@ -452,7 +495,11 @@ class PassageFit(Tabular):
 
 
 def fit_passage(
-    arrivals: ArrivalTimes, speed: float, orders: Iterable[float] = ORDERS
+    arrivals: ArrivalTimes,
+    speed: float,
+    orders: Iterable[float] = ORDERS,
+    *,
+    stiffening: float = 0.0,
 ) -> PassageFit:
     """Fit a mode to all passages of a resonance near a speed.
 
@@ -464,6 +511,9 @@ def fit_passage(
         About where the resonance is, to 1 %.
     orders : iterable of float
         Candidates: periods of the load in a revolution.
+    stiffening : float
+        s = d ln w_n / d ln W, the slope of a Campbell diagram over w_n / W, from -0.9 to 0.9: by a
+        frequency that stays where it is dampings are 1 / (1 - s) times the true ones.
 
     Returns
     -------
@@ -481,16 +531,18 @@ def fit_passage(
     """
     check_number("speed", speed, 0.0, above=True)
     tried, _ = wanted(orders, 1, 1)
-    runs = _runs(arrivals, arrivals.displacement, speed)
+    record = _Record(arrivals, _checked(stiffening))
+    runs = record.runs(arrivals.displacement, speed)
     if not runs:
         ends = arrivals.speed.min(), arrivals.speed.max()
         allowed = f"one that is passed in {FEWEST_REVOLUTIONS} revolutions or more, from "
         raise InputError("speed", speed, f"{allowed}{ends[0]:.6g} to {ends[1]:.6g} rad/s")
     found = _Compared(runs, speed, tried)
     if len(blind := found.best.blind):
-        fit = fit_passage(arrivals.without(blind), speed, tried)
+        others = arrivals.without(blind)
+        fit = fit_passage(others, speed, tried, stiffening=stiffening)
         return replace(fit, blind=(*arrivals.probes[blind].tolist(), *fit.blind))
-    return found.described()
+    return found.described(record.stiffening)
 
 
 def find_passages(
@@ -499,6 +551,7 @@ def find_passages(
     *,
     most: int = 8,
     asynchronous: int = 1,
+    stiffening: float = 0.0,
 ) -> tuple[PassageFit, ...]:
     """Find the resonances that a record passes, about the largest one first.
 
@@ -519,6 +572,8 @@ def find_passages(
     asynchronous : int
         So many vibrations of constant frequency at most are looked for beside them. They pass
         every order, and look like resonances of little damping there.
+    stiffening : float
+        As of :func:`fit_passage`, of all modes.
 
     Returns
     -------
@@ -538,7 +593,7 @@ def find_passages(
     tried, _ = wanted(orders, 1, 1)
     check_count("most", most, 1)
     check_count("asynchronous", asynchronous, 0)
-    values = arrivals.displacement
+    record, values = _Record(arrivals, _checked(stiffening)), arrivals.displacement
     constants = np.arange(values.shape[1]) * np.ones(values.shape, dtype=int)
     found: list[_Compared] = []
     lines: tuple[TipFit, ...] = ()
@@ -547,11 +602,12 @@ def find_passages(
     # them lines are found, then the others, by turns until they are the same.
     for turn in range(PASSAGE_ROUNDS):
         before, few = found, 1 if asynchronous and not turn else most
-        found, left = _search(arrivals, values - steady, tried, few)
+        found, left = _search(record, values - steady, tried, few)
         if found and not turn and len(blind := found[0].best.blind):
             fits = find_passages(
-                arrivals.without(blind), tried, most=most, asynchronous=asynchronous
-            )
+                arrivals.without(blind), tried, most=most, asynchronous=asynchronous,
+                stiffening=stiffening,
+            )  # fmt: skip
             angles = arrivals.probes[blind].tolist()
             return tuple(replace(fit, blind=(*angles, *fit.blind)) for fit in fits)
         if not asynchronous or (turn and _alike(found, before)):
@@ -561,45 +617,53 @@ def find_passages(
         steady += left - rest
         if turn and not lines:
             break
-    return tuple(one.described(lines) for one in found)
+    return tuple(one.described(record.stiffening, lines) for one in found)
+
+
+def _checked(stiffening: float) -> float:
+    """s, where the order meets the frequency from below."""
+    check_number("stiffening", stiffening)
+    if abs(stiffening) > STIFFEST:
+        raise InputError("stiffening", stiffening, f"a number from -{STIFFEST} to {STIFFEST}")
+    return float(stiffening)
 
 
 def _search(
-    arrivals: ArrivalTimes, values: np.ndarray, orders: np.ndarray, most: int
+    record: _Record, values: np.ndarray, orders: np.ndarray, most: int
 ) -> tuple[list[_Compared], np.ndarray]:
     """Resonances in displacements (revolutions, probes), and what they leave."""
-    left, speeds = np.array(values), arrivals.speed
+    left, speeds = np.array(values), record.arrivals.speed
     count = int(np.log(speeds.max() / speeds.min()) / SPACING)
     centres = speeds.min() * np.exp(SPACING * (0.5 + np.arange(count)))
     begin_stage("scan of the speeds")
-    gains = np.array([_clearness(arrivals, left, centre) for centre in centres]).reshape(-1, 2)
+    gains = np.array([_clearness(record, left, centre) for centre in centres]).reshape(-1, 2)
     found: list[_Compared] = []
     while len(found) < most and np.any(gains[:, 0] > CLEAR):
         begin_stage(f"resonance {len(found) + 1}")
         centre = centres[int(np.where(gains[:, 0] > CLEAR, gains[:, 1], 0.0).argmax())]
         gains[np.abs(centres / centre - 1.0) < 1.5 * SPACING] = 0.0
-        if _clearness(arrivals, left, centre, PASSAGE_ROUNDS)[0] < CLEAR:
+        if _clearness(record, left, centre, PASSAGE_ROUNDS)[0] < CLEAR:
             continue
-        new = _Compared(_runs(arrivals, left, centre), centre, orders)
+        new = _Compared(record.runs(left, centre), centre, orders)
         if not new.clear:
             continue
         found.append(new)
-        new.add(arrivals, left, -1.0)
-        _settle(arrivals, left, found)
+        new.add(record, left, -1.0)
+        _settle(record, left, found)
         near = (np.abs(centres / centre - 1.0) < 2.0 * WIDTH) & (gains[:, 1] > 0.0)
         for place in np.flatnonzero(near)[: len(near) * (len(found) < most)]:
-            gains[place] = _clearness(arrivals, left, centres[place])
+            gains[place] = _clearness(record, left, centres[place])
     for place, one in enumerate(found):  # of all orders, beside the others
         if any(one.near(other) for other in found):
-            one.add(arrivals, left, 1.0)
-            if runs := _runs(arrivals, left, one.speed):
+            one.add(record, left, 1.0)
+            if runs := record.runs(left, one.speed):
                 found[place] = _Compared(runs, one.speed, orders)
-            found[place].add(arrivals, left, -1.0)
-    _settle(arrivals, left, found)
+            found[place].add(record, left, -1.0)
+    _settle(record, left, found)
     return found, left
 
 
-def _settle(arrivals: ArrivalTimes, left: np.ndarray, found: list[_Compared]) -> None:
+def _settle(record: _Record, left: np.ndarray, found: list[_Compared]) -> None:
     """Fit neighbours each beside the others, by turns until their frequencies settle; those that
     are no more then, or one with a larger one, are taken out."""
     crowd = [one for one in found if any(one.near(other) for other in found)]
@@ -607,13 +671,13 @@ def _settle(arrivals: ArrivalTimes, left: np.ndarray, found: list[_Compared]) ->
         moved = False
         for one in sorted(crowd, key=lambda one: -one.best.amplitude):
             before = one.best.root
-            one.add(arrivals, left, 1.0)
-            if not one.again(arrivals, left) or any(one.within(other) for other in found):
+            one.add(record, left, 1.0)
+            if not one.again(record, left) or any(one.within(other) for other in found):
                 found.remove(one)
                 crowd.remove(one)
                 moved = True
                 continue
-            one.add(arrivals, left, -1.0)
+            one.add(record, left, -1.0)
             moved |= abs(one.best.root - before) > PASSAGE_SETTLED * float(one.best.errors[0])
         if not moved:
             break
@@ -626,29 +690,15 @@ def _alike(found: Sequence[_Compared], before: Sequence[_Compared]) -> bool:
     return all(np.allclose(one, other, rtol=SPACING) for one, other in pairs)
 
 
-def _runs(arrivals: ArrivalTimes, values: np.ndarray, speed: float) -> list[_Run]:
-    """Stretches in which the speed is near one, and on both sides of it."""
-    apart = arrivals.speed / speed - 1.0
-    near = np.flatnonzero(np.abs(apart) < WIDTH)
-    found = []
-    for rows in np.split(near, np.flatnonzero(np.diff(near) > FEWEST_REVOLUTIONS) + 1):
-        if len(rows) >= FEWEST_REVOLUTIONS and apart[rows].min() < 0.0 < apart[rows].max():
-            run = _Run(arrivals, values, int(rows[0]), int(rows[-1]) + 1)
-            # A probe that has dropped out leaves the others.
-            run.seen &= run.seen.sum(axis=0) >= FEWEST_REVOLUTIONS
-            found += [run] * bool(np.any(run.seen))
-    return found
-
-
 def _clearness(
-    arrivals: ArrivalTimes, values: np.ndarray, speed: float, turns: int = 1
+    record: _Record, values: np.ndarray, speed: float, turns: int = 1
 ) -> tuple[float, float]:
     """What a steady vibration of any phase at each probe takes off the sum of squares near a speed,
     in units of the variance of differences from one arrival at a probe to its next, less what the
     further phases take off noise; and in m^2. From the second turn on with the weights that
     arrivals have in Student's t by what is left of them."""
     total = energy = 0.0
-    for run in _runs(arrivals, values, speed):
+    for run in record.runs(values, speed):
         pairs = zip(run.values.T, run.seen.T, strict=True)
         changes = np.concatenate([np.abs(np.diff(column[seen])) for column, seen in pairs])
         scale = max(float(np.median(changes)) / MEDIAN, run.least)
@@ -746,26 +796,26 @@ class _Compared:
         near = abs(root.imag - self.best.root.imag) < 2.0 * abs(root.real)
         return near and larger.order == self.best.order and larger.amplitude > self.best.amplitude
 
-    def again(self, arrivals: ArrivalTimes, values: np.ndarray) -> bool:
+    def again(self, record: _Record, values: np.ndarray) -> bool:
         """Fit it to other displacements (revolutions, probes), and tell whether it is clear."""
-        self._runs = _runs(arrivals, values, self.speed)
+        self._runs = record.runs(values, self.speed)
         if not self._runs:
             return False
         weights = [run.seen.astype(float) for run in self._runs]
         self.best = _Fit(self._runs, self.best.order, self.best.root, weights)
         return self.clear
 
-    def add(self, arrivals: ArrivalTimes, values: np.ndarray, factor: float) -> None:
+    def add(self, record: _Record, values: np.ndarray, factor: float) -> None:
         """Add the vibration, times a factor, to displacements (revolutions, probes): that of each
         passage up to halfway to the next."""
         root, best = np.array([self.best.root]), self.best
         halfway = [(one.end + after.begin) // 2 for one, after in itertools.pairwise(self._runs)]
         ends = itertools.pairwise([0, *halfway, len(values)])
         for (begin, end), force in zip(ends, best.forces, strict=True):
-            wave = _Run(arrivals, values, begin, end).waves(best.order, root)[0]
+            wave = record.run(values, begin, end).waves(best.order, root)[0]
             values[begin:end] += factor * (force * wave).real
 
-    def described(self, lines: tuple[TipFit, ...] = ()) -> PassageFit:
+    def described(self, stiffening: float, lines: tuple[TipFit, ...] = ()) -> PassageFit:
         """The best fit in numbers, beside those of each run by itself."""
         best, runs = self.best, self._runs
         each = [
@@ -779,8 +829,8 @@ class _Compared:
             order=best.order,
             omega=best.omega,
             omega_error=float(errors[0]),
-            damping=best.damping,
-            damping_error=float(errors[1]),
+            damping=(1.0 - stiffening) * best.damping,
+            damping_error=(1.0 - stiffening) * float(errors[1]),
             amplitude=best.amplitude,
             forces=best.forces,
             ends=np.array([(run.begin, run.end) for run in runs]),
@@ -792,4 +842,5 @@ class _Compared:
             scatter=float(np.sqrt(best.noise.variance)),
             whiteness=best.noise.whiteness(best.places),
             asynchronous=lines,
+            stiffening=stiffening,
         )

@@ -30,7 +30,7 @@ from fenics_crack.study.key_figures import remarks_on_arrivals
 from fenics_crack.study.run import Run
 from fenics_crack.table import RPM, TURN, UNITS, Table, counted, quantity, ranging, speed_in_words
 
-KEYS = ("tip_radius", "orders", "probes")
+KEYS = ("tip_radius", "orders", "probes", "stiffening")
 """Of [tip_timing], with a record in place of a scene."""
 MISSING = "harmonics are missing (tip_timing.fitted_harmonics), and folded onto those kept"
 UNTESTED = "as many unknowns as probes: neither the order nor the harmonics kept are tested"
@@ -52,6 +52,10 @@ BLIND = (
 )
 FAR = 2.0
 """Ratio of speeds, of arrivals and of their scene, that is remarked."""
+CONSTANT = (
+    "damping is that of natural frequencies f which do not change with the speed n: where rotation "
+    "stiffens the blade it is 1 - d ln f / d ln n times that (tip_timing.stiffening)"
+)
 EMPTY = ("blade", "rpm", "order", "frequency")
 """Columns of a table without a resonance."""
 SHOWN_ORDERS = 6
@@ -129,12 +133,12 @@ def _record(given: Namespace, console: Console) -> Exit:
         )
     folder = given.output or Path("output") / given.scene.stem
     make_writable(folder, console.comm)
-    orders = words.get("orders") or ORDERS
+    orders, stiffening = words.get("orders") or ORDERS, words.get("stiffening", 0.0)
     with console.stage("resonances"):
         found = {}
         for blade, one in blades.items():
             with within(f"blade {blade}"):
-                found[blade] = find_passages(one, orders)
+                found[blade] = find_passages(one, orders, stiffening=stiffening)
 
     first, *others = blades
 
@@ -173,6 +177,7 @@ def _account_of_passages(found: Mapping[int, Sequence[PassageFit]]) -> Account:
     biases, notes = [fit.steady_bias for _, fit in every], []
     if biases:
         notes.append(f"fits of steady vibrations would be off by {ranging(biases, '.2%')}")
+        notes += [CONSTANT] * (every[0][1].stiffening == 0.0)
     for blade, fits in found.items():
         lines = fits[0].asynchronous if fits else ()
         notes += [f"blade {blade}: {_of_line(line)}" for line in lines]

@@ -147,13 +147,18 @@ def vibration_in(
     order = table.order or scene.excitation.order
     how: dict[str, Any] = {"harmonics": table.fitted_harmonics}
     how["angle_deviation"] = np.radians(table.angle_deviation)
-    if is_run_up(arrivals, run):
+    runs_up = is_run_up(arrivals, run)
+    passes = runs_up and (order is None or (run is None and table.orders is not None))
+    if runs_up:
         why = "a run-up, in which an order is tracked, or the resonances are found that are passed"
         table.leave_out(("frequencies",), why)
-        if order is None or (run is None and table.orders):
-            of_fits = "fitted_harmonics", "subharmonic", "fitted_revolutions"
-            table.leave_out(of_fits, "a run-up in which resonances are sought")
-            return find_passages(arrivals, table.orders or ORDERS)
+    if passes:
+        of_fits = "fitted_harmonics", "subharmonic", "fitted_revolutions"
+        table.leave_out(of_fits, "a run-up in which resonances are sought")
+        return find_passages(arrivals, table.orders or ORDERS, stiffening=table.stiffening)
+    table.leave_out(("stiffening",), "all but a measured run-up in which resonances are sought")
+    if runs_up:
+        assert order is not None
         table.leave_out(("orders",), f"a computed run-up: order {order} is tracked")
         how |= {"subharmonic": table.subharmonic, "revolutions": table.fitted_revolutions}
         return track_order(arrivals, order, **how)

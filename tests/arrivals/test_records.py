@@ -50,6 +50,16 @@ def test_the_record_of_a_blisk(blade: fc.ArrivalTimes) -> None:
         fc.fit_passage(blade, 1000.0)
 
 
+def marched(omega: np.ndarray, damping: float, push: np.ndarray, step: float) -> np.ndarray:
+    """Central differences of a mass whose natural frequency [rad/s] varies, the same as that of the
+    differences; from rest."""
+    stiff, lost = (2.0 * np.sin(0.5 * omega * step)) ** 2, np.sin(damping * omega * step)
+    found = [0.0, 0.0]
+    for k, d, f in zip(stiff[1:-1], lost[1:-1], step**2 * push[1:-1], strict=True):
+        found.append(((2.0 - k) * found[-1] - (1.0 - d) * found[-2] + f) / (1.0 + d))
+    return np.array(found)
+
+
 def swept(
     modes: list[tuple[float, float, int, float]],
     *,
@@ -57,11 +67,13 @@ def swept(
     noise: float = 1e-6,
     wrong: float = 0.0,
     marks: float = 0.0,
+    stiffening: float = 0.0,
 ) -> tuple[fc.ArrivalTimes, np.ndarray]:
     """A record of a tip at 0.5 m that is swept through 100 rad/s, 5 % below and above, up and down,
     and the motion [m] of masses of natural frequencies [rad/s], damping, orders and static
-    displacements, integrated exactly for a push that is linear within a step; beside it 0.2 mm of
-    one frequency. Noise of arrivals, a share of wrong ones, and jitter of marks [s]."""
+    displacements, integrated exactly for a push that is linear within a step, or, of frequencies
+    that follow the speed where their order meets it, by differences; beside it 0.2 mm of one
+    frequency. Noise of arrivals, a share of wrong ones, and jitter of marks [s]."""
     middle, turns, radius = 100.0, 240, 0.5
     half = turns * 2.0 * np.pi / middle
     grid = np.linspace(0.0, 2.0 * half, 400_001)
@@ -70,6 +82,10 @@ def swept(
     motion = np.zeros(len(grid))
     for omega, damping, order, static in modes:
         push = omega**2 * static * np.cos(order * angle)
+        if stiffening:
+            square = 1.0 + stiffening * ((speed * order / omega) ** 2 - 1.0)  # Southwell
+            motion += marched(omega * np.sqrt(square), damping, push, step)
+            continue
         root = omega * complex(-damping, np.sqrt(1.0 - damping**2))
         decay = np.exp(root * step)
         first = (decay - 1.0) / root
@@ -103,6 +119,26 @@ def test_passages_of_a_known_mode(line: float) -> None:
     for name in ("order", "frequency_error", "steady_bias", "whiteness"):
         assert name in fit.to_dict()
     assert repr(fit).startswith("PassageFit(order 5, 954.9")
+
+
+@pytest.mark.parametrize("stiffening", [0.4, -0.3])
+def test_frequency_that_follows_the_speed(stiffening: float) -> None:
+    """A mass whose stiffness the speed changes: by its slope frequency and damping are found, as
+    well as by one that does not change; without it the damping is about 1 / (1 - s) times that."""
+    omega, damping, order = 500.0, 0.004, 5
+    modes = [(omega, damping, order, 2e-3 * damping)]
+    record, motion = swept(modes, stiffening=stiffening)
+    [fit] = fc.find_passages(record, range(3, 8), stiffening=stiffening)
+    assert fit.order == order and fit.stiffening == stiffening
+    assert fit.omega == pytest.approx(omega, rel=3e-5)
+    assert fit.damping == pytest.approx(damping, rel=5e-3)
+    assert fit.amplitude == pytest.approx(np.abs(motion).max(), rel=0.01)
+    seen, shown = fit.compared(record)[0][1:]
+    assert np.nanstd(seen - shown) < 3e-6
+    without = fc.fit_passage(record, 100.0, [order])
+    assert without.damping == pytest.approx(damping / (1.0 - stiffening), rel=0.15)
+    with pytest.raises(fc.InputError, match=r"^stiffening = 0\.95.*-0\.9 to 0\.9"):
+        fc.fit_passage(record, 100.0, [order], stiffening=0.95)
 
 
 def test_a_line_is_no_resonance() -> None:
