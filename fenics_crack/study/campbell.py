@@ -37,6 +37,7 @@ from fenics_crack.model.modes import (
 )
 from fenics_crack.model.rotation import Ritz, coriolis_shifts, static_state
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.equations import DIFFERENCE
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import check_scene
 from fenics_crack.study.key_figures import damping_ratios
@@ -206,7 +207,14 @@ class Campbell(Tabular):
                 text += f" with the crack {' before and '.join(STATES[kind] for kind in own)}"
                 text += " after" if len(own) > 1 else ""
                 text += f"; it would be {', '.join(others)}" if others else ""
-            yield text
+            yield text + f"; there d ln f / d ln n = {self.stiffening(int(mode), speed):.2g}"
+
+    def stiffening(self, mode: int, speed: float) -> float:
+        """d ln f / d ln n: the relative change of a mode's frequency (from 1), with the crack as it
+        is, for one of the speed [rad/s]; ``tip_timing.stiffening`` where an order meets it."""
+        kind = self._states(mode, speed)[1] if self.cracked else "open"
+        ends = [self._omega(mode, speed * (1.0 + h), kind) for h in (-DIFFERENCE, DIFFERENCE)]
+        return float(np.log(ends[1] / ends[0]) / (2.0 * DIFFERENCE))
 
     def to_dict(self) -> dict[str, Any]:
         """Columns, a row for every speed and mode."""

@@ -276,6 +276,16 @@ def test_picture_reaches_as_far_as_the_orders() -> None:
         assert panel.get_ylim()[1] == pytest.approx(1.08 * highest)
 
 
+def test_how_a_frequency_follows_the_speed() -> None:
+    """By its own values at speeds beside it."""
+    speeds = 600.0 * np.exp([-0.01, 0.0, 0.01])
+    found = fc.campbell(cracked(1.0).replace({"excitation.order": 12}), speeds, 2)
+    for mode in (1, 2):
+        kind = found.kind[1, mode - 1]
+        line = np.log(getattr(found, f"omega_{kind}")[:, mode - 1])
+        assert found.stiffening(mode, 600.0) == pytest.approx((line[2] - line[0]) / 0.02, rel=1e-3)
+
+
 def test_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """Table, files and picture; speeds in the scene's unit; each crossing of the scene's order."""
     path = tmp_path / "blade.toml"
@@ -285,6 +295,7 @@ def test_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     printed = capsys.readouterr()
     assert "rpm" in printed.out and "engine order 12 meets mode 1" in printed.err
     assert "with the crack breathing; it would be held open at" in printed.err
+    assert "; there d ln f / d ln n = 0.0" in printed.err
     rows = list(csv.DictReader((tmp_path / "campbell.csv").open()))
     assert [float(row["rpm"]) for row in rows] == pytest.approx([4e3, 6e3, 8e3])
     assert json.loads((tmp_path / "campbell.json").read_text())[0]["mode"] == 1
