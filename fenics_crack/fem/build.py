@@ -157,12 +157,7 @@ def _matched(
         )
     if not alike:
         found = f"{len(lower)} lower and {len(upper)} upper nodes"
-        how = (
-            "gmsh's Transfinite Curve divides both alike, or its Plugin(Crack) makes both of one "
-            "curve"
-        )
-        if lower.shape[1] > 4:  # of a solid
-            how = "a surface 'crack' whose nodes exist once is split into two that do"
+        how = "one curve or surface named 'crack' is split into two that do"
         allowed = (
             f"meshed identically, so that the nodes of the two lips pair one to one, but {reason}"
         )

@@ -1,9 +1,12 @@
-"""Cracks in solids: surfaces of a mesh along which its nodes are doubled, but for the fronts.
+"""Cracks: curves of a plate's mesh, or surfaces of a solid's, along which nodes are doubled.
 
-A rim of a crack's surface is a front where it lies inside the solid, else a mouth. All of its nodes
-that are not on a front exist twice afterwards; which of the two a cell has is told by walking from
-cell to cell around each of them, across facets that are not of the crack. A facet whose corners are
-all on fronts stays whole: its nodes exist once.
+A rim of a crack is a front, or a tip of a plate's, where it lies inside, else a mouth. All of its
+nodes that are not on a front exist twice afterwards; which of the two a cell has is told by walking
+from cell to cell around each of them, across facets that are not of the crack. A facet whose
+corners are all on fronts stays whole: its nodes exist once.
+
+The material of a lower lip lies below the crack: the normals that point out of it, summed along the
+lip, point up; or to the right where they are level.
 """
 
 from __future__ import annotations
@@ -11,15 +14,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 import scipy.sparse as sparse
 
 from fenics_crack.errors import InputError
-from fenics_crack.fem.lips import SAME, Lip, both_sides, connected, rows_in, to_edges, upwards
+from fenics_crack.fem.lips import (
+    COINCIDENT,
+    SAME,
+    Lip,
+    both_sides,
+    connected,
+    rows_in,
+    to_edges,
+    upwards,
+)
 
-STEEPEST = 0.1
-"""Cosine of the angle between a crack's normal and the mean one, which no facet must go below."""
 FACETS = {
     4: np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]),
     8: np.array(
@@ -100,10 +111,12 @@ def _to_triangles(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return best
 
 
-def _normals(triangles: np.ndarray) -> np.ndarray:
-    """Twice the areas, as vectors: (n, 3)."""
-    one, two = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    return np.asarray(np.cross(one, two))
+def _normals(facets: np.ndarray) -> np.ndarray:
+    """Normals of edges (n, 2, 2) as long as these, or of triangles (n, 3, 3) twice their areas."""
+    spans = facets[:, 1:] - facets[:, :1]
+    if facets.shape[2] == 2:
+        return np.asarray(spans[:, 0] @ [[0.0, -1.0], [1.0, 0.0]])
+    return np.asarray(np.cross(spans[:, 0], spans[:, 1]))
 
 
 Lips = tuple[Lip, ...] | tuple[CrackSurface, ...]
@@ -160,9 +173,26 @@ class Cells:
         return ~(both[1:] | both[:-1])
 
 
-def split_surface(
+def joined(surface: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The nodes (n_kept,) of a mesh that are kept where those in one place along cracks become one,
+    and which of them each node (n_nodes,) is.
+
+    gmsh's plugin "Crack" doubles nodes as :func:`split_cracks` does; ``surface`` and ``places`` are
+    as there.
+    """
+    from scipy.spatial import cKDTree  # takes a while, for mesh files alone
+
+    lengths = np.linalg.norm(places[surface[:, 0]] - places[surface[:, 1]], axis=1)
+    number = np.arange(len(places))
+    around = places[np.unique(surface)]
+    for same in cKDTree(places).query_ball_point(around, COINCIDENT * float(lengths.min())):
+        number[same] = min(same)
+    return np.unique(number, return_inverse=True)
+
+
+def split_cracks(
     cells: Cells, surface: np.ndarray, places: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[CrackSurface]]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Double the nodes along cracks.
 
     Parameters
@@ -171,7 +201,7 @@ def split_surface(
         Their nodes are rows of ``places``.
     surface : (m, k) int
         Facets of all cracks: their nodes, the corners first.
-    places : (n_nodes, 3) [m]
+    places : (n_nodes, d) [m]
         Of all nodes.
 
     Returns
@@ -182,17 +212,15 @@ def split_surface(
         The nodes of which the new ones are copies.
     lips : (m', 2, k) int
         Facets of the lower lip, and those of the upper one in the same places.
-    cracks : list of CrackSurface
-        From bottom to top.
 
     Raises
     ------
     InputError
-        A surface is not made of facets between two cells, turns by a right angle, or cuts the
-        solid in a way that does not tell its two sides.
+        A facet is not between two cells, or cracks branch, cross or have not two sides.
     """
-    n_corners = cells.facets.shape[1]
-    corners = np.sort(surface[:, :n_corners], axis=1)
+    width, part = cells.facets.shape[1], ("edges", "facets")[places.shape[1] - 2]
+    corners, first = np.unique(np.sort(surface[:, :width], axis=1), axis=0, return_index=True)
+    surface = surface[first]  # as the facets are
     (facets, owner, at), same = cells.all_facets, cells.shared
     on_crack = np.isin(np.arange(len(places)), corners)
     of_crack = on_crack[facets].all(axis=1)
@@ -200,57 +228,64 @@ def split_surface(
     inside = np.flatnonzero(same & of_crack[:-1])
     _require(
         len(inside) == len(surface),
-        f"{len(surface) - len(inside)} of {len(surface)} facets",
-        "a surface inside the solid, whose facets have a cell on either side, and each node once",
+        f"{len(surface) - len(inside)} of the {len(surface)} {part} of cracks not between cells",
+        f"inside the structure, with a cell on either side of {part}",
     )
-    outer = facets[cells.alone & (on_crack[facets].sum(axis=1) > 1)]
-    fronts, mouths = _rim(surface[:, :n_corners], outer)
-    part = connected(surface[:, :n_corners])
-    ups = _orientation(places[_triangles(surface[:, :n_corners])[0]], part)
+    outer = facets[cells.alone & on_crack[facets].any(axis=1)]
+    is_split = on_crack.copy()
+    is_split[_fronts(surface[:, :width], outer)] = False
+    piece = connected(corners)
+    closed = np.setdiff1d(piece, piece[is_split[corners].any(axis=1)])
+    _require(not len(closed), "all nodes of a crack on its front", "meshed more finely")
 
-    is_split = np.zeros(len(places), dtype=bool)
-    is_split[corners] = True
-    is_split[fronts] = False
-    _require(is_split.any(), "all of its nodes on the front", "meshed more finely")
-    label = _stars(cells, same & ~of_crack[:-1], is_split)
-
-    # Which side of the crack the cells at its facets are on, and with them the stars.
-    side = np.zeros(label.max() + 1, dtype=int)
-    ordered = np.lexsort(corners.T[::-1])  # as the facets are
-    up = ups[part[ordered]]
-    for beside in (inside, inside + 1):
-        cell = owner[beside]
-        away = places[cells.nodes[cell, : cells.n_corners]].mean(1) - places[facets[beside]].mean(1)
-        above = np.where((away * up).sum(axis=1) > 0.0, 1, -1)
-        own = cell[:, None] * cells.n_corners + at[beside]
-        wanted = is_split[facets[beside]]
-        stars, signs = label[own[wanted]], np.repeat(above[:, None], n_corners, axis=1)[wanted]
-        _require(
-            np.all((side[stars] == 0) | (side[stars] == signs)),
-            "both sides of a node that it doubles connected around it",
-            "a surface that ends at its front or at the surface of the solid",
-        )
-        side[stars] = signs
+    # Of each facet both sides: around which nodes' stars they are connected to others.
+    label = _stars(cells, same & ~of_crack[:-1], is_split).reshape(-1, cells.n_corners)
+    beside = np.concatenate([inside, inside + 1])
+    cell, fixed = owner[beside], ~is_split[facets[beside]]
+    stars = label[cell[:, None], at[beside]]
+    stars[fixed] = label.size + np.arange(fixed.sum())
+    chain = connected(stars)
+    facing = np.unique(np.sort(np.split(chain, 2), axis=0), axis=1)  # two by two
     touching = is_split[cells.nodes[:, : cells.n_corners]]
     _require(
-        np.all(side[label.reshape(touching.shape)[touching]]),
-        "a node with three sides or more",
-        "cracks that neither branch nor cross",
+        facing.size == chain.max() + 1
+        and np.all(facing[0] != facing[1])
+        and np.all(np.isin(label[touching], stars)),
+        "not two sides everywhere along a crack",
+        "cracks that neither branch nor cross, and end at their fronts or at the boundary",
     )
-    is_upper = touching & (side[label.reshape(touching.shape)] > 0)
+    ends = np.tile(places[surface[:, :width]], (2, 1, 1))
+    normals = _normals(ends)
+    away = places[cells.nodes[cell, : cells.n_corners]].mean(axis=1) - ends.mean(axis=1)
+    normals[(away * normals).sum(axis=1) > 0.0] *= -1.0  # out of the material
+    outwards = np.zeros((facing.size, places.shape[1]))
+    np.add.at(outwards, chain, normals)
+    first_is_lower = np.array([upwards(normal) > 0.0 for normal in outwards[facing[0]]])
+    upper = np.where(first_is_lower, facing[1], facing[0])
+    is_upper = touching & np.isin(label, stars[np.isin(chain, upper)])
     nodes, new = _renumbered(cells, is_upper, surface, len(places))
-    lips = _lips(surface, n_corners, is_split, new)
-    cracks = _cracks(surface[:, :n_corners], fronts, mouths, places)
-    return nodes, np.flatnonzero(new >= 0), lips, cracks
+    lower = surface[is_split[surface[:, :width]].any(axis=1)]
+    lips = np.stack([lower, np.where(new[lower] >= 0, new[lower], lower)], axis=1)
+    return nodes, np.flatnonzero(new >= 0), lips
 
 
-def cracks_between(lower: np.ndarray, upper: np.ndarray, places: np.ndarray) -> list[CrackSurface]:
-    """The cracks of a mesh that is split already, by the corners of the facets of both lips, (m, k)
-    and (m', k) int: these share the nodes of the fronts."""
+def cracks_between(
+    lower: np.ndarray, upper: np.ndarray, places: np.ndarray
+) -> tuple[CrackSurface, ...]:
+    """The cracks of a solid that is split, from bottom to top, by the corners of the facets of both
+    lips, (m, k) and (m', k) int: these share the nodes of the fronts."""
     edges, uses = np.unique(_edges(lower), axis=0, return_counts=True)
     rim = edges[uses == 1]
     is_front = np.isin(rim, upper).all(axis=1)
-    return _cracks(lower, rim[is_front], np.unique(rim[~is_front]), places)
+    part, found = connected(lower), []
+    for number in range(part.max() + 1):
+        facets = lower[part == number]
+        own = np.isin(rim, facets).all(axis=1)
+        corners = places[np.concatenate(_triangles(facets))]
+        front = places[rim[own & is_front]]
+        found.append(CrackSurface(corners, front, bool(np.any(own & ~is_front))))
+    found.sort(key=lambda crack: tuple(crack.triangles.mean(axis=(0, 1))[[1, 0, 2]]))
+    return tuple(found)
 
 
 def _require(condition: object, found: str, allowed: str) -> None:
@@ -264,35 +299,23 @@ def _edges(polygons: np.ndarray) -> np.ndarray:
     return np.sort(ends.reshape(-1, 2), axis=1)
 
 
-def _rim(surface: np.ndarray, boundary: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Edges of the fronts (n, 2), and nodes of the mouths."""
-    edges, uses = np.unique(_edges(surface), axis=0, return_counts=True)
-    _require(np.all(uses <= 2), "more than two facets at an edge", "cracks that do not branch")
-    rim = edges[uses == 1]
-    if boundary.shape[1] == 4:  # sorted corners are not in turn: take every two of them
-        pairs = [boundary[:, [i, j]] for i in range(4) for j in range(i + 1, 4)]
-        outside = rows_in(rim, np.concatenate(pairs))
-    else:
-        outside = rows_in(rim, _edges(boundary))
-    return rim[~outside], np.unique(rim[outside])
+def _fronts(surface: np.ndarray, boundary: np.ndarray) -> np.ndarray:
+    """Edges of the fronts (n, 2), or nodes of the tips (n, 1)."""
+    width = surface.shape[1]
+    parts = surface.reshape(-1, 1) if width == 2 else _edges(surface)
+    parts, uses = np.unique(parts, axis=0, return_counts=True)
+    allowed = "cracks that neither branch nor cross"
+    _require(np.all(uses <= 2), "more than two sides of a crack meeting", allowed)
+    rim = parts[uses == 1]
+    # Sorted corners of four are not in turn: take every two of them.
+    every = [boundary[:, own] for own in combinations(range(width), parts.shape[1])]
+    return np.asarray(rim[~rows_in(rim, np.concatenate(every))])
 
 
 def _triangles(surface: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Facets as triangles: of each the first half, and the other half of those with four
     corners."""
     return surface[:, :3], surface[:, [0, 2, 3]] if surface.shape[1] == 4 else surface[:0, :3]
-
-
-def _orientation(triangles: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """The direction in which each crack's normal points out of its lower lip: (n_cracks, 3)."""
-    normals, found = _normals(triangles), []
-    for number in range(part.max() + 1):
-        own = normals[part == number]
-        mean = np.linalg.eigh(own.T @ own)[1][:, -1]
-        flat = np.abs(own @ mean) >= STEEPEST * np.linalg.norm(own, axis=1)
-        _require(np.all(flat), "a normal that turns by a right angle", "flatter")
-        found.append(upwards(mean) * mean)
-    return np.array(found)
 
 
 def _stars(cells: Cells, passable: np.ndarray, is_split: np.ndarray) -> np.ndarray:
@@ -324,24 +347,3 @@ def _renumbered(
     doubled = np.unique(cells.nodes[above])
     new[doubled] = count + np.arange(len(doubled))
     return np.where(above, new[cells.nodes], cells.nodes), new
-
-
-def _lips(surface: np.ndarray, n_corners: int, is_split: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """Facets of the lower and of the upper lip: (m, 2, k)."""
-    open_ones = surface[is_split[surface[:, :n_corners]].any(axis=1)]
-    upper = np.where(new[open_ones] >= 0, new[open_ones], open_ones)
-    return np.stack([open_ones, upper], axis=1)
-
-
-def _cracks(
-    surface: np.ndarray, fronts: np.ndarray, mouths: np.ndarray, places: np.ndarray
-) -> list[CrackSurface]:
-    """Cracks by the corners of their facets, from bottom to top."""
-    part, found = connected(surface), []
-    for number in range(part.max() + 1):
-        facets = surface[part == number]
-        own = np.unique(facets)
-        front = fronts[np.isin(fronts, own).all(axis=1)]
-        corners = places[np.concatenate(_triangles(facets))]
-        found.append(CrackSurface(corners, places[front], bool(np.isin(mouths, own).any())))
-    return sorted(found, key=lambda crack: tuple(crack.triangles.mean(axis=(0, 1))[[1, 0, 2]]))

@@ -1,9 +1,7 @@
-"""The lips of cracks in a mesh: where they run, where they begin, and how gmsh's plugin makes them.
+"""The lips of cracks in a plate's mesh: where they run, and where they begin.
 
 A lip is a chain of edges from a mouth to a tip, from tip to tip, or from mouth to mouth. A tip is a
-node of both lips. What gmsh's plugin "Crack" leaves is a curve along which the nodes of the mesh
-exist twice, with the cells of one side on the new ones; the lips are then those edges of the mesh's
-boundary that coincide in pairs.
+node of both lips.
 """
 
 from __future__ import annotations
@@ -18,10 +16,6 @@ import scipy.sparse as sparse
 
 from fenics_crack.errors import InputError
 
-PLUGIN = (
-    "Plugin(Crack) of gmsh, run after meshing with Dimension = 1, PhysicalGroup = the tag of the "
-    "curve, and OpenBoundaryPhysicalGroup = the tag of a physical point at the mouth"
-)
 SAME = 1e-6
 """Distance within which two places are one, relative to the size of the mesh or the length of the
 crack: text files have six digits and more."""
@@ -106,7 +100,7 @@ def upwards(normal: np.ndarray) -> float:
     return 1.0
 
 
-def find_lips(lower: np.ndarray, upper: np.ndarray, positions: np.ndarray) -> list[Lip]:
+def find_lips(lower: np.ndarray, upper: np.ndarray, positions: np.ndarray) -> tuple[Lip, ...]:
     """The lips of all cracks, from bottom to top and from left to right by where they begin.
 
     Parameters
@@ -123,7 +117,7 @@ def find_lips(lower: np.ndarray, upper: np.ndarray, positions: np.ndarray) -> li
     """
     shared = np.intersect1d(lower, upper)
     if len(shared) == len(np.unique(lower)):
-        allowed = f"different nodes in the same places but for the tips; {PLUGIN}, makes them"
+        allowed = "different nodes in the same places but for the tips; or one curve named 'crack'"
         raise InputError("lips", "the same nodes for 'lower_lip' and 'upper_lip'", allowed)
     tips = set(shared.tolist())
     lips = []
@@ -133,7 +127,7 @@ def find_lips(lower: np.ndarray, upper: np.ndarray, positions: np.ndarray) -> li
         turned = last < first if mouths[0] == mouths[1] else mouths[1]
         points = positions[chain[::-1] if turned else chain]
         lips.append(Lip(points, any(mouths)))
-    return sorted(lips, key=lambda lip: tuple(lip.points[0, ::-1]))
+    return tuple(sorted(lips, key=lambda lip: tuple(lip.points[0, ::-1])))
 
 
 def _chains(edges: list[tuple[int, int]], tips: set[int], positions: np.ndarray) -> list[list[int]]:
@@ -173,111 +167,13 @@ def along(lips: Sequence[Any], points: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return crack, positions[crack, np.arange(len(points))]
 
 
-# --- what gmsh's plugin leaves --------------------------------------------------------------------
-
-
-def cell_edges(
-    cells: np.ndarray, corners: int, order: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Edges of cells, each once, with all of their nodes in gmsh's order: the corners first; a cell
-    of each, and how many cells have it."""
-    steps = np.arange(corners)
-    inner = corners + steps[:, None] * (order - 1) + np.arange(order - 1)
-    turns = np.column_stack([steps, (steps + 1) % corners, inner])
-    edges = cells[:, turns].reshape(-1, turns.shape[1])
-    first, _, uses = each_once(edges[:, :2])
-    place = np.argsort(first)
-    return edges[first[place]], first[place] // corners, uses[place]
-
-
-def split_crack(
-    crack: np.ndarray, edges: np.ndarray, centres: np.ndarray, positions: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper lips along a curve whose nodes exist twice: rows of ``edges``.
-
-    The material of a lower lip lies below the crack: the normals that point out of it, summed along
-    the lip, point up; or to the right where the crack's ends are one above the other.
-
-    Parameters
-    ----------
-    crack : (n, 2) int
-        Edges of the curve, on either side or on both.
-    edges : (m, k) int
-        Boundary of the mesh, the corners first.
-    centres : (m, 2) [m]
-        Of the cells at these edges.
-    positions : (n_nodes, 2) [m]
-        Of all nodes.
-
-    Raises
-    ------
-    InputError
-        Nodes along the curve exist once; or cracks branch.
-    """
-    from scipy.spatial import cKDTree  # takes a while, for meshes from files alone
-
-    ends = positions[edges[:, :2]]
-    spans = ends[:, 1] - ends[:, 0]
-    near = COINCIDENT * float(np.linalg.norm(spans, axis=1).min())
-    same = cKDTree(positions).query_pairs(near, output_type="ndarray")
-    place = np.arange(len(positions))
-    np.minimum.at(place, same[:, 1], same[:, 0])
-    wanted, there = place[crack], place[edges[:, :2]]
-    _, which, uses = each_once(there)
-    twice = np.flatnonzero((uses[which] == 2) & rows_in(there, wanted))
-    missing = int(np.sum(~rows_in(wanted, there[twice])))
-    if missing:
-        found = f"{missing} of the {len(wanted)} edges of the curve 'crack' have their nodes once"
-        raise InputError("lips", found, f"two lips, whose nodes exist twice but for tips: {PLUGIN}")
-    pairs = twice[np.argsort(which[twice], kind="stable")].reshape(-1, 2)
-    normals = np.column_stack([spans[:, 1], -spans[:, 0]])
-    inwards = np.sum(normals * (centres - ends.mean(axis=1)), axis=1) > 0.0
-    normals[inwards] *= -1.0  # out of the material
-    side = _sides(edges[:, :2], pairs, normals)
-    rows = np.arange(len(pairs))
-    return edges[pairs[rows, side]], edges[pairs[rows, 1 - side]]
-
-
-def _sides(edges: np.ndarray, pairs: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Number, 0 or 1, of the edge of each pair that is on the lower lip."""
-    flat = pairs.T.ravel()  # first ones, then their partners
-    nodes, places = np.unique(edges[flat], return_inverse=True)
-    places = places.reshape(-1, 2)
-    one, other = np.split(places, 2)
-    is_tip = np.zeros(len(nodes), dtype=bool)
-    is_tip[one[(one == other) | (one == other[:, ::-1])]] = True
-    chain = connected(places, ~is_tip)
-    facing = np.unique(np.sort(np.split(chain, 2), axis=0), axis=1)  # two by two
-    if facing.size != chain.max() + 1 or np.any(facing[0] == facing[1]):
-        allowed = "cracks that neither branch nor cross"
-        raise InputError("lips", "a crack with more than two lips", allowed)
-    outwards = np.zeros((facing.size, 2))
-    np.add.at(outwards, chain, normals[flat])
-    is_lower = np.array([upwards(normal) > 0.0 for normal in outwards])
-    return np.where(is_lower[chain[: len(pairs)]], 0, 1)
-
-
-def check_mouths(
-    lower: np.ndarray, upper: np.ndarray, edges: np.ndarray, positions: np.ndarray
-) -> None:
-    """Raise InputError if a tip lies on the edge of the plate: a mouth whose node exists once."""
-    shared = np.intersect1d(lower[:, :2], upper[:, :2])
-    lips, sides = np.concatenate([lower, upper])[:, :2], edges[:, :2]
-    closed = np.intersect1d(shared, sides[~rows_in(sides, lips)])
-    if len(closed):
-        place = "({:g}, {:g})".format(*positions[closed[0]])
-        allowed = f"open there: its node must exist twice; {PLUGIN}, does that"
-        raise InputError("lips", f"a mouth at {place} that is closed", allowed)
-
-
-def connected(rows: np.ndarray, through: np.ndarray | slice = slice(None)) -> np.ndarray:
-    """The part of each row of nodes, (n,) int: rows are of one where they share a node, if it is
-    among those ``through`` which parts go, (n_nodes,) bool."""
+def connected(rows: np.ndarray) -> np.ndarray:
+    """The part of each row of nodes, (n,) int: rows are of one where they share a node."""
     from scipy.sparse.csgraph import connected_components  # takes a while, for few meshes
 
     count, k = rows.shape
     at = np.repeat(np.arange(count), k), rows.ravel()
-    touches = sparse.csr_matrix((np.ones(count * k), at))[:, through]
+    touches = sparse.csr_matrix((np.ones(count * k), at))
     return np.asarray(connected_components(touches @ touches.T)[1])
 
 

@@ -4,10 +4,10 @@ gmsh runs what it does not know as a script, decides by the name of a file what 
 ``NAME.opt`` beside it. So it is given a copy under a name of its own, alone in a folder, and only
 if the file begins as a mesh does.
 
-A mesh of a plate or of a solid comes as nodes, cells and named facets: curves, or surfaces. Along a
-crack of a plate the nodes exist twice; those of a solid exist once, and are split here
-(:mod:`fenics_crack.fem.crack_surface`). Every cell, facet and point is put into gmsh's current
-model once. Facets with several names are in a physical group for each combination of these.
+A mesh of a plate or of a solid comes as nodes, cells and named facets: curves, or surfaces. Nodes
+along a crack are doubled here (:mod:`fenics_crack.fem.crack_surface`), whether gmsh's plugin
+"Crack" has done it already or not. Every cell, facet and point is put into gmsh's current model
+once. Facets with several names are in a physical group for each combination of these.
 
 A mesh that is certainly not one of a structure is refused, with its place. Cells may be numbered
 either way round, group by group. They must not be folded: the Jacobian determinant of a cell has
@@ -30,16 +30,16 @@ import numpy as np
 import scipy.sparse as sparse
 
 from fenics_crack.errors import InputError, reading
-from fenics_crack.fem.crack_surface import FACETS, Cells, Lips, Names, cracks_between, split_surface
-from fenics_crack.fem.lips import (
-    SAME,
-    cell_edges,
-    check_mouths,
-    each_once,
-    find_lips,
-    rows_in,
-    split_crack,
+from fenics_crack.fem.crack_surface import (
+    FACETS,
+    Cells,
+    Lips,
+    Names,
+    cracks_between,
+    joined,
+    split_cracks,
 )
+from fenics_crack.fem.lips import SAME, each_once, find_lips, rows_in
 from fenics_crack.mesher import gmsh
 from fenics_crack.outside import bytes_of, run_reader
 
@@ -49,7 +49,7 @@ Given = tuple[np.ndarray, np.ndarray, list[Group]]
 """Numbers and positions of all nodes, and the groups."""
 LIPS = ("lower_lip", "upper_lip")
 CRACK = re.compile(r"crack([ _.-]?\d+)?$", re.IGNORECASE)
-"""Names of curves along which the nodes exist twice, and of surfaces that are split."""
+"""Names of curves and of surfaces that are cracks."""
 
 FARTHEST_NODE = 1e6
 """Largest coordinate of a node [m]."""
@@ -101,25 +101,28 @@ def put(given: Given, dimension: int) -> tuple[Names, Lips]:
     places = positions[:, :dimension]
     check_cells(kind, cells, places)
     cracks = [name for name in facets if CRACK.match(name)]
-    lips: Lips = ()
-    if dimension == 2:
-        facets = _with_lips(facets, cracks, cells, places)
-    else:
+    if dimension == 3:
         _check_inside(cells, facets, cracks)
-        if cracks:
-            surface = np.concatenate([facets.pop(name) for name in cracks])
-            nodes, twins, both, found = split_surface(cells, surface, places)
-            positions = places = np.concatenate([places, places[twins]])
-            facets = _moved(facets, cells, nodes, twins)
-            facets |= dict(zip(LIPS, both.swapaxes(0, 1), strict=True))
-            cells, lips = replace(cells, nodes=nodes), tuple(found)
+    if cracks:
+        surface = np.concatenate([facets.pop(name) for name in cracks])
+        kept, number = joined(surface, places)
+        whole = replace(cells, nodes=number[cells.nodes])
+        nodes, twins, both = split_cracks(whole, number[surface], places[kept])
+        facets = _moved(facets, cells, nodes, number)
+        for name, lip in zip(LIPS, both.swapaxes(0, 1), strict=True):
+            facets[name] = np.concatenate([facets.get(name, lip[:0]), lip])
+        points = [(*head, number[own]) for *head, own in points]
+        positions = positions[np.concatenate([kept, kept[twins]])]
+        cells, places = replace(cells, nodes=nodes), positions[:, :dimension]
     sides = [facets[name][:, : cells.facets.shape[1]] for name in LIPS if name in facets]
     allowed = "one with both 'lower_lip' and 'upper_lip', or with 'crack', or none of them"
     _require(len(sides) != 1, "one lip", allowed)
+    lips: Lips = ()
     if sides and dimension == 2:
-        lips = tuple(find_lips(sides[0], sides[1], places))
-    elif sides and not lips:
-        lips = tuple(cracks_between(sides[0], sides[1], places))
+        lips = find_lips(sides[0], sides[1], places)
+        _check_tips(cells, places, sides)
+    elif sides:
+        lips = cracks_between(sides[0], sides[1], places)
     check_parts(cells, places, facets["clamp"], sides)
     check_boundary(kind, cells, places, sides)
     tags, sets = _tags_of(facets)
@@ -249,43 +252,38 @@ def cells_of(kind: int, nodes: np.ndarray) -> Cells:
     return Cells(nodes, facets, between)
 
 
-def _with_lips(
-    curves: dict[str, np.ndarray], cracks: list[str], cells: Cells, places: np.ndarray
-) -> dict[str, np.ndarray]:
-    """The curves, those of cracks replaced by the lips that are found along them."""
-    if not cracks and not curves.keys() >= set(LIPS):
-        return curves
-    kept = {name: edges for name, edges in curves.items() if name not in cracks}
-    order = curves["clamp"].shape[1] - 1
-    edges, owners, uses = cell_edges(cells.nodes, cells.n_corners, order)
-    edges, owners = edges[uses == 1], owners[uses == 1]
-    if cracks:
-        centres = places[cells.nodes[owners, : cells.n_corners]].mean(axis=1)
-        crack = np.concatenate([curves[name] for name in cracks])[:, :2]
-        for name, lip in zip(LIPS, split_crack(crack, edges, centres, places), strict=True):
-            kept[name] = np.concatenate([kept.get(name, lip[:0]), lip])
-    check_mouths(kept["lower_lip"], kept["upper_lip"], edges, places)
-    return kept
-
-
 def _moved(
-    surfaces: dict[str, np.ndarray], cells: Cells, nodes: np.ndarray, twins: np.ndarray
+    surfaces: dict[str, np.ndarray], cells: Cells, nodes: np.ndarray, number: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Facets with the nodes that their cells have once cracks are split: beside a mouth those above
-    the crack have new ones."""
+    """Facets with the ``nodes`` (n_cells, k) that their cells have once cracks are split, beside a
+    crack those of their own side; elsewhere with the ``number`` (n_nodes,) of each node."""
     facets, owner, _ = cells.all_facets
-    weights = (int(cells.nodes.max()) + 1) ** np.arange(3)[::-1]
-    keys, width = facets[:, :3] @ weights, cells.facets.shape[1]  # three corners are enough
+    corners = min(facets.shape[1], 3)  # are enough
+    weights = (int(cells.nodes.max()) + 1) ** np.arange(corners)[::-1]
+    keys, width = facets[:, :corners] @ weights, facets.shape[1]
+    moved = np.unique(cells.nodes[nodes != number[cells.nodes]])
     found = {}
     for name, rows in surfaces.items():
-        rows = rows.copy()
-        beside = np.flatnonzero(np.isin(rows, twins).any(axis=1))
-        wanted = np.sort(rows[beside, :width], axis=1)[:, :3] @ weights
+        found[name] = number[rows]
+        beside = np.flatnonzero(np.isin(rows, moved).any(axis=1))
+        wanted = np.sort(rows[beside, :width], axis=1)[:, :corners] @ weights
         cell = owner[np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)]
         at = np.argmax(cells.nodes[cell][:, None, :] == rows[beside][:, :, None], axis=2)
-        rows[beside] = np.take_along_axis(nodes[cell], at, axis=1)
-        found[name] = rows
+        found[name][beside] = np.take_along_axis(nodes[cell], at, axis=1)
     return found
+
+
+def _check_tips(cells: Cells, places: np.ndarray, lips: Sequence[np.ndarray]) -> None:
+    """Raise InputError if a tip lies on the edge of the plate: a mouth whose node exists once."""
+    edges = cells.all_facets[0][cells.alone]
+    edges = edges[~rows_in(edges, np.concatenate(lips))]
+    closed = np.intersect1d(np.intersect1d(*lips), edges)
+    if len(closed):
+        place = "({:g}, {:g})".format(*places[closed[0]])
+        allowed = (
+            "open there, with a node of each lip; or of one curve named 'crack', which is split"
+        )
+        raise InputError("lips", f"a mouth at {place} that is closed", allowed)
 
 
 def _tags_of(

@@ -8,7 +8,7 @@ import numpy as np
 
 from fenics_crack.errors import InputError
 from fenics_crack.fem.crack_surface import FACETS
-from fenics_crack.fem.lips import cell_edges, each_once
+from fenics_crack.fem.lips import each_once
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 
@@ -92,8 +92,13 @@ class NodalMesh:
     def _edges_and_uses(self) -> tuple[np.ndarray, np.ndarray]:
         count = self.cells.shape[1]
         corners = 3 if count in (3, 6) else 4
-        edges, _, uses = cell_edges(self.cells, corners, 2 if count > corners else 1)
-        return edges[:, [0, *range(2, edges.shape[1]), 1]], uses
+        steps = np.arange(corners)
+        turns = np.column_stack([steps, corners + steps, np.roll(steps, -1)])
+        turns = turns if count > corners else turns[:, ::2]
+        edges = self.cells[:, turns].reshape(-1, turns.shape[1])
+        first, _, uses = each_once(edges[:, [0, -1]])
+        order = np.argsort(first)
+        return edges[first[order]], uses[order]
 
     @property
     def edges(self) -> np.ndarray:

@@ -471,7 +471,7 @@ class Mesh(Table):
     point) and, for the region itself, anything.
 
     A solid is meshed by tetrahedra of order 2, ``"graded"`` towards the fronts of its cracks; a
-    file names surfaces, ``clamp`` and ``crack``, along which the nodes exist once.
+    file names surfaces, ``clamp`` and ``crack``.
     """
 
     layout: str = choice("grid", "graded", "file")

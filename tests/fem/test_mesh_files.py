@@ -1,5 +1,5 @@
-"""Mesh files: cracks that gmsh's plugin made, whose nodes along the curve ``crack`` exist twice;
-meshes that cannot be those of a structure, which are refused with the place."""
+"""Mesh files: cracks along curves, whether gmsh's plugin has doubled the nodes there or not; meshes
+that cannot be those of a structure, which are refused with the place."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from helpers import ROOT, gmsh_model
 from mpi4py import MPI
 from test_mesh import area, file_plate, pair_nodes
 
-from fenics_crack import InputError, build_structure
-from fenics_crack.fem.msh_file import cells_of, check_boundary, check_cells, check_parts
+from fenics_crack import InputError, build_structure, solve_modes
+from fenics_crack.fem.msh_file import cells_of, check_boundary, check_cells, check_parts, put
 from fenics_crack.fem.plate import build_mesh
 
 WIDTH, HEIGHT = 2.0, 1.0
@@ -182,19 +182,59 @@ def test_several_cracks_of_the_plugin(plugin: Callable[..., Path]) -> None:
         build_structure(scene.replace({"cracks.2.clearance": 0.0}))
 
 
-@pytest.mark.parametrize(
-    ("how", "words"),
-    [
-        ({"run": False}, "edges of the curve 'crack' have their nodes once.*Plugin.Crack. of gmsh"),
-        ({"mouth": False}, r"a mouth at \(0, 0.4\) that is closed.*OpenBoundaryPhysicalGroup"),
-    ],
-    ids=str,
-)
-def test_the_refusal_says_how(plugin: Callable[..., Path], how: dict[str, Any], words: str) -> None:
-    """Nodes that exist once, all of them or the mouth's, are refused with the plugin's options."""
-    with pytest.raises(InputError, match=words) as caught:
-        build_mesh(file_plate(plugin("edge", **how)), MPI.COMM_SELF)
-    assert caught.value.key == "lips"
+@pytest.mark.parametrize("how", [{"run": False}, {"mouth": False}], ids=str)
+@pytest.mark.parametrize(("name", "order"), [("edge", 1), ("inside", 1), ("arc", 2)])
+def test_nodes_that_exist_once(
+    plugin: Callable[..., Path], name: str, order: int, how: dict[str, Any]
+) -> None:
+    """All of them, or that of the mouth: the same cracks as where the plugin has doubled them."""
+    doubled, once = (
+        build_structure(file_plate(plugin(name, order=order, **how), **{"mesh.order": order}))
+        for how in ({}, how)
+    )
+    assert doubled.watched_pairs == once.watched_pairs
+    np.testing.assert_allclose(once.pair_points, doubled.pair_points, atol=1e-12)
+    np.testing.assert_allclose(once.pairs.positions, doubled.pairs.positions, atol=1e-12)
+    omega = [solve_modes(one, 4).omega for one in (doubled, once)]
+    np.testing.assert_allclose(omega[1], omega[0], rtol=1e-9)
+
+
+def test_curves_that_are_no_cracks() -> None:
+    """On the boundary, branching, crossing, closed, or of one edge inside."""
+    cells, places, clamp = grid()
+    ring = [node(2, 2), node(3, 2), node(3, 3), node(2, 3), node(2, 2)]
+    line, across = [node(x, 3) for x in range(1, 6)], [node(3, y) for y in range(3, 6)]
+    for curve, words in (
+        (clamp, "6 of the 6 edges of cracks not between cells"),
+        (edges(line) + edges(across), "neither branch nor cross"),
+        (edges(line) + edges([node(3, y) for y in range(1, 6)]), "neither branch nor cross"),
+        (edges(line[:2]), "all nodes of a crack on its front"),
+        (edges(ring), "a closed curve"),
+    ):
+        with pytest.raises(InputError, match=words):
+            put_lips(cells, places, clamp, crack=curve)
+
+
+def test_a_mouth_that_is_closed() -> None:
+    """Of lips with names of their own; a crack's is opened."""
+    cells, places, clamp = grid()
+    line = [node(x, 3) for x in range(4)]
+    cells, places, low, high = doubled(cells, places, line[1:3])
+    lower, upper = (edges([line[0], *own, line[3]]) for own in (low, high))
+    with pytest.raises(InputError, match=r"a mouth at \(0, 3\) that is closed.*named 'crack'"):
+        put_lips(cells, places, clamp, lower_lip=lower, upper_lip=upper)
+    [lip] = put_lips(cells, places, clamp, crack=upper)
+    assert lip.has_mouth and lip.points.tolist() == [[x, 3.0] for x in range(4)]
+
+
+def put_lips(cells: np.ndarray, places: np.ndarray, clamp: Edges, **curves: Edges) -> Any:
+    """The lips of a plate of triangles."""
+    groups = [(2, 1, "plate", TRIANGLE, cells.ravel())]
+    for tag, (name, own) in enumerate({"clamp": clamp, **curves}.items(), 1):
+        groups.append((1, tag, name, 1, np.ravel(own)))
+    with gmsh_model():
+        spatial = np.column_stack([places, np.zeros(len(places))])
+        return put((np.arange(len(places)), spatial, groups), 2)[1]
 
 
 def test_example_of_the_plugin(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Callable
@@ -19,7 +20,7 @@ from surroundings import DEMOS, ROOT
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
 from fenics_crack.fem.compat import function_space
-from fenics_crack.fem.crack_surface import FACETS, Cells, split_surface
+from fenics_crack.fem.crack_surface import FACETS, Cells, cracks_between, split_cracks
 from fenics_crack.fem.loads import assemble_loads
 from fenics_crack.fem.matrix_files import coincident
 from fenics_crack.fem.msh_file import cells_of
@@ -203,7 +204,8 @@ def test_a_surface_without_a_front_parts_two_bodies() -> None:
         [[i, k, j] for k in range(3) for j in range(2) for i in range(2)], dtype=float
     )
     cells = Cells(CUBES, FACETS[8], np.eye(8, dtype=bool))
-    nodes, twins, lips, (crack,) = split_surface(cells, np.array([[4, 5, 7, 6]]), places)
+    nodes, twins, lips = split_cracks(cells, np.array([[4, 5, 7, 6]]), places)
+    (crack,) = cracks_between(lips[:, 0], lips[:, 1], np.concatenate([places, places[twins]]))
     assert twins.tolist() == [4, 5, 6, 7] and not np.intersect1d(*nodes).size
     assert np.sort(lips[0], axis=1).tolist() == [[4, 5, 6, 7], [12, 13, 14, 15]]
     assert not len(crack.front) and crack.beside((0.5, 1.0, 0.5)) is not None
@@ -225,24 +227,32 @@ def test_a_surface_on_the_outside_is_refused() -> None:
         [[i, k, j] for k in range(3) for j in range(2) for i in range(2)], dtype=float
     )
     cells = Cells(CUBES, FACETS[8], np.eye(8, dtype=bool))
-    with pytest.raises(InputError, match="inside the solid"):
-        split_surface(cells, np.array([[0, 1, 3, 2]]), places)
+    with pytest.raises(InputError, match="1 of the 1 facets of cracks not between cells"):
+        split_cracks(cells, np.array([[0, 1, 3, 2]]), places)
 
 
-def draw_surface(curved: bool, inside: bool, order: int) -> list[int]:
-    """Mesh a cube of 1 m with a crack, plane or a part of a cylinder, from the side x = 0 to its
-    middle, or an inner disk; the groups of its cells, its crack, and its mouth, if it has one."""
+def draw_surface(shape: str, order: int) -> list[int]:
+    """Mesh a cube of 1 m with a crack, plane, bent by a right angle or a part of a cylinder, from
+    the side x = 0 to its middle, or an inner disk; the groups of its cells, its crack, and its
+    mouth, if it has one."""
     occ = gmsh.model.occ
     box = [(3, occ.addBox(0.0, 0.0, 0.0, 1.0, 1.0, 1.0))]
-    if inside:
+    if shape == "inside":
         face = [(2, occ.addDisk(0.5, 0.5, 0.5, 0.3, 0.2))]
     else:
-        end = (0.4, math.hypot(0.4, 0.5)) if curved else (0.5, 0.5)
-        ends = occ.addPoint(0.0, 0.5, 0.0), occ.addPoint(*end, 0.0)
-        arc = (ends[0], occ.addPoint(0.4, 0.0, 0.0), ends[1])
-        line = occ.addCircleArc(*arc) if curved else occ.addLine(*ends)
-        face = [one for one in occ.extrude([(1, line)], 0.0, 0.0, 1.0) if one[0] == 2]
-    made = occ.fragment(box, face)[1][1]
+        corners = {
+            "plane": [(0.0, 0.5), (0.5, 0.5)],
+            "bent": [(0.0, 0.5), (0.5, 0.5), (0.5, 0.8)],
+            "curved": [(0.0, 0.5), (0.4, math.hypot(0.4, 0.5))],
+        }
+        ends = [occ.addPoint(*end, 0.0) for end in corners[shape]]
+        if shape == "curved":
+            lines = [occ.addCircleArc(ends[0], occ.addPoint(0.4, 0.0, 0.0), ends[1])]
+        else:
+            lines = [occ.addLine(*pair) for pair in itertools.pairwise(ends)]
+        made = occ.extrude([(1, line) for line in lines], 0.0, 0.0, 1.0)
+        face = [one for one in made if one[0] == 2]
+    made = [one for own in occ.fragment(box, face)[1][1:] for one in own]
     occ.synchronize()
     crack, mouth = [tag for _, tag in made], []
     for _, tag in gmsh.model.getEntities(1):
@@ -285,7 +295,7 @@ def sharing(cells: np.ndarray, places: np.ndarray) -> set[tuple[tuple[float, ...
 
 
 @pytest.mark.parametrize("order", [1, 2])
-@pytest.mark.parametrize("shape", ["plane", "curved", "inside"])
+@pytest.mark.parametrize("shape", ["plane", "bent", "curved", "inside"])
 def test_cracks_are_split_as_by_gmsh(shape: str, order: int) -> None:
     """Its plugin gives every cell nodes that it shares with the same cells. The surface of what is
     left has Euler's number of a ball: V - E + F = 2, and of a ball with a hole inside: 4."""
@@ -293,7 +303,7 @@ def test_cracks_are_split_as_by_gmsh(shape: str, order: int) -> None:
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.model.add("cube")
-        _, crack, *mouth = draw_surface(shape == "curved", shape == "inside", order)
+        _, crack, *mouth = draw_surface(shape, order)
         cells, places = cells_of_model()
         numbers = np.sort(gmsh.model.mesh.getNodes()[0])
         facets = []
@@ -302,7 +312,7 @@ def test_cracks_are_split_as_by_gmsh(shape: str, order: int) -> None:
             facets.append(np.searchsorted(numbers, nodes).reshape(-1, 3 * order))
         kind = gmsh.model.mesh.getElements(3)[0][0]
         solid_cells = cells_of(kind, cells)
-        nodes, twins, _, found = split_surface(solid_cells, np.concatenate(facets), places)
+        nodes, twins, lips = split_cracks(solid_cells, np.concatenate(facets), places)
         own = sharing(nodes, np.concatenate([places, places[twins]]))
         for name, value in [("Dimension", 2), ("PhysicalGroup", crack)]:
             gmsh.plugin.setNumber("Crack", name, value)
@@ -311,7 +321,10 @@ def test_cracks_are_split_as_by_gmsh(shape: str, order: int) -> None:
         assert own == sharing(*cells_of_model())
     finally:
         gmsh.finalize()
-    assert len(twins) > 5 and found[0].has_mouth == (shape != "inside")
+    (found,) = cracks_between(
+        *lips[..., :3].swapaxes(0, 1), np.concatenate([places, places[twins]])
+    )
+    assert len(twins) > 5 and found.has_mouth == (shape != "inside")
     corners = nodes[:, FACETS[4]].reshape(-1, 3)
     _, first, uses = np.unique(
         np.sort(corners, axis=1), axis=0, return_index=True, return_counts=True
