@@ -12,8 +12,9 @@ once. Facets with several names are in a physical group for each combination of 
 A mesh that is certainly not one of a structure is refused, with its place. Cells may be numbered
 either way round, group by group. They must not be folded: the Jacobian determinant of a cell has
 one sign at all of its nodes, and two cells that share a facet lie on either side of it. No facet of
-the boundary but those of lips has its middle in or on another cell than its own: parts do not lie
-on one another, and where they touch they share their nodes, or nothing would hold them together.
+the boundary but those of lips has its middle, or a point halfway to a corner, in or on another cell
+than its own: parts do not lie on one another, and where they touch they share their nodes, or
+nothing would hold them together.
 """
 
 from __future__ import annotations
@@ -429,8 +430,9 @@ def check_parts(
 
 
 def check_boundary(kind: int, cells: Cells, places: np.ndarray, lips: Sequence[np.ndarray]) -> None:
-    """Raise InputError where the middle of a facet of the boundary, other than lips, lies in or on
-    another cell than its own: parts overlap, or touch and nothing joins them.
+    """Raise InputError where the middle of a facet of the boundary, other than lips, or a point
+    halfway from there to a corner, lies in or on another cell than its own: parts overlap, or touch
+    and nothing joins them. Cells three times as long as wide may cross between these points.
 
     Parameters
     ----------
@@ -448,8 +450,12 @@ def check_boundary(kind: int, cells: Cells, places: np.ndarray, lips: Sequence[n
     facets, owner, at = (rows[cells.alone] for rows in cells.all_facets)
     other = ~rows_in(facets, np.concatenate([*lips, facets[:0]]))
     owner, at = owner[other], at[other]
-    middles = _functions(kind, _places_in(kind)[at].mean(axis=1))
-    points = np.einsum("in,inx->ix", middles, places[cells.nodes[owner]])
+    corners = _places_in(kind)[at]
+    middle = corners.mean(axis=1, keepdims=True)
+    within = np.concatenate([middle, 0.5 * (middle + corners)], axis=1)
+    owner = np.repeat(owner, within.shape[1])
+    shares = _functions(kind, within.reshape(-1, 3))
+    points = np.einsum("in,inx->ix", shares, places[cells.nodes[owner]])
 
     here = places[cells.nodes]
     centres = here.mean(axis=1)

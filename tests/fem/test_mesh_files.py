@@ -482,6 +482,19 @@ def test_parts_on_one_another(origin: tuple[float, float]) -> None:
     refused("cells that overlap", *both, clamp=clamp + own)
 
 
+@pytest.mark.parametrize("turn", [0.5, 1.0, 1.5])
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.5, 0.0), (0.4, 0.3)], ids=str)
+def test_strips_that_cross(shift: tuple[float, float], turn: float) -> None:
+    """Like an X, of cells twice as long as wide: the middles of their edges may be outside."""
+    cells, places, clamp = grid(6, 1)
+    places = (places - [3.0, 0.5]) * [2.0, 1.0]
+    cosine, sine = np.cos(turn), np.sin(turn)
+    turned = places @ [[cosine, sine], [-sine, cosine]] + shift
+    both = np.concatenate([cells, cells + 14]), np.concatenate([places, turned])
+    own = [(one + 14, two + 14) for one, two in clamp]
+    refused("cells that overlap", *both, clamp=clamp + own)
+
+
 def test_two_cells_on_one_side_of_their_edge() -> None:
     """One within the other: neither their boundary nor the angles at a node show it."""
     places = np.array([(0.0, 0.0), (1.0, 0.0), (0.5, 1.0), (0.4, 0.3)])
