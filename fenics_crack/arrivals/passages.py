@@ -30,7 +30,7 @@ errors are those of :mod:`fenics_crack.arrivals.robust`. The envelope is the ave
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -79,6 +79,10 @@ is than at any other probe. A mode of another order within the same width may ca
 200 such records with 4 to 8 probes one had a channel taken for blind, of 60 with 3 probes three."""
 
 
+Follows = Callable[[float, float], float]
+"""s of a speed and a natural frequency [rad/s], as ``Campbell.stiffening``."""
+
+
 class _Run:
     """A stretch of a record in which the speed is near a resonance: arrays (revolutions, probes).
 
@@ -90,14 +94,14 @@ class _Run:
         Its displacements, without what has been found in them.
     begin, end : int
         First revolution, and the one after the last.
-    stiffening : float
-        s.
+    stiffening : function
+        s of a speed and a frequency.
     """
 
     def __init__(
-        self, arrivals: ArrivalTimes, values: np.ndarray, begin: int, end: int, stiffening: float
+        self, arrivals: ArrivalTimes, values: np.ndarray, begin: int, end: int, stiffening: Follows
     ) -> None:
-        self.begin, self.end, self._slower = begin, end, 1.0 - stiffening
+        self.begin, self.end, self._stiffening = begin, end, stiffening
         rows = slice(begin, end)
         self.seen = np.isfinite(values[rows])
         self.values = np.where(self.seen, values[rows], 0.0)
@@ -115,7 +119,8 @@ class _Run:
     def waves(self, order: float, roots: np.ndarray, *, steady: bool = False) -> np.ndarray:
         """a(t) exp(i p alpha) at the arrivals, of F = 1 and roots lambda (m,): (m, R, P)."""
         time, path = (self.time - self.time[0, 0]).ravel(), order * self.path.ravel()
-        turning, roots = np.diff(path) / np.diff(time), roots[:, None]
+        turning, omega = np.diff(path) / np.diff(time), float(np.abs(roots).mean())
+        slower, roots = 1.0 - self._stiffening(omega / order, omega), roots[:, None]
         if steady:
             speed = np.interp(time, 0.5 * (time[1:] + time[:-1]), turning)
             envelope = 1.0 / (1j * speed - roots)
@@ -123,12 +128,12 @@ class _Run:
             envelope = np.empty((len(roots), len(time)), dtype=complex)
             envelope[:, :1] = 1.0 / (1j * turning[0] - roots)
             # In parts, over which exp does not overflow.
-            parts = int(-roots.real.min() * self._slower * time[-1] // 300.0) + 1
+            parts = int(-roots.real.min() * slower * time[-1] // 300.0) + 1
             edges = np.linspace(0, len(turning), parts + 1).astype(int)
             for begin, end in itertools.pairwise(edges):
                 here = slice(begin, end + 1)
-                passed = self._slower * (time[here] - time[begin])
-                phase = self._slower * (path[here] - path[begin]) - roots.imag * passed
+                passed = slower * (time[here] - time[begin])
+                phase = slower * (path[here] - path[begin]) - roots.imag * passed
                 wave = np.exp(-roots.real * passed) * (np.cos(phase) + 1j * np.sin(phase))
                 pushed = np.cumsum(np.diff(wave) / (1j * turning[begin:end] - roots), axis=1)
                 envelope[:, begin + 1 : end + 1] = (envelope[:, [begin]] + pushed) / wave[:, 1:]
@@ -173,7 +178,7 @@ class _Record:
     """Arrivals, and how natural frequencies follow the speed in them."""
 
     arrivals: ArrivalTimes
-    stiffening: float
+    stiffening: Follows
 
     def run(self, values: np.ndarray, begin: int, end: int) -> _Run:
         """Revolutions of displacements (revolutions, probes)."""
@@ -386,7 +391,7 @@ class PassageFit(Tabular):
     blind : tuple of float [rad]
         Angles of probes that see nothing of what the others see alike, and are left out.
     stiffening : float
-        s = d ln w_n / d ln W, as it was given.
+        s = d ln w_n / d ln W.
     """
 
     order: float
@@ -452,7 +457,7 @@ class PassageFit(Tabular):
         drift (nan where none was seen) and of the fit; without blind probes."""
         arrivals = arrivals.without(np.flatnonzero(np.isin(arrivals.probes, self.blind)))
         root = np.array([_pole(self.omega, self.damping / (1.0 - self.stiffening))])
-        record, found = _Record(arrivals, self.stiffening), []
+        record, found = _Record(arrivals, _checked(self.stiffening)), []
         for (begin, end), force in zip(self.ends, self.forces, strict=True):
             run = record.run(arrivals.displacement, int(begin), int(end))
             motion = (force * run.waves(self.order, root)[0]).real
@@ -499,7 +504,7 @@ def fit_passage(
     speed: float,
     orders: Iterable[float] = ORDERS,
     *,
-    stiffening: float = 0.0,
+    stiffening: float | Follows = 0.0,
 ) -> PassageFit:
     """Fit a mode to all passages of a resonance near a speed.
 
@@ -511,9 +516,10 @@ def fit_passage(
         About where the resonance is, to 1 %.
     orders : iterable of float
         Candidates: periods of the load in a revolution.
-    stiffening : float
-        s = d ln w_n / d ln W, the slope of a Campbell diagram over w_n / W, from -0.9 to 0.9: by a
-        frequency that stays where it is dampings are 1 / (1 - s) times the true ones.
+    stiffening : float or function
+        s = d ln w_n / d ln W, the slope of a Campbell diagram over w_n / W, from -0.9 to 0.9, or it
+        as a function of W and w_n [rad/s], as :meth:`Campbell.stiffening`: by a frequency that
+        stays where it is dampings are 1 / (1 - s) times the true ones.
 
     Returns
     -------
@@ -542,7 +548,7 @@ def fit_passage(
         others = arrivals.without(blind)
         fit = fit_passage(others, speed, tried, stiffening=stiffening)
         return replace(fit, blind=(*arrivals.probes[blind].tolist(), *fit.blind))
-    return found.described(record.stiffening)
+    return found.described(record)
 
 
 def find_passages(
@@ -551,7 +557,7 @@ def find_passages(
     *,
     most: int = 8,
     asynchronous: int = 1,
-    stiffening: float = 0.0,
+    stiffening: float | Follows = 0.0,
 ) -> tuple[PassageFit, ...]:
     """Find the resonances that a record passes, about the largest one first.
 
@@ -572,8 +578,8 @@ def find_passages(
     asynchronous : int
         So many vibrations of constant frequency at most are looked for beside them. They pass
         every order, and look like resonances of little damping there.
-    stiffening : float
-        As of :func:`fit_passage`, of all modes.
+    stiffening : float or function
+        As of :func:`fit_passage`, a number of all modes.
 
     Returns
     -------
@@ -617,15 +623,18 @@ def find_passages(
         steady += left - rest
         if turn and not lines:
             break
-    return tuple(one.described(record.stiffening, lines) for one in found)
+    return tuple(one.described(record, lines) for one in found)
 
 
-def _checked(stiffening: float) -> float:
-    """s, where the order meets the frequency from below."""
+def _checked(stiffening: float | Follows) -> Follows:
+    """s where the order meets the frequency from below."""
+    if callable(stiffening):
+        given = stiffening
+        return lambda speed, omega: float(np.clip(given(speed, omega), -STIFFEST, STIFFEST))
     check_number("stiffening", stiffening)
-    if abs(stiffening) > STIFFEST:
+    if abs(value := float(stiffening)) > STIFFEST:
         raise InputError("stiffening", stiffening, f"a number from -{STIFFEST} to {STIFFEST}")
-    return float(stiffening)
+    return lambda speed, omega: value
 
 
 def _search(
@@ -815,9 +824,10 @@ class _Compared:
             wave = record.run(values, begin, end).waves(best.order, root)[0]
             values[begin:end] += factor * (force * wave).real
 
-    def described(self, stiffening: float, lines: tuple[TipFit, ...] = ()) -> PassageFit:
+    def described(self, record: _Record, lines: tuple[TipFit, ...] = ()) -> PassageFit:
         """The best fit in numbers, beside those of each run by itself."""
         best, runs = self.best, self._runs
+        stiffening = record.stiffening(self.speed, best.omega)
         each = [
             ([run], best.order, best.root, [own])
             for run, own in zip(runs, best.weights, strict=True)

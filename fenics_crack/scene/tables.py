@@ -946,9 +946,10 @@ class TipTiming(Table):
     )
     """Engine orders that may be in the arrivals; default: the load's, or 1 to 24 where it is not
     known. Of a computed run-up it is known."""
-    stiffening: float = between("-0.9", "0.9", 0.0)
+    stiffening: float | None = between("-0.9", "0.9", None)
     """Of the resonances that a measured run-up passes: relative change of their natural frequencies
-    for one of the speed, d ln f / d ln n, by a Campbell diagram. Their damping depends on it."""
+    for one of the speed, d ln f / d ln n, on which their damping depends. Default: with [rotation]
+    that of each by the scene's Campbell diagram, else 0."""
     frequencies: tuple[float, ...] | None = holds(
         "two finite numbers > 0, the second one larger",
         lambda ends: len(ends) == 2 and 0.0 < ends[0] < ends[1],

@@ -37,7 +37,6 @@ from fenics_crack.model.modes import (
 )
 from fenics_crack.model.rotation import Ritz, coriolis_shifts, static_state
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.equations import DIFFERENCE
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import check_scene
 from fenics_crack.study.key_figures import damping_ratios
@@ -207,14 +206,20 @@ class Campbell(Tabular):
                 text += f" with the crack {' before and '.join(STATES[kind] for kind in own)}"
                 text += " after" if len(own) > 1 else ""
                 text += f"; it would be {', '.join(others)}" if others else ""
-            yield text + f"; there d ln f / d ln n = {self.stiffening(int(mode), speed):.2g}"
+            yield text + f"; there d ln f / d ln n = {self.stiffening(speed, order * speed):.2g}"
 
-    def stiffening(self, mode: int, speed: float) -> float:
-        """d ln f / d ln n: the relative change of a mode's frequency (from 1), with the crack as it
-        is, for one of the speed [rad/s]; ``tip_timing.stiffening`` where an order meets it."""
-        kind = self._states(mode, speed)[1] if self.cracked else "open"
-        ends = [self._omega(mode, speed * (1.0 + h), kind) for h in (-DIFFERENCE, DIFFERENCE)]
-        return float(np.log(ends[1] / ends[0]) / (2.0 * DIFFERENCE))
+    def stiffening(self, speed: float, omega: float) -> float:
+        """d ln w / d ln W of the mode nearest to a frequency at a speed [rad/s], its square being
+        linear in that of the speed (Southwell) between two speeds and beyond them; for
+        :func:`find_passages`."""
+        squares, turns = self.omega_bilinear**2, self.speed**2
+        place = int(np.clip(np.searchsorted(self.speed, speed), 1, len(turns) - 1))
+        slope = np.subtract(*squares[place - 1 : place + 1]) / np.subtract(
+            *turns[place - 1 : place + 1]
+        )
+        there = squares[place] + slope * (speed**2 - turns[place])
+        mode = int(np.abs(np.sqrt(np.maximum(there, 0.0)) - omega).argmin())
+        return float(slope[mode] * speed**2 / there[mode])
 
     def to_dict(self) -> dict[str, Any]:
         """Columns, a row for every speed and mode."""

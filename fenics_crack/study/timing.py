@@ -13,7 +13,7 @@ from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.arrivals.fit_frequency import fit_frequency
 from fenics_crack.arrivals.fit_order import TipTrack, fit_order, track_order
 from fenics_crack.arrivals.harmonics import ORDERS, TipFit
-from fenics_crack.arrivals.passages import PassageFit, find_passages
+from fenics_crack.arrivals.passages import Follows, PassageFit, find_passages
 from fenics_crack.arrivals.simulate import run_up_points, tip_timing
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import ResponseCurve, columns
@@ -26,12 +26,16 @@ from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import LOOKED_AT, Scene
 from fenics_crack.scene.tables import Rotation, TipTiming
 from fenics_crack.scene.words import differences
+from fenics_crack.stages import begin
+from fenics_crack.study.campbell import campbell
 from fenics_crack.study.run import Run, load_run, solve
 from fenics_crack.table import speed_in_words
 
 DECIDED = (*LOOKED_AT, "reduction")
 """Tables of a scene that may differ from those of a result: what is looked at, and what a run
 decides itself."""
+DIAGRAM = 5, 10
+"""Speeds and modes of a Campbell diagram by which frequencies follow the speed of a record."""
 SHORTEST = 2
 """Points of a run-up."""
 ALONG = 0.999
@@ -155,7 +159,8 @@ def vibration_in(
     if passes:
         of_fits = "fitted_harmonics", "subharmonic", "fitted_revolutions"
         table.leave_out(of_fits, "a run-up in which resonances are sought")
-        return find_passages(arrivals, table.orders or ORDERS, stiffening=table.stiffening)
+        follows = _stiffening(scene, arrivals)
+        return find_passages(arrivals, table.orders or ORDERS, stiffening=follows)
     table.leave_out(("stiffening",), "all but a measured run-up in which resonances are sought")
     if runs_up:
         assert order is not None
@@ -167,6 +172,16 @@ def vibration_in(
         return fit_frequency(arrivals, low, high, **how)
     orders = table.orders or ([order] if order else ORDERS)
     return fit_order(arrivals, orders, **how, subharmonic=table.subharmonic)
+
+
+def _stiffening(scene: Scene, arrivals: ArrivalTimes) -> float | Follows:
+    """How natural frequencies follow the speed (collective)."""
+    given = scene.given("tip_timing").stiffening
+    if given is not None or scene.rotation is None:
+        return given or 0.0
+    begin("Campbell diagram")
+    speeds = np.linspace(arrivals.speed.min(), arrivals.speed.max(), DIAGRAM[0])
+    return campbell(scene, speeds, DIAGRAM[1]).stiffening
 
 
 def tip_direction(table: TipTiming, run: Run) -> dict[int, float]:
