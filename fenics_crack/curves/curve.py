@@ -420,9 +420,10 @@ class ResponseCurve(_Waves):
         if not self._open[index]:
             return ""
         solution = self.solution(index)
-        judged = solution.judged
-        apart = judged.orbit is not None
-        alone = stability_of(judged) if apart else floquet(solution.structure, solution)
+        if solution.judged.orbit is None:
+            alone = floquet(solution.structure, solution)
+        else:
+            alone = stability_of(solution.judged)
         if self._open.all():
             why = "no orbit along the curve was followed, or accepted: fewer modes are followed"
             why += " sooner, and more harmonics lead to more orbits"
@@ -472,7 +473,7 @@ class ResponseCurve(_Waves):
         else:
             verdict = str(self.verdicts[index])
         error = solution.report.displacement
-        damping = _damping(self, index, self.coefficients_at(dof))
+        damping = _damping(self, index, dof)
         return Peak(index, value, omega, height, error, verdict, damping)
 
     @cached_property
@@ -571,13 +572,13 @@ class ResponseCurve(_Waves):
         return ", ".join([*parts, "complete" if self.complete else "NOT COMPLETE"])
 
 
-def _damping(curve: ResponseCurve, index: int, waves: np.ndarray) -> float:
-    """By the half-power bandwidth next to a point, of coefficients (n, 2H+1); over a rotor's speed
-    natural frequencies follow the load's, and it takes longer to pass them."""
+def _damping(curve: ResponseCurve, index: int, dof: int | None) -> float:
+    """By the half-power bandwidth next to a point; over a rotor's speed natural frequencies follow
+    the load's, and it takes longer to pass them."""
     if curve.parameter not in ("omega", "speed"):
         return math.nan
+    waves, structure = curve.coefficients_at(dof), curve.structure
     damping = damping_by_width(curve.values, waves, curve.subharmonic, index)
-    structure = curve.structure
     if isinstance(structure, RunUpStructure):
         there = structure.at_speed(float(curve.values[index]))
         damping *= 1.0 - there.stiffening(float(curve.omega[index]))

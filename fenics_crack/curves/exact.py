@@ -106,7 +106,8 @@ class VariedOrbits(FlowOrbits):
             change = self.moved(unknown, high) - self.moved(unknown, low)
             return np.asarray(change / (high - low))
 
-        return OrbitPoint(unknown, residual, monodromy, by_parameter, motion.events)
+        events, pieces = motion.events, motion.pieces
+        return OrbitPoint(unknown, residual, monodromy, by_parameter, events, pieces)
 
 
 FOR_EVENTS = PIECES // 10

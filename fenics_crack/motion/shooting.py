@@ -58,8 +58,8 @@ class OrbitPoint(DenseLinearisation):
 
     Attributes
     ----------
-    events : int
-        Switching instants in the period.
+    events, pieces : int
+        Switching instants in the period, and pieces of the Taylor series.
     """
 
     def __init__(
@@ -69,8 +69,10 @@ class OrbitPoint(DenseLinearisation):
         monodromy: Callable[[], np.ndarray],
         by_parameter: Callable[[], np.ndarray],
         events: int,
+        pieces: int,
     ) -> None:
-        self.unknown, self.residual, self.events = unknown, residual, events
+        self.unknown, self.residual = unknown, residual
+        self.events, self.pieces = events, pieces
         self._monodromy, self._slope = monodromy, by_parameter
 
     @cached_property
@@ -236,7 +238,7 @@ class FlowOrbits(Equations):
             self.table.by_parameter(self.table, pointer(slope))
             return slope
 
-        found = OrbitPoint(unknown, residual, monodromy, by_parameter, events)
+        found = OrbitPoint(unknown, residual, monodromy, by_parameter, events, self.pieces)
         known = weakref.ref(found)
         self._last = found
         return found
@@ -281,7 +283,7 @@ class Homotopy:
         if self.left <= 0:
             raise ConvergenceError("orbits: the homotopy takes too long")
         at = self._orbits.linearise(unknown, self._at)
-        self.left -= self._orbits.pieces
+        self.left -= at.pieces
         return _HomotopyPoint(at, parameter, self._start)
 
     def end(self, start: np.ndarray, parameter: float) -> np.ndarray | None:

@@ -214,9 +214,7 @@ class Campbell(Tabular):
         :func:`find_passages`."""
         squares, turns = self.omega_bilinear**2, self.speed**2
         place = int(np.clip(np.searchsorted(self.speed, speed), 1, len(turns) - 1))
-        slope = np.subtract(*squares[place - 1 : place + 1]) / np.subtract(
-            *turns[place - 1 : place + 1]
-        )
+        slope = (squares[place] - squares[place - 1]) / (turns[place] - turns[place - 1])
         there = squares[place] + slope * (speed**2 - turns[place])
         mode = int(np.abs(np.sqrt(np.maximum(there, 0.0)) - omega).argmin())
         return float(slope[mode] * speed**2 / there[mode])

@@ -151,22 +151,20 @@ def vibration_in(
     order = table.order or scene.excitation.order
     how: dict[str, Any] = {"harmonics": table.fitted_harmonics}
     how["angle_deviation"] = np.radians(table.angle_deviation)
-    runs_up = is_run_up(arrivals, run)
-    passes = runs_up and (order is None or (run is None and table.orders is not None))
-    if runs_up:
+    of_passages = ("stiffening",), "all but a measured run-up in which resonances are sought"
+    if is_run_up(arrivals, run):
         why = "a run-up, in which an order is tracked, or the resonances are found that are passed"
         table.leave_out(("frequencies",), why)
-    if passes:
-        of_fits = "fitted_harmonics", "subharmonic", "fitted_revolutions"
-        table.leave_out(of_fits, "a run-up in which resonances are sought")
-        follows = _stiffening(scene, arrivals)
-        return find_passages(arrivals, table.orders or ORDERS, stiffening=follows)
-    table.leave_out(("stiffening",), "all but a measured run-up in which resonances are sought")
-    if runs_up:
-        assert order is not None
+        if order is None or (run is None and table.orders):
+            of_fits = "fitted_harmonics", "subharmonic", "fitted_revolutions"
+            table.leave_out(of_fits, "a run-up in which resonances are sought")
+            follows = _stiffening(scene, arrivals)
+            return find_passages(arrivals, table.orders or ORDERS, stiffening=follows)
+        table.leave_out(*of_passages)
         table.leave_out(("orders",), f"a computed run-up: order {order} is tracked")
         how |= {"subharmonic": table.subharmonic, "revolutions": table.fitted_revolutions}
         return track_order(arrivals, order, **how)
+    table.leave_out(*of_passages)
     if table.frequencies is not None:
         low, high = (2.0 * np.pi * end for end in table.frequencies)
         return fit_frequency(arrivals, low, high, **how)

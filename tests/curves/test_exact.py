@@ -17,6 +17,7 @@ from fenics_crack.curves.exact import _Judge
 from fenics_crack.curves.orbit_nodes import OrbitBifurcation
 from fenics_crack.motion.flow import Budget, exact_flow
 from fenics_crack.motion.orbit import eigenvalues, find_orbit
+from fenics_crack.motion.shooting import Homotopy
 from fenics_crack.time.march import initial_state
 
 RIGID = fc.UnilateralConstraint()
@@ -468,3 +469,19 @@ def test_leading_multipliers_of_a_large_matrix() -> None:
         if found is not None:
             exact = np.sort(np.abs(eigenvalues(matrix)))[::-1][: len(found)]
             assert np.abs(found) == pytest.approx(exact, abs=1e-6)
+
+
+@pytest.mark.parametrize("parameter", ["omega", "stiffness"])
+def test_homotopies_use_up_what_they_may(parameter: str) -> None:
+    """As many pieces as their motions have, along curves over whichever parameter."""
+    law = fc.UnilateralPenalty(100.0)
+    curve = (
+        fc.continue_frequency(two_masses(), 0.7, 0.72, law, harmonics=10)
+        if parameter == "omega"
+        else fc.continue_parameter(two_masses(), 0.7, law, "stiffness", 0.9, 1.1, harmonics=10)
+    )
+    judge = _Judge(curve)
+    homotopy, before = Homotopy(judge.system), Homotopy(judge.system).left
+    homotopy.linearise(judge.system.start, 0.5)
+    motion = judge.system._motion(judge.system.start, 1.0, np.zeros(0))
+    assert before - homotopy.left == motion.pieces > 0
