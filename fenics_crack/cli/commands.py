@@ -21,7 +21,7 @@ from fenics_crack.parallel import on_root
 from fenics_crack.study import run as runs
 from fenics_crack.study.key_figures import coriolis_in_words, remarks_on_rotor
 from fenics_crack.study.run import Run
-from fenics_crack.table import RPM, counted, quantity
+from fenics_crack.table import RPM, counted, quantity, speed_in_words
 
 MOST_SPEEDS = 10_000
 """Of a Campbell diagram."""
@@ -179,12 +179,18 @@ def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     scene, folder = inputs.scene, inputs.folder
     parts = [] if inputs.measurements is None else [inputs.measurements]
     if inputs.arrivals is not None:
+        from fenics_crack.arrivals.arrival_times import STEADY
         from fenics_crack.identification.measurements import Measurements
         from fenics_crack.study import timing
 
         times, run = timing.arrivals_of(scene, inputs.arrivals, console.comm)
         if timing.is_run_up(times, run):
             raise InputError("arrivals", repr(times), "those of a constant speed")
+        held = scene.speed > 0.0 and scene.excitation.order is None
+        if held and abs(times.mean_speed / scene.speed - 1.0) > STEADY:
+            seen, own = (speed_in_words(v, scene.in_rpm) for v in (times.mean_speed, scene.speed))
+            allowed = f"at {own}, as [rotation] says, unless the load is an excitation.order"
+            raise InputError("arrivals", seen, allowed)
         order = timing.engine_order(scene.given("tip_timing"), scene)
         tip, against = timing.probed_displacement(scene)
         parts.append(Measurements.from_arrivals(times, order, tip, against=against))

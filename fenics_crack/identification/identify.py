@@ -23,7 +23,7 @@ from mpi4py import MPI
 
 from fenics_crack.errors import ConvergenceError, InputError, StoppedError
 from fenics_crack.files.store import scene_text
-from fenics_crack.identification.interpolation import MESH, Part
+from fenics_crack.identification.interpolation import MESH, Loads, Part
 from fenics_crack.identification.measurements import Measurements, without_crack
 from fenics_crack.identification.model import Model
 from fenics_crack.identification.nuisance import Whole, whole_plate
@@ -43,7 +43,6 @@ from fenics_crack.table import TURN
 FEW_NODES = 4
 """Values of each of one or two unknowns that the finer sweep takes, and that halfway between; of
 more unknowns one less."""
-FREQUENCY = "excitation.frequency"
 ASKED = ("sweep", "curve", "integration", "identify", "tip_timing")
 """Tables that do not matter to a sweep of the forward model."""
 Sweeps = tuple[SweepResult, SweepResult | None, SweepResult | None]
@@ -167,14 +166,15 @@ def _predicted(
     rows = measurements.rows
     known = np.all([model.quantities(rows).known for model in models], axis=0)
     parts = (part for model in models for part in (model.coarse, model.finer) if part)
-    sweeps = {part.sweep.path: part.sweep for part in parts}
+    sweeps = {part.sweep.path: part for part in parts}
     loads = {row.frequency for row in rows}
     doubts = []
-    for path, sweep in sweeps.items():
+    for path, part in sweeps.items():
+        sweep, solved = part.sweep, part.loads.frequencies
         failed = [
             (at, why)
             for at, why in sweep.failed
-            if sweep.axes[-1].values[at[-1]] in loads or np.isnan(sweep["omega_open_1"][at])
+            if solved[at[-1]] in loads or np.isnan(sweep["omega_open_1"][at])
         ]
         doubts += [f"{path.name}: {text}" for text in by_reason(sweep, failed, "failed")]
     used = [row for row, tells in zip(rows, known, strict=True) if tells]
@@ -286,13 +286,12 @@ def solve_forward(
     """
     whole = whole or _whole(scene, comm)
     table = scene.given("identify")
-    loads = tuple(sorted({float(one) for one in (*frequencies, *table.frequencies)}))
+    loads = Loads.of(scene, [float(one) for one in (*frequencies, *table.frequencies)])
     plain = scene.replace(dict.fromkeys(ASKED))
     coarse, fine = _meshes(plain, table.finer)
 
     def run(name: str, of: Scene, axes: Sequence[Axis]) -> SweepResult:
-        over = (*axes, Axis(FREQUENCY, loads or (of.excitation.omega / (2.0 * math.pi),)))
-        swept = replace(of, sweep=Sweep(over=over))
+        swept = replace(of, sweep=Sweep(over=(*axes, loads.axis)))
         digest = hashlib.sha256(scene_text(swept).encode()).hexdigest()[:8]
         path = folder / f"{name}_{digest}.h5"
         with StopRequest() as stop:
@@ -315,10 +314,11 @@ def solve_forward(
     cracked = sweeps("forward", {}, [*meshes, *table.unknown])
     changes = without_crack(scene)
     if changes is None:
-        return Forward(scene, _models(scene, whole, cracked), {})
+        return Forward(scene, _models(scene, whole, loads, cracked), {})
     others = [axis for axis in table.unknown if not axis.key.startswith(("crack.", "contact."))]
     bare = sweeps("uncracked", changes, others)
-    return Forward(scene, _models(scene, whole, cracked, bare), _models(scene, whole, bare))
+    found = _models(scene, whole, loads, cracked, bare), _models(scene, whole, loads, bare)
+    return Forward(scene, *found)
 
 
 def _meshes(scene: Scene, factor: float) -> tuple[Scene, Scene | None]:
@@ -356,6 +356,7 @@ def _halfway(axes: Sequence[Axis]) -> tuple[Axis, ...]:
 def _models(
     scene: Scene,
     whole: Whole,
+    loads: Loads,
     sweeps: Sweeps,
     bare: tuple[SweepResult | None, ...] = (None, None, None),
 ) -> dict[str, Model]:
@@ -369,8 +370,8 @@ def _models(
         fixed = dict(zip(words, chosen, strict=True))
         parts: list[Part | None] = []
         for sweep, plain in zip(sweeps, bare, strict=True):
-            under = None if plain is None else Part.of(plain, (), fixed)
-            parts.append(None if sweep is None else Part.of(sweep, meshes, fixed, under))
+            under = None if plain is None else Part.of(plain, loads, (), fixed)
+            parts.append(None if sweep is None else Part.of(sweep, loads, meshes, fixed, under))
         coarse, *others = parts
         assert coarse is not None
         found[", ".join(chosen)] = Model(scene, whole, coarse, *others, fixed=fixed)

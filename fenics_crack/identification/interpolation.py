@@ -40,8 +40,10 @@ from scipy.spatial.distance import cdist
 from fenics_crack.errors import InputError
 from fenics_crack.identification.measurements import Measurement
 from fenics_crack.scene.fields import Axis
+from fenics_crack.scene.scene import Scene
 from fenics_crack.sweep.file import CONVERGED, KEPT_ORDERS, NUMBERED
 from fenics_crack.sweep.result import SweepResult
+from fenics_crack.table import TURN
 
 DEGREE = 3
 STATED = 0.3
@@ -217,19 +219,60 @@ MESH = "mesh.file"
 
 
 @dataclass(frozen=True)
+class Loads:
+    """The loads that a forward model is solved for, the last axis of its sweeps.
+
+    Where the load is an engine order, each has the speed of the rotor that it follows, and the
+    first is that of the scene's own speed, at which natural frequencies are measured.
+
+    Attributes
+    ----------
+    frequencies : tuple of float
+        In Hz.
+    axis : Axis
+        Their own, or the rotor's speeds.
+    """
+
+    frequencies: tuple[float, ...]
+    axis: Axis
+
+    @classmethod
+    def of(cls, scene: Scene, frequencies: Sequence[float]) -> Loads:
+        """Those of some frequencies [Hz]; the scene's own where it follows the rotor, or there is
+        no other."""
+        order, others = scene.excitation.order, sorted(set(frequencies))
+        own = float(f"{scene.excitation.omega / TURN:.9g}")  # as that of arrivals
+        if order is None:
+            found = tuple(others) or (scene.excitation.omega / TURN,)
+            return cls(found, Axis("excitation.frequency", found))
+        found = (own, *(one for one in others if one != own))
+        return cls(found, Axis("rotation.rpm", tuple(60.0 * one / order for one in found)))
+
+    @property
+    def turn(self) -> bool:
+        """Whether each has its own speed."""
+        return self.axis.key == "rotation.rpm"
+
+
+@dataclass(frozen=True)
 class Part:
-    """Knowledge of a sweep, with its words chosen; and of that without the crack, if there is."""
+    """Knowledge of a sweep, with its words chosen; and of that without the crack, if there is.
+
+    Its last axis is that of the loads.
+    """
 
     sweep: SweepResult
     keys: tuple[str, ...]
     cube: Cube
     index: tuple[Any, ...]
+    loads: Loads
     bare: Part | None = None
 
     @classmethod
     def of(
         cls,
         sweep: SweepResult,
+        loads: Loads,
         meshes: Sequence[Axis],
         fixed: Mapping[str, Any],
         bare: Part | None = None,
@@ -242,7 +285,8 @@ class Part:
             index.append(axis.values.index(fixed[axis.key]) if word else slice(None))
             numbers += [] if word else meshes if axis.key == MESH else [axis]
         cube = Cube(tuple(np.array(axis.values, dtype=float) for axis in numbers))
-        return cls(sweep, tuple(axis.key for axis in numbers), cube, tuple(index), bare)
+        keys = tuple(axis.key for axis in numbers)
+        return cls(sweep, keys, cube, tuple(index), loads, bare)
 
     def column(self, name: str) -> np.ndarray:
         """A column at all nodes and load frequencies: (n, n_loads)."""
@@ -250,38 +294,44 @@ class Part:
         return np.asarray(values.reshape(-1, values.shape[-1]), dtype=float)
 
     def natural(self, lips: str, mode: int) -> np.ndarray:
-        """A natural frequency at all nodes [Hz]: (n,); without the crack ("uncracked") the same
-        for all cracks, and that with lips tied where it cannot be taken out."""
+        """A natural frequency at all nodes and loads [Hz]: (n, n_loads); without the crack
+        ("uncracked") the same for all cracks, and that with lips tied where it cannot be taken
+        out."""
         if lips == "uncracked":
             if self.bare is None:
                 return self.natural("tied", mode)
             values = self.bare.natural("tied", mode)
             pairs = zip(self.keys, self.cube.shape, strict=True)
             shape = [count if key in self.bare.keys else 1 for key, count in pairs]
-            return np.broadcast_to(values.reshape(shape), self.cube.shape).ravel()
+            loads = values.shape[1]
+            values = np.broadcast_to(values.reshape(*shape, loads), (*self.cube.shape, loads))
+            return values.reshape(-1, loads)
         column = self.column(f"omega_{lips}_{mode}") / (2.0 * np.pi)
+        if self.loads.turn:
+            return column
         known = np.isfinite(column)
-        best = np.max(np.where(known, column, -np.inf), axis=1)
-        return np.where(known.any(axis=1), best, np.nan)
+        best = np.max(np.where(known, column, -np.inf), axis=1, keepdims=True)
+        best = np.where(known.any(axis=1, keepdims=True), best, np.nan)
+        return np.broadcast_to(best, column.shape)
 
     def harmonic(self, point: str, frequency: float, order: int) -> np.ndarray:
         """Complex amplitude of a harmonic at all nodes: (n,) [m]; 0 where a case has fewer."""
         of = f"{point}." if point else ""
         cosine, sine = (self.column(f"{of}{part}_{order}") for part in ("cosine", "sine"))
-        load = self._load(frequency)
+        load = self.load(frequency)
         fewer = self.column("harmonics")[:, load] < order
         value = np.where(fewer, 0.0, (cosine - 1j * sine)[:, load])
         return np.where(self.column("state")[:, load] == CONVERGED, value, np.nan)
 
     def harmonics(self, frequency: float) -> int:
         """How many harmonics all cases have at a load that were solved; 1 if none was."""
-        load = self._load(frequency)
+        load = self.load(frequency)
         solved = self.column("state")[:, load] == CONVERGED
         return int(self.column("harmonics")[solved, load].min()) if solved.any() else 1
 
-    def _load(self, frequency: float) -> int:
+    def load(self, frequency: float) -> int:
         """Place of a load frequency [Hz] among those of the sweep; InputError if it has none."""
-        loads = self.sweep.axes[-1].values
+        loads = self.loads.frequencies
         if frequency not in loads:
             solved = ", ".join(f"{load:.9g}" for load in loads)
             allowed = f"one of those that are solved, {solved} Hz; identify.frequencies adds others"
@@ -290,17 +340,17 @@ class Part:
 
     @cached_property
     def basis(self) -> np.ndarray:
-        """Root of s, the bilinear frequencies [Hz], which :func:`scales` needs, and those
-        without the crack, at all nodes: (n, 1 + 2 modes); 1 for s without a crack, nan where there
-        is no frequency."""
+        """Root of s, the bilinear frequencies [Hz], which :func:`scales` needs, and those without
+        the crack, at all nodes and loads: (n, n_loads, 1 + 2 modes); 1 for s without a crack, nan
+        where there is no frequency."""
         tied, opened, breathing, bare = (
-            np.stack([self.natural(lips, mode) for mode in NUMBERED], axis=1)
+            np.stack([self.natural(lips, mode) for mode in NUMBERED], axis=2)
             for lips in ("tied", "open", "bilinear", "uncracked")
         )
         with np.errstate(invalid="ignore", divide="ignore"):
-            split = np.nan_to_num((tied - opened) / tied, posinf=0.0, neginf=0.0).sum(axis=1)
+            split = np.nan_to_num((tied - opened) / tied, posinf=0.0, neginf=0.0).sum(axis=2)
         scale = np.where(split > 1e-9, np.sqrt(np.abs(split)), 1.0)
-        return np.column_stack([scale, breathing, bare])
+        return np.concatenate([scale[..., None], breathing, bare], axis=2)
 
 
 @dataclass(frozen=True)
@@ -331,7 +381,7 @@ class Feature:
     def values(self, part: Part) -> np.ndarray:
         """Values at all nodes of a sweep: (n,), logarithms or complex numbers."""
         if self.lips:
-            return np.log(part.natural(self.lips, self.mode)).astype(complex)
+            return np.log(part.natural(self.lips, self.mode)[:, 0]).astype(complex)
         return part.harmonic(self.point, self.frequency, self.order)
 
     @property
@@ -354,11 +404,11 @@ def poles(
     features: Sequence[Feature], damping: np.ndarray, basis: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """r of each mode, and 1 - r^2 + 2 i z r, at m places: (m, f, modes); of ratios of damping
-    (m, 1), and what :attr:`Part.basis` has there (m, 1 + 2 modes); 0 and 1 of natural frequencies
-    and where there is no mode."""
-    own = basis[:, NUMBERED]
+    (m, 1), and what :attr:`Part.basis` has there at the load of each feature (m, f, 1 + 2 modes);
+    0 and 1 of natural frequencies and where there is no mode."""
+    own = basis[..., NUMBERED]
     loads = np.array([feature.order * feature.frequency for feature in features])
-    r = loads[:, None] / np.where(np.isfinite(own), own, np.inf)[:, None, :]
+    r = loads[:, None] / np.where(np.isfinite(own), own, np.inf)
     return r, 1.0 - r**2 + 2j * damping[..., None] * r
 
 
@@ -368,5 +418,5 @@ def scales(
     """Factors that make the values smooth: (m, f), of the same and of sizes of the crack (m,)."""
     powers = np.array([feature.power for feature in features])
     changed = np.array([feature.of_crack for feature in features])
-    found = poles(features, damping, basis)[1].prod(axis=2) / basis[:, :1] ** (2 * powers)
+    found = poles(features, damping, basis)[1].prod(axis=2) / basis[..., 0] ** (2 * powers)
     return np.where(changed, 1.0 / size[:, None], found)

@@ -240,9 +240,9 @@ class Model:
         if self.coarse.bare is not None:
             kinds.append("frequency_uncracked")
         rows = [Measurement(k, 1.0, 1.0, mode=mode + 1) for k in kinds for mode in range(FEW_MODES)]
-        sweep, ratios = self.coarse.sweep, ("ratio_2_1", "ratio_3_1")
-        seen = ["", *sweep.scene.point_names]
-        for load, point, ratio in itertools.product(sweep.axes[-1].values, seen, ratios):
+        loads, ratios = self.coarse.loads.frequencies, ("ratio_2_1", "ratio_3_1")
+        seen = ["", *self.coarse.sweep.scene.point_names]
+        for load, point, ratio in itertools.product(loads, seen, ratios):
             rows.append(Measurement(ratio, 1.0, 1.0, frequency=load, point=point))
         return tuple(rows)
 
@@ -306,8 +306,10 @@ class Quantities:
         between = np.vstack([np.zeros(kinds), model.whole.between])
         before = [row.mode if row.quantity == "frequency_uncracked" else 0 for row in self.rows]
         self._since = between[[mode if mode <= count else 0 for mode in before]]
-        self._basis = Interpolation(model.cube, model.coarse.basis)
-        self._highest = float(np.nanmax(model.coarse.basis[:, NUMBERED], initial=0.0))
+        basis = model.coarse.basis
+        self._basis = Interpolation(model.cube, basis.reshape(len(basis), -1))
+        self._highest = float(np.nanmax(basis[..., NUMBERED], initial=0.0))
+        self._loads = [0 if f.natural else model.coarse.load(f.frequency) for f in self._features]
         self._coarse = Interpolation(model.cube, self._smooth(model.coarse))
         self._understated = self._missed()
         harmonic = np.repeat([not one.natural for one in self._features], 2)
@@ -359,8 +361,10 @@ class Quantities:
         return scales(self._features, self.model.damping(x), basis, self.model.size(x))
 
     def _basis_at(self, x: np.ndarray) -> np.ndarray:
-        """What :attr:`Part.basis` has, at values (m, d) of the unknowns: (m, 1 + 2 modes)."""
-        return np.where(self._basis.known, self._basis.at(x), np.nan)
+        """What :attr:`Part.basis` has at the load of each feature, at values (m, d) of the
+        unknowns: (m, f, 1 + 2 modes)."""
+        found = np.where(self._basis.known, self._basis.at(x), np.nan)
+        return found.reshape(len(x), *self.model.coarse.basis.shape[1:])[:, self._loads]
 
     def __call__(self, x: np.ndarray) -> Prediction:
         """Predictions at some values (m, d) of the unknowns."""
@@ -382,8 +386,9 @@ class Quantities:
             at = self._places[passages.rows[0]]
             found = passages.aligned(waves[:, at])
             values[:, passages.rows] = found.values
+            squares = np.abs(waves[:, at]) ** 2 + unsure[:, at]
             above, square = self._left_out(
-                self._features[at[0]], np.abs(waves[:, at]) ** 2 + unsure[:, at], damping, basis
+                self._features[at[0]], squares, damping, basis[:, at[:1]]
             )
             both = np.ix_(range(len(x)), passages.rows, passages.rows)
             size = found.size[:, None, None] ** 2
@@ -406,7 +411,8 @@ class Quantities:
         self, first: Feature, squares: np.ndarray, damping: np.ndarray, basis: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Orders (k,) above those that all cases have, as far as modes resonate there, and mean
-        squares (m, k) [m^2] of their harmonics, by those (m, K) of the first ones at a point.
+        squares (m, k) [m^2] of their harmonics, by those (m, K) of the first ones at a point; basis
+        (m, 1, 1 + 2 modes).
 
         Harmonics of the contact force fall like 1 / k and act on modes of static compliances
         1 / w_j^2: |U_k|^2 = c^2 sum_j |w_j^2 - (k W)^2 + 2 i z w_j k W|^-2 / k^2, with c^2 the mean
@@ -417,7 +423,7 @@ class Quantities:
         kept = min(kept, squares.shape[1])
         last = min(max(2 * kept, math.ceil(highest / first.frequency)), MOST_HARMONICS)
         every = [replace(first, order=order) for order in range(1, last + 1)]
-        soft = np.nan_to_num(basis[:, None, NUMBERED], nan=np.inf) ** -4.0
+        soft = np.nan_to_num(basis[..., NUMBERED], nan=np.inf) ** -4.0
         moved = np.sum(soft / np.abs(poles(every, damping, basis)[1]) ** 2, axis=2)
         moved /= np.arange(1.0, last + 1.0) ** 2
         upper = slice(kept // 2, kept)

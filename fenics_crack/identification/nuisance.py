@@ -189,8 +189,8 @@ def relative_changes(
     features : sequence of Feature
     damping : (m, 1)
         Ratios.
-    basis : (m, 1 + 2 n)
-        What :attr:`Part.basis` has there.
+    basis : (m, f, 1 + 2 n)
+        What :attr:`Part.basis` has there at the load of each feature.
     scene : Scene
         With the widths of the priors.
     whole : Whole
@@ -207,8 +207,8 @@ def relative_changes(
     by_crack, by_damping = by_mode * cracked, np.zeros((*shape[:2], 1))
     if not natural.all():
         with np.errstate(invalid="ignore"):
-            bilinear, plain = np.split(np.log(basis[:, 1:]), 2, axis=1)
-        shifts = np.nan_to_num(bilinear - plain)[:, None, :count]
+            bilinear, plain = np.split(np.log(basis[..., 1:]), 2, axis=2)
+        shifts = np.nan_to_num(bilinear - plain)[..., :count]
         r, pole = poles(features, damping, basis)
         turned = 2j * damping[..., None] * r / pole
         slopes = (turned - 2.0 * r**2 / pole)[..., :count]

@@ -467,7 +467,10 @@ def _turning(structure: Structure, change: Callable[[Structure], Structure]) -> 
 
 
 def _read_only_rows(matrix: Any) -> sparse.csr_matrix:
-    """A copy of a sparse matrix by rows that cannot be written to."""
+    """A copy of a sparse matrix by rows that cannot be written to; itself where it is one."""
+    if sparse.isspmatrix_csr(matrix) and matrix.has_canonical_format:
+        if not any(part.flags.writeable for part in (matrix.data, matrix.indices, matrix.indptr)):
+            return matrix
     rows = sparse.csr_matrix(matrix, copy=True)
     rows.sum_duplicates()
     for part in (rows.data, rows.indices, rows.indptr):
