@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import RegularGridInterpolator
 
 from fenics_crack.errors import FEW_MODES, MOST_HARMONICS
 from fenics_crack.identification.interpolation import Feature, Interpolation, Part, poles, scales
@@ -173,6 +174,8 @@ OFTEN_OFF = 0.3
 """Root of the mean square of what a resonance differs by from the bilinear frequency, over what
 lies between the frequencies with lips tied and open: of the first mode, and of others, near which
 the gap follows their neighbours, too."""
+REST = 1e-9
+"""Of the largest harmonics of the nodes: what is rounding."""
 TOGETHER = 0.5
 """Part of the variance left by the mesh, and of that of contact, which quantities have together."""
 
@@ -310,6 +313,8 @@ class Quantities:
         self._basis = Interpolation(model.cube, basis.reshape(len(basis), -1))
         self._highest = float(np.nanmax(basis[..., NUMBERED], initial=0.0))
         self._loads = [0 if f.natural else model.coarse.load(f.frequency) for f in self._features]
+        self._higher, still = _stillness(model.coarse, self._features, self._loads)
+        self._still = RegularGridInterpolator(model.cube.axes, still) if len(still) else None
         self._coarse = Interpolation(model.cube, self._smooth(model.coarse))
         self._understated = self._missed()
         harmonic = np.repeat([not one.natural for one in self._features], 2)
@@ -333,6 +338,24 @@ class Quantities:
         found = copy(self)
         found._since = factor * self._since
         return found
+
+    def states(self, x: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, Prediction]]:
+        """What the lips may do under the loads at values (m, d) of the unknowns: places among them,
+        (n,), where they may, its probability there, (n,), and the predictions.
+
+        Under a steady load, a preload or a clearance a crack may stay open or shut, and the motion
+        has no harmonics at all; between nodes where it does and where it does not, either may be.
+        """
+        if self._still is None:
+            yield np.arange(len(x)), np.ones(len(x)), self(x)
+            return
+        rests = self._still(np.clip(x, self.model.cube.low, self.model.cube.high))
+        for chosen in itertools.product((False, True), repeat=len(self._higher)):
+            share = np.prod(np.where(chosen, rests, 1.0 - rests), axis=1)
+            at = np.flatnonzero(share > 0.0)
+            if len(at):
+                still = np.any(np.array(self._higher)[list(chosen)], axis=0)
+                yield at, share[at], self(x[at], still)
 
     def _smooth(self, part: Part) -> np.ndarray:
         """The smooth forms of all features at the nodes of a sweep: (n, 2f), real and imaginary
@@ -366,8 +389,8 @@ class Quantities:
         found = np.where(self._basis.known, self._basis.at(x), np.nan)
         return found.reshape(len(x), *self.model.coarse.basis.shape[1:])[:, self._loads]
 
-    def __call__(self, x: np.ndarray) -> Prediction:
-        """Predictions at some values (m, d) of the unknowns."""
+    def __call__(self, x: np.ndarray, still: np.ndarray | None = None) -> Prediction:
+        """Predictions at some values (m, d) of the unknowns, with features that vanish, (f,)."""
         smooth, left, scatter = self._of_features(x)
         damping, basis = self.model.damping(x), self._basis_at(x)
         scale = self._scales(x, basis)
@@ -377,11 +400,15 @@ class Quantities:
         )
         changes = changes * np.where(self._is_plain, 1.0, waves * scale)[..., None]
         waves[:, self._own] += waves[:, self._plain]
+        if still is not None:
+            waves[:, still] = 0.0
         values, turns, rest = self._of_numbers(damping, waves, scale)
         free = [np.zeros((*values.shape, 0))]
         left_out = np.zeros((len(x), len(self.rows), len(self.rows)))
         unsure = sum(np.sum(errors**2, axis=1) for errors in scatter)
         unsure = (unsure[:, ::2] + unsure[:, 1::2]) / np.abs(scale) ** 2
+        if still is not None:
+            unsure[:, still] = 0.0
         for passages in self._passages:
             at = self._places[passages.rows[0]]
             found = passages.aligned(waves[:, at])
@@ -398,6 +425,8 @@ class Quantities:
             moved[:, passages.rows] = found.free
             free.append(moved)
         turns[:, ~self.known] = 0.0
+        if still is not None:
+            turns[..., still] = 0.0
         slopes = _pairs(turns.conj())
         errors = self._errors(smooth, left, scatter, slopes)
         unknown = slopes @ _pairs(changes.transpose(0, 2, 1)).transpose(0, 2, 1)
@@ -491,6 +520,25 @@ class Quantities:
                 of_contact = uneven * slopes * (part * upper)[:, None, :]
                 found += [together * of_contact @ self._alike, apart * of_contact @ each]
         return np.concatenate(found, axis=2)
+
+
+def _stillness(
+    part: Part, features: Sequence[Feature], loads: Sequence[int]
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """Of the loads at which the lips of some nodes touch or part, and those of others do not: which
+    features are higher harmonics there, (f,) bool each; and which nodes are still, on the cube,
+    (..., n)."""
+    groups, still = [], []
+    above = np.array([feature.order > 1 for feature in features], dtype=bool)
+    for load in np.unique(np.array(loads)[above]):
+        own = above & (np.array(loads) == load)
+        values = [features[place].values(part) for place in np.flatnonzero(own)]
+        moved = np.fmax.reduce(np.abs(values))
+        rests = moved <= REST * np.fmax.reduce(moved)
+        if rests.any() and not rests.all():
+            groups.append(own)
+            still.append(rests.reshape(part.cube.shape))
+    return groups, np.moveaxis(np.array(still, dtype=float), 0, -1) if groups else np.zeros(0)
 
 
 def _alike(features: Sequence[Feature]) -> np.ndarray:

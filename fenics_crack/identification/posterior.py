@@ -6,7 +6,8 @@ have a covariance T(x):
     log L(x) = - (m - s)^T V^-1 (m - s) / 2 - log(det V) / 2,    V(x) = diag(e^2) + T(x)
 
 As det V is no less than that of diag(e^2), both terms are squares, and least squares find its
-maxima.
+maxima. Where a crack may breathe or not, L is the sum over both, each with its probability
+(:meth:`fenics_crack.identification.model.Quantities.states`).
 
 The prior is uniform between the bounds. A crack differs from the straight and sharp one that acts
 like it: L is spread on the grid by what is known of that (:func:`fenics_crack.identification.
@@ -73,17 +74,30 @@ class Likelihood:
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
         """At values (m, d) of the unknowns: (m, q + 1). L^-1 (m - s) / e, of which the squares are
-        chi^2, V = diag(e) L L^T diag(e); and the root of log(det L L^T)."""
-        predicted = self.quantities(x)
-        factor = np.linalg.cholesky(scaled_covariance(predicted, self.values, self.deviations))
-        differences = (self.values - predicted.values) / self.deviations
-        logs = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
-        root = np.sqrt(2.0 * np.maximum(logs, 0.0))  # below 0 by rounding alone
-        return np.column_stack([np.linalg.solve(factor, differences[..., None])[..., 0], root])
+        chi^2, V = diag(e) L L^T diag(e); and the root of log(det L L^T / p^2), of the state of the
+        lips that is likeliest, with its probability p."""
+        found = np.full((len(x), len(self.values) + 1), np.inf)
+        for at, rows in self._of_states(x):
+            nearer = np.sum(rows**2, axis=1) < np.sum(found[at] ** 2, axis=1)
+            found[at[nearer]] = rows[nearer]
+        return found
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """log L at values (m, d) of the unknowns: (m,), up to a constant."""
-        return np.asarray(-0.5 * np.sum(self.residuals(x) ** 2, axis=1))
+        found = np.full(len(x), -np.inf)
+        for at, rows in self._of_states(x):
+            found[at] = np.logaddexp(found[at], -0.5 * np.sum(rows**2, axis=1))
+        return found
+
+    def _of_states(self, x: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Residuals of each state of the lips, where it may be: places among x, and rows."""
+        for at, share, predicted in self.quantities.states(x):
+            factor = np.linalg.cholesky(scaled_covariance(predicted, self.values, self.deviations))
+            differences = (self.values - predicted.values) / self.deviations
+            logs = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1) - np.log(share)
+            root = np.sqrt(2.0 * np.maximum(logs, 0.0))  # below 0 by rounding alone
+            rows = np.linalg.solve(factor, differences[..., None])[..., 0]
+            yield at, np.column_stack([rows, root])
 
     def misfit(self, x: np.ndarray) -> tuple[float, float]:
         """chi^2 at values (d,) of the unknowns that fit best, and the probability of more by chance
