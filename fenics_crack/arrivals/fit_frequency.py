@@ -36,7 +36,7 @@ from fenics_crack.arrivals.harmonics import (
     rounding,
     taken,
 )
-from fenics_crack.arrivals.robust import Noise, reweighted
+from fenics_crack.arrivals.robust import Noise, reweighted, student
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.numerics.fourier import waves
 from fenics_crack.table import TURN
@@ -336,10 +336,11 @@ class _Sought:
         order = self.omega / speed
         orders = candidates.orders.copy()
         orders[np.abs(orders - order).argmin()] = order
-        spread = self.noise.covariance(self.columns, self._places)
+        spare = len(self._values) - self._unknowns
+        spread = student(spare) * self.noise.covariance(self.columns, self._places)
         covariance = np.zeros((count, count))
         covariance[1:, 1:] = spread[:-1, :-1]
-        covariance[0, 0] = self.noise.variance / len(self._values)
+        covariance[0, 0] = student(spare) * self.noise.variance / len(self._values)
         wave = waves(self.omega * self._time, self._multiples)[:, 1:] @ self.found
         weights = self.noise.weights
         mean = float(weights @ (self._values - wave) / weights.sum())
@@ -352,7 +353,7 @@ class _Sought:
             covariance=covariance,
             scatter=float(np.sqrt(self.noise.variance)),
             misfit=np.nan,
-            spare=len(self._values) - self._unknowns,
+            spare=spare,
             candidates=replace(candidates, orders=orders),
         )
 

@@ -44,7 +44,7 @@ from fenics_crack.arrivals.harmonics import (
     taken,
     wanted,
 )
-from fenics_crack.arrivals.robust import EPSILON, reweighted, trend
+from fenics_crack.arrivals.robust import EPSILON, reweighted, student, trend
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.numerics.fourier import waves
 from fenics_crack.table import TURN, UNITS, counted, with_frequency
@@ -136,7 +136,7 @@ def _compared(
     if np.all(hidden):
         refuse(arrivals, unknowns)
     sums = np.array([np.inf if fit is None else fit.least for fit in fits])
-    lowest, misfit = means.judged(float(sums.min()), unknowns)
+    lowest, misfit, freedom = means.judged(float(sums.min()), unknowns)
     found = [[np.inf] if fit is None else fit.coefficients[1:] for fit in fits]
     sizes = np.array([np.linalg.norm(one) for one in found])
     alike, best = taken(sums, sizes, AS_GOOD * lowest)
@@ -153,8 +153,9 @@ def _compared(
         alike |= costs - costs.min() < AS_GOOD
         chosen = beside[best][1]
         assert chosen is not None
-        known = max(means.judged(chosen.least, unknowns)[0], 1.0)
-    chosen = replace(chosen, covariance=known * chosen.covariance)
+        known, _, freedom = means.judged(chosen.least, unknowns)
+        known = max(known, 1.0)
+    chosen = replace(chosen, covariance=known * student(freedom) * chosen.covariance)
     residuals = np.array([means.residual(order, multiples) for order in tried])
     conditions = [condition(waves(order * means.nominal, multiples)) for order in tried]
     return TipFit(
@@ -331,17 +332,20 @@ class _Seen:
         costs = least + np.linalg.slogdet(square)[1] - volume
         return costs, found[:, :unknowns], covariance[:, :unknowns, :unknowns], least
 
-    def judged(self, least: float, unknowns: int) -> tuple[float, float]:
-        """The variance in units of the one that is expected, inf where none is to spare, and the
-        probability of a misfit, nan where it is not known."""
+    def judged(self, least: float, unknowns: int) -> tuple[float, float, float]:
+        """The variance in units of the one that is expected, inf where none is to spare; the
+        probability of a misfit, nan where it is not known; and the degrees of freedom of the
+        variance, inf where it is a misfit's, whose errors are no matter of chance."""
         between = len(self.values) - unknowns
+        both = self.within + between
         if self.within < 1:
-            return (least / between if between else np.inf), np.nan
+            return (least / between if between else np.inf), np.nan, both
         if between < 1:
-            return 1.0, np.nan
+            return 1.0, np.nan, both
         chance = float(fdtrc(between, self.within, least / between))
-        pooled = (self.within + least) / (self.within + between)
-        return (least / between if chance < SIGNIFICANT else pooled), chance
+        if chance < SIGNIFICANT:
+            return least / between, chance, np.inf
+        return (self.within + least) / both, chance, both
 
 
 class Means(_Seen):
@@ -454,8 +458,8 @@ class TipTrack(Fitted):
     coefficients : (n, 2K+1) [m]
         a0, a1, b1, ....
     amplitudes, amplitude_errors : (n, K) [m]
-        And standard errors; nan where too many arrivals are missing, and errors of fits without
-        an arrival to spare.
+        And standard errors; nan where too many arrivals are missing, and errors that two arrivals
+        to spare or fewer would tell.
     misfit : float
         Probability that what is left is as alike from revolution to revolution by chance. If it is
         tiny, harmonics are missing, and what is left out is folded onto those that are kept. nan
@@ -591,8 +595,9 @@ def track_order(
     for group, (part, fit) in parts.items():
         found[group] = fit.coefficients
         if count[group] > unknowns:
-            known = part.judged(fit.least, unknowns)[0]
-            errors[group] = (max(known, 1.0) if within else known) * fit.covariance
+            known, _, freedom = part.judged(fit.least, unknowns)
+            known = max(known, 1.0) if within else known
+            errors[group] = known * student(freedom) * fit.covariance
     amplitudes, amplitude_errors = strengths(found, errors)
     folded = np.nan
     if own > 1 and within > 0 and parts:

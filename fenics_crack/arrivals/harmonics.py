@@ -123,8 +123,8 @@ class TipFit(Fitted):
     covariance : (2K+1, 2K+1) [m^2]
         Of the coefficients.
     scatter : float [m]
-        Standard deviation of a displacement about the fit; nan, as all errors, where there are no
-        more arrivals than unknowns.
+        Standard deviation of a displacement about the fit; nan where there are no more arrivals
+        than unknowns. Errors that it tells are those of Student's t, and nan up to two more.
     misfit : float
         Probability that the harmonics kept leave as much between the means of the probes as they
         do, given the scatter within a probe. If it is tiny, harmonics are missing, probes are out

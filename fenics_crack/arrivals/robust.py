@@ -132,6 +132,12 @@ class Noise:
         return found
 
 
+def student(freedom: float) -> float:
+    """Variance of Student's t with so many degrees of freedom over the square of its scale: so much
+    larger are squares of errors whose scale is that of few residuals. nan where it has none."""
+    return 1.0 + 2.0 / (freedom - 2.0) if freedom > 2.0 else np.nan
+
+
 def trend(values: np.ndarray, places: Places) -> float:
     """Probability that white values (n,) of revolutions and probes are as alike as these from each
     revolution to the next, or more; nan where there is one revolution."""

@@ -52,8 +52,6 @@ UNIVERSAL = (".uff", ".unv")
 """Endings of universal files."""
 LARGEST_PHASE = 4.0 * math.pi
 """Of a period of 2 pi, for whoever begins it elsewhere [rad]; what is larger is in degrees."""
-STUDENT = 2
-"""Degrees of freedom up to which Student's t has no variance."""
 FEWEST_PROBES = 4
 """Probes of which displacements tell more than the size and phase of a load, and a constant."""
 
@@ -266,6 +264,7 @@ class Measurements(Tabular):
         """
         from fenics_crack.arrivals.fit_order import Means  # SciPy
         from fenics_crack.arrivals.harmonics import check_places, rounding
+        from fenics_crack.arrivals.robust import student
 
         check_count("order", order, 1)
         check_number("angle_deviation", angle_deviation, 0.0)
@@ -279,20 +278,19 @@ class Measurements(Tabular):
         if len(count) < FEWEST_PROBES:
             raise InputError("arrivals", repr(arrivals), f"those of {FEWEST_PROBES} probes or more")
         means = Means(arrivals, 1, float(order), angle_deviation)
-        places, within = arrivals.tip_radius * angle_deviation, means.within
+        places = arrivals.tip_radius * angle_deviation
         if noise is not None:
             own = speed * noise / np.sqrt(count)
             deviations = arrivals.tip_radius * np.hypot(own, angle_deviation)
         elif means.scatter <= rounding(arrivals):
             raise InputError("noise", None, "given where passages have no scatter")
-        elif within <= STUDENT:
+        elif np.isnan(larger := student(means.within)):
             found = counted(int(count.sum()), "arrival")
             allowed = f"given for {found} at {counted(len(count), 'probe')}, too few to tell it"
             raise InputError("noise", None, allowed)
         else:
-            # Of Student's t with so many degrees of freedom, whose scale is that of the scatter.
             own = np.diag(means.covariance) - places**2
-            deviations = np.sqrt(own * within / (within - STUDENT) + places**2)
+            deviations = np.sqrt(larger * own + places**2)
         # Rounded, for one sweep to serve all arrivals at a speed.
         frequency = float(f"{order * speed / (2.0 * math.pi):.9g}")
         return cls.from_arrays(

@@ -70,6 +70,26 @@ def test_standard_errors_and_misfit_are_what_they_say(sine: fc.PeriodicSolution)
     assert np.median([fit.scatter for fit in fits]) == pytest.approx(1e-5, rel=0.02)
 
 
+@pytest.mark.parametrize("revolutions", [2, 3])
+def test_errors_of_few_revolutions_are_students(
+    revolutions: int, sine: fc.PeriodicSolution
+) -> None:
+    """Squares of errors are those of least squares times n / (n - 2), with the n arrivals to spare
+    that tell the scatter: true errors were 1.4 of those stated of four probes in two revolutions.
+    One arrival to spare tells no error."""
+    some = measured(sine, 1e-7, order=6, revolutions=revolutions)
+    values, turns = some.displacement.ravel(), 6.0 * some.angle.ravel()
+    fits = fc.fit_order(some, [6]), fc.fit_frequency(some, 950.0, 1050.0)
+    for fit, others in zip(fits, ([], [turns * np.sin(turns)]), strict=True):
+        columns = np.column_stack([np.cos(turns), np.sin(turns), turns**0, *others])
+        left = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
+        spare = len(columns) - columns.shape[1]
+        square = float(left @ left) / (spare - 2) * np.linalg.inv(columns.T @ columns)
+        ratios = np.diag(fit.covariance)[1:] / np.diag(square)[:2]
+        assert ratios == pytest.approx(1.0, rel=0.05)
+    assert np.isnan(fc.fit_order(some.between(0, 1), [6]).amplitude_errors[0])
+
+
 def test_without_noise_nothing_is_lost(breathing: fc.PeriodicSolution) -> None:
     """As many harmonics as there are: the solution's coefficients, though the tip moves meanwhile
     and arrives elsewhere than expected."""
