@@ -291,31 +291,44 @@ def one_radius(path: str | Path, of_file: np.ndarray | None, given: float | None
     return float(values[0])
 
 
-def _table(path: str | Path) -> tuple[list[str], np.ndarray]:
-    """Headings of a CSV file and its columns, nan where there is no number; lines that begin with #
-    are left out."""
+def _table(path: str | Path) -> tuple[list[str], list[int], np.ndarray]:
+    """Headings of a CSV file, the numbers of its other lines, and its columns, nan where there is
+    no number; lines that begin with # are left out."""
     with reading("path", path, "a table of numbers"):
-        lines = [line for _, line in table_lines(path)]
-        names = [name.strip() for name in next(csv.reader(lines), [])]
-        if not lines[1:]:
-            return names, np.empty((len(names), 0))
-        rows = np.genfromtxt(lines[1:], delimiter=",", usecols=range(len(names)), ndmin=2)
-    return names, rows.T
+        lines = table_lines(path)
+        names, *rows = [next(csv.reader([line])) for _, line in lines] or [[]]
+        numbers = [number for number, _ in lines[1:]]
+        for number, row in zip(numbers, rows, strict=True):
+            if len(row) < len(names):
+                allowed = f"a row of {len(names)} cells, as there are headings, not of {len(row)}"
+                raise InputError("path", f"{path}, line {number}", allowed)
+    columns = [[_number(row[place]) for row in rows] for place in range(len(names))]
+    table = np.array(columns).reshape(len(names), len(rows))
+    return [name.strip() for name in names], numbers, table
+
+
+def _number(cell: str) -> float:
+    """What a cell says; nan where that is no number."""
+    try:
+        return float(cell)
+    except ValueError:
+        return np.nan
 
 
 def _passages(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
     """The columns of a file that are needed: (5, rows), and the radii (rows,) if it has them."""
-    names, columns = _table(path)
+    names, lines, columns = _table(path)
     for name in COLUMNS:
         if name not in names:
             has = f"it has {', '.join(names)}" if any(names) else "it is empty"
             raise InputError("path", str(path), f"a file with the column '{name}'; {has}")
     found = columns[[names.index(name) for name in COLUMNS]]
-    turns = found[0]
-    fine = turns.size and np.all(np.isfinite(found[:4])) and not np.any(turns % 1.0)
-    if not fine or np.abs(turns).max() >= 2**53:
-        allowed = "a file whose rows have finite numbers but for the arrival, and whole revolutions"
-        raise InputError("path", str(path), allowed)
+    if not lines:
+        raise InputError("path", str(path), "a file with rows of numbers below its headings")
+    given, turns = np.isfinite(found[:4]).all(axis=0), np.nan_to_num(found[0])
+    if not np.all(fine := given & (turns % 1.0 == 0.0) & (np.abs(turns) < 2**53)):
+        allowed = "a row of finite numbers but for the arrival, and of a whole revolution"
+        raise InputError("path", f"{path}, line {lines[int(np.argmin(fine))]}", allowed)
     return found, columns[names.index(RADIUS)] if RADIUS in names else None
 
 
@@ -380,7 +393,7 @@ def read_record(
     >>> arrivals.to_csv("record.csv")
     >>> blades = fc.read_record("record.csv")
     """
-    names, table = _table(path)
+    names, _, table = _table(path)
     if not any(map(PASSAGE.search, names)):
         return {1: ArrivalTimes.from_csv(path, tip_radius=tip_radius)}
     columns = dict(zip(names, table, strict=True))

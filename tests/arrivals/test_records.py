@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -288,6 +289,11 @@ def test_forms_of_files(tmp_path: Path) -> None:
     three.to_csv(tmp_path / "long.csv")
     [again] = fc.read_record(tmp_path / "long.csv").values()
     assert np.array_equal(again.time, three.time, equal_nan=True)
+    for name in ("b.csv", "long.csv"):  # as spreadsheets write them
+        text = (tmp_path / name).read_text().rstrip()
+        (tmp_path / name).write_text(re.sub(r"(?m)(^|(?<=,))([^,#\n]*)(?=,|$)", r'"\2"', text))
+        [again] = fc.read_record(tmp_path / name).values()
+        assert np.array_equal(again.time, three.time, equal_nan=True)
 
 
 def test_a_revolution_missing_before_the_last(tmp_path: Path) -> None:
@@ -325,7 +331,7 @@ GOOD = [[1000.0, 0.1], [1000.0, 0.1], [1000.0, 0.1]]
             [[2, 9.0, 0.1], [1, 9.0, 0.1]],
             r"increasing whole",
         ),
-        ("speed [rpm],probe 1 [rad]", [[1000.0, 0.1], [1.0]], r"table of numbers"),
+        ("speed [rpm],probe 1 [rad]", [[1000.0, 0.1], [1.0]], r"line 4': must be a row of 2 cells"),
         ("speed [rpm],probe 1 [rad]", [[1000.0, None]] * 3, r"finite"),
         ("speed [rpm],probe 1 [rad]", [[1000.0, 41.0]] * 3, r"probe 1 \[rad\] = 41.*in degrees\?"),
         (
