@@ -16,7 +16,7 @@ from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modes import damped_range
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import on_root
-from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.scene import Scene, asked_quantities
 from fenics_crack.study.coarser_mesh import errors_of_natural
 from fenics_crack.study.key_figures import (
     KeyFigures,
@@ -45,6 +45,10 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
     scene = inputs.scene
     with console.stage("mesh and matrices"):
         study = prepare(scene, console.comm, whole=True)
+        if asked_quantities(scene):  # which may be refused
+            from fenics_crack.study.asked import prepare_asked  # the solver
+
+            prepare_asked(study)
     whole, harmonics = study.structure, scene.harmonic_balance.harmonics
     check_memory(whole, harmonics)
     run_up = scene.curve is not None and scene.curve.followed[0] == "speed"

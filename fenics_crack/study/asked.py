@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -208,15 +208,16 @@ class _OfScene:
     scene: Scene = field(compare=False)
 
     def __call__(self, structure: Structure) -> TipRows:
-        tips, columns, forces = tip_functionals(self.scene, structure.whole)
+        if structure is not structure.whole:
+            rows, units = structure.whole.once(self), np.eye(structure.n_dofs)
+            blocks = [units[n : n + AT_A_TIME] for n in range(0, len(units), AT_A_TIME)]
+            columns = rows.of_coordinates.T
+            products = np.vstack([structure.expand(block) @ columns for block in blocks])
+            return replace(rows, of_coordinates=structure.whole.sum_over_ranks(products).T)
+        tips, of_coordinates, of_forces = tip_functionals(self.scene, structure)
         if not tips:
             raise InputError("crack", "a crack without a tip", "one that ends in the plate")
-        if structure is not structure.whole:
-            units = np.eye(structure.n_dofs)
-            blocks = [units[n : n + AT_A_TIME] for n in range(0, len(units), AT_A_TIME)]
-            products = np.vstack([structure.expand(block) @ columns.T for block in blocks])
-            columns = structure.whole.sum_over_ranks(products).T
-        return TipRows(tuple(tips), columns, forces)
+        return TipRows(tuple(tips), of_coordinates, of_forces)
 
 
 def periods_of(motion: PeriodicSolution | TimeHistory) -> float:

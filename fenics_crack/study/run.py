@@ -242,6 +242,7 @@ def solve_prepared(
     """The same of a scene that is prepared; reduced, if its modes are chosen (collective).
     Without a tolerance it is sought from a solution of the same structure, if there is one, and at
     another frequency than the scene's, if that is given."""
+    prepare_asked(whole)  # before anything is solved: it may be refused
     scene, law = whole.scene, whole.contact
     omega, table = omega or scene.excitation.omega, scene.harmonic_balance
     if law is None:
