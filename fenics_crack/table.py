@@ -217,7 +217,7 @@ class Tabular(Described):
     """A result that is a table: :meth:`to_dict` has lists of equal length."""
 
     def to_csv(self, path: str | Path) -> None:
-        """Write :meth:`table` as CSV.
+        """Write :meth:`table` as CSV; as JSON if the name ends in ``.json``.
 
         Raises
         ------

@@ -235,8 +235,9 @@ class Cases:
         nearest = natural.nearest(case.excitation.omega)
         place, middle = int(nearest["mode"]) - 1, float(nearest["omega_bilinear"])
         ratio = float(damping_ratios(self._geometry.structure.whole, natural.omega_open)[place])
-        if not ratio > 0.0:
-            raise InputError("damping", None, "a ratio, or Rayleigh's, with sweep.at_resonance")
+        if not 0.0 < 2.0 * ratio < 1.0:  # widths to either side where it is looked for
+            allowed = "above 0 and below 0.5 of critical, of the mode, with sweep.at_resonance"
+            raise InputError("damping", ratio, allowed)
         self._take(case)
         assert self._law is not None
         few = (

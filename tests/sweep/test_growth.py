@@ -479,10 +479,11 @@ def test_solids_are_refused() -> None:
             fc.grow(scene, comm=MPI.COMM_SELF)
 
 
-def test_resonance_needs_damping() -> None:
-    """Else there is no largest response."""
-    scene = plate(drive="resonance").replace({"damping.ratio": 0.0})
-    with pytest.raises(fc.ConvergenceError, match=r"with sweep\.at_resonance"):
+@pytest.mark.parametrize("ratio", [0.0, 0.5])
+def test_resonance_needs_damping(ratio: float) -> None:
+    """Else there is no largest response; nor may it be so wide that it is looked for down to 0."""
+    scene = plate(drive="resonance").replace({"damping.ratio": ratio})
+    with pytest.raises(fc.ConvergenceError, match=rf"damping = {ratio}: .*sweep\.at_resonance"):
         fc.grow(scene, comm=MPI.COMM_SELF)
 
 
