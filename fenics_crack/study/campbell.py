@@ -281,8 +281,9 @@ def campbell(
         raise InputError("speeds", speeds, "two or more finite numbers, rising from 0 or more")
     scene = with_crack_length(scene.replace({"rotation.speed": float(wanted[-1])}), comm)
     top = assemble(scene, comm)
-    count = min(count, n_tied_modes(top) if top.n_pairs else top.n_modes)
-    n_tied = min(count + SPARE, n_tied_modes(top)) if top.n_pairs else 0
+    if count > (most := n_tied_modes(top)):
+        raise InputError("count", count, f"a whole number from 1 to {most}")
+    n_tied = min(count + SPARE, most) if top.n_pairs else 0
     small = Ritz.of_range(top.damped(None), wanted[0], wanted[-1], count, n_tied)
     load = _Load.of(scene, top, small)
 

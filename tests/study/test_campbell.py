@@ -241,14 +241,15 @@ def test_bad_input() -> None:
     """Each error names what is wrong."""
     scene = strip(0, 1.0)
     diagram = fc.campbell(scene, [0.0, UNIT], 1)
-    for key, call in {
-        "rotation": lambda: fc.campbell(Scene.from_mapping(CRACKED), [0.0, 1.0]),
-        "speeds": lambda: fc.campbell(scene, [1.0, 0.0]),
-        "count": lambda: fc.campbell(scene, [0.0, 1.0], 0),
-        "order": lambda: diagram.crossings(0),
-        "kind": lambda: diagram.crossings(1, "closed"),
-        "orders": lambda: fc.draw_campbell(diagram, [0]),
-    }.items():
+    for key, call in (
+        ("rotation", lambda: fc.campbell(Scene.from_mapping(CRACKED), [0.0, 1.0])),
+        ("speeds", lambda: fc.campbell(scene, [1.0, 0.0])),
+        ("count", lambda: fc.campbell(scene, [0.0, 1.0], 0)),
+        ("count", lambda: fc.campbell(scene, [0.0, 1.0], 10**6)),
+        ("order", lambda: diagram.crossings(0)),
+        ("kind", lambda: diagram.crossings(1, "closed")),
+        ("orders", lambda: fc.draw_campbell(diagram, [0])),
+    ):
         with pytest.raises(InputError) as caught:
             call()
         assert caught.value.key == key
