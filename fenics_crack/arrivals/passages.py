@@ -629,8 +629,13 @@ def find_passages(
 def _checked(stiffening: float | Follows) -> Follows:
     """s where the order meets the frequency from below."""
     if callable(stiffening):
-        given = stiffening
-        return lambda speed, omega: float(np.clip(given(speed, omega), -STIFFEST, STIFFEST))
+
+        def told(speed: float, omega: float) -> float:
+            value = float(np.clip(stiffening(speed, omega), -STIFFEST, STIFFEST))
+            check_number(f"stiffening({speed:.6g}, {omega:.6g})", value)
+            return value
+
+        return told
     check_number("stiffening", stiffening)
     if abs(value := float(stiffening)) > STIFFEST:
         raise InputError("stiffening", stiffening, f"a number from -{STIFFEST} to {STIFFEST}")

@@ -143,6 +143,8 @@ def test_frequency_that_follows_the_speed(stiffening: float) -> None:
     assert without.damping == pytest.approx(damping / (1.0 - stiffening), rel=0.15)
     with pytest.raises(fc.InputError, match=r"^stiffening = 0\.95.*-0\.9 to 0\.9"):
         fc.fit_passage(record, 100.0, [order], stiffening=0.95)
+    with pytest.raises(fc.InputError, match=r"^stiffening\(\d.* = nan: must be a finite number"):
+        fc.fit_passage(record, 100.0, [order], stiffening=lambda speed, omega: np.nan)
 
 
 def test_frequency_that_follows_the_speed_as_the_scene_has_it(tmp_path: Path) -> None:
