@@ -106,6 +106,10 @@ class Rotation:
         """The same of a structure with another damping."""
         return self.changed(lambda one: one.damped(damping))
 
+    def varied(self, **changes: Any) -> Rotation:
+        """The same of a structure that is varied, as :meth:`Structure.varied`."""
+        return self.changed(lambda one: one.varied(**changes))
+
 
 def static_state(
     structure: Structure, force: np.ndarray, clearance: np.ndarray

@@ -222,7 +222,7 @@ class Structure(Coordinates):
     _original: Structure | None
     """None: itself. A reference to itself would keep it alive."""
     _known: dict[Callable[[Structure], Any], Any]
-    _VARIED_TOO: ClassVar[tuple[str, ...]] = ()
+    _VARIED_TOO: ClassVar[tuple[str, ...]] = ("rotation",)
     _DAMPED_TOO: ClassVar[tuple[str, ...]] = ("rotation",)
     """Attributes that are varied, or damped, with this one."""
     light_lips: ClassVar[bool] = False

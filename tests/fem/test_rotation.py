@@ -214,6 +214,11 @@ def test_speeds_too_high_and_loads_are_refused() -> None:
         with pytest.raises(InputError, match="load"):
             structure.varied(load=2.0)
         assert np.array_equal(structure.varied(damping=2.0).force, structure.force)
+        varied = structure.varied(damping=2.0, clearance=1e-6).whole
+        for speed in (0.0, 100.0):
+            same = varied.rotation.at(speed)
+            assert np.array_equal(same.clearance, varied.clearance)
+            assert same.damping == varied.damping != structure.whole.damping
     assert plate.contact is not None
     with pytest.raises(InputError, match="parameter"):
         fc.continue_parameter(plate.structure, 3000.0, plate.contact, "load", 0.5, 1.0)
