@@ -256,7 +256,7 @@ def smoothed(values: np.ndarray) -> np.ndarray:
 def check_turns(name: str, turns: np.ndarray, first: int = 0) -> None:
     """Raise InputError where the durations of revolutions (n,) [s] show that a mark was missed, or
     another signal taken for one: no rotor turns so unevenly."""
-    padded = np.pad(turns, EITHER_SIDE, mode="edge")
+    padded = np.pad(turns, EITHER_SIDE, mode="symmetric")
     around = np.median(
         np.lib.stride_tricks.sliding_window_view(padded, 2 * EITHER_SIDE + 1), axis=1
     )

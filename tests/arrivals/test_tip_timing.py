@@ -373,6 +373,17 @@ def test_bad_arrivals() -> None:
             fc.ArrivalTimes(**given)
 
 
+@pytest.mark.parametrize("turn", [0, 1, 4])
+def test_revolutions_that_are_cut_short(turn: int) -> None:
+    """As where a record begins or ends between two marks: to half of its probes the rest of it is
+    at another angle."""
+    turns = np.ones(5)
+    turns[turn] = 0.5
+    marks = np.concatenate([[0.0], np.cumsum(turns)])
+    with pytest.raises(fc.InputError, match=f"^marks = 'revolution {turn} takes 0.5 times as"):
+        fc.ArrivalTimes(marks[:-1, None] + 0.1, marks, np.zeros(1), 1.0)
+
+
 def test_only_dofs_that_exist_are_asked_for() -> None:
     """Of a reduced structure, those of the whole one."""
     whole = chain("modal", n=20, pairs=1)
