@@ -71,7 +71,7 @@ class Growth(Tabular):
         K_max, K_min, delta_K_effective and K_II_max; the largest of a spectrum, K_min and K_II_max
         of the load that drives most.
     rate : (n,) [m]
-        In a cycle; the mean of a spectrum.
+        In a cycle; the mean of a spectrum; 0 where the crack is arrested.
     end : "reached", "arrested" or "broken"
         Whether the length that was asked for is reached, the range falls below the threshold, or
         K_max reaches the toughness.
@@ -309,12 +309,13 @@ def grow(
     seen = {name: path.at(name, length) for name in path.columns}
     for name in LOGARITHMIC:
         seen[name][seen[name] <= NOTHING] = 0.0
-    pace = TURN / seen["omega"]
+    pace, rate = TURN / seen["omega"], _rate(path, law, length)
+    rate[-1] *= end != "arrested"
     time = np.append(0.0, np.cumsum(0.5 * (pace[1:] + pace[:-1]) * over))
     return Growth(
         scene, length, cycles, time, seen["omega"], seen["omega_open"], seen["omega_bilinear"],
         seen["response"], seen["K_max"], seen["K_min"], seen["delta_K_effective"],
-        seen["K_II_max"], _rate(path, law, length), end, path.lengths, errors,
+        seen["K_II_max"], rate, end, path.lengths, errors,
         (*_remarks(scene, path, seen, length, vibration, end), *without),
     )  # fmt: skip
 

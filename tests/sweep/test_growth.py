@@ -243,6 +243,7 @@ def test_threshold_and_toughness(request: pytest.FixtureRequest) -> None:
     coarse = fc.Scene.from_mapping(STRIP).replace({"mesh.lip_elements": 4})
     stopped = fc.grow(coarse.replace({"growth.threshold": 1e8}), comm=MPI.COMM_SELF)
     assert stopped.end == "arrested" and stopped.length.tolist() == [0.02]
+    assert stopped.rate.tolist() == [0.0]
     assert stopped.life == 0.0 and math.isfinite(stopped.factor)
     request.getfixturevalue("errors_left_out")
     largest = 4.0 * STRESS * edge_crack(0.03)
