@@ -353,8 +353,8 @@ def refuse(arrivals: ArrivalTimes, unknowns: int) -> NoReturn:
     """Raise InputError: these probes cannot tell so many unknowns."""
     angles = ", ".join(f"{angle:g}" for angle in np.degrees(arrivals.probes))
     found = f"{counted(len(arrivals.probes), 'probe')} at {angles} degrees"
-    allowed = f"able to tell the {unknowns} unknowns of a fit: more probes, unequally spaced, or "
-    allowed += "fewer harmonics"
+    allowed = f"able to tell the {unknowns} unknowns of a fit: more probes, unequally spaced, "
+    allowed += "fewer harmonics, or arrivals that scatter less"
     raise InputError("probes", found, allowed)
 
 

@@ -169,6 +169,8 @@ def test_as_many_unknowns_as_probes_fit_anything(breathing: fc.PeriodicSolution)
     assert len(fit.ambiguous) == 4 and np.isnan(fit.misfit)
     with pytest.raises(fc.InputError, match=r"^probes = .*7 probes"):
         fc.fit_order(arrivals, [6], harmonics=4)
+    with pytest.raises(fc.InputError, match=r"^probes = .*arrivals that scatter less"):
+        fc.fit_order(measured(breathing, 0.3, order=40, probes=probes), [40])
 
 
 def test_as_many_arrivals_as_unknowns(sine: fc.PeriodicSolution) -> None:
