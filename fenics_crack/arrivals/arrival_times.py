@@ -401,8 +401,11 @@ def read_record(
     for name in names:
         if found := PASSAGE.search(name):
             passages.setdefault(int(found[1] or 1), {})[int(found[2])] = name
-    if len(columns) != len(names) or table.shape[1] < 2:
-        raise InputError("path", str(path), f"{HAS}; it has {', '.join(names)}")
+    if len(columns) != len(names):
+        raise InputError("path", f"{path}: {', '.join(names)}", "headings, each given once")
+    if table.shape[1] < 2:
+        given = f"{path}: {counted(table.shape[1], 'revolution')}"
+        raise InputError("path", given, "two or more, whose speed is told")
     turns = _turns(path, columns.get("revolution", np.arange(float(table.shape[1]))))
     marks = _marks(path, columns, turns)
     tip_radius = one_radius(path, columns.get(RADIUS), tip_radius)

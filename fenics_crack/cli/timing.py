@@ -56,6 +56,10 @@ CONSTANT = (
     "damping is that of natural frequencies f which do not change with the speed n: where rotation "
     "stiffens the blade it is 1 - d ln f / d ln n times that (tip_timing.stiffening)"
 )
+UNSWEPT = (
+    "the speed varies by less than 1 %, and passes hardly a resonance; with a scene that has "
+    "[tip_timing] in front of the record a vibration at that speed is looked for"
+)
 EMPTY = ("blade", "rpm", "order", "frequency")
 """Columns of a table without a resonance."""
 SHOWN_ORDERS = 6
@@ -152,6 +156,7 @@ def _record(given: Namespace, console: Console) -> Exit:
     draw = partial(draw_passages, found[first], blades[first])
     account = _account_of_passages(found)
     warnings = [*remarks_on_arrivals(blades[first]), *account.warnings]
+    warnings += [UNSWEPT] * blades[first].steady
     return tell(replace(account, warnings=warnings), folder, console, draw)
 
 

@@ -325,7 +325,10 @@ GOOD = [[1000.0, 0.1], [1000.0, 0.1], [1000.0, 0.1]]
         ("speed [rpm],probe 1 [m]", GOOD, r"probe 1 \[m\].*units rad, deg"),
         ("speed [km/h],probe 1 [rad]", GOOD, r"units rpm, rad/s, Hz"),
         ("pace,probe 1 [rad]", GOOD, r"speed \[rpm\]"),
-        ("speed [rpm],probe 1 [rad]", GOOD[:1], r"speed \[rpm\]"),
+        ("speed [rpm],probe 1 [rad]", GOOD[:1], r": 1 revolution': must be two or more"),
+        ("speed [rpm],probe 1 [rad],", GOOD[:0], r": 0 revolutions': must be two or more"),
+        ("speed [rpm],probe 1 [rad],probe 1 [rad]", GOOD, r"line 3': must be a row of 3 cells"),
+        ("speed [rpm],speed [rpm],probe 1 [rad]", [[9.0, 9.0, 0.1]] * 3, r"each given once"),
         ("speed [rpm],probe 1 [rad]", [[0.0, 0.1]] * 3, r"numbers > 0"),
         ("speed [rpm],what", GOOD, r"column 'revolution'"),
         (
@@ -423,4 +426,10 @@ def test_units_of_a_record_without_a_resonance(
     rows = [[60.0 * row[0], *row[1:]] for row in rows]
     path = written(tmp_path / "record.csv", "speed [Hz]," + names.format("rad"), rows)
     assert main(["timing", str(path), *radius]) == 0
-    assert f"{fast} 2.07e+04 m/s, where the fastest have 700" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert f"{fast} 2.07e+04 m/s, where the fastest have 700" in told
+    assert (steady := "the speed varies by less than 1 %") not in told
+    rows = [[100.0, *row[1:]] for row in rows]
+    path = written(tmp_path / "record.csv", "speed [Hz]," + names.format("rad"), rows)
+    assert main(["timing", str(path), *radius]) == 0
+    assert steady in capsys.readouterr().err
