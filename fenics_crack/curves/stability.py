@@ -518,7 +518,7 @@ def _by_hill(structure: Structure, solution: PeriodicSolution, contact: ContactL
     except ConvergenceError as error:
         unknown = np.full(2 * len(all_modes(structure).squares), np.nan + 0j)
         return Stability(unknown, "undecided", np.nan, reason=str(error))
-    root = abs(hill_root(structure, solution, contact, values[0]))
+    root = np.abs(hill_root(structure, solution, contact, values[0]))
     off = float(abs(root - abs(values[0])))
     verdict, reason = "stable" if root < 1.0 else "unstable", ""
     if not np.isfinite(off):
