@@ -34,13 +34,12 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 from scipy.linalg.lapack import dgeev
 
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import kernel
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples, Track
-from fenics_crack.numerics.equations import CLOSE, LOCATED
+from fenics_crack.numerics.equations import CLOSE, LOCATED, factored, solve_factored
 from fenics_crack.numerics.newton import FORCING, gmres, relative_to_motion
 from fenics_crack.table import Described, counted
 
@@ -284,8 +283,10 @@ def _inverse(flow: ContactFlow, track: Track, weights: np.ndarray) -> Inverse:
     """b to (I - M)^-1 b, exactly, or of large states to a relative residual in the norm of the
     energy."""
     if flow.size <= FORMED:
-        factors = scipy.linalg.lu_factor(np.eye(flow.size) - track.tangent)
-        return lambda right, sharp: scipy.linalg.lu_solve(factors, right)
+        factors = factored(np.eye(flow.size) - track.tangent)
+        if not (np.isfinite(factors[0]).all() and np.diag(factors[0]).all()):
+            raise np.linalg.LinAlgError("I - M is singular")
+        return lambda right, sharp: solve_factored(factors, right)
 
     def apply(change: np.ndarray) -> np.ndarray:
         return change - weights * (track @ (change / weights))
