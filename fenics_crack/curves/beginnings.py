@@ -287,11 +287,11 @@ def _branch(
 
     try:
         found = first_aside(orbits, begin, longest_step, CLOSE, is_new)
-        if found is None:
+        low, high = sorted(omega / doubling.omega for omega in span)
+        if found is None or not low <= found.parameter <= high:
             return
         away = Tangent(found.unknown - begin.unknown, found.parameter - 1.0, 1.0)
         start = point_on_path(orbits, found.unknown, found.parameter, away)
-        low, high = sorted(omega / doubling.omega for omega in span)
         away_by = distance(orbits, begin, found)
         options = PathOptions(
             away_by, longest_step, max_steps=MOST, min_cosine=STRAIGHT, span=(low, high)

@@ -116,3 +116,11 @@ def test_no_step_leads_back_onto_the_branch_that_was_left() -> None:
         sizes = np.linalg.norm(odd, axis=(1, 2)) / np.linalg.norm(rows, axis=(1, 2))
         assert branch.status == "joined the branch that it left"
         assert sizes.min() > 1e-6 and sizes[-1] < 0.02 * sizes.max()
+
+
+def test_first_orbit_of_a_branch_beyond_the_range_asked_for() -> None:
+    """It ended with "min() arg is an empty sequence": no branch within the range is said."""
+    curve, one = doubling_of_stiff_stop(300.0, 6)
+    low, high = sorted([one.value, one.exact])
+    with pytest.raises(fc.ConvergenceError, match="branch from period_doubling"):
+        fc.follow_branch(curve, one, low - 1e-6, high + 1e-6)
