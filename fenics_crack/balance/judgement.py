@@ -146,7 +146,7 @@ class Judgement:
             wave.structure, wave.omega, wave.contact, 2 * wave.harmonics,
             subharmonic=wave.subharmonic,
         )  # fmt: skip
-        found = problem.next_to(wave)
+        found = problem.next_to(wave, self._patience)
         return None if found is None else Judgement(found, flow=self.flow, patience=self._patience)
 
     @cached_property

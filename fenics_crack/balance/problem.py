@@ -241,15 +241,19 @@ class Problem:
             self.subharmonic, self.static_cutoff,
         )  # fmt: skip
 
-    def next_to(self, wave: Wave) -> Wave | None:
-        """The motion that Newton's method leads to from a wave, in the kernel, or else a path from
-        it; None where these lead to none, or the kernel has no such equations."""
+    def next_to(self, wave: Wave, patience: Patience | None = None) -> Wave | None:
+        """The motion that Newton's method leads to from a wave, in the kernel, or else, unless
+        ``patience`` is at its end, a path from it; None where these lead to none, or the kernel has
+        no such equations."""
         with suppress(ConvergenceError, np.linalg.LinAlgError):
             system = self.system(self.compliance())
             times = self.subharmonic // wave.subharmonic
             start = system.slow(wave.gap_coefficients, wave.force_coefficients, times)
             if system.integrals.exact:
-                found = _nearly_solved(system, start) or _end_of_path(system, start)
+                found, patience = _nearly_solved(system, start), patience or Patience(1)
+                if found is None and patience.paths > 0:
+                    patience.paths -= 1
+                    found = _end_of_path(system, start)
                 return None if found is None else self.wave(system.linearise(found.unknown))
         return None
 

@@ -429,7 +429,7 @@ class ResponseCurve(_Waves):
             why += " sooner, and more harmonics lead to more orbits"
         else:
             why = "orbits beside it along the curve are others, or on another side of a"
-            why += " bifurcation; more harmonics tell these apart"
+            why += " bifurcation, or few of its open points had one; more harmonics tell"
         return alone.reason or f"by itself it is {alone.verdict}, but {why}"
 
     @property

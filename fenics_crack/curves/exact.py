@@ -24,6 +24,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from contextlib import suppress
+from copy import copy
 from dataclasses import replace
 from itertools import pairwise
 
@@ -119,8 +120,9 @@ NEARBY = 0.02
 the orbits which confirms it."""
 
 
-END = 1e-9
-"""Of a segment: what of its parts counts as its end."""
+MISSED = 64
+"""Points judged by themselves, one after the other, that decide nothing, behind which none is asked
+any more: of those of a curve that are open fewer than one in twenty would tell."""
 
 
 class _Judge:
@@ -278,24 +280,28 @@ class _Judge:
         segment, begins = np.repeat(number, counts), np.cumsum(counts) - counts
         place = np.arange(len(segment)) + np.repeat(first - begins, counts)
         share = (self.parameters[place] - parameters[segment]) / rises[segment]
-        there = (np.abs(share - 0.5) <= 0.5 + END) & accepted[place]
+        there = (np.abs(share - 0.5) <= 0.5 + CLOSE) & accepted[place]
         return segment[there], place[there], share[there]
 
     def _singly(self, found: np.ndarray) -> None:
         """Judge points whose orbits nodes do not tell one by one: the ends of stretches, every
         other between them, and those next to one that is decided; without homotopies once two have
-        decided nothing."""
-        left, patience = set(np.flatnonzero(np.isnan(found)).tolist()), Patience(2)
+        decided nothing, and without paths a little later. Those far apart come first, until too
+        many decide nothing."""
+        left, missed = set(np.flatnonzero(np.isnan(found)).tolist()), 0
+        patience = Patience(2, MISSED // 4)
         asked = [place for place in sorted(left) if place % 2 or {place - 1, place + 1} - left]
-        while asked:
+        order = sorted(range(len(asked)), key=lambda number: number & -number)
+        asked = [asked[number] for number in order]
+        while asked and missed < MISSED:
             place = asked.pop()
             if place in left:
                 left.remove(place)
-                before = patience.left
-                found[place] = self.by_itself(place, patience)
+                before = copy(patience)
+                found[place], missed = self.by_itself(place, patience), missed + 1
                 if not np.isnan(found[place]):
                     asked += [place - 1, place + 1]
-                    patience.left = before
+                    patience, missed = before, 0
 
     def by_itself(self, place: int, patience: Patience | None = None) -> complex:
         """Leading multiplier of a point judged as a single solution is, with the ``patience`` of
@@ -410,7 +416,7 @@ def _between(
     found *= (_upper(leading) / np.maximum(size, 1e-300))[np.where(share < 0.5, *sides)]
     found[unknown | (linked & ~branch.linked[segment])] = np.nan
     known = ~met & (np.abs(size - 1.0) > KNOWN)
-    for end, there in ((first, share <= END), (last, share >= 1.0 - END)):
+    for end, there in ((first, share <= CLOSE), (last, share >= 1.0 - CLOSE)):
         told = there & known[end]
         found[told] = _upper(leading[end[told]])
     return found
@@ -422,7 +428,7 @@ def _uncertain(branch: OrbitBranch, segment: np.ndarray, share: np.ndarray) -> n
     logs = np.log(np.maximum([abs(one.leading[0]) for one in branch.nodes], 1e-300))
     begin, end = logs[segment], logs[segment + 1]
     there = np.abs(begin + share * (end - begin))
-    return np.asarray((there < np.abs(end - begin)) & (np.minimum(share, 1.0 - share) > END))
+    return np.asarray((there < np.abs(end - begin)) & (np.minimum(share, 1.0 - share) > CLOSE))
 
 
 def judge_curve(curve: ResponseCurve) -> ResponseCurve:

@@ -20,6 +20,7 @@ Source: Chow, Mallet-Paret and Yorke, Mathematics of Computation 32 (1978) 887-8
 
 from __future__ import annotations
 
+import math
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -312,6 +313,8 @@ class Patience:
 
     left: int
     """Homotopies that may still be followed."""
+    paths: float = math.inf
+    """Likewise paths to more harmonics."""
 
 
 def orbit_next_to(

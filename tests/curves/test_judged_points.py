@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from helpers import oscillator
 from verdicts import random_chain
 
 import fenics_crack as fc
+from fenics_crack.motion.shooting import Patience
 
 LAW = fc.UnilateralPenalty(1e6)
 
@@ -147,3 +149,31 @@ def test_points_that_are_decided_alone_are_along_the_curve() -> None:
     told = [one == other for one, other in pairs if one != "undecided"]
     assert len(told) >= 14 and sum(told) >= 0.7 * len(told)
     assert all("undecided" in pair or pair[0] == pair[1] for pair in pairs)
+
+
+def test_points_that_decide_nothing_are_not_all_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a curve without orbits 64 points, from one end to the other; paths to more harmonics are
+    followed until 16 have led to nothing: 302 points took a minute, most of it on paths."""
+    law = fc.UnilateralPenalty(1.0)
+    curve = fc.continue_frequency(
+        oscillator(), 0.5, 1.5, law, harmonics=5, longest_step=0.01, most_points=400, throw=False
+    )
+    assert len(curve) > 300
+    asked, followed = [], []
+
+    def undecided(judge: Any, place: int, patience: Patience) -> complex:
+        asked.append(place)
+        problem = curve.problem_of(place).with_harmonics(10)
+        assert problem.next_to(curve.judged(place).wave, patience) is None
+        return complex(np.nan)
+
+    def lost(system: Any, start: np.ndarray) -> None:
+        followed.append(start)
+
+    monkeypatch.setattr("fenics_crack.balance.problem._nearly_solved", lambda *_: None)
+    monkeypatch.setattr("fenics_crack.balance.problem._end_of_path", lost)
+    monkeypatch.setattr("fenics_crack.curves.exact._Judge.by_itself", undecided)
+    monkeypatch.setattr("fenics_crack.curves.exact._Judge._by_segments", lambda *_: None)
+    assert fc.judge_curve(curve).undecided.all()
+    assert len(asked) == 64 and max(np.diff(sorted([0, *asked, len(curve)]))) < 12
+    assert len(followed) == 16
