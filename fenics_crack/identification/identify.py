@@ -13,7 +13,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,10 +24,10 @@ from mpi4py import MPI
 from fenics_crack.errors import ConvergenceError, InputError, StoppedError
 from fenics_crack.files.store import scene_text
 from fenics_crack.identification.interpolation import MESH, Loads, Part
-from fenics_crack.identification.measurements import Measurements, without_crack
+from fenics_crack.identification.measurements import Measurement, Measurements, without_crack
 from fenics_crack.identification.model import Model
 from fenics_crack.identification.nuisance import Whole, whole_plate
-from fenics_crack.identification.posterior import Likelihood, Posterior, explore
+from fenics_crack.identification.posterior import Likelihood, Posterior, explore, grid_of
 from fenics_crack.identification.result import Identification
 from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.fields import Axis
@@ -43,6 +43,8 @@ from fenics_crack.table import TURN
 FEW_NODES = 4
 """Values of each of one or two unknowns that the finer sweep takes, and that halfway between; of
 more unknowns one less."""
+RESOLVED = 2.0
+"""How many times larger a vibration may be between cases than at any of them."""
 ASKED = ("sweep", "curve", "integration", "identify", "tip_timing")
 """Tables that do not matter to a sweep of the forward model."""
 Sweeps = tuple[SweepResult, SweepResult | None, SweepResult | None]
@@ -143,7 +145,7 @@ def infer(forward: Forward, measurements: Measurements) -> Identification:
         {name: explore(_likelihood(model, measurements)) for name, model in models.items()}
         for models in (forward.cracked, forward.uncracked)
     )
-    remarks = remarks_on(forward.scene, measurements)
+    remarks = (*remarks_on(forward.scene, measurements), *_unresolved(forward, measurements))
     return Identification(
         forward.scene,
         measurements,
@@ -212,13 +214,35 @@ def remarks_on(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
             "a file has one mesh: its error is in no interval; meshes twice as fine show how much "
             "it changes what is found"
         )
-    fixed = any(scene.excitation.force_mean) or not is_proportional(scene)
-    if any(row.shape for row in rows) and fixed:
+    if any(row.shape for row in rows) and not _is_free(scene):
         found.append(
             "a clearance or a steady load lets the shape of the motion depend on the load's size: "
             "that of the scene must be right"
         )
     return tuple(found)
+
+
+def _is_free(scene: Scene) -> bool:
+    """Whether the shape of a motion does not depend on the size of the load."""
+    return is_proportional(scene) and not any(scene.excitation.force_mean)
+
+
+def _unresolved(forward: Forward, measurements: Measurements) -> Iterator[str]:
+    """Loads under which a crack between those that were solved vibrates much more than any of them,
+    where steady loads let it breathe there as none of them does; in words."""
+    if _is_free(forward.scene):
+        return
+    places = dict.fromkeys((row.frequency, row.point) for row in measurements.rows if row.shape)
+    for model, (load, point) in itertools.product(forward.cracked.values(), places):
+        first = Measurement("harmonic_1", 1.0, 1.0, frequency=load, point=point)
+        between = model.quantities([first])(grid_of(model.cube)).values.max(initial=0.0)
+        larger = between / np.fmax.reduce(np.abs(model.coarse.harmonic(point, load, 1)))
+        if larger > RESOLVED:
+            yield (
+                f"between the cracks that were solved the vibration at {load:.6g} Hz is up to "
+                f"{larger:.2g} times as large as at any of them, and steady loads let it breathe "
+                "there as none of these does: solve more of them, or measure farther from resonance"
+            )
 
 
 # --- the sweeps of the forward model --------------------------------------------------------------

@@ -31,6 +31,7 @@ from scipy.ndimage import label, maximum_filter
 from scipy.optimize import least_squares
 from scipy.special import chdtrc, logsumexp
 
+from fenics_crack.identification.interpolation import Cube
 from fenics_crack.identification.model import Prediction, Quantities
 
 LOOK = {1: 200, 2: 45, 3: 17}
@@ -184,7 +185,7 @@ def explore(likelihood: Likelihood) -> Branch:
         height = likelihood(np.zeros((1, 0)))
         only = Optimum(np.zeros(0), float(height[0]), np.zeros((0, 0)))
         return Branch(likelihood, [only], (), height.reshape(()), np.ones(()))
-    first = [np.linspace(axis[0], axis[-1], LOOK.get(d, 9)) for axis in cube.axes]
+    first = _even(cube)
     height = _heights(likelihood, _points(first)).reshape([len(axis) for axis in first])
     optima = _optima(likelihood, first, height)
     act_as = likelihood.quantities.model.act_as
@@ -232,6 +233,17 @@ def _spread(
         found = np.moveaxis(np.einsum("...j,...ji->...i", masses, shares) / weight, -1, place)
     with np.errstate(divide="ignore"):
         return np.asarray(np.maximum(np.log(found), IMPOSSIBLE) + most)
+
+
+def _even(cube: Cube) -> list[np.ndarray]:
+    """Values of each unknown of the first grid."""
+    count = LOOK.get(len(cube.axes), 9)
+    return [np.linspace(axis[0], axis[-1], count) for axis in cube.axes]
+
+
+def grid_of(cube: Cube) -> np.ndarray:
+    """Points of the first grid: (n, d)."""
+    return _points(_even(cube))
 
 
 def _points(axes: list[np.ndarray]) -> np.ndarray:

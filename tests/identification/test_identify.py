@@ -270,6 +270,7 @@ def test_arrivals_at_other_speeds_of_the_rotor(
     assert found.verdict == "crack" and found.misfit[1] > 0.01
     assert found.contains({"crack.length": 0.008})
     assert found.estimate["crack.length"] == pytest.approx(0.008, rel=0.1)
+    assert not any("between the cracks" in one for one in found.remarks)  # far from resonance
     hertz = fc.solve_modes(fc.build_structure(scene.replace({"identify": None})), 2).omega / TURN
     natural = fc.Measurements.from_arrays("frequency_open", hertz, 1e-4 * hertz, mode=[1, 2])
     slower = scene.replace({"identify.frequencies": (200.0,)})
@@ -288,7 +289,8 @@ def test_arrivals_at_other_speeds_of_the_rotor(
 def test_a_crack_that_stays_open_is_not_excluded(tmp_path: Path) -> None:
     """The pull of the rotor holds it open: no harmonics, as without a crack. Of those that were
     solved one breathes, where its resonance is; splines through its harmonics and the zeros of the
-    others had all between them breathe, and it was "no crack" (log Bayes factor -8.7)."""
+    others had all between them breathe, and it was "no crack" (log Bayes factor -8.7). A remark
+    says that some between them are nearer to resonance than any that was solved."""
     scene = fc.Scene.from_text(SPINNING).replace({"excitation.force_sin": (2.0, 0.0)})
     true = {"rotation.rpm": 2866.0, "identify": None, "crack.length": 0.0085}
     run = fc.solve(scene.replace(true))
@@ -299,6 +301,7 @@ def test_a_crack_that_stays_open_is_not_excluded(tmp_path: Path) -> None:
     rows = fc.Measurements.from_arrivals(arrivals, 5, "tip.ux")
     found = fc.identify(scene, rows, folder=tmp_path)
     assert found.verdict == "cannot be told" and found.contains({"crack.length": 0.0085})
+    assert any("between the cracks that were solved" in one for one in found.remarks)
 
 
 def test_harmonics_above_those_of_the_model(scene: fc.Scene, folder: Path) -> None:
