@@ -82,7 +82,7 @@ def test_motion_that_leaves_its_orbit_is_not_called_stable() -> None:
     assert abs(before.multipliers[0]) < 1.0 and behind.multipliers[0].real < -1.0
     branch = fc.follow_branch(curve, one, throw=False, stability=True, most_points=49)
     verdicts = {"stable": 0, "undecided": 0}
-    for place in [*range(3, 7), *range(44, 49)]:
+    for place in (5, 6, 47, 48):
         verdict, solution = branch.verdicts[place], branch.solution(place)
         if verdict not in verdicts or solution.report.total < 0.01:
             continue
@@ -106,7 +106,10 @@ def test_ends_are_judged_as_single_solutions() -> None:
 def test_no_step_leads_back_onto_the_branch_that_was_left() -> None:
     """No point is an orbit of half the period, and the branch ends where little tells it from the
     one that it left; a long step that met that one ended it far from there."""
-    curve = campaign.followed(campaign.draw(75, 35, None, "ends"))
+    case = campaign.draw(75, 35, None, "ends")
+    curve = fc.continue_frequency(
+        case.structure, 0.395, 0.432, case.law, harmonics=case.harmonics, stability=True
+    )
     places = np.array([one.value for one in curve.bifurcations])
     for place in (0.403244, 0.429862):
         one = curve.bifurcations[int(np.abs(places - place).argmin())]
