@@ -25,7 +25,7 @@ def plate(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_table_is_long_enough(plate: Path, capsys: pytest.CaptureFixture) -> None:
     """Twenty slips at least; and the scene without any gets no remark."""
     assert len(LINES) >= 20
-    assert main(["check", str(plate)]) == 0
+    assert main(["check", str(plate), *COARSE]) == 0
     assert capsys.readouterr().err == ""
 
 

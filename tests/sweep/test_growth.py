@@ -102,13 +102,14 @@ def test_block_loading_of_a_strip() -> None:
     assert found.time[-1] == pytest.approx(lasting, rel=1e-9)
 
 
-@pytest.mark.usefixtures("errors_left_out")
+@pytest.mark.usefixtures("errors_left_out", "predicted_errors")
 def test_run_up_through_the_resonance(tmp_path: Path) -> None:
     """What drives the crack in a run-up at one length, beside the integral along a curve; one that
     is too fast for a steady vibration is told."""
     span, rate = (760.0, 880.0), 0.5
     scene = plate(drive="spectrum", run_up=(*span, rate), until=0.0352, life_tolerance=1.0)
-    scene = scene.replace({"harmonic_balance.harmonics": 10, "reduction.modes": 20})  # of both
+    coarse = {"harmonic_balance.harmonics": 10, "reduction.modes": 20, "damping.ratio": 0.02}
+    scene = scene.replace(coarse)  # of both
     found = fc.grow(scene, comm=MPI.COMM_SELF)
     keys = {"parameter": "frequency", "start": span[0], "stop": span[1], "stability": False}
     followed = scene.replace({f"curve.{key}": value for key, value in keys.items()})
@@ -120,7 +121,7 @@ def test_run_up_through_the_resonance(tmp_path: Path) -> None:
     first = found.length[1] - found.length[0]
     assert first / found.repeats[1] == pytest.approx(grown, rel=0.02)
     assert not [text for text in found.remarks if "run-up" in text]
-    fast = scene.replace({"growth.run_up": (815.0, 830.0, 200.0)})
+    fast = scene.replace({"growth.run_up": (815.0, 830.0, 3200.0)})
     told = [text for text in fc.grow(fast, comm=MPI.COMM_SELF).remarks if "run-up" in text]
     assert told and "the crack grows less" in told[0]
 
@@ -137,13 +138,13 @@ def run_up_of_a_strip(start: float, stop: float, **law: float) -> fc.Growth:
     return fc.grow(scene.replace(changes | {"harmonic_balance.harmonics": 1}), comm=MPI.COMM_SELF)
 
 
-@pytest.mark.usefixtures("errors_left_out")
+@pytest.mark.usefixtures("errors_left_out", "predicted_errors")
 def test_damping_of_kept_modes_says_how_close_the_levels_of_a_run_up_are() -> None:
     """Five modes are damped, and no others are kept."""
     assert run_up_of_a_strip(478.0, 480.0).end == "reached"
 
 
-@pytest.mark.usefixtures("errors_left_out")
+@pytest.mark.usefixtures("errors_left_out", "predicted_errors")
 def test_a_run_up_is_summed_alike_wherever_its_levels_are() -> None:
     """A steep law sees the top of the resonance alone: half a level aside the crack grew by 19 %
     less, with m = 10."""
@@ -155,7 +156,7 @@ def test_a_run_up_is_summed_alike_wherever_its_levels_are() -> None:
     assert grown[1] / grown[0] == pytest.approx(1.0, abs=0.01)
 
 
-@pytest.mark.usefixtures("errors_left_out")
+@pytest.mark.usefixtures("errors_left_out", "predicted_errors")
 def test_a_threshold_cuts_a_run_up_between_its_levels() -> None:
     """At nine tenths of the largest range two levels were above it or one, and the crack grew by 45
     % less half a level aside; by parts of what lies around them by 6 %."""
@@ -167,6 +168,7 @@ def test_a_threshold_cuts_a_run_up_between_its_levels() -> None:
     assert grown[1] / grown[0] == pytest.approx(1.0, abs=0.02)
 
 
+@pytest.mark.usefixtures("predicted_errors")
 def test_a_threshold_next_to_the_largest_range_says_how_unsure_it_is(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -274,7 +276,7 @@ def test_fixed_frequency_passes_a_maximum(driven: fc.Growth) -> None:
 
 def test_brute_force_agrees(driven: fc.Growth) -> None:
     """A fresh solution at each of many lengths, and Simpson's rule between: 1 %."""
-    lengths = np.linspace(0.035, 0.043, 17)
+    lengths = np.linspace(0.035, 0.043, 9)
     rates = []
     for length in lengths:
         scene = plate().replace({"crack.length": float(length)})

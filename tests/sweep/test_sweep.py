@@ -670,8 +670,8 @@ def test_errors_reach_every_rank(
 
 # --- interruptions --------------------------------------------------------------------------------
 
-LONG_OVER = {"excitation.omega": {"start": 1000.0, "stop": 4000.0, "count": 60},
-             "harmonic_balance.harmonics": [20, 21]}  # fmt: skip  # 120 cases, 1.5 s
+LONG_OVER = {"excitation.omega": {"start": 1000.0, "stop": 4000.0, "count": 30},
+             "harmonic_balance.harmonics": [20, 21]}  # fmt: skip  # 60 cases, 0.8 s
 
 
 class Run:
