@@ -97,6 +97,22 @@ def not_laid_out() -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def not_drawn(not_laid_out: None) -> Iterator[None]:
+    """PNG files are blank and periods have few frames, in tests that look at words and other files:
+    of what a command takes with a small scene, drawing is a half. The same pictures are drawn in
+    tests/draw, test_pictures.py, test_report.py, test_docs.py and test_demos.py."""
+    from helpers import few_frames
+
+    def blank(canvas: Any) -> None:
+        canvas.renderer = canvas.get_renderer()
+        canvas.renderer.clear()
+
+    with few_frames() as patch:
+        patch.setattr("matplotlib.backends.backend_agg.FigureCanvasAgg.draw", blank)
+        yield
+
+
 @pytest.fixture(scope="session")
 def paper_scene() -> Scene:
     """The paper's plate: 2 x 8 bilinear quadrilaterals, a crack one element long."""

@@ -14,7 +14,7 @@ from test_any_input import TINY
 
 import fenics_crack as fc
 
-pytestmark = pytest.mark.usefixtures("not_laid_out")
+pytestmark = pytest.mark.usefixtures("not_drawn")
 
 RADIUS = 0.2
 PROBES = [10.0, 31.0, 67.0, 101.0, 148.0, 199.0, 243.0, 300.0]
@@ -236,12 +236,12 @@ def followed(folder: Path, captured: Any, changes: dict[str, Any]) -> tuple[str,
 
 def test_a_run_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A curve's arrivals; the known order tracked through them, largest where the curve is."""
-    run_up = {"curve.start": 1500.0, "curve.stop": 2300.0, "tip_timing.revolutions": 300}
+    run_up = {"curve.start": 1500.0, "curve.stop": 2300.0, "tip_timing.revolutions": 150}
     scene, run = followed(tmp_path, capsys, run_up)
     quiet = ["--output", str(tmp_path), "--quiet", "--format", "json"]
     assert main(["timing", scene, str(tmp_path / "curve.h5"), *quiet]) == 0
     rows = shown(capsys)
-    assert len(rows) == 300
+    assert len(rows) == 150
     best = max(rows, key=lambda row: row["amplitude_1 [m]"])
     assert isinstance(run.result, fc.ResponseCurve)
     first = np.abs(run.result.indicators(run.watched_dof).harmonic_1)

@@ -395,6 +395,7 @@ def test_refused_before_it_is_computed(
     assert not [*tmp_path.iterdir()]
 
 
+@pytest.mark.usefixtures("not_drawn")
 def test_a_tip_next_to_an_edge(tmp_path: Path) -> None:
     """Whose domain is smaller than an element has no stress intensity; its pictures are drawn."""
     run = fc.solve(strip(crack__length=0.0985, mesh__lip_elements=4))
