@@ -58,6 +58,7 @@ def names() -> dict[str, Any]:
     return made
 
 
+@pytest.mark.usefixtures("not_drawn")
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_examples_run(
     name: str, names: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -97,21 +97,20 @@ def test_the_largest_force_is_that_of_the_exact_orbit(scene: fc.Scene) -> None:
     assert exact - found == pytest.approx(part, rel=0.2)
 
 
-@pytest.mark.parametrize(("lips", "size"), [(2, 0.012), (3, 0.012)])
-def test_elements_longer_than_a_solid_is_thick(tmp_path: Path, lips: int, size: float) -> None:
+def test_elements_longer_than_a_solid_is_thick() -> None:
     """The coarser mesh is coarser away from the crack, too: between a tenth and the whole of what
     is stated of natural frequencies is seen on a finer one (up to 11 times it was)."""
-    file = tmp_path / "scene.toml"
-    file.write_text(SLENDER, encoding="utf-8")
-    changes = {"crack.height": 0.06, "mesh.size": size, "mesh.lip_elements": lips}
-    scene = fc.Scene.load(file).replace(changes | {"mesh.error": True})
-    finer = scene.replace({"mesh.size": 0.004, "mesh.lip_elements": 5, "mesh.error": False})
-    found, true = (fc.modes(one, comm=MPI.COMM_SELF) for one in (scene, finer))
-    assert found.errors is not None
-    for mode in (1, 2, 3):
-        stated = found.errors.stated(f"frequency_open_{mode}")[0]
-        seen = found.result.omega[mode - 1] / true.result.omega[mode - 1] - 1.0
-        assert 0.1 < seen / stated < 1.0, mode
+    scene = fc.Scene.from_text(SLENDER).replace({"crack.height": 0.06})
+    finer = scene.replace({"mesh.size": 0.004, "mesh.lip_elements": 5})
+    true = fc.modes(finer, comm=MPI.COMM_SELF).result.omega
+    for lips in (2, 3):
+        changes = {"mesh.lip_elements": lips, "mesh.error": True}
+        found = fc.modes(scene.replace(changes), comm=MPI.COMM_SELF)
+        assert found.errors is not None
+        for mode in (1, 2, 3):
+            stated = found.errors.stated(f"frequency_open_{mode}")[0]
+            seen = found.result.omega[mode - 1] / true[mode - 1] - 1.0
+            assert 0.1 < seen / stated < 1.0, (lips, mode)
 
 
 def test_the_share_closed_is_counted_at_instants(run: fc.Run) -> None:
@@ -238,8 +237,9 @@ def test_without_the_mesh(scene: fc.Scene) -> None:
     assert off.without == "without the mesh" and 0.0 < off.stated("amplitude")[0] < 1e-2
     open_lips, cause = off.stated("frequency_open_1")  # modes and harmonics do not change it
     assert np.isnan(open_lips) and not cause
-    for demo in ("chain", "inclined_crack", "paper_plate"):
-        few = {"harmonic_balance.harmonics": 3, "curve": None}
+    soft = {"contact.stiffness": 1e9, "damping.ratio": 0.05}  # whose orbit is found at once
+    for demo, changes in (("chain", {}), ("inclined_crack", {}), ("paper_plate", soft)):
+        few = {"harmonic_balance.harmonics": 3, "curve": None} | changes
         run = fc.solve(fc.Scene.load(DEMOS / f"{demo}.toml").replace(few), MPI.COMM_SELF)
         assert run.errors is not None and run.errors.without == "without the mesh"
     whole = fc.solve(scene.replace({"crack": None, "contact": None}), MPI.COMM_SELF).errors
