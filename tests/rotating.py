@@ -32,7 +32,7 @@ CRACKED: dict[str, Any] = {
     "crack": {"edge": "left", "height": 0.05, "length": 0.006},
     "contact": {"law": "unilateral"},
     "excitation": {"omega": 4000.0, "point": [0.02, 0.12], "force_sin": [20.0, 0.0]},
-    "mesh": {"layout": "graded", "order": 2, "size": 0.005, "lip_elements": 5, "grading": 4.0},
+    "mesh": {"layout": "graded", "order": 2, "size": 0.01, "lip_elements": 3, "grading": 4.0},
     "reduction": {"modes": 12},
 }
 
