@@ -8,13 +8,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import scipy.io
-from helpers import ROOT, columns_of_curve
+from helpers import ROOT, columns_of_curve, wrap
 from mpi4py import MPI
 from scipy.integrate import quad, simpson, trapezoid
 from scipy.optimize import minimize_scalar
@@ -127,6 +128,18 @@ def test_run_up_through_the_resonance(tmp_path: Path) -> None:
 
 
 RUN_UP: dict[str, Any] = {"drive": "spectrum", "exponent": 10.0, "until": 0.0202}
+STRIPS: dict[tuple[object, ...], fc.Study] = {}
+"""Those of all run-ups, which differ by their laws of growth alone."""
+
+
+def prepared_once(
+    prepare: Callable[..., fc.Study], scene: fc.Scene, *given: Any, **how: Any
+) -> fc.Study:
+    """The strip of a length, with a scene's law of growth."""
+    key = scene.crack.length, how["judged"]
+    if key not in STRIPS:
+        STRIPS[key] = prepare(scene, *given, **how)
+    return replace(STRIPS[key], scene=replace(STRIPS[key].scene, growth=scene.growth))
 
 
 def run_up_of_a_strip(start: float, stop: float, **law: float) -> fc.Growth:
@@ -135,7 +148,10 @@ def run_up_of_a_strip(start: float, stop: float, **law: float) -> fc.Growth:
     keys = RUN_UP | {"run_up": (start, stop, 0.5), "life_tolerance": 1.0} | law
     scene = fc.Scene.from_mapping(STRIP | {"loads": far})
     changes = {f"growth.{key}": value for key, value in keys.items()}
-    return fc.grow(scene.replace(changes | {"harmonic_balance.harmonics": 1}), comm=MPI.COMM_SELF)
+    with pytest.MonkeyPatch.context() as patch:
+        wrap(patch, "fenics_crack.sweep.case.prepare", prepared_once)
+        scene = scene.replace(changes | {"harmonic_balance.harmonics": 1})
+        return fc.grow(scene, comm=MPI.COMM_SELF)
 
 
 @pytest.mark.usefixtures("errors_left_out", "predicted_errors")
