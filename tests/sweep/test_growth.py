@@ -537,6 +537,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
 
 
 @pytest.mark.usefixtures("errors_left_out")
+@pytest.mark.usefixtures("errors_left_out")
 def test_a_resonance_between_two_lengths_is_seen() -> None:
     """Lengths 5 mm apart on both sides of it miss each other's spline by little."""
     law = {"until": 0.05, "rate": 1e-11, "exponent": 3.0}
