@@ -37,7 +37,7 @@ from fenics_crack.model.modes import AS_ZERO, Modes, independent_part, solve_mod
 from fenics_crack.model.nodes import Nodes
 from fenics_crack.model.reduced import MasslessInterface
 from fenics_crack.model.reduction import reduce_structure
-from fenics_crack.model.structure import DampingRule, Structure
+from fenics_crack.model.structure import DampingRule, Structure, read_only_rows
 from fenics_crack.parallel import collect_garbage, gather_rows
 from fenics_crack.table import RPM
 
@@ -276,7 +276,7 @@ class Ritz:
             structure.sum_over_ranks(rotation.at_rest.force @ basis),
             structure.sum_over_ranks(rotation.force @ basis),
             distributed(sparse.diags(inverse), MPI.COMM_SELF),
-            sparse.csr_matrix(structure.apply_bt(basis.T)),
+            read_only_rows(structure.apply_bt(basis.T)),
             modes,
         )
 

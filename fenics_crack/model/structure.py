@@ -246,7 +246,7 @@ class Structure(Coordinates):
             mass=mass, stiffness=stiffness, force=force, clearance=clearance, damping=damping,
             nodes=nodes, pairs=pairs or Pairs(), watched=watched, clamp=clamp,
         )  # fmt: skip
-        self._hold(gap=_read_only_rows(gap))
+        self._hold(gap=read_only_rows(gap))
         self._hold(comm=mass.comm.tompi4py(), damping_factor=1.0, _original=None, _known={})
 
     def __repr__(self) -> str:
@@ -466,7 +466,7 @@ def _turning(structure: Structure, change: Callable[[Structure], Structure]) -> 
     return found
 
 
-def _read_only_rows(matrix: Any) -> sparse.csr_matrix:
+def read_only_rows(matrix: Any) -> sparse.csr_matrix:
     """A copy of a sparse matrix by rows that cannot be written to; itself where it is one."""
     if sparse.isspmatrix_csr(matrix) and matrix.has_canonical_format:
         if not any(part.flags.writeable for part in (matrix.data, matrix.indices, matrix.indptr)):
