@@ -105,9 +105,9 @@ def directions(family: Family, curve: ResponseCurve) -> tuple[Tangent | None, Pa
 
 
 def chord(family: Family, curve: ResponseCurve, first: int, second: int) -> Tangent:
-    """From one point of a curve to another."""
-    after = curve.unknown(second)
-    before = resized(curve.unknown(first), len(after) // 2)
+    """From one point of a curve to another, with the family's harmonics."""
+    count = family.problem.harmonics
+    before, after = (resized(curve.unknown(place), count) for place in (first, second))
     rise = family.parameter(float(curve.values[second])) - family.parameter(
         float(curve.values[first])
     )

@@ -1,5 +1,7 @@
 """Points put between those of a curve."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import Cubic, chain, oscillator
@@ -89,17 +91,23 @@ def test_other_parameters(parameter: str, end: float) -> None:
         assert found.report.residual < 1e-8
 
 
-@pytest.mark.parametrize("law", [fc.UnilateralPenalty(1.0), fc.SmoothedPenalty(1.0, 5.0)])
-def test_harmonics_and_verdicts_come_along(law: fc.UnilateralPenalty | fc.SmoothedPenalty) -> None:
+@pytest.mark.parametrize(
+    ("law", "span"),
+    [(fc.UnilateralPenalty(20.0), (0.8, 1.2)), (fc.SmoothedPenalty(60.0, 20.0), (1.02, 1.4))],
+)
+def test_harmonics_and_verdicts_come_along(
+    law: fc.UnilateralPenalty | fc.SmoothedPenalty, span: tuple[float, float]
+) -> None:
     """Of two neighbours the larger H, and verdicts at the new points too: those of single
     solutions."""
-    structure = oscillator(0.1, 1.0)
+    structure = oscillator(0.05, 1.0)
     growing = fc.Continuation(
-        fc.Problem(structure, 0.8, law, 4), "omega", 0.8, 1.0, tolerance=1e-2, stability=True
+        fc.Problem(structure, span[0], law, 4), "omega", *span, tolerance=1e-2, stability=True
     )
     growing.run()
     coarse = growing.curve
     fine = fc.refine_curve(coarse, 2)
+    assert len(set(coarse.harmonics)) > 1 and len(set(coarse.verdicts)) > 1
     assert set(fine.harmonics) == set(coarse.harmonics) and len(fine) > 2.5 * len(coarse)
     assert [one.kind for one in fine.bifurcations] == [one.kind for one in coarse.bifurcations]
     assert fine.multipliers is not None and fc.refine_curve(growing.followed, 2).multipliers is None
@@ -110,6 +118,18 @@ def test_harmonics_and_verdicts_come_along(law: fc.UnilateralPenalty | fc.Smooth
             assert abs(fine.multipliers[index]) == pytest.approx(abs(alone.multipliers[0]))
     assert np.mean(fine.verdicts == "undecided") < 0.1
     assert_solutions(fine, 11)
+
+
+def test_a_bifurcation_between_points_of_different_harmonics() -> None:
+    """Whichever of the two has more: where that was the first, judging ended with an error of
+    NumPy's."""
+    structure, law = oscillator(0.05, 1.0), fc.SmoothedPenalty(60.0, 20.0)
+    curve = fc.continue_frequency(structure, 2.8, 3.0, law, harmonics=12, stability=True)
+    [one] = curve.bifurcations
+    for counts in ((12, 10), (10, 12)):
+        harmonics = np.where(curve.values < one.value, *counts)
+        [other] = fc.judge_curve(replace(curve, harmonics=harmonics)).bifurcations
+        assert other.kind == one.kind and other.value == pytest.approx(one.value, rel=1e-4)
 
 
 def test_bad_arguments() -> None:
