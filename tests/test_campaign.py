@@ -306,6 +306,7 @@ def test_backbone_of_a_damped_structure_is_held_against_undamped_motions() -> No
     assert {row["judgement"] for row in rows} == {campaign.RIGHT}
 
 
+@pytest.mark.slow  # 40 s; test_cold_start_with_several_stiff_pairs is like it
 def test_cold_start_after_thousands_of_folds() -> None:
     """Eleven masses and three stiff pairs: no path of up to 1,000 steps led there. Rounding decides
     which way the path goes at its folds, and of seven frequencies beside each other two are not

@@ -12,7 +12,6 @@ from helpers import oscillator
 from verdicts import random_chain
 
 import fenics_crack as fc
-from fenics_crack.motion.shooting import Patience
 
 LAW = fc.UnilateralPenalty(1e6)
 
@@ -161,7 +160,7 @@ def test_points_that_decide_nothing_are_not_all_asked(monkeypatch: pytest.Monkey
     assert len(curve) > 300
     asked, followed = [], []
 
-    def undecided(judge: Any, place: int, patience: Patience) -> complex:
+    def undecided(judge: Any, place: int, patience: Any) -> complex:
         asked.append(place)
         problem = curve.problem_of(place).with_harmonics(10)
         assert problem.next_to(curve.judged(place).wave, patience) is None
