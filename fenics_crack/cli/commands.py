@@ -140,7 +140,7 @@ def campbell(given: Namespace, inputs: Inputs, console: Console) -> Exit:
         raise InputError("--speeds", span or (start, stop, steps), allowed)
     with console.stage("campbell"):
         speeds = factor * np.linspace(start, stop, int(steps))
-        found = diagrams.campbell(scene, speeds, given.count or FEW_MODES, console.comm)
+        found = diagrams.campbell(scene, speeds, given.count, console.comm, few=FEW_MODES)
     in_hertz, own = scene.in_hertz or scene.in_rpm, scene.excitation.order
 
     kinds = [f"{'frequency' if in_hertz else 'omega'}_{kind}" for kind in found.kinds]

@@ -236,12 +236,13 @@ def _unresolved(forward: Forward, measurements: Measurements) -> Iterator[str]:
     for model, (load, point) in itertools.product(forward.cracked.values(), places):
         first = Measurement("harmonic_1", 1.0, 1.0, frequency=load, point=point)
         between = model.quantities([first])(grid_of(model.cube)).values.max(initial=0.0)
-        larger = between / np.fmax.reduce(np.abs(model.coarse.harmonic(point, load, 1)))
-        if larger > RESOLVED:
+        solved = np.fmax.reduce(np.abs(model.coarse.harmonic(point, load, 1)))
+        if between > RESOLVED * solved > 0.0:
             yield (
                 f"between the cracks that were solved the vibration at {load:.6g} Hz is up to "
-                f"{larger:.2g} times as large as at any of them, and steady loads let it breathe "
-                "there as none of these does: solve more of them, or measure farther from resonance"
+                f"{between / solved:.2g} times as large as at any of them, and steady loads let it "
+                "breathe there as none of these does: solve more of them, or measure farther from "
+                "resonance"
             )
 
 

@@ -242,8 +242,10 @@ class Campbell(Tabular):
 def campbell(
     scene: Scene,
     speeds: Sequence[float] | np.ndarray,
-    count: int = 4,
+    count: int | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
+    *,
+    few: int = 4,
 ) -> Campbell:
     """Natural frequencies of a scene's blade at some speeds; it is meshed once (collective).
 
@@ -253,10 +255,12 @@ def campbell(
         With a table ``[rotation]``, whose own speed does not matter.
     speeds : (n,) [rad/s]
         Two or more, rising from 0 or more.
-    count : int
-        How many of the lowest modes.
+    count : int, optional
+        How many of the lowest modes; default: ``few``, or all of fewer.
     comm : MPI.Comm
         Ranks that share the mesh.
+    few : int
+        How many if ``count`` is not given.
 
     Returns
     -------
@@ -274,15 +278,17 @@ def campbell(
     """
     check_scene(scene)
     _, axis = scene.given("rotation").place
-    check_count("count", count, 1)
+    check_count("count", few if count is None else count, 1)
     wanted = np.atleast_1d(numbers(speeds))
     rising = wanted.ndim == 1 and len(wanted) > 1 and bool(np.all(np.diff(wanted) > 0.0))
     if not (rising and wanted[0] >= 0.0 and np.isfinite(wanted[-1])):
         raise InputError("speeds", speeds, "two or more finite numbers, rising from 0 or more")
     scene = with_crack_length(scene.replace({"rotation.speed": float(wanted[-1])}), comm)
     top = assemble(scene, comm)
-    if count > (most := n_tied_modes(top)):
+    most = n_tied_modes(top)
+    if count is not None and count > most:
         raise InputError("count", count, f"a whole number from 1 to {most}")
+    count = min(few, most) if count is None else count
     n_tied = min(count + SPARE, most) if top.n_pairs else 0
     small = Ritz.of_range(top.damped(None), wanted[0], wanted[-1], count, n_tied)
     load = _Load.of(scene, top, small)

@@ -179,7 +179,7 @@ def _stiffening(scene: Scene, arrivals: ArrivalTimes) -> float | Follows:
         return given or 0.0
     begin("Campbell diagram")
     speeds = np.linspace(arrivals.speed.min(), arrivals.speed.max(), DIAGRAM[0])
-    return campbell(scene, speeds, DIAGRAM[1]).stiffening
+    return campbell(scene, speeds, few=DIAGRAM[1]).stiffening
 
 
 def tip_direction(table: TipTiming, run: Run) -> dict[int, float]:

@@ -305,3 +305,14 @@ def test_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     )
     for wrong in (["8000", "4000", "3"], ["0", "1", "1.5"]):
         assert main([*words, "--speeds", *wrong]) == 2
+
+
+def test_a_blade_of_few_modes_has_all_of_them() -> None:
+    """Where how many is not asked for: a command's six, and ten of a record's passages, were
+    refused by a number that nobody gave."""
+    mesh = {"layout": "grid", "cells": "quadrilateral", "columns": 1, "rows": 2, "order": 1}
+    scene = strip(0.0, 1.0, mesh=mesh)
+    assert fc.campbell(scene, [200.0, 300.0], few=10).omega_open.shape == (2, 8)
+    assert fc.campbell(scene, [200.0, 300.0]).omega_open.shape == (2, 4)
+    with pytest.raises(fc.InputError, match="count = 10: must be a whole number from 1 to 8"):
+        fc.campbell(scene, [200.0, 300.0], 10)
