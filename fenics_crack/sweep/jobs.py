@@ -8,6 +8,7 @@ has found of each chunk, and None behind a job.
 
 from __future__ import annotations
 
+import gc
 import time
 import traceback
 from collections.abc import Callable, Iterator
@@ -20,7 +21,7 @@ from tqdm import tqdm
 
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import Stored
-from fenics_crack.parallel import StopRequest
+from fenics_crack.parallel import StopRequest, collect_garbage
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import REFUSALS
 from fenics_crack.sweep.case import Asked, Found, Geometry, build, solve_chunk
@@ -76,6 +77,12 @@ class Worker:
     def end(self) -> None:
         """Let the others of the group go; called by its leader."""
         self._group.bcast(None)
+
+    def free(self) -> None:
+        """Let go of what was built while the group is still there to free it (collective)."""
+        self._built = None
+        gc.collect()  # structures and their rotations know each other
+        collect_garbage(self._group)
 
     def _work(self, job: Job, go_on: Callable[[], bool]) -> Iterator[tuple[np.ndarray, Outcome]]:
         rank, size = self._group.rank, self._group.size

@@ -156,6 +156,7 @@ def run_sweep(
             worker.end()
         else:
             worker.follow()
+    worker.free()
     leaders.Free()
     group.Free()
     return on_root(comm, lambda: SweepResult.of(managers[0].stored))
