@@ -13,7 +13,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from fenics_crack.errors import ConvergenceError, InputError, StoppedError
 from fenics_crack.files.store import scene_text
 from fenics_crack.identification.interpolation import MESH, Loads, Part
 from fenics_crack.identification.measurements import Measurement, Measurements, without_crack
-from fenics_crack.identification.model import Model
+from fenics_crack.identification.model import Model, is_free
 from fenics_crack.identification.nuisance import Whole, whole_plate
 from fenics_crack.identification.posterior import Likelihood, Posterior, explore, grid_of
 from fenics_crack.identification.result import Identification
@@ -36,7 +36,6 @@ from fenics_crack.scene.tables import Identify, Sweep
 from fenics_crack.scene.words import check_scene
 from fenics_crack.stages import begin
 from fenics_crack.study.coarser_mesh import finer_mesh
-from fenics_crack.study.key_figures import is_proportional
 from fenics_crack.sweep.result import SweepResult, by_reason, run_sweep
 from fenics_crack.table import TURN
 
@@ -45,6 +44,9 @@ FEW_NODES = 4
 more unknowns one less."""
 RESOLVED = 2.0
 """How many times larger a vibration may be between cases than at any of them."""
+ADDED = 8
+"""How many times more cracks are solved where one is larger, at most: with damping of 0.5 % five
+lengths become 9 to 37."""
 ASKED = ("sweep", "curve", "integration", "identify", "tip_timing")
 """Tables that do not matter to a sweep of the forward model."""
 Sweeps = tuple[SweepResult, SweepResult | None, SweepResult | None]
@@ -214,7 +216,7 @@ def remarks_on(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
             "a file has one mesh: its error is in no interval; meshes twice as fine show how much "
             "it changes what is found"
         )
-    if any(row.shape for row in rows) and not _is_free(scene):
+    if any(row.shape for row in rows) and not is_free(scene):
         found.append(
             "a clearance or a steady load lets the shape of the motion depend on the load's size: "
             "that of the scene must be right"
@@ -222,28 +224,35 @@ def remarks_on(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _is_free(scene: Scene) -> bool:
-    """Whether the shape of a motion does not depend on the size of the load."""
-    return is_proportional(scene) and not any(scene.excitation.force_mean)
-
-
 def _unresolved(forward: Forward, measurements: Measurements) -> Iterator[str]:
     """Loads under which a crack between those that were solved vibrates much more than any of them,
     where steady loads let it breathe there as none of them does; in words."""
-    if _is_free(forward.scene):
+    if is_free(forward.scene):
         return
     places = dict.fromkeys((row.frequency, row.point) for row in measurements.rows if row.shape)
     for model, (load, point) in itertools.product(forward.cracked.values(), places):
-        first = Measurement("harmonic_1", 1.0, 1.0, frequency=load, point=point)
-        between = model.quantities([first])(grid_of(model.cube)).values.max(initial=0.0)
-        solved = np.fmax.reduce(np.abs(model.coarse.harmonic(point, load, 1)))
-        if between > RESOLVED * solved > 0.0:
-            yield (
-                f"between the cracks that were solved the vibration at {load:.6g} Hz is up to "
-                f"{between / solved:.2g} times as large as at any of them, and steady loads let it "
-                "breathe there as none of these does: solve more of them, or measure farther from "
-                "resonance"
+        larger, where = _larger_between(model, load, point)
+        if larger > RESOLVED:
+            near = ", ".join(
+                f"{key} = {one:.4g}" for key, one in zip(model.keys, where, strict=True)
             )
+            yield (
+                f"between the cases that were solved, near {near}, the vibration at {load:.6g} Hz "
+                f"is up to {larger:.2g} times as large as at any of them, and steady loads let it "
+                "breathe there as none of these does: solve more of them there, or measure farther "
+                "from resonance"
+            )
+
+
+def _larger_between(model: Model, load: float, point: str) -> tuple[float, np.ndarray]:
+    """How many times larger the vibration of a point at a load [Hz] is between the cases of a model
+    than at any of them, 0 where none is known; and at which values (d,)."""
+    first = Measurement("harmonic_1", 1.0, 1.0, frequency=load, point=point)
+    places = grid_of(model.cube)
+    between = np.nan_to_num(model.quantities([first])(places).values[:, 0])
+    solved = np.fmax.reduce(np.abs(model.coarse.harmonic(point, load, 1)))
+    most = int(np.argmax(between))
+    return float(between[most] / solved) if solved > 0.0 else 0.0, places[most]
 
 
 # --- the sweeps of the forward model --------------------------------------------------------------
@@ -328,22 +337,60 @@ def solve_forward(
     numbers = sum(not isinstance(axis.values[0], str) for axis in table.unknown)
     count = FEW_NODES - (numbers > 2)
 
-    def sweeps(name: str, changes: dict[str, Any], axes: Sequence[Axis]) -> Sweeps:
+    def others(
+        name: str, changes: dict[str, Any], axes: Sequence[Axis], every: SweepResult
+    ) -> Sweeps:
         own, few = coarse.replace(changes), _thinned(axes, count)
-        every = run(name, own, axes)
         finer = None if fine is None else run(f"{name}_finer", fine.replace(changes), few)
         between = None if table.meshes else run(name, own, _thinned(_halfway(axes), count))
         return every, finer, between
 
     meshes = [Axis(MESH, table.mesh_files)] if table.meshes else []
-    cracked = sweeps("forward", {}, [*meshes, *table.unknown])
+    most = ADDED * math.prod(len(axis.values) for axis in table.unknown)
+    denser: Sequence[Axis] | None = table.unknown
+    while denser is not None:
+        axes = denser
+        every = run("forward", coarse, [*meshes, *axes])
+        models = _models(scene, whole, loads, (every, None, None))
+        denser = _denser(scene, models.values(), frequencies, axes, most)
+    cracked = others("forward", {}, [*meshes, *axes], every)
     changes = without_crack(scene)
     if changes is None:
         return Forward(scene, _models(scene, whole, loads, cracked), {})
-    others = [axis for axis in table.unknown if not axis.key.startswith(("crack.", "contact."))]
-    bare = sweeps("uncracked", changes, others)
+    axes = [axis for axis in axes if not axis.key.startswith(("crack.", "contact."))]
+    plain = coarse.replace(changes)
+    bare = others("uncracked", changes, axes, run("uncracked", plain, axes))
     found = _models(scene, whole, loads, cracked, bare), _models(scene, whole, loads, bare)
     return Forward(scene, *found)
+
+
+def _denser(
+    scene: Scene, models: Iterable[Model], loads: Sequence[float], axes: Sequence[Axis], most: int
+) -> list[Axis] | None:
+    """Axes with further values between those of the number along which the vibration changes most;
+    None where none between vibrates much more than any that was solved, where that does not matter,
+    and where it would be more than ``most`` cases."""
+    seen = itertools.product(models, loads, scene.point_names or ("",))
+    places = [] if is_free(scene) else [(_larger_between(*one)[0], *one) for one in seen]
+    if not places or max(place[0] for place in places) <= RESOLVED:
+        return None
+    larger, model, load, point = max(places, key=lambda place: place[0])
+    sizes = np.log(np.abs(model.coarse.harmonic(point, load, 1))).reshape(model.cube.shape)
+    steps = {
+        key: np.fmax.reduce(np.abs(np.diff(sizes, axis=place)), axis=None)
+        for place, key in enumerate(model.keys)
+    }
+    cases = math.prod(len(axis.values) for axis in axes)
+    numbers = [axis for axis in axes if axis.key in steps and _is_divisible(axis)]
+    for axis in sorted(numbers, key=lambda axis: -steps[axis.key]):
+        count = len(axis.values)
+        parts = min(math.ceil(larger / RESOLVED), (most * count // cases - 1) // (count - 1))
+        if parts > 1:
+            at = np.arange((count - 1) * parts + 1) / parts
+            between = np.interp(at, np.arange(count), axis.values).tolist()
+            denser = Axis(axis.key, tuple(between))
+            return [denser if one is axis else one for one in axes]
+    return None
 
 
 def _meshes(scene: Scene, factor: float) -> tuple[Scene, Scene | None]:
@@ -368,11 +415,16 @@ def _thinned(axes: Sequence[Axis], count: int) -> tuple[Axis, ...]:
     return tuple(found)
 
 
+def _is_divisible(axis: Axis) -> bool:
+    """Whether there are values between those of an unknown; not of words and whole numbers."""
+    return any(isinstance(value, float) for value in axis.values)
+
+
 def _halfway(axes: Sequence[Axis]) -> tuple[Axis, ...]:
     """Values halfway between those of each unknown; words and whole numbers as they are."""
     return tuple(
         Axis(axis.key, tuple(0.5 * (a + b) for a, b in itertools.pairwise(axis.values)))
-        if any(isinstance(value, float) for value in axis.values)
+        if _is_divisible(axis)
         else axis
         for axis in axes
     )

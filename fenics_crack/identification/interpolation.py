@@ -353,6 +353,10 @@ class Part:
         return np.concatenate([scale[..., None], breathing, bare], axis=2)
 
 
+LIPS = ("bilinear", "open", "tied")
+"""What they may do at a resonance: breathe, stay open, stay shut."""
+
+
 @dataclass(frozen=True)
 class Feature:
     """Something that is interpolated: a natural frequency, or a harmonic of a point at a load."""
@@ -368,7 +372,7 @@ class Feature:
         """Features of a measurement; of a ratio both harmonics, the one above first."""
         if row.natural:
             lips = row.quantity.removeprefix("frequency_")
-            states = ("bilinear", "open") if lips == "resonance" else (lips,)
+            states = LIPS if lips == "resonance" else (lips,)
             return tuple(cls(state, row.mode) for state in states)
         orders = row.orders or KEPT_ORDERS
         return tuple(cls("", 0, row.point, float(row.frequency), order) for order in orders)

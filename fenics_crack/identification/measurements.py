@@ -129,6 +129,11 @@ class Measurement:
         return self.quantity.startswith("frequency_")
 
     @property
+    def resonance(self) -> bool:
+        """Tell whether it is a natural frequency with lips that do what they do at resonance."""
+        return self.quantity == "frequency_resonance"
+
+    @property
     def shape(self) -> bool:
         """Tell whether it is that of a motion, whatever its size."""
         return not self.natural and not self.quantity.startswith("harmonic")

@@ -19,10 +19,18 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
 from fenics_crack.errors import FEW_MODES, MOST_HARMONICS
-from fenics_crack.identification.interpolation import Feature, Interpolation, Part, poles, scales
+from fenics_crack.identification.interpolation import (
+    LIPS,
+    Feature,
+    Interpolation,
+    Part,
+    poles,
+    scales,
+)
 from fenics_crack.identification.measurements import Measurement
 from fenics_crack.identification.nuisance import OF_SIZE, Whole, act_as, relative_changes
 from fenics_crack.scene.scene import Scene
+from fenics_crack.study.key_figures import is_proportional
 from fenics_crack.sweep.file import NUMBERED
 
 # --- displacements at probes ----------------------------------------------------------------------
@@ -173,7 +181,8 @@ OFF = {1: 0.04}
 OFTEN_OFF = 0.3
 """Root of the mean square of what a resonance differs by from the bilinear frequency, over what
 lies between the frequencies with lips tied and open: of the first mode, and of others, near which
-the gap follows their neighbours, too."""
+the gap follows their neighbours, too; and of all under a steady load, where it may be anywhere
+between (1 / 12^(1/2))."""
 REST = 1e-9
 """Of the largest harmonics of the nodes: what is rounding."""
 TOGETHER = 0.5
@@ -315,6 +324,7 @@ class Quantities:
         self._loads = [0 if f.natural else model.coarse.load(f.frequency) for f in self._features]
         self._higher, still = _stillness(model.coarse, self._features, self._loads)
         self._still = RegularGridInterpolator(model.cube.axes, still) if len(still) else None
+        self._lips = _lips(model) if any(row.resonance for row in self.rows) else LIPS[:1]
         self._coarse = Interpolation(model.cube, self._smooth(model.coarse))
         self._understated = self._missed()
         harmonic = np.repeat([not one.natural for one in self._features], 2)
@@ -345,17 +355,18 @@ class Quantities:
 
         Under a steady load, a preload or a clearance a crack may stay open or shut, and the motion
         has no harmonics at all; between nodes where it does and where it does not, either may be.
+        So may it at a resonance, each as probable.
         """
-        if self._still is None:
-            yield np.arange(len(x)), np.ones(len(x)), self(x)
-            return
-        rests = self._still(np.clip(x, self.model.cube.low, self.model.cube.high))
-        for chosen in itertools.product((False, True), repeat=len(self._higher)):
-            share = np.prod(np.where(chosen, rests, 1.0 - rests), axis=1)
+        rests = np.zeros((len(x), 0))
+        if self._still is not None:
+            rests = self._still(np.clip(x, self.model.cube.low, self.model.cube.high))
+        for chosen in itertools.product((False, True), repeat=rests.shape[1]):
+            share = np.prod(np.where(chosen, rests, 1.0 - rests), axis=1) / len(self._lips)
             at = np.flatnonzero(share > 0.0)
-            if len(at):
-                still = np.any(np.array(self._higher)[list(chosen)], axis=0)
-                yield at, share[at], self(x[at], still)
+            higher = list(itertools.compress(self._higher, chosen))
+            still = np.any(higher, axis=0) if higher else None
+            for lips in self._lips if len(at) else ():
+                yield at, share[at], self(x[at], still, lips)
 
     def _smooth(self, part: Part) -> np.ndarray:
         """The smooth forms of all features at the nodes of a sweep: (n, 2f), real and imaginary
@@ -389,8 +400,11 @@ class Quantities:
         found = np.where(self._basis.known, self._basis.at(x), np.nan)
         return found.reshape(len(x), *self.model.coarse.basis.shape[1:])[:, self._loads]
 
-    def __call__(self, x: np.ndarray, still: np.ndarray | None = None) -> Prediction:
-        """Predictions at some values (m, d) of the unknowns, with features that vanish, (f,)."""
+    def __call__(
+        self, x: np.ndarray, still: np.ndarray | None = None, lips: str = LIPS[0]
+    ) -> Prediction:
+        """Predictions at some values (m, d) of the unknowns, with features that vanish, (f,), and
+        what lips do at resonances."""
         smooth, left, scatter = self._of_features(x)
         damping, basis = self.model.damping(x), self._basis_at(x)
         scale = self._scales(x, basis)
@@ -402,7 +416,7 @@ class Quantities:
         waves[:, self._own] += waves[:, self._plain]
         if still is not None:
             waves[:, still] = 0.0
-        values, turns, rest = self._of_numbers(damping, waves, scale)
+        values, turns, rest = self._of_numbers(damping, waves, scale, lips)
         free = [np.zeros((*values.shape, 0))]
         left_out = np.zeros((len(x), len(self.rows), len(self.rows)))
         unsure = sum(np.sum(errors**2, axis=1) for errors in scatter)
@@ -461,7 +475,7 @@ class Quantities:
         return np.arange(kept + 1, last + 1), strength[:, None] * moved[:, kept:]
 
     def _of_numbers(
-        self, damping: np.ndarray, waves: np.ndarray, scale: np.ndarray
+        self, damping: np.ndarray, waves: np.ndarray, scale: np.ndarray, lips: str
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Values (m, q) of all measurements but displacements, their slopes t (m, q, f) by the
         smooth forms S, ds = Re sum t dS, and variances of what no feature tells (m, q)."""
@@ -475,14 +489,14 @@ class Quantities:
         for place, (row, at) in enumerate(zip(self.rows, self._places, strict=True)):
             if row.quantity == "displacement" or not self.known[place]:
                 continue
-            values[:, place], weights = _together(row, sizes[:, at])
+            values[:, place], weights = _together(row, sizes[:, at], LIPS.index(lips))
             turns[:, place, at] = weights * turned[:, at]
-            if row.quantity == "frequency_resonance":
-                breathing, opened = sizes[:, at].T
-                with np.errstate(divide="ignore"):  # 1 / w_o + 1 / w_t = 2 / w_b
-                    split = 1.0 / (2.0 / breathing - 1.0 / opened) - opened
+            if row.resonance:
+                _, opened, tied = sizes[:, at].T
+                off = OFTEN_OFF if len(self._lips) > 1 else OFF.get(row.mode, OFTEN_OFF)
+                off = off if lips == LIPS[0] else 0.0
                 shift = values[:, place] * damping[:, 0] ** 2
-                rest[:, place] = (OFF.get(row.mode, OFTEN_OFF) * split) ** 2 + shift**2
+                rest[:, place] = (off * (tied - opened)) ** 2 + shift**2
         for own, plain in zip(self._own, self._plain, strict=True):
             turns[:, :, plain] += turns[:, :, own] * scale[:, None, own]
         return values, turns, rest
@@ -553,9 +567,26 @@ def _pairs(values: np.ndarray) -> np.ndarray:
     return np.stack([values.real, values.imag], axis=-1).reshape(*values.shape[:-1], -1)
 
 
-def _together(row: Measurement, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A quantity (m,) from its parts (m, k), and its slopes by them (m, k)."""
-    if row.natural or parts.shape[1] == 1:  # a resonance is near the bilinear frequency, the first
-        return parts[:, 0], np.eye(1, parts.shape[1]).repeat(len(parts), axis=0)
+def _lips(model: Model) -> tuple[str, ...]:
+    """What they may do at resonances: breathe, and if that depends on the size of the motion, stay
+    open or shut, but for what they never do in the cases that were solved."""
+    if is_free(model.scene):
+        return LIPS[:1]
+    closed = model.coarse.sweep["closed_share"][model.coarse.index]
+    least, most = (one.reduce(closed, axis=None) for one in (np.fmin, np.fmax))
+    return tuple(itertools.compress(LIPS, (True, least < 1.0, most > 0.0)))
+
+
+def is_free(scene: Scene) -> bool:
+    """Whether the shape of a motion does not depend on the size of the load."""
+    return is_proportional(scene) and not any(scene.excitation.force_mean)
+
+
+def _together(row: Measurement, parts: np.ndarray, state: int) -> tuple[np.ndarray, np.ndarray]:
+    """A quantity (m,) from its parts (m, k), and its slopes by them (m, k); a resonance is near the
+    frequency of what the lips do."""
+    if row.natural or parts.shape[1] == 1:
+        state = min(state, parts.shape[1] - 1)
+        return parts[:, state], np.eye(1, parts.shape[1], state).repeat(len(parts), axis=0)
     one, two = parts.T
     return one / two, np.column_stack([1.0 / two, -one / two**2])
