@@ -5,6 +5,7 @@ Start with ``docs/cracked_blade.md`` or ``demos/paper_plate.py``; equations and 
 
 The names are those that ``__init__.pyi`` imports. Each is imported here when it is first used: who
 brings matrices needs neither DOLFINx nor gmsh, and who draws nothing neither VTK nor matplotlib.
+Of several ranks all start PETSc here, together: who calls a function on one of them waits for none.
 Functions called by these names run one at a time (:mod:`fenics_crack.machine`).
 """
 
@@ -14,8 +15,11 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
-from fenics_crack.machine import alone
+from fenics_crack.machine import alone, launched
 from fenics_crack.version import VERSION
+
+if launched():
+    import_module("slepc4py.SLEPc")
 
 _MODULES = {
     alias.name: node.module

@@ -23,7 +23,14 @@ from typing import Any
 
 SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "GOTO_NUM_THREADS")
 """Variables by which a user tells OpenBLAS how many threads to use."""
+LAUNCHERS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
+"""Variables by which mpirun tells a process its rank, before MPI is started."""
 _lock = threading.RLock()
+
+
+def launched() -> bool:
+    """Whether mpirun has started this process."""
+    return any(name in os.environ for name in LAUNCHERS)
 
 
 @contextmanager

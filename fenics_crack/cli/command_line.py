@@ -19,15 +19,13 @@ from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 from fenics_crack.errors import ConvergenceError, Exit, InputError, StoppedError, WriteError
 from fenics_crack.hints import in_other_words, meant, near
-from fenics_crack.machine import alone
+from fenics_crack.machine import LAUNCHERS, alone, launched
 from fenics_crack.version import VERSION
 from fenics_crack.whole import FULL
 
 if TYPE_CHECKING:
     from fenics_crack.cli.given import Console, Inputs
 
-LAUNCHERS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
-"""Variables by which mpirun tells a process its rank, before MPI is started."""
 ALONE = {"OMPI_MCA_pml": "ob1", "OMPI_MCA_ess_singleton_isolated": "1"}
 """Settings of Open MPI for one process: it looks for no network and starts no daemon, which would
 take as long as all else before the first command."""
@@ -124,7 +122,7 @@ def _read(arguments: Sequence[str] | None) -> argparse.Namespace:
         given = parser().parse_args(arguments)
     except SystemExit:
         sys.stdout.flush()
-        if any(name in os.environ for name in LAUNCHERS):
+        if launched():
             from mpi4py import MPI
 
             MPI.COMM_WORLD.Barrier()  # a rank that fails earlier would silence the one that prints
@@ -184,12 +182,11 @@ def _run(given: argparse.Namespace) -> Exit:
     """
     from fenics_crack.cli.given import Console, read_inputs
 
-    launched = any(name in os.environ for name in LAUNCHERS)
-    inputs = None if launched else read_inputs(given)
-    meshes = given.command != "new" and not ("scene" in given and inputs is None and not launched)
+    inputs = None if launched() else read_inputs(given)
+    meshes = given.command != "new" and not ("scene" in given and inputs is None and not launched())
     if meshes and not (inputs and inputs.scene.structure):
         from fenics_crack import mesher  # noqa: F401  before MPI: see there
-    with _settings({} if launched else ALONE):
+    with _settings({} if launched() else ALONE):
         from mpi4py import MPI
 
     from fenics_crack.parallel import on_root
@@ -199,7 +196,7 @@ def _run(given: argparse.Namespace) -> Exit:
         _be_silent()
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # else PETSc ends the program if a reader leaves
     with alone():
-        if launched:
+        if launched():
             inputs = on_root(comm, lambda: read_inputs(given))
         console = Console(comm, given.format, given.quiet, given.verbose)
         return _command(given, inputs, console) or Exit.DONE

@@ -310,6 +310,19 @@ print("iterations", solution.iterations)
     assert "iterations 4" in output
 
 
+def test_one_rank_alone(mpirun: Callable[..., str]) -> None:
+    """A rank that solves by itself waits for none: PETSc starts on all of them with the import."""
+    script = """
+from mpi4py import MPI
+import fenics_crack as fc
+if MPI.COMM_WORLD.rank == 1:
+    from helpers import oscillator
+    print(fc.solve_harmonic_balance(oscillator(), 1.0, fc.UnilateralPenalty(1.0)).converged)
+MPI.COMM_WORLD.barrier()
+"""
+    assert mpirun(script, 2, timeout=60.0).split() == ["True"]
+
+
 class Steep(Cubic):
     """With a tangent that is five times the slope of its force."""
 
