@@ -117,7 +117,12 @@ def versions() -> str:
 
 def scene_text(scene: Scene) -> str:
     """The scene as it stands in a file: TOML, with the full paths of its files."""
-    return with_files(scene, lambda path: str(Path(path).absolute())).as_toml()
+    return with_full_paths(scene).as_toml()
+
+
+def with_full_paths(scene: Scene) -> Scene:
+    """The scene with the full paths of its files."""
+    return with_files(scene, lambda path: str(Path(path).absolute()))
 
 
 def texts(file: h5py.File) -> dict[str, str]:

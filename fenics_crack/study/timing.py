@@ -21,6 +21,7 @@ from fenics_crack.errors import InputError
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.fem.lips import SAME
 from fenics_crack.files.results import Result
+from fenics_crack.files.store import with_full_paths
 from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import LOOKED_AT, Scene
@@ -118,8 +119,9 @@ def _stable_part(curve: ResponseCurve) -> ResponseCurve:
 def of_another_scene(scene: Scene, run: Run[Any]) -> str:
     """By what a result's own scene differs from this one, in words; "" if it is the same
     (collective)."""
-    own = with_crack_length(scene, run.structure.comm)
-    here, there = differences([one.replace(dict.fromkeys(DECIDED)) for one in (own, run.scene)])
+    both = with_crack_length(scene, run.structure.comm), run.scene
+    compared = [with_full_paths(one).replace(dict.fromkeys(DECIDED)) for one in both]
+    here, there = differences(compared)
     words = f"the arrivals are those of a result with {there}; what is sought in them follows this "
     return words + f"scene, which has {here}" if here else ""
 

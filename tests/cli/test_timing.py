@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from surroundings import main
+from surroundings import DEMOS, main
 from test_any_input import TINY
 
 import fenics_crack as fc
+from fenics_crack.study.timing import of_another_scene
 
 pytestmark = pytest.mark.usefixtures("not_drawn")
 
@@ -360,3 +361,15 @@ def test_a_frequency_that_follows_no_order(
     assert row["omega [rad/s]"] == pytest.approx(1800.0, rel=1e-6)
     assert row["order"] == pytest.approx(1800.0 / (2000.0 * np.pi / 30.0), rel=1e-6)
     assert "2000 rpm" in told.err
+
+
+def test_a_scene_and_its_result_name_one_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A result has the full paths of its files, the scene those that were typed: no difference."""
+    monkeypatch.chdir(DEMOS)
+    scene = fc.Scene.load("chain.toml")
+    run = fc.modes(scene, 1)
+    run.save(tmp_path / "modes.h5")
+    assert of_another_scene(scene, run) == ""
+    assert of_another_scene(scene, fc.load_run(tmp_path / "modes.h5")) == ""
