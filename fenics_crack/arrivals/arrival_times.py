@@ -446,10 +446,11 @@ def _marks(path: str | Path, columns: dict[str, np.ndarray], turns: np.ndarray) 
             lasting = np.diff(column) / np.diff(turns)
             if not np.all((lasting > 0.0) & np.isfinite(lasting)):
                 raise InputError("path", f"{path}: {name}", "increasing times")
-            ends = np.append(turns, turns[-1] + 1), np.append(column, column[-1] + lasting[-1])
-            marks = np.interp(np.append(every, every[-1] + 1), *ends)
+            marks = np.interp(every, turns, column)
             check_turns(f"{path}: {name}", np.diff(marks), int(turns[0]))
-            return smoothed(marks)
+            marks = smoothed(marks)
+            last = np.diff(marks)[-2:]  # the end of the last revolution, as the speed changes
+            return np.append(marks, marks[-1] + 2.0 * last[-1] - last[0])
         if "speed" in name.lower() and not PASSAGE.search(name):
             speed = column * _unit(path, name, SPEEDS)
             if not np.all(speed > 0.0):
@@ -485,13 +486,19 @@ def _arrivals(
     """Arrivals of a blade from angles from the mark (revolutions, probes) [rad]."""
     for column in seen.T:  # a blade at the mark is seen before it and after it
         column -= TURN * np.round((column - column[np.isfinite(column)][0]) / TURN)
-    places = (
-        np.nanmedian(seen, axis=0) % TURN if probes is None else np.asarray(probes, dtype=float)
-    )
+    middle = np.nanmedian(seen, axis=0)
+    places = middle % TURN if probes is None else np.asarray(probes, dtype=float)
     if len(places) != seen.shape[1]:
         raise InputError("probes", places, f"{seen.shape[1]} angles, as the record has probes")
     order = np.argsort(places)
-    seen = (seen - TURN * np.round((seen - places) / TURN))[:, order]
+    rows = np.arange(len(seen))
+    for probe, later in enumerate(np.round((middle - places) / TURN).astype(int)):
+        # From before its mark, or from after the next one: of another revolution than its row's.
+        kept = rows[(rows >= later) & (rows - later < len(rows))]
+        angles = seen[kept - later, probe] - TURN * later
+        seen[:, probe] = np.nan
+        seen[kept, probe] = angles
+    seen = seen[:, order]
     turns = first + np.arange(len(marks))
     time = _between(TURN * turns, marks, TURN * turns[:-1, None] + seen)
     return ArrivalTimes(time, marks, places[order], tip_radius, first)

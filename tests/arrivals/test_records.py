@@ -316,6 +316,26 @@ def test_a_blade_at_the_mark(tmp_path: Path) -> None:
     assert np.abs(found.displacement).max() < 0.02
 
 
+def test_times_of_a_rotor_that_speeds_up(tmp_path: Path) -> None:
+    """The last revolution ends as the speed changes; a blade that is seen just before each mark is
+    seen in the revolution before."""
+    turns = np.arange(41)
+
+    def time_at(angle: np.ndarray) -> np.ndarray:
+        return np.asarray(2.0 * angle / (900.0 + np.sqrt(900.0**2 + 40.0 * angle)))
+
+    marks = time_at(2.0 * np.pi * turns)
+    times = np.array([time_at(2.0 * np.pi * turns[:-1] + angle) for angle in (-1e-3, 1.0)]).T
+    rows = np.column_stack([marks[:-1], times]).tolist()
+    path = written(tmp_path / "a.csv", "mark [s],probe 1 [s],probe 2 [s]", rows)
+    [found] = fc.read_record(path, tip_radius=1.0).values()
+    np.testing.assert_allclose(found.marks, marks, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(found.probes, [1.0, 2.0 * np.pi - 1e-3], rtol=1e-9)
+    np.testing.assert_allclose(found.time[:, 0], times[:, 1], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(found.time[:-1, 1], times[1:, 0], rtol=0.0, atol=1e-9)
+    assert np.isnan(found.time[-1, 1])
+
+
 GOOD = [[1000.0, 0.1], [1000.0, 0.1], [1000.0, 0.1]]
 
 
