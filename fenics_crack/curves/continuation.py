@@ -250,14 +250,16 @@ class Continuation:
         """Follow the path with one number of harmonics; return where and how to go on, or None."""
         path, asked = self._path(here, step), self._tolerance is not None
         for stretch in path:
-            for part in [stretch] if self._at_once and not asked else stretch.singly():
+            parts = [stretch] if self._at_once and not asked else [*stretch.singly()]
+            for part in parts:
                 point, at = self._record(part), part[-1]
                 if asked and len(self._points) % LOOK_EVERY == 0:
                     truncation = _truncation(self._family, point.value, at)
                     point = self._points[-1] = replace(point, truncation=truncation)
                 yield point
                 error, count = point.truncation, self._family.problem.harmonics
-                if self._tolerance is None or math.isnan(error):
+                over = path.event is not None and part is parts[-1]
+                if self._tolerance is None or math.isnan(error) or over:
                     continue
                 wanted = more_harmonics(count, error, self._tolerance)
                 wanted = wanted or fewer_harmonics(count, error, self._tolerance, self._least)

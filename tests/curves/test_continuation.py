@@ -436,6 +436,19 @@ def test_fewer_harmonics_where_more_have_no_solution(monkeypatch: pytest.MonkeyP
     assert np.nanmax(curve.truncation) > 1e-3
 
 
+def test_the_end_of_a_curve_takes_no_other_harmonics(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its last point may ask for more of them: no step leads on from there."""
+    monkeypatch.setattr("fenics_crack.curves.continuation.LOOK_EVERY", 1)
+    monkeypatch.setattr(
+        "fenics_crack.curves.continuation._truncation",
+        lambda family, value, at: 1.0 if abs(at.parameter - 1.0) < 1e-9 else 5e-3,
+    )
+    structure, law = oscillator(0.1, 1.0), fc.UnilateralPenalty(1.0)
+    curve = continue_frequency(structure, 0.5, 0.6, law, harmonics=9, tolerance=1e-2)
+    assert curve.complete and curve.omega[-1] == pytest.approx(0.6, rel=1e-12)
+    assert set(curve.harmonics) == {9} and curve.truncation[-1] == 1.0
+
+
 @pytest.mark.parametrize(
     ("key", "arguments"),
     [
