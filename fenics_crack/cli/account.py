@@ -59,7 +59,7 @@ OTHERS = {
     "penetration_share": ("penetration", SHARE),
 }
 """Words and unit of what is printed of a solution or a motion beside the indicators."""
-ALWAYS = ("omega", "frequency", "verdict", "converged", "total_error")
+ALWAYS = ("omega", "frequency", "verdict", "converged", "total_error", "distance")
 """Printed whatever the scene chooses."""
 ON_MODES = "hangs on modes that are left out"
 IN_A_TEST = {
