@@ -214,8 +214,9 @@ def _account_of_track(track: TipTrack, scene: Scene) -> Account:
     doubts = [UNTESTED] if np.isnan(track.misfit) else []
     if track.does_not_fit:
         doubts.append(
-            f"the fit leaves what is alike from revolution to revolution: {MISSING}, or the "
-            f"vibration is not of order {track.order:g}"
+            f"the fit leaves what is alike from revolution to revolution: {MISSING}, the vibration "
+            "changes within the revolutions that are fitted together "
+            f"(tip_timing.fitted_revolutions), or it is not of order {track.order:g}"
         )
     elif track.may_be_folded:
         doubts.append(FOLDED)

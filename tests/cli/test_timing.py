@@ -272,7 +272,7 @@ def test_a_run_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     # Of another order the fit is wrong by far, which may be why it does not fit.
     other = ["--set", "tip_timing.order=7", "--output", str(tmp_path)]
     assert main(["timing", scene, str(tmp_path / "arrivals.csv"), *other]) == 0
-    assert "or the vibration is not of order 7" in capsys.readouterr().err
+    assert "(tip_timing.fitted_revolutions), or it is not of order 7" in capsys.readouterr().err
 
 
 def from_to(low: float, high: float, revolutions: int) -> str:
