@@ -53,8 +53,9 @@ BLIND = (
 FAR = 2.0
 """Ratio of speeds, of arrivals and of their scene, that is remarked."""
 CONSTANT = (
-    "damping is that of natural frequencies f which do not change with the speed n: where rotation "
-    "stiffens the blade it is 1 - d ln f / d ln n times that (tip_timing.stiffening)"
+    "frequency and damping are those of natural frequencies f which do not change with the speed "
+    "n: where rotation stiffens the blade the damping is 1 - d ln f / d ln n times that, and the "
+    "frequency lower than a fast run-up and higher than a run-down tells (tip_timing.stiffening)"
 )
 UNSWEPT = (
     "the speed varies by less than 1 %, and passes hardly a resonance; with a scene that has "

@@ -412,6 +412,7 @@ def test_a_record_from_the_shell(
     told = capsys.readouterr()
     assert f"1 blade, {len(record)} revolutions, 4 probes" in told.err
     assert "fits of steady vibrations would be off by 0." in told.err
+    assert "frequency lower than a fast run-up and higher than a run-down tells" in told.err
     assert told.err.count("warning: blade ") == 2 == told.err.count("passages differ by 0.")
     rows = (tmp_path / "timing.csv").read_text().splitlines()
     assert rows[0].startswith("blade,rpm,order,margin,frequency [Hz]")
