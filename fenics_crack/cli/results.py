@@ -100,7 +100,7 @@ def _account_of_solution(run: Run[PeriodicSolution]) -> Account:
     found, scene = run.result, run.scene
     table = _quantities(run, found.to_dict())
     notes = [remark_on(run.structure, highest_omega(scene, "solve"))]
-    if found.converged and found.stability is None and run.structure.n_pairs:
+    if found.converged and found.stability is None and run.contact is not None:
         notes.append(
             "the stability is not judged, as that would take long: it is for a reduced structure, "
             "with contact.law = 'unilateral' for lips without mass (reduction.method)"

@@ -463,7 +463,9 @@ def _needed_law(study: Study) -> ContactLaw:
         if study.scene.structure is not None:
             allowed = "given for this command: the path of a Matrix Market file"
             raise InputError("structure.gap", None, allowed)
-        raise InputError("crack", None, "given for this command: a table")
+        of_file = study.scene.mesh.layout == "file"  # whose crack is no table
+        missing = "contact" if of_file else "crack"
+        raise InputError(missing, None, "given for this command: a table")
     return study.contact
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import scipy.io
 from mpi4py import MPI
-from surroundings import main
+from surroundings import DEMOS, main
 
 import fenics_crack as fc
 from fenics_crack import prepare
@@ -168,6 +168,18 @@ def test_a_verdict_that_is_left_out_is_told(
     assert main([*words, "--set", "reduction.method=massless", "--set", "reduction.modes=6"]) == 0
     told = capsys.readouterr()
     assert "not judged" not in told.err and "verdict" in told.out
+
+
+def test_a_crack_of_a_mesh_file_that_stays_open(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without contact there is nothing to judge; what needs it asks for contact, not a crack."""
+    words = [str(DEMOS / "inclined_crack.toml"), "--set", "contact=none", "--output", str(tmp_path)]
+    assert main(["solve", *words]) == 0
+    told = capsys.readouterr()
+    assert "not judged" not in told.err and "verdict" not in told.out
+    assert main(["integrate", *words]) == 2
+    assert "contact = None: must be given for this command: a table" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("mean", "shown"), [(1e-17, "0"), (-2e-9, "-2e-09")])
