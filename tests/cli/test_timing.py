@@ -13,7 +13,6 @@ from surroundings import DEMOS, main
 from test_any_input import TINY
 
 import fenics_crack as fc
-from fenics_crack.study.timing import of_another_scene
 
 pytestmark = pytest.mark.usefixtures("not_drawn")
 
@@ -364,12 +363,14 @@ def test_a_frequency_that_follows_no_order(
 
 
 def test_a_scene_and_its_result_name_one_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A result has the full paths of its files, the scene those that were typed: no difference."""
     monkeypatch.chdir(DEMOS)
-    scene = fc.Scene.load("chain.toml")
-    run = fc.modes(scene, 1)
-    run.save(tmp_path / "modes.h5")
-    assert of_another_scene(scene, run) == ""
-    assert of_another_scene(scene, fc.load_run(tmp_path / "modes.h5")) == ""
+    timing = {"probes": PROBES, "tip_radius": 10.0, "order": 5}
+    words = [part for key in timing for part in ("--set", f"tip_timing.{key}={timing[key]}")]
+    words += ["--output", str(tmp_path)]
+    assert main(["solve", "chain.toml", *words]) == 0
+    for source in ([], [str(tmp_path / "solution.h5")]):
+        assert main(["timing", "chain.toml", *source, *words]) == 0
+    assert "those of a result with" not in capsys.readouterr().err
