@@ -107,7 +107,7 @@ def _default(scene: Scene, key: str) -> Any:
     value: Any = scene
     for name in key.split("."):
         if name.isdecimal():  # of a list of tables
-            value = dict(enumerate(value, 1)).get(int(name))
+            value = dict(enumerate(value or (), 1)).get(int(name))
         else:
             value = getattr(value, name, None)
     return list(value) if isinstance(value, tuple) else value

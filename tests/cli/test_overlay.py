@@ -58,6 +58,16 @@ def test_solutions(results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert np.allclose(np.divide(sizes, sizes[0]), np.divide(LOADS, LOADS[0]), rtol=1e-6)
 
 
+def test_a_scene_that_sweeps_over_one_of_its_loads(results: Path, tmp_path: Path) -> None:
+    """Beside one without a sweep: a key of the sweep has a number in it, and no value there."""
+    load = {"loads.1.point": "[0.05,0.1]", "loads.1.force_sin": "[1.0,0.0]"}
+    load |= {"sweep.over": "{'loads.1.force_sin'=[[1.0,0.0]]}", "contact.stiffness": "1e7"}
+    words = [part for key in load for part in ("--set", f"{key}={load[key]}")]
+    assert main(["solve", SCENE, *words, "--output", str(tmp_path), "--quiet"]) == 0
+    files = [str(tmp_path / "solution.h5"), str(results / "50" / "solution.h5")]
+    assert main(["plot", *files, "--output", str(tmp_path), "--quiet"]) == 0
+
+
 def test_curves_and_sweeps(results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Labels that are given; the curves of both on one panel."""
     panels: list[Any] = []
