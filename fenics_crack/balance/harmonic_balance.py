@@ -53,7 +53,7 @@ from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ContactFlow, flow_of
 from fenics_crack.motion.orbit import OrbitCoefficients, PeriodicOrbit, affordable
-from fenics_crack.motion.shooting import recurring
+from fenics_crack.motion.shooting import Patience, recurring
 from fenics_crack.numerics.fourier import from_complex, to_complex
 from fenics_crack.numerics.newton import relative_to_motion
 from fenics_crack.stages import begin
@@ -310,6 +310,7 @@ def solve_to_tolerance(
     if reduced_to is None and not (is_small(whole) or isinstance(whole, ReducedStructure)):
         reduced_to = partial(_without_mass, whole)
     most = min(max(modes, MAX_MODES), whole.n_dofs)
+    solver = replace(solver, patience=Patience(2))
     best = last = None
     while True:
         if reduced_to is not None:
@@ -371,14 +372,16 @@ def _solved(solver: Solver, tolerance: float, initial: PeriodicSolution | None) 
     problem = solver.problem
     flow = flow_of(problem.structure, problem.contact)
     if flow is None or not affordable(flow, problem.omega, problem.subharmonic):
-        return _by_harmonics(solver, tolerance, initial)
+        return _by_harmonics(solver, tolerance, _begun(solver, problem).solve(initial))
     near, orbit, way = _sought(solver, flow, initial)
     if orbit is None:  # with more harmonics it may be found, or the error known all the same
         few = solver
-        if near is not None:
-            most = max(near.harmonics, problem.harmonics)
-            few = replace(solver, problem=problem.with_harmonics(most))
-        near = _by_harmonics(few, tolerance, near or initial)
+        if near is not None and near.harmonics >= problem.harmonics:
+            few = replace(solver, problem=problem.with_harmonics(near.harmonics))
+            near = few.reported(near)
+        else:
+            near = _begun(solver, problem).solve(near or initial)
+        near = _by_harmonics(few, tolerance, near)
         orbit = near.judged.orbit if near.converged else None
         if orbit is None:
             tried = ", ".join(map(str, RUNGS))
@@ -415,7 +418,7 @@ def _by_itself(solver: Solver, fewer: int) -> PeriodicSolution | None:
     """A solution with more harmonics, and with its own orbit, that no other one leads to: with few
     harmonics it may be another motion's."""
     for more in _rungs(solver, fewer):
-        found = more.attempt(None, reported=False)[1]
+        found = more.attempt(None, patient=False, reported=False)[1]
         if not found.converged:
             return None
         judged = found.judged
@@ -502,12 +505,9 @@ def _lost(solver: Solver, found: PeriodicSolution) -> tuple[float, float]:
 # --- by harmonics ---------------------------------------------------------------------------------
 
 
-def _by_harmonics(
-    solver: Solver, tolerance: float, initial: PeriodicSolution | None
-) -> PeriodicSolution:
-    """The best solution, with as many harmonics as bring its estimated error down."""
-    solver = _begun(solver, solver.problem)
-    best = found = solver.solve(initial)
+def _by_harmonics(solver: Solver, tolerance: float, found: PeriodicSolution) -> PeriodicSolution:
+    """The best solution, with as many harmonics as bring the estimated error of one down."""
+    best = found
     while found.converged and (finer := _finer(solver.problem, found.report, tolerance)):
         solver = _begun(solver, finer)
         found = solver.attempt(found, patient=False)[1]

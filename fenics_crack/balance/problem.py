@@ -402,7 +402,7 @@ class Search:
                 if self.converged:
                     break
         at = at or system.linearise(np.zeros(system.shape), 1.0)
-        if not self.converged and snes is None:  # for the record
+        if not self.converged and snes is None and self.share == 1.0:  # for the record
             before = self.iterations
             with Newton(system, self.history) as snes:
                 at = self._newton(snes, at.unknown)

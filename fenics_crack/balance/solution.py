@@ -32,6 +32,7 @@ from fenics_crack.errors import MOST_HARMONICS, ConvergenceError
 from fenics_crack.model.contact import check_slope, is_unilateral
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.motion.orbit import PeriodicOrbit
+from fenics_crack.motion.shooting import Patience
 from fenics_crack.numerics.fourier import evaluate, resized, sampled
 from fenics_crack.table import Described, Tabular, counted, quantity, with_frequency
 
@@ -367,14 +368,18 @@ def solution_of(
     enough: float = math.inf,
     reported: bool = True,
     orbit: PeriodicOrbit | None = None,
+    patience: Patience | None = None,
 ) -> PeriodicSolution:
     """The solution that belongs to a point of the condensed equations (collective).
 
     With ``search`` its error is the distance of its exact orbit; else what is predicted without;
     nothing is estimated where it is not ``reported``, and nothing else where the truncation is
-    above ``enough``, or of equations that are not solved. Its orbit may be known already.
+    above ``enough``, or of equations that are not solved. Its orbit may be known already; else it
+    is sought with ``patience``.
     """
-    found = PeriodicSolution(**vars(problem.wave(at)), status=status, converged=converged)
+    wave = problem.wave(at)
+    judged = Judgement(wave, patience=patience)
+    found = PeriodicSolution(**vars(wave), status=status, converged=converged, judged=judged)
     if orbit is not None:
         found.judged.suggest(orbit)
     if not reported:
@@ -397,6 +402,8 @@ class Solver:
     """Raise ConvergenceError if nothing converged; else return the last iterate."""
     enough: float = math.inf
     """Truncation error above which no other is estimated."""
+    patience: Patience | None = None
+    """With which orbits are sought next to all its solutions; None: each with its own."""
 
     def solve(
         self, initial: PeriodicSolution | None = None, *, reported: bool = True
@@ -434,9 +441,18 @@ class Solver:
             search, at = replace(self, problem=problem).find(compliance, initial, share)
             found = solution_of(
                 problem, at, status=search.status, converged=search.converged, enough=self.enough,
-                reported=reported, orbit=search.orbit,
+                reported=reported, orbit=search.orbit, patience=self.patience,
             )  # fmt: skip
             return search, replace(found, iterations=search.iterations)
+
+    def reported(self, found: PeriodicSolution) -> PeriodicSolution:
+        """A solution with its estimated errors, which were not asked for (collective)."""
+        with self.compliance() as compliance:
+            problem = self.problem.weighted(compliance)
+            system = problem.system(compliance)
+            start = system.slow(found.gap_coefficients, found.force_coefficients)
+            at = system.linearise(start)
+            return replace(found, report=estimate_errors(at, found.judged, problem))
 
     @contextmanager
     def compliance(self) -> Iterator[Compliance]:

@@ -33,7 +33,15 @@ import numpy as np
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import Struct, kernel, owned, pointer
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion
-from fenics_crack.motion.orbit import FORMED, INSTANTS, KNOWN, Inverse, PeriodicOrbit, find_orbit
+from fenics_crack.motion.orbit import (
+    FLOWS,
+    FORMED,
+    INSTANTS,
+    KNOWN,
+    Inverse,
+    PeriodicOrbit,
+    find_orbit,
+)
 from fenics_crack.numerics.equations import LOCATED, DenseLinearisation, Equations
 from fenics_crack.numerics.fourier import derivative, evaluate
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_in_plane
@@ -376,7 +384,7 @@ def recurring(
     periods = max(int(share * WANDERING), SETTLING)
     begin(f"the exact motion over up to {periods} periods, and orbits that it passes")
     passed = np.array([orbits.start, *_followed(orbits, orbits.start, periods)])
-    count = share * min(1.0, PACE / max(1, orbits.pieces)) * PASSED
+    count = share * min(PASSED, PACE / max(1, orbits.pieces) * WANDERING / FLOWS)
     for place in recurrences(passed, int(np.ceil(count))):
         orbit = find_orbit(flow, omega, orbits.state(passed[place]), subharmonic=subharmonic)
         # Where M is huge a step may be short and the motion does not close.
