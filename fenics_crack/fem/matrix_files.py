@@ -34,6 +34,7 @@ from fenics_crack.model.factor import distributed
 from fenics_crack.model.matrices import LabelledMatrix, matrix_market_shape, read_matrix, whole_rows
 from fenics_crack.model.nodes import Nodes, Pairs
 from fenics_crack.model.structure import DampingRule, Structure
+from fenics_crack.parallel import raise_together
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Structure as Table
 
@@ -68,19 +69,23 @@ def read_structure(scene: Scene, rule: DampingRule | None, comm: MPI.Comm) -> St
 
 
 def _made(scene: Scene, table: Table, rule: DampingRule | None, comm: MPI.Comm) -> Structure:
-    read = _read(table)
+    files: tuple[dict[str, LabelledMatrix], dict[str, Any], Model | None] | None = None
+    met: InputError | None = None
+    try:
+        files = _read_files(table)
+    except InputError as error:  # another rank may have them
+        met = error
+    raise_together(comm, met)
+    assert files is not None
+    read, columns, model = files
     stiffness = read["stiffness"].matrix
     parts: dict[str, Any] = {"gap": None, "damping": rule}
     parts |= {name: one.matrix for name, one in read.items()}
     rows, order = stiffness.shape[0], np.arange(stiffness.shape[0])
-    model, dofs, bounds = None, np.zeros((0, 3), dtype=int), None
-    if table.model is not None:
-        with reading("model", table.model, "the input file of the matrices' program"):
-            model = read_model(Path(table.model))
+    dofs, bounds = np.zeros((0, 3), dtype=int), None
+    if model is not None:
         order, dofs, bounds = _by_nodes(model, read["stiffness"].labels, table)
-    for name in COLUMNS:
-        if (path := getattr(table, name)) is not None:
-            parts[name] = whole_rows(name, Path(path), rows)[order]
+    parts |= {name: column[order] for name, column in columns.items()}
     pairs, nodes = Pairs(), None
     if model is not None:
         assert bounds is not None and read["stiffness"].labels is not None
@@ -105,6 +110,17 @@ def _made(scene: Scene, table: Table, rule: DampingRule | None, comm: MPI.Comm) 
             parts[name] = force
     made = Structure.from_matrices(**parts, comm=comm)
     return made if nodes is None else made.placed(nodes, pairs)
+
+
+def _read_files(table: Table) -> tuple[dict[str, LabelledMatrix], dict[str, Any], Model | None]:
+    """The matrices, the columns with a row for each dof, and the model, if there is one."""
+    read, model = _read(table), None
+    if table.model is not None:
+        with reading("model", table.model, "the input file of the matrices' program"):
+            model = read_model(Path(table.model))
+    rows = read["stiffness"].matrix.shape[0]
+    given = {name: path for name in COLUMNS if (path := getattr(table, name)) is not None}
+    return read, {name: whole_rows(name, Path(path), rows) for name, path in given.items()}, model
 
 
 def _read(table: Table) -> dict[str, LabelledMatrix]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -214,6 +215,22 @@ def test_bad_matrices_are_named(
     with pytest.raises(InputError) as caught:
         fc.build_structure(scene.replace(moved), MPI.COMM_SELF)
     assert caught.value.key.startswith(key)
+
+
+def refused(scene: Scene, name: str, comm: MPI.Comm) -> list[str]:
+    """What each rank is told where the last one does not see one of the files (collective)."""
+    missing = {f"structure.{name}": "missing.mtx"} if comm.rank == comm.size - 1 else {}
+    with pytest.raises(InputError) as caught:
+        fc.build_structure(scene.replace(missing), comm)
+    return comm.allgather(caught.value.key)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("name", ["mass", "force_sin"])
+def test_a_file_that_one_rank_does_not_see(on_ranks: Callable[..., Any], name: str) -> None:
+    """It is refused on every rank; none waits for the other."""
+    scene = Scene.load(DEMOS / "chain.toml")
+    assert on_ranks(refused, scene, name) == [f"structure.{name}"] * 2
 
 
 def test_a_matrix_of_damping(scene: Scene, tmp_path: Path) -> None:
