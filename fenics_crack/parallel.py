@@ -45,9 +45,11 @@ def on_root(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
 def collect_garbage(comm: MPI.Comm) -> None:
     """Free PETSc objects that are no longer referenced (collective).
 
-    petsc4py leaves them alone when Python deletes them: ranks may do so in different orders.
+    petsc4py leaves them alone when Python deletes them: ranks may do so in different orders. So it
+    does with those of small structures, which each rank has for itself.
     """
     PETSc.garbage_cleanup(comm)
+    PETSc.garbage_cleanup(MPI.COMM_SELF)
 
 
 def gather_rows(comm: MPI.Comm, rows: np.ndarray) -> np.ndarray[Any, Any]:
