@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import resource
 import warnings
 from pathlib import Path
 
@@ -34,20 +33,6 @@ def test_frequencies_are_those_of_each_speed() -> None:
     bilinear = 2.0 / (1.0 / found.omega_open + 1.0 / found.omega_tied)
     assert found.omega_bilinear == pytest.approx(bilinear)
     assert np.all(np.diff(found.omega_open, axis=0) > 0.0)
-
-
-def test_diagrams_leave_no_memory() -> None:
-    """Those of a communicator of all ranks neither: their small structures are each rank's own."""
-
-    def used() -> int:
-        pages = int(Path("/proc/self/statm").read_text().split()[1])
-        return pages * resource.getpagesize()
-
-    for count in (4, 10):
-        before = used()
-        for _ in range(count):
-            fc.campbell(cracked(100.0), [0.0, 130.0, 400.0], 2)
-    assert used() - before < 1e6  # it was 0.2 MB of each
 
 
 def test_orders_meet_the_modes_where_a_scene_resonates() -> None:
