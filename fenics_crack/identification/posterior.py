@@ -78,7 +78,7 @@ class Likelihood:
         chi^2, V = diag(e) L L^T diag(e); and the root of log(det L L^T / p^2), of the state of the
         lips that is likeliest, with its probability p."""
         found = np.full((len(x), len(self.values) + 1), np.inf)
-        for at, rows in self._of_states(x):
+        for at, rows, _ in self._of_states(x):
             nearer = np.sum(rows**2, axis=1) < np.sum(found[at] ** 2, axis=1)
             found[at[nearer]] = rows[nearer]
         return found
@@ -86,19 +86,25 @@ class Likelihood:
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """log L at values (m, d) of the unknowns: (m,), up to a constant."""
         found = np.full(len(x), -np.inf)
-        for at, rows in self._of_states(x):
+        for at, rows, _ in self._of_states(x):
             found[at] = np.logaddexp(found[at], -0.5 * np.sum(rows**2, axis=1))
         return found
 
-    def _of_states(self, x: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Residuals of each state of the lips, where it may be: places among x, and rows."""
+    def likeliest(self, x: np.ndarray) -> Prediction:
+        """Predictions at values (d,) of the unknowns, in the likeliest state of the lips."""
+        found = ((np.sum(rows**2), told) for _, rows, told in self._of_states(x[None]))
+        return min(found, key=lambda one: one[0])[1]
+
+    def _of_states(self, x: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, Prediction]]:
+        """Residuals of each state of the lips, where it may be: places among x, rows, and what is
+        predicted there."""
         for at, share, predicted in self.quantities.states(x):
             factor = np.linalg.cholesky(scaled_covariance(predicted, self.values, self.deviations))
             differences = (self.values - predicted.values) / self.deviations
             logs = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1) - np.log(share)
             root = np.sqrt(2.0 * np.maximum(logs, 0.0))  # below 0 by rounding alone
             rows = np.linalg.solve(factor, differences[..., None])[..., 0]
-            yield at, np.column_stack([rows, root])
+            yield at, np.column_stack([rows, root]), predicted
 
     def misfit(self, x: np.ndarray) -> tuple[float, float]:
         """chi^2 at values (d,) of the unknowns that fit best, and the probability of more by chance

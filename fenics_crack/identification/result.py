@@ -461,7 +461,7 @@ class Identification(Tabular):
         difference in units of both together."""
         branch, x = self._at
         likelihood = branch.likelihood
-        found = likelihood.quantities(x[None])
+        found = likelihood.likeliest(x)
         predicted, spread = found.values[0], found.deviations[0]
         residuals = (likelihood.values - predicted) / np.hypot(likelihood.deviations, spread)
         columns = (likelihood.values, likelihood.deviations, predicted, spread, residuals)
