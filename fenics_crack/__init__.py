@@ -19,6 +19,7 @@ from fenics_crack.machine import alone, launched
 from fenics_crack.version import VERSION
 
 if launched():
+    import_module("fenics_crack.parallel")  # MPI before PETSc: see there
     import_module("slepc4py.SLEPc")
 
 _MODULES = {

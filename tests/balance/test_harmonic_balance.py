@@ -311,10 +311,12 @@ print("iterations", solution.iterations)
 
 
 def test_one_rank_alone(mpirun: Callable[..., str]) -> None:
-    """A rank that solves by itself waits for none: PETSc starts on all of them with the import."""
+    """A rank that solves by itself waits for none: PETSc starts on all of them with the import, and
+    MPI before it, for threads."""
     script = """
-from mpi4py import MPI
 import fenics_crack as fc
+from mpi4py import MPI
+assert MPI.Query_thread() > MPI.THREAD_FUNNELED
 if MPI.COMM_WORLD.rank == 1:
     from helpers import oscillator
     print(fc.solve_harmonic_balance(oscillator(), 1.0, fc.UnilateralPenalty(1.0)).converged)
