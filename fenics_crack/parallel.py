@@ -9,11 +9,13 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
+
+from fenics_crack.errors import InputError
 
 Result = TypeVar("Result")
 
@@ -26,6 +28,18 @@ def raise_together(comm: MPI.Comm, error: Exception | None) -> None:
     errors = [found for found in comm.allgather(error) if found is not None]
     if errors:
         raise errors[0]
+
+
+def on_each(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
+    """Call ``function`` on each rank, which has its own result; input that the lowest failing rank
+    refuses is refused on every rank."""
+    result, error = None, None
+    try:
+        result = function()
+    except InputError as met:
+        error = met
+    raise_together(comm, error)
+    return cast(Result, result)
 
 
 def on_root(comm: MPI.Comm, function: Callable[[], Result]) -> Result:

@@ -34,7 +34,7 @@ from fenics_crack.model.factor import distributed
 from fenics_crack.model.matrices import LabelledMatrix, matrix_market_shape, read_matrix, whole_rows
 from fenics_crack.model.nodes import Nodes, Pairs
 from fenics_crack.model.structure import DampingRule, Structure
-from fenics_crack.parallel import raise_together
+from fenics_crack.parallel import on_each
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Structure as Table
 
@@ -69,15 +69,7 @@ def read_structure(scene: Scene, rule: DampingRule | None, comm: MPI.Comm) -> St
 
 
 def _made(scene: Scene, table: Table, rule: DampingRule | None, comm: MPI.Comm) -> Structure:
-    files: tuple[dict[str, LabelledMatrix], dict[str, Any], Model | None] | None = None
-    met: InputError | None = None
-    try:
-        files = _read_files(table)
-    except InputError as error:  # another rank may have them
-        met = error
-    raise_together(comm, met)
-    assert files is not None
-    read, columns, model = files
+    read, columns, model = on_each(comm, lambda: _read_files(table))
     stiffness = read["stiffness"].matrix
     parts: dict[str, Any] = {"gap": None, "damping": rule}
     parts |= {name: one.matrix for name, one in read.items()}

@@ -489,7 +489,8 @@ class Quantities:
         for place, (row, at) in enumerate(zip(self.rows, self._places, strict=True)):
             if row.quantity == "displacement" or not self.known[place]:
                 continue
-            values[:, place], weights = _together(row, sizes[:, at], LIPS.index(lips))
+            state = LIPS.index(lips) if row.resonance else 0
+            values[:, place], weights = _together(row, sizes[:, at], state)
             turns[:, place, at] = weights * turned[:, at]
             if row.resonance:
                 _, opened, tied = sizes[:, at].T
@@ -586,7 +587,6 @@ def _together(row: Measurement, parts: np.ndarray, state: int) -> tuple[np.ndarr
     """A quantity (m,) from its parts (m, k), and its slopes by them (m, k); a resonance is near the
     frequency of what the lips do."""
     if row.natural or parts.shape[1] == 1:
-        state = min(state, parts.shape[1] - 1)
         return parts[:, state], np.eye(1, parts.shape[1], state).repeat(len(parts), axis=0)
     one, two = parts.T
     return one / two, np.column_stack([1.0 / two, -one / two**2])

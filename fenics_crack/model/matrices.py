@@ -41,7 +41,7 @@ from petsc4py import PETSc
 from fenics_crack.errors import InputError, reading
 from fenics_crack.model.factor import TOLERATED, Factor, distributed, factored_sum, weighted_sum
 from fenics_crack.outside import allowance, bytes_of, lines_of
-from fenics_crack.parallel import gather_rows, raise_together
+from fenics_crack.parallel import gather_rows, on_each
 from fenics_crack.scene.fields import LARGEST
 from fenics_crack.table import counted
 
@@ -539,12 +539,7 @@ def petsc_matrix(name: str, given: Any, comm: MPI.Comm, n: int | None = None) ->
         return distributed(whole[start:stop], comm)
     comm = given.comm.tompi4py()
     starts, places, values = given.convert("aij", PETSc.Mat()).getValuesCSR()
-    error = None
-    try:
-        _check_sizes(name, values)
-    except InputError as found:
-        error = found
-    raise_together(comm, error)
+    on_each(comm, lambda: _check_sizes(name, values))
     own = sparse.csr_matrix((values, places, starts), (given.local_size[0], columns))
     return distributed(own, comm)
 
