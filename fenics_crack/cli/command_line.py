@@ -301,12 +301,13 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "measurements": (
         "a CSV file with the columns quantity, value, deviation, mode, frequency [Hz], point, "
-        "phase [rad]; or frequency responses (.uff, .unv: dataset 58), whose peaks are modes 1, 2, "
-        "... or --modes; or both; may be left out with --arrivals",
+        "phase [rad], rpm; or frequency responses (.uff, .unv: dataset 58), whose peaks are modes "
+        "1, 2, ... or --modes; or both; may be left out with --arrivals",
         {"type": path, "nargs": "*"},
     ),
     "--before": (
-        "frequency responses of the same structure before it had a crack (.uff, .unv)",
+        "frequency responses of the same structure before it had a crack (.uff, .unv), or the "
+        "arrivals of a run-up of it, as of --arrivals",
         {"type": path, "metavar": "FILE"},
     ),
     "--modes": (
@@ -314,8 +315,9 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
         {"type": int, "nargs": "+", "default": (), "metavar": "N"},
     ),
     "--arrivals": (
-        "what probes have seen: a CSV file of arrivals (docs/tip_timing.md) or the .h5 file of a "
-        "solution; [tip_timing] says how the tip moves past them",
+        "what probes have seen, at constant speed or in a run-up through resonances: a CSV file of "
+        "arrivals (docs/tip_timing.md) or the .h5 file of a solution or a curve; [tip_timing] says "
+        "how the tip moves past them",
         {"type": path, "metavar": "FILE"},
     ),
     "arrivals": (

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +22,11 @@ from fenics_crack.study import run as runs
 from fenics_crack.study.key_figures import coriolis_in_words, remarks_on_rotor
 from fenics_crack.study.run import Run
 from fenics_crack.table import RPM, counted, quantity, speed_in_words
+
+if TYPE_CHECKING:
+    from fenics_crack.arrivals.arrival_times import ArrivalTimes
+    from fenics_crack.identification.measurements import Measurements
+    from fenics_crack.scene.scene import Scene
 
 MOST_SPEEDS = 10_000
 """Of a Campbell diagram."""
@@ -171,6 +176,40 @@ def verify(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     return tell(account_of(found), inputs.folder, console, partial(draw_verification, found))
 
 
+def _told_by(
+    source: ArrivalTimes | Path, scene: Scene, console: Console, *, before: bool = False
+) -> Measurements:
+    """What arrivals tell of a scene: displacements, or in a run-up the natural frequencies whose
+    resonances are passed, if so of the blade before it had a crack."""
+    from fenics_crack.arrivals.arrival_times import STEADY
+    from fenics_crack.identification.measurements import Measurements, without_crack
+    from fenics_crack.study import timing
+
+    times, run = timing.arrivals_of(scene, source, console.comm)
+    key = "--before" if before else "arrivals"
+    if timing.is_run_up(times, run):
+        with console.stage("resonances"):
+            blade = scene.replace(without_crack(scene) or {}) if before else scene
+            found = timing.modes_passed(blade, times)
+        console.note(*(timing.passed_in_words(*one) for one in found))
+        fits, modes, _ = zip(*found, strict=True) if found else ((), (), ())
+        if not any(modes):
+            allowed = "a run-up through a resonance of the blade that is clear in it"
+            raise InputError(key, repr(times), allowed)
+        quantity = "frequency_uncracked" if before else "frequency_resonance"
+        return Measurements.from_passages(fits, modes, quantity=quantity)
+    if before:
+        raise InputError(key, repr(times), "those of a run-up, or frequency responses")
+    held = scene.speed > 0.0 and scene.excitation.order is None
+    if held and abs(times.mean_speed / scene.speed - 1.0) > STEADY:
+        seen, own = (speed_in_words(v, scene.in_rpm) for v in (times.mean_speed, scene.speed))
+        allowed = f"at {own}, as [rotation] says, unless the load is an excitation.order"
+        raise InputError(key, seen, allowed)
+    order = timing.engine_order(scene.given("tip_timing"), scene)
+    tip, against = timing.probed_displacement(scene)
+    return Measurements.from_arrivals(times, order, tip, against=against)
+
+
 def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     """A crack from measurements: what it is, how sure, and where to measure next."""
     from fenics_crack.draw.plot_study import draw_posterior  # Matplotlib
@@ -179,21 +218,9 @@ def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     scene, folder = inputs.scene, inputs.folder
     parts = [] if inputs.measurements is None else [inputs.measurements]
     if inputs.arrivals is not None:
-        from fenics_crack.arrivals.arrival_times import STEADY
-        from fenics_crack.identification.measurements import Measurements
-        from fenics_crack.study import timing
-
-        times, run = timing.arrivals_of(scene, inputs.arrivals, console.comm)
-        if timing.is_run_up(times, run):
-            raise InputError("arrivals", repr(times), "those of a constant speed")
-        held = scene.speed > 0.0 and scene.excitation.order is None
-        if held and abs(times.mean_speed / scene.speed - 1.0) > STEADY:
-            seen, own = (speed_in_words(v, scene.in_rpm) for v in (times.mean_speed, scene.speed))
-            allowed = f"at {own}, as [rotation] says, unless the load is an excitation.order"
-            raise InputError("arrivals", seen, allowed)
-        order = timing.engine_order(scene.given("tip_timing"), scene)
-        tip, against = timing.probed_displacement(scene)
-        parts.append(Measurements.from_arrivals(times, order, tip, against=against))
+        parts.append(_told_by(inputs.arrivals, scene, console))
+    if inputs.before is not None:
+        parts.append(_told_by(inputs.before, scene, console, before=True))
     rows = sum(parts[1:], parts[0])
     with console.timed("identification"):
         how = {"comm": console.comm, "progress": console.progress}

@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from fenics_crack.identification.measurements import Measurements
 
 COMMENTED = "cli/new_scene.toml"
+RECORDS = (".csv", ".h5")
+"""Endings of arrivals, and of results that make them."""
 KINDS = ("blade", "timing", "identify")
 """What ``new`` writes besides a plate."""
 
@@ -51,6 +53,7 @@ class Inputs:
     folder: Path  # for results
     measurements: Measurements | None = None
     arrivals: ArrivalTimes | Path | None = None  # or the result from which they are computed
+    before: ArrivalTimes | Path | None = None  # of the blade before it had a crack
 
 
 def read_inputs(given: Namespace) -> Inputs | None:
@@ -68,13 +71,18 @@ def read_inputs(given: Namespace) -> Inputs | None:
     if (count := vars(given).get("count")) is not None:
         check_count("--count", count, 1)
     folder = vars(given).get("output") or Path("output") / given.scene.stem
-    rows = _measurements(given, scene) if given.command == "identify" else None
-    return Inputs(scene, folder, rows, _arrivals(scene, vars(given).get("arrivals")))
+    arrivals = _arrivals(scene, vars(given).get("arrivals"))
+    if given.command != "identify":
+        return Inputs(scene, folder, arrivals=arrivals)
+    seen = given.before is not None and given.before.suffix.lower() in RECORDS
+    before = _arrivals(scene, given.before) if seen else None
+    rows = _measurements(given, scene, None if seen else given.before)
+    return Inputs(scene, folder, rows, arrivals, before)
 
 
-def _measurements(given: Namespace, scene: Scene) -> Measurements | None:
+def _measurements(given: Namespace, scene: Scene, before: Path | None) -> Measurements | None:
     """Those of all files, and of responses before the crack; None where arrivals are all."""
-    files, before, modes = given.measurements, given.before, given.modes
+    files, modes = given.measurements, given.modes
     if not files and given.arrivals is None:
         allowed = "given: a CSV file (fenics-crack new --identify writes one), or --arrivals"
         raise InputError("measurements", None, allowed)

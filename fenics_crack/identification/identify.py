@@ -122,12 +122,16 @@ def identify(
         path = measurements
         measurements = on_root(comm, lambda: Measurements.read(path))
     measurements.check(scene)
-    loads = [row.frequency for row in measurements.rows if not row.natural]
+    rows = measurements.rows
+    shaken = [row.frequency for row in rows if not row.natural]
+    further = [row.load(scene) for row in rows if row.natural and not math.isnan(row.load(scene))]
     whole = _whole(scene, comm)
     others = any(not axis.key.startswith(("crack.", "contact.")) for axis in scene.identify.unknown)
     known = (scene.excitation.omega / TURN, *scene.identify.frequencies)
     whole.check(measurements, [load for load in known if load > 0.0], other=others)
-    forward = solve_forward(scene, loads, Path(folder), comm, whole=whole, progress=progress)
+    forward = solve_forward(
+        scene, shaken, Path(folder), comm, further=further, whole=whole, progress=progress
+    )
     begin("inference")
     return infer(forward, measurements)
 
@@ -292,6 +296,7 @@ def solve_forward(
     folder: Path,
     comm: MPI.Comm = MPI.COMM_WORLD,
     *,
+    further: Sequence[float] = (),
     whole: Whole | None = None,
     progress: bool = False,
 ) -> Forward:
@@ -307,6 +312,8 @@ def solve_forward(
         Where the files of the sweeps are; their names depend on the scene and the frequencies.
     comm : MPI.Comm
         The ranks over which the cases are spread.
+    further : sequence of float
+        Loads [Hz] at whose speeds of the rotor natural frequencies are known, and nothing else.
     whole : Whole, optional
         The plate without its crack, if it is known already.
     progress : bool
@@ -321,16 +328,21 @@ def solve_forward(
     """
     whole = whole or _whole(scene, comm)
     table = scene.given("identify")
-    loads = Loads.of(scene, [float(one) for one in (*frequencies, *table.frequencies)])
+    wanted = (*frequencies, *further, *table.frequencies)
+    loads = Loads.of(scene, [float(one) for one in wanted])
+    shaken = (*frequencies, *table.frequencies, loads.frequencies[0])
+    alone = [place for place, one in enumerate(loads.frequencies) if one not in shaken]
     plain = scene.replace(dict.fromkeys(ASKED))
     coarse, fine = _meshes(plain, table.finer)
 
     def run(name: str, of: Scene, axes: Sequence[Axis]) -> SweepResult:
         swept = replace(of, sweep=Sweep(over=(*axes, loads.axis)))
-        digest = hashlib.sha256(scene_text(swept).encode()).hexdigest()[:8]
+        digest = hashlib.sha256(f"{scene_text(swept)}{alone or ''}".encode()).hexdigest()[:8]
         path = folder / f"{name}_{digest}.h5"
         with StopRequest() as stop:
-            found = run_sweep(swept, path, comm, progress=progress, verdicts=False, judged=False)
+            found = run_sweep(
+                swept, path, comm, progress=progress, verdicts=False, judged=False, natural=alone
+            )
         if stop.asked(comm):
             raise StoppedError("identification was stopped; the same command goes on with it")
         return found

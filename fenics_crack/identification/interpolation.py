@@ -28,8 +28,9 @@ close in half of each period: that makes even harmonics, n = 1, and odd ones of 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -223,7 +224,8 @@ class Loads:
     """The loads that a forward model is solved for, the last axis of its sweeps.
 
     Where the load is an engine order, each has the speed of the rotor that it follows, and the
-    first is that of the scene's own speed, at which natural frequencies are measured.
+    first is that of the scene's own speed, at which natural frequencies are measured that have no
+    speed of their own.
 
     Attributes
     ----------
@@ -252,6 +254,12 @@ class Loads:
     def turn(self) -> bool:
         """Whether each has its own speed."""
         return self.axis.key == "rotation.rpm"
+
+    @property
+    def faster(self) -> np.ndarray:
+        """Speeds of the rotor over the scene's own, (n,); 1 where there is but that."""
+        found = np.array(self.frequencies)
+        return found / found[0] if self.turn else np.ones(len(found))
 
 
 @dataclass(frozen=True)
@@ -330,8 +338,11 @@ class Part:
         return int(self.column("harmonics")[solved, load].min()) if solved.any() else 1
 
     def load(self, frequency: float) -> int:
-        """Place of a load frequency [Hz] among those of the sweep; InputError if it has none."""
+        """Place of a load frequency [Hz] among those of the sweep, of 0 the first; InputError if it
+        has none."""
         loads = self.loads.frequencies
+        if frequency == 0.0:
+            return 0
         if frequency not in loads:
             solved = ", ".join(f"{load:.9g}" for load in loads)
             allowed = f"one of those that are solved, {solved} Hz; identify.frequencies adds others"
@@ -359,7 +370,8 @@ LIPS = ("bilinear", "open", "tied")
 
 @dataclass(frozen=True)
 class Feature:
-    """Something that is interpolated: a natural frequency, or a harmonic of a point at a load."""
+    """Something that is interpolated: a natural frequency at the speed of a load, 0 for the scene's
+    own, or a harmonic of a point at a load."""
 
     lips: str = ""
     mode: int = 0
@@ -368,24 +380,31 @@ class Feature:
     order: int = 0
 
     @classmethod
-    def of(cls, row: Measurement) -> tuple[Feature, ...]:
-        """Features of a measurement; of a ratio both harmonics, the one above first."""
+    def of(cls, row: Measurement, scene: Scene) -> tuple[Feature, ...]:
+        """Features of a measurement of a scene; of a ratio both harmonics, the one above first."""
         if row.natural:
-            lips = row.quantity.removeprefix("frequency_")
+            lips, load = row.quantity.removeprefix("frequency_"), row.load(scene)
             states = LIPS if lips == "resonance" else (lips,)
-            return tuple(cls(state, row.mode) for state in states)
+            at = 0.0 if math.isnan(load) else load
+            return tuple(cls(state, row.mode, frequency=at) for state in states)
         orders = row.orders or KEPT_ORDERS
         return tuple(cls("", 0, row.point, float(row.frequency), order) for order in orders)
 
     @property
     def together(self) -> tuple[float, float, float]:
         """Features for which this is the same err alike: a mode's, and those of one contact."""
-        return (self.mode, self.frequency, self.order)
+        return (self.mode, 0.0 if self.natural else self.frequency, self.order)
+
+    @property
+    def uncracked(self) -> Feature:
+        """That of a natural frequency without the crack."""
+        return replace(self, lips="uncracked")
 
     def values(self, part: Part) -> np.ndarray:
         """Values at all nodes of a sweep: (n,), logarithms or complex numbers."""
-        if self.lips:
-            return np.log(part.natural(self.lips, self.mode)[:, 0]).astype(complex)
+        if self.natural:
+            own = part.natural(self.lips, self.mode)[:, part.load(self.frequency)]
+            return np.log(own).astype(complex)
         return part.harmonic(self.point, self.frequency, self.order)
 
     @property

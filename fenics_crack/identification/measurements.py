@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from numbers import Integral
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,7 +25,10 @@ from fenics_crack.errors import (
 from fenics_crack.outside import table_lines
 from fenics_crack.scene.fields import LARGEST, OR_ZERO, SMALLEST
 from fenics_crack.scene.scene import Scene
-from fenics_crack.table import Tabular, counted
+from fenics_crack.table import RPM, TURN, Tabular, counted
+
+if TYPE_CHECKING:
+    from fenics_crack.arrivals.passages import PassageFit  # SciPy
 
 IN_WORDS = {
     "frequency_open": "with the crack held open",
@@ -44,7 +47,7 @@ IN_WORDS = {
 open, held closed, breathing, by the formula and measured as a resonance, and of the plate before it
 had a crack; then what is of a point under a harmonic load, displacements as probes see them."""
 NEEDED = ("quantity", "value", "deviation")
-OPTIONAL = ("mode", "frequency", "point", "phase")
+OPTIONAL = ("mode", "frequency", "point", "phase", "rpm")
 SI = "Hz", "m", "-"
 UNITS = {"frequency": SI[:1], "phase": ("rad",), "value": SI, "deviation": SI}
 """That headings may name, in brackets."""
@@ -54,6 +57,8 @@ LARGEST_PHASE = 4.0 * math.pi
 """Of a period of 2 pi, for whoever begins it elsewhere [rad]; what is larger is in degrees."""
 FEWEST_PROBES = 4
 """Probes of which displacements tell more than the size and phase of a load, and a constant."""
+AT_REST = 1e-3
+"""Of the rotor's speed: what stands for none, where a millionth is left of what rotation adds."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +87,8 @@ class Measurement:
         load's direction.
     phase : float [rad]
         Of the load's period, 0 where it begins, 2 pi where it ends; nan where there is none.
+    rpm : float [1/min]
+        Of the rotor, where a natural frequency was measured, 0 at rest; nan: the scene's own.
 
     Raises
     ------
@@ -96,6 +103,7 @@ class Measurement:
     frequency: float = math.nan
     point: str = ""
     phase: float = math.nan
+    rpm: float = math.nan
 
     def __post_init__(self) -> None:
         check_choice("measurements.quantity", self.quantity, IN_WORDS)
@@ -113,12 +121,14 @@ class Measurement:
             if abs(self.phase) > LARGEST_PHASE:
                 allowed = f"of a period, 0 to 2 pi; in degrees? then {math.radians(self.phase):.5g}"
                 raise InputError("measurements.phase", self.phase, allowed)
-        needed = ("mode",) if self.natural else ("frequency", "point", *["phase"] * at_probe)
+        if not math.isnan(self.rpm):
+            check_number("measurements.rpm", self.rpm, 0.0)
+        needed = ("mode", "rpm") if self.natural else ("frequency", "point", *["phase"] * at_probe)
         for key in OPTIONAL:
             given = getattr(self, key)
             if key not in needed and given and not (isinstance(given, float) and math.isnan(given)):
                 raise InputError(f"measurements.{key}", given, f"left out with {self.quantity}")
-        for key in ("value", "deviation", "frequency", "phase"):
+        for key in ("value", "deviation", "frequency", "phase", "rpm"):
             number = getattr(self, key)
             if not (math.isnan(number) or number == 0.0 or SMALLEST <= abs(number) <= LARGEST):
                 raise InputError(f"measurements.{key}", number, f"a number {OR_ZERO}")
@@ -148,7 +158,7 @@ class Measurement:
     def name(self) -> str:
         """Name in words: "frequency_open of mode 2", "ratio_2_1 at 250 Hz of tip.ux"."""
         if self.natural:
-            return f"{self.quantity} of mode {self.mode}"
+            return f"{self.quantity} of mode {self.mode}{self._speed}"
         where = f" of {self.point}" if self.point else ""
         when = "" if math.isnan(self.phase) else f" and {self.phase:.3g} rad"
         return f"{self.quantity} at {self.frequency:g} Hz{when}{where}"
@@ -157,7 +167,7 @@ class Measurement:
     def words(self) -> str:
         """What it is, in a sentence: "natural frequency 2 with the crack held open"."""
         if self.natural:
-            return f"natural frequency {self.mode} {IN_WORDS[self.quantity]}"
+            return f"natural frequency {self.mode} {IN_WORDS[self.quantity]}{self._speed}"
         when = (
             ""
             if math.isnan(self.phase)
@@ -166,8 +176,25 @@ class Measurement:
         where = self.point or "the point under the load"
         return f"{IN_WORDS[self.quantity]} of {where} at {self.frequency:g} Hz{when}"
 
+    @property
+    def _speed(self) -> str:
+        return "" if math.isnan(self.rpm) else f" at {self.rpm:g} rpm"
+
+    def load(self, scene: Scene) -> float:
+        """The load of a scene under which it was measured [Hz]: its own, or that at the rotor's
+        speed; nan at the scene's own speed."""
+        if not self.natural or math.isnan(self.rpm):
+            return self.frequency
+        assert scene.excitation.order is not None  # checked
+        own = scene.excitation.omega / TURN
+        found = max(scene.excitation.order * self.rpm / 60.0, AT_REST * own)
+        return math.nan if f"{found:.9g}" == f"{own:.9g}" else float(f"{found:.9g}")
+
     def check(self, scene: Scene) -> None:
         """Raise InputError unless it is one of a scene."""
+        if not math.isnan(self.rpm) and (scene.excitation.order is None or scene.speed == 0.0):
+            allowed = "left out unless the load is an engine order (excitation.order) of [rotation]"
+            raise InputError("measurements.rpm", self.rpm, allowed)
         known = scene.point_names
         if self.point and self.point not in known:
             allowed = f"empty, or one of [output.points]: {', '.join(known) or 'there are none'}"
@@ -209,7 +236,7 @@ class Measurements(Tabular):
         cls, quantity: str, values: Sequence[float], deviations: Any, **where: Sequence[Any]
     ) -> Measurements:
         """Numbers of one quantity: values (n,), their standard deviations (n,) or one for all, and
-        ``mode``, or ``frequency`` and ``point``, (n,) each.
+        ``mode`` and ``rpm``, or ``frequency`` and ``point``, (n,) each.
 
         Raises
         ------
@@ -308,10 +335,46 @@ class Measurements(Tabular):
         )
 
     @classmethod
+    def from_passages(
+        cls,
+        passages: Sequence[PassageFit],
+        modes: Sequence[int],
+        *,
+        quantity: str = "frequency_resonance",
+    ) -> Measurements:
+        """The natural frequencies of resonances that a rotor passes, at the speed of each.
+
+        Parameters
+        ----------
+        passages : sequence of PassageFit
+            As :func:`find_passages` finds them.
+        modes : sequence of int
+            Of which mode each is, from 1; 0 leaves it out.
+        quantity : str
+            "frequency_resonance" of a blade as it is, or "frequency_uncracked" before it had a
+            crack.
+
+        Raises
+        ------
+        InputError
+            The lengths differ, none is left, or a value cannot be used.
+        """
+        if len(modes) != len(passages):
+            raise InputError("modes", list(modes), f"one of each of {len(passages)} passages")
+        used = [one for one in zip(passages, modes, strict=True) if one[1]]
+        return cls.from_arrays(
+            quantity,
+            [fit.omega / TURN for fit, _ in used],
+            [fit.omega_error / TURN for fit, _ in used],
+            mode=[mode for _, mode in used],
+            rpm=[float(f"{fit.speed / RPM:.7g}") for fit, _ in used],
+        )
+
+    @classmethod
     def from_csv(cls, path: str | Path) -> Measurements:
-        """Read a table with the columns quantity, value, deviation, mode, frequency [Hz], point
-        and phase [rad], in any order; cells that do not apply are empty, and lines that begin with
-        # are left out.
+        """Read a table with the columns quantity, value, deviation, mode, frequency [Hz], point,
+        phase [rad] and rpm, in any order; cells that do not apply are empty, and lines that begin
+        with # are left out.
 
         Raises
         ------
@@ -412,7 +475,7 @@ class Measurements(Tabular):
         names = [item.name for item in fields(Measurement)]
         found = {name: [getattr(row, name) for row in self.rows] for name in names}
         found["mode"] = [mode or "" for mode in found["mode"]]
-        for name in ("frequency", "phase"):
+        for name in ("frequency", "phase", "rpm"):
             found[name] = ["" if math.isnan(one) else one for one in found[name]]
         return found
 

@@ -13,7 +13,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
@@ -181,8 +181,38 @@ OFF = {1: 0.04}
 OFTEN_OFF = 0.3
 """Root of the mean square of what a resonance differs by from the bilinear frequency, over what
 lies between the frequencies with lips tied and open: of the first mode, and of others, near which
-the gap follows their neighbours, too; and of all under a steady load, where it may be anywhere
-between (1 / 12^(1/2))."""
+the gap follows their neighbours, too; and of all where it may be anywhere between
+(1 / 12^(1/2))."""
+
+
+class Lips(NamedTuple):
+    """What lips do at resonances: they breathe, stay open or stay shut.
+
+    Attributes
+    ----------
+    what : str
+        Of LIPS.
+    alike, apart : float
+        Standard deviation of what resonances differ by from the frequency of that, over what lies
+        between the frequencies with lips tied and open, all alike and each by itself; where they
+        breathe those of a mode by that of OFF, too.
+    share : float
+        Probability, over that of one that is open.
+    """
+
+    what: str
+    alike: float = 0.0
+    apart: float = 0.0
+    share: float = 1.0
+
+
+BREATHE = Lips("bilinear")
+"""Half of the time."""
+PARTLY = (
+    Lips("bilinear", apart=OFTEN_OFF, share=0.5),
+    Lips("bilinear", alike=OFTEN_OFF, share=0.5),
+)
+"""For a part of it that is another at each resonance, or the same at all."""
 REST = 1e-9
 """Of the largest harmonics of the nodes: what is rounding."""
 TOGETHER = 0.5
@@ -300,13 +330,13 @@ class Quantities:
         self, model: Model, rows: Sequence[Measurement], more: Sequence[Measurement] = ()
     ) -> None:
         self.model, self.rows = model, (*rows, *more)
-        of_rows = [Feature.of(row) for row in self.rows]
+        of_rows = [Feature.of(row, model.scene) for row in self.rows]
         every = [one for found in of_rows for one in found]
-        every += [Feature("uncracked", one.mode) for one in every if one.of_crack]
+        every += [one.uncracked for one in every if one.of_crack]
         self._features = tuple(dict.fromkeys(every))
         at = {feature: place for place, feature in enumerate(self._features)}
         self._places = [[at[feature] for feature in found] for found in of_rows]
-        plain = [(at[one], at[Feature("uncracked", one.mode)]) for one in at if one.of_crack]
+        plain = [(at[one], at[one.uncracked]) for one in at if one.of_crack]
         self._own, self._plain = (
             (list(places) for places in zip(*plain, strict=True)) if plain else ([], [])
         )
@@ -321,10 +351,13 @@ class Quantities:
         basis = model.coarse.basis
         self._basis = Interpolation(model.cube, basis.reshape(len(basis), -1))
         self._highest = float(np.nanmax(basis[..., NUMBERED], initial=0.0))
-        self._loads = [0 if f.natural else model.coarse.load(f.frequency) for f in self._features]
+        self._loads = [model.coarse.load(feature.frequency) for feature in self._features]
+        changes = model.whole.changes_at(model.coarse.loads.faster)
+        self._changes = changes[self._loads]
         self._higher, still = _stillness(model.coarse, self._features, self._loads)
         self._still = RegularGridInterpolator(model.cube.axes, still) if len(still) else None
-        self._lips = _lips(model) if any(row.resonance for row in self.rows) else LIPS[:1]
+        self._lips = _lips(model) if any(row.resonance for row in self.rows) else (BREATHE,)
+        self._is_free_at_rest = is_proportional(model.scene.at_rest())
         self._coarse = Interpolation(model.cube, self._smooth(model.coarse))
         self._understated = self._missed()
         harmonic = np.repeat([not one.natural for one in self._features], 2)
@@ -355,18 +388,20 @@ class Quantities:
 
         Under a steady load, a preload or a clearance a crack may stay open or shut, and the motion
         has no harmonics at all; between nodes where it does and where it does not, either may be.
-        So may it at a resonance, each as probable.
+        So may it at a resonance, or breathe, half of the time or for a part of it that is the same
+        at all resonances or another at each: each of the four as probable.
         """
         rests = np.zeros((len(x), 0))
         if self._still is not None:
             rests = self._still(np.clip(x, self.model.cube.low, self.model.cube.high))
+        every = sum(lips.share for lips in self._lips)
         for chosen in itertools.product((False, True), repeat=rests.shape[1]):
-            share = np.prod(np.where(chosen, rests, 1.0 - rests), axis=1) / len(self._lips)
+            share = np.prod(np.where(chosen, rests, 1.0 - rests), axis=1)
             at = np.flatnonzero(share > 0.0)
             higher = list(itertools.compress(self._higher, chosen))
             still = np.any(higher, axis=0) if higher else None
             for lips in self._lips if len(at) else ():
-                yield at, share[at], self(x[at], still, lips)
+                yield at, lips.share / every * share[at], self(x[at], still, lips)
 
     def _smooth(self, part: Part) -> np.ndarray:
         """The smooth forms of all features at the nodes of a sweep: (n, 2f), real and imaginary
@@ -401,22 +436,22 @@ class Quantities:
         return found.reshape(len(x), *self.model.coarse.basis.shape[1:])[:, self._loads]
 
     def __call__(
-        self, x: np.ndarray, still: np.ndarray | None = None, lips: str = LIPS[0]
+        self, x: np.ndarray, still: np.ndarray | None = None, lips: Lips | None = None
     ) -> Prediction:
         """Predictions at some values (m, d) of the unknowns, with features that vanish, (f,), and
-        what lips do at resonances."""
+        what lips do at resonances, the least that is known of it by default."""
         smooth, left, scatter = self._of_features(x)
         damping, basis = self.model.damping(x), self._basis_at(x)
         scale = self._scales(x, basis)
         waves = (smooth[:, ::2] + 1j * smooth[:, 1::2]) / scale
         changes = relative_changes(
-            self._features, damping, basis, self.model.scene, self.model.whole
+            self._features, damping, basis, self.model.scene, self._changes, self.model.whole.sizes
         )
         changes = changes * np.where(self._is_plain, 1.0, waves * scale)[..., None]
         waves[:, self._own] += waves[:, self._plain]
         if still is not None:
             waves[:, still] = 0.0
-        values, turns, rest = self._of_numbers(damping, waves, scale, lips)
+        values, turns, alike, rest = self._of_numbers(damping, waves, scale, lips or self._lips[0])
         free = [np.zeros((*values.shape, 0))]
         left_out = np.zeros((len(x), len(self.rows), len(self.rows)))
         unsure = sum(np.sum(errors**2, axis=1) for errors in scatter)
@@ -444,7 +479,8 @@ class Quantities:
         slopes = _pairs(turns.conj())
         errors = self._errors(smooth, left, scatter, slopes)
         unknown = slopes @ _pairs(changes.transpose(0, 2, 1)).transpose(0, 2, 1)
-        errors = np.concatenate([errors, unknown, values[..., None] * self._since], axis=2)
+        since = values[..., None] * self._since
+        errors = np.concatenate([errors, unknown, since, alike], axis=2)
         total = errors @ errors.transpose(0, 2, 1) + left_out
         total += rest[:, :, None] * np.eye(len(self.rows))
         values = np.where(self.known, values, np.nan)
@@ -475,32 +511,35 @@ class Quantities:
         return np.arange(kept + 1, last + 1), strength[:, None] * moved[:, kept:]
 
     def _of_numbers(
-        self, damping: np.ndarray, waves: np.ndarray, scale: np.ndarray, lips: str
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        self, damping: np.ndarray, waves: np.ndarray, scale: np.ndarray, lips: Lips
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Values (m, q) of all measurements but displacements, their slopes t (m, q, f) by the
-        smooth forms S, ds = Re sum t dS, and variances of what no feature tells (m, q)."""
+        smooth forms S, ds = Re sum t dS, and of what no feature tells changes of all together and
+        of those of each mode, (m, q, 1 + modes), and variances of each (m, q)."""
         natural = np.array([feature.natural for feature in self._features])
         with np.errstate(divide="ignore", invalid="ignore"):
             sizes = np.where(natural, np.exp(np.where(natural, waves.real, 0.0)), np.abs(waves))
             turned = np.where(np.abs(waves) > 0.0, np.conj(waves) / np.abs(waves), 1.0) / scale
         turned = np.where(natural, sizes / scale, turned)
         values, rest = np.zeros((2, len(waves), len(self.rows)))
+        alike = np.zeros((*values.shape, 1 + FEW_MODES))
         turns = np.zeros((*values.shape, len(self._features)), dtype=complex)
         for place, (row, at) in enumerate(zip(self.rows, self._places, strict=True)):
             if row.quantity == "displacement" or not self.known[place]:
                 continue
-            state = LIPS.index(lips) if row.resonance else 0
+            own = BREATHE if row.rpm == 0.0 and self._is_free_at_rest else lips
+            state = LIPS.index(own.what) if row.resonance else 0
             values[:, place], weights = _together(row, sizes[:, at], state)
             turns[:, place, at] = weights * turned[:, at]
             if row.resonance:
                 _, opened, tied = sizes[:, at].T
-                off = OFTEN_OFF if len(self._lips) > 1 else OFF.get(row.mode, OFTEN_OFF)
-                off = off if lips == LIPS[0] else 0.0
-                shift = values[:, place] * damping[:, 0] ** 2
-                rest[:, place] = (off * (tied - opened)) ** 2 + shift**2
+                split, shift = tied - opened, values[:, place] * damping[:, 0] ** 2
+                alike[:, place, 0] = own.alike * split
+                alike[:, place, row.mode] = (state == 0) * OFF.get(row.mode, OFTEN_OFF) * split
+                rest[:, place] = (own.apart * split) ** 2 + shift**2
         for own, plain in zip(self._own, self._plain, strict=True):
             turns[:, :, plain] += turns[:, :, own] * scale[:, None, own]
-        return values, turns, rest
+        return values, turns, alike, rest
 
     def _of_features(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
         """Smooth forms as pairs of columns, what the mesh may have left of an error, (m, 2f) each,
@@ -568,14 +607,16 @@ def _pairs(values: np.ndarray) -> np.ndarray:
     return np.stack([values.real, values.imag], axis=-1).reshape(*values.shape[:-1], -1)
 
 
-def _lips(model: Model) -> tuple[str, ...]:
-    """What they may do at resonances: breathe, and if that depends on the size of the motion, stay
-    open or shut, but for what they never do in the cases that were solved."""
+def _lips(model: Model) -> tuple[Lips, ...]:
+    """What they may do at resonances: breathe, and if that depends on the size of the motion, for
+    any part of the time, stay open or stay shut, but for what they never do in the cases that were
+    solved."""
     if is_free(model.scene):
-        return LIPS[:1]
+        return (BREATHE,)
     closed = model.coarse.sweep["closed_share"][model.coarse.index]
     least, most = (one.reduce(closed, axis=None) for one in (np.fmin, np.fmax))
-    return tuple(itertools.compress(LIPS, (True, least < 1.0, most > 0.0)))
+    held = itertools.compress((Lips("open"), Lips("tied")), (least < 1.0, most > 0.0))
+    return (*PARTLY, BREATHE, *held)
 
 
 def is_free(scene: Scene) -> bool:

@@ -44,6 +44,7 @@ from fenics_crack.model.modes import Modes, solve_modes, times
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Identify
 from fenics_crack.study.prepare import prepare
+from fenics_crack.table import RPM
 
 STIFFENING = 0.05
 """Relative standard deviation of what rotation adds to the square of a natural frequency: beams and
@@ -72,10 +73,14 @@ class Whole:
 
     Attributes
     ----------
+    speed : float [rad/s]
+        Of the rotor.
     frequencies : (n,) [Hz]
         With lips tied where a crack cannot be taken out.
-    changes : (n, s)
-        Relative changes by a standard deviation of each.
+    elastic : (n,)
+        Part of their squares that rotation does not add.
+    by_elastic, by_rotation : (n, s)
+        Relative changes by a standard deviation of each, were it all or none.
     sizes : (s,)
         Likewise of the size of harmonics.
     between : (n, 3 + n)
@@ -83,10 +88,28 @@ class Whole:
         clamp, that turns and that moves, and of each mode by itself.
     """
 
+    speed: float
     frequencies: np.ndarray
-    changes: np.ndarray
+    elastic: np.ndarray
+    by_elastic: np.ndarray
+    by_rotation: np.ndarray
     sizes: np.ndarray
     between: np.ndarray
+
+    def changes_at(self, faster: np.ndarray) -> np.ndarray:
+        """Relative changes by a standard deviation of each at speeds (k,), over the rotor's: what
+        it adds to the square of a frequency grows like the square of the speed (Southwell):
+        (k, n, s)."""
+        added = (1.0 - self.elastic) * faster[:, None] ** 2
+        elastic = (self.elastic / (self.elastic + added))[..., None]
+        return np.asarray(elastic * self.by_elastic + (1.0 - elastic) * self.by_rotation)
+
+    def _frequencies_at(self, rpm: float) -> np.ndarray:
+        """Those at another speed, nan for the rotor's own: (n,) [Hz]."""
+        if np.isnan(rpm):
+            return self.frequencies
+        added = (1.0 - self.elastic) * (RPM * rpm / self.speed) ** 2
+        return np.asarray(self.frequencies * np.sqrt(self.elastic + added))
 
     def check(self, measurements: Measurements, loads: Sequence[float], *, other: bool) -> None:
         """Raise InputError for frequencies of loads, of which the scene has these [Hz], and natural
@@ -99,21 +122,23 @@ class Whole:
                 raise InputError(f"measurements.frequency, {row.name}", row.frequency, allowed)
         rows = [row for row in measurements.rows if row.natural and row.value > 0.0]
         rows = [row for row in rows if row.mode <= len(self.frequencies)]
-        units = [_unit(row.value / self.frequencies[row.mode - 1]) for row in rows]
+        known = [self._frequencies_at(row.rpm) for row in rows]
+        pairs = zip(rows, known, strict=True)
+        units = [_unit(row.value / there[row.mode - 1]) for row, there in pairs]
         for unit in FACTORS:
             like = [one == unit for one in units]
             if rows and (all(like) if other and unit == "rad/s" else any(like)):
-                row = rows[like.index(True)]
+                row, there = rows[like.index(True)], known[like.index(True)]
                 modes = "" if all(like) and len(rows) > 1 else ", or of another mode"
                 allowed = (
-                    f"in Hz; of this plate it is about {self.frequencies[row.mode - 1]:.4g} "
+                    f"in Hz; of this plate it is about {there[row.mode - 1]:.4g} "
                     f"Hz, so that this seems to be in {unit}{modes}"
                 )
                 raise InputError(f"measurements.value, {row.name}", row.value, allowed)
-        for row in rows if not other else ():
-            near = int(np.abs(np.log(row.value / self.frequencies)).argmin()) + 1
+        for row, there in zip(rows, known, strict=True) if not other else ():
+            near = int(np.abs(np.log(row.value / there)).argmin()) + 1
             if row.quantity == "frequency_uncracked" and near != row.mode:
-                own, that = (f"{self.frequencies[mode - 1]:.4g} Hz" for mode in (row.mode, near))
+                own, that = (f"{there[mode - 1]:.4g} Hz" for mode in (row.mode, near))
                 allowed = f"near {own} of this plate's mode {row.mode}; its mode {near} has {that}"
                 raise InputError(f"measurements.value, {row.name}", row.value, allowed)
 
@@ -132,7 +157,6 @@ def whole_plate(scene: Scene, table: Identify) -> Whole:
     if scene.speed > 0.0:
         still = _modes(scene.at_rest()).omega[:count]
         elastic = np.clip(still / modes.omega, 0.0, 1.0) ** 2
-    own = np.hypot(table.model_deviation, 0.5 * STIFFENING * (1.0 - elastic))
     unknown = {axis.key for axis in table.unknown}
     widths = {
         "material.young": table.young_deviation,
@@ -140,14 +164,30 @@ def whole_plate(scene: Scene, table: Identify) -> Whole:
         "geometry.thickness": table.thickness_deviation,
     }
     young, density, thickness = (0.0 if k in unknown else w for k, w in widths.items())
-    shared = [0.5 * young * elastic, -0.5 * density * elastic, np.zeros(count)]
-    by_clamp = _by_clamp(modes)
-    changes = np.column_stack([*shared, -table.clamp_deviation * by_clamp, np.diag(own)])
-    sizes = np.zeros(changes.shape[1])
+    by_clamp, every = _by_clamp(modes), np.eye(count)
+    by_elastic, by_rotation = (
+        np.column_stack(
+            [
+                np.tile([0.5 * young * part, -0.5 * density * part, 0.0], (count, 1)),
+                -table.clamp_deviation * by_clamp,
+                table.model_deviation * every,
+                0.5 * STIFFENING * (1.0 - part) * every,
+            ]
+        )
+        for part in (1.0, 0.0)
+    )
+    sizes = np.zeros(by_elastic.shape[1])
     sizes[[0, 2]] = -young, -thickness
-    alone = OF_ONE_MODE * np.eye(count)
-    between = table.before_deviation * np.column_stack([np.ones(count), by_clamp, alone])
-    return Whole(modes.omega / (2.0 * np.pi), changes, sizes, between)
+    between = np.column_stack([np.ones(count), by_clamp, OF_ONE_MODE * every])
+    return Whole(
+        scene.speed,
+        modes.omega / (2.0 * np.pi),
+        elastic,
+        by_elastic,
+        by_rotation,
+        sizes,
+        table.before_deviation * between,
+    )
 
 
 def _modes(scene: Scene) -> Modes:
@@ -179,7 +219,12 @@ def _by_clamp(modes: Modes) -> np.ndarray:
 
 
 def relative_changes(
-    features: Sequence[Feature], damping: np.ndarray, basis: np.ndarray, scene: Scene, whole: Whole
+    features: Sequence[Feature],
+    damping: np.ndarray,
+    basis: np.ndarray,
+    scene: Scene,
+    changes: np.ndarray,
+    sizes: np.ndarray,
 ) -> np.ndarray:
     """Relative changes of features by a standard deviation of each unknown, (m, f, s): of natural
     frequencies without the crack, of what it adds to their logarithms, and of harmonics.
@@ -193,10 +238,12 @@ def relative_changes(
         What :attr:`Part.basis` has there at the load of each feature.
     scene : Scene
         With the widths of the priors.
-    whole : Whole
-        The plate without a crack.
+    changes : (f, n, s)
+        Of the plate without a crack at the speed of each feature, :meth:`Whole.changes_at`.
+    sizes : (s,)
+        Likewise of the size of harmonics.
     """
-    table, count = scene.given("identify"), whole.frequencies.size
+    table, count = scene.given("identify"), changes.shape[1]
     natural, cracked = (
         np.array([getattr(feature, name) for feature in features])[:, None]
         for name in ("natural", "of_crack")
@@ -218,7 +265,7 @@ def relative_changes(
     own = table.crack_deviation * np.sqrt(1.0 - OF_ALL_MODES)
     known = any(axis.key == "damping.ratio" for axis in table.unknown)
     columns = [
-        (by_mode * ~cracked) @ whole.changes + ~natural * whole.sizes,
+        np.einsum("mfn,fns->mfs", by_mode * ~cracked, changes) + ~natural * sizes,
         own * by_crack,
         (0.0 if known else table.damping_deviation) * by_damping,
     ]

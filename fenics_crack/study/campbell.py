@@ -209,15 +209,29 @@ class Campbell(Tabular):
             yield text + f"; there d ln f / d ln n = {self.stiffening(speed, order * speed):.2g}"
 
     def stiffening(self, speed: float, omega: float) -> float:
-        """d ln w / d ln W of the mode nearest to a frequency at a speed [rad/s], its square being
-        linear in that of the speed (Southwell) between two speeds and beyond them; for
-        :func:`find_passages`."""
-        squares, turns = self.omega_bilinear**2, self.speed**2
-        place = int(np.clip(np.searchsorted(self.speed, speed), 1, len(turns) - 1))
-        slope = (squares[place] - squares[place - 1]) / (turns[place] - turns[place - 1])
-        there = squares[place] + slope * (speed**2 - turns[place])
+        """d ln w / d ln W of the mode nearest to a frequency at a speed [rad/s], of the kind that
+        the crack has at the next of the speeds, its square being linear in that of the speed
+        (Southwell) between two speeds and beyond them; for :func:`find_passages`."""
+        near = self.kind[int(np.abs(self.speed - speed).argmin())]
+        of_kinds = [getattr(self, f"omega_{kind}") for kind in STATES]
+        own = np.select([near == kind for kind in STATES], of_kinds)
+        there, slope = self._squares(speed, own)
         mode = int(np.abs(np.sqrt(np.maximum(there, 0.0)) - omega).argmin())
         return float(slope[mode] * speed**2 / there[mode])
+
+    def between(self, speed: float) -> tuple[np.ndarray, np.ndarray]:
+        """Natural frequencies with lips open and tied at a speed [rad/s], in the same way: (m,)
+        each [rad/s]."""
+        squares = (self._squares(speed, one)[0] for one in (self.omega_open, self.omega_tied))
+        opened, tied = (np.sqrt(np.maximum(square, 0.0)) for square in squares)
+        return opened, tied
+
+    def _squares(self, speed: float, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Squares (m,) at a speed of frequencies (n, m), and their slopes over its square."""
+        squares, turns = omega**2, self.speed**2
+        place = int(np.clip(np.searchsorted(self.speed, speed), 1, len(turns) - 1))
+        slope = (squares[place] - squares[place - 1]) / (turns[place] - turns[place - 1])
+        return squares[place] + slope * (speed**2 - turns[place]), slope
 
     def to_dict(self) -> dict[str, Any]:
         """Columns, a row for every speed and mode."""

@@ -28,9 +28,9 @@ from fenics_crack.scene.scene import LOOKED_AT, Scene
 from fenics_crack.scene.tables import Rotation, TipTiming
 from fenics_crack.scene.words import differences
 from fenics_crack.stages import begin
-from fenics_crack.study.campbell import campbell
+from fenics_crack.study.campbell import Campbell, campbell
 from fenics_crack.study.run import Run, load_run, solve
-from fenics_crack.table import speed_in_words
+from fenics_crack.table import RPM, TURN, speed_in_words
 
 DECIDED = (*LOOKED_AT, "reduction")
 """Tables of a scene that may differ from those of a result: what is looked at, and what a run
@@ -39,6 +39,10 @@ DIAGRAM = 5, 10
 """Speeds and modes of a Campbell diagram by which frequencies follow the speed of a record."""
 SHORTEST = 2
 """Points of a run-up."""
+FARTHEST = 0.1
+"""Of its frequency: by how much a resonance that is passed may be beside a mode at most."""
+NEARER = 0.5
+"""Of that: by how much it has to be beside all other modes."""
 ALONG = 0.999
 """Share of a circumferential motion that a displacement along a coordinate has to carry, to be
 taken for it: at 2.6 degrees, its error is a thousandth."""
@@ -160,8 +164,8 @@ def vibration_in(
         if order is None or (run is None and table.orders):
             of_fits = "fitted_harmonics", "subharmonic", "fitted_revolutions"
             table.leave_out(of_fits, "a run-up in which resonances are sought")
-            follows = _stiffening(scene, arrivals)
-            return find_passages(arrivals, table.orders or ORDERS, stiffening=follows)
+            diagram = None if scene.rotation is None else _diagram(scene, arrivals)
+            return _passages(table, arrivals, diagram)
         table.leave_out(*of_passages)
         table.leave_out(("orders",), f"a computed run-up: order {order} is tracked")
         how |= {"subharmonic": table.subharmonic, "revolutions": table.fitted_revolutions}
@@ -174,14 +178,73 @@ def vibration_in(
     return fit_order(arrivals, orders, **how, subharmonic=table.subharmonic)
 
 
-def _stiffening(scene: Scene, arrivals: ArrivalTimes) -> float | Follows:
-    """How natural frequencies follow the speed (collective)."""
-    given = scene.given("tip_timing").stiffening
-    if given is not None or scene.rotation is None:
-        return given or 0.0
+def modes_passed(scene: Scene, arrivals: ArrivalTimes) -> list[tuple[PassageFit, int, str]]:
+    """The resonances that a record of a blade on a rotor passes, of which mode of the scene each is
+    (from 1), and why none of it is known, 0, in words (collective).
+
+    Raises
+    ------
+    InputError
+        As :func:`find_passages`; or the scene's load is no engine order of a table ``[rotation]``.
+    """
+    if scene.rotation is None or scene.excitation.order is None:
+        allowed = "those of a constant speed, unless the load is an excitation.order of [rotation]"
+        raise InputError("arrivals", repr(arrivals), allowed)
+    diagram = _diagram(scene, arrivals)
+    fits = _passages(scene.given("tip_timing"), arrivals, diagram)
+    return [(fit, *mode_of(fit, diagram)) for fit in fits]
+
+
+def passed_in_words(fit: PassageFit, mode: int, why: str) -> str:
+    """Which mode passes where, or why a resonance is not used."""
+    hertz = f"{fit.omega / TURN:.6g} ± {fit.omega_error / TURN:.2g} Hz"
+    where = f"engine order {fit.order:g} at {fit.speed / RPM:.6g} rpm"
+    return f"mode {mode}: {hertz}, {where}" if mode else f"not used: {hertz}, {where}: {why}"
+
+
+def mode_of(fit: PassageFit, diagram: Campbell) -> tuple[int, str]:
+    """The mode of a resonance (from 1), or 0 and why it is not known or its frequency is not."""
+    opened, tied = diagram.between(fit.speed)
+
+    def apart(omega: float) -> np.ndarray:
+        return np.maximum(np.maximum(opened - omega, omega - tied), 0.0) / omega
+
+    own = apart(fit.omega)
+    nearest = np.argsort(own)
+    told = [
+        f"mode {mode + 1} has {opened[mode] / TURN:.6g} to {tied[mode] / TURN:.6g} Hz there"
+        for mode in nearest[:2]
+    ]
+    if own[nearest[0]] > FARTHEST:
+        return 0, f"that of none of the blade's modes to {FARTHEST:.0%}; {told[0]}"
+    if len(own) > 1 and own[nearest[1]] < NEARER * FARTHEST:
+        return 0, "; ".join(told)
+    also = [f"{order:g}" for order in fit.ambiguous if min(apart(order * fit.speed)) <= FARTHEST]
+    if also:
+        return 0, f"order {', '.join(also)} explains it as well, and meets a mode there, too"
+    if fit.in_doubt:
+        return 0, "something is beside it: its frequency may be off by more than its error"
+    if fit.disagree:
+        return 0, "its passages by themselves differ by more than their errors"
+    return int(nearest[0]) + 1, ""
+
+
+def _passages(
+    table: TipTiming, arrivals: ArrivalTimes, diagram: Campbell | None
+) -> tuple[PassageFit, ...]:
+    """Resonances that are passed, whose frequencies follow the speed as is given, or by a diagram,
+    or not."""
+    follows: float | Follows = table.stiffening or 0.0
+    if table.stiffening is None and diagram is not None:
+        follows = diagram.stiffening
+    return find_passages(arrivals, table.orders or ORDERS, stiffening=follows)
+
+
+def _diagram(scene: Scene, arrivals: ArrivalTimes) -> Campbell:
+    """That of a scene over the speeds of a record (collective)."""
     begin("Campbell diagram")
     speeds = np.linspace(arrivals.speed.min(), arrivals.speed.max(), DIAGRAM[0])
-    return campbell(scene, speeds, few=DIAGRAM[1]).stiffening
+    return campbell(scene, speeds, few=DIAGRAM[1])
 
 
 def tip_direction(table: TipTiming, run: Run) -> dict[int, float]:

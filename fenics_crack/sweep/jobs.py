@@ -24,7 +24,7 @@ from fenics_crack.files.store import Stored
 from fenics_crack.parallel import StopRequest, collect_garbage
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import REFUSALS
-from fenics_crack.sweep.case import Asked, Found, Geometry, build, solve_chunk
+from fenics_crack.sweep.case import ALONE, Asked, Found, Geometry, build, solve_chunk
 from fenics_crack.sweep.file import FAILED, PENDING, SweepFile
 from fenics_crack.sweep.plan import Chunk, Plan
 
@@ -266,7 +266,8 @@ class Manager:
             self._fail(error)
             return
         self._recorded += 1
-        self._failed += sum("gap" not in found for found in outcome)
+        lost = (found for found in outcome if "gap" not in found)
+        self._failed += sum(found["status"] != ALONE for found in lost)
         if self._failed:
             self._bar.set_postfix_str(f"{self._failed} failed", refresh=False)
         self._bar.update(len(outcome))

@@ -28,7 +28,7 @@ import operator
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -88,6 +88,7 @@ def run_sweep(
     progress: bool = False,
     verdicts: bool = True,
     judged: bool = True,
+    natural: Collection[int] = (),
 ) -> SweepResult:
     """Solve all cases of a scene's sweep by harmonic balance (collective).
 
@@ -101,7 +102,7 @@ def run_sweep(
     path : path, optional
         The file for the results. If it exists, it must be of the same scene and mesh files; its
         cases are kept, failed ones too; where some are missing, with the same ``verdicts`` and
-        ``judged``. Default: a file that lasts as long as the program.
+        ``judged`` and ``natural``. Default: a file that lasts as long as the program.
     comm : MPI.Comm
         The ranks; with ``sweep.ranks = s`` a multiple of s.
     progress : bool
@@ -112,6 +113,9 @@ def run_sweep(
     judged : bool
         Estimate the error of the reduction, which takes twice the modes; without, the column
         ``reduction_error`` is empty.
+    natural : collection of int
+        Places on the last axis, from 0, at which nothing but natural frequencies is found: the
+        state of these cases is that of failed ones.
 
     Returns
     -------
@@ -137,11 +141,20 @@ def run_sweep(
         plan = Plan(scene)
         wanted = {"verdicts": verdicts, "judged": judged}
         omitted = [name for name, yes in wanted.items() if not yes]
+        omitted += [f"vibration_{place}" for place in sorted(natural)]
         where = Path(path or _passing_file())
         file = SweepFile(where, scene, plan.harmonics, plan.pairs, omitted)
         managers.append(Manager(plan, file, comm.size // table.ranks, progress=progress))
         hopeless = not plan.reduction_swept
-        return Asked(plan.unit_loads, hopeless, table.at_resonance, verdicts, judged)
+        return Asked(
+            plan.unit_loads,
+            hopeless,
+            table.at_resonance,
+            verdicts,
+            judged,
+            frozenset(natural),
+            plan.shape[-1],
+        )
 
     asked = on_root(comm, start)
     group = comm.Split(comm.rank // table.ranks, comm.rank)

@@ -283,7 +283,7 @@ def from_to(low: float, high: float, revolutions: int) -> str:
 
 def test_a_run_up_of_few_speeds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Those of a curve are never one speed, however near they are: amplitudes of each speed are
-    the curve's, at its two ends, and identify asks for one speed."""
+    the curve's, at its two ends; identify, without a rotor, asks for one speed."""
     narrow = {"curve.start": 1990.0, "curve.stop": 2000.0, "tip_timing.revolutions": 200}
     scene, curve = followed(tmp_path, capsys, narrow)
     words = [scene, str(tmp_path / "curve.h5"), "--output", str(tmp_path), "--format", "json"]

@@ -1,0 +1,194 @@
+"""Cracks found from resonances that a rotor passes, each at a speed of its own."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from surroundings import main
+from test_identify import SPINNING, TURN
+
+import fenics_crack as fc
+from fenics_crack.identification.nuisance import whole_plate
+from fenics_crack.study.timing import mode_of, passed_in_words
+
+pytestmark = pytest.mark.usefixtures("not_laid_out")
+
+PROBES = np.radians([12.0, 47.0, 93.0, 131.0])
+SURE = {"crack": 0.01, "young": 1e-3, "model": 5e-4, "clamp": 0.0, "density": 0.0}
+TRUE = {"crack.length": 0.008}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of the sweeps that the tests share."""
+    return tmp_path_factory.mktemp("run_up")
+
+
+@pytest.fixture(scope="module")
+def scene() -> fc.Scene:
+    """A blade whose crack the pull of its rotor opens."""
+    changes = {f"identify.{name}_deviation": one for name, one in SURE.items()}
+    return fc.Scene.from_text(SPINNING).replace(changes)
+
+
+def natural(scene: fc.Scene, rpm: float, kind: str, mode: int = 1) -> float:
+    """A natural frequency of the blade at a speed [Hz]."""
+    own = scene.replace({"identify": None} | TRUE)
+    own = own.replace({"rotation.rpm": rpm}) if rpm else own.at_rest()
+    found = fc.bilinear_frequencies(fc.build_structure(own))
+    return float(getattr(found, f"omega_{kind}")[mode - 1]) / TURN
+
+
+def rows(scene: fc.Scene, quantity: str, kinds: dict[float, str]) -> fc.Measurements:
+    """Natural frequencies at some speeds, to 2e-4."""
+    hertz = np.array([natural(scene, rpm, kind) for rpm, kind in kinds.items()])
+    where = {"mode": [1] * len(hertz), "rpm": list(kinds)}
+    return fc.Measurements.from_arrays(quantity, hertz, 2e-4 * hertz, **where)
+
+
+def test_each_at_its_own_speed(scene: fc.Scene, folder: Path) -> None:
+    """Of lips open at 1500, 3000 and 4000 rpm and at rest: the length to less than the crack's own
+    2.5 %. All taken for those of 3000 rpm they are those of no length at all."""
+    speeds = dict.fromkeys((0.0, 1500.0, 3000.0, 4000.0), "open")
+    seen = rows(scene, "frequency_open", speeds)
+    found = fc.identify(scene, seen, folder=folder)
+    assert found.verdict == "crack" and found.contains(TRUE) and found.misfit[1] > 0.5
+    assert found.estimate["crack.length"] == pytest.approx(0.008, rel=0.02)
+    assert found.fit_table().rows[1][0] == "frequency_open of mode 1 at 1500 rpm"
+    for row in seen.rows:
+        alone = fc.Measurements((fc.Measurement("frequency_open", row.value, row.deviation, 1),))
+        wrong = fc.identify(scene, alone, folder=folder)
+        assert wrong.contains(TRUE) == (row.rpm == 3000.0)
+
+
+@pytest.mark.parametrize("kind", ["open", "bilinear"])
+def test_lips_at_resonances(scene: fc.Scene, folder: Path, kind: str) -> None:
+    """Open at all speeds, or breathing half of the time at all: either is told by no frequency, so
+    that both lengths are in the region; at rest the crack breathes in any case, and that tells."""
+    speeds = dict.fromkeys((1500.0, 3000.0, 4000.0), kind)
+    found = fc.identify(scene, rows(scene, "frequency_resonance", speeds), folder=folder)
+    assert found.verdict == "crack" and found.contains(TRUE)
+    both = rows(scene, "frequency_resonance", {0.0: "bilinear"} | speeds)
+    known = fc.identify(scene, both, folder=folder)
+    assert known.verdict == "crack" and known.contains(TRUE)
+    assert known.posterior.spread(0) < 0.7 * found.posterior.spread(0)
+
+
+def test_speeds_that_mean_nothing(scene: fc.Scene) -> None:
+    """Refused: those of a load of its own frequency, of a harmonic, and below none."""
+    row = fc.Measurement("frequency_open", 300.0, 0.1, 1, rpm=1500.0)
+    assert row.words == "natural frequency 1 with the crack held open at 1500 rpm"
+    for changes in ({"excitation.order": None, "excitation.frequency": 250.0}, {"rotation": None}):
+        lone = {"excitation.order": None, "excitation.frequency": 250.0} | changes
+        with pytest.raises(fc.InputError, match=r"rpm = 1500.0: must be left out unless the load"):
+            row.check(scene.replace(lone))
+    with pytest.raises(fc.InputError, match=r"measurements\.rpm = -1"):
+        fc.Measurement("frequency_open", 300.0, 0.1, 1, rpm=-1.0)
+    with pytest.raises(fc.InputError, match=r"measurements\.rpm = 100.0: must be left out with"):
+        fc.Measurement("harmonic_1", 300.0, 0.1, frequency=250.0, rpm=100.0)
+
+
+def test_units_at_other_speeds(scene: fc.Scene, folder: Path) -> None:
+    """At 9000 rpm the blade has 1.3 times the frequency: no other unit, and no other mode."""
+    fast = scene.replace({"rotation.rpm": 9000.0, "identify": None, "crack": None, "contact": None})
+    hertz = fc.solve_modes(fc.build_structure(fast), 2).omega / TURN
+    plain = scene.replace({"identify": None, "crack": None, "contact": None})
+    whole = whole_plate(plain, scene.given("identify"))
+    assert hertz[0] > 1.3 * whole.frequencies[0]
+    row = fc.Measurement("frequency_uncracked", hertz[0], 0.1, 1, rpm=9000.0)
+    whole.check(fc.Measurements((row,)), [], other=False)
+    with pytest.raises(fc.InputError, match=r"seems to be in rad/s"):
+        wrong = fc.Measurement("frequency_open", TURN * hertz[0], 0.1, 1, rpm=9000.0)
+        whole.check(fc.Measurements((wrong,)), [], other=False)
+    # The stiffer material moves what is elastic alone, by half of it: at rest all.
+    still, own, faster = whole.changes_at(np.array([0.0, 1.0, 3.0]))[:, 0]
+    assert still[0] == pytest.approx(0.5e-3) and still[0] > own[0] > faster[0]
+    elastic = (natural(scene, 0.0, "tied") / natural(scene, 3000.0, "tied")) ** 2
+    assert own[0] == pytest.approx(0.5e-3 * elastic, rel=0.01)
+
+
+def swept(scene: fc.Scene, kind: str, path: Path, orders: tuple[int, ...]) -> None:
+    """Arrivals of the blade's first mode in a run-up from 2200 to 3000 rpm, its lips open or tied,
+    whose frequency is that of each order where it meets it; 2 um of noise."""
+    speeds = np.linspace(2200.0, 3000.0, 5) * TURN / 60.0
+    diagram = fc.campbell(scene.replace({"identify": None}), speeds, 1)
+    low, high, turns, radius = speeds[0], speeds[-1], 600, 0.5
+    total = turns * TURN * 2.0 / (low + high)
+    grid = np.linspace(0.0, total, 200_000)
+    angle = low * grid + 0.5 * (high - low) * grid**2 / total
+    at = (low + (high - low) * grid / total) ** 2
+    omega = np.sqrt(np.interp(at, speeds**2, getattr(diagram, f"omega_{kind}")[:, 0] ** 2))
+    # The blade's phase in place of the time: its frequency is 1 in it.
+    phase = np.concatenate([[0.0], np.cumsum(0.5 * (omega[1:] + omega[:-1]) * np.diff(grid))])
+    even = np.linspace(0.0, phase[-1], len(grid))
+    push = sum(np.cos(order * np.interp(even, phase, angle)) for order in orders)
+    step, root = even[1], complex(-0.002, np.sqrt(1.0 - 0.002**2))
+    motion = lfilter([step], [1.0, -np.exp(root * step)], 3e-7 * push).imag / root.imag
+    targets = TURN * np.arange(turns - 1)[:, None] + PROBES
+    targets = targets + 4e-6 * np.random.default_rng(1).standard_normal(targets.shape)
+    moved = angle + np.interp(phase, even, motion) / radius
+    marks = np.interp(TURN * np.arange(turns), angle, grid)
+    fc.ArrivalTimes(np.interp(targets, moved, grid), marks, PROBES, radius).to_csv(path)
+
+
+def test_record_of_a_run_up(scene: fc.Scene, tmp_path: Path, capsys: Any) -> None:
+    """From the arrivals of two run-ups, before there was a crack and now, to its length."""
+    lightly: dict[str, Any] = {"damping.ratio": 0.002, "excitation.force_sin": (0.3, 0.0)}
+    lightly["excitation.force_mean"] = (40.0, 0.0)  # its crack stays open
+    blade = scene.replace(lightly | {"tip_timing.probes": tuple(np.degrees(PROBES))})
+    (tmp_path / "blade.toml").write_text(blade.as_toml(), encoding="utf-8")
+    stiff = blade.replace({"material.young": 2.11e11} | TRUE)
+    now, before = tmp_path / "now.csv", tmp_path / "before.csv"
+    swept(stiff, "open", now, (5, 6))
+    swept(stiff.replace({"crack": None, "contact": None}), "open", before, (6, 7))
+    words = ["identify", str(tmp_path / "blade.toml"), "--output", str(tmp_path / "found")]
+    assert main([*words, "--arrivals", str(now), "--before", str(before)]) == 0
+    told = capsys.readouterr()
+    used = re.findall(
+        r"mode 1: ([\d.]+) ± ([\d.]+) Hz, engine order (\d) at ([\d.]+) rpm", told.err
+    )
+    kinds = dict(zip(used, ("open", "open", "bare", "bare"), strict=True))
+    assert sorted(int(order) for *_, order, _ in kinds) == [5, 6, 6, 7]
+    for (hertz, error, order, rpm), kind in kinds.items():
+        assert float(hertz) == pytest.approx(int(order) * float(rpm) / 60.0, rel=1e-5)
+        if kind == "open":
+            assert float(hertz) == pytest.approx(
+                natural(stiff, float(rpm), kind), abs=4.0 * float(error)
+            )
+    assert "crack: log Bayes factor" in told.err
+    length = float(told.out.splitlines()[2].split()[1])
+    assert length == pytest.approx(0.008, rel=0.1)
+    # A steady record tells no frequencies, and one of constant speed is none of a run-up.
+    assert main([*words, "--arrivals", str(now), "--before", str(tmp_path / "blade.toml")]) == 2
+    capsys.readouterr()
+    # What is not used, and why; in Python.
+    [fit, *others] = fc.find_passages(fc.ArrivalTimes.from_csv(now), [5, 6], stiffening=0.11)
+    assert others
+    seen = fc.Measurements.from_passages([fit, *others], [1, 0])
+    assert [row.name for row in seen.rows] == [
+        f"frequency_resonance of mode 1 at {float(f'{fit.speed * 60.0 / TURN:.7g}'):g} rpm"
+    ]
+    with pytest.raises(fc.InputError, match="one of each of 2 passages"):
+        fc.Measurements.from_passages([fit, *others], [1])
+    for of, opened, tied, why in (
+        (fit, (0.9, 2.0), (1.02, 2.1), ""),
+        (fit, (1.08, 2.0), (1.2, 2.1), ""),
+        (fit, (1.12, 2.0), (1.2, 2.1), "that of none of the blade's modes to 10%; mode 1 has 266"),
+        (fit, (0.9, 1.03), (1.02, 1.1), "mode 1 has 214"),
+        (replace(fit, margins=0.0 * fit.margins), (0.9, 1.19), (1.02, 1.25), "order 6 explains it"),
+        (replace(fit, whiteness=0.0), (0.9, 2.0), (1.02, 2.1), "something is beside it"),
+        (replace(fit, omegas=fit.omega * np.array([1.0, 1.1]), omega_errors=np.ones(2)),
+         (0.9, 2.0), (1.02, 2.1), "its passages by themselves differ"),
+    ):  # fmt: skip
+        between = fit.omega * np.array([opened, tied])
+        diagram: Any = SimpleNamespace(between=lambda speed, both=between: both)
+        mode, told = mode_of(of, diagram)
+        assert (mode == 0) == bool(why) and told.startswith(why)
+        assert passed_in_words(of, mode, told).startswith("not used: 238" if why else "mode 1: 238")
