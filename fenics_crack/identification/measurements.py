@@ -381,36 +381,7 @@ class Measurements(Tabular):
         InputError
             The file cannot be read, or a line cannot be used.
         """
-        with reading("measurements", path, "a CSV file"):
-            lines = table_lines(path)
-            table = list(csv.reader(line for _, line in lines))
-        headings = table[0] if table else []
-        names = [cell.partition("[")[0].strip() for cell in headings]
-        for cell, name in zip(headings, names, strict=True):
-            unit = cell.partition("[")[2].partition("]")[0].strip()
-            if unit and unit not in (units := UNITS.get(name, ())):
-                allowed = f"in {' or '.join(units)}" if units else "without a unit"
-                raise InputError("measurements", f"{path}: the column {cell.strip()}", allowed)
-        if len(lines) != len(table):
-            raise InputError("measurements", str(path), "a CSV file without line breaks in cells")
-        known = (*NEEDED, *OPTIONAL)
-        if not set(NEEDED) <= set(names) <= set(known) or len(set(names)) != len(names):
-            allowed = (
-                f"a CSV file with the columns {', '.join(known)}, the first three of them needed"
-            )
-            found = f"the columns {', '.join(names)}" if names else "nothing"
-            raise InputError("measurements", f"{path}: {found}", allowed)
-        rows = []
-        for (number, line), cells in zip(lines[1:], table[1:], strict=True):
-            try:
-                rows.append(_row(dict(zip(names, map(str.strip, cells), strict=True))))
-            except InputError as error:
-                allowed = f"{error.allowed} (line {number})"
-                raise InputError(error.key, error.value, allowed) from None
-            except ValueError:
-                allowed = f"{len(names)} cells: {', '.join(names)}"
-                raise InputError(f"measurements, line {number}", line, allowed) from None
-        return cls(tuple(rows))
+        return cls(tuple(_table(path)))
 
     @classmethod
     def from_responses(
@@ -492,6 +463,38 @@ def without_crack(scene: Scene) -> dict[str, Any] | None:
         return changes | {"mesh.file": scene.identify.uncracked}
     own = scene.structure is None and scene.mesh.layout != "file" and len(scene.all_cracks) == 1
     return changes if own else None
+
+
+def _table(path: str | Path) -> list[Measurement]:
+    """The lines of a CSV file; raises InputError."""
+    with reading("measurements", path, "a CSV file"):
+        lines = table_lines(path)
+        table = list(csv.reader(line for _, line in lines))
+    headings = table[0] if table else []
+    names = [cell.partition("[")[0].strip() for cell in headings]
+    for cell, name in zip(headings, names, strict=True):
+        unit = cell.partition("[")[2].partition("]")[0].strip()
+        if unit and unit not in (units := UNITS.get(name, ())):
+            allowed = f"in {' or '.join(units)}" if units else "without a unit"
+            raise InputError("measurements", f"{path}: the column {cell.strip()}", allowed)
+    if len(lines) != len(table):
+        raise InputError("measurements", str(path), "a CSV file without line breaks in cells")
+    known = (*NEEDED, *OPTIONAL)
+    if not set(NEEDED) <= set(names) <= set(known) or len(set(names)) != len(names):
+        allowed = f"a CSV file with the columns {', '.join(known)}, the first three of them needed"
+        found = f"the columns {', '.join(names)}" if names else "nothing"
+        raise InputError("measurements", f"{path}: {found}", allowed)
+    rows = []
+    for (number, line), cells in zip(lines[1:], table[1:], strict=True):
+        try:
+            rows.append(_row(dict(zip(names, map(str.strip, cells), strict=True))))
+        except InputError as error:
+            allowed = f"{error.allowed} (line {number})"
+            raise InputError(error.key, error.value, allowed) from None
+        except ValueError:
+            allowed = f"{len(names)} cells: {', '.join(names)}"
+            raise InputError(f"measurements, line {number}", line, allowed) from None
+    return rows
 
 
 def _row(cells: Mapping[str, str]) -> Measurement:

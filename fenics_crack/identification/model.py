@@ -343,17 +343,12 @@ class Quantities:
         self._passages = Passages.among(rows, more)
         self._alike = _alike(self._features)
         self._is_plain = np.array([one.lips == "uncracked" for one in self._features])
-        # How far frequencies before there was a crack may be from those of the same plate now.
-        count, kinds = model.whole.between.shape
-        between = np.vstack([np.zeros(kinds), model.whole.between])
-        before = [row.mode if row.quantity == "frequency_uncracked" else 0 for row in self.rows]
-        self._since = between[[mode if mode <= count else 0 for mode in before]]
+        self._since = _since(self.rows, model.whole.between)
         basis = model.coarse.basis
         self._basis = Interpolation(model.cube, basis.reshape(len(basis), -1))
         self._highest = float(np.nanmax(basis[..., NUMBERED], initial=0.0))
         self._loads = [model.coarse.load(feature.frequency) for feature in self._features]
-        changes = model.whole.changes_at(model.coarse.loads.faster)
-        self._changes = changes[self._loads]
+        self._changes = model.whole.changes_at(model.coarse.loads.faster)[self._loads]
         self._higher, still = _stillness(model.coarse, self._features, self._loads)
         self._still = RegularGridInterpolator(model.cube.axes, still) if len(still) else None
         self._lips = _lips(model) if any(row.resonance for row in self.rows) else (BREATHE,)
@@ -593,6 +588,14 @@ def _stillness(
             groups.append(own)
             still.append(rests.reshape(part.cube.shape))
     return groups, np.moveaxis(np.array(still, dtype=float), 0, -1) if groups else np.zeros(0)
+
+
+def _since(rows: Sequence[Measurement], between: np.ndarray) -> np.ndarray:
+    """How far frequencies before there was a crack may be from those of the same plate now, of each
+    measurement: (q, s); 0 of others, and of modes that are not known."""
+    before = [row.mode if row.quantity == "frequency_uncracked" else 0 for row in rows]
+    every = np.vstack([np.zeros(between.shape[1]), between])
+    return np.asarray(every[[mode if mode < len(every) else 0 for mode in before]])
 
 
 def _alike(features: Sequence[Feature]) -> np.ndarray:

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 from scipy.stats import kstest
+from test_identify import SPINNING
 
 import fenics_crack as fc
 from fenics_crack.identification.identify import remarks_on
@@ -23,6 +24,7 @@ from fenics_crack.identification.model import Passages, Prediction
 from fenics_crack.identification.nuisance import act_as, whole_plate
 from fenics_crack.identification.posterior import Likelihood, Posterior, explore
 from fenics_crack.identification.result import Worth, advice, worth_of
+from fenics_crack.study.timing import mode_of, passed_in_words
 
 SQUARE = Cube((np.linspace(0.0, 2.0, 6), np.linspace(1.0, 3.0, 7)))
 
@@ -321,6 +323,70 @@ def test_soft_clamps() -> None:
         bending = found[:3, column]
         np.testing.assert_allclose(bending / bending[0], expected, rtol=0.03)
     assert np.hypot(*found[0, 1:3]) == pytest.approx(table.before_deviation, rel=1e-12)
+
+
+def test_units_at_other_speeds() -> None:
+    """At 9000 rpm a blade has 1.3 times the frequency of 3000: no other unit, and no other mode. A
+    stiffer material moves what is elastic alone, by half of it: at rest all."""
+    scene = fc.Scene.from_text(SPINNING)
+    plain = scene.replace({"identify": None, "crack": None, "contact": None})
+
+    def hertz(**rotor: float | None) -> float:
+        turning = {f"rotation.{key}": one for key, one in rotor.items()}
+        structure = fc.build_structure(plain.replace(turning) if rotor else plain.at_rest())
+        return float(fc.solve_modes(structure, 1).omega[0]) / (2.0 * np.pi)
+
+    whole, fast = whole_plate(plain, scene.given("identify")), hertz(rpm=9000.0)
+    assert fast > 1.3 * whole.frequencies[0]
+    row = fc.Measurement("frequency_uncracked", fast, 0.1, 1, rpm=9000.0)
+    whole.check(fc.Measurements((row,)), [], other=False)
+    with pytest.raises(fc.InputError, match=r"seems to be in rad/s"):
+        wrong = replace(row, value=2.0 * np.pi * fast)
+        whole.check(fc.Measurements((wrong,)), [], other=False)
+    young = 0.5 * scene.given("identify").young_deviation
+    still, own, faster = whole.changes_at(np.array([0.0, 1.0, 3.0]))[:, 0, 0]
+    assert still == pytest.approx(young)
+    assert own == pytest.approx(young * (hertz() / hertz(rpm=3000.0)) ** 2, rel=0.01)
+    assert faster == pytest.approx(young * (hertz() / fast) ** 2, rel=0.01)
+
+
+PASSED = fc.PassageFit(
+    order=5.0, omega=1500.0, omega_error=0.03, damping=2e-3, damping_error=1e-5, amplitude=6e-5,
+    forces=np.ones(1), ends=np.array([[0, 300]]), omegas=np.array([1500.0]),
+    omega_errors=np.array([0.03]), steady_omegas=np.array([1500.0]), orders=np.array([5.0, 6.0]),
+    margins=np.array([0.0, 50.0]), scatter=2e-6, whiteness=0.4,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changes", "opened", "tied", "why"),
+    [
+        ({}, (0.9, 2.0), (1.02, 2.1), ""),
+        ({}, (1.08, 2.0), (1.2, 2.1), ""),
+        ({}, (1.12, 2.0), (1.2, 2.1), "that of none of the blade's modes to 10%; mode 1 has 267.3"),
+        ({}, (0.9, 1.03), (1.02, 1.1), "mode 1 has 214.859 to 243.507 Hz there; mode 2 has 245.8"),
+        ({"margins": np.zeros(2)}, (0.9, 2.0), (1.02, 2.1), ""),
+        ({"margins": np.zeros(2)}, (0.9, 1.19), (1.02, 1.25), "order 6 explains it as well, and"),
+        ({"whiteness": 0.0}, (0.9, 2.0), (1.02, 2.1), "something is beside it: its frequency may"),
+        (
+            {"omegas": np.array([1500.0, 1501.0]), "omega_errors": np.full(2, 0.05)},
+            (0.9, 2.0), (1.02, 2.1), "its passages by themselves differ by more than their errors",
+        ),
+    ],
+)  # fmt: skip
+def test_modes_of_resonances(
+    changes: dict[str, Any], opened: tuple[float, ...], tied: tuple[float, ...], why: str
+) -> None:
+    """That between whose frequencies with lips open and tied one is, or to a tenth; and why none is
+    used."""
+    fit = replace(PASSED, **changes)
+    both = 1500.0 * np.array([opened, tied])
+    diagram: Any = SimpleNamespace(between=lambda speed: both)
+    mode, told = mode_of(fit, diagram)
+    assert mode == (not why) and told.startswith(why) and bool(told) == bool(why)
+    words = passed_in_words(fit, mode, told)
+    where = "238.732 ± 0.0048 Hz, engine order 5 at 2864.79 rpm"
+    assert words == (f"not used: {where}: {told}" if why else f"mode 1: {where}")
 
 
 # --- displacements at probes ----------------------------------------------------------------------

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,8 +13,6 @@ from surroundings import main
 from test_identify import SPINNING, TURN
 
 import fenics_crack as fc
-from fenics_crack.identification.nuisance import whole_plate
-from fenics_crack.study.timing import mode_of, passed_in_words
 
 pytestmark = pytest.mark.usefixtures("not_laid_out")
 
@@ -95,25 +91,6 @@ def test_speeds_that_mean_nothing(scene: fc.Scene) -> None:
         fc.Measurement("harmonic_1", 300.0, 0.1, frequency=250.0, rpm=100.0)
 
 
-def test_units_at_other_speeds(scene: fc.Scene, folder: Path) -> None:
-    """At 9000 rpm the blade has 1.3 times the frequency: no other unit, and no other mode."""
-    fast = scene.replace({"rotation.rpm": 9000.0, "identify": None, "crack": None, "contact": None})
-    hertz = fc.solve_modes(fc.build_structure(fast), 2).omega / TURN
-    plain = scene.replace({"identify": None, "crack": None, "contact": None})
-    whole = whole_plate(plain, scene.given("identify"))
-    assert hertz[0] > 1.3 * whole.frequencies[0]
-    row = fc.Measurement("frequency_uncracked", hertz[0], 0.1, 1, rpm=9000.0)
-    whole.check(fc.Measurements((row,)), [], other=False)
-    with pytest.raises(fc.InputError, match=r"seems to be in rad/s"):
-        wrong = fc.Measurement("frequency_open", TURN * hertz[0], 0.1, 1, rpm=9000.0)
-        whole.check(fc.Measurements((wrong,)), [], other=False)
-    # The stiffer material moves what is elastic alone, by half of it: at rest all.
-    still, own, faster = whole.changes_at(np.array([0.0, 1.0, 3.0]))[:, 0]
-    assert still[0] == pytest.approx(0.5e-3) and still[0] > own[0] > faster[0]
-    elastic = (natural(scene, 0.0, "tied") / natural(scene, 3000.0, "tied")) ** 2
-    assert own[0] == pytest.approx(0.5e-3 * elastic, rel=0.01)
-
-
 def swept(scene: fc.Scene, kind: str, path: Path, orders: tuple[int, ...]) -> None:
     """Arrivals of the blade's first mode in a run-up from 2200 to 3000 rpm, its lips open or tied,
     whose frequency is that of each order where it meets it; 2 um of noise."""
@@ -168,27 +145,11 @@ def test_record_of_a_run_up(scene: fc.Scene, tmp_path: Path, capsys: Any) -> Non
     # A steady record tells no frequencies, and one of constant speed is none of a run-up.
     assert main([*words, "--arrivals", str(now), "--before", str(tmp_path / "blade.toml")]) == 2
     capsys.readouterr()
-    # What is not used, and why; in Python.
+    # In Python.
     [fit, *others] = fc.find_passages(fc.ArrivalTimes.from_csv(now), [5, 6], stiffening=0.11)
-    assert others
     seen = fc.Measurements.from_passages([fit, *others], [1, 0])
     assert [row.name for row in seen.rows] == [
         f"frequency_resonance of mode 1 at {float(f'{fit.speed * 60.0 / TURN:.7g}'):g} rpm"
     ]
     with pytest.raises(fc.InputError, match="one of each of 2 passages"):
         fc.Measurements.from_passages([fit, *others], [1])
-    for of, opened, tied, why in (
-        (fit, (0.9, 2.0), (1.02, 2.1), ""),
-        (fit, (1.08, 2.0), (1.2, 2.1), ""),
-        (fit, (1.12, 2.0), (1.2, 2.1), "that of none of the blade's modes to 10%; mode 1 has 266"),
-        (fit, (0.9, 1.03), (1.02, 1.1), "mode 1 has 214"),
-        (replace(fit, margins=0.0 * fit.margins), (0.9, 1.19), (1.02, 1.25), "order 6 explains it"),
-        (replace(fit, whiteness=0.0), (0.9, 2.0), (1.02, 2.1), "something is beside it"),
-        (replace(fit, omegas=fit.omega * np.array([1.0, 1.1]), omega_errors=np.ones(2)),
-         (0.9, 2.0), (1.02, 2.1), "its passages by themselves differ"),
-    ):  # fmt: skip
-        between = fit.omega * np.array([opened, tied])
-        diagram: Any = SimpleNamespace(between=lambda speed, both=between: both)
-        mode, told = mode_of(of, diagram)
-        assert (mode == 0) == bool(why) and told.startswith(why)
-        assert passed_in_words(of, mode, told).startswith("not used: 238" if why else "mode 1: 238")
