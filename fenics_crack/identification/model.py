@@ -197,7 +197,7 @@ class Lips(NamedTuple):
         between the frequencies with lips tied and open, all alike and each by itself; where they
         breathe those of a mode by that of OFF, too.
     share : float
-        Probability, over that of one that is open.
+        Probability; over that of others, until it is known which these are.
     """
 
     what: str
@@ -337,9 +337,7 @@ class Quantities:
         at = {feature: place for place, feature in enumerate(self._features)}
         self._places = [[at[feature] for feature in found] for found in of_rows]
         plain = [(at[one], at[one.uncracked]) for one in at if one.of_crack]
-        self._own, self._plain = (
-            (list(places) for places in zip(*plain, strict=True)) if plain else ([], [])
-        )
+        self._own, self._plain = map(list, zip(*plain, strict=True)) if plain else ([], [])
         self._passages = Passages.among(rows, more)
         self._alike = _alike(self._features)
         self._is_plain = np.array([one.lips == "uncracked" for one in self._features])
@@ -389,14 +387,13 @@ class Quantities:
         rests = np.zeros((len(x), 0))
         if self._still is not None:
             rests = self._still(np.clip(x, self.model.cube.low, self.model.cube.high))
-        every = sum(lips.share for lips in self._lips)
         for chosen in itertools.product((False, True), repeat=rests.shape[1]):
             share = np.prod(np.where(chosen, rests, 1.0 - rests), axis=1)
             at = np.flatnonzero(share > 0.0)
             higher = list(itertools.compress(self._higher, chosen))
             still = np.any(higher, axis=0) if higher else None
             for lips in self._lips if len(at) else ():
-                yield at, lips.share / every * share[at], self(x[at], still, lips)
+                yield at, lips.share * share[at], self(x[at], still, lips)
 
     def _smooth(self, part: Part) -> np.ndarray:
         """The smooth forms of all features at the nodes of a sweep: (n, 2f), real and imaginary
@@ -619,7 +616,9 @@ def _lips(model: Model) -> tuple[Lips, ...]:
     closed = model.coarse.sweep["closed_share"][model.coarse.index]
     least, most = (one.reduce(closed, axis=None) for one in (np.fmin, np.fmax))
     held = itertools.compress((Lips("open"), Lips("tied")), (least < 1.0, most > 0.0))
-    return (*PARTLY, BREATHE, *held)
+    every = (*PARTLY, BREATHE, *held)
+    total = sum(one.share for one in every)
+    return tuple(one._replace(share=one.share / total) for one in every)
 
 
 def is_free(scene: Scene) -> bool:
