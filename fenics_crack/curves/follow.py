@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from tqdm import tqdm
 
-from fenics_crack.balance.problem import Problem
+from fenics_crack.balance.problem import ON_PATH, Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.beginnings import next_to_doubled_orbits, same_problem
 from fenics_crack.curves.continuation import LONGEST_STEP, Continuation
@@ -26,13 +27,11 @@ from fenics_crack.errors import (
 )
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.path import PathOptions
 from fenics_crack.stages import begin
 from fenics_crack.table import RPM
 
 ATTEMPTS = 4
 """Places, from the end on, from which another curve is sought that leads to the start."""
-
 BAR = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}{postfix}"
 """Of a curve; how long it is going to take cannot be told from how far it has come."""
 
@@ -76,8 +75,8 @@ def continue_frequency(
 
     Where the first solution found lies on a closed loop, or on a curve that turns back past its
     start, another one is looked for by following the curve from its end, or from between, which its
-    status says; what came back is the result only where that fails too, or where ``initial`` is
-    given.
+    status says; what came back is the result only where that fails too, or would take long, or
+    where ``initial`` is given.
 
     Parameters
     ----------
@@ -175,19 +174,29 @@ def continue_parameter(
         from between: where the first solution found lies on a curve that comes back to the start,
         such as a closed loop of the truncated equations."""
         first = growing.followed
-        points = len(first) + PathOptions.max_steps
-        given: CurveOptions = {
-            **options,
-            "most_points": min(points, options.get("most_points", points)),
-        }
+        most = 2 * ATTEMPTS * ON_PATH  # unknowns of all points: seconds where there are many
+        left = max(len(first), most // first.unknowns[0].size)
+
+        def reaches(begun: float, goal: float, initial: PeriodicSolution | None) -> Continuation:
+            """A curve that reaches its end, in no more points than are left for all."""
+            nonlocal left
+            if left < 1:
+                raise ConvergenceError("no points are left")
+            points = min(left, options.get("most_points", left))
+            given: CurveOptions = {**options, "most_points": points, "initial": initial}
+            found = _continuation(first.structure, omega, contact, (parameter, begun, goal), given)
+            try:
+                found.run()
+            finally:
+                left -= len(found.followed)
+            if not found.complete or found.returned:
+                raise ConvergenceError(found.status)
+            return found
+
         for begun in np.linspace(end, start, ATTEMPTS, endpoint=False).tolist():
-            met = _followed(first.structure, omega, contact, (parameter, begun, start), given)
-            if met is None:
-                continue
-            last = met.followed
-            there: CurveOptions = {**given, "initial": last.solution(len(last) - 1)}
-            other = _followed(first.structure, omega, contact, span, there)
-            if other is not None:
+            with suppress(ConvergenceError):
+                met = reaches(begun, start, None).followed
+                other = reaches(start, end, met.solution(len(met) - 1))
                 other.status += ", not by the first solution found at its start"
                 return other
         return None
@@ -282,22 +291,6 @@ def follow_branch(
     return _run(growing, progress, throw)
 
 
-def _followed(
-    structure: Structure,
-    omega: float,
-    contact: ContactLaw,
-    span: tuple[str, float, float],
-    options: CurveOptions,
-) -> Continuation | None:
-    """A curve that reaches its end, else None."""
-    try:
-        growing = _continuation(structure, omega, contact, span, options)
-        growing.run()
-    except ConvergenceError:
-        return None
-    return growing if growing.complete and not growing.returned else None
-
-
 def _continuation(
     structure: Structure,
     omega: float,
@@ -347,7 +340,10 @@ def _run(
     try:
         _follow(growing, bar)
         if again is not None and growing.returned:
-            growing = again() or growing
+            other = again()
+            if other is None and not growing.complete:
+                growing.status += " (no other curve was met from its end on)"
+            growing = other or growing
     except KeyboardInterrupt:
         throw = False
         if not growing.returned:
