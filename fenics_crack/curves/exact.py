@@ -221,9 +221,10 @@ class _Judge:
         """Leading multiplier of each point; nan where no orbit is its own. Where orbits at its
         value of the parameter lie on both sides of a fold it is that of the nearest one, if its
         gaps are clearly nearer, too; where several motions are as near, or none is near enough,
-        there is none. Points that no node judges are judged by the orbits next to them."""
+        there is none. Points that no node judges are judged by the orbits next to them; so are all
+        of a branch of twice the period, next to whose end the old orbit is as near as the new."""
         found, (accepted, expected) = np.full(len(self._curve), np.nan + 0j), self._accepted()
-        if self.branch.linked.any():
+        if self.branch.linked.any() and self._curve.subharmonic % 2:
             self._by_segments(found, accepted, expected)
         self._singly(found)
         return found
@@ -477,10 +478,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
         nothing = np.full(len(curve), np.nan + 0j)
         return replace(curve, multipliers=nothing, undecided=np.ones(len(curve), dtype=bool))
     crossings = _distinct(judge.branch.locate())
-    if curve.subharmonic % 2:
-        multipliers = judge.points()
-    else:  # next to the end of the branch the old orbit is as near as the new one
-        multipliers = np.array([judge.by_itself(place) for place in range(len(curve))])
+    multipliers = judge.points()
     undecided = np.isnan(multipliers)
     special = _special(curve, judge, crossings, undecided)
     return replace(curve, bifurcations=special, multipliers=multipliers, undecided=undecided)
