@@ -316,7 +316,7 @@ def solve_to_tolerance(
         if reduced_to is not None:
             problem = replace(solver.problem, structure=reduced_to(modes))
             solver = replace(solver, problem=problem)
-        last = _solved(solver, tolerance, initial)
+        last = _solved(replace(solver, cold={}), tolerance, initial)
         last = replace(last, report=whole.comm.bcast(last.report))
         if best is None or last.report.total < best.report.total:
             best = last

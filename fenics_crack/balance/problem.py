@@ -27,7 +27,7 @@ eps k |g|, which moves the gap by eps k R |g|, and no residual can be smaller th
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -81,7 +81,7 @@ from fenics_crack.numerics.newton import (
     solve_at,
     solve_near,
 )
-from fenics_crack.numerics.path import NARROW, Ended, Path, Target
+from fenics_crack.numerics.path import NARROW, Ended, Path, PathOptions, Target
 from fenics_crack.stages import begin
 
 BEYOND = 2.0
@@ -374,9 +374,9 @@ class Search:
             "contact, more damping, or a solution nearby as initial"
         )
 
-    def solve(self, start: np.ndarray | None = None) -> Linearisation:
-        """The equations where Newton's method arrives, or where it was last, from a solution nearby
-        or cold.
+    def solve(self, *starts: np.ndarray, cold: bool = True) -> Linearisation:
+        """The equations where Newton's method arrives, or where it was last, from solutions nearby
+        or ``cold``.
 
         Raises InputError where the contact is so stiff that rounding leaves nothing of its force.
         """
@@ -391,7 +391,7 @@ class Search:
             snes = None
             if not kernel_solves(system):
                 snes = held.enter_context(Newton(system, self.history))
-            for name, guesses in self._starts(start):
+            for name, guesses in self._starts(starts, cold):
                 begin(name)
                 before = self.iterations
                 for guess in guesses:
@@ -442,11 +442,13 @@ class Search:
 
     # --- the starts -------------------------------------------------------------------------------
 
-    def _starts(self, start: np.ndarray | None) -> Iterator[Start]:
+    def _starts(self, starts: Sequence[np.ndarray], cold: bool) -> Iterator[Start]:
         """Which are tried, one after the other."""
         system, problem = self.system, self.problem
-        if start is not None:
+        for start in starts:
             yield "full Newton steps", self._near(system, start)
+        if not cold:
+            return
         if problem is not None:
             if system.integrals.coupled and system.integrals.exact:
                 yield "from a marched motion", self._marched(problem)
@@ -455,7 +457,8 @@ class Search:
             counts = halved(problem.harmonics, enough)
             name = "from fewer harmonics" if many else "full Newton steps"
             yield name, self._climb(problem, counts)
-        yield "path in the softness", self._path()
+        if not self._spent:
+            yield "path in the softness", self._path()
 
     def _near(self, system: ContactSystem, guess: np.ndarray) -> Iterator[np.ndarray]:
         """A guess, and where steps from there lead that are shortened where the residual would
@@ -544,7 +547,9 @@ class Search:
         begun = self._steps(system, system.linear, at=0.0)
         if begun is None:
             return
-        options = replace(NARROW, rounding=self._rounding, max_steps=int(self._most))
+        left = 1 + max(0, int(self._most) - self.iterations)
+        at_once = min(PathOptions.at_once, 1 + left // PATIENCE)
+        options = replace(NARROW, rounding=self._rounding, max_steps=left, at_once=at_once)
         path = Path(system, point_on_path(system, begun.unknown, 0.0), options, [Target(1.0)])
         for point in path.points():
             self.iterations += point.iterations

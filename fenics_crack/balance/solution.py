@@ -404,6 +404,9 @@ class Solver:
     """Truncation error above which no other is estimated."""
     patience: Patience | None = None
     """With which orbits are sought next to all its solutions; None: each with its own."""
+    cold: dict[int, PeriodicSolution] | None = None
+    """What was found from nothing, by its harmonics, so that this is not done twice; None: it is
+    not kept."""
 
     def solve(
         self, initial: PeriodicSolution | None = None, *, reported: bool = True
@@ -443,7 +446,10 @@ class Solver:
                 problem, at, status=search.status, converged=search.converged, enough=self.enough,
                 reported=reported, orbit=search.orbit, patience=self.patience,
             )  # fmt: skip
-            return search, replace(found, iterations=search.iterations)
+            found = replace(found, iterations=search.iterations)
+            if initial is None and self.cold is not None:
+                self.cold[problem.harmonics] = found
+            return search, found
 
     def reported(self, found: PeriodicSolution) -> PeriodicSolution:
         """A solution with its estimated errors, which were not asked for (collective)."""
@@ -467,13 +473,16 @@ class Solver:
         self, compliance: Compliance, initial: PeriodicSolution | None, share: float = 1.0
     ) -> tuple[Search, ContactPoint]:
         """A search, and the equations where it arrives."""
-        problem, start = self.problem, None
-        system = problem.system(compliance)
-        if initial is not None:
-            times = problem.subharmonic // initial.subharmonic
-            start = system.slow(initial.gap_coefficients, initial.force_coefficients, times)
+        problem, known = self.problem, None
+        if share < 1.0 and self.cold is not None:
+            known = self.cold.get(problem.harmonics)
+        system, starts = problem.system(compliance), []
+        for near in (initial, known):
+            if near is not None and (near is initial or near.converged):
+                times = problem.subharmonic // near.subharmonic
+                starts.append(system.slow(near.gap_coefficients, near.force_coefficients, times))
         search = Search(system, problem, self.residual_tolerance, share)
-        at = search.solve(start)
+        at = search.solve(*starts, cold=known is None)
         # The kernel's points do not know the forces.
         return search, at if isinstance(at, ContactPoint) else system.linearise(at.unknown)
 
