@@ -54,7 +54,7 @@ PARTS = 32
 WANDERING, PASSED, SETTLING, LATER = 1000, 100, 60, 8
 """Periods that a motion is followed for, its nearest recurrences from which an orbit is sought, the
 periods of large states' motions, and those after which it may be where it was."""
-PACE = 400
+PACE = 200
 """Pieces a period in a motion that is followed for all of them; one with more, for fewer."""
 SETTLED = 1e-3
 """How near a motion comes to where it was before, relative, that has settled."""
@@ -278,7 +278,7 @@ class Homotopy:
     Attributes
     ----------
     left : int
-        Pieces that motions may still have, from all starts together: a second or two.
+        Pieces that motions may still have, from all starts together: some seconds.
     """
 
     def __init__(self, orbits: FlowOrbits) -> None:
