@@ -448,6 +448,16 @@ class PassageFit(Tabular):
         return self.whiteness < MISFIT
 
     @property
+    def deviation(self) -> float:
+        """Standard deviation of the frequency for whoever goes on with it [rad/s]: its error, and
+        no less than half of what passages differ by that disagree, as those of a crack that opens
+        and shuts may, and than half of the resonance's width, zeta w, where something is beside
+        it."""
+        apart = 0.5 * float(np.ptp(self.omegas)) if self.disagree else 0.0
+        beside = self.damping * self.omega if self.in_doubt else 0.0
+        return max(self.omega_error, apart, beside)
+
+    @property
     def steady_bias(self) -> float:
         """Largest relative error that fits of steady vibrations make of the frequency."""
         return float(np.abs(self.steady_omegas / self.omega - 1.0).max())

@@ -194,7 +194,7 @@ def _told_by(
         console.note(*(timing.passed_in_words(*one) for one in found))
         fits, modes, _ = zip(*found, strict=True) if found else ((), (), ())
         if not any(modes):
-            allowed = "a run-up through a resonance of the blade that is clear in it"
+            allowed = "of a constant speed, or a run-up through a resonance of the blade"
             raise InputError(key, repr(times), allowed)
         quantity = "frequency_uncracked" if before else "frequency_resonance"
         return Measurements.from_passages(fits, modes, quantity=quantity)

@@ -65,7 +65,8 @@ def identify(
     """Find a crack, or other keys of a scene, from measurements (collective).
 
     The scene is solved on a grid of the unknowns once, spread over the ranks, and on a finer mesh
-    at a few places; files in ``folder`` keep both, and a killed run goes on from them. Under a
+    at a few places; files in ``folder`` keep both, and a killed run goes on from them. Natural
+    frequencies of a rotor may be of several speeds, at each of which it is solved. Under a
     steady load or a clearance the grid gets denser where cracks between meet a resonance. Smooth
     interpolation between has an error of its own, by cross-validation and a few cases halfway
     between the others, which is added to that of the measurements. So is what may be left of the

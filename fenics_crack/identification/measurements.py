@@ -342,7 +342,8 @@ class Measurements(Tabular):
         *,
         quantity: str = "frequency_resonance",
     ) -> Measurements:
-        """The natural frequencies of resonances that a rotor passes, at the speed of each.
+        """The natural frequencies of resonances that a rotor passes, at the speed of each, with
+        their :attr:`PassageFit.deviation`.
 
         Parameters
         ----------
@@ -365,7 +366,7 @@ class Measurements(Tabular):
         return cls.from_arrays(
             quantity,
             [fit.omega / TURN for fit, _ in used],
-            [fit.omega_error / TURN for fit, _ in used],
+            [fit.deviation / TURN for fit, _ in used],
             mode=[mode for _, mode in used],
             rpm=[float(f"{fit.speed / RPM:.7g}") for fit, _ in used],
         )

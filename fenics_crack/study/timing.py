@@ -196,14 +196,19 @@ def modes_passed(scene: Scene, arrivals: ArrivalTimes) -> list[tuple[PassageFit,
 
 
 def passed_in_words(fit: PassageFit, mode: int, why: str) -> str:
-    """Which mode passes where, or why a resonance is not used."""
-    hertz = f"{fit.omega / TURN:.6g} ± {fit.omega_error / TURN:.2g} Hz"
-    where = f"engine order {fit.order:g} at {fit.speed / RPM:.6g} rpm"
-    return f"mode {mode}: {hertz}, {where}" if mode else f"not used: {hertz}, {where}: {why}"
+    """Which mode passes where and why it is known no better, or why a resonance is not used."""
+    hertz = f"{fit.omega / TURN:.6g} ± {fit.deviation / TURN:.2g} Hz"
+    where = f"{hertz}, engine order {fit.order:g} at {fit.speed / RPM:.6g} rpm"
+    doubts = {
+        "something is beside it": fit.in_doubt,
+        "its passages by themselves differ": fit.disagree,
+    }
+    told = "; ".join([why] * bool(why) + [doubt for doubt, yes in doubts.items() if yes])
+    return (f"mode {mode}: " if mode else "not used: ") + where + f" ({told})" * bool(told)
 
 
 def mode_of(fit: PassageFit, diagram: Campbell) -> tuple[int, str]:
-    """The mode of a resonance (from 1), or 0 and why it is not known or its frequency is not."""
+    """The mode of a resonance (from 1), or 0 and why it is not known."""
     opened, tied = diagram.between(fit.speed)
 
     def apart(omega: float) -> np.ndarray:
@@ -222,10 +227,6 @@ def mode_of(fit: PassageFit, diagram: Campbell) -> tuple[int, str]:
     also = [f"{order:g}" for order in fit.ambiguous if min(apart(order * fit.speed)) <= FARTHEST]
     if also:
         return 0, f"order {', '.join(also)} explains it as well, and meets a mode there, too"
-    if fit.in_doubt:
-        return 0, "something is beside it: its frequency may be off by more than its error"
-    if fit.disagree:
-        return 0, "its passages by themselves differ by more than their errors"
     return int(nearest[0]) + 1, ""
 
 
