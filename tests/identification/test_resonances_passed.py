@@ -142,9 +142,16 @@ def test_record_of_a_run_up(scene: fc.Scene, tmp_path: Path, capsys: Any) -> Non
     assert "crack: log Bayes factor" in told.err
     length = float(told.out.splitlines()[2].split()[1])
     assert length == pytest.approx(0.008, rel=0.1)
-    # A steady record tells no frequencies, and one of constant speed is none of a run-up.
-    assert main([*words, "--arrivals", str(now), "--before", str(tmp_path / "blade.toml")]) == 2
-    capsys.readouterr()
+    # A record of constant speed shows no natural frequency, and none without a resonance.
+    rows(stiff, "frequency_open", {3000.0: "open"}).to_csv(tmp_path / "rows.csv")
+    turns, steady = TURN * np.arange(41), str(tmp_path / "steady.csv")
+    for rise, told_of in ((0.0, "those of a run-up, or"), (0.5, "a run-up through a resonance of")):
+        time = (turns[:-1, None] + PROBES) / 300.0, turns / 300.0
+        seen, marks = (one / (1.0 + rise * one / time[1][-1]) for one in time)
+        fc.ArrivalTimes(seen, marks, PROBES, 0.5).to_csv(steady)
+        assert main([*words[:2], str(tmp_path / "rows.csv"), "--before", steady, *words[2:]]) == 2
+        assert "--before = 'ArrivalTimes(40 revol" in (err := capsys.readouterr().err)
+        assert told_of in err
     # In Python.
     [fit, *others] = fc.find_passages(fc.ArrivalTimes.from_csv(now), [5, 6], stiffening=0.11)
     seen = fc.Measurements.from_passages([fit, *others], [1, 0])
