@@ -125,7 +125,7 @@ def identify(
     measurements.check(scene)
     rows = measurements.rows
     shaken = [row.frequency for row in rows if not row.natural]
-    further = [row.load(scene) for row in rows if row.natural and not math.isnan(row.load(scene))]
+    further = [load for row in rows if row.natural and (load := row.load(scene))]
     whole = _whole(scene, comm)
     others = any(not axis.key.startswith(("crack.", "contact.")) for axis in scene.identify.unknown)
     known = (scene.excitation.omega / TURN, *scene.identify.frequencies)

@@ -28,7 +28,6 @@ close in half of each period: that makes even harmonics, n = 1, and odd ones of 
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -383,12 +382,11 @@ class Feature:
     def of(cls, row: Measurement, scene: Scene) -> tuple[Feature, ...]:
         """Features of a measurement of a scene; of a ratio both harmonics, the one above first."""
         if row.natural:
-            lips, load = row.quantity.removeprefix("frequency_"), row.load(scene)
+            lips = row.quantity.removeprefix("frequency_")
             states = LIPS if lips == "resonance" else (lips,)
-            at = 0.0 if math.isnan(load) else load
-            return tuple(cls(state, row.mode, frequency=at) for state in states)
+            return tuple(cls(state, row.mode, frequency=row.load(scene)) for state in states)
         orders = row.orders or KEPT_ORDERS
-        return tuple(cls("", 0, row.point, float(row.frequency), order) for order in orders)
+        return tuple(cls("", 0, row.point, row.load(scene), order) for order in orders)
 
     @property
     def together(self) -> tuple[float, float, float]:

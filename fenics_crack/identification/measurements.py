@@ -182,13 +182,15 @@ class Measurement:
 
     def load(self, scene: Scene) -> float:
         """The load of a scene under which it was measured [Hz]: its own, or that at the rotor's
-        speed; nan at the scene's own speed."""
-        if not self.natural or math.isnan(self.rpm):
-            return self.frequency
+        speed; 0 of a natural frequency at the scene's own speed."""
+        if not self.natural:
+            return float(self.frequency)
+        if math.isnan(self.rpm):
+            return 0.0
         assert scene.excitation.order is not None  # checked
         own = scene.excitation.omega / TURN
         found = max(scene.excitation.order * self.rpm / 60.0, AT_REST * own)
-        return math.nan if f"{found:.9g}" == f"{own:.9g}" else float(f"{found:.9g}")
+        return 0.0 if f"{found:.9g}" == f"{own:.9g}" else float(f"{found:.9g}")
 
     def check(self, scene: Scene) -> None:
         """Raise InputError unless it is one of a scene."""

@@ -97,19 +97,21 @@ class Whole:
     between: np.ndarray
 
     def changes_at(self, faster: np.ndarray) -> np.ndarray:
-        """Relative changes by a standard deviation of each at speeds (k,), over the rotor's: what
-        it adds to the square of a frequency grows like the square of the speed (Southwell):
-        (k, n, s)."""
-        added = (1.0 - self.elastic) * faster[:, None] ** 2
-        elastic = (self.elastic / (self.elastic + added))[..., None]
+        """Relative changes by a standard deviation of each at speeds (k,), over the rotor's, with
+        whose square grows what it adds to that of a frequency (Southwell): (k, n, s)."""
+        elastic = (self.elastic / self._squares_at(faster[:, None]))[..., None]
         return np.asarray(elastic * self.by_elastic + (1.0 - elastic) * self.by_rotation)
 
     def _frequencies_at(self, rpm: float) -> np.ndarray:
         """Those at another speed, nan for the rotor's own: (n,) [Hz]."""
         if np.isnan(rpm):
             return self.frequencies
-        added = (1.0 - self.elastic) * (RPM * rpm / self.speed) ** 2
-        return np.asarray(self.frequencies * np.sqrt(self.elastic + added))
+        return self.frequencies * np.sqrt(self._squares_at(RPM * rpm / self.speed))
+
+    def _squares_at(self, faster: np.ndarray | float) -> np.ndarray:
+        """Squares of frequencies at speeds (k, 1), over the rotor's, over those at its own:
+        (k, n)."""
+        return np.asarray(self.elastic + (1.0 - self.elastic) * faster**2)
 
     def check(self, measurements: Measurements, loads: Sequence[float], *, other: bool) -> None:
         """Raise InputError for frequencies of loads, of which the scene has these [Hz], and natural

@@ -101,7 +101,7 @@ def run_sweep(
         With its table ``[sweep]``.
     path : path, optional
         The file for the results. If it exists, it must be of the same scene and mesh files; its
-        cases are kept, failed ones too; where some are missing, with the same ``verdicts`` and
+        cases are kept, failed ones too; where some are missing, with the same ``verdicts``,
         ``judged`` and ``natural``. Default: a file that lasts as long as the program.
     comm : MPI.Comm
         The ranks; with ``sweep.ranks = s`` a multiple of s.
@@ -135,6 +135,9 @@ def run_sweep(
     """
     check_scene(scene)
     table = _checked(scene, comm)
+    count = table.shape[-1]
+    if outside := [place for place in natural if place not in range(count)]:
+        raise InputError("natural", outside, f"places on the last axis, 0 to {count - 1}")
     managers: list[Manager] = []
 
     def start() -> Asked:
@@ -153,7 +156,7 @@ def run_sweep(
             verdicts,
             judged,
             frozenset(natural),
-            plan.shape[-1],
+            count,
         )
 
     asked = on_root(comm, start)

@@ -51,7 +51,7 @@ def rows(scene: fc.Scene, quantity: str, kinds: dict[float, str]) -> fc.Measurem
 
 def test_each_at_its_own_speed(scene: fc.Scene, folder: Path) -> None:
     """Of lips open at 1500, 3000 and 4000 rpm and at rest: the length to less than the crack's own
-    2.5 %. All taken for those of 3000 rpm they are those of no length at all."""
+    2.5 %. Each taken for one of 3000 rpm excludes it but the one that is."""
     speeds = dict.fromkeys((0.0, 1500.0, 3000.0, 4000.0), "open")
     seen = rows(scene, "frequency_open", speeds)
     found = fc.identify(scene, seen, folder=folder)

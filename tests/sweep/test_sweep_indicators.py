@@ -115,6 +115,19 @@ def test_a_reduction_that_is_not_judged(scene: fc.Scene, tmp_path: Path) -> None
         np.testing.assert_allclose(plain[name], judged[name], rtol=1e-6, err_msg=name)
 
 
+def test_natural_frequencies_alone(scene: fc.Scene, tmp_path: Path) -> None:
+    """At some places of the last axis nothing else is found; elsewhere all is the same."""
+    whole = run_sweep(scene, tmp_path / "whole.h5", MPI.COMM_SELF, verdicts=False)
+    path, how = tmp_path / "part.h5", {"verdicts": False, "natural": [1]}
+    part = run_sweep(scene, path, MPI.COMM_SELF, **how)  # type: ignore[arg-type]
+    assert np.all(part["status"][:, 1] == "natural frequencies alone")
+    assert np.all(np.isnan(part["response"][:, 1])) and part.converged[:, 0].all()
+    np.testing.assert_array_equal(part["omega_open_1"], whole["omega_open_1"])
+    np.testing.assert_allclose(part["response"][:, 0], whole["response"][:, 0], rtol=1e-6)
+    with pytest.raises(fc.InputError, match=r"natural = \[2\]: must be places on .* 0 to 1"):
+        run_sweep(scene, path, MPI.COMM_SELF, natural=[2])
+
+
 def test_cases_of_a_file_are_asked_alike(scene: fc.Scene, tmp_path: Path) -> None:
     """Where some are missing, no others than those that it was begun with have empty columns."""
     path = tmp_path / "sweep.h5"
