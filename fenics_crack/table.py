@@ -310,6 +310,37 @@ def counted(count: int, thing: str) -> str:
     return f"{count} {thing}{'' if count == 1 else 's'}"
 
 
+def closing_sentence(
+    outcome: str,
+    *,
+    unknown: str = "",
+    known: str = "",
+    others: Sequence[str] = (),
+    warnings: int = 0,
+    remarks: int = 0,
+) -> str:
+    """Return the last sentence on a result, wherever it is said.
+
+    Parameters
+    ----------
+    outcome : str
+        How it ended: "solved", "not converged".
+    unknown : str
+        Why the error is unknown; then ``known`` is left out.
+    known : str
+        What is known, and how well.
+    others : sequence of str
+        The verdict on the stability, and what a reader of the numbers alone would miss; empty ones
+        are left out.
+    warnings, remarks : int
+        How many go before it.
+    """
+    counts = {"warning": warnings, "remark": remarks}
+    before = " and ".join(counted(count, name) for name, count in counts.items() if count)
+    first = f"{outcome}, but the error is unknown: {unknown}" if unknown else outcome
+    return "; ".join(filter(None, (first, "" if unknown else known, *others, before)))
+
+
 def ranging(values: np.ndarray, digits: str = ".0f") -> str:
     """From the least of some numbers, by default counts, to the most: "9", "5 to 40"."""
     return " to ".join(dict.fromkeys(format(f(values), digits) for f in (np.min, np.max)))

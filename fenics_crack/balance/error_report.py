@@ -94,6 +94,11 @@ class ErrorReport(Described):
         """Sum of the errors made in solving the law given (without the penetration)."""
         return self.residual + self.truncation + self.sampling + self.reduction
 
+    @property
+    def unknown(self) -> bool:
+        """True if the total could not be estimated."""
+        return self.total >= UNKNOWN
+
     def to_dict(self) -> dict[str, Any]:
         """All of them by their names, and the total."""
         return {**asdict(self), "total": self.total}

@@ -356,7 +356,7 @@ def _told(solver: Solver, found: PeriodicSolution, tolerance: float) -> Periodic
         "more damping, with which fewer harmonics do": report.truncation + report.sampling,
         "a larger tolerance, as this is rounding": report.residual,
     }
-    size = "unknown" if report.total >= UNKNOWN else percent(report.total)
+    size = "unknown" if report.unknown else percent(report.total)
     missed = f"solved; error {size}, {percent(tolerance)} was asked; what helps: "
     missed += f"{max(helps, key=helps.__getitem__)} (H = {found.harmonics}{kept})"
     if solver.throw:

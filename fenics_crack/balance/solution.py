@@ -183,6 +183,12 @@ class Stability(Described):
         B^T u as the estimated errors are: what the error was found to be. nan: no orbit.
     reason : str
         Why nothing is decided; "" where it is.
+    from_rest : str
+        What the motion from rest does, where that was looked for and it does not settle to the
+        solution; else "".
+    rest_amplitude : float [m]
+        Half the peak-to-peak displacement of the watched dof to which it settles, in the largest
+        period of the load; nan: it does not.
     """
 
     multipliers: np.ndarray
@@ -191,6 +197,8 @@ class Stability(Described):
     refined: bool = False
     distance: float = math.nan
     reason: str = ""
+    from_rest: str = ""
+    rest_amplitude: float = math.nan
 
     def to_dict(self) -> dict[str, Any]:
         """The verdict, and the multiplier of largest modulus."""
@@ -204,6 +212,8 @@ class Stability(Described):
             "refined": self.refined,
             "distance": float(self.distance),
             "reason": self.reason,
+            "from_rest": self.from_rest,
+            "rest_amplitude": float(self.rest_amplitude),
         }
 
     def _title(self) -> str:
@@ -301,6 +311,15 @@ class PeriodicSolution(Wave, Described):
         return self.structure.values_at(rows, dofs)
 
     @cached_property
+    def breathes(self) -> bool:
+        """True if a pair of the crack faces closes and opens again within the period."""
+        time = self.instants()
+        # The force of a smoothed law is never 0.
+        seen = self.contact_force if is_unilateral(self.contact) else self.gap
+        closed = seen(time) > 0.0
+        return bool(np.any(closed.any(axis=0) & ~closed.all(axis=0)))
+
+    @cached_property
     def still(self) -> bool:
         """Whether nothing vibrates: the load is steady, and what moves is rounding (collective)."""
         rows = self.displacement_coefficients
@@ -352,7 +371,8 @@ class PeriodicSolution(Wave, Described):
         if self.contact is None:
             parts.append("linear")
         elif not np.isnan(self.report.total):
-            parts.append(f"error {self.report.total:.2g}")
+            error = "unknown" if self.report.unknown else f"{self.report.total:.2g}"
+            parts.append(f"error {error}")
         if self.stability is not None:
             parts.append(self.stability.verdict)
         return ", ".join([*parts, "converged" if self.converged else "NOT CONVERGED"])

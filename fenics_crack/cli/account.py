@@ -7,6 +7,7 @@ in time.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,13 +15,12 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR, PARTS, ErrorReport
-from fenics_crack.balance.judgement import UNKNOWN
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.errors import MOST_HARMONICS, Exit
 from fenics_crack.model.modes import damped_range
 from fenics_crack.scene.scene import Scene, unit_of
 from fenics_crack.scene.words import key_in_words
-from fenics_crack.study.key_figures import SMALL_MOTION, extents
+from fenics_crack.study.key_figures import SMALL_MOTION, Remark, extents, remarks_on_scene
 from fenics_crack.study.run import Run
 from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.growth import ENDS, Growth
@@ -55,10 +55,19 @@ OTHERS = {
     "sampling_error": ("estimated error: sampling", SHARE),
     "reduction_error": ("estimated error: reduction", SHARE),
     "displacement_error": ("estimated error: displacement at the load", "of that displacement"),
-    "total_error": ("estimated error: total", SHARE),
+    "total_error": ("estimated error by modes and harmonics", SHARE),
     "penetration_share": ("penetration", SHARE),
+    "from_rest": ("the motion from rest", "-"),
+    "rest_amplitude": ("half peak-to-peak, motion from rest", "m"),
+    "unknown_error": ("why the error is unknown", "-"),
+    "remarks": ("remarks", "-"),
 }
 """Words and unit of what is printed of a solution or a motion beside the indicators."""
+IN_FILES = (
+    "residual_error", "truncation_error", "sampling_error", "reduction_error",
+    "displacement_error", "from_rest", "unknown_error", "remarks",
+)  # fmt: skip
+"""Not printed in a table: parts of an error, and sentences, which are printed below it."""
 ALWAYS = ("omega", "frequency", "verdict", "converged", "total_error", "distance")
 """Printed whatever the scene chooses."""
 ON_MODES = "hangs on modes that are left out"
@@ -70,8 +79,6 @@ IN_A_TEST = {
     "swells and falls slowly, and lines appear on both sides of the load's frequency",
 }
 """What bifurcations are to somebody at a test rig, by their kinds."""
-LEAST_TOLD = 1e-4
-"""Error whose cause is told."""
 WRITTEN_AS_ZERO, MEASURED = 1e-15, ("m", "N", "Pa m^0.5")
 """Lengths [m] and forces [N] up to this are written as 0; units of what is."""
 
@@ -97,8 +104,13 @@ class Account:
         Whether a vibration lasts; and "good", "bad" or "doubtful".
     tables : dict of Table
         Of a report, by their captions.
+    remarks : sequence of Remark
+        What is unusual about the scene.
+    closing : str
+        The last sentence, from error, verdict, warnings and remarks.
     done, missed : bool
-        False where something has not converged; whether the error is above the tolerance.
+        False where something has not converged; True if the error is above the tolerance, or
+        unknown.
     run : Run, optional
         Where it comes from.
     """
@@ -112,6 +124,8 @@ class Account:
     warnings: Sequence[str] = ()
     verdict: tuple[str, str] | None = None
     tables: Mapping[str, Table] = field(default_factory=dict)
+    remarks: Sequence[Remark] = ()
+    closing: str = ""
     done: bool = True
     missed: bool = False
     run: Run | None = None
@@ -165,7 +179,7 @@ def of_error(
         rigid = scene.contact is not None and scene.contact.law == "unilateral"
         softer = "softer contact, or contact.law = 'unilateral'"
         wanted = f"{'a load that moves the lips more' if rigid else softer}: it is rounding"
-    if getattr(report, part) >= UNKNOWN:
+    if report.unknown:
         unsettled = f"its estimate by {part} did not settle"
         yield f"the error is unknown{where}, {unsettled}: it needs {wanted}"
         return
@@ -173,18 +187,6 @@ def of_error(
         f"the estimated error is {report.total:.2g} of the gap{where}, most of it by {part}: it "
         f"needs {wanted}"
     )
-
-
-def known_to(run: Run, name: str = "") -> str:
-    """How well a number of a result, by default the watched amplitude, is known: "2.4 %, most of it
-    by the mesh"; empty where that is not stated."""
-    if run.stated is None:
-        return ""
-    error, cause = run.stated.stated(name or run.watched[0].column("amplitude"))
-    if not error > 0.0:  # of a plate at rest, or of what no cause changes
-        return ""
-    by = f", most of it by the {cause}" if error > LEAST_TOLD else ""
-    return ", ".join(filter(None, (f"{percent(error)}{by}", run.stated.left_out)))
 
 
 def of_stability(
@@ -256,6 +258,7 @@ def in_short(table: Table, scene: Scene, default: Sequence[str]) -> Table:
             if wanted(row[0], row[3])
             and not (isinstance(row[2], float) and np.isnan(row[2]))
             and (chosen is None or row[0] in ALWAYS or row[0] not in OTHERS)
+            and row[0] not in IN_FILES
         ]
         return Table(table.columns[1:], rows)
     return _with_columns(table, wanted)
@@ -340,7 +343,10 @@ def account_of_verification(found: Verification) -> Account:
         notes=told,
         warnings=found.warnings,
         tables={"Contributions": found.totals()},
+        remarks=(remarks := remarks_on_scene(found.scene)),
+        closing=found.conclusion(len(remarks)),
         done=not found.failures,
+        missed=not math.isfinite(found.stated(next(iter(found.values)))[0]),
     )
 
 
@@ -369,6 +375,7 @@ def account_of_growth(found: Growth) -> Account:
         notes=facts,
         warnings=[*found.remarks],
         tables={"The crack over the cycles": shown},
+        remarks=remarks_on_scene(found.scene),
     )
 
 
@@ -403,9 +410,12 @@ def account_of_sweep(found: SweepResult, note: str = "") -> Account:
             *stepped,
         ],
         notes=[note, f"cases: {told}{how}", told_high, *(f"remark: {text}" for text in stepped)],
-        warnings=[*warnings_of(found)],
+        warnings=(warnings := [*warnings_of(found)]),
         tables=tables,
+        remarks=(remarks := remarks_on_scene(found.scene)),
+        closing=found.conclusion(len(warnings), len(remarks)),
         done=not found.failed and found.complete,
+        missed=bool(found.missed.any()),
     )
 
 

@@ -224,14 +224,11 @@ def _command(given: argparse.Namespace, inputs: Inputs | None, console: Console)
     from fenics_crack.study.key_figures import remarks_on_scene
 
     make_writable(inputs.folder, console.comm)
-    told = remarks_on_scene(inputs.scene)
     try:
         return command(given, inputs, console)
-    except InputError:
-        told = []  # one line about an error
+    except (ConvergenceError, KeyboardInterrupt):  # what is unusual may be why
+        console.note(*(f"remark: {remark}" for remark in remarks_on_scene(inputs.scene)))
         raise
-    finally:
-        console.note(*(f"remark: {remark}" for remark in told))
 
 
 # --- arguments ------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from fenics_crack.cli.scenes import remark_on_sweep
 from fenics_crack.errors import FEW_MODES, INTERRUPTED, Exit, InputError
 from fenics_crack.parallel import on_root
 from fenics_crack.study import run as runs
-from fenics_crack.study.key_figures import coriolis_in_words, remarks_on_rotor
+from fenics_crack.study.key_figures import coriolis_in_words, remarks_on_scene
 from fenics_crack.study.run import Run
 from fenics_crack.table import RPM, counted, quantity, speed_in_words
 
@@ -56,7 +56,6 @@ def solved(given: Namespace, inputs: Inputs, console: Console) -> Exit:
             name = "curve_interrupted"
             console.note(f"{older} stays as it was; what was found until Ctrl-C is beside it")
     run.save(folder / f"{name}.h5")
-    console.note(*(f"remark: {text}" for text in remarks_on_rotor(run.scene, run.structure.whole)))
     return tell(replace(account_of(run), name=name), folder, console)
 
 
@@ -90,8 +89,9 @@ def tell(
         told = f"watched at the nearest node, away by: {', '.join(places)}"
         told += "; the stated errors leave that out" if account.run.stated is not None else ""
         console.note(told if places else "")
-    console.note(*account.notes)
+    console.note(*account.notes, *(f"remark: {remark}" for remark in account.remarks))
     console.warn(*account.warnings)
+    console.note(account.closing)
     return account.exit
 
 
@@ -159,7 +159,8 @@ def campbell(given: Namespace, inputs: Inputs, console: Console) -> Exit:
         notes.append(f"remark: at {stop:g} {unit} {text}")
     crack = ["crack"] if found.cracked else []
     shown = found.table("rpm" if scene.in_rpm else "speed", "mode", *kinds, *crack)
-    account = Account("campbell", found.table(), shown=shown, notes=notes)
+    remarks = remarks_on_scene(scene)
+    account = Account("campbell", found.table(), shown=shown, notes=notes, remarks=remarks)
     orders = sorted({*range(1, 9), own or 1})
     draw = partial(draw_campbell, found, orders, in_hertz=in_hertz, in_rpm=scene.in_rpm)
     return tell(account, inputs.folder, console, draw)
@@ -239,7 +240,8 @@ def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     console.note(f"{found.verdict}: {found.reason}")
     if found.mesh is not None:
         console.note(f"nearest mesh: {found.mesh}")
-    console.note(*(f"remark: {remark}" for remark in found.remarks))
+    said = [*found.remarks, *remarks_on_scene(scene)]
+    console.note(*(f"remark: {remark}" for remark in said))
     console.note(*(f"next to measure: {advice}" for advice in found.advice))
     console.note(f"{folder / 'identify.h5'}, .json; posterior.png, fit.csv, where_to_measure.csv")
     _note_replaced(folder / "identify", before, console)

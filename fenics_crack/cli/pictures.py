@@ -27,7 +27,6 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.harmonic_balance import linear_response
-from fenics_crack.balance.judgement import UNKNOWN
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import frequency_in_words
 from fenics_crack.cli.given import Console, make_writable
@@ -57,6 +56,7 @@ from fenics_crack.parallel import on_root
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene, unit_of
 from fenics_crack.scene.words import WHOLE, differences, given_values, key_in_words, value_in_words
+from fenics_crack.study.conclusion import known_to
 from fenics_crack.study.prepare import prepare
 from fenics_crack.study.run import Run, stress_intensity
 from fenics_crack.study.verification import Verification
@@ -205,9 +205,11 @@ def _modes(run: Run[Modes], file: File) -> None:
 def _solution(run: Run[PeriodicSolution], file: File) -> None:
     found, dof = run.result, run.watched_dof
     title = f"{frequency_in_words(run.scene, found.omega)}, H = {found.harmonics}"
-    if found.gap_coefficients.size:
-        error = found.report.total
-        title += ", error unknown" if error >= UNKNOWN else f", estimated error {percent(error)}"
+    if known := known_to(run):
+        title += f", known to {known.partition(',')[0]}"
+    elif found.gap_coefficients.size:
+        error = "unknown" if found.report.unknown else percent(found.report.total)
+        title += f", error {error}"
     if found.stability is not None:
         title += f", {found.stability.verdict}"
     if not found.converged:
@@ -560,7 +562,8 @@ def _write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) -
                 heading += f": {differs or file.path}"
             told = [*found.facts]
             blocks = [_paragraph(f"In this result {differs}.", "small")] if differs else []
-            doubtful = [f"{text[0].upper()}{text[1:]}" for text in found.warnings]
+            said = [*found.warnings, *map(str, found.remarks)]
+            doubtful = [f"{text[0].upper()}{text[1:]}" for text in said]
             blocks += [_points(told), _points(doubtful, "doubtful")]
             blocks += [_paragraph(*found.verdict)] if found.verdict else []
             if _can_be_drawn(result):
@@ -568,16 +571,18 @@ def _write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) -
             blocks += [_table(rows, caption) for caption, rows in found.tables.items()]
             blocks.append(_paragraph(f"From {file.path}, {_made(file.path)}.", "small"))
             sections.append((f"result-{number}", heading, blocks))
-            facts += told[:1]
-            doubts += [f"{heading}: {text}" for text in found.warnings]
+            closing = f"{found.closing[0].upper()}{found.closing[1:]}." if found.closing else ""
+            blocks += [_paragraph(closing)] if closing else []
+            facts += [*told[:1], *filter(None, [closing])]
+            doubts += [f"{heading}: {text}" for text in said]
     short = [_points(facts), _points(doubts, "doubtful")]
     if not doubts:
-        short.append(_paragraph("The program warned of nothing.", "good"))
+        short.append(_paragraph("No warnings and no remarks.", "good"))
     before: list[Section] = [("short", "In short", short), ("scene", "Scene", scene_part)]
     after = "versions", "Versions", _versions([file for file, _ in both], command)
     stem = both[0][0].path.resolve().parent.name
     under = f"{datetime.now(UTC).astimezone():%d %B %Y, %H:%M %Z}, fenics_crack {VERSION}"
-    text = _page(f"Breathing crack: {stem}", under, [*before, *sections, after])
+    text = _page(f"Vibration of {stem}", under, [*before, *sections, after])
     write_whole(target, text, "--output")
 
 

@@ -18,6 +18,7 @@ from fenics_crack.balance.solution import Indicators, PeriodicSolution
 from fenics_crack.cli.account import (
     IN_A_TEST,
     OTHERS,
+    SHARE,
     Account,
     account_of_growth,
     account_of_sweep,
@@ -25,7 +26,6 @@ from fenics_crack.cli.account import (
     frequency_in_words,
     how_it_is_left,
     in_short,
-    known_to,
     largest_seen,
     of_error,
     of_more_modes,
@@ -46,6 +46,7 @@ from fenics_crack.scene.tables import Integration
 from fenics_crack.scene.words import key_in_words, value_in_words
 from fenics_crack.study.asked import asked_along_curve, asked_of_motion
 from fenics_crack.study.coarser_mesh import natural_name
+from fenics_crack.study.conclusion import READ, conclusion, known_to, unknown_error
 from fenics_crack.study.key_figures import highest_omega
 from fenics_crack.study.prepare import Watched
 from fenics_crack.study.run import Run, run_of
@@ -63,6 +64,7 @@ from fenics_crack.table import (
     Table,
     counted,
     in_unit,
+    percent,
     quantity,
     ranging,
     with_frequency,
@@ -89,7 +91,8 @@ def _account_of_modes(run: Run[Modes]) -> Account:
         rows = [[*row, _errors(run, name)[0]] for row, name in zip(table.rows, names, strict=True)]
         table = Table([*table.columns, ERROR], rows)
     tables = {"Natural frequencies with the crack open": table}
-    return Account("modes", table, facts=[fact], tables=tables, run=run)
+    how: dict[str, Any] = {"remarks": run.remarks, "closing": conclusion(run)}
+    return Account("modes", table, facts=[fact], tables=tables, run=run, **how)
 
 
 # --- a steady vibration ---------------------------------------------------------------------------
@@ -98,7 +101,7 @@ def _account_of_modes(run: Run[Modes]) -> Account:
 def _account_of_solution(run: Run[PeriodicSolution]) -> Account:
     """A solution, its error and its stability (collective)."""
     found, scene = run.result, run.scene
-    table = _quantities(run, found.to_dict())
+    table = _quantities(run, found.to_dict() | _in_doubt(run))
     notes = [remark_on(run.structure, highest_omega(scene, "solve"))]
     if found.converged and found.stability is None and run.contact is not None:
         notes.append(
@@ -110,7 +113,7 @@ def _account_of_solution(run: Run[PeriodicSolution]) -> Account:
             f"harmonic {larger[0]}, which the solution leaves out, is the largest of the higher "
             f"ones: {larger[1]:.2g} of harmonic 1 in the exact orbit; more harmonics show it"
         )
-    known, seen = known_to(run), ""
+    seen = ""
     if found.stability is not None and found.stability.verdict == "unstable":
         seen = _seen_instead(found, run.watched_dof)
     tolerance = scene.harmonic_balance.tolerance
@@ -123,10 +126,6 @@ def _account_of_solution(run: Run[PeriodicSolution]) -> Account:
         warnings += of_error(scene, found.report, found.harmonics)
     if found.still:
         warnings.append("nothing vibrates: no load changes in time")
-    if found.converged and not missed and known:
-        notes.insert(0, f"solved; the half peak-to-peak displacement is known to {known}")
-    elif found.converged and run.stated is not None and run.stated.left_out:
-        notes.insert(0, f"the stated errors are {run.stated.left_out}")
     if found.converged:
         warnings += of_stability(scene, run, found.stability, seen)
         if found.stability is not None:
@@ -143,10 +142,23 @@ def _account_of_solution(run: Run[PeriodicSolution]) -> Account:
         notes=notes,
         warnings=warnings,
         tables=_in_numbers(table, scene),
+        remarks=run.remarks,
+        closing=conclusion(run, len(warnings)),
         done=found.converged,
-        missed=missed,
+        missed=missed or bool(unknown_error(run)),
         run=run,
     )
+
+
+def _in_doubt(run: Run[PeriodicSolution]) -> dict[str, object]:
+    """What doubts the numbers of a solution, by the names of :data:`OTHERS`; what does not is left
+    out."""
+    judged = run.result.stability
+    found: dict[str, object] = {"unknown_error": unknown_error(run)}
+    found["remarks"] = "; ".join(map(str, run.remarks))
+    if judged is not None:
+        found |= {"from_rest": judged.from_rest, "rest_amplitude": judged.rest_amplitude}
+    return {name: value for name, value in found.items() if value and value == value}
 
 
 def _in_numbers(table: Table, scene: Scene) -> dict[str, Table]:
@@ -158,38 +170,39 @@ def _in_numbers(table: Table, scene: Scene) -> dict[str, Table]:
 
 
 def _facts(run: Run[PeriodicSolution]) -> Iterator[str]:
-    """The response, and the error report sentence by sentence."""
+    """The response, what the crack does, and the error that is known of each."""
     found, report = run.result, run.result.report
     size = quantity(found.amplitude(run.watched_dof), "m")
     fact = f"At {frequency_in_words(run.scene, found.omega)} the {run.watched_name} is {size} half "
-    known = known_to(run)
-    fact += f"peak-to-peak (known to {known})" if known else "peak-to-peak"
+    fact += f"peak-to-peak{_known(run)}"
     if not found.gap_coefficients.size:
         yield f"{fact}."
         yield "There is no contact: the solution is exact for its mesh and modes."
         return
     values = found.to_dict()
-    yield (
-        f"{fact}; the crack opens by {quantity(values['opening'], 'm')} and is closed "
-        f"for {values['closed_share']:.0%} of the period."
-    )
-    causes = {
-        "the harmonics left out": report.truncation,
-        "the modes left out": report.reduction,
-        "contact forces taken from samples": report.sampling,
-        "equations not solved exactly": report.residual,
-    }
-    name = max(causes, key=causes.__getitem__)
-    yield (
-        f"Without the mesh, the motion of the lips is known to about {report.total:.2%}; most of "
-        f"that is due to {name} ({causes[name]:.2%})."
-    )
-    yield f"The displacement at the load is then known to about {report.displacement:.2%}."
+    if found.breathes:
+        yield (
+            f"{fact}; the crack opens by {quantity(values['opening'], 'm')}{_known(run, 'opening')}"
+            f" and is closed for {values['closed_share']:.0%} of the period."
+        )
+    else:
+        held = "open" if values["closed_share"] == 0.0 else "as it is, closed in part or whole,"
+        yield f"{fact}; the crack stays {held} over the period: the vibration is linear."
+    if unknown := unknown_error(run):
+        yield f"The error is unknown: {unknown}."
+    elif not known_to(run):
+        yield f"The estimated error of harmonic balance is {percent(report.total)} {SHARE}."
     if report.penetration > 0.0:
         yield (
             f"The contact law lets the lips penetrate by {report.penetration:.2%} of their motion; "
             "this belongs to the law, and is no error of its solution."
         )
+
+
+def _known(run: Run[Any], name: str = "") -> str:
+    """ " (known to 2.4 %)", where that is stated."""
+    known = known_to(run, name)
+    return f" (known to {known})" if known else ""
 
 
 def _seen_instead(found: PeriodicSolution, dof: int) -> str:
@@ -245,14 +258,17 @@ def _account_of_history(run: Run[TimeHistory]) -> Account:
             f"{change}{_longer_period(found)}"
         ]
     waves = over_time(run)
+    warnings += of_size(run, np.abs(waves.motion).max(axis=0))
     return Account(
         "integration",
         table,
         rows=_waves(run, waves),
         shown=in_short(table, scene, SHORT),
         facts=facts,
-        warnings=[*warnings, *of_size(run, np.abs(waves.motion).max(axis=0))],
+        warnings=warnings,
         tables=_in_numbers(table, scene),
+        remarks=run.remarks,
+        closing=conclusion(run, len(warnings)),
         done=bool(found.settled <= asked.settle),
         run=run,
     )
@@ -301,7 +317,7 @@ def _errors(run: Run[Any], name: str) -> tuple[float, str]:
         mode = bilinear_frequencies(run.structure).nearest(run.result.omega)["mode"]
         name = natural_name(run.scene, kind, int(mode))
     error, cause = run.stated.stated(name)
-    return float(f"{100.0 * error:.3g}"), cause
+    return float(f"{100.0 * max(error, READ):.3g}"), cause
 
 
 def _of_point(watched: Watched, values: Mapping[str, object]) -> list[Row]:
@@ -419,6 +435,7 @@ def _account_of_curve(run: Run[ResponseCurve]) -> Account:
         notes.insert(0, f"{hidden} more bifurcations and changes of stability: curve.json")
     kinds = dict.fromkeys(point.kind for point in found.bifurcations)
     notes += [f"{kind_in_words(kind)}: {IN_A_TEST[kind]}" for kind in kinds if kind in IN_A_TEST]
+    warnings = [*_warnings_of_curve(run), *of_size(run, largest_seen(run))]
     shown = found.indicators(run.watched_dof)
     peak = int(np.argmax(shown.amplitude))
     if shown.largest_order[peak] > 3:
@@ -435,9 +452,12 @@ def _account_of_curve(run: Run[ResponseCurve]) -> Account:
         shown=in_short(few, scene, SHORT_OF_CURVE),
         facts=_facts_of_curve(run, largest),
         notes=notes,
-        warnings=[*_warnings_of_curve(run), *of_size(run, largest_seen(run))],
+        warnings=warnings,
         tables={"Special points": in_short(special, scene, SHORT_OF_CURVE)},
+        remarks=run.remarks,
+        closing=conclusion(run, len(warnings)),
         done=bool(found.complete),
+        missed=bool(unknown_error(run)),
         run=run,
     )
 

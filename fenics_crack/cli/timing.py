@@ -26,7 +26,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import TipTiming
 from fenics_crack.stages import within
 from fenics_crack.study import timing as study
-from fenics_crack.study.key_figures import remarks_on_arrivals
+from fenics_crack.study.key_figures import remarks_on_arrivals, remarks_on_scene
 from fenics_crack.study.run import Run
 from fenics_crack.table import RPM, TURN, UNITS, Table, counted, quantity, ranging, speed_in_words
 
@@ -95,7 +95,8 @@ def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
     else:
         account, draw = _account_of_fit(fit, scene), partial(draw_tip_fit, fit, arrivals)
     warnings = [*_warnings_of(arrivals, scene, run), *account.warnings]
-    return tell(replace(account, warnings=warnings), folder, console, draw)
+    found = replace(account, warnings=warnings, remarks=remarks_on_scene(scene))
+    return tell(found, folder, console, draw)
 
 
 def _size(arrivals: ArrivalTimes) -> str:

@@ -35,6 +35,7 @@ Geometric Numerical Integration, 2006, section II.4; Lazarus and Thomas, Comptes
 from __future__ import annotations
 
 from dataclasses import replace
+from time import perf_counter
 
 import numpy as np
 
@@ -67,6 +68,9 @@ from fenics_crack.numerics.fourier import resized, sampled, to_complex
 from fenics_crack.numerics.newton import moving_size
 from fenics_crack.table import percent
 from fenics_crack.time.march import initial_state
+
+LONGEST = 100_000
+"""Periods of the load for which a motion from rest is followed at most; each state is kept."""
 
 HILL_STEPS = 2**13
 """In a period."""
@@ -470,6 +474,43 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
         if not any(alike(one.orbit, other.orbit) for other in found):
             found.append(one)
     return tuple(found)
+
+
+def from_rest(solution: PeriodicSolution, seconds: float) -> Attractor | None:
+    """Follow the exact motion from rest, to see whether it settles to another motion than a
+    solution (collective).
+
+    Parameters
+    ----------
+    solution : PeriodicSolution
+        Whose structure, law and load are taken.
+    seconds : float
+        For as many periods as take about this time on the first rank [s].
+
+    Returns
+    -------
+    Attractor or None
+        Where the motion goes; None where there is no exact flow, or more than 120 modes.
+
+    Raises
+    ------
+    ConvergenceError
+        The motion cannot be followed for a period.
+
+    Examples
+    --------
+    >>> motion = from_rest(solution, 1.0)
+    >>> settled = motion is not None and motion.orbit is not None
+    """
+    judged = solution.judged
+    if judged.flow is None or judged.flow.size > FORMED:
+        return None
+    orbits = FlowOrbits(judged.flow, solution.omega, judged.states[0])
+    rest = np.zeros(judged.flow.size)
+    started = perf_counter()
+    orbits.moved(rest, 1.0)
+    periods = int(min(seconds / (perf_counter() - started), LONGEST))
+    return in_the_long_run(orbits, rest, solution.structure.whole.comm.bcast(periods))
 
 
 def stability_of(judged: Judgement) -> Stability:

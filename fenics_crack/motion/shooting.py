@@ -440,10 +440,13 @@ class Attractor:
         return np.asarray(np.ptp(values, axis=1) / 2.0)
 
 
-def in_the_long_run(orbits: FlowOrbits, start: np.ndarray) -> Attractor:
+def in_the_long_run(orbits: FlowOrbits, start: np.ndarray, most: int | None = None) -> Attractor:
     """What the exact motion from a state x does after many periods: it is followed until it has
-    settled, or for 1,000; with more than 24 modes or many events, which take longer, for fewer."""
-    most = max(LATER + 1, int(min(1.0, 2.0 * FEW / orbits.flow.size) * WANDERING))
+    settled, or for ``most``, by default 1,000; with more than 24 modes or many events, which take
+    longer, for fewer."""
+    if most is None:
+        most = int(min(1.0, 2.0 * FEW / orbits.flow.size) * WANDERING)
+    most = max(LATER + 1, most)
     begin(f"the exact motion over up to {most} periods")
     passed, ahead = start[None], _followed(orbits, start, most)
     while more := list(islice(ahead, len(passed) - 1 + LATER)):

@@ -83,7 +83,8 @@ class KeyFigures:
         Largest opening of open lips under the mean load, and the largest motion of their gaps under
         the load's amplitude, both static.
     displacement, gap_motion : float [m]
-        Largest amplitudes with open lips at the frequencies that are asked for.
+        Largest amplitudes of what is watched, and of the gaps, with open lips at the frequencies
+        that are asked for.
     closed : int
         Pairs that are closed under the mean load and the preload alone.
     breathes : bool
@@ -132,11 +133,13 @@ class KeyFigures:
 
 
 def find_key_figures(study: Study) -> KeyFigures:
-    """Compute the figures of a study whose structure is not reduced (collective)."""
+    """Compute the figures of a study; of a reduced one in its own coordinates, which hold static
+    responses exactly (collective)."""
     scene, whole, law = study.scene, study.structure, study.contact
-    count = min(N_MODES, whole.n_dofs)
+    known = whole.known_modes(tied=False)
+    count = min(N_MODES, whole.n_dofs if known is None else len(known[0]))
     with Factor(whole.stiffness, definite=True) as factor:
-        modes = modes_by(factor, whole, count)
+        modes = modes_by(factor, whole, count) if known is None else solve_modes(whole, count)
         static = _static(factor, modes, whole.force)
         lips = whole.apply_bt(_static(factor, modes, whole.gap.T.toarray()))
     ratios = damping_ratios(whole, modes.omega)
@@ -147,27 +150,31 @@ def find_key_figures(study: Study) -> KeyFigures:
     resting = gaps[0] - whole.clearance  # of open lips
     pressed = solve_complementarity(lips, resting) if whole.n_pairs else np.zeros(0)
     closed = pressed > 0.0
+    watched = [one.dof for one in study.watched]
     largest, moved, breathes = 0.0, 0.0, False
     for omega in _omegas(scene, np.concatenate([modes.omega, tied.omega])):
         change = _dynamic_part(modes.omega, ratios, omega)
         load = change * (loads[:, 1] - 1j * loads[:, 2])
         motion = static[1] - 1j * static[2] + load @ modes.shapes.T
-        largest = max(largest, *whole.comm.allgather(float(np.abs(motion).max(initial=0.0))))
+        seen = whole.values_at(np.stack([motion.real, motion.imag]), watched)
+        largest = max(largest, float(np.hypot(*seen).max(initial=0.0)))
         if not whole.n_pairs:
             continue
         gap = gaps[1] - 1j * gaps[2] + load @ psi
         moved = max(moved, float(np.abs(gap).max()))
-        seen = lips + (psi.T * change) @ psi
+        compliance = lips + (psi.T * change) @ psi
         force = np.zeros(whole.n_pairs, dtype=complex)
-        force[closed] = np.linalg.lstsq(seen[np.ix_(closed, closed)], gap[closed], rcond=None)[0]
-        opened = resting - lips @ pressed + np.abs(gap - seen @ force) >= 0.0
+        force[closed] = np.linalg.lstsq(
+            compliance[np.ix_(closed, closed)], gap[closed], rcond=None
+        )[0]
+        opened = resting - lips @ pressed + np.abs(gap - compliance @ force) >= 0.0
         breathes = breathes or bool(np.any(np.where(closed, pressed <= np.abs(force), opened)))
     own = 1.0 / np.maximum(np.diagonal(lips), 1e-300)
     stiffness = None if law is None or not np.all(np.isfinite(law.stiffness)) else law.stiffness
     kept = reduction_of(scene, whole)
     crack = whole.n_pairs > 0
     return KeyFigures(
-        size=extents(whole),
+        size=extents(whole.whole),
         elements=_elements(scene, whole),
         omega_open=modes.omega,
         omega_tied=tied.omega,
@@ -217,7 +224,7 @@ def _elements(scene: Scene, whole: Structure) -> int | None:
 
 
 def extents(whole: Structure) -> tuple[float, ...]:
-    """Extents of the mesh [m] (collective)."""
+    """Extents of the mesh of a whole structure [m] (collective)."""
     if whole.nodes is None:
         return np.nan, np.nan
     return tuple(np.ptp(gather_rows(whole.comm, whole.nodes.points), axis=0).tolist())

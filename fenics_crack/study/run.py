@@ -4,10 +4,13 @@ clamp."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from time import perf_counter
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -23,8 +26,8 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.peak import Peak
-from fenics_crack.curves.stability import floquet
-from fenics_crack.errors import RECORDED_PERIODS, InputError
+from fenics_crack.curves.stability import floquet, from_rest
+from fenics_crack.errors import RECORDED_PERIODS, ConvergenceError, InputError
 from fenics_crack.files.results import Result, save, type_of, unpack
 from fenics_crack.files.store import Stored, read
 from fenics_crack.hints import no_attribute
@@ -35,6 +38,7 @@ from fenics_crack.model.nodes import AXES
 from fenics_crack.model.reduction import MODES
 from fenics_crack.model.rotation import run_up_structure
 from fenics_crack.model.structure import Structure
+from fenics_crack.motion.shooting import SETTLED
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene, check_known, without_clamp, without_tips
 from fenics_crack.scene.tables import Integration
@@ -48,6 +52,7 @@ from fenics_crack.study.asked import (
     prepare_asked,
     tip_rows,
 )
+from fenics_crack.study.conclusion import Answer, conclusion
 from fenics_crack.study.prepare import (
     FEW_DOFS,
     Study,
@@ -58,7 +63,7 @@ from fenics_crack.study.prepare import (
 )
 from fenics_crack.study.stated_errors import errors_of
 from fenics_crack.study.verification import Verification, verification_of
-from fenics_crack.table import Tabular, quantity
+from fenics_crack.table import Tabular, counted, quantity
 from fenics_crack.time.central_differences import (
     integrate_central_difference,
     stable_steps_per_period,
@@ -71,7 +76,7 @@ Found = TypeVar("Found", bound=Result, covariant=True)
 
 
 @dataclass(frozen=True, repr=False)
-class Run(Study, Generic[Found]):
+class Run(Answer, Generic[Found]):
     """A study with its result, whose attributes are also its own: ``run.peak()``.
 
     Attributes
@@ -94,6 +99,9 @@ class Run(Study, Generic[Found]):
         None of motions in time (collective)."""
         return self.stated or errors_of(self, self.result)
 
+    def __str__(self) -> str:
+        return f"{self.result!r}: {conclusion(self)}"
+
     def __repr__(self) -> str:
         return f"Run({self.result!r}, {self.scene!r})"
 
@@ -105,11 +113,6 @@ class Run(Study, Generic[Found]):
         if name.startswith("_") or name not in known:
             raise no_attribute(f"{type(self).__name__!r} object", name, known)
         return getattr(self.result, name)
-
-    @property
-    def watched_dof(self) -> int:
-        """The first of the dofs that are watched, of the whole structure."""
-        return self.watched[0].dof
 
     @property
     def watched_name(self) -> str:
@@ -233,7 +236,35 @@ def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution
     >>> run = fc.solve(scene)
     >>> run.result.report.total, run.result.stability.verdict, run.motion()
     """
-    return solve_prepared(prepare(scene, comm, whole=True))
+    started = perf_counter()
+    run = solve_prepared(prepare(scene, comm, whole=True))
+    return _with_motion_from_rest(run, perf_counter() - started)
+
+
+def _with_motion_from_rest(run: Run[PeriodicSolution], seconds: float) -> Run[PeriodicSolution]:
+    """A run with what the motion from rest does, followed for about so long, where the verdict is
+    undecided or no pair opens and closes: the multipliers of such a solution know nothing of the
+    contact that another motion meets (collective)."""
+    found = run.result
+    judged, dof = found.stability, run.watched_dof
+    if judged is None or found.still or (judged.verdict != "undecided" and found.breathes):
+        return run
+    begin("the motion from rest")
+    with suppress(ConvergenceError):
+        motion = from_rest(found, seconds)
+        if motion is None:
+            return run
+        amplitude = math.nan
+        told = f"has not settled after {counted(motion.periods, 'period')} of the load"
+        if motion.orbit is not None:
+            told = motion.told
+            amplitude = float(motion.amplitudes(dof).max())
+            own = found.amplitude(dof)
+            if judged.verdict != "undecided" and abs(amplitude - own) <= SETTLED * own:
+                return run  # the same motion
+        seen = replace(judged, from_rest=told, rest_amplitude=amplitude)
+        return replace(run, result=replace(found, stability=seen))
+    return run
 
 
 def solve_prepared(

@@ -44,7 +44,7 @@ from operator import methodcaller
 
 import numpy as np
 
-from fenics_crack.balance.error_report import LARGE_ERROR
+from fenics_crack.balance.error_report import LARGE_ERROR, PARTS, ErrorReport
 from fenics_crack.balance.harmonic_balance import solve_linear, wave_of
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Solver, contact_extremes, indicators_of
@@ -168,6 +168,9 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
         causes = "modes", "harmonics", "mesh"
         stated.unknown.update(dict.fromkeys(causes, "the structure is not reduced"))
         return stated
+    if found.report.unknown:  # other runs may agree by chance
+        stated.unknown["harmonics"] = not_estimated(found.report)
+        return stated
     near = _solved(study, found.omega, found.harmonics, found)
     own = numbers_of(study, near, numbers.mode)
     exact = of_own_orbit(study, found, numbers.mode)
@@ -185,6 +188,13 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
         if not all(name in parts for parts in stated.parts.values()):
             del stated.values[name]
     return stated
+
+
+def not_estimated(report: ErrorReport) -> str:
+    """Return which part of an unknown error could not be estimated."""
+    part = max(PARTS, key=lambda name: getattr(report, name))
+    words = {"truncation": "harmonics that are left out", "reduction": "modes that are left out"}
+    return f"the part of the {words.get(part, part)} could not be estimated"
 
 
 def errors_of(study: Study, result: object) -> Verification | None:

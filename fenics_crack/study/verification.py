@@ -41,7 +41,7 @@ from fenics_crack.errors import InputError, check_choice, check_number
 from fenics_crack.files.store import Stored, write
 from fenics_crack.model.matrices import numbers
 from fenics_crack.scene.scene import Scene
-from fenics_crack.table import Described, Table, Tabular, percent, with_unit
+from fenics_crack.table import Described, Table, Tabular, closing_sentence, percent, with_unit
 
 SAFE, CAUTIOUS = 1.25, 3.0
 """Factors of safety."""
@@ -214,6 +214,8 @@ Varied = tuple[tuple[int, ...], dict[str, GridConvergence]] | str
 MESH = ("mesh", "shift")
 """The mesh's part: of the answer at a given distance from the resonance, and by the shift of the
 resonance."""
+ESTIMATED = ("harmonics", "modes")
+"""Causes without whose part no error is known; the mesh may be left out by choice."""
 CAUSES = (*MESH, "modes", "harmonics", "samples")
 WORDS = ("units", "absent", "unknown", "verdicts")
 LEVELS = 3
@@ -350,9 +352,11 @@ class Verification(Tabular):
 
     def stated(self, quantity: str) -> tuple[float, str]:
         """The error of a quantity, relative to it, by all causes (:meth:`total`); and the largest
-        of them: "mesh", "modes", "harmonics", "samples". Not known: nan, also where nothing
-        that was varied changes it and something else was not."""
-        if quantity not in self.values or not self.parts:
+        of them: "mesh", "modes", "harmonics", "samples". Not known: nan, also where the part of the
+        harmonics or the modes is not, or nothing that was varied changes it and something else was
+        not."""
+        unknown = any(cause in self.unknown for cause in ESTIMATED)
+        if quantity not in self.values or not self.parts or unknown:
             return math.nan, ""
         parts = self._parts(quantity)
         total = self.relative(quantity, self.total(quantity))
@@ -422,6 +426,23 @@ class Verification(Tabular):
 
     def _title(self) -> str:
         return self.statement[0]
+
+    def __str__(self) -> str:
+        return self.conclusion()
+
+    def conclusion(self, remarks: int = 0) -> str:
+        """Return the last sentence on the study, after its warnings and so many remarks."""
+        error, cause = self.stated(next(iter(self.values)))
+        unknown = {} if math.isfinite(error) else self.unknown or {"": "nothing was varied"}
+        name = next(iter(self.values))
+        return closing_sentence(
+            "verified",
+            unknown="; ".join(unknown.values()),
+            known=f"{name} known to {percent(error)}, most of it by the {cause}",
+            others=[self.without, *(f"{run}: {verdict}" for run, verdict in self.verdicts.items())],
+            warnings=len(self.warnings),
+            remarks=remarks,
+        )
 
     # --- words ------------------------------------------------------------------------------------
 

@@ -39,6 +39,7 @@ from mpi4py import MPI
 from fenics_crack.balance.contact_system import default_weight
 from fenics_crack.balance.error_report import LARGE_ERROR, PARTS
 from fenics_crack.balance.harmonic_balance import solve_linear
+from fenics_crack.balance.judgement import UNKNOWN
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import InputError
@@ -67,7 +68,7 @@ from fenics_crack.sweep.file import (
 )
 from fenics_crack.sweep.jobs import Manager, Worker, serve
 from fenics_crack.sweep.plan import Plan
-from fenics_crack.table import OF_POINTS, QUANTITIES, Tabular, counted
+from fenics_crack.table import OF_POINTS, QUANTITIES, Tabular, closing_sentence, counted, percent
 
 SHOWN_REASONS = 4
 """Why cases failed or are undecided: so many kinds are told."""
@@ -295,6 +296,12 @@ class SweepResult(Tabular):
         return self.converged & (self.errors.sum(axis=0) > LARGE_ERROR)
 
     @property
+    def missed(self) -> np.ndarray:
+        """Cases whose error is unknown, or above the tolerance that the scene asks for."""
+        limit = min(UNKNOWN, self.scene.harmonic_balance.tolerance or UNKNOWN)
+        return self.converged & (self.errors.sum(axis=0) >= limit)
+
+    @property
     def not_stable(self) -> np.ndarray:
         """Which cases are unstable or undecided, likewise."""
         return np.isin(self["verdict"], ("unstable", "undecided"))
@@ -419,6 +426,25 @@ class SweepResult(Tabular):
     def _units(self) -> dict[str, str]:
         swept = {axis.key: unit_of(axis.key) for axis in self.axes}
         return swept | {name: unit for name, (unit, _) in columns_of(self.scene).items()}
+
+    def __str__(self) -> str:
+        return self.conclusion()
+
+    def conclusion(self, warnings: int = 0, remarks: int = 0) -> str:
+        """Return the last sentence on the sweep, after so many warnings and remarks."""
+        total = self.errors.sum(axis=0)[self.converged]
+        unknown = int(np.sum(total >= UNKNOWN))
+        largest, what = total.max(initial=0.0), "largest estimated error by modes and harmonics"
+        names, counts = np.unique(self["verdict"][self.converged], return_counts=True)
+        verdicts = [f"{n} {name}" for n, name in zip(counts, names, strict=True) if name]
+        return closing_sentence(
+            f"{self.converged.sum()} of {counted(self.converged.size, 'case')} converged",
+            unknown=f"in {counted(unknown, 'case')} it could not be estimated" if unknown else "",
+            known=f"{what} {percent(largest)}" if largest > 0.0 else "",
+            others=[", ".join(verdicts)],
+            warnings=warnings,
+            remarks=remarks,
+        )
 
     def _title(self) -> str:
         counts = zip(STATES, np.bincount(self["state"].ravel(), minlength=3), strict=True)

@@ -355,7 +355,7 @@ def test_words_and_files(
     assert main(["solve", str(path), *where]) == 0
     captured = capsys.readouterr()
     assert "error [%]" in captured.out and "most by" in captured.out
-    assert "solved; the half peak-to-peak displacement is known to" in captured.err
+    assert "solved; half peak-to-peak displacement known to" in captured.err
     rows = {row["name"]: row for row in json.loads((tmp_path / "solution.json").read_text())}
     assert 1.0 < rows["amplitude"]["error [%]"] < 20.0 and rows["amplitude"]["most by"] == "mesh"
     assert rows["over_bilinear"]["error [%]"] < 1.0 and rows["verdict"]["error [%]"] is None
@@ -374,7 +374,7 @@ def test_words_and_files(
     of_curve = [*short, "curve.stability=false"]
     assert main(["curve", str(path), *where, *(w for s in of_curve for w in ("--set", s))]) == 0
     assert "largest response of the curve" in (told := capsys.readouterr().err)
-    assert told.count("known to") == 2
+    assert told.count("known to") >= 2
     assert main(["solve", str(path), *where, "--set", "mesh.error=false"]) == 0
     assert "without the mesh: mesh.error = false" in capsys.readouterr().err
 

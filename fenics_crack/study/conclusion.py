@@ -1,0 +1,163 @@
+"""What a run amounts to: how well it is known, what its numbers alone do not show, its remarks,
+and the sentence with which the program, a report and Python's ``str`` end."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from fenics_crack.balance.solution import PeriodicSolution, Stability
+from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.model.modal import is_small
+from fenics_crack.scene.tables import Integration
+from fenics_crack.study.key_figures import (
+    Remark,
+    find_key_figures,
+    remarks_on,
+    remarks_on_scene,
+    remarks_on_structure,
+)
+from fenics_crack.study.prepare import REFUSALS, Study
+from fenics_crack.study.stated_errors import not_estimated
+from fenics_crack.study.verification import ESTIMATED, Verification
+from fenics_crack.table import closing_sentence, percent, quantity
+from fenics_crack.time.march import TimeHistory
+
+LEAST_TOLD = 1e-4
+"""Error whose largest cause is reported."""
+READ = 1e-5
+"""Error below which none is reported: extremes are read at 1,024 instants of the period, which
+leaves 1 - cos(pi / 1024) = 5e-6 of a sine."""
+
+
+class Answer(Study):
+    """What is concluded from: :class:`fenics_crack.study.run.Run` is one.
+
+    Attributes
+    ----------
+    result : object
+        What was found.
+    stated : Verification or None
+        Its errors, where they were computed with it.
+    """
+
+    result: Any
+    stated: Verification | None
+
+    @cached_property
+    def remarks(self) -> tuple[Remark, ...]:
+        """What is unusual about the scene and its structure, as ``fenics-crack check`` reports it
+        (collective)."""
+        try:
+            found = remarks_on(self.scene, find_key_figures(self))
+        except REFUSALS:  # figures that cannot be found are no reason to lose the result
+            found = remarks_on_scene(self.scene)
+        return (*found, *remarks_on_structure(self.scene, self.structure.whole))
+
+    @property
+    def watched_dof(self) -> int:
+        """The first of the dofs that are watched, of the whole structure."""
+        return self.watched[0].dof
+
+
+def known_to(run: Answer, name: str = "") -> str:
+    """Return how well a number of a result is known, by default the watched amplitude: "2.4 %,
+    most of it by the mesh"; empty where that is not stated."""
+    if run.stated is None:
+        return ""
+    error, cause = run.stated.stated(name or run.watched[0].column("amplitude"))
+    if not error > 0.0:  # of a plate at rest, or of what no cause changes
+        return ""
+    size = percent(error) if error > READ else f"less than {percent(READ)}"
+    by = f", most of it by the {cause}" if error > LEAST_TOLD else ""
+    return ", ".join(filter(None, (f"{size}{by}", run.stated.left_out)))
+
+
+def unknown_error(run: Answer) -> str:
+    """Return why the error of a result is unknown; empty where it is known, or nothing is."""
+    found, stated = run.result, run.stated
+    if isinstance(found, PeriodicSolution) and found.report.unknown:
+        return not_estimated(found.report)
+    if stated is None or not is_small(run.structure):  # then the report alone has the error
+        return ""
+    if math.isinf(stated.stated(run.watched[0].column("amplitude"))[0]):
+        return "the mesh is too coarse to estimate its part"
+    return next((stated.unknown[cause] for cause in ESTIMATED if cause in stated.unknown), "")
+
+
+def conclusion(run: Answer, warnings: int = 0) -> str:
+    """Return the sentence with which a run ends, after so many warnings (collective)."""
+    return closing_sentence(
+        _outcome(run),
+        unknown=unknown_error(run),
+        known=_known(run),
+        others=_others(run),
+        warnings=warnings,
+        remarks=len(run.remarks),
+    )
+
+
+def _outcome(run: Answer) -> str:
+    """How a run ended."""
+    found = run.result
+    if isinstance(found, PeriodicSolution):
+        tolerance = run.scene.harmonic_balance.tolerance
+        if not found.converged:
+            return "not converged"
+        missed = tolerance is not None and found.report.total > tolerance
+        return "solved, but the tolerance is missed" if missed else "solved"
+    if isinstance(found, ResponseCurve):
+        return "curve complete" if found.complete else "the curve ended early"
+    if isinstance(found, TimeHistory):
+        return "integrated"
+    return "modes found"
+
+
+def _known(run: Answer) -> str:
+    """The watched amplitude and its error; of a curve the largest."""
+    known = known_to(run)
+    if isinstance(run.result, PeriodicSolution) and known:
+        return f"half peak-to-peak displacement known to {known}"
+    if isinstance(run.result, ResponseCurve) and known:
+        return f"largest response known to {known}"
+    if run.stated is not None and run.stated.left_out:
+        return f"errors are stated {run.stated.left_out}"
+    return ""
+
+
+def _others(run: Answer) -> list[str]:
+    """The verdict, and what the numbers alone do not show."""
+    found = run.result
+    if isinstance(found, ResponseCurve) and found.multipliers is not None:
+        names, counts = np.unique(found.verdicts, return_counts=True)
+        shares = (f"{n} {name}" for n, name in zip(counts, names, strict=True))
+        return [f"of {len(found)} points {', '.join(shares)}"]
+    if isinstance(found, TimeHistory):
+        least = (run.scene.integration or Integration()).settle
+        return [] if found.settled <= least else ["the motion has not settled"]
+    if not isinstance(found, PeriodicSolution) or not found.converged:
+        return []
+    if found.still:
+        return ["nothing vibrates"]
+    said = []
+    if run.structure.n_pairs and found.contact is not None and not found.breathes:
+        said.append("the crack neither closes nor opens: the vibration is linear")
+    return [*said, *in_place_of(found.stability, found.amplitude(run.watched_dof))]
+
+
+def in_place_of(judged: Stability | None, amplitude: float) -> list[str]:
+    """The verdict in words, and what the motion from rest does in place of a solution of some
+    amplitude [m]."""
+    if judged is None:
+        return ["stability not examined"]
+    said = ["stability undecided" if judged.verdict == "undecided" else judged.verdict]
+    if judged.from_rest:
+        size = ""
+        if np.isfinite(judged.rest_amplitude) and amplitude > 0.0:
+            ratio = judged.rest_amplitude / amplitude
+            size = f", {ratio:.3g} times as large ({quantity(judged.rest_amplitude, 'm')})"
+        said.append(f"the motion from rest {judged.from_rest}{size}")
+    return said

@@ -1,0 +1,122 @@
+"""What a result ends with: an unknown error, a verdict, another motion and remarks reach the exit
+code, the files and the page of every command."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import DEMOS
+from scipy import io, sparse
+from surroundings import main
+
+import fenics_crack as fc
+from fenics_crack.errors import Exit
+
+STIFFNESS, DAMPING = np.array([[1.0, -1.0], [-1.0, 2.0]]), 0.03
+FEW = {"contact.stiffness": 1e3, "harmonic_balance.harmonics": 3, "excitation.omega": 0.8}
+"""Too few harmonics for so stiff a stop."""
+BESIDE = 1.4
+"""Load frequency [rad/s] at which the stop is 2 % beyond where the steady motion reaches, and from
+rest it is met."""
+
+
+def amplitude_without_stop(omega: float) -> float:
+    """Of the second mass under 0.1 cos(w t), M = I, C = 0.03 K [m]."""
+    dynamic = STIFFNESS * (1.0 + 1j * DAMPING * omega) - omega**2 * np.eye(2)
+    return float(np.abs(np.linalg.solve(dynamic, [0.0, 0.1]))[1])
+
+
+@pytest.fixture(scope="module")
+def two_masses(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scene: two masses, and a stop for the second one."""
+    folder = tmp_path_factory.mktemp("two")
+    matrices = {
+        "mass": np.eye(2), "stiffness": STIFFNESS, "damping": DAMPING * STIFFNESS,
+        "gap": [[0.0], [1.0]], "force_cos": [[0.0], [0.1]],
+    }  # fmt: skip
+    for name, matrix in matrices.items():
+        io.mmwrite(folder / f"{name}.mtx", sparse.csr_matrix(np.array(matrix)))
+    files = "\n".join(f'{name} = "{name}.mtx"' for name in matrices)
+    (folder / "two.toml").write_text(
+        f"[structure]\n{files}\nclearance = 0.01\n[excitation]\nomega = {BESIDE}\n"
+        "[contact]\nstiffness = 10.0\n[curve]\nparameter = 'omega'\nstart = 0.75\nstop = 0.85\n"
+        "[sweep.over]\n'excitation.omega' = [0.8, 2.0]\n"
+    )
+    return folder / "two.toml"
+
+
+def run(command: str, scene: Path, folder: Path, changes: dict[str, Any]) -> int:
+    """Exit code of a command with some changes of a scene."""
+    words = [word for key, value in changes.items() for word in ("--set", f"{key}={value}")]
+    return main([command, str(scene), *words, "--output", str(folder), "--quiet"])
+
+
+def rows_of(path: Path) -> dict[str, dict[str, Any]]:
+    """The quantities of a solution, by their names."""
+    return {row["name"]: row for row in json.loads(path.read_text())}
+
+
+@pytest.mark.parametrize("command", ["solve", "curve", "sweep"])
+def test_an_unknown_error_is_not_what_was_asked_for(
+    two_masses: Path, tmp_path: Path, command: str
+) -> None:
+    """Nothing is said to be known then; with 60 harmonics, which suffice, it is."""
+    assert run(command, two_masses, tmp_path, FEW) == Exit.MISSED
+    if command != "solve":
+        return
+    rows = rows_of(tmp_path / "solution.json")
+    assert rows["unknown_error"]["value"] and rows["verdict"]["value"] == "undecided"
+    assert not any(row.get("error [%]") for row in rows.values())
+    scene = fc.Scene.load(two_masses, FEW)
+    assert "unknown" in str(fc.solve(scene)) and "known to" not in str(fc.solve(scene))
+    many = FEW | {"harmonic_balance.harmonics": 60}
+    assert run(command, two_masses, tmp_path, many) == Exit.DONE
+    rows = rows_of(tmp_path / "solution.json")
+    assert "unknown_error" not in rows and rows["amplitude"]["error [%]"] < 1.0
+
+
+def test_another_motion_attracts_from_rest(two_masses: Path, tmp_path: Path) -> None:
+    """The steady motion that never meets the stop is stable; from rest it is met, and the motion
+    settles to one of twice the period, as a march in time finds it."""
+    away = {"structure.clearance": 1.02 * amplitude_without_stop(BESIDE)}
+    assert run("solve", two_masses, tmp_path, away) == Exit.DONE
+    rows = rows_of(tmp_path / "solution.json")
+    assert rows["verdict"]["value"] == "stable" and rows["closed_share"]["value"] == 0.0
+    amplitude, seen = (rows[name]["value"] for name in ("amplitude", "rest_amplitude"))
+    assert amplitude == pytest.approx(amplitude_without_stop(BESIDE), rel=1e-5)
+    assert 1.5 * amplitude < seen < 2.5 * amplitude
+    scene = fc.Scene.load(two_masses, away | {"integration.periods": 400})
+    marched = fc.integrate(scene).result
+    sizes = np.ptp(marched.by_period(marched.displacement([1])[:, 0]), axis=1) / 2.0
+    assert sizes[0] == pytest.approx(sizes[2], rel=1e-2) != pytest.approx(sizes[1], rel=1e-2)
+    assert seen == pytest.approx(sizes.max(), rel=1e-2)
+    # Twice as far away nothing is met from rest either, and nothing is said.
+    assert run("solve", two_masses, tmp_path, {"structure.clearance": 1.0}) == Exit.DONE
+    assert "rest_amplitude" not in rows_of(tmp_path / "solution.json")
+    # What is saved is what is reported.
+    assert run("solve", two_masses, tmp_path, away) == Exit.DONE
+    loaded = fc.load_run(tmp_path / "solution.h5")
+    assert loaded.result.stability.rest_amplitude == seen
+
+
+def test_a_crack_that_a_mean_load_holds_open(tmp_path: Path) -> None:
+    """Is no breathing one, in the file, in Python and on the page; the remark of ``check`` comes
+    with it."""
+    scene = DEMOS.parent / "benchmarks" / "plate.toml"
+    held = {
+        "excitation.force_mean": "[1400.0, 0.0]", "excitation.frequency": 500.0,
+        "mesh.size": 0.05, "reduction.modes": 8,
+    }  # fmt: skip
+    assert run("solve", scene, tmp_path, held) == Exit.DONE
+    rows = rows_of(tmp_path / "solution.json")
+    assert rows["closed_share"]["value"] == 0.0
+    assert "excitation.force_mean" in rows["remarks"]["value"]
+    loaded = fc.load_run(tmp_path / "solution.h5")
+    assert not loaded.result.breathes
+    assert [remark.key for remark in loaded.remarks] == ["excitation.force_mean"]
+    assert main(["report", str(tmp_path / "solution.h5"), "--quiet"]) == 0
+    page = (tmp_path / "report.html").read_text()
+    assert "Breathing crack" not in page and "No warnings" not in page
+    assert "excitation.force_mean = [1400.0, 0.0]" in page
