@@ -17,6 +17,7 @@ from fenics_crack.model.modes import damped_range
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene, asked_quantities
+from fenics_crack.scene.words import faces_in_words
 from fenics_crack.study.coarser_mesh import errors_of_natural
 from fenics_crack.study.key_figures import (
     KeyFigures,
@@ -90,13 +91,14 @@ def _extents(figures: KeyFigures) -> dict[str, object]:
 
 def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:
     """The first natural frequencies, and the frequency asked for in parts of the first."""
-    lips = {", lips open": figures.omega_open, ", lips tied": figures.omega_tied}
+    faces = faces_in_words(scene)
+    lips = {f", {faces} open": figures.omega_open, f", {faces} tied": figures.omega_tied}
     if figures.elements is None:
         lips = {"": figures.omega_open}
     lips = {words: natural[np.isfinite(natural)] for words, natural in lips.items()}
     lips = {words: natural for words, natural in lips.items() if len(natural)}
     rows: dict[str, object] = {}
-    if figures.elements is not None and scene.dimension == 2:
+    if figures.elements is not None and scene.structure is None and scene.dimension == 2:
         rows["modes"] = "in the plate's plane: no bending across it (flap), no torsion"
     for words, natural in lips.items():
         rows[f"first natural frequency{words} [Hz]"] = float(natural[0]) / TURN
@@ -104,7 +106,8 @@ def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:
         rows[f"the next{words} [Hz]"] = ", ".join(f"{value / TURN:.6g}" for value in natural[1:])
     if figures.elements is not None:
         moved = "" if is_proportional(scene) else " without clearance"
-        rows[f"breathing crack{moved} resonates near [Hz]"] = figures.omega_breathing / TURN
+        what = "breathing crack" if faces == "lips" else "breathing contact"
+        rows[f"{what}{moved} resonates near [Hz]"] = figures.omega_breathing / TURN
     omega = scene.excitation.omega
     rows["load's frequency [Hz]"] = omega / TURN
     rows["load's frequency [rad/s]"] = omega
@@ -116,6 +119,8 @@ def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:
 
 def _errors_by_mesh(study: Study, figures: KeyFigures) -> dict[str, object]:
     """How well the mesh knows these frequencies."""
+    if study.scene.structure is not None:
+        return {}
     natural = {"open": figures.omega_open}
     if study.structure.n_pairs:
         natural["tied"] = figures.omega_tied
@@ -163,11 +168,12 @@ def _contact(study: Study, figures: KeyFigures) -> dict[str, object]:
         stiffness = np.broadcast_to(law.stiffness, study.structure.n_pairs)
         rows["softest pair [N/m]"] = float(stiffness.min())
         rows["stiffest pair [N/m]"] = float(stiffness.max())
-    rows["lips' own stiffness, pair by pair [N/m]"] = ranging(figures.own_stiffness, ".3g")
+    faces = faces_in_words(study.scene)
+    rows[f"{faces}' own stiffness, one by one [N/m]"] = ranging(figures.own_stiffness, ".3g")
     if figures.stiffness_ratio is not None:
-        rows["contact stiffness / lips' own"] = ranging(figures.stiffness_ratio, ".3g")
+        rows[f"contact stiffness / {faces}' own"] = ranging(figures.stiffness_ratio, ".3g")
     rows["static opening, mean load [m]"] = figures.mean_opening
-    rows["static motion of the lips, amplitude of the load [m]"] = figures.static_motion
+    rows[f"static motion of the {faces}, amplitude of the load [m]"] = figures.static_motion
     return rows
 
 
@@ -186,7 +192,7 @@ def _solved(scene: Scene, whole: Structure) -> str:
         return "as it is"
     modes = counted(reduction.modes, "mode")
     if reduction.method == "massless":
-        return f"{modes}, lips without mass"
+        return f"{modes}, {faces_in_words(scene)} without mass"
     return f"reduced, {reduction.method}, {modes}"
 
 

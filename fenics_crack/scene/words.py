@@ -77,6 +77,11 @@ def differences(scenes: Sequence[Scene]) -> list[str]:
     ]
 
 
+def faces_in_words(scene: Scene) -> str:
+    """What closes: the lips of cracks, or the pairs of matrices from elsewhere."""
+    return "pairs" if scene.structure is not None and scene.structure.model is None else "lips"
+
+
 def check_scene(scene: Any) -> None:
     """Raise InputError unless it is a scene: a path to one is not."""
     if not isinstance(scene, Scene):

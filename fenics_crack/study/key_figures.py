@@ -46,6 +46,7 @@ from fenics_crack.model.structure import ModalDamping, RayleighDamping, Structur
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCES, Rotation
+from fenics_crack.scene.words import faces_in_words
 from fenics_crack.study.prepare import Study, reduction_of
 from fenics_crack.table import RPM, TURN, ranging
 
@@ -711,7 +712,8 @@ def _curve(scene: Scene, figures: KeyFigures) -> Remarks:
     in_hertz = scene.curve.parameter == "frequency"
     unit = "Hz" if in_hertz else "rad/s"
     text = (
-        f"no resonance from there to {scene.curve.stop:g} {unit}: the first, crack open, is at "
+        f"no resonance from there to {scene.curve.stop:g} {unit}: the first, "
+        f"{faces_in_words(scene)} open, is at "
         f"{first / TURN:.4g} Hz = {first:.4g} rad/s"
     )
     factor = TURN if in_hertz else 1.0 / TURN  # how much too large or too small
@@ -757,23 +759,23 @@ def _contact(scene: Scene, figures: KeyFigures) -> Remarks:
     if contact is None or ratio is None:
         return
     key = "stiffness" if contact.stiffness is not None else "stiffness_per_area"
-    value = getattr(contact, key)
+    value, faces = getattr(contact, key), faces_in_words(scene)
     if ratio.max() < AS_SOFT:
         text = (
-            f"at most {ratio.max():.2g} of the lips' own stiffness: they pass through each other; "
+            f"at most {ratio.max():.2g} of the {faces}' own stiffness: they pass through each other; "
             "100 to 10000 times is usual, or contact.law = 'unilateral'"
         )
         yield Remark(f"contact.{key}", value, text)
     if ratio.min() > AS_RIGID:
         text = (
-            f"at least {ratio.min():.2g} times the lips' own stiffness: rigid for all that can be "
+            f"at least {ratio.min():.2g} times the {faces}' own stiffness: rigid for all that can be "
             "computed, and hard to solve; contact.law = 'unilateral' is"
         )
         yield Remark(f"contact.{key}", value, text)
     if contact.sharpness is not None and contact.sharpness * figures.gap_motion < 10.0:
         text = (
-            f"the law is rounded over {1.0 / contact.sharpness:.2g} m, and the lips move by "
-            f"{figures.gap_motion:.2g} m: contact acts on open lips"
+            f"the law is rounded over {1.0 / contact.sharpness:.2g} m, and the {faces} move by "
+            f"{figures.gap_motion:.2g} m: contact acts on open {faces}"
         )
         yield Remark("contact.sharpness", contact.sharpness, text)
 
