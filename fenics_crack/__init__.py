@@ -37,14 +37,23 @@ def __getattr__(name: str) -> Any:
     if name not in _MODULES:
         from fenics_crack.hints import no_attribute
 
-        raise no_attribute(f"module {__name__!r}", name, __all__)
+        raise no_attribute(f"module {__name__!r}", name, __all__, package=True)
     with alone():
         value = getattr(import_module(_MODULES[name]), name)
     if isinstance(value, FunctionType):
-        value = alone()(value)
+        from fenics_crack.hints import checked_call
+
+        value = alone()(checked_call(value, _keys if "scene" in value.__annotations__ else None))
         value.__module__ = __name__  # where pickle finds this one
     globals()[name] = value
     return value
+
+
+def _keys(name: str) -> list[str]:
+    """The keys of a scene that a name may stand for."""
+    from fenics_crack.scene.scene import meant_keys
+
+    return meant_keys(name)
 
 
 def __dir__() -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import pickle
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from enum import IntEnum
 from numbers import Integral, Real
 from typing import Any
@@ -160,14 +160,6 @@ def check_choice(key: str, value: object, words: Iterable[str]) -> None:
     """Raise InputError unless a value is one of some words."""
     if not isinstance(value, str) or value not in words:
         raise InputError(key, value, one_of(words))
-
-
-def check_options(whose: str, options: Mapping[str, object], known: Iterable[str]) -> None:
-    """Raise InputError for a keyword that is no option of a function."""
-    for key, value in options.items():
-        if key not in known:
-            allowed = f"left out; the options of {whose} are " + ", ".join(known)
-            raise InputError(key, value, allowed)
 
 
 def check_two_ratios(key: str, ratios: Sequence[float], omegas: Sequence[float]) -> None:

@@ -2,37 +2,61 @@
 a number with a decimal comma or in another unit.
 
 Whoever refuses one asks here what to suggest: keys and values of a scene, commands, names of the
-package and attributes of results.
+package, arguments of its functions, and attributes of results.
 """
 
 from __future__ import annotations
 
+import functools
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+from fenics_crack.errors import InputError
+
+Called = TypeVar("Called", bound=Callable[..., Any])
 
 SAME_WORD = 0.85
 """Likeness of two forms of a word, as "eigenfrequency" and "eigenfrequencies"."""
+LEAST_LETTERS = 3
+"""Of the beginning of a word that may stand for it, as "tol" for "tolerance"."""
 WORDS = {
-    "fc.solve(scene)": "solve steady periodic stationary forced vibration balance hbm run compute",
+    "fc.solve(scene)": "solve steady periodic stationary forced vibration balance hbm run compute "
+    "newton",
     "fc.curve(scene)": "curve frf frequency response continuation nlfr path resonance",
-    "fc.curve(scene).peak()": "peak max maximum largest highest resonance resonant argmax damping",
-    "fc.integrate(scene)": "time transient simulate simulation march newmark ode history dynamics",
+    ".peak() | fc.curve(scene).peak()": "peak max maximum largest highest resonance resonant "
+    "argmax damping",
+    "fc.integrate(scene)": "time transient simulate simulation march newmark ode ivp odeint "
+    "history dynamics",
     "fc.modes(scene)": "modal modes eigen eigenmodes eigenfrequencies eigenvalues natural",
     "fc.run_sweep(scene)": "sweep study parameter parametric batch scan map campaign",
-    "fc.load_run(path)": "load read open import restore",
-    "fc.save(result, path, scene), or run.save(path)": "save write dump export store hdf5",
-    ".to_dataframe(), .to_csv(path) or .to_dict()": "dataframe frame pandas csv excel dict numpy",
+    "fc.load_run(path)": "load read open import restore result solution hdf5",
+    ".load(path) | fc.Scene.load(path)": "load read open import from file scene toml model plate "
+    "material crack geometry rectangle box problem",
+    ".mesh.file | fc.build_structure(scene), with mesh.file in it": "load read open import mesh "
+    "msh gmsh",
+    ".save(path) | .as_toml() | fc.save(result, path, scene)": "save write dump export store "
+    "hdf5 toml",
+    ".to_dataframe() | .to_dict()": "dataframe frame pandas numpy dict",
+    ".to_csv(path) | .to_dict()": "csv excel",
     "fc.draw_curve(curve, ax=ax), fc.draw_waves(...), ...": "plot draw figure picture chart axes",
-    '.indicators().ratio_2_1, of a sweep ["ratio_2_1"]': "ratio harmonic harmonics superharmonic "
-    "second indicator",
-    ".stability.verdict, or curve.verdicts": "stable stability unstable floquet verdict lyapunov",
-    "fc.write_period(solution, path, material=scene.material)": "stress stresses mises tip sif "
-    "intensity strain vtk paraview",
-    ".report": "error errors accuracy residual uncertainty",
+    '.indicators().ratio_2_1 | ["ratio_2_1"]': "ratio harmonic harmonics superharmonic second "
+    "indicator",
+    ".stability.verdict | .verdicts | fc.solve(scene).stability.verdict": "stable stability "
+    "unstable floquet verdict lyapunov",
+    "fc.stress_intensity(run)": "stress sif tip intensity factor",
+    "fc.write_period(solution, path, material=scene.material)": "stress stresses mises strain vtk "
+    "paraview",
+    ".report | .errors | fc.solve(scene).report": "error errors accuracy residual uncertainty",
+    ".omega": "frequency frequencies freq freqs hertz omega",
+    ".displacement(time) | .shapes": "displacement displacements x u q solution vector mode shape",
+    ".time": "t times instants",
 }
-"""What to write, by the words that other programs and people have for it."""
+"""What to write, by the words that other programs and people have for it: of several, the first
+that an object has, or that a module leads to."""
+VERBS = {"plot": "draw", "show": "draw", "read": "load", "export": "write"}
+"""First words of names, and those of this package for the same."""
 
 
 PREFIXES = {"G": 1e9, "M": 1e6, "k": 1e3, "": 1.0, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9}
@@ -63,15 +87,37 @@ def near(word: object, known: Iterable[str], likeness: float = 0.7) -> list[str]
     return [by_lower[name] for name, ratio in zip(found, alike, strict=True) if ratio == alike[0]]
 
 
-def in_other_words(name: str) -> list[str]:
-    """What to write for a name in the words of others: what has most of its words, or none."""
+def near_or_longer(name: str, known: Collection[str]) -> list[str]:
+    """The same, or the known names in which a short one begins a word."""
+    begun = re.compile(f"(^|_){re.escape(name)}", re.IGNORECASE)
+    longer = [other for other in known if begun.search(other) and len(name) >= LEAST_LETTERS]
+    return near(name, known) or sorted(longer, key=len)
+
+
+def in_other_words(name: str, known: Collection[str] | None = None) -> list[str]:
+    """What to write for a name in the words of others: what has most of its words, or none. Of an
+    object, whose names are known, rather one of these, else rather a function of the package; where
+    it is neither, "result" stands for an object."""
     parts = re.findall("[a-z0-9]+", re.sub("([A-Z])", r"_\1", name[:100]).lower())
-    counts = {
-        written: sum(bool(near(part, words.split(), SAME_WORD)) for part in parts)
-        for written, words in WORDS.items()
-    }
+    counts: dict[str, int] = {}
+    for texts, words in WORDS.items():
+        count = sum(bool(near(part, words.split(), SAME_WORD)) for part in parts)
+        if text := _written(texts.split(" | "), known):
+            counts[text] = max(count, counts.get(text, 0))
     most = max(counts.values())
-    return [written for written, count in counts.items() if count == most > 0]
+    found = [text for text, count in counts.items() if count == most > 0]
+    return [text for text in found if text.startswith("fc.") == (known is None)] or found
+
+
+def _written(texts: Sequence[str], known: Collection[str] | None) -> str:
+    """The first text that begins with a name of the package, or with a known one; or none."""
+    if known is None:
+        return next((text for text in texts if text.startswith("fc.")), f"result{texts[0]}")
+    for text in texts:
+        first = "__getitem__" if text.startswith("[") else text.strip(".").partition("(")[0]
+        if text.startswith("fc.") or first.partition(".")[0] in known:
+            return text
+    return ""
 
 
 def meant(names: Sequence[str]) -> str:
@@ -79,19 +125,77 @@ def meant(names: Sequence[str]) -> str:
     return f"did you mean {' or '.join(names[:3])}? " if names else ""
 
 
-def no_attribute(owner: str, name: str, known: Iterable[str]) -> AttributeError:
-    """The error of a name that an owner does not have, with what may be meant."""
+def no_attribute(
+    owner: str, name: str, known: Collection[str], *, package: bool = False
+) -> AttributeError:
+    """The error of a name that an owner, an object or the package, does not have, with what may be
+    meant."""
     question = ""
     if not name.startswith("_"):  # notebooks and test programs ask for such names of anything
-        others = in_other_words(name)
-        public = (other for other in known if not other.startswith("_"))
-        alike = near(name, public, SAME_WORD if others else 0.7)
+        others = in_other_words(name, None if package else known)
+        public = [other for other in known if not other.startswith("_")]
+        verb, _, rest = name.partition("_")
+        same = near(f"{VERBS[verb]}_{rest}", public) if rest and verb in VERBS else []
+        alike = near(name, public, SAME_WORD) if others else near_or_longer(name, public)
         alike = [other for other in alike if not any(other in text for text in others)]
-        question = meant([*alike, *others])
+        found = [f"fc.{other}" if package else other for other in same or alike]
+        question = meant(found if same else [*found, *others])
     return AttributeError(f"{owner} has no attribute {name!r}; {question}".rstrip("; "))
 
 
-class Hinted:
+def check_options(whose: str, options: Mapping[str, object], known: Collection[str]) -> None:
+    """Raise InputError for a keyword that is no option of a function."""
+    for key, value in options.items():
+        if key not in known:
+            question = meant(near_or_longer(key, known))
+            allowed = f"left out; {question}the options of {whose} are {', '.join(known)}"
+            raise InputError(key, value, allowed)
+
+
+def checked_call(function: Called, keys: Callable[[str], Sequence[str]] | None = None) -> Called:
+    """A function that refuses a call that does not fit it, with what may be meant: another
+    argument, a key of the scene that ``keys`` finds for it, or another function; and a ``comm``
+    that is no communicator."""
+    from inspect import signature as signature_of  # takes a while: not for the program
+
+    signature = signature_of(function)
+    open_ended = any(one.kind is one.VAR_KEYWORD for one in signature.parameters.values())
+    known = [name for name, one in signature.parameters.items() if one.kind is not one.VAR_KEYWORD]
+    known = [name for name in known if name not in ("self", "cls")]
+
+    @functools.wraps(function)
+    def call(*args: Any, **options: Any) -> Any:
+        try:
+            given = signature.bind(*args, **options).arguments
+        except TypeError as error:
+            name, reason = function.__name__, str(error)
+            wrong = next((one for one in options if one not in signature.parameters), None)
+            if wrong is None or open_ended:
+                names = [text for text in in_other_words(name) if f"fc.{name}(" not in text]
+            else:
+                reason = f"got an unexpected keyword argument {wrong!r}"
+                names = near_or_longer(wrong, known)
+                if not names and keys is not None:
+                    names = [f'scene.replace({{"{key}": ...}})' for key in keys(wrong)]
+            question = f"{meant(names)}its arguments are {', '.join(known)}"
+            raise TypeError(f"{name}() {reason}; {question}") from None
+        if "comm" in given:
+            from fenics_crack.parallel import check_communicator
+
+            check_communicator(given["comm"])
+        return function(*args, **options)
+
+    return cast(Called, call)
+
+
+class _HintedType(type):
+    """Of classes that say the same of themselves."""
+
+    def __getattr__(cls, name: str) -> Any:
+        raise no_attribute(f"type object {cls.__name__!r}", name, dir(cls))
+
+
+class Hinted(metaclass=_HintedType):
     """A class whose objects say what may be meant by an attribute that they do not have."""
 
     if not TYPE_CHECKING:  # else no misspelt attribute would be found before it runs
@@ -99,7 +203,7 @@ class Hinted:
         def __getattr__(self, name: str) -> Any:
             if name.startswith("__"):  # Python asks, of each object that is copied
                 raise AttributeError(name)
-            if hasattr(type(self), name):  # a property in which an attribute is missing
+            if any(name in vars(kind) for kind in type(self).__mro__):  # it lacks an attribute
                 return object.__getattribute__(self, name)
             raise no_attribute(f"{type(self).__name__!r} object", name, dir(self))
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -18,6 +18,15 @@ from petsc4py import PETSc
 from fenics_crack.errors import InputError
 
 Result = TypeVar("Result")
+
+
+def check_communicator(comm: object) -> None:
+    """Raise InputError unless a value is a communicator of mpi4py."""
+    if not isinstance(comm, MPI.Comm) or comm == MPI.COMM_NULL:
+        allowed = "a communicator of mpi4py, such as MPI.COMM_WORLD"
+        if isinstance(comm, Mapping):
+            allowed += "; changes are made by scene.replace({...})"
+        raise InputError("comm", comm, allowed)
 
 
 def raise_together(comm: MPI.Comm, error: Exception | None) -> None:

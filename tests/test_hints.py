@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import pkgutil
+import re
 from typing import Any
 
+import numpy as np
 import pytest
+from mpi4py import MPI
 
 import fenics_crack as fc
 
@@ -37,3 +41,51 @@ def test_short_names_after_every_folder_is_loaded() -> None:
 def test_what_tab_shows() -> None:
     """The public names, and none that the file itself uses."""
     assert [name for name in dir(fc) if not name.startswith("__")] == sorted(fc.__all__)
+
+
+SHARED = [
+    function
+    for function in (getattr(fc, name) for name in fc.__all__)
+    if inspect.isfunction(function) and "comm" in inspect.signature(function).parameters
+]
+"""Functions whose work ranks share."""
+
+
+@pytest.mark.parametrize("function", [*SHARED, fc.Structure.from_matrices])
+def test_a_communicator_is_one(function: Any) -> None:
+    """Changes of a scene in its place end in no other library."""
+    needed = inspect.signature(function).parameters.values()
+    given = {one.name: None for one in needed if one.default is one.empty}
+    for wrong in ({"contact.stiffness": 1e9}, MPI.COMM_NULL):
+        with pytest.raises(fc.InputError) as caught:
+            function(**given, comm=wrong)
+        assert caught.value.key == "comm" and caught.value.value is wrong
+
+
+@pytest.mark.parametrize(
+    ("function", "given", "right"),
+    [
+        (fc.solve_harmonic_balance, {"n_harmonics": 9}, "harmonics"),
+        (fc.solve, {"harmonics": 9}, "harmonic_balance.harmonics"),
+        (fc.solve, {"tol": 1e-8}, "harmonic_balance.tolerance"),
+        (fc.curve, {"progres": True}, "progress"),
+        (fc.Scene.replace, {"force": 3.0}, "excitation.force_sin"),
+        (fc.load, {"path": "plate.toml"}, "fc.load_run(path)"),
+    ],
+)
+def test_a_wrong_call_leads_on(function: Any, given: dict[str, Any], right: str) -> None:
+    """To the nearest argument, to the key of the scene, to another function."""
+    with pytest.raises(TypeError) as caught:
+        function(**given)
+    asked = re.search(r"did you mean (.*?)\? ", str(caught.value))
+    assert asked is not None
+    first = asked[1].split(" or ")[0]
+    assert first in (right, f'scene.replace({{"{right}": ...}})')
+
+
+def test_a_misspelt_option_of_a_picture_leads_on() -> None:
+    """To the option."""
+    with pytest.raises(fc.InputError, match=r"^legnd = False: .*did you mean legend\?"):
+        fc.draw_map(
+            [0.0, 1.0], [0.0, 1.0], np.eye(2), x_label="", y_label="", value_label="", legnd=False
+        )  # type: ignore[call-arg]

@@ -384,7 +384,8 @@ def draw_swept(
         factor, prefixed = 1.0, unit
         if unit in ("m", "N"):
             factor, prefixed = readable(float(np.nanmax(np.abs(values))), unit)
-        words = {"x_label": x_label, "y_label": y_label, "value_label": with_unit(name, prefixed)}
+        words: dict[str, Any] = {"x_label": x_label, "y_label": y_label}
+        words["value_label"] = with_unit(name, prefixed)
         path = file(f"{base}_map.png")
         draw_map(x, y, factor * values.T, doubtful=doubtful.T, path=path, title=title, **words)
 

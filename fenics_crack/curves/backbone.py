@@ -62,14 +62,8 @@ from fenics_crack.curves.free_motion import (
     cosine_rows,
     first_motion,
 )
-from fenics_crack.errors import (
-    INTERRUPTED,
-    ConvergenceError,
-    InputError,
-    check_count,
-    check_number,
-    check_options,
-)
+from fenics_crack.errors import INTERRUPTED, ConvergenceError, InputError, check_count, check_number
+from fenics_crack.hints import check_options
 from fenics_crack.model.contact import ContactLaw, check_law
 from fenics_crack.model.modal import SMALL, all_modes, is_small
 from fenics_crack.model.reduction import reduce_structure

@@ -23,8 +23,8 @@ from fenics_crack.errors import (
     check_count,
     check_kind,
     check_omega,
-    check_options,
 )
+from fenics_crack.hints import check_options
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
 from fenics_crack.stages import begin

@@ -25,7 +25,8 @@ from matplotlib.ticker import Formatter, FuncFormatter, LogFormatter, LogLocator
 from mpi4py import MPI
 from PIL import Image
 
-from fenics_crack.errors import InputError, check_options
+from fenics_crack.errors import InputError
+from fenics_crack.hints import check_options
 from fenics_crack.parallel import on_root
 from fenics_crack.stages import begin
 from fenics_crack.table import readable, with_unit
@@ -58,6 +59,7 @@ class Where(TypedDict, total=False):
     ax: Any
     path: str | Path | None
     title: str | None
+    legend: bool
 
 
 class Picture:
@@ -75,7 +77,7 @@ class Picture:
         The panels of a new figure have one horizontal axis.
     comm : MPI.Comm
         Its rank 0 saves the figure.
-    axes, ax, path, title
+    axes, ax, path, title, legend
         As of :class:`Where`.
 
     Raises
@@ -97,10 +99,12 @@ class Picture:
         ax: Any = None,
         path: str | Path | None = None,
         title: str | None = None,
+        legend: bool = True,
         **others: Any,
     ) -> None:
-        check_options("pictures", others, Where.__annotations__)
+        check_options("pictures (labels and limits: of their axes)", others, Where.__annotations__)
         self._path, self._title, self._comm = path, title, comm
+        self.legend = legend
         axes = given_axes(axes, ax)
         if axes is None:
             figure = Figure(figsize=size, dpi=DPI, layout="constrained")
@@ -127,7 +131,8 @@ class Picture:
         """The figure with grids and legends, saved as by :meth:`saved`."""
         for panel in self:
             panel.grid(alpha=0.3)
-            _draw_legend(panel)
+            if self.legend:
+                _draw_legend(panel)
         return self.saved()
 
     def saved(self) -> Figure:

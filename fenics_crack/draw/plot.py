@@ -102,7 +102,7 @@ def draw_waves(
         Legend entry of a line at zero, for example "lips touch".
     **where
         ``axes``, or ``ax``: where to draw, by default in a new figure; ``path``: where to save the
-        new figure; ``title`` of the picture.
+        new figure; ``title`` of the picture; ``legend=False``: without a legend.
 
     Returns
     -------
@@ -422,7 +422,7 @@ def draw_map(
         panel.pcolor(x, y, hatched, shading="nearest").set(facecolor="none", **look)
         keys.append(Patch(label=DOUBTFUL, facecolor="#3b528b", **look))
     panel.set(xlabel=x_label, ylabel=y_label)
-    if keys:
+    if keys and picture.legend:
         below = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0), "borderaxespad": 4.2}
         panel.legend(handles=keys, ncol=2, fontsize=8, handlelength=3.0, frameon=False, **below)
     return picture.saved()

@@ -59,8 +59,8 @@ def draw_mesh(structure: Structure, **where: Unpack[Where]) -> Figure:
     mesh = NodalMesh(structure)
     load = mesh.field(mesh.structure.force)
     if mesh.dimension == 3:
-        [panel] = picture = Picture(size=SOLID, **where)
-        _solid(panel, mesh, load)
+        picture = Picture(size=SOLID, **where)
+        _solid(picture, mesh, load)
         return picture.finished()
     ratio = float(np.clip(np.divide(*np.maximum(np.ptp(mesh.points, axis=0), 1e-300)), 0.4, 2.5))
     size = (min(7.0, 3.6 + 2.0 * ratio), min(6.8, 1.6 + 3.6 / ratio))
@@ -184,7 +184,7 @@ def _mode_shape(axes: Axes, mesh: NodalMesh, shape: np.ndarray) -> None:
 # --- of solids ------------------------------------------------------------------------------------
 
 
-def _solid(axes: Axes, mesh: NodalMesh, load: np.ndarray) -> None:
+def _solid(picture: Picture, mesh: NodalMesh, load: np.ndarray) -> None:
     """The mesh with what is clamped, the lips, and the load (3, n_nodes, 3) [N]."""
     from fenics_crack.draw import vtk
 
@@ -217,9 +217,10 @@ def _solid(axes: Axes, mesh: NodalMesh, load: np.ndarray) -> None:
             plotter.add_mesh(arrow, color=to_rgb(COLOURS["pink"]), lighting=False)
     if np.any(load):
         handles.append(Patch(color=COLOURS["pink"], label="load"))
+    [axes] = picture
     axes.imshow(vtk.image_of(plotter, points), interpolation="antialiased")
     axes.axis("off")
-    if handles:
+    if handles and picture.legend:
         axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncol=3)
 
 

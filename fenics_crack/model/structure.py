@@ -28,6 +28,7 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError, check_count, check_number, check_two_ratios
+from fenics_crack.hints import checked_call
 from fenics_crack.machine import alone
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.matrices import (
@@ -398,6 +399,7 @@ class Structure(Coordinates):
 
     @classmethod
     @alone()
+    @checked_call
     def from_matrices(
         cls,
         mass: Any,

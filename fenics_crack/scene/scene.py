@@ -12,12 +12,13 @@ import re
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
 from fenics_crack.errors import InputError, reading
-from fenics_crack.hints import Hinted, converted, meant, near, written
+from fenics_crack.hints import Hinted, checked_call, converted, meant, near, near_or_longer, written
 from fenics_crack.outside import text_of
 from fenics_crack.scene.fields import Axis, Point, Table, components, named
 from fenics_crack.scene.tables import (
@@ -102,6 +103,8 @@ class Scene(Hinted):
                 fine = isinstance(value, table) or missing
             if not fine:
                 allowed = "given: a table" if value is None else f"a {table.__name__}"
+                if isinstance(value, str | Path):
+                    allowed += "; Scene.load(path) reads the file of a scene"
                 raise InputError(name, value, allowed)
         if self.excitation.order is not None:
             allowed = "left out without a rotation.speed > 0"
@@ -281,6 +284,7 @@ class Scene(Hinted):
         """``damping.modes``; "all" where the damping is a matrix."""
         return "all" if self.damping is None else self.damping.modes
 
+    @partial(checked_call, keys=lambda name: meant_keys(name))
     def replace(self, values: Mapping[str, object]) -> Scene:
         """Return a scene with some keys changed: ``scene.replace({"contact.stiffness": 1e9})``.
 
@@ -802,6 +806,13 @@ def _meant(name: str) -> list[str]:
         return near(name, every, 0.8) or sorted(full for full in every if full.endswith(f".{key}"))
     same = dict.fromkeys(kind.name_of(table) for kind in _TABLES.values() if table in kind.keys())
     return list(same) or near(table, _TABLES)
+
+
+def meant_keys(name: str) -> list[str]:
+    """The keys with their tables that a name without one may stand for."""
+    first = {key.rpartition(".")[2]: key for key in reversed(known_keys())}
+    own = _meant(name) or [first[key] for key in near_or_longer(name, first)]
+    return own or near_or_longer(name, known_keys())
 
 
 def _instead_of(name: str) -> str:

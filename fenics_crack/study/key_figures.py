@@ -762,14 +762,14 @@ def _contact(scene: Scene, figures: KeyFigures) -> Remarks:
     value, faces = getattr(contact, key), faces_in_words(scene)
     if ratio.max() < AS_SOFT:
         text = (
-            f"at most {ratio.max():.2g} of the {faces}' own stiffness: they pass through each other; "
-            "100 to 10000 times is usual, or contact.law = 'unilateral'"
+            f"at most {ratio.max():.2g} of the {faces}' own stiffness: they pass through each "
+            "other; 100 to 10000 times is usual, or contact.law = 'unilateral'"
         )
         yield Remark(f"contact.{key}", value, text)
     if ratio.min() > AS_RIGID:
         text = (
-            f"at least {ratio.min():.2g} times the {faces}' own stiffness: rigid for all that can be "
-            "computed, and hard to solve; contact.law = 'unilateral' is"
+            f"at least {ratio.min():.2g} times the {faces}' own stiffness: rigid for all that can "
+            "be computed, and hard to solve; contact.law = 'unilateral' is"
         )
         yield Remark(f"contact.{key}", value, text)
     if contact.sharpness is not None and contact.sharpness * figures.gap_motion < 10.0:

@@ -39,6 +39,7 @@ from mpi4py import MPI
 
 from fenics_crack.errors import InputError, check_choice, check_number
 from fenics_crack.files.store import Stored, write
+from fenics_crack.hints import checked_call
 from fenics_crack.model.matrices import numbers
 from fenics_crack.scene.scene import Scene
 from fenics_crack.table import Described, Table, Tabular, closing_sentence, percent, with_unit
@@ -294,6 +295,7 @@ class Verification(Tabular):
         kept = {item.name: getattr(self, item.name) for item in fields(self)[1:]}
         return json.dumps(kept, default=vars)
 
+    @checked_call
     def save(self, path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> None:
         """Write a file that ``fenics-crack plot`` and ``report`` read (collective).
 

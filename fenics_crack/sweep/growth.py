@@ -29,6 +29,7 @@ from mpi4py import MPI
 from fenics_crack.errors import FEW_MODES, ConvergenceError, InputError, StoppedError
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.files.store import Stored, check_shapes, read, write
+from fenics_crack.hints import checked_call
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.scene import Scene, check_known, without_tips
@@ -160,6 +161,7 @@ class Growth(Tabular):
 
     # --- its file ---------------------------------------------------------------------------------
 
+    @checked_call
     def save(self, path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> None:
         """Write a file that :meth:`load`, ``fenics-crack plot`` and ``report`` read (collective).
 

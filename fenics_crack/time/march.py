@@ -30,8 +30,8 @@ from fenics_crack.errors import (
     check_count,
     check_number,
     check_omega,
-    check_options,
 )
+from fenics_crack.hints import check_options
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid, solve_complementarity
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.matrices import numbers

@@ -116,12 +116,14 @@ def test_on_axes_that_are_given(
 def test_on_a_new_figure(
     name: str, results: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is returned; only a path makes a file, and its folder."""
+    """It is returned; only a path makes a file, and its folder; without a legend it has none."""
     monkeypatch.chdir(tmp_path)
     count, draw = DRAWN[name]
     figure = draw(results)
     assert isinstance(figure, Figure) and not list(tmp_path.iterdir())
     assert sum(axes.get_label() != "<colorbar>" for axes in figure.axes) == count
+    bare = draw(results, legend=False)
+    assert len(bare.axes) == len(figure.axes) and not any(axes.get_legend() for axes in bare.axes)
     draw(results, path="folder/picture.png", title="heading")
     assert (tmp_path / "folder" / "picture.png").stat().st_size > 5000
 
@@ -142,7 +144,7 @@ def test_numbers_are_si_and_read_well() -> None:
 def test_a_misspelt_keyword_is_named() -> None:
     """With those that every picture takes."""
     solution = fc.solve_linear(two_masses(), 1.0)
-    with pytest.raises(fc.InputError, match=r"^titel = 'x': .* are axes, ax, path, title$"):
+    with pytest.raises(fc.InputError, match=r"^titel = 'x': .* are axes, ax, path, title, legend$"):
         fc.draw_spectrum(solution, titel="x")  # type: ignore[call-arg]
 
 
@@ -364,7 +366,7 @@ def test_doubtful_cells_are_hatched() -> None:
     """Each of them over its own cell; those that did not converge are grey and crossed."""
     values, doubtful = np.outer(X, X), np.zeros((5, 5), dtype=bool)
     values[0, 3], doubtful[2, 1], doubtful[4, 4], doubtful[0, 3] = np.nan, True, True, True
-    words = {"x_label": "x", "y_label": "y", "value_label": "v"}
+    words: dict[str, Any] = {"x_label": "x", "y_label": "y", "value_label": "v"}
     panel = fc.draw_map(X, 10.0 * X, values, doubtful=doubtful, **words).axes[0]
     [hatched] = [one for one in panel.collections if one.get_hatch()]
     middles = [path.vertices[:4].mean(axis=0) for path in hatched.get_paths()]
@@ -372,6 +374,8 @@ def test_doubtful_cells_are_hatched() -> None:
     [crosses] = [line for line in panel.lines if len(line.get_xdata())]
     assert np.allclose(crosses.get_xydata(), [(X[3], 10.0 * X[0])])
     assert legend_of(panel)[0] == "not converged" and "not stable" in legend_of(panel)[1]
+    bare = fc.draw_map(X, 10.0 * X, values, doubtful=doubtful, legend=False, **words)
+    assert bare.axes[0].get_legend() is None
     with pytest.raises(fc.InputError, match="doubtful"):
         fc.draw_map(X, X, values, doubtful=doubtful[:3], **words)
 
