@@ -17,6 +17,8 @@ from fenics_crack.errors import InputError
 
 Called = TypeVar("Called", bound=Callable[..., Any])
 
+LIKENESS = 0.7
+"""Of a misspelt word and the one that is meant, at least (difflib's ratio)."""
 SAME_WORD = 0.85
 """Likeness of two forms of a word, as "eigenfrequency" and "eigenfrequencies"."""
 LEAST_LETTERS = 3
@@ -41,8 +43,8 @@ WORDS = {
     ".to_dataframe() | .to_dict()": "dataframe frame pandas numpy dict",
     ".to_csv(path) | .to_dict()": "csv excel",
     "fc.draw_curve(curve, ax=ax), fc.draw_waves(...), ...": "plot draw figure picture chart axes",
-    '.indicators().ratio_2_1 | ["ratio_2_1"]': "ratio harmonic harmonics superharmonic second "
-    "indicator",
+    '.indicators().ratio_2_1 | ["ratio_2_1"] | fc.solve(scene).indicators().ratio_2_1': "ratio "
+    "harmonic harmonics superharmonic second indicator",
     ".stability.verdict | .verdicts | fc.solve(scene).stability.verdict": "stable stability "
     "unstable floquet verdict lyapunov",
     "fc.stress_intensity(run)": "stress sif tip intensity factor",
@@ -77,7 +79,7 @@ SPELLINGS = str.maketrans({"µ": "u", "μ": "u", "²": "^2", "³": "^3", "·": "
 NUMBER = re.compile(r"([+-]?\d*(?:[.,]\d*)?(?:[eE][+-]?\d+)?) *([^\d].*)?")
 
 
-def near(word: object, known: Iterable[str], likeness: float = 0.7) -> list[str]:
+def near(word: object, known: Iterable[str], likeness: float = LIKENESS) -> list[str]:
     """The known word that a misspelt one may stand for, or two that are as near; or none."""
     import difflib  # takes a while, and mistakes alone need it
 
@@ -87,11 +89,11 @@ def near(word: object, known: Iterable[str], likeness: float = 0.7) -> list[str]
     return [by_lower[name] for name, ratio in zip(found, alike, strict=True) if ratio == alike[0]]
 
 
-def near_or_longer(name: str, known: Collection[str]) -> list[str]:
+def near_or_longer(name: str, known: Collection[str], likeness: float = LIKENESS) -> list[str]:
     """The same, or the known names in which a short one begins a word."""
     begun = re.compile(f"(^|_){re.escape(name)}", re.IGNORECASE)
     longer = [other for other in known if begun.search(other) and len(name) >= LEAST_LETTERS]
-    return near(name, known) or sorted(longer, key=len)
+    return near(name, known, likeness) or sorted(longer, key=len)
 
 
 def in_other_words(name: str, known: Collection[str] | None = None) -> list[str]:
@@ -126,20 +128,27 @@ def meant(names: Sequence[str]) -> str:
 
 
 def no_attribute(
-    owner: str, name: str, known: Collection[str], *, package: bool = False
+    owner: str,
+    name: str,
+    known: Collection[str],
+    *,
+    inner: Sequence[str] = (),
+    package: bool = False,
 ) -> AttributeError:
     """The error of a name that an owner, an object or the package, does not have, with what may be
-    meant."""
+    meant: of its known names, or of those of its attributes."""
     question = ""
     if not name.startswith("_"):  # notebooks and test programs ask for such names of anything
-        others = in_other_words(name, None if package else known)
+        others = [*inner, *in_other_words(name, None if package else known)]
         public = [other for other in known if not other.startswith("_")]
         verb, _, rest = name.partition("_")
         same = near(f"{VERBS[verb]}_{rest}", public) if rest and verb in VERBS else []
-        alike = near(name, public, SAME_WORD) if others else near_or_longer(name, public)
+        find = near if package and others else near_or_longer
+        alike = find(name, public, SAME_WORD if others else LIKENESS)
         alike = [other for other in alike if not any(other in text for text in others)]
         found = [f"fc.{other}" if package else other for other in same or alike]
-        question = meant(found if same else [*found, *others])
+        enough = same or (found and not package)  # of the package Run is near run, for one
+        question = meant(found if enough else [*found, *others])
     return AttributeError(f"{owner} has no attribute {name!r}; {question}".rstrip("; "))
 
 
@@ -205,7 +214,12 @@ class Hinted(metaclass=_HintedType):
                 raise AttributeError(name)
             if any(name in vars(kind) for kind in type(self).__mro__):  # it lacks an attribute
                 return object.__getattribute__(self, name)
-            raise no_attribute(f"{type(self).__name__!r} object", name, dir(self))
+            inner = self._inner_names(name)
+            raise no_attribute(f"{type(self).__name__!r} object", name, dir(self), inner=inner)
+
+    def _inner_names(self, name: str) -> list[str]:
+        """Attributes of its attributes that may be meant, ".crack.length"; here none."""
+        return []
 
 
 # --- numbers --------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fenics_crack.errors import InputError, one_of
-from fenics_crack.hints import candidates, meant, near, written
+from fenics_crack.hints import Hinted, candidates, meant, near, written
 from fenics_crack.table import TURN
 
 Pair = tuple[float, float]
@@ -322,7 +322,7 @@ def named(name: str) -> Iterator[None]:
         raise InputError(f"{name}.{key}" if key else name, error.value, error.allowed) from None
 
 
-class Table:
+class Table(Hinted):
     """A table of the scene: checks each of its keys when it is made."""
 
     WORD: ClassVar[str | None] = None

@@ -136,6 +136,9 @@ class Scene(Hinted):
     def __repr__(self) -> str:
         return f"Scene({_in_short(self)})"
 
+    def _inner_names(self, name: str) -> list[str]:
+        return [f".{key}" for key in meant_keys(name) if "." in key]
+
     @property
     def all_cracks(self) -> dict[str, Crack]:
         """Every crack by its name: "crack", "cracks.1", "cracks.2"."""
