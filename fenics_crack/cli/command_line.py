@@ -67,8 +67,8 @@ Any key can be changed for one run: --set harmonic_balance.harmonics=30 --set cr
 On several processors: mpirun -n 4 fenics-crack sweep plate.toml
 
 Exit code: 0 done; 2 bad input; 3 something did not converge, or Ctrl-C has ended it early (what was
-found, if anything, is in the files); 4 solved, but the error is above the tolerance; 130 stopped by
-Ctrl-C; 1 a full disk, too little memory, or a fault of the program.
+found, if anything, is in the files); 4 solved, but the error is above the tolerance or unknown; 130
+stopped by Ctrl-C; 1 a full disk, too little memory, or a fault of the program.
 """
 
 
