@@ -291,12 +291,13 @@ def grow(
     >>> fc.grow(growing).life  # doctest: +SKIP
     """
     scene = _checked(with_crack_length(scene, comm))
-    law = scene.given("growth")
+    law, alone = scene.given("growth"), scene.replace({"curve": None, "sweep": None})
+    _at_length(alone, law.until, alone.excitation.omega)  # is refused before anything is solved
     where = None if folder is None else Path(folder)
-    path, missed = _solve_lengths(scene, where, comm, progress=progress)
+    path, missed = _solve_lengths(alone, where, comm, progress=progress)
     length, cycles, end = _integrated(path, law)
     half = float(np.interp(0.5 * cycles[-1], cycles, length))
-    vibration, without = on_root(comm, lambda: _error_at(scene, path, half))
+    vibration, without = on_root(comm, lambda: _error_at(alone, path, half))
     strength = np.log(path.at("driving", length) / MEGA)
     over = np.diff(cycles)
     weights = _trapezoid(cycles) if cycles[-1] > 0.0 else None
@@ -372,6 +373,13 @@ def _integrated(path: LengthPath, law: Law) -> tuple[np.ndarray, np.ndarray, str
     return length, np.append(0.0, np.cumsum(steps)), end
 
 
+def _at_length(scene: Scene, length: float, omega: float) -> Scene:
+    """A scene, without a curve or a sweep, with another crack length [m] at a load frequency
+    [rad/s], which replaces an engine order, asked for the ranges that drive growth."""
+    place = {"crack.length": length, "excitation.omega": omega}
+    return scene.replace(place | {"output.quantities": tuple(OF_GROWTH)})
+
+
 def _error_at(scene: Scene, path: LengthPath, length: float) -> tuple[float, list[str]]:
     """Relative error of the effective range by mesh, modes and harmonics at a length; and a remark
     on what it does not have."""
@@ -379,12 +387,7 @@ def _error_at(scene: Scene, path: LengthPath, length: float) -> tuple[float, lis
     omega = float(path.at("omega", np.array([length]))[0])
     if drive == "spectrum":
         omega = float(path.leading[np.abs(path.lengths - length).argmin()])
-    place = {
-        "crack.length": length,
-        "excitation.omega": omega,
-        "output.quantities": tuple(OF_GROWTH),
-    }
-    run = solve(scene.replace(place), MPI.COMM_SELF)
+    run = solve(_at_length(scene, length, omega), MPI.COMM_SELF)
     # A list of frequencies stays where it is, as one frequency does.
     of_peak = drive == "resonance" or scene.given("growth").run_up is not None
     stated = stated_errors(run, run.result, of_peak=of_peak)
@@ -723,7 +726,6 @@ def _swept(scene: Scene, lengths: np.ndarray, levels: np.ndarray) -> Scene:
         over["excitation.omega"] = [float(omega) for omega in levels]
     return scene.replace(
         {
-            "sweep": None,
             "sweep.over": over,
             "sweep.at_resonance": scene.given("growth").drive == "resonance",
             "output.quantities": (*OF_TIPS, *OF_GROWTH),

@@ -536,6 +536,25 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "growth = None: must be given for this command" in told and "[growth]" in told
 
 
+def test_a_blade_with_a_run_up_grows(tmp_path: Path) -> None:
+    """The scene of ``new --blade``: its engine order and its curve over the speed are in the way of
+    no error, and a length that is none is refused before anything is solved."""
+    scene, folder = tmp_path / "blade.toml", tmp_path / "grown"
+    assert main(["new", str(scene), "--blade", "--quiet"]) == 0
+    coarse = ["growth.until=0.0305", "growth.rate=7e-12", "growth.exponent=3",
+              "growth.life_tolerance=1", "mesh.size=0.05", "mesh.lip_elements=3",
+              "mesh.error=false", "reduction.modes=4", "harmonic_balance.tolerance=none",
+              "harmonic_balance.harmonics=3"]  # fmt: skip
+    words = ["grow", str(scene), "--output", str(folder)]
+    words += [word for change in coarse for word in ("--set", change)]
+    assert main([*words, "--set", "growth.until=0.2"]) == 2
+    assert not folder.exists() or not list(folder.glob("*.h5"))
+    assert main(words) == 0
+    found = fc.Growth.load(folder / "growth.h5")
+    assert found.errors["vibration"] > 0.0
+    assert found.scene.curve is not None and found.scene.curve.parameter == "rpm"
+
+
 @pytest.mark.usefixtures("errors_left_out")
 @pytest.mark.usefixtures("errors_left_out")
 def test_a_resonance_between_two_lengths_is_seen() -> None:
