@@ -35,7 +35,7 @@ from fenics_crack.cli.account import (
 )  # fmt: skip
 from fenics_crack.cli.scenes import remark_on
 from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, kind_in_words, parameter_axis
-from fenics_crack.curves.peak import top_of
+from fenics_crack.curves.peak import AT_END, Top
 from fenics_crack.curves.stability import attractors
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.files.store import IDENTIFICATION, Stored
@@ -476,21 +476,22 @@ def _seen_at_largest(run: Run[ResponseCurve]) -> str:
 def _largest(run: Run[ResponseCurve], seen: str) -> str:
     """The largest response, how well it is known, and what is seen in place of it."""
     found = run.result
-    amplitude = found.amplitude(run.watched_dof)
-    place = int(np.argmax(amplitude))
-    if not _passed(found, place):
+    top = found.top(run.watched_dof)
+    size, place = quantity(top.amplitude, "m"), _place(run, top.value)
+    if not _passed(found, top.index):
         return (
-            f"The response grows up to where the curve ended early, "
-            f"{quantity(amplitude[place], 'm')} half peak-to-peak ({run.watched_name}) at "
-            f"{_place(run, found.values[place])}."
+            f"The response grows up to where the curve ended early, {size} half peak-to-peak "
+            f"({run.watched_name}) at {place}."
         )
-    peak, height = top_of(found.values, amplitude, place)
-    known = known_to(run)
-    where = "" if run.stated is None else known_to(run, run.stated.resonance)
+    known, where = known_to(run), ""
+    if top.at_end:
+        place = f"{AT_END}, {place}: a peak lies beyond it, if there is one"
+    else:
+        where = "" if run.stated is None else known_to(run, run.stated.resonance)
+        place = f"at {place}{where and f', known to {where}'}"
     return (
-        f"The largest response of the curve, {quantity(height, 'm')} half peak-to-peak "
-        f"({run.watched_name}{known and f', known to {known}'}), is at "
-        f"{_place(run, peak)}{where and f', known to {where}'}{seen}."
+        f"The largest response of the curve, {size} half peak-to-peak "
+        f"({run.watched_name}{known and f', known to {known}'}), is {place}{seen}."
     )
 
 
@@ -589,9 +590,11 @@ def special_points(run: Run[ResponseCurve], along: Columns | None = None) -> Tab
     along = _places(found) | (along or _along(run, found))
     special = found.at_bifurcations if found.bifurcations else found
     there = _places(special) | _along(run, special)
-    largest = int(np.argmax(found.amplitude(run.watched_dof)))
-    top = "largest" if _passed(found, largest) else "largest so far"
-    rows = [("start", 0, along), ("end", -1, along), (top, largest, along)]
+    top = found.top(run.watched_dof)
+    largest = f"largest, {AT_END}" if top.at_end else "largest"
+    largest = largest if _passed(found, top.index) else "largest so far"
+    at_top = _at_top(run, top, along)
+    rows = [("start", 0, along), ("end", -1, along), (largest, 0, at_top)]
     for number, point in enumerate(found.bifurcations, 1):
         name = kind_in_words(point.kind)
         if found.undecided is not None:
@@ -604,6 +607,22 @@ def special_points(run: Run[ResponseCurve], along: Columns | None = None) -> Tab
             rows.append((f"stability {what} after", int(index), along))
     values = [(name, *(float(column[at]) for column in of.values())) for name, at, of in rows]
     return Table(("point", *along), values)
+
+
+def _at_top(run: Run[ResponseCurve], top: Top, along: Columns) -> Columns:
+    """Columns of one row at the largest response of the first watched dof: the parameter and its
+    ratios to natural frequencies, linear between the neighbouring points, and the amplitude; all
+    else is of the nearest point."""
+    near = slice(max(top.index - 1, 0), top.index + 2)
+    order = np.argsort(run.result.values[near])
+    values, moved = run.result.values[near][order], _places(run.result)
+    row = {
+        name: np.interp([top.value], values, column[near][order])
+        if name in moved or name.startswith("over_")
+        else column[[top.index]]
+        for name, column in along.items()
+    }
+    return row | {with_unit(run.watched[0].column("amplitude"), "m"): np.array([top.amplitude])}
 
 
 def _places(curve: ResponseCurve) -> dict[str, np.ndarray]:

@@ -24,7 +24,7 @@ from fenics_crack.balance.solution import (
     solution_of,
 )
 from fenics_crack.curves.family import FAMILIES, Family
-from fenics_crack.curves.peak import Peak, damping_by_width, top_of
+from fenics_crack.curves.peak import Peak, Top, damping_by_width, top_of
 from fenics_crack.curves.stability import floquet, stability_of
 from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
@@ -459,12 +459,17 @@ class ResponseCurve(_Waves):
         at = problem.system(problem.compliance()).linearise(self.unknown(index))
         return Judgement(problem.wave(at), flow=flow, **search)
 
+    def top(self, dof: int | None = None) -> Top:
+        """Find where the largest response of a dof, or of the watched one, is and how large;
+        :meth:`peak` examines it, too."""
+        amplitude = self.amplitude(dof)
+        index = int(np.argmax(amplitude))
+        return Top(index, *top_of(self.values, amplitude, index), index in (0, len(self) - 1))
+
     def peak(self, dof: int | None = None) -> Peak:
         """The largest response of a dof, or of the watched one: where, how large, how sure, whether
         stable, and the damping by its width."""
-        amplitude = self.amplitude(dof)
-        index = int(np.argmax(amplitude))
-        value, height = top_of(self.values, amplitude, index)
+        index, value, height, at_end = self.top(dof)
         omega, solution = float(self.omega[index]), self.solution(index)
         if self.parameter in ("omega", "speed"):
             omega *= value / float(self.values[index])
@@ -474,7 +479,7 @@ class ResponseCurve(_Waves):
             verdict = str(self.verdicts[index])
         error = solution.report.displacement
         damping = _damping(self, index, dof)
-        return Peak(index, value, omega, height, error, verdict, damping)
+        return Peak(index, value, omega, height, error, verdict, damping, at_end=at_end)
 
     @cached_property
     def at_bifurcations(self) -> ResponseCurve:

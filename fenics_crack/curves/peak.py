@@ -21,11 +21,36 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fenics_crack.table import Described, quantity, with_frequency
+
+
+AT_END = "still rising at the end of the range"
+"""A largest response that is no peak, in words."""
+
+
+class Top(NamedTuple):
+    """The largest response of a curve at one dof, between its points.
+
+    Attributes
+    ----------
+    index : int
+        Number of the nearest point of the curve.
+    value : float
+        Of the curve's parameter.
+    amplitude : float
+        Half the peak-to-peak displacement [m].
+    at_end : bool
+        True if it is the first or the last point: beyond, the response is still rising.
+    """
+
+    index: int
+    value: float
+    amplitude: float
+    at_end: bool
 
 
 @dataclass(frozen=True, repr=False)
@@ -51,10 +76,14 @@ class Peak(Described):
         that does not fall to 1/sqrt(2) on both sides, as where a higher one resonates, or the curve
         is none over the frequency.
     omega_error : float
-        Estimated error of the frequency, relative to it; nan where it is not known.
+        Estimated error of the frequency, relative to it; nan where it is not known, or the
+        response is still rising.
     without : str
         What the errors do not have: "without the mesh", of a curve alone (:class:`ErrorReport`);
         empty where the scene is known, by which :func:`fenics_crack.curve` has them all.
+    at_end : bool
+        True if it is the first or the last point of the curve: no peak, as the response is still
+        rising there.
     """
 
     index: int
@@ -66,6 +95,7 @@ class Peak(Described):
     damping: float
     omega_error: float = math.nan
     without: str = "without the mesh"
+    at_end: bool = False
 
     @property
     def frequency(self) -> float:
@@ -78,7 +108,9 @@ class Peak(Described):
 
     def _title(self) -> str:
         width = f"damping {self.damping:.3g}"
-        if math.isnan(self.damping):
+        if self.at_end:
+            width = AT_END
+        elif math.isnan(self.damping):
             width = "the load's own harmonic has no half-power width"
         error = f"error {self.error:.2g}"
         if not math.isnan(self.omega_error):

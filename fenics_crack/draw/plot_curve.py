@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.curves.curve import ResponseCurve, kind_in_words, parameter_axis
-from fenics_crack.curves.peak import damping_by_width, top_of
+from fenics_crack.curves.peak import damping_by_width
 from fenics_crack.draw.figure import COLOURS, FIRST, Picture, Where, distinct_colours, label_axis
 from fenics_crack.errors import InputError, check_count
 from fenics_crack.numerics.fourier import to_complex
@@ -79,7 +79,7 @@ def draw_curve(
     from fenics_crack.curves.refine import filled  # SciPy's interpolation
 
     [panel] = picture = Picture(**where)
-    curve = filled(curve)
+    followed, curve = curve, filled(curve)
     if curve.parameter == "omega":
         panel.set_yscale("log")
     amplitude, factor = curve.amplitude(dof), _factor(curve, in_hertz)
@@ -87,7 +87,7 @@ def draw_curve(
         panel.plot(factor * values, others, color=grey, lw=0.9, label=name)
     ink = COLOURS.get(colour, colour)
     _draw_parts(panel, curve, factor * curve.values, amplitude, ink, label)
-    _mark_peak(panel, curve, dof, amplitude, in_hertz, ink if label else "")
+    _mark_peak(panel, followed, dof, in_hertz, ink if label else "")
     _mark_bifurcations(panel, curve, dof, factor, ink if label else "")
     for (name, (values, others)), marker in zip((points or {}).items(), cycle("^v"), strict=False):
         look = {"color": COLOURS["green"], "ms": 4.5, "mfc": "none", "label": name}
@@ -125,17 +125,17 @@ def _draw_parts(
 
 
 def _mark_peak(
-    axes: Axes, curve: ResponseCurve, dof: int | None, y: np.ndarray, in_hertz: bool, ink: str
+    axes: Axes, curve: ResponseCurve, dof: int | None, in_hertz: bool, ink: str
 ) -> None:
     """Mark the largest response unless it is an end of the curve; ``ink`` as of bifurcations."""
-    at, x = int(np.argmax(y)), _factor(curve, in_hertz) * curve.values
-    if at in (0, len(y) - 1):
+    top, (factor, _, unit) = curve.top(dof), parameter_axis(curve.parameter, in_hertz)
+    if top.at_end:
         return
-    unit = parameter_axis(curve.parameter, in_hertz)[2]
-    place, height = top_of(x, y, at)
+    place, height = factor * top.value, top.amplitude
     words = f"largest: {quantity(height, 'm')} at {place:.5g} {unit}".removesuffix(" -")
     if curve.parameter == "omega":
-        damping = damping_by_width(x, curve.coefficients_at(dof), curve.subharmonic, at)
+        waves = curve.coefficients_at(dof)
+        damping = damping_by_width(curve.values, waves, curve.subharmonic, top.index)
         words += f",\nhalf-power damping {percent(damping)}" if np.isfinite(damping) else ""
     look = {"color": ink or COLOURS["blue"], "mfc": "none", "ms": 7.0, "mew": 1.1}
     axes.plot(place, height, "o", label="" if ink else words, **look)

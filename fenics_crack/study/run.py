@@ -131,6 +131,7 @@ class Run(Answer, Generic[Found]):
             stated.stated(name)[0]
             for name in (self.watched[0].column("amplitude"), stated.resonance)
         )
+        of_omega = math.nan if found.at_end else of_omega
         return replace(found, error=of_amplitude, omega_error=of_omega, without=stated.without)
 
     def motion(self) -> dict[str, np.ndarray]:

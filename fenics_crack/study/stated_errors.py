@@ -199,12 +199,13 @@ def not_estimated(report: ErrorReport) -> str:
 
 def errors_of(study: Study, result: object) -> Verification | None:
     """The same of any result (collective): of a curve over the frequency that of its largest
-    response; None of one that is not a vibration, or has not converged."""
+    response, which moves with the resonance unless it is an end of the curve; None of one that is
+    not a vibration, or has not converged."""
     if isinstance(result, Modes):
         return errors_of_natural(study, {"open": result.omega})
     if isinstance(result, ResponseCurve) and result.parameter == "omega":
-        largest = int(np.argmax(result.amplitude(study.watched[0].dof)))
-        return stated_errors(study, result.solution(largest), of_peak=True)
+        top = result.top(study.watched[0].dof)
+        return stated_errors(study, result.solution(top.index), of_peak=not top.at_end)
     if isinstance(result, PeriodicSolution) and result.converged:
         return stated_errors(study, result)
     return None

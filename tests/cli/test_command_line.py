@@ -390,6 +390,32 @@ def test_an_interrupted_curve_is_beside_a_complete_one(
     assert "The largest response" not in said.err
 
 
+@pytest.mark.parametrize(("stop", "at_end"), [(12.0, False), (8.5, True)])
+def test_a_largest_response_is_one_peak_or_still_rising(
+    stop: float, at_end: bool, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """The table, the sentence, the page and Python have the same place and size of a peak; what is
+    largest at the end of the range, which a resonance lies beyond, is none."""
+    chain = ["curve", str(ROOT / "demos" / "chain.toml"), "--set", f"curve.stop={stop}"]
+    assert main([*chain, "--output", str(tmp_path)]) == 0
+    said, run = capsys.readouterr().err, fc.load_run(tmp_path / "curve.h5")
+    peak = run.peak()
+    assert peak.at_end == at_end
+    points = {row["point"]: row for row in json.loads((tmp_path / "curve.json").read_text())}
+    [(name, largest)] = [(n, row) for n, row in points.items() if n.startswith("largest")]
+    assert ("still rising" in name) == ("still rising" in said) == at_end
+    assert largest["frequency [Hz]"] == pytest.approx(peak.frequency, rel=1e-9)
+    assert largest["amplitude [m]"] == pytest.approx(peak.amplitude, rel=1e-9)
+    assert largest["over_open"] * largest["frequency_open [Hz]"] == pytest.approx(peak.frequency)
+    if at_end:
+        assert largest["frequency [Hz]"] == pytest.approx(stop)
+    else:
+        assert np.abs(run.result.omega / peak.omega - 1.0).min() > 1e-8  # between two points
+    assert f"{peak.frequency:.6g} Hz" in said
+    assert main(["report", str(tmp_path / "curve.h5"), "--quiet"]) == 0
+    assert f"{peak.frequency:.6g} Hz" in (tmp_path / "report.html").read_text()
+
+
 def test_points_of_a_curve(results: Path) -> None:
     """The columns that the curve itself writes, and the indicators of the load's dof."""
     run = fc.load_run(results / "curve.h5")

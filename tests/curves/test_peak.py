@@ -141,8 +141,11 @@ def test_half_a_peak_has_no_width() -> None:
     """Nor has one at the end of a curve, or where the curve turns back beside it."""
     half = followed(80.0, 99.0).peak()
     assert half.omega == pytest.approx(99.0, rel=1e-12) and np.isnan(half.damping)
+    assert half.at_end and half.to_dict()["at_end"] and "still rising" in str(half)
+    assert followed(120.0, 101.0).peak().at_end and followed(101.0, 120.0).peak().at_end
     top = followed(99.5, 100.5).peak()
     assert top.omega == pytest.approx(100.0, rel=1e-3) and np.isnan(top.damping)
+    assert not top.at_end and "still rising" not in str(top)
     hardening, law = oscillator(0.1, 1.0, clearance=2.0), fc.UnilateralPenalty(5.0)
     curve = fc.continue_frequency(hardening, 0.5, 3.0, law, harmonics=5)
     peak = curve.peak()
@@ -180,7 +183,8 @@ def test_the_watched_dof_is_the_default() -> None:
     for changes in ({}, POINT):
         at = scene.replace(changes)
         solved, followed, marched = fc.solve(at), fc.curve(at), fc.integrate(at)
-        dof = solved.watched_dof
+        dof, peak = solved.watched_dof, followed.peak()
+        assert peak.at_end and not peak.without and np.isnan(peak.omega_error)  # it is given
         assert solved.amplitude() == solved.amplitude(dof)
         assert np.all(solved.coefficients_at() == solved.coefficients_at([dof]))
         assert np.all(followed.amplitude() == followed.amplitude(dof))
