@@ -512,9 +512,9 @@ def solve_beside(
 ) -> PeriodicSolution:
     """The solution of a problem of a small structure, sought from that of another one.
 
-    With a tolerance of the truncation it has as many harmonics as the other one, and then as many
-    more as its estimated error asks for. Half of them come first, unless the other one is of the
-    same equations: many fail from far away.
+    With a tolerance it has as many harmonics as the other one, and then as many more as bring the
+    truncation below what the other errors leave of it, if they leave any. Half of them come first,
+    unless the other one is of the same equations: many fail from far away.
 
     Raises
     ------
@@ -525,14 +525,19 @@ def solve_beside(
     """
     enough = math.inf if tolerance is None else tolerance
     if tolerance is not None and near is not None:
-        count = fewer_harmonics(near.harmonics, _truncation(near), tolerance, problem.harmonics)
+        left = _left_to_harmonics(near, tolerance)
+        count = fewer_harmonics(near.harmonics, _truncation(near), left, problem.harmonics)
         same = near.structure is problem.structure and near.contact is problem.contact
         if count // 2 >= problem.harmonics and not (same and near.omega == problem.omega):
             half = Solver(problem.with_harmonics(count // 2))
             near = half.attempt(near, patient=False, reported=False)[1]
         problem = problem.with_harmonics(count)
     found = Solver(problem, enough=enough).solve(near)
-    while (more := more_harmonics(found.harmonics, _truncation(found), tolerance)) is not None:
+    while tolerance is not None:
+        left = _left_to_harmonics(found, tolerance)
+        more = more_harmonics(found.harmonics, _truncation(found), left)
+        if more is None:
+            break
         found = Solver(problem.with_harmonics(more), enough=enough).solve(found)
     if tolerance is not None and _truncation(found) > tolerance:
         raise ConvergenceError(
@@ -556,6 +561,13 @@ def more_harmonics(
 def fewer_harmonics(count: int, truncation: float, tolerance: float, least: int) -> int:
     """As many harmonics as a neighbour's error allows to begin with."""
     return max(least, math.floor(0.8 * count)) if truncation < SLIGHT * tolerance else count
+
+
+def _left_to_harmonics(solution: PeriodicSolution, tolerance: float) -> float:
+    """Part of a tolerance that the other errors of a solution leave to its truncation; all of it
+    where they exceed it by themselves, or are unknown."""
+    others = solution.report.total - solution.report.truncation
+    return max(tolerance - others, SLIGHT * tolerance) if others < tolerance else tolerance
 
 
 def _truncation(solution: PeriodicSolution) -> float:

@@ -209,10 +209,22 @@ def test_new_scene(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     assert scene.contact is not None and scene.contact.law == "unilateral"
     assert scene.contact.stiffness is scene.contact.stiffness_per_area is None
     run = fc.integrate(scene.replace({"mesh.size": 0.03, "mesh.lip_elements": 6}))
-    assert isinstance(run.structure, fc.MasslessStructure) and run.structure.n_modes == 20
+    assert isinstance(run.structure, fc.MasslessStructure) and run.structure.n_modes == 40
     assert run.result.settled <= 1e-3 and run.result.gap.max() < 1e-18
     assert main(["check", str(path)]) == 0
     assert "lips without mass" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("kind", [[], ["--blade"]])
+def test_the_sweep_of_a_new_scene_meets_its_tolerance(kind: list[str], tmp_path: Path) -> None:
+    """The cases of the template whose errors by harmonics, and by modes, are the largest."""
+    path, key = tmp_path / "plate.toml", "rotation.rpm" if kind else "excitation.frequency"
+    assert main(["new", str(path), "--quiet", *kind]) == 0
+    values = [3100.0] if kind else [830.0]
+    over = f"sweep.over={{'{key}' = {values}, 'crack.length' = [0.02, 0.03]}}"
+    assert main(["sweep", str(path), "--set", over, "--output", str(tmp_path)]) == 0
+    found = fc.SweepResult.load(tmp_path / "sweep.h5")
+    assert found.errors.sum(axis=0).max() < found.scene.given("harmonic_balance").tolerance
 
 
 def test_new_scene_of_a_name_too_long(capsys: pytest.CaptureFixture) -> None:
