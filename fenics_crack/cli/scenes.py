@@ -20,10 +20,12 @@ from fenics_crack.scene.scene import Scene, asked_quantities
 from fenics_crack.scene.words import faces_in_words
 from fenics_crack.study.coarser_mesh import errors_of_natural
 from fenics_crack.study.key_figures import (
+    CURVE_UNITS,
     KeyFigures,
     find_key_figures,
     highest_omega,
     is_proportional,
+    proposed_curve,
     remarks_on,
     remarks_on_structure,
 )
@@ -72,6 +74,10 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
     if scene.curve is not None:
         span = f"{scene.curve.start:g} to {scene.curve.stop:g}"
         rows["curve"] = f"{scene.curve.parameter} from {span}"
+    if (curve := proposed_curve(study.scene, figures)) is not None:
+        rows["proposed curve.parameter"], unit = curve.parameter, CURVE_UNITS[curve.parameter][1]
+        rows[f"proposed curve.start [{unit}]"] = curve.start
+        rows[f"proposed curve.stop [{unit}]"] = curve.stop
     if scene.sweep is not None:
         rows["sweep"] = " x ".join(f"{len(axis.values)} {axis.key}" for axis in scene.sweep.over)
         rows["cases of the sweep"] = scene.sweep.n_cases

@@ -469,7 +469,8 @@ class ResponseCurve(_Waves):
     def peak(self, dof: int | None = None) -> Peak:
         """The largest response of a dof, or of the watched one: where, how large, how sure, whether
         stable, and the damping by its width."""
-        index, value, height, at_end = self.top(dof)
+        top = self.top(dof)
+        index, value = top.index, top.value
         omega, solution = float(self.omega[index]), self.solution(index)
         if self.parameter in ("omega", "speed"):
             omega *= value / float(self.values[index])
@@ -479,7 +480,7 @@ class ResponseCurve(_Waves):
             verdict = str(self.verdicts[index])
         error = solution.report.displacement
         damping = _damping(self, index, dof)
-        return Peak(index, value, omega, height, error, verdict, damping, at_end=at_end)
+        return Peak(index, value, omega, top.amplitude, error, verdict, damping, at_end=top.at_end)
 
     @cached_property
     def at_bifurcations(self) -> ResponseCurve:

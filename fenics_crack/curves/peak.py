@@ -21,18 +21,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from fenics_crack.table import Described, quantity, with_frequency
 
-
 AT_END = "still rising at the end of the range"
 """A largest response that is no peak, in words."""
 
 
-class Top(NamedTuple):
+@dataclass(frozen=True)
+class Top:
     """The largest response of a curve at one dof, between its points.
 
     Attributes

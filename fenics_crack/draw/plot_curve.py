@@ -124,9 +124,7 @@ def _draw_parts(
         axes.plot([], [], color=ink, lw=1.4, alpha=FAINT, label=INEXACT)
 
 
-def _mark_peak(
-    axes: Axes, curve: ResponseCurve, dof: int | None, in_hertz: bool, ink: str
-) -> None:
+def _mark_peak(axes: Axes, curve: ResponseCurve, dof: int | None, in_hertz: bool, ink: str) -> None:
     """Mark the largest response unless it is an end of the curve; ``ink`` as of bifurcations."""
     top, (factor, _, unit) = curve.top(dof), parameter_axis(curve.parameter, in_hertz)
     if top.at_end:

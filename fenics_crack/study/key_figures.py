@@ -18,7 +18,7 @@ unit or a number is mistyped.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,7 +45,7 @@ from fenics_crack.model.rotation import coriolis_shifts
 from fenics_crack.model.structure import ModalDamping, RayleighDamping, Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import FORCES, Rotation
+from fenics_crack.scene.tables import FORCES, Curve, Rotation
 from fenics_crack.scene.words import faces_in_words
 from fenics_crack.study.prepare import Study, reduction_of
 from fenics_crack.table import RPM, TURN, ranging
@@ -114,21 +114,26 @@ class KeyFigures:
     modes_below: int
     modes_kept: int
 
-    def meeting_speed(self, order: int, speed: float) -> float:
-        """Rotor speed W [rad/s] at which an engine order n meets the first breathing frequency,
+    def meeting_speed(self, order: float, speed: float, omega: float | None = None) -> float:
+        """Rotor speed W [rad/s] at which an engine order n meets a natural frequency w of the first
+        mode, by default the breathing one,
 
-            (n W)^2 = w_b^2 + S (W^2 - W_0^2);
+            (n W)^2 = w^2 + S (W^2 - W_0^2);
 
         nan where it never does. Exact where w^2 is linear in W^2 with the slope of open lips.
 
         Parameters
         ----------
-        order : int
+        order : float
             n.
         speed : float
             W_0, of the structure [rad/s].
+        omega : float, optional
+            w at W_0 [rad/s].
         """
-        square = self.omega_breathing**2 - self.stiffening * speed**2
+        square = (
+            self.omega_breathing if omega is None else omega
+        ) ** 2 - self.stiffening * speed**2
         slope = order**2 - self.stiffening
         return math.sqrt(square / slope) if square > 0.0 and slope > 0.0 else math.nan
 
@@ -286,6 +291,76 @@ def highest_omega(scene: Scene, command: str = "") -> float:
     if command == "sweep":
         harmonics = [*scene.swept.get("harmonic_balance.harmonics", harmonics)]
     return span_of(scene, command)[1] * max(harmonics)
+
+
+# --- resonances and curves ------------------------------------------------------------------------
+
+WIDTHS = 3.0
+"""Half-power bandwidths from a resonance to the end of a curve: there the response is a sixth of
+the peak."""
+CURVE_UNITS = {"omega": (1.0, "rad/s"), "frequency": (TURN, "Hz"), "speed": (1.0, "rad/s"),
+               "rpm": (RPM, "rpm")}  # fmt: skip
+"""[rad/s] of a curve's parameter, and its unit."""
+
+
+def proposed_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
+    """Return a curve through the first resonance of the breathing crack; None where the scene's
+    holds one, or follows another parameter, or nothing is damped.
+
+    From below the resonance of the open crack to above that of the bonded one: a clearance, a mean
+    load or a rotor moves it between them. Ends are rounded outwards to three digits.
+    """
+    load, curve = scene.excitation, scene.curve
+    parameter = "rpm" if scene.in_rpm else "speed"
+    if load.order is None:
+        parameter = "frequency" if scene.in_hertz else "omega"
+    if curve is not None:
+        parameter = curve.parameter
+        if parameter not in CURVE_UNITS or _holds_resonance(scene, figures, *curve.followed):
+            return None
+    opened, breathing = float(figures.omega_open[0]), figures.omega_breathing
+    beyond = 1.0 + WIDTHS * 2.0 * float(figures.damping[0])
+    if not (opened > 0.0 and breathing < 2.0 * opened and beyond > 1.0):
+        return None
+    bonded = 1.0 / (2.0 / breathing - 1.0 / opened)  # of the same mode
+    meets, unit = _meeting(scene, figures, parameter), CURVE_UNITS[parameter][0]
+    start, stop = (meets(omega, 1.0) / unit for omega in (opened / beyond, bonded * beyond))
+    if not 0.0 < start < stop < math.inf:
+        return None
+    return Curve(_rounded(start, math.floor), _rounded(stop, math.ceil), parameter)
+
+
+def _rounded(value: float, towards: Callable[[float], int]) -> float:
+    """To three digits."""
+    digits = 10.0 ** (2 - math.floor(math.log10(value)))
+    return towards(value * digits) / digits
+
+
+def _meeting(scene: Scene, figures: KeyFigures, parameter: str) -> Callable[[float, float], float]:
+    """Parameter of a curve [rad/s] at which a harmonic of the load meets a natural frequency."""
+    order = scene.excitation.order
+    if parameter in ("speed", "rpm") and order is not None:
+        return lambda omega, harmonic: figures.meeting_speed(harmonic * order, scene.speed, omega)
+    return lambda omega, harmonic: omega / harmonic
+
+
+def _holds_resonance(
+    scene: Scene, figures: KeyFigures, parameter: str, start: float, stop: float
+) -> bool:
+    """True if a range of load frequencies, or rotor speeds [rad/s], may hold a resonance: also of a
+    harmonic, or of one of half the frequency. Modes are between open and bonded crack, but the
+    first at its breathing frequency where all forces and gaps are proportional to the load."""
+    low, high = sorted((start, stop))
+    meets = _meeting(scene, figures, parameter)
+    breathing = figures.omega_breathing, figures.omega_breathing
+    known = is_proportional(scene) and figures.closed == 0 and figures.mean_opening == 0.0
+    for mode, ends in enumerate(zip(figures.omega_open, figures.omega_tied, strict=False)):
+        for order in (0.5, 1.0, 2.0, 3.0):
+            between = breathing if known and mode == 0 and order == 1.0 else ends
+            at_open, at_bonded = (meets(float(omega), order) for omega in between)
+            if low <= at_bonded and high >= at_open:
+                return True
+    return high >= meets(float(figures.omega_tied[-1]), 1.0)
 
 
 # --- remarks --------------------------------------------------------------------------------------
@@ -698,29 +773,29 @@ def _is_near(omega: float, natural: np.ndarray) -> bool:
 
 
 def _curve(scene: Scene, figures: KeyFigures) -> Remarks:
-    """A range may also hold a resonance of a harmonic, or one of half the frequency."""
-    if scene.curve is None or scene.curve.followed[0] != "omega":
+    """A range without a resonance, and one that holds the first."""
+    curve = scene.curve
+    if curve is None or curve.parameter not in CURVE_UNITS:
         return
-    low, high = span_of(scene, "curve")
+    if _holds_resonance(scene, figures, *curve.followed):
+        return
     first, last = float(figures.omega_open[0]), float(figures.omega_tied[-1])
-    if high >= last:
-        return
-    for lowest, highest in zip(figures.omega_open, figures.omega_tied, strict=False):
-        for order in (0.5, 1.0, 2.0, 3.0):
-            if low <= highest / order and high >= lowest / order:
-                return
-    in_hertz = scene.curve.parameter == "frequency"
-    unit = "Hz" if in_hertz else "rad/s"
+    proposed, unit = proposed_curve(scene, figures), CURVE_UNITS[curve.parameter][1]
     text = (
-        f"no resonance from there to {scene.curve.stop:g} {unit}: the first, "
-        f"{faces_in_words(scene)} open, is at "
-        f"{first / TURN:.4g} Hz = {first:.4g} rad/s"
+        f"no resonance from there to {curve.stop:g} {unit}: the first is near "
+        f"{figures.omega_breathing / TURN:.4g} Hz = {figures.omega_breathing:.4g} rad/s"
     )
+    if proposed is not None:
+        text += f"; start = {proposed.start:g} and stop = {proposed.stop:g} hold it"
+    if curve.followed[0] == "speed":
+        yield Remark("curve.start", curve.start, text)
+        return
+    in_hertz, (low, high) = curve.parameter == "frequency", span_of(scene, "curve")
     factor = TURN if in_hertz else 1.0 / TURN  # how much too large or too small
     if low <= factor * last and high >= factor * first:
         text += f"; are they in {'rad/s' if in_hertz else 'Hz'}? then use curve.parameter = "
         text += "'omega'" if in_hertz else "'frequency'"
-    yield Remark("curve.start", scene.curve.start, text)
+    yield Remark("curve.start", curve.start, text)
 
 
 def _response(scene: Scene, figures: KeyFigures) -> Remarks:

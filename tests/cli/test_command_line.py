@@ -216,6 +216,39 @@ def test_new_scene(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
 
 
 @pytest.mark.parametrize("kind", [[], ["--blade"]])
+def test_check_proposes_a_curve_through_the_resonance(
+    kind: list[str], tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """Of a shorter plate, whose resonance the template's range does not hold, and without a curve;
+    in the scene's unit, around the resonance. Once it is copied nothing is proposed."""
+    path = str(tmp_path / "plate.toml")
+    assert main(["new", path, "--quiet", *kind]) == 0
+    other = ["mesh.size=0.03", "mesh.lip_elements=6", "geometry.height=0.28",
+             "excitation.point=[0.1, 0.28]"]  # fmt: skip
+    unit, middle = "Hz", "breathing crack resonates near [Hz]"
+    if kind:
+        unit, middle = "rpm", "order 16 meets it near a rotor speed of [rpm]"
+
+    def checked(*changes: str) -> tuple[dict[str, Any], str]:
+        capsys.readouterr()
+        words = [word for change in (*other, *changes) for word in ("--set", change)]
+        assert main(["check", path, "--format", "json", *words]) == 0
+        said = capsys.readouterr()
+        return {row["what"]: row["value"] for row in json.loads(said.out)}, said.err
+
+    rows, told = checked("curve.start=2900" if kind else "curve.start=780")
+    ends = [rows[f"proposed curve.{end} [{unit}]"] for end in ("start", "stop")]
+    assert ends[0] < rows[middle] < ends[1] < 1.25 * ends[0]
+    assert "remark: curve.start" in told and f"{ends[0]:g}" in told
+    parameter = rows["proposed curve.parameter"]
+    rows, told = checked("curve=none")
+    assert ends == [rows[f"proposed curve.{end} [{unit}]"] for end in ("start", "stop")]
+    assert parameter == rows["proposed curve.parameter"] and "curve.start" not in told
+    rows, told = checked(f"curve.start={ends[0]}", f"curve.stop={ends[1]}")
+    assert not [name for name in rows if name.startswith("proposed")] and "curve.start" not in told
+
+
+@pytest.mark.parametrize("kind", [[], ["--blade"]])
 def test_the_sweep_of_a_new_scene_meets_its_tolerance(kind: list[str], tmp_path: Path) -> None:
     """The cases of the template whose errors by harmonics, and by modes, are the largest."""
     path, key = tmp_path / "plate.toml", "rotation.rpm" if kind else "excitation.frequency"
