@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.solution import PeriodicSolution, Stability
-from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.curves.curve import ResponseCurve, parameter_axis
+from fenics_crack.curves.peak import AT_END
 from fenics_crack.model.modal import is_small
 from fenics_crack.scene.tables import Integration
 from fenics_crack.study.key_figures import (
@@ -23,7 +24,7 @@ from fenics_crack.study.key_figures import (
 from fenics_crack.study.prepare import REFUSALS, Study
 from fenics_crack.study.stated_errors import not_estimated
 from fenics_crack.study.verification import ESTIMATED, Verification
-from fenics_crack.table import closing_sentence, percent, quantity
+from fenics_crack.table import closing_sentence, in_unit, percent, quantity
 from fenics_crack.time.march import TimeHistory
 
 LEAST_TOLD = 1e-4
@@ -121,8 +122,13 @@ def _known(run: Answer) -> str:
     known = known_to(run)
     if isinstance(run.result, PeriodicSolution) and known:
         return f"half peak-to-peak displacement known to {known}"
-    if isinstance(run.result, ResponseCurve) and known:
-        return f"largest response known to {known}"
+    if isinstance(run.result, ResponseCurve):
+        top = run.result.top(run.watched_dof)
+        axis = parameter_axis(run.result.parameter, run.scene.in_hertz)
+        where = f"{AT_END}, " if top.at_end else "at "
+        size = quantity(top.amplitude, "m")
+        text = f"largest response {size} {where}{in_unit(axis, top.value)}"
+        return f"{text}, known to {known}" if known else text
     if run.stated is not None and run.stated.left_out:
         return f"errors are stated {run.stated.left_out}"
     return ""
