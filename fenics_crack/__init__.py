@@ -9,6 +9,11 @@ Of several ranks all start PETSc here, together: who calls a function on one of 
 Functions called by these names run one at a time (:mod:`fenics_crack.machine`).
 """
 
+import sys
+
+if sys.argv[:1] == ["-m"] and not sys.flags.safe_path:
+    del sys.path[0]  # python -m fenics_crack: no library is the one in the working folder
+
 import ast
 from importlib import import_module
 from pathlib import Path
@@ -19,8 +24,7 @@ from fenics_crack.machine import alone, launched
 from fenics_crack.version import VERSION
 
 if launched():
-    import_module("fenics_crack.parallel")  # MPI before PETSc: see there
-    import_module("slepc4py.SLEPc")
+    import_module("fenics_crack.parallel")
 
 _MODULES = {
     alias.name: node.module

@@ -1,4 +1,5 @@
-"""Files that may come from strangers: what is read of them is limited before it is read.
+"""Files that may come from strangers: what is read of them is limited before it is read, and what
+merely lies in the working folder is not read at all.
 
 A library that parses a damaged file may crash, ask for all memory or not end, and a script language
 may hide in what looks like data. So what gmsh and HDF5 parse is parsed by a small program of its
@@ -20,6 +21,7 @@ import sys
 import zipfile
 from array import array
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 from threading import get_ident
@@ -48,6 +50,23 @@ MARKS = {
     codecs.BOM_UTF16_BE: "UTF-16",
 }  # fmt: skip
 """Byte order marks, the longer ones first."""
+
+
+@contextmanager
+def away() -> Iterator[None]:
+    """Leave the working folder for that of Python's own modules while a library looks for settings.
+
+    A stranger's folder may hold some that load code, run programs or change numbers. One that this
+    user may not enter, as root's, is left for good.
+    """
+    here = os.open("/proc/self/cwd", os.O_PATH)
+    try:
+        os.chdir(os.path.dirname(os.__file__))
+        yield
+    finally:
+        with suppress(PermissionError):
+            os.fchdir(here)
+        os.close(here)
 
 
 def bytes_of(path: str | Path, most: int | None = MOST_BYTES) -> int:

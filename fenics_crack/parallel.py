@@ -1,23 +1,53 @@
 """Work done by one rank for all, and errors passed from one rank to every rank.
 
-MPI is imported here before PETSc, which would start it for one thread only. Every folder that uses
-PETSc imports this module first.
+MPI is imported here before PETSc, which would start it for one thread only, and PETSc and SLEPc are
+started here. Every folder that uses them imports this module first.
 """
 
 from __future__ import annotations
 
+import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Mapping
+from itertools import dropwhile
 from typing import Any, TypeVar, cast
 
 import numpy as np
-from mpi4py import MPI
-from petsc4py import PETSc
 
 from fenics_crack.errors import InputError
+from fenics_crack.outside import away
+
+with away():  # UCX would read a ucx.conf
+    from mpi4py import MPI
+    from petsc4py import init, lib
 
 Result = TypeVar("Result")
+
+
+def _start_petsc() -> None:
+    """Start PETSc with options from ``~/.petscrc``, PETSC_OPTIONS and this program's arguments from
+    the first ``-crack_`` on; the later of them take precedence.
+
+    PETSc itself would also read .petscrc and petscrc in the working folder, which can load code,
+    and petsc4py, like slepc4py below, a petsc.cfg that says from where PETSc is loaded.
+    """
+    given = os.environ.get("PETSC_OPTIONS", "")
+    with away():
+        _, arch = lib.getPathArchPETSc()
+        own = os.path.expanduser("~/.petscrc")
+        if os.access(own, os.R_OK):
+            os.environ["PETSC_OPTIONS"] = f'-options_file "{own}" {given}'
+    options = dropwhile(lambda word: not word.startswith("-crack_"), sys.argv)
+    init([sys.executable, "-skip_petscrc", *options], arch)
+    os.environ["PETSC_OPTIONS"] = given
+
+
+if "petsc4py.PETSc" not in sys.modules:  # unless who calls has started it
+    _start_petsc()
+with away():
+    from slepc4py import SLEPc  # noqa: F401
 
 
 def check_communicator(comm: object) -> None:
@@ -71,6 +101,8 @@ def collect_garbage(comm: MPI.Comm) -> None:
     petsc4py leaves them alone when Python deletes them: ranks may do so in different orders. So it
     does with those of small structures, which each rank has for itself.
     """
+    from petsc4py import PETSc
+
     PETSc.garbage_cleanup(comm)
     PETSc.garbage_cleanup(MPI.COMM_SELF)
 

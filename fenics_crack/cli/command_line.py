@@ -109,10 +109,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             _discard_output()
         else:
             traceback.print_exc(file=sys.__stderr__)
-        from mpi4py import MPI
+        if launched():
+            from mpi4py import MPI
 
-        if MPI.COMM_WORLD.size > 1:  # the other ranks may wait for this one
-            MPI.COMM_WORLD.Abort(Exit.FAULT)
+            if MPI.COMM_WORLD.size > 1:  # the other ranks may wait for this one
+                MPI.COMM_WORLD.Abort(Exit.FAULT)
         return Exit.FAULT
 
 
@@ -187,9 +188,7 @@ def _run(given: argparse.Namespace) -> Exit:
     if meshes and not (inputs and inputs.scene.structure):
         from fenics_crack import mesher  # noqa: F401  before MPI: see there
     with _settings({} if launched() else ALONE):
-        from mpi4py import MPI
-
-    from fenics_crack.parallel import on_root
+        from fenics_crack.parallel import MPI, on_root
 
     comm = MPI.COMM_WORLD
     if comm.rank > 0:

@@ -1,1 +1,7 @@
 """Pictures, and files for ParaView."""
+
+import fenics_crack.parallel  # noqa: F401  (MPI before PETSc)
+from fenics_crack.outside import away
+
+with away():  # matplotlib would read a matplotlibrc
+    import matplotlib  # noqa: F401

@@ -21,6 +21,7 @@ from petsc4py import PETSc
 
 from fenics_crack.machine import addresses_left
 from fenics_crack.mesher import gmsh
+from fenics_crack.outside import away
 
 
 @contextmanager
@@ -37,14 +38,19 @@ def _versions_by_metadata() -> Iterator[None]:
             del sys.modules["pkg_resources"]
 
 
-with _versions_by_metadata():
+with _versions_by_metadata(), away():
     import basix
     import dolfinx
     import dolfinx.fem.petsc
     import dolfinx.geometry
     import dolfinx.io
     import dolfinx.plot
+    import ffcx
     import ufl
+
+    # They keep the settings that they read first: the user's own in ~/.config, none from here.
+    for _tool in (dolfinx.jit, ffcx):
+        (getattr(_tool, "get_options", None) or _tool.get_parameters)()
 
 _NEW = hasattr(dolfinx.fem, "functionspace")
 _JIT = {"jit_options" if _NEW else "jit_params": {"timeout": 300}}

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 
 from fenics_crack.errors import ConvergenceError, InputError, StoppedError
 from fenics_crack.files.store import scene_text
@@ -29,7 +28,7 @@ from fenics_crack.identification.model import Model, is_free
 from fenics_crack.identification.nuisance import Whole, whole_plate
 from fenics_crack.identification.posterior import Likelihood, Posterior, explore, grid_of
 from fenics_crack.identification.result import Identification
-from fenics_crack.parallel import StopRequest, on_root
+from fenics_crack.parallel import MPI, StopRequest, on_root
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Identify, Sweep

@@ -34,13 +34,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from mpi4py import MPI
 
 from fenics_crack.errors import FEW_MODES, InputError
 from fenics_crack.fem.loads import rigid_motions
 from fenics_crack.identification.interpolation import Feature, poles
 from fenics_crack.identification.measurements import Measurements
 from fenics_crack.model.modes import Modes, solve_modes, times
+from fenics_crack.parallel import MPI
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Identify
 from fenics_crack.study.prepare import prepare
