@@ -197,7 +197,9 @@ def _run(given: argparse.Namespace) -> Exit:
     with alone():
         if launched():
             inputs = on_root(comm, lambda: read_inputs(given))
-        console = Console(comm, given.format, given.quiet, given.verbose)
+        console = Console(
+            comm, given.format, given.quiet, given.verbose, vars(given).get("pictures", "png")
+        )
         return _command(given, inputs, console) or Exit.DONE
 
 
@@ -247,13 +249,13 @@ COMMANDS = {
     "modes": ("natural frequencies and mode shapes, crack open", f"{SOLVED} --count"),
     "campbell": (
         "natural frequencies over the speed of [rotation], crack open and tied, and a picture",
-        f"{SOLVED} --count --speeds",
+        f"{SOLVED} --count --speeds --pictures",
     ),
     "solve": ("steady vibration at excitation.omega", SOLVED),
     "verify": (
         "what mesh, modes, harmonics and samples contribute to the error of solve: observed "
         "orders, extrapolated values, grid-convergence indices, and a picture",
-        SOLVED,
+        f"{SOLVED} --pictures",
     ),
     "curve": ("response curve of the table [curve]", SOLVED),
     "integrate": ("motion in time by the table [integration]", SOLVED),
@@ -261,19 +263,19 @@ COMMANDS = {
     "grow": (
         "growth of the crack under the vibration by the table [growth]: length, life, frequencies; "
         "goes on where it stopped",
-        SOLVED,
+        f"{SOLVED} --pictures",
     ),
     "timing": (
         "arrival times of the tip at the probes of [tip_timing], and the vibration found in them",
-        "scene arrivals --set --output",
+        "scene arrivals --set --output --pictures",
     ),
     "identify": (
         "a crack from measured frequencies, harmonics and arrivals, by the table [identify]",
-        "scene measurements --arrivals --before --modes --set --output",
+        "scene measurements --arrivals --before --modes --set --output --pictures",
     ),
     "plot": (
         "pictures of a result, of several in one, or of a scene's mesh; files for ParaView",
-        "results --label --show --output",
+        "results --label --show --output --pictures",
     ),
     "report": (
         "one HTML page with all of some results, to be read anywhere",
@@ -349,6 +351,10 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
         {"type": path, "metavar": "FILE.html"},
     ),
     "--show": ("also in a window (a solution; needs a screen)", {"action": "store_true"}),
+    "--pictures": (
+        "kind of the pictures; pdf and svg are vector graphics, for papers (default: png)",
+        {"choices": ("png", "pdf", "svg"), "default": "png"},
+    ),
     "--format": (
         "of the table that is printed",
         {"choices": ("text", "csv", "json"), "default": "text"},
@@ -387,7 +393,8 @@ class Completion(argparse.Action):
         """Called by argparse: the namespace, the shell, and the option."""
         from fenics_crack.scene.scene import known_keys
 
-        known = {"--set": known_keys(), "--format": ARGUMENTS["--format"][1]["choices"]}
+        chosen = {name: ARGUMENTS[name][1]["choices"] for name in ("--format", "--pictures")}
+        known = {"--set": known_keys(), **chosen}
         sys.stdout.write(_script(given[1], known))
         parser.exit()
 

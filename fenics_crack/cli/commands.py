@@ -74,13 +74,13 @@ def tell(
         account.summary.save(f"{path}.json")
         (account.rows or account.summary).save(f"{path}.csv")
         if draw:
-            draw(path=Path(f"{path}.png"))
+            draw(path=Path(f"{path}.{console.pictures}"))
 
     on_root(console.comm, write)
     shown = account.shown if console.form == "text" else None
     console.table(shown or account.summary)
     h5 = f"{path}.h5"
-    drawn = f"{h5}, .csv, .json, .png" if Path(h5).exists() else f"{path}.csv, .json, .png"
+    drawn = f"{f'{h5}, ' if Path(h5).exists() else path}.csv, .json, .{console.pictures}"
     console.note(drawn if draw else f"{h5}, .csv, .json; pictures: fenics-crack plot {h5}")
     _note_replaced(path, before, console)
     if account.run is not None:
@@ -232,7 +232,8 @@ def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
         found.save(folder)
         worth.to_csv(folder / "where_to_measure.csv")
         found.fit_table().save(folder / "fit.csv")
-        draw_posterior(found, path=folder / "posterior.png")
+        for kind in {"png", console.pictures}:  # a report takes the first
+            draw_posterior(found, path=folder / f"posterior.{kind}")
 
     before = _content(folder / "identify")
     on_root(console.comm, write)
@@ -243,7 +244,8 @@ def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     said = [*found.remarks, *remarks_on_scene(scene)]
     console.note(*(f"remark: {remark}" for remark in said))
     console.note(*(f"next to measure: {advice}" for advice in found.advice))
-    console.note(f"{folder / 'identify.h5'}, .json; posterior.png, fit.csv, where_to_measure.csv")
+    others = f"posterior.{console.pictures}, fit.csv, where_to_measure.csv"
+    console.note(f"{folder / 'identify.h5'}, .json; {others}")
     _note_replaced(folder / "identify", before, console)
     console.warn(*found.warnings)
     return Exit.NOT_CONVERGED if found.doubts else Exit.DONE

@@ -147,6 +147,7 @@ class Console:
     form: str  # of the table: "text", "csv" or "json"
     quiet: bool  # print the table alone
     verbose: bool  # print how long each part took
+    pictures: str = "png"  # their kind
 
     @property
     def progress(self) -> bool:

@@ -77,8 +77,8 @@ STYLES = (("orange", "--"), ("green", "-."), ("pink", ":"))
 DRAWN_INSTANTS = 801
 """Of a wave that is drawn."""
 
-File = Callable[[str], Path]
-"""Takes the name of a picture; remembers and returns its path."""
+File = Callable[..., Path]
+"""Takes the name of a picture, and its kind if it has only one; remembers and returns its path."""
 CAPTIONS = {
     "mesh": "The mesh with its named parts.",
     "modes": "Mode shapes with the crack open. No contact acts in them, so the lips may overlap.",
@@ -119,11 +119,11 @@ def plot(given: Namespace, _: None, console: Console) -> None:
         if given.show and (stored is None or stored.kind != PeriodicSolution.KIND):
             raise InputError("--show", str(first), "used with one periodic solution")
         if several or labels:
-            return _draw_several(results, labels, folder)
+            return _draw_several(results, labels, folder, console.pictures)
         if stored is None:
-            return [_draw_scene(Scene.load(first), folder)]
+            return [_draw_scene(Scene.load(first), folder, kind=console.pictures)]
         result: Any = result_of(stored)
-        drawn = _draw_result(result, folder)
+        drawn = _draw_result(result, folder, console.pictures)
         if given.show:
             from fenics_crack.draw.animation import show_period  # VTK
 
@@ -147,16 +147,18 @@ def report(given: Namespace, _: None, console: Console) -> None:
 # --- of one result --------------------------------------------------------------------------------
 
 
-def _draw_result(result: Computed, folder: Path) -> list[Path]:
+def _draw_result(result: Computed, folder: Path, kind: str = "png") -> list[Path]:
     """Draw the pictures of a result into a folder; return the files."""
     files: list[Path] = []
-    DRAW[result.KIND](result, _file_in(folder, files))
+    DRAW[result.KIND](result, _file_in(folder, files, kind))
     return files
 
 
-def _draw_scene(scene: Scene, folder: Path, structure: Structure | None = None) -> Path:
+def _draw_scene(
+    scene: Scene, folder: Path, structure: Structure | None = None, kind: str = "png"
+) -> Path:
     """Draw the mesh of a scene, which is made unless its structure is there; return the file."""
-    file = folder / "mesh.png"
+    file = folder / f"mesh.{kind}"
     structure = structure or prepare(scene, MPI.COMM_SELF, whole=True).structure
     draw_mesh(structure, path=file, title=f"{structure.n_dofs} degrees of freedom")
     return file
@@ -189,9 +191,9 @@ def _can_be_drawn(result: Computed) -> bool:
     return bool(_over_numbers(result) and result.converged.any())
 
 
-def _file_in(folder: Path, files: list[Path]) -> File:
-    def file(name: str) -> Path:
-        files.append(folder / name)
+def _file_in(folder: Path, files: list[Path], pictures: str) -> File:
+    def file(name: str, kind: str = pictures) -> Path:
+        files.append(folder / f"{name}.{kind}")
         return files[-1]
 
     return file
@@ -199,7 +201,7 @@ def _file_in(folder: Path, files: list[Path]) -> File:
 
 def _modes(run: Run[Modes], file: File) -> None:
     if run.structure.whole.meshed is not None:
-        draw_modes(run.result, path=file("modes.png"))
+        draw_modes(run.result, path=file("modes"))
 
 
 def _solution(run: Run[PeriodicSolution], file: File) -> None:
@@ -214,23 +216,23 @@ def _solution(run: Run[PeriodicSolution], file: File) -> None:
         title += f", {found.stability.verdict}"
     if not found.converged:
         title += ", NOT CONVERGED"
-    _waves(run, found.omega, path=file("solution_waves.png"), title=title)
-    draw_spectrum(found, dof, path=file("solution_spectrum.png"), title=title)
-    draw_orbits(found, dof, path=file("solution_orbits.png"), title=title)
+    _waves(run, found.omega, path=file("solution_waves"), title=title)
+    draw_spectrum(found, dof, path=file("solution_spectrum"), title=title)
+    draw_orbits(found, dof, path=file("solution_orbits"), title=title)
     if found.structure.whole.meshed is not None:
         from fenics_crack.draw.animation import animate_period  # VTK
 
         if found.gap_coefficients.shape[1] > 1:
             heading = "Where and when the crack is closed"
-            draw_contact_map(found, path=file("solution_contact_map.png"), title=heading)
-        animate_period(found, file("solution_breathing_crack.gif"), material=run.scene.material)
+            draw_contact_map(found, path=file("solution_contact_map"), title=heading)
+        animate_period(found, file("solution_breathing_crack", "gif"), material=run.scene.material)
     _tips(run, file)
 
 
 def _history(run: Run[TimeHistory], file: File) -> None:
     found, omega = run.result, run.scene.excitation.omega
     title = f"The last periods of {found.periods}, {frequency_in_words(run.scene, omega)}"
-    _waves(run, omega, path=file("integration_waves.png"), title=title)
+    _waves(run, omega, path=file("integration_waves"), title=title)
     _tips(run, file)
 
 
@@ -239,7 +241,7 @@ def _tips(run: Run[Any], file: File) -> None:
     with suppress(InputError):  # a tip next to an edge, or no plate
         found = stress_intensity(run)
         of_time = isinstance(run.result, TimeHistory)
-        name = f"{'integration' if of_time else 'solution'}_tips.png"
+        name = f"{'integration' if of_time else 'solution'}_tips"
         factor, unit = readable(float(found.effective.max()), "Pa m^0.5")
         title = f"Stress intensity, range while open {factor * found.effective.max():.4g} {unit}"
         draw_stress_intensity(found, path=file(name), title=title)
@@ -260,10 +262,10 @@ def _curve(run: Run[ResponseCurve], file: File) -> None:
     found, dof, in_hertz = run.result, run.watched_dof, run.scene.in_hertz
     title = f"{run.watched_name}, H = {ranging(found.harmonics)}"
     without = _without_contact(run)
-    draw_curve(found, dof, path=file("curve.png"), title=title, in_hertz=in_hertz, behind=without)
-    draw_content(found, dof, path=file("curve_content.png"), title=title, in_hertz=in_hertz)
+    draw_curve(found, dof, path=file("curve"), title=title, in_hertz=in_hertz, behind=without)
+    draw_content(found, dof, path=file("curve_content"), title=title, in_hertz=in_hertz)
     if found.multipliers is not None:
-        title, path = "Largest Floquet multiplier along the curve", file("curve_multipliers.png")
+        title, path = "Largest Floquet multiplier along the curve", file("curve_multipliers")
         draw_multipliers(found, path=path, title=title, in_hertz=in_hertz)
 
 
@@ -377,7 +379,7 @@ def draw_swept(
             labels = [f"{key_in_words(key)} {value_in_words(key, float(value))}" for value in at]
         curves, rings = (dict(zip(labels, part.T, strict=True)) for part in (values, doubtful))
         how: dict[str, Any] = {"over": scaled[0][1], "doubtful": rings, "unit": unit}
-        path = file(f"{base}.png")
+        path = file(base)
         draw_response(scaled[0][0], curves, quantity=name, path=path, title=title, **how)
     if lines > FEW_LINES or (len(axes) > 1 and min(values.shape) >= LEAST_OF_A_MAP):
         (x, x_label), (y, y_label) = scaled
@@ -386,7 +388,7 @@ def draw_swept(
             factor, prefixed = readable(float(np.nanmax(np.abs(values))), unit)
         words: dict[str, Any] = {"x_label": x_label, "y_label": y_label}
         words["value_label"] = with_unit(name, prefixed)
-        path = file(f"{base}_map.png")
+        path = file(f"{base}_map")
         draw_map(x, y, factor * values.T, doubtful=doubtful.T, path=path, title=title, **words)
 
 
@@ -398,6 +400,17 @@ def _axis_words(axis: Axis, values: np.ndarray) -> tuple[np.ndarray, str]:
     return factor * values, with_unit(key_in_words(axis.key), unit)
 
 
+def _posterior(found: Identified, file: File) -> None:
+    """Take the picture that ``identify`` has drawn, which may be written to its own place."""
+    path = file("posterior")
+    source = found.picture.with_suffix(path.suffix)
+    if not source.is_file():
+        kind = path.suffix[1:]
+        allowed = f"png, or the --pictures of identify: there is no {source}"
+        raise InputError("--pictures", kind, allowed)
+    path.write_bytes(source.read_bytes())
+
+
 DRAW: dict[str, Callable[[Any, File], object]] = {
     Modes.KIND: _modes,
     PeriodicSolution.KIND: _solution,
@@ -405,19 +418,19 @@ DRAW: dict[str, Callable[[Any, File], object]] = {
     SweepResult.KIND: _sweep,
     TimeHistory.KIND: _history,
     Growth.KIND: lambda found, file: draw_growth(
-        found, path=file("growth.png"), in_hertz=found.scene.in_hertz
+        found, path=file("growth"), in_hertz=found.scene.in_hertz
     ),
-    Identified.KIND: lambda found, file: file("posterior.png").write_bytes(
-        found.picture.read_bytes()  # it may be written to its own place
-    ),
-    Verification.KIND: lambda found, file: draw_verification(found, path=file("verify.png")),
+    Identified.KIND: _posterior,
+    Verification.KIND: lambda found, file: draw_verification(found, path=file("verify")),
 }
 
 
 # --- several of one kind --------------------------------------------------------------------------
 
 
-def _draw_several(paths: Sequence[Path], labels: Sequence[str], folder: Path) -> list[Path]:
+def _draw_several(
+    paths: Sequence[Path], labels: Sequence[str], folder: Path, kind: str
+) -> list[Path]:
     """Draw results of the same kind on the same axes; return the files.
 
     ``labels`` name the results; without any they are called by what differs between their scenes,
@@ -446,7 +459,7 @@ def _draw_several(paths: Sequence[Path], labels: Sequence[str], folder: Path) ->
     if len(set(names)) < len(names):
         raise InputError("result", [str(path) for path in paths], "different files")
     files: list[Path] = []
-    OVERLAY[kinds[0]](dict(zip(names, found, strict=True)), _file_in(folder, files))
+    OVERLAY[kinds[0]](dict(zip(names, found, strict=True)), _file_in(folder, files, kind))
     return files
 
 
@@ -456,7 +469,7 @@ def _curves(runs: Mapping[str, Run[ResponseCurve]], file: File) -> None:
     if len(parameters) > 1:
         raise InputError("result", sorted(parameters), "curves in one parameter")
     title = _common(run.watched_name for run in runs.values())
-    [panel] = picture = Picture(size=(7.0, 4.6), path=file("overlay_curve.png"), title=title)
+    [panel] = picture = Picture(size=(7.0, 4.6), path=file("overlay_curve"), title=title)
     for (label, run), colour in zip(runs.items(), distinct_colours(len(runs)), strict=True):
         dof, in_hertz = run.watched_dof, run.scene.in_hertz
         draw_curve(run.result, dof, axes=panel, label=label, colour=colour, in_hertz=in_hertz)
@@ -475,13 +488,13 @@ def _solutions(runs: Mapping[str, Run[PeriodicSolution]], file: File) -> None:
             gaps.append(Wave(label, loads, wave, colour))
     name = _common(run.watched_name for run in runs.values())
     how: dict[str, Any] = {"period": 1.0}
-    draw_waves(motions, quantity="displacement", path=file("overlay_waves.png"), title=name, **how)
+    draw_waves(motions, quantity="displacement", path=file("overlay_waves"), title=name, **how)
     if gaps:
         title = f"Closing of the lips {_common(places) or ''}".rstrip()
-        path = file("overlay_gaps.png")
+        path = file("overlay_gaps")
         draw_waves(gaps, quantity="closing", zero="lips touch", path=path, title=title, **how)
     both = {label: (run.result, run.watched_dof) for label, run in runs.items()}
-    draw_spectra(both, path=file("overlay_spectrum.png"), title=name)
+    draw_spectra(both, path=file("overlay_spectrum"), title=name)
 
 
 def _sweeps(sweeps: Mapping[str, SweepResult], file: File) -> None:
@@ -499,7 +512,7 @@ def _sweeps(sweeps: Mapping[str, SweepResult], file: File) -> None:
     for name, (quantity, unit) in first.quantities.items():
         if any(name not in other.columns for other in others):
             continue
-        [panel] = picture = Picture(size=(7.0, 4.6), path=file(f"overlay_sweep_{name}.png"))
+        [panel] = picture = Picture(size=(7.0, 4.6), path=file(f"overlay_sweep_{name}"))
         for label, found in sweeps.items():
             place = np.array(over[label].values, dtype=float)
             order = np.argsort(place)

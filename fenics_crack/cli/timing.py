@@ -77,12 +77,15 @@ def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
 
     def write() -> None:
         arrivals.to_csv(folder / "arrivals.csv")
-        draw_arrivals(arrivals, path=folder / "arrivals.png", in_rpm=scene.in_rpm)
+        picture = folder / f"arrivals.{console.pictures}"
+        draw_arrivals(arrivals, path=picture, in_rpm=scene.in_rpm)
 
     on_root(console.comm, write)
     first, last = (speed_in_words(arrivals.speed[end], scene.in_rpm) for end in (0, -1))
     ends = f"{first} to {last}" if study.is_run_up(arrivals, run) else first
-    console.note(f"arrivals of {_size(arrivals)}, {ends}: {folder / 'arrivals.csv'}, .png")
+    console.note(
+        f"arrivals of {_size(arrivals)}, {ends}: {folder / 'arrivals.csv'}, .{console.pictures}"
+    )
     if run is not None:
         console.note(study.tip_in_words(scene.given("tip_timing"), run))
     with console.stage("vibration"):
@@ -150,7 +153,7 @@ def _record(given: Namespace, console: Console) -> Exit:
 
     def write() -> None:
         for blade in others:
-            path = folder / f"timing_blade_{blade}.png"
+            path = folder / f"timing_blade_{blade}.{console.pictures}"
             draw_passages(found[blade], blades[blade], path=path)
 
     on_root(console.comm, write)

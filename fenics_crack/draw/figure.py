@@ -14,7 +14,7 @@ from textwrap import fill
 from typing import Any, TypedDict
 
 import numpy as np
-from matplotlib import colormaps
+from matplotlib import colormaps, rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
@@ -48,6 +48,8 @@ FIRST = "first in the legend"
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 ROWS = 2
 """Of a legend below a panel for which a figure has room."""
+BELOW, BELOW_TICKS = 4.2, 0.8
+"""Distance of a legend from a panel with a labelled horizontal axis, and with bare ticks [em]."""
 DPI = 150
 """Dots per inch of a new figure."""
 
@@ -153,7 +155,8 @@ class Picture:
                     resolution = 2 * (self.figure.dpi,)
                     drawn_on(canvas).save(picture, "PNG", compress_level=3, dpi=resolution)
                 else:
-                    self.figure.savefig(picture, format=file.suffix.removeprefix(".") or None)
+                    with rc_context({"pdf.fonttype": 42}):  # publishers refuse Type 3 fonts
+                        self.figure.savefig(picture, format=file.suffix.removeprefix(".") or None)
                 write_whole(file, picture.getvalue())
 
             on_root(self._comm, save)
@@ -189,7 +192,7 @@ def label_axis(axis: Axis, quantity: str, unit: str) -> None:
     factor, prefixed = 1.0, unit
     if unit not in NO_PREFIX:
         factor, prefixed = readable(float(np.abs(axis.get_data_interval()).max()), unit)
-    label = with_unit(quantity, prefixed)
+    label = with_unit(quantity, prefixed).replace("m^0.5", "√m")
     axis.set_label_text(upright(label) if axis.axis_name == "y" else label)
     low, high = axis.get_view_interval()
     if axis.get_scale() != "log":
@@ -202,6 +205,13 @@ def label_axis(axis: Axis, quantity: str, unit: str) -> None:
             axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
         axis.set_major_formatter(_Decades(factor))
         axis.set_minor_formatter(_Decades(factor, minor_thresholds=(np.log10(UNLABELLED), 0.8)))
+
+
+def label_count(axis: Axis, things: str) -> None:
+    """Label a linear axis of numbers of things, after all is drawn: "10⁶ load cycles"."""
+    factor, _ = readable(float(axis.get_data_interval()[1]), "")
+    axis.set_label_text(things if factor == 1.0 else f"{_power(1.0 / factor)} {things}")
+    axis.set_major_formatter(FuncFormatter(lambda x, _: _plain(round(factor * x, 12))))
 
 
 class _Decades(LogFormatter):
@@ -248,7 +258,9 @@ def _draw_legend(axes: Axes) -> None:
         more = max(rows, ROWS) - max(ROWS if before is None else int(before.get_gid()), ROWS)
         if alone:
             axes.figure.set_figheight(axes.figure.get_figheight() + 0.17 * more)
-        below = {"bbox_to_anchor": (0.5, 0.0), "borderaxespad": 4.2}
+        labelled = axes.xaxis.get_major_ticks()[0].label1.get_visible()
+        pad = BELOW if labelled else BELOW_TICKS
+        below = {"bbox_to_anchor": (0.5, 0.0), "borderaxespad": pad}
         where = {"loc": "upper center", "ncol": columns, "frameon": False, **below}
         axes.legend(list(named.values()), list(named), fontsize=8, **where).set_gid(str(rows))
     elif named:

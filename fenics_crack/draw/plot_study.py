@@ -4,19 +4,37 @@ rotors Campbell diagrams, arrivals at probes, what was fitted to them, a run-up.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import cycle
+from itertools import cycle, product
+from textwrap import fill
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fenics_crack.draw.figure import COLOURS, Picture, Where, distinct_colours, label_axis
+from fenics_crack.draw.figure import (
+    COLOURS,
+    LETTERS,
+    NO_PREFIX,
+    Picture,
+    Where,
+    distinct_colours,
+    label_axis,
+    label_count,
+)
 from fenics_crack.errors import InputError, check_count
 from fenics_crack.scene.scene import unit_of
 from fenics_crack.scene.words import key_in_words
 from fenics_crack.study.verification import CAUSES, SAFE, GridConvergence, Verification
-from fenics_crack.table import RPM, TURN, frequency_axis, speed_axis, with_unit
+from fenics_crack.table import (
+    QUANTITIES,
+    RPM,
+    TURN,
+    frequency_axis,
+    quantity,
+    speed_axis,
+    with_unit,
+)
 
 if TYPE_CHECKING:  # which load SciPy's interpolation, and DOLFINx
     from fenics_crack.arrivals.arrival_times import ArrivalTimes
@@ -35,6 +53,9 @@ EMPTY = 1e-300
 LEAST_DRAWN = 1e-4
 """Contributions that are drawn, at least [%]."""
 MARKS = "osD^v<>ph*"
+CAUSE_WORDS = {"shift": "mesh, shift of the resonance"}
+Looks = dict[str, dict[str, Any]]
+"""Marks and colours of quantities by their names."""
 
 
 def draw_posterior(
@@ -157,9 +178,10 @@ def draw_verification(found: Verification, **where: Unpack[Where]) -> Figure:
     """Draw the distance of each quantity from its extrapolated value over the size of elements, or
     of what else was varied first, and the contribution of each cause to its uncertainty.
 
-    The slope of a line is the observed order, which the legend has, too; quantities outside of the
-    asymptotic range have no line. In the second panel hollow marks stand for a factor of safety of
-    3, and black lines for the root of the sum of squares.
+    The second panel has a row for each quantity, with its line in the first one, if there is one,
+    and the observed order, the slope of that line. Quantities outside of the asymptotic range have
+    no line. Hollow marks stand for a factor of safety of 3, black bars for the root of the sum of
+    squares.
 
     Parameters
     ----------
@@ -178,49 +200,57 @@ def draw_verification(found: Verification, **where: Unpack[Where]) -> Figure:
     >>> found = fc.verify(scene)  # doctest: +SKIP
     >>> figure = fc.draw_verification(found, path="verification.png")  # doctest: +SKIP
     """
-    left, right = picture = Picture(2, columns=2, size=(12.0, 5.6), **where)
+    size = 13.0, max(4.2, 1.8 + 0.3 * len(found.values))
+    left, right = picture = Picture(2, columns=2, size=size, **where)
+    looks = _looks(found, found.causes[0]) if found.causes else {}
     if found.causes:
-        _draw_orders(left, found, found.causes[0])
-    _draw_contributions(right, found)
+        _draw_orders(left, found, found.causes[0], looks)
+    _draw_contributions(right, found, looks)
     return picture.finished()
 
 
-def _draw_orders(panel: Any, found: Verification, cause: str) -> None:
+def _draw_orders(panel: Axes, found: Verification, cause: str, looks: Looks) -> None:
     """|f_i - f| over h, relative to those of the scene's own choice."""
-    colours, smallest, largest = cycle(COLOURS.values()), 1.0, LEAST_DRAWN
-    for (name, part), mark in zip(found.parts[cause].items(), cycle(MARKS), strict=False):
-        look = {"color": next(colours), "marker": mark, "ms": 5}
-        label = f"{name}, {_order(part)}"
+    widest, largest = np.ones(1), LEAST_DRAWN
+    for name, look in looks.items():
+        part = found.parts[cause][name]
         away = np.abs(np.array(part.values) - part.extrapolated)
         shares = np.array([100.0 * found.relative(name, distance) for distance in away])
-        sizes = np.array(part.sizes) / part.sizes[-1]
-        if part.is_asymptotic and np.all(shares > 0.0):
-            smallest, largest = min(smallest, sizes[0]), max(largest, shares.max())
-            panel.plot(sizes, shares, label=label, **look)
-        else:
-            panel.plot([], [], ls="", label=label, **look)
-    if smallest < 1.0:
-        ends = np.array([smallest, 1.0])
+        widest, largest = np.array(part.sizes) / part.sizes[-1], max(largest, shares.max())
+        panel.plot(widest, shares, **look)
+    if looks:
+        ends = widest[[0, -1]]
         panel.plot(ends, 2.0 * largest * ends, color="black", ls=":", lw=1.2, label="first order")
-        ticks = np.array([smallest, np.sqrt(smallest), 1.0])
         panel.set(xscale="log", yscale="log")
-        panel.set_xticks(ticks, labels=[f"{tick:.2g}" for tick in ticks])
+        panel.set_xticks(widest, labels=[f"{tick:.2g}" for tick in widest])
         panel.set_xticks([], minor=True)
-        label_axis(panel.yaxis, "distance from extrapolated", "%")
+        label_axis(panel.yaxis, "difference from the extrapolated value", "%")
+    else:
+        panel.set(xticks=[], yticks=[])
+        panel.text(0.5, 0.5, "nothing to extrapolate", ha="center", transform=panel.transAxes)
     own = found.counts[cause][0]
     text = f"{own} {cause} of the scene over their number"
     if cause == "mesh":
-        text = f"size of elements over that of the scene's {own} elements"
+        text = f"element size over that of the scene ({own} elements)"
     panel.set_xlabel(text)
 
 
-def _order(part: GridConvergence) -> str:
-    return f"p = {part.order:.2g}" if np.isfinite(part.order) else part.behaviour
+def _looks(found: Verification, cause: str) -> Looks:
+    """Of the lines of the quantities from which something is extrapolated, by their names."""
+    parts = found.parts[cause]
+    drawn = [
+        name
+        for name, part in parts.items()
+        if part.is_asymptotic and all(value != part.extrapolated for value in part.values)
+    ]
+    every = zip(drawn, product(MARKS, COLOURS.values()), strict=False)
+    return {name: {"marker": mark, "color": colour, "ms": 5} for name, (mark, colour) in every}
 
 
-def _draw_contributions(panel: Any, found: Verification) -> None:
-    """Relative uncertainties by quantity and cause."""
-    names = list(found.values)[::-1]
+def _draw_contributions(panel: Axes, found: Verification, looks: Looks) -> None:
+    """Relative uncertainties by quantity and cause; beside each quantity its line in the other
+    panel, and its observed order."""
+    names, beside = list(found.values)[::-1], panel.get_yaxis_transform()
     colours = dict(zip(CAUSES, COLOURS.values(), strict=False))
     for place, name in enumerate(names):
         total = 100.0 * found.relative(name, found.total(name))
@@ -229,17 +259,41 @@ def _draw_contributions(panel: Any, found: Verification) -> None:
         for cause, error in found.contributions(name).items():
             inside = found.parts[cause][name].factor <= SAFE
             share = 100.0 * found.relative(name, error)
-            if not share > LEAST_DRAWN:
-                continue
-            look = {"color": colours[cause], "mfc": colours[cause] if inside else "none"}
-            panel.plot(share, place, "o", ms=7, **look)
+            if share > LEAST_DRAWN:
+                look = {"color": colours[cause], "mfc": colours[cause] if inside else "none"}
+                panel.plot(share, place, "o", ms=7, **look)
+        if name in looks:
+            at = {"transform": beside, "clip_on": False}
+            panel.plot([-0.06, -0.035, -0.01], 3 * [place], markevery=[1], **at, **looks[name])
+        if found.causes:
+            order = _order(found.parts[found.causes[0]][name])
+            panel.text(1.02, place, order, transform=beside, va="center", fontsize=9)
     for cause in found.causes:
-        panel.plot([], [], "o", ms=7, color=colours[cause], label=cause)
+        panel.plot([], [], "o", ms=7, color=colours[cause], label=CAUSE_WORDS.get(cause, cause))
     panel.plot([], [], "o", ms=7, color="grey", mfc="none", label="factor of safety 3")
-    panel.plot([], [], color="black", lw=1.6, label="root of the sum of squares")
-    panel.set(xscale="log", yticks=range(len(names)), ylim=(-0.6, len(names) - 0.4))
-    panel.set_yticklabels(names)
+    panel.plot([], [], color="black", lw=1.6, label="all together")
+    if found.causes:
+        panel.text(1.02, len(names) - 0.3, "observed order", transform=beside, fontsize=9)
+    panel.set(xscale="log", ylim=(-0.6, len(names) - 0.4))
+    panel.set_yticks(range(len(names)), [_in_words(found, name) for name in names], fontsize=9)
+    panel.tick_params("y", pad=28, length=0)
     label_axis(panel.xaxis, "uncertainty of the scene's own value", "%")
+
+
+def _in_words(found: Verification, name: str) -> str:
+    """A quantity and its value: "half peak-to-peak, 1.094 µm"."""
+    point, _, own = name.rpartition(".")
+    kind, _, mode = own.replace("frequency_", "omega_").rpartition("_")
+    words = QUANTITIES[own][0] if own in QUANTITIES else f"{QUANTITIES[kind][0]}, mode {mode}"
+    if point:
+        words += f", {found.scene.point_names.get(point, point)}"
+    value, unit = found.values[name], found.units[name]
+    shown = quantity(value, unit) if unit and unit not in NO_PREFIX else f"{value:.4g} {unit}"
+    return f"{fill(words, LETTERS)}, {shown.rstrip()}"
+
+
+def _order(part: GridConvergence) -> str:
+    return f"{part.order:.2g}" if np.isfinite(part.order) else part.behaviour
 
 
 def draw_growth(found: Growth, *, in_hertz: bool = False, **where: Unpack[Where]) -> Figure:
@@ -276,26 +330,31 @@ def draw_growth(found: Growth, *, in_hertz: bool = False, **where: Unpack[Where]
     at = np.interp(solved, found.length, found.cycles)
     length.plot(found.cycles, found.length, color=COLOURS["blue"], label="crack")
     length.plot(at, solved, "o", color=COLOURS["blue"], ms=4.0, label="solved")
-    factor, name, unit = frequency_axis(in_hertz)
+    factor, _, unit = frequency_axis(in_hertz)
     lines = {
-        name: (found.omega, "black", "-"),
-        "natural frequency, crack breathing": (found.omega_bilinear, COLOURS["orange"], "-"),
-        "lips open": (found.omega_open, COLOURS["green"], "--"),
+        "load": (found.omega, "black", "-"),
+        "natural, breathing crack": (found.omega_bilinear, COLOURS["orange"], "-"),
+        "natural, open crack": (found.omega_open, COLOURS["green"], "--"),
     }
     for label, (omega, colour, style) in lines.items():
         frequency.plot(found.cycles, factor * omega, color=colour, ls=style, label=label)
     strength.plot(
-        found.cycles, found.effective, color=COLOURS["blue"], label="effective range of K_I"
+        found.cycles,
+        found.effective,
+        color=COLOURS["blue"],
+        label=r"effective range of $K_\mathrm{I}$",
     )
-    strength.plot(found.cycles, found.largest, color=COLOURS["pink"], ls=":", label="K_max")
+    strength.plot(
+        found.cycles, found.largest, color=COLOURS["pink"], ls=":", label=r"$K_\mathrm{max}$"
+    )
     there = np.interp(solved, found.length, found.effective)
     strength.plot(at, there, "o", color=COLOURS["blue"], ms=4.0)
     if found.effective.max() > 0.0:
         strength.set_yscale("log")
-    label_axis(length.yaxis, "length of the crack", "m")
+    label_axis(length.yaxis, "crack length", "m")
     label_axis(frequency.yaxis, "frequency", unit)
     label_axis(strength.yaxis, "stress intensity", "Pa m^0.5")
-    strength.set_xlabel("cycles")
+    label_count(strength.xaxis, "load cycles")
     return picture.finished()
 
 
@@ -437,7 +496,8 @@ def _draw_displacements(panel: Axes, arrivals: ArrivalTimes, in_rpm: bool) -> No
 
 
 def draw_tip_fit(fit: TipFit, arrivals: ArrivalTimes, **where: Unpack[Where]) -> Figure:
-    """Draw a fitted vibration, with the arrivals over its period, and the orders that were tried.
+    """Draw a fitted vibration, with the arrivals over its period, and the engine orders that were
+    tried; of one order alone the amplitudes of its harmonics, with their standard errors.
 
     Parameters
     ----------
@@ -474,7 +534,10 @@ def draw_tip_fit(fit: TipFit, arrivals: ArrivalTimes, **where: Unpack[Where]) ->
     upper.plot(turns, wave, color=COLOURS["orange"], lw=1.6, label=label)
     upper.set_xlabel("time / load period")
     label_axis(upper.yaxis, "tip displacement", "m")
-    _draw_candidates(lower, fit.candidates, fit.order)
+    if len(fit.candidates.orders) > 1:
+        _draw_candidates(lower, fit.candidates, fit.order)
+    else:
+        _draw_harmonics(lower, fit)
     return picture.finished()
 
 
@@ -498,10 +561,25 @@ def _draw_candidates(axes: Axes, tried: Candidates, order: float) -> None:
             axes.vlines(place, bottom, height, color=COLOURS[colour], lw=1.0)
             axes.plot(place, height, marker, color=COLOURS[colour], ms=5.0, label=label)
     axes.set_ylim(bottom=bottom)
-    axes.set_xlabel("periods of the load in a revolution")
+    axes.set_xlabel("engine order: load periods in a revolution")
     if not np.any(tried.orders % 1.0):
         axes.xaxis.get_major_locator().set_params(integer=True)
-    label_axis(axes.yaxis, "what the fit leaves", "m")
+    label_axis(axes.yaxis, "rms residual of the fit", "m")
+
+
+def _draw_harmonics(axes: Axes, fit: TipFit) -> None:
+    """Amplitudes of the harmonics with their standard errors."""
+    at, sizes, errors = fit.multiples, fit.amplitudes, fit.amplitude_errors
+    both = np.append(sizes, errors)
+    bottom = 0.5 * float(np.min(both, where=both > 0.0, initial=np.inf))
+    if np.isfinite(bottom):
+        axes.set_yscale("log")
+        axes.set_ylim(bottom, 2.0 * both.max(where=both > 0.0, initial=bottom))
+    look: dict[str, Any] = {"color": COLOURS["orange"], "ms": 5.0, "capsize": 4.0}
+    axes.errorbar(at, sizes, errors, fmt="o", **look, label="fit, with standard errors")
+    axes.set(xticks=at, xlim=(0.0, at[-1] + 0.5))
+    axes.set_xlabel("harmonic of the load")
+    label_axis(axes.yaxis, "amplitude of the tip", "m")
 
 
 def draw_tip_track(track: TipTrack, *, in_hertz: bool = False, **where: Unpack[Where]) -> Figure:
@@ -572,7 +650,9 @@ def draw_passages(
     upper, lower = picture = Picture(2, size=(7.0, 7.0), **where)
     _draw_displacements(upper, arrivals, in_rpm=True)
     for number, fit in enumerate(passages):
-        upper.axvline(fit.speed / RPM, color=COLOURS["grey"], lw=0.7, ls="--", zorder=0)
+        label = "_" * bool(number) + "resonance, with its engine order"
+        look: dict[str, Any] = {"color": COLOURS["grey"], "lw": 0.7, "ls": "--", "zorder": 0}
+        upper.axvline(fit.speed / RPM, **look, label=label)
         upper.annotate(
             f"{fit.order:g}", (fit.speed / RPM, 1.0), xycoords=("data", "axes fraction"),
             textcoords="offset points", xytext=(0, 2 + 9 * (number % 2)), ha="center", fontsize=8,
@@ -580,22 +660,23 @@ def draw_passages(
         )  # fmt: skip
     if passages:
         fit = passages[0]
-        _draw_passage(lower, fit, fit.compared(arrivals))
+        _draw_passage(lower, fit, arrivals)
     else:
         lower.set_axis_off()
     return picture.finished()
 
 
-def _draw_passage(
-    axes: Axes, fit: PassageFit, runs: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]
-) -> None:
+def _draw_passage(axes: Axes, fit: PassageFit, arrivals: ArrivalTimes) -> None:
     """What the probe that sees most has seen of each passage, and the fit."""
+    runs = fit.compared(arrivals)
     probe = int(np.argmax(sum(np.sum(motion**2, axis=0) for _, _, motion in runs)))
     for (speed, seen, motion), colour in zip(runs, cycle(COLOURS.values()), strict=False):
         way = "up" if speed[-1] > speed[0] else "down"
-        axes.plot(speed / RPM, seen[:, probe], "o", color=colour, ms=3.0, mew=0, alpha=0.6)
+        look: dict[str, Any] = {"color": colour, "ms": 3.0, "mew": 0, "alpha": 0.6}
+        axes.plot(speed / RPM, seen[:, probe], "o", **look, label=f"arrivals, {way}")
         axes.plot(speed / RPM, motion[:, probe], color=colour, lw=1.2, label=f"fit, {way}")
     axes.set_xlabel("rotor speed [rpm]")
-    label_axis(
-        axes.yaxis, f"order {fit.order:g}, {fit.omega / TURN:.5g} Hz, probe {probe + 1}", "m"
-    )
+    label_axis(axes.yaxis, "tip displacement", "m")
+    angle = np.degrees(arrivals.probes[probe])
+    where = f"order {fit.order:g}, {fit.omega / TURN:.5g} Hz, probe at {angle:.4g}°"
+    axes.set_title(where, fontsize="medium")

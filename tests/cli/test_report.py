@@ -100,6 +100,25 @@ def test_nothing_is_external(folder: Path) -> None:
     assert not re.search(r"https?:|//[a-z]|@import|url\(", text)
 
 
+@pytest.mark.parametrize(("kind", "begin"), [("pdf", b"%PDF"), ("svg", b"<?xml")])
+def test_vector_graphics(folder: Path, tmp_path: Path, kind: str, begin: bytes) -> None:
+    """Every picture but the animation, of every result, of a scene and of several results."""
+    for name in FILES:
+        words = [str(folder / f"{name}.h5"), "--output", str(tmp_path / name)]
+        assert main(["plot", *words, "--pictures", kind, "--quiet"]) == 0
+    twice = 2 * [str(folder / "solution.h5")]
+    shutil.copy(twice[0], tmp_path / "again.h5")
+    both = [twice[0], str(tmp_path / "again.h5"), "--output", str(tmp_path / "both")]
+    assert main(["plot", *both, "--pictures", kind, "--quiet"]) == 0
+    assert main(["plot", SCENE, "--output", str(tmp_path), "--pictures", kind, "--quiet"]) == 0
+    assert not [*tmp_path.rglob("*.png")] and len([*tmp_path.rglob("*.gif")]) == 1
+    made = [*tmp_path.rglob(f"*.{kind}")]
+    assert len(made) >= 15 and {path.parent.name for path in made} >= {*FILES, "both"}
+    for path in made:
+        content = path.read_bytes()
+        assert content.startswith(begin) and b"/Type3" not in content
+
+
 def test_pictures_decode(page: Page) -> None:
     """All of them, each with a caption; one is an animation."""
     pictures = [attributes for tag, attributes in page.tags if tag == "img"]

@@ -249,7 +249,9 @@ def test_a_run_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert best["omega [rad/s]"] == pytest.approx(run.result.omega[at], rel=0.01)
     assert best["amplitude_1 [m]"] == pytest.approx(0.5 * first[at], rel=0.02)
     assert best["rpm"] == pytest.approx(best["omega [rad/s]"] / 5 * 30 / np.pi)
-    assert main(["timing", scene, str(tmp_path / "arrivals.csv"), "--output", str(tmp_path)]) == 0
+    words = ["--output", str(tmp_path), "--pictures", "pdf"]
+    assert main(["timing", scene, str(tmp_path / "arrivals.csv"), *words]) == 0
+    assert all((tmp_path / f"{name}.pdf").stat().st_size for name in ("arrivals", "timing"))
     printed = capsys.readouterr().out.splitlines()
     assert printed[0].startswith("multiple, where it is largest  speed [rad/s]  omega [rad/s]")
     assert len(printed) == 2 + 3

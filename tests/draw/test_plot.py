@@ -128,6 +128,16 @@ def test_on_a_new_figure(
     assert (tmp_path / "folder" / "picture.png").stat().st_size > 5000
 
 
+def test_one_order_shows_its_harmonics(results: dict[str, Any]) -> None:
+    """Where no other order was tried there is none to be compared with."""
+    fit = fc.fit_order(results["arrivals"], orders=[6])
+    _, lower = fc.draw_tip_fit(fit, results["arrivals"]).axes
+    assert list(lower.get_xticks()) == fit.multiples.tolist()
+    assert lower.get_yscale() == "log" and "order" not in lower.get_xlabel()
+    _, lower = fc.draw_tip_fit(results["fit"], results["arrivals"]).axes
+    assert "engine order" in lower.get_xlabel()
+
+
 def test_numbers_are_si_and_read_well() -> None:
     """A second curve on the same axes is drawn to the same scale; the unit follows the larger."""
     axes = Figure(layout="constrained").subplots()

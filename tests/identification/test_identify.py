@@ -670,14 +670,20 @@ def test_command(
     measured(scene, {"crack.length": 0.015, "crack.height": 0.11}, 1).to_csv(tmp_path / "m.csv")
     (tmp_path / "plate.toml").write_text(PLATE)
     words = ["identify", str(tmp_path / "plate.toml"), str(tmp_path / "m.csv")]
-    assert main([*words, "--output", str(folder)]) == 0
+    assert main([*words, "--output", str(folder), "--pictures", "svg"]) == 0
     printed = capsys.readouterr()
     assert printed.out.split()[:5] == ["unknown", "estimate", "deviation", "low", "high"]
     assert "crack: log Bayes factor" in printed.err and "next to measure: " in printed.err
     summary = json.loads((folder / "identify.json").read_text())
     assert summary["verdict"] == "crack"
     assert summary["estimate"]["crack.length"] == pytest.approx(0.015, abs=0.003)
-    for name in ("identify.h5", "posterior.png", "fit.csv", "where_to_measure.csv"):
+    for name in (
+        "identify.h5",
+        "posterior.png",
+        "posterior.svg",
+        "fit.csv",
+        "where_to_measure.csv",
+    ):
         assert (folder / name).exists()
     wrong = (tmp_path / "m.csv").read_text().replace("tip.ux", "top.ux")
     (tmp_path / "m.csv").write_text(wrong)
@@ -916,6 +922,7 @@ def test_beside_other_results(
     before = picture.read_bytes()
     assert main(["report", own, "--output", str(page)]) == 0 and main(["plot", own]) == 0
     assert picture.read_bytes() == before
+    assert main(["plot", own, "--pictures", "pdf"]) == 2  # which identify has not drawn
     picture.unlink()
     for command in ("plot", "report"):
         capsys.readouterr()

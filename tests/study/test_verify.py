@@ -318,6 +318,19 @@ def test_command(
     assert main(["plot", kept, "--quiet"]) == 0 and (tmp_path / "verify.png").exists()
 
 
+def test_rows_are_quantities_in_words(verified: fc.Verification) -> None:
+    """With their values and units; legends are short, and no line looks like another one."""
+    left, right = fc.draw_verification(verified).axes
+    rows = [label.get_text() for label in right.get_yticklabels()]
+    assert len(rows) == len(verified.values) and not any("_" in row for row in rows)
+    assert sum(row.endswith(" rad/s") for row in rows) >= 4
+    assert any(row.startswith("half peak-to-peak, ") and row.endswith("m") for row in rows)
+    for panel, most in ((left, 1), (right, len(verified.causes) + 2)):
+        assert len(panel.get_legend().get_texts()) == most
+    lines = [(line.get_marker(), line.get_color()) for line in left.lines]
+    assert len(set(lines)) == len(lines) > 5
+
+
 def test_bad_input(verified: fc.Verification) -> None:
     """Each error names what is wrong."""
     with pytest.raises(InputError) as caught:

@@ -397,7 +397,10 @@ def test_a_load_of_nothing(tmp_path: Path) -> None:
     found = fc.grow(scene, comm=MPI.COMM_SELF)
     assert found.end == "arrested" and not found.largest.any() and not found.effective.any()
     assert any("without the mesh: mesh.error = false" in text for text in found.remarks)
-    fc.draw_growth(found, path=tmp_path / "growth.png")
+    figure = fc.draw_growth(replace(found, cycles=1e8 * np.ones(1)), path=tmp_path / "growth.png")
+    cycles = figure.axes[-1].xaxis
+    assert cycles.get_label_text() == "10⁶ load cycles"
+    assert cycles.get_major_formatter()(1e8) == "100" and not cycles.get_offset_text().get_text()
 
 
 def test_uncertainty_of_the_life() -> None:
