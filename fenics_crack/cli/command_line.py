@@ -51,6 +51,7 @@ KEYS = {
     "contact stiffness": "contact.stiffness",
     "count": "--count",
     "end": "curve.stop",
+    "record_periods": "integration.periods",
     "start, end": "curve.start, curve.stop",
 }
 """Keys of a scene for the arguments of the library that errors name."""

@@ -93,7 +93,7 @@ CAPTIONS = {
     "curve_content": "Amplitudes of the lowest harmonics.",
     "curve_multipliers": "The orbit is stable where the largest multiplier is below 1.",
     "growth": "The crack over the cycles; dots are the lengths that were solved.",
-    "integration_waves": "The last periods of the motion in time.",
+    "integration_waves": "The motion in time, its last periods or a free decay.",
     "posterior": "How probable cracks are by the measurements.",
 }
 """Below the pictures, by the names of their files; others speak for themselves."""
@@ -232,6 +232,8 @@ def _solution(run: Run[PeriodicSolution], file: File) -> None:
 def _history(run: Run[TimeHistory], file: File) -> None:
     found, omega = run.result, run.scene.excitation.omega
     title = f"The last periods of {found.periods}, {frequency_in_words(run.scene, omega)}"
+    if run.scene.integration is not None and run.scene.integration.free:
+        title = f"Free decay, periods of {frequency_in_words(run.scene, omega)}"
     _waves(run, omega, path=file("integration_waves"), title=title)
     _tips(run, file)
 

@@ -240,7 +240,7 @@ def _verdict(found: PeriodicSolution, seen: str) -> tuple[str, str]:
 
 
 def _account_of_history(run: Run[TimeHistory]) -> Account:
-    """A motion from rest, and whether it repeats (collective)."""
+    """A motion in time, and whether it repeats, or how it decays (collective)."""
     found, scene = run.result, run.scene
     distance = found.distance
     table = _quantities(run, vars(found) | {"distance": distance} | found.indicators().to_dict())
@@ -251,7 +251,15 @@ def _account_of_history(run: Run[TimeHistory]) -> Account:
     left = f", and it is {distance:.2g} from where it settles" if distance < 1.0 else ""
     facts = [f"The motion in time has settled after {found.periods} periods: {change}{left}."]
     warnings = []
-    if not found.settled <= asked.settle:
+    done = bool(found.settled <= asked.settle)
+    if asked.free:
+        done = found.periods >= asked.periods
+        sizes = np.ptp(found.by_period(found.displacement()[:, 0]), axis=1) / 2.0
+        first, last = (quantity(float(size), "m") for size in sizes[[0, -1]])
+        facts = [
+            f"Free decay over {found.periods} periods, from {first} to {last} half peak-to-peak."
+        ]
+    elif not done:
         facts = [f"The motion in time was followed over {found.periods} periods."]
         warnings = [
             f"the motion has not settled after {found.periods} of {asked.periods} periods: "
@@ -269,7 +277,7 @@ def _account_of_history(run: Run[TimeHistory]) -> Account:
         tables=_in_numbers(table, scene),
         remarks=run.remarks,
         closing=conclusion(run, len(warnings)),
-        done=bool(found.settled <= asked.settle),
+        done=done,
         run=run,
     )
 

@@ -116,6 +116,9 @@ class Scene(Hinted):
         if self.curve is not None and self.curve.parameter == "load":
             allowed = "another one with a rotation.speed > 0: the mean load is partly centrifugal"
             self.curve.require(self.speed == 0.0, "parameter", allowed)
+        if self.integration is not None and self.rotation is not None:
+            why = "[rotation]: the mean load is partly centrifugal"
+            self.integration.leave_out(("deflection", "free"), why)
         if self.structure is not None:
             _check_matrices(self, self.structure)
         else:

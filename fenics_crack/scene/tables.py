@@ -630,7 +630,8 @@ class Curve(Table):
 
 @dataclass(frozen=True)
 class Integration(Table):
-    """Direct integration in time, from rest."""
+    """Direct integration in time: from rest, from the end of an earlier motion, or from a static
+    deflection; under the load, or as a free decay."""
 
     method: str | None = choice(
         "exponential", "central_difference", "implicit", "events", default=None
@@ -646,6 +647,19 @@ class Integration(Table):
     show it most."""
     steps_per_period: int | None = at_least_one(None)
     """Default: 512; at least twice what is stable (central differences), 256 (events)."""
+    initial: str | None = path("the path of the .h5 file of a solution or an integration")
+    """Start at a solution's displacement and velocity at phase 0 of its load, or at those at the
+    end of an integration, of the same mesh; under the scene's load."""
+    deflection: float | None = positive(None)
+    """Start at rest from the static deflection, with contact, under the mean load and so many times
+    the sum of its cosine and sine parts."""
+    free: bool = holds("true or false", default=False)
+    """Free decay: the mean load acts alone. All periods are recorded."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.initial is not None:
+            self.leave_out(("deflection",), "initial")
 
 
 @dataclass(frozen=True)

@@ -583,7 +583,7 @@ def _settling(scene: Scene) -> Remarks:
     """From rest a motion settles like exp(-xi w t)."""
     table, ratio = scene.integration, scene.damping.ratio
     least = 0.0 if ratio is None else float(np.min(ratio))
-    if table is None or not least > 0.0 or table.settle >= 1.0:
+    if table is None or table.free or not least > 0.0 or table.settle >= 1.0:
         return
     needed = -np.log(table.settle) / (TURN * least)
     if table.periods < 0.5 * needed:

@@ -33,8 +33,9 @@ from fenics_crack.files.store import Stored, read
 from fenics_crack.hints import no_attribute
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid, is_unilateral
 from fenics_crack.model.modal import is_small
-from fenics_crack.model.modes import Modes, solve_modes
+from fenics_crack.model.modes import Modes, solve_modes, times
 from fenics_crack.model.nodes import AXES
+from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.reduction import MODES
 from fenics_crack.model.rotation import run_up_structure
 from fenics_crack.model.structure import Structure
@@ -70,7 +71,7 @@ from fenics_crack.time.central_differences import (
 )
 from fenics_crack.time.flows import integrate_events, integrate_exponential
 from fenics_crack.time.implicit import integrate_implicit
-from fenics_crack.time.march import TimeHistory
+from fenics_crack.time.march import TimeHistory, initial_state
 
 Found = TypeVar("Found", bound=Result, covariant=True)
 
@@ -412,9 +413,10 @@ def _prepare_curve(scene: Scene, comm: MPI.Comm) -> Study:
 def integrate(
     scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, progress: bool = False
 ) -> Run[TimeHistory]:
-    """March a scene's motion in time from rest, as ``fenics-crack integrate`` does (collective).
+    """March a scene's motion in time, as ``fenics-crack integrate`` does (collective).
 
-    By the scheme, the steps and the periods of the table ``[integration]``, or the defaults.
+    By the scheme, the steps, the periods and the initial values of the table ``[integration]``, or
+    the defaults: from rest, until the motion settles.
 
     Parameters
     ----------
@@ -445,14 +447,27 @@ def integrate(
     table = scene.integration or Integration()
     if comm.size > 1 and scene.reduction is not None and scene.reduction.method == "off":
         raise InputError("reduction.method", "off", "a reduction, or one rank, for this command")
+    earlier = None if table.initial is None else _read_initial(table.initial, comm)
     study = prepare(scene, comm)
     structure, omega, law = study.structure, scene.excitation.omega, _needed_law(study)
     method = _method(study, table, law)
     prepare_asked(study)  # before the march: it may be refused
+    start: PeriodicSolution | tuple[np.ndarray, np.ndarray] | None = None
+    if table.deflection is not None:
+        weights = np.zeros((3, 3))
+        weights[0] = 1.0, table.deflection, table.deflection
+        static = structure.varied(load=weights)
+        start = solve_harmonic_balance(static, omega, law, harmonics=1)
+    elif earlier is not None:
+        start = _state_of(run_of(earlier, comm, judged=False), structure, table)
+    if table.free:
+        study = _freed(study)
+        structure = study.structure
     options: dict[str, Any] = {
         "periods": table.periods,
-        "settle": table.settle,
-        "record_periods": min(RECORDED_PERIODS, table.periods),
+        "settle": 0.0 if table.free else table.settle,
+        "record_periods": None if table.free else min(RECORDED_PERIODS, table.periods),
+        "initial": start,
         "progress": progress,
     }
     marches: dict[str, tuple[Callable[..., TimeHistory], int]] = {  # and usual steps per period
@@ -467,6 +482,50 @@ def integrate(
         steps = max(usual, 2 * stable_steps_per_period(structure, omega, law))
     history = march(structure, omega, law, steps_per_period=steps, **options)
     return Run(**vars(study), result=history)
+
+
+def _read_initial(path: str, comm: MPI.Comm) -> Stored:
+    """The file of an earlier motion, named by ``integration.initial`` (collective)."""
+    try:
+        stored = read(path, comm)
+    except InputError as error:
+        raise InputError("integration.initial", error.value, error.allowed) from None
+    if stored.kind not in (PeriodicSolution.KIND, TimeHistory.KIND):
+        raise InputError("integration.initial", path, "the file of a solution or an integration")
+    return stored
+
+
+def _state_of(
+    earlier: Run[Any], structure: Structure, table: Integration
+) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement and velocity of a structure where an earlier motion of the same mesh was: a
+    solution at phase 0 of its load, a motion in time at its end (collective).
+
+    Reduced structures take it by their modes: q = Phi^T M u.
+    """
+    found, whole = earlier.result, structure.whole
+    if isinstance(found, TimeHistory):
+        state = found.final_state
+    else:
+        state = initial_state(found.structure, found)
+    moved = found.structure.expand(np.array(state))
+    marks = [
+        np.zeros((one.n_local, 1)) if one.nodes is None else one.nodes.points
+        for one in (whole, found.structure.whole)
+    ]
+    same = moved.shape[1] == whole.n_local and np.array_equal(*marks)
+    if not all(whole.comm.allgather(same)):
+        table.require(False, "initial", "a result of the same mesh")
+    if isinstance(structure, ReducedStructure):
+        modal = whole.sum_over_ranks(times(whole.mass, moved.T).T @ structure.basis)
+        moved = np.pad(modal, ((0, 0), (0, structure.n_dofs - modal.shape[1])))
+    return moved[0], moved[1]
+
+
+def _freed(study: Study) -> Study:
+    """A study whose mean load acts alone."""
+    structure = study.structure.varied(load=np.diag([1.0, 0.0, 0.0]))
+    return replace(study, structure=structure.watching(study.watched[0].dof))
 
 
 def _method(study: Study, table: Integration, law: ContactLaw) -> str:
@@ -546,6 +605,8 @@ def run_of(stored: Stored, comm: MPI.Comm = MPI.COMM_WORLD, *, judged: bool = Tr
         study = _prepare_curve(scene, comm)
     else:
         study = prepare(scene, comm, whole=kind is Modes, judged=judged)
+    if kind is TimeHistory and scene.integration is not None and scene.integration.free:
+        study = _freed(study)
     result = unpack(stored, study.structure, study.contact)
     return Run(**vars(study), result=result, stated=verification_of(stored))
 

@@ -1,0 +1,163 @@
+"""Motions in time from given initial values: static deflections, and earlier results."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.io
+from helpers import relative
+from mpi4py import MPI
+from surroundings import main
+
+import fenics_crack as fc
+
+OMEGA, RATIO = 20.0, 0.02
+"""Natural frequency [rad/s] and damping of one mass."""
+LAWS: list[dict[str, Any]] = [
+    {"contact.stiffness": 1e9, "reduction.method": "free_interface"},
+    {"contact.law": "unilateral", "contact.stiffness": None},
+]
+laws = pytest.mark.parametrize("law", LAWS, ids=["penalty", "lips without mass"])
+
+
+@pytest.fixture
+def mass(tmp_path: Path) -> Path:
+    """The scene of one mass, 2 kg, far from its stop."""
+    for name, value in {"mass": 2.0, "stiffness": 800.0, "gap": 1.0, "force": 3.0}.items():
+        scipy.io.mmwrite(tmp_path / f"{name}.mtx", np.array([[value]]))
+    text = f"""
+        [structure]
+        mass = "mass.mtx"
+        stiffness = "stiffness.mtx"
+        gap = "gap.mtx"
+        force_sin = "force.mtx"
+        clearance = 1.0
+        [excitation]
+        omega = {OMEGA}
+        [damping]
+        ratio = {RATIO}
+        [contact]
+        stiffness = 1e3
+        [integration]
+        periods = 20
+        deflection = 2.0
+        free = true
+        """
+    (tmp_path / "mass.toml").write_text(text)
+    return tmp_path / "mass.toml"
+
+
+@pytest.fixture
+def scene(paper_scene: fc.Scene) -> fc.Scene:
+    """A plate with four pairs."""
+    return paper_scene.replace(
+        {"mesh.columns": 8, "damping.ratio": 0.02, "reduction.modes": 10, "integration.periods": 20}
+    )
+
+
+def decay(time: np.ndarray) -> np.ndarray:
+    """Of the mass, from the deflection 2 * 3 N / 800 N/m [m]."""
+    root = np.sqrt(1.0 - RATIO**2)
+    phase = root * OMEGA * time
+    wave = np.cos(phase) + RATIO / root * np.sin(phase)
+    return np.asarray(6.0 / 800.0 * np.exp(-RATIO * OMEGA * time) * wave)
+
+
+@pytest.mark.parametrize(
+    ("method", "accuracy"),
+    [("events", 1e-12), ("exponential", 1e-12), ("implicit", 1e-3), ("central_difference", 1e-3)],
+)
+def test_free_decay_from_a_static_deflection(mass: Path, method: str, accuracy: float) -> None:
+    """e^(-xi w t) (cos w_d t + ...), over all periods."""
+    run = fc.integrate(fc.Scene.load(mass, {"integration.method": method}), MPI.COMM_SELF)
+    assert len(run.result.by_period(run.result.time)) == 20
+    assert relative(run.result.displacement()[:, 0], decay(run.result.time)) < accuracy
+
+
+def test_free_decay_from_the_shell(mass: Path, tmp_path: Path) -> None:
+    """It ends well, and is read, drawn and goes on where it ended."""
+    out = ["--output", str(tmp_path), "--quiet"]
+    assert main(["integrate", str(mass), *out]) == 0
+    path = tmp_path / "integration.h5"
+    again: Any = fc.load_run(path, MPI.COMM_SELF).result
+    assert relative(again.displacement()[:, 0], decay(again.time)) < 1e-3
+    rows = json.loads((tmp_path / "integration.json").read_text())
+    assert {row["name"]: row["value"] for row in rows}["periods"] == 20
+    assert main(["plot", str(path), "--quiet"]) == 0
+    more = {"integration.deflection": None, "integration.initial": str(path)}
+    on = fc.integrate(fc.Scene.load(mass, more), MPI.COMM_SELF).result
+    assert relative(on.displacement()[:, 0], decay(on.time + 20 * 2.0 * np.pi / OMEGA)) < 1e-3
+
+
+@laws
+def test_static_deflection_stays(scene: fc.Scene, law: dict[str, Any]) -> None:
+    """Under a steady load that shuts the crack, which is not at rest otherwise."""
+    steady = {"excitation.force_sin": [0.0, 0.0], "excitation.force_mean": [-100.0, 0.0]}
+    scene = scene.replace(law | steady | {"integration.periods": 2})
+    kept, started = (
+        fc.integrate(scene.replace({"integration.deflection": factor}), MPI.COMM_SELF).result
+        for factor in (1.0, None)
+    )
+    assert kept.contact_force.max() > 1.0
+    assert np.ptp(kept.displacement()) < 1e-9 * np.ptp(started.displacement())
+
+
+@laws
+def test_a_solution_goes_on(scene: fc.Scene, law: dict[str, Any], tmp_path: Path) -> None:
+    """From its own state the motion stays on the orbit; with other modes and damping nearly."""
+    scene = scene.replace(law | {"harmonic_balance.harmonics": 20})
+    solved = fc.solve(scene, MPI.COMM_SELF)
+    solved.save(tmp_path / "solution.h5")
+    initial = {"integration.initial": str(tmp_path / "solution.h5"), "integration.periods": 2}
+    dof = solved.watched_dof
+    for changes, accuracy in (({}, 2e-2), ({"reduction.modes": 8, "damping.ratio": 0.021}, 0.1)):
+        found = fc.integrate(scene.replace(initial | changes), MPI.COMM_SELF).result
+        motion = solved.result.displacement(found.time, [dof])
+        assert relative(found.displacement([dof]), motion) < accuracy
+    rest = fc.integrate(scene.replace({"integration.periods": 2}), MPI.COMM_SELF).result
+    assert relative(rest.displacement([dof]), motion) > 0.3
+
+
+def from_solution(scene: fc.Scene, comm: MPI.Comm) -> list[float]:
+    """The last displacements of a motion from a solution (collective)."""
+    found = fc.integrate(scene, comm).result
+    return [float(value) for value in found.displacement()[-3:, 0]]
+
+
+@pytest.mark.mpi
+def test_two_ranks(on_ranks: Callable[..., Any], scene: fc.Scene, tmp_path: Path) -> None:
+    """They begin where one does."""
+    fc.solve(scene, MPI.COMM_SELF).save(tmp_path / "solution.h5")
+    initial = {"integration.initial": str(tmp_path / "solution.h5"), "integration.periods": 1}
+    scene = scene.replace(initial)
+    assert on_ranks(from_solution, scene) == pytest.approx(from_solution(scene, MPI.COMM_SELF))
+
+
+def test_bad_input(scene: fc.Scene, tmp_path: Path) -> None:
+    """One error names the key, of a file before anything is built."""
+    fc.modes(scene, 1, MPI.COMM_SELF).save(tmp_path / "modes.h5")
+    fc.solve(scene, MPI.COMM_SELF).save(tmp_path / "solution.h5")
+    wrong: list[tuple[str, dict[str, Any]]] = [
+        ("initial", {"initial": str(tmp_path / "none.h5")}),
+        ("initial", {"initial": str(tmp_path / "modes.h5")}),
+        ("deflection", {"initial": "solution.h5", "deflection": 1.0}),
+        ("deflection", {"deflection": 0.0}),
+        ("free", {"free": 1}),
+    ]
+    for key, table in wrong:
+        with pytest.raises(fc.InputError) as caught:
+            changes = {f"integration.{name}": value for name, value in table.items()}
+            fc.integrate(scene.replace(changes), MPI.COMM_SELF)
+        assert caught.value.key == f"integration.{key}"
+    with pytest.raises(fc.InputError) as caught:
+        scene.replace({"integration.free": True, "rotation.rpm": 60.0, "rotation.hub_radius": 0.1})
+    assert caught.value.key == "integration.free"
+    other = {"mesh.columns": 4, "integration.initial": str(tmp_path / "solution.h5")}
+    with pytest.raises(fc.InputError) as caught:
+        fc.integrate(scene.replace(other), MPI.COMM_SELF)
+    assert caught.value.key == "integration.initial"
