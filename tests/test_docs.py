@@ -204,6 +204,21 @@ def test_links_lead_somewhere() -> None:
         assert (ROOT / name).exists(), name
 
 
+@pytest.mark.parametrize(
+    "about",
+    ["PDF", "Initial values", "pandas", "cite", "upgrade", "Windows", "Friction", "Mistuning",
+     "law of my own", "Which damping"],
+)  # fmt: skip
+def test_questions_are_answered_from_the_first_page(about: str) -> None:
+    """In a row of the short answers, which leads on to a heading that exists."""
+    page = ROOT / "docs" / "short_answers.md"
+    assert "(docs/short_answers.md)" in PAGES[0].read_text()
+    [answer] = re.findall(rf"^\| [^|]*\b{about}\b[^|]* \| ([^|]+) \|$", page.read_text(), re.M)
+    for target, anchor in re.findall(r"\]\(([\w.]+)#([\w-]+)\)", answer):
+        headings = re.findall(r"^#+ (.*)$", (page.parent / target).read_text(), re.M)
+        assert anchor in [re.sub(r"[^\w -]", "", one.lower()).replace(" ", "-") for one in headings]
+
+
 def test_names_exist() -> None:
     """Public names and keys of a scene that the pages mention."""
     keys = {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from argparse import Namespace
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fenics_crack.cli.account import Account, account_of_sweep
-from fenics_crack.cli.given import Console, Inputs
+from fenics_crack.cli.given import BEFORE, Console, Inputs, has_replaced
 from fenics_crack.cli.results import account_of
 from fenics_crack.cli.scenes import remark_on_sweep
 from fenics_crack.errors import FEW_MODES, INTERRUPTED, Exit, InputError
@@ -68,7 +67,6 @@ def tell(
     """Write the tables of an account, and its picture by ``draw(path=...)``; print what there is to
     say. Returns how that ended."""
     path = folder / account.name
-    before = None if account.name == "sweep" else _content(path)  # its file is of one scene
 
     def write() -> None:
         account.summary.save(f"{path}.json")
@@ -82,7 +80,7 @@ def tell(
     h5 = f"{path}.h5"
     drawn = f"{f'{h5}, ' if Path(h5).exists() else path}.csv, .json, .{console.pictures}"
     console.note(drawn if draw else f"{h5}, .csv, .json; pictures: fenics-crack plot {h5}")
-    _note_replaced(path, before, console)
+    _note_replaced(path, console)
     if account.run is not None:
         away = {w.name.partition(".")[0]: w.distance for w in account.run.watched if w.distance > 0}
         places = [f"{name} {quantity(distance, 'm')}" for name, distance in away.items()]
@@ -95,17 +93,10 @@ def tell(
     return account.exit
 
 
-def _content(path: Path) -> bytes | None:
-    """What the table of a result holds; None where there is none yet."""
-    with contextlib.suppress(OSError):
-        return path.with_name(f"{path.name}.json").read_bytes()
-    return None
-
-
-def _note_replaced(path: Path, before: bytes | None, console: Console) -> None:
-    """Say so where a result has taken the place of another: of other values, or other data."""
-    if before not in (None, _content(path)):
-        console.note(f"{path}.*: took the place of another result; --output FOLDER keeps both")
+def _note_replaced(path: Path, console: Console) -> None:
+    """Say where the result is that one of other content has replaced."""
+    if has_replaced(Path(f"{path}.json")):
+        console.note(f"{path.parent / BEFORE}: here is the earlier result, of other content")
 
 
 def sweep(_: Namespace, inputs: Inputs, console: Console) -> Exit:
@@ -235,7 +226,6 @@ def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
         for kind in {"png", console.pictures}:  # a report takes the first
             draw_posterior(found, path=folder / f"posterior.{kind}")
 
-    before = _content(folder / "identify")
     on_root(console.comm, write)
     console.table(found.table())
     console.note(f"{found.verdict}: {found.reason}")
@@ -246,6 +236,6 @@ def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     console.note(*(f"next to measure: {advice}" for advice in found.advice))
     others = f"posterior.{console.pictures}, fit.csv, where_to_measure.csv"
     console.note(f"{folder / 'identify.h5'}, .json; {others}")
-    _note_replaced(folder / "identify", before, console)
+    _note_replaced(folder / "identify", console)
     console.warn(*found.warnings)
     return Exit.NOT_CONVERGED if found.doubts else Exit.DONE

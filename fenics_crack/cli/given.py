@@ -12,13 +12,14 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import sys
 import tempfile
 import time
 import tomllib
 from argparse import Namespace
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,6 +42,19 @@ if TYPE_CHECKING:
 COMMENTED = "cli/new_scene.toml"
 RECORDS = (".csv", ".h5")
 """Endings of arrivals, and of results that make them."""
+REPLACED = {
+    "modes": ("modes",),
+    "solve": ("solution",),
+    "curve": ("curve",),
+    "integrate": ("integration",),
+    "verify": ("verify",),
+    "campbell": ("campbell",),
+    "grow": ("growth",),
+    "timing": ("timing", "arrivals"),
+    "identify": ("identify", "posterior", "fit", "where_to_measure"),
+}
+"""Names of the files of a command's result, first that of its table; a sweep resumes its own."""
+BEFORE = "before"
 KINDS = ("blade", "timing", "identify")
 """What ``new`` writes besides a plate."""
 
@@ -191,14 +205,101 @@ def make_writable(folder: Path, comm: MPI.Comm) -> None:
     from fenics_crack.parallel import on_root  # PETSc
 
     def work() -> None:
-        try:
+        with _written(folder):
             folder.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryFile(dir=folder):
                 pass
-        except OSError as error:
-            raise not_written("--output", folder, error, "a folder that can be written") from None
 
     on_root(comm, work)
+
+
+@contextmanager
+def kept_before(folder: Path, command: str, comm: MPI.Comm) -> Iterator[None]:
+    """Keep the files of a command's result in the folder :data:`BEFORE`, one generation, where
+    those of another one take their place in the block: whose table is another, or has not been
+    reached (collective).
+
+    Raises
+    ------
+    InputError
+        They cannot be kept.
+    """
+    from fenics_crack.parallel import on_root  # PETSc
+
+    names, before = REPLACED.get(command, ()), folder / BEFORE
+
+    def set_aside() -> dict[Path, tuple[int, int]]:
+        old = [path for name in names for path in folder.glob(f"{name}.*") if _is_own(path)]
+        if old and (before.is_symlink() or (before.exists() and not before.is_dir())):
+            raise InputError("--output", str(before), "a folder, for results of another content")
+        for path in old:
+            _aside(path).unlink(missing_ok=True)
+            try:
+                os.link(path, _aside(path))
+            except OSError:  # a file system without links
+                shutil.copy2(path, _aside(path))
+        return {path: _mark(path) for path in old}
+
+    def settle(done: bool) -> None:
+        replaced = [path for path, mark in old.items() if _mark(path) != mark]
+        table = folder / f"{names[0]}.json" if names else folder
+        if done and table in old and not has_replaced(table):
+            replaced = []  # by the same result
+        if replaced:
+            before.mkdir(exist_ok=True)
+            for kept in [path for name in names for path in before.glob(f"{name}.*")]:
+                kept.unlink()
+        for path in old:
+            if path in replaced:
+                os.replace(_aside(path), before / path.name)
+            else:
+                _aside(path).unlink()
+
+    with _written(folder):
+        old = on_root(comm, set_aside)
+    try:
+        yield
+    except BaseException:
+        if comm.rank == 0:
+            with suppress(OSError):
+                settle(done=False)
+        raise
+    with _written(folder):
+        on_root(comm, lambda: settle(done=True))
+
+
+def has_replaced(table: Path) -> bool:
+    """True if the table of a result, within :func:`kept_before`, has replaced another one."""
+    with suppress(FileNotFoundError):
+        return table.read_bytes() != _aside(table).read_bytes()
+    return False
+
+
+def _aside(path: Path) -> Path:
+    """Where a file is kept while another one may take its place."""
+    return path.with_name(f".{path.name}.{BEFORE}")
+
+
+def _is_own(path: Path) -> bool:
+    """True if it is a file, not a link to one."""
+    return path.is_file() and not path.is_symlink()
+
+
+def _mark(path: Path) -> tuple[int, int]:
+    """What tells a file from one that has taken its place; zeros where there is none."""
+    with suppress(FileNotFoundError):
+        status = path.stat()
+        return status.st_ino, status.st_mtime_ns
+    return 0, 0
+
+
+@contextmanager
+def _written(folder: Path) -> Iterator[None]:
+    """Name the folder in the error of what cannot be written there."""
+    try:
+        yield
+    except OSError as error:
+        raise not_written("--output", folder, error, "a folder that can be written") from None
 
 
 # --- the scene that is written --------------------------------------------------------------------

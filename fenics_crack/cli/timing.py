@@ -18,7 +18,7 @@ from fenics_crack.arrivals.passages import PassageFit, find_passages
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import Account, in_one_unit, of_error, of_stability
 from fenics_crack.cli.commands import tell
-from fenics_crack.cli.given import Console, Inputs, changes, make_writable
+from fenics_crack.cli.given import Console, Inputs, changes, kept_before, make_writable
 from fenics_crack.draw.plot_study import draw_arrivals, draw_passages, draw_tip_fit, draw_tip_track
 from fenics_crack.errors import Exit, InputError
 from fenics_crack.parallel import on_root
@@ -162,7 +162,8 @@ def _record(given: Namespace, console: Console) -> Exit:
     account = _account_of_passages(found)
     warnings = [*remarks_on_arrivals(blades[first]), *account.warnings]
     warnings += [UNSWEPT] * blades[first].steady
-    return tell(replace(account, warnings=warnings), folder, console, draw)
+    with kept_before(folder, given.command, console.comm):
+        return tell(replace(account, warnings=warnings), folder, console, draw)
 
 
 def _account_of_passages(found: Mapping[int, Sequence[PassageFit]]) -> Account:

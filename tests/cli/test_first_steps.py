@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -111,17 +112,64 @@ def test_lines_to_paste(
     assert main([command, "own.toml", *sets(*coarse, *short.get(gone, [])), "--quiet"]) == 0
 
 
-def test_another_result_is_not_replaced_in_silence(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """One line says so; the same result again is none."""
+def omega(folder: Path) -> float:
+    """The first natural frequency in a folder's modes, by the table and by the file."""
+    first = float(json.loads((folder / "modes.json").read_text())[0]["omega [rad/s]"])
+    assert fc.load_run(folder / "modes.h5").result.omega[0] == pytest.approx(first)
+    return first
+
+
+def test_another_result_is_kept_as_the_one_before(here: Path) -> None:
+    """One generation, with all of its files; the same result again is none, and no other file of
+    the folder is touched."""
     assert main(["new", "own.toml", "--quiet"]) == 0
-    words = ["modes", "own.toml", *sets(*COARSE)]
-    for more, replaced in ([], False), ([], False), (sets("crack.length=0.02"), True):
-        capsys.readouterr()
+    out = Path("output/own")
+    out.mkdir(parents=True)
+    for name in ("modes.toml", "notes.txt"):
+        (out / name).write_text(name)
+    words, seen = ["modes", "own.toml", *sets(*COARSE), "--quiet"], []
+    for more in ([], [], sets("crack.length=0.02"), sets("crack.length=0.01")):
         assert main([*words, *more]) == 0
-        told = "output/own/modes.*: took the place of another result; --output FOLDER keeps both"
-        assert (told in capsys.readouterr().err.splitlines()) == replaced
+        seen.append(omega(out))
+        if (out / "before").exists():
+            assert omega(out / "before") == seen[-2]
+        assert (out / "before").exists() == (len(seen) > 2)
+    assert seen[1] < seen[2] < seen[3]
+    names = {"modes.h5", "modes.csv", "modes.json"}
+    assert {path.name for path in (out / "before").iterdir()} == names
+    assert {path.name for path in out.iterdir()} == names | {"before", "modes.toml", "notes.txt"}
+
+
+def test_a_result_is_kept_where_another_one_is_stopped(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Behind its file, and before its table; before its file nothing is replaced."""
+    assert main(["new", "own.toml", "--quiet"]) == 0
+    out, words = Path("output/own"), ["modes", "own.toml", *sets(*COARSE), "--quiet"]
+    assert main(words) == 0
+    first = omega(out)
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    for place, kept in (("runs.Run.save", False), ("account_of", True)):
+        with monkeypatch.context() as patch:
+            patch.setattr(f"fenics_crack.cli.commands.{place}", stop)
+            assert main([*words, *sets("crack.length=0.02")]) == 130
+        assert (out / "before").exists() == kept
+        assert len([*out.glob(".*")]) == 0
+    assert fc.load_run(out / "before" / "modes.h5").result.omega[0] == pytest.approx(first)
+
+
+def test_a_link_is_no_folder_to_keep_in(here: Path) -> None:
+    """Nothing is written where it leads."""
+    assert main(["new", "own.toml", "--quiet"]) == 0
+    words = ["modes", "own.toml", *sets(*COARSE), "--quiet"]
+    assert main(words) == 0
+    Path("elsewhere").mkdir()
+    Path("output/own/before").symlink_to(here / "elsewhere")
+    assert main([*words, *sets("crack.length=0.02")]) == 2
+    assert not [*Path("elsewhere").iterdir()] and len([*Path("output/own").iterdir()]) == 4
 
 
 @pytest.mark.parametrize(
