@@ -230,10 +230,11 @@ def _solution(run: Run[PeriodicSolution], file: File) -> None:
 
 
 def _history(run: Run[TimeHistory], file: File) -> None:
-    found, omega = run.result, run.scene.excitation.omega
-    title = f"The last periods of {found.periods}, {frequency_in_words(run.scene, omega)}"
-    if run.scene.integration is not None and run.scene.integration.free:
-        title = f"Free decay, periods of {frequency_in_words(run.scene, omega)}"
+    table, load, omega = run.scene.integration, run.scene.excitation.omega, None
+    title = "Free decay"
+    if table is None or not table.free:
+        title = f"The last periods of {run.result.periods}, {frequency_in_words(run.scene, load)}"
+        omega = load
     _waves(run, omega, path=file("integration_waves"), title=title)
     _tips(run, file)
 
@@ -249,14 +250,15 @@ def _tips(run: Run[Any], file: File) -> None:
         draw_stress_intensity(found, path=file(name), title=title)
 
 
-def _waves(run: Run, omega: float, **where: Any) -> None:
-    """Draw the displacement of the load's dof and the gap at the mouths over time."""
+def _waves(run: Run, omega: float | None, **where: Any) -> None:
+    """Draw the displacement of the load's dof and the gap at the mouths over time, in periods of a
+    frequency [rad/s], else in seconds."""
     found, styles = over_time(run, DRAWN_INSTANTS), itertools.cycle(STYLES)
     time, touch = found.time - found.time[0], "lips touch" if found.closings else None
     waves = [Wave(run.watched_name, time, found.motion[:, 0])]
     for place, wave in found.closings.items():
         waves.append(Wave(f"closing {place}", time, wave, *next(styles)))
-    period = 2.0 * np.pi / omega
+    period = None if omega is None else 2.0 * np.pi / omega
     draw_waves(waves, quantity="displacement", period=period, zero=touch, **where)
 
 

@@ -202,9 +202,9 @@ def draw_verification(found: Verification, **where: Unpack[Where]) -> Figure:
     """
     size = 13.0, max(4.2, 1.8 + 0.3 * len(found.values))
     left, right = picture = Picture(2, columns=2, size=size, **where)
-    looks = _looks(found, found.causes[0]) if found.causes else {}
-    if found.causes:
-        _draw_orders(left, found, found.causes[0], looks)
+    cause = next(iter(found.causes), "")
+    looks = _looks(found, cause) if cause else {}
+    _draw_orders(left, found, cause, looks)
     _draw_contributions(right, found, looks)
     return picture.finished()
 
@@ -218,16 +218,16 @@ def _draw_orders(panel: Axes, found: Verification, cause: str, looks: Looks) -> 
         shares = np.array([100.0 * found.relative(name, distance) for distance in away])
         widest, largest = np.array(part.sizes) / part.sizes[-1], max(largest, shares.max())
         panel.plot(widest, shares, **look)
-    if looks:
-        ends = widest[[0, -1]]
-        panel.plot(ends, 2.0 * largest * ends, color="black", ls=":", lw=1.2, label="first order")
-        panel.set(xscale="log", yscale="log")
-        panel.set_xticks(widest, labels=[f"{tick:.2g}" for tick in widest])
-        panel.set_xticks([], minor=True)
-        label_axis(panel.yaxis, "difference from the extrapolated value", "%")
-    else:
-        panel.set(xticks=[], yticks=[])
+    if not looks:
+        panel.set_axis_off()
         panel.text(0.5, 0.5, "nothing to extrapolate", ha="center", transform=panel.transAxes)
+        return
+    ends = widest[[0, -1]]
+    panel.plot(ends, 2.0 * largest * ends, color="black", ls=":", lw=1.2, label="first order")
+    panel.set(xscale="log", yscale="log")
+    panel.set_xticks(widest, labels=[f"{tick:.2g}" for tick in widest])
+    panel.set_xticks([], minor=True)
+    label_axis(panel.yaxis, "difference from the extrapolated value", "%")
     own = found.counts[cause][0]
     text = f"{own} {cause} of the scene over their number"
     if cause == "mesh":
@@ -241,7 +241,7 @@ def _looks(found: Verification, cause: str) -> Looks:
     drawn = [
         name
         for name, part in parts.items()
-        if part.is_asymptotic and all(value != part.extrapolated for value in part.values)
+        if part.is_asymptotic and found.values[name] and part.extrapolated not in part.values
     ]
     every = zip(drawn, product(MARKS, COLOURS.values()), strict=False)
     return {name: {"marker": mark, "color": colour, "ms": 5} for name, (mark, colour) in every}
