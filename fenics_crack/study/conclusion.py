@@ -142,8 +142,10 @@ def _others(run: Answer) -> list[str]:
         shares = (f"{n} {name}" for n, name in zip(counts, names, strict=True))
         return [f"of {len(found)} points {', '.join(shares)}"]
     if isinstance(found, TimeHistory):
-        least = (run.scene.integration or Integration()).settle
-        return [] if found.settled <= least else ["the motion has not settled"]
+        asked = run.scene.integration or Integration()
+        if asked.free:
+            return ["free decay" if found.periods >= asked.periods else "the decay ended early"]
+        return [] if found.settled <= asked.settle else ["the motion has not settled"]
     if not isinstance(found, PeriodicSolution) or not found.converged:
         return []
     if found.still:
