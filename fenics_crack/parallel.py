@@ -10,7 +10,8 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from itertools import dropwhile
 from typing import Any, TypeVar, cast
 
@@ -110,6 +111,19 @@ def collect_garbage(comm: MPI.Comm) -> None:
 def gather_rows(comm: MPI.Comm, rows: np.ndarray) -> np.ndarray[Any, Any]:
     """Stack the rows of all ranks, in rank order, on every rank (collective)."""
     return np.concatenate(comm.allgather(np.asarray(rows)), axis=0)
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Ignore Ctrl-C while what was found is written."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
 
 
 class StopRequest:

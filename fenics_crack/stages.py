@@ -19,6 +19,7 @@ BEAT = 5.0
 """Between signs of life [s]."""
 _listeners: list[Callable[[str], None]] = []
 _parts: list[str] = []
+_reached: list[Callable[[], str]] = []
 
 
 def begin(stage: str) -> None:
@@ -36,6 +37,16 @@ def within(part: str) -> Iterator[None]:
         yield
     finally:
         _parts.pop()
+
+
+@contextmanager
+def reaching(how_far: Callable[[], str]) -> Iterator[None]:
+    """Add to signs of life how far something has come: "38% of 780 to 880 Hz, 120 points"."""
+    _reached.append(how_far)
+    try:
+        yield
+    finally:
+        _reached.pop()
 
 
 @contextmanager
@@ -91,6 +102,7 @@ class StageLines:
         while not over.wait(BEAT):
             with self._writing:
                 said = f"  {self._stage} ... {time.perf_counter() - self._began:.0f} s"
+                said = ", ".join([said, *(how_far() for how_far in _reached)])
                 if self._stage:
                     self._write(f"\r\033[K{said}" if self._live else f"{said}\n")
 

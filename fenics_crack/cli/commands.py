@@ -15,8 +15,8 @@ from fenics_crack.cli.account import Account, account_of_sweep
 from fenics_crack.cli.given import BEFORE, Console, Inputs, has_replaced
 from fenics_crack.cli.results import account_of
 from fenics_crack.cli.scenes import remark_on_sweep
-from fenics_crack.errors import FEW_MODES, INTERRUPTED, Exit, InputError
-from fenics_crack.parallel import on_root
+from fenics_crack.errors import FEW_MODES, INTERRUPTED, Exit, InputError, StoppedError
+from fenics_crack.parallel import on_root, uninterrupted
 from fenics_crack.study import run as runs
 from fenics_crack.study.key_figures import coriolis_in_words, remarks_on_scene
 from fenics_crack.study.run import Run
@@ -46,16 +46,25 @@ def solved(given: Namespace, inputs: Inputs, console: Console) -> Exit:
         own = {"progress": console.progress}
     with console.stage(name):
         run = compute(inputs.scene, comm=console.comm, **own)
-    with console.stage("errors"):
-        run = replace(run, stated=run.errors)
-    folder = inputs.folder
-    if name == "curve" and run.result.status == INTERRUPTED:
-        older = folder / f"{name}.h5"
-        if on_root(console.comm, older.exists):  # a part takes the place of no result
-            name = "curve_interrupted"
-            console.note(f"{older} stays as it was; what was found until Ctrl-C is beside it")
-    run.save(folder / f"{name}.h5")
-    return tell(replace(account_of(run), name=name), folder, console)
+    folder, account = inputs.folder, None
+    stopped = name == "curve" and run.result.status == INTERRUPTED
+    try:
+        with console.stage("errors"):
+            if not stopped:
+                run = replace(run, stated=run.errors)
+            account = account_of(run)
+    except KeyboardInterrupt:
+        stopped = True
+    with uninterrupted():
+        if stopped and on_root(console.comm, (folder / f"{name}.h5").exists):
+            console.note(
+                f"{folder / name}.* stays as it was: what was found until Ctrl-C is beside it"
+            )
+            name = f"{name}_interrupted"  # a part takes the place of no result
+        run.save(folder / f"{name}.h5")
+        if account is None:
+            raise StoppedError(f"stopped; {folder / name}.h5 has what was found until then")
+        return tell(replace(account, name=name), folder, console)
 
 
 modes = solve = curve = integrate = solved
@@ -104,7 +113,7 @@ def sweep(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     from fenics_crack.sweep.result import run_sweep
 
     scene, folder = inputs.scene, inputs.folder
-    with console.timed("sweep"):
+    with console.stage("sweep", bars=True):
         found = run_sweep(scene, folder / "sweep.h5", console.comm, progress=console.progress)
     return tell(account_of_sweep(found, remark_on_sweep(scene, console.comm)), folder, console)
 
@@ -115,7 +124,7 @@ def grow(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     from fenics_crack.sweep import growth
 
     scene, folder = inputs.scene, inputs.folder
-    with console.timed("growth"):
+    with console.stage("growth", bars=True):
         found = growth.grow(scene, folder, console.comm, progress=console.progress)
     found.save(folder / "growth.h5", console.comm)
     draw = partial(draw_growth, found, in_hertz=scene.in_hertz)
@@ -214,7 +223,7 @@ def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     if inputs.before is not None:
         parts.append(_told_by(inputs.before, scene, console, before=True))
     rows = sum(parts[1:], parts[0])
-    with console.timed("identification"):
+    with console.stage("identification", bars=True):
         how = {"comm": console.comm, "progress": console.progress}
         found = search.identify(scene, rows, folder=folder, **how)
     worth = found.where_to_measure()

@@ -28,7 +28,7 @@ import numpy as np
 
 from fenics_crack.errors import InputError, check_count
 from fenics_crack.scene.scene import Scene
-from fenics_crack.stages import StageLines, listening
+from fenics_crack.stages import StageLines, begin, listening
 from fenics_crack.table import Table
 from fenics_crack.version import packaged
 from fenics_crack.whole import not_written, write_whole
@@ -192,11 +192,13 @@ class Console:
             print(f"{name}: {time.perf_counter() - started:.2f} s", file=sys.stderr, flush=True)
 
     @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
+    def stage(self, name: str, *, bars: bool = False) -> Iterator[None]:
         """The same, and unless quiet is asked for what is done in that part while it is done: where
-        no progress is shown, now and then."""
-        lines = nullcontext() if self.quiet else listening(StageLines(kept=self.progress))
+        no progress is shown, now and then, and nothing beside ``bars`` of all that is done."""
+        silent = self.quiet or (bars and self.progress)
+        lines = nullcontext() if silent else listening(StageLines(kept=self.progress))
         with self.timed(name), lines:
+            begin(name)
             yield
 
 

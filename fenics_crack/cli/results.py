@@ -37,7 +37,7 @@ from fenics_crack.cli.scenes import remark_on
 from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, kind_in_words, parameter_axis
 from fenics_crack.curves.peak import AT_END, Top
 from fenics_crack.curves.stability import attractors
-from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.errors import INTERRUPTED, ConvergenceError, InputError
 from fenics_crack.files.store import IDENTIFICATION, Stored
 from fenics_crack.model.modes import KINDS, BilinearFrequencies, Modes, bilinear_frequencies
 from fenics_crack.model.rotation import RunUpStructure
@@ -461,7 +461,7 @@ def _account_of_curve(run: Run[ResponseCurve]) -> Account:
         tables={"Special points": in_short(special, scene, SHORT_OF_CURVE)},
         remarks=run.remarks,
         closing=conclusion(run, len(warnings)),
-        done=bool(found.complete),
+        done=bool(found.complete) and found.status != INTERRUPTED,
         missed=bool(unknown_error(run)),
         run=run,
     )
@@ -531,6 +531,10 @@ def _facts_of_curve(run: Run[ResponseCurve], largest: str) -> Iterator[str]:
 def _warnings_of_curve(run: Run[ResponseCurve]) -> Iterator[str]:
     """A large error, where and why the stability is undecided, and an early end."""
     found, scene = run.result, run.scene
+    if found.status == INTERRUPTED:  # nothing more is assessed
+        early = "" if found.complete else "ended early: it "
+        yield f"the curve {early}was interrupted; its errors and stability were not examined"
+        return
     peak = int(np.argmax(found.amplitude(run.watched_dof)))
     looked_at = {peak, *np.linspace(0, len(found) - 1, LOOKED_AT).astype(int).tolist()}
     solutions = {index: found.solution(index) for index in sorted(looked_at)}

@@ -376,12 +376,12 @@ def _collected(path: MotionPath, shown: bool) -> tuple[list[PathPoint], str]:
     """The points of a path, with a progress bar if it is to be shown, and what has ended it."""
     found, start, ended = [path.last], path.last.parameter, ""
     form = "{l_bar}{bar}"
-    bar = tqdm(total=100.0, desc="backbone", unit="%", disable=not shown, bar_format=form)
+    bar = tqdm(total=100, desc="backbone", unit="%", disable=not shown, bar_format=form)
     try:
         for point in path:
             found.append(replace(point, at=None))
             share = (point.parameter - start) / (path.end - start)
-            bar.update(max(0.0, 100.0 * share - bar.n))
+            bar.update(max(0, int(100.0 * share) - bar.n))
     except KeyboardInterrupt:
         ended = INTERRUPTED
     except ConvergenceError as error:

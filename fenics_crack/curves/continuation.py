@@ -30,7 +30,13 @@ from fenics_crack.curves.beginnings import (
     first_of_branch,
     odd_rows,
 )
-from fenics_crack.curves.curve import Bifurcation, CurvePoint, ResponseCurve, columns
+from fenics_crack.curves.curve import (
+    Bifurcation,
+    CurvePoint,
+    ResponseCurve,
+    columns,
+    parameter_axis,
+)
 from fenics_crack.curves.exact import FOLLOWED, verified
 from fenics_crack.curves.family import FAMILIES, Family
 from fenics_crack.errors import InputError, check_choice, check_count, check_number
@@ -61,6 +67,7 @@ from fenics_crack.numerics.path import (
     Stretch,
     Target,
 )
+from fenics_crack.table import counted, in_unit
 
 LONGEST_STEP = 0.05
 """Longest step, unless another one is asked for."""
@@ -221,6 +228,14 @@ class Continuation:
     def progress(self) -> float:
         """How much of the way from start to end has been gone, 0 to 1."""
         return min(1.0, max(0.0, self._family.parameter(self._points[-1].value)))
+
+    def how_far(self) -> str:
+        """The same in words, with the range and how many points there are."""
+        ends = in_unit(
+            parameter_axis(self._family.name, True), self._family.start, self._family.end
+        )
+        points = counted(len(self._points), "point")
+        return f"{self.progress():.0%} of the way between {ends}, {points}"
 
     def __iter__(self) -> Iterator[CurvePoint]:
         """Yield the first point, or the last one of a resumed curve, and all that follow."""

@@ -27,7 +27,7 @@ from fenics_crack.errors import (
 from fenics_crack.hints import check_options
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
-from fenics_crack.stages import begin
+from fenics_crack.stages import begin, reaching
 from fenics_crack.table import RPM
 
 ATTEMPTS = 4
@@ -333,26 +333,21 @@ def _run(
     again: Callable[[], Continuation | None] | None = None,
 ) -> ResponseCurve:
     """Follow to the end, where the curve comes back to its start from another solution there; the
-    curve, judged if that is asked for."""
-    begin("")
-    hidden = not progress or growing.followed.structure.whole.comm.rank != 0
-    bar = tqdm(total=100.0, desc="curve", unit="%", disable=hidden, bar_format=BAR)
+    curve, judged if that is asked for, but not after Ctrl-C."""
     try:
-        _follow(growing, bar)
-        if again is not None and growing.returned:
-            other = again()
-            if other is None and not growing.complete:
-                growing.status += " (no other curve was met from its end on)"
-            growing = other or growing
-    except KeyboardInterrupt:
-        throw = False
-        if not growing.returned:
-            growing.status = INTERRUPTED
-    except ConvergenceError as error:
-        growing.status = str(error)
-    finally:
-        bar.close()
-    curve = growing.curve
+        try:
+            _follow(growing, progress)
+            if again is not None and growing.returned:
+                other = again()
+                if other is None and not growing.complete:
+                    growing.status += " (no other curve was met from its end on)"
+                growing = other or growing
+        except ConvergenceError as error:
+            growing.status = str(error)
+        curve = growing.curve
+    except KeyboardInterrupt:  # which ends the verdicts, too
+        throw, growing.status = False, INTERRUPTED
+        curve = growing.followed
     if throw and not curve.complete:
         raise ConvergenceError(
             f"curve in {curve.parameter} from {curve.values[0]:g}: {curve.status} at "
@@ -362,11 +357,16 @@ def _run(
     return curve
 
 
-def _follow(growing: Continuation, bar: Any) -> None:
-    if bar.disable:
-        growing.run()
+def _follow(growing: Continuation, progress: bool) -> None:
+    """Follow to the end with a bar, or signs of life."""
+    first = growing.followed
+    if not progress or first.structure.whole.comm.rank != 0:
+        begin("curve")
+        with reaching(growing.how_far):
+            growing.run()
         return
-    parameter = growing.followed.parameter
-    for count, point in enumerate(growing, 1):
-        bar.set_postfix_str(_where(parameter, point, count), refresh=False)
-        bar.update(max(0.0, 100.0 * growing.progress() - bar.n))
+    begin("")
+    with tqdm(total=100, desc="curve", unit="%", bar_format=BAR) as bar:
+        for count, point in enumerate(growing, 1):
+            bar.set_postfix_str(_where(first.parameter, point, count), refresh=False)
+            bar.update(max(0, int(100.0 * growing.progress()) - bar.n))

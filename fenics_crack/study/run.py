@@ -480,6 +480,7 @@ def integrate(
     steps = table.steps_per_period or usual
     if method == "central_difference" and table.steps_per_period is None:
         steps = max(usual, 2 * stable_steps_per_period(structure, omega, law))
+    begin(f"integration, {method}")
     history = march(structure, omega, law, steps_per_period=steps, **options)
     return Run(**vars(study), result=history)
 

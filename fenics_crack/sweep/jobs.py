@@ -175,9 +175,16 @@ class Manager:
         self._given_out, self._recorded = 0, 0
         """Jobs at the other groups, and chunks written."""
         self._failed = int(np.count_nonzero(file.state == FAILED))
-        done = int(np.count_nonzero(file.state != PENDING))
         how = {"desc": "sweep", "unit": "case", "disable": not progress}
-        self._bar = tqdm(total=file.state.size, initial=done, **how)
+        self._bar = tqdm(total=file.state.size, initial=self._done, **how)
+
+    @property
+    def _done(self) -> int:
+        return int(np.count_nonzero(self._file.state != PENDING))
+
+    def how_far(self) -> str:
+        """Cases that are done, and all."""
+        return f"{self._done} of {self._file.state.size} cases of the sweep"
 
     @property
     def stored(self) -> Stored:

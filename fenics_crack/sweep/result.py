@@ -50,6 +50,7 @@ from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene, unit_of
 from fenics_crack.scene.tables import Sweep
 from fenics_crack.scene.words import check_scene
+from fenics_crack.stages import reaching
 from fenics_crack.study.prepare import law_of
 from fenics_crack.sweep.case import Asked, build
 from fenics_crack.sweep.file import (
@@ -166,7 +167,8 @@ def run_sweep(
     worker = Worker(group, asked)
     with StopRequest() as stop:
         if managers:
-            managers[0].run(worker, leaders, stop)
+            with reaching(managers[0].how_far):
+                managers[0].run(worker, leaders, stop)
         elif group.rank == 0:
             serve(worker, leaders)
         if group.rank == 0:

@@ -40,7 +40,7 @@ from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.numerics.fourier import balanced, derivative, evaluate, waves
 from fenics_crack.numerics.newton import moving_size
 from fenics_crack.parallel import StopRequest, raise_together
-from fenics_crack.stages import begin
+from fenics_crack.stages import begin, reaching
 from fenics_crack.table import Tabular, counted
 
 HARMONICS = 10
@@ -405,10 +405,11 @@ def march(asked: March, scheme: Scheme) -> TimeHistory:
     load_motion = np.empty((steps, len(asked.load_rows)))
     settled, done = np.inf, 0
     before: tuple[np.ndarray, np.ndarray] | None = None
-    begin("")
     hidden = not asked.progress or structure.comm.rank != 0
+    if not hidden:
+        begin("")
     started = clock.perf_counter()
-    with StopRequest() as stop:
+    with StopRequest() as stop, reaching(lambda: f"{done} of {asked.periods} periods"):
         for number in tqdm(range(asked.periods), scheme.name, unit="period", disable=hidden):
             place = slice(number % kept * steps, (number % kept + 1) * steps)
             window = Window(gap[place], force[place], motion[place], load_motion)
