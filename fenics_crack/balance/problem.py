@@ -87,7 +87,8 @@ from fenics_crack.stages import begin
 BEYOND = 2.0
 """Modes above so many times the highest harmonic answer at once."""
 ON_PATH = 15_000
-"""Unknowns of all points together of a path to more harmonics: 0.1 s where these are few."""
+"""Unknowns of all points together of a path to more harmonics: 0.1 s where these are few. And of
+what one call of the kernel follows of a curve: Ctrl-C waits for it, a second or two."""
 MOST_FORMED = 1000
 """Unknowns up to which J is formed for such a motion: with 1,500 each point of a path takes
 seconds, and ten lead nowhere."""

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from fenics_crack.balance.harmonic_balance import check_initial
-from fenics_crack.balance.problem import Problem, check_memory
+from fenics_crack.balance.problem import ON_PATH, Problem, check_memory
 from fenics_crack.balance.solution import (
     PeriodicSolution,
     Solver,
@@ -297,12 +297,13 @@ class Continuation:
                 events.append(_Joined(odd))
         if self._origin is not None and self._origin.unknown.shape == here.unknown.shape:
             events.append(Closed(self._origin, self._family))
+        most = LOOK_EVERY if self._tolerance is not None else PathOptions.at_once
         options = PathOptions(
             initial_step=step,
             max_step=self._longest,
             min_step=max(1e-10, self._family.rounding(here.parameter)),
             max_steps=self._most + 1 - len(self._points),
-            at_once=LOOK_EVERY if self._tolerance is not None else PathOptions.at_once,
+            at_once=max(1, min(most, ON_PATH // here.unknown.size)),
             span=(-self._back, np.inf),
         )
         return Path(self._family, here, options, events)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -167,11 +168,16 @@ Found = dict[str, Any]
 "force" coefficients if it converged."""
 
 
-def solve_chunk(geometry: Geometry, chunk: Chunk, asked: Asked) -> list[Found]:
+def solve_chunk(
+    geometry: Geometry, chunk: Chunk, asked: Asked, go_on: Callable[[], bool]
+) -> list[Found]:
     """Solve cases one after the other, each at its own frequency or at its resonance; with verdicts
-    on their stability, if wanted, and with the error of a reduction that has been judged."""
+    on their stability, if wanted, and with the error of a reduction that has been judged. The first
+    ones where ``go_on``, which is called before each, ends it."""
     cases, solved = Cases(geometry), []
     for number, case in zip(chunk.numbers.tolist(), chunk.cases, strict=True):
+        if not go_on():
+            break
         if isinstance(case, str):
             solved.append({"status": case})
             cases = Cases(geometry)

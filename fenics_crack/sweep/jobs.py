@@ -64,7 +64,7 @@ class Worker:
 
     def work(self, job: Job, go_on: Callable[[], bool]) -> Iterator[tuple[np.ndarray, Outcome]]:
         """Do a job with the whole group, and yield what is found of each chunk; called by its
-        leader, whose wish to go on is asked for before each chunk."""
+        leader, whose wish to go on is asked for before each chunk, and before each of its cases."""
         self._group.bcast(job)
         return self._work(job, go_on)
 
@@ -91,7 +91,7 @@ class Worker:
                 return
             self._build(job)
             mine = job.chunks[first + rank : first + rank + 1]
-            found = self._group.gather([(chunk.numbers, self._outcome(chunk)) for chunk in mine])
+            found = self._group.gather([self._outcome(chunk, go_on) for chunk in mine])
             for outcomes in found or ():
                 yield from outcomes
 
@@ -113,19 +113,20 @@ class Worker:
             self._built = _unforeseen()
         self._number = job.geometry
 
-    def _outcome(self, chunk: Chunk) -> Outcome:
+    def _outcome(self, chunk: Chunk, go_on: Callable[[], bool]) -> tuple[np.ndarray, Outcome]:
+        """Numbers of the cases that were done, and what was found of them."""
         built = self._built
         if isinstance(built, Geometry):
             try:
-                return solve_chunk(built, chunk, self._asked)
+                found = solve_chunk(built, chunk, self._asked, go_on)
+                return chunk.numbers[: len(found)], found
             except Exception:
-                return _unforeseen()
+                return chunk.numbers, _unforeseen()
         large = isinstance(built, InputError) and built.key == "reduction.method"
         if built is None or (isinstance(built, REFUSALS) and not (large and self._asked.hopeless)):
-            return [
-                {"status": case if isinstance(case, str) else str(built)} for case in chunk.cases
-            ]
-        return built
+            told = [case if isinstance(case, str) else str(built) for case in chunk.cases]
+            return chunk.numbers, [{"status": status} for status in told]
+        return chunk.numbers, built
 
 
 def _unforeseen() -> RuntimeError:
@@ -215,7 +216,9 @@ class Manager:
             while go_on() and self._given_out:
                 self._hear(leaders)
         except BaseException as error:
-            self._fail(error)
+            second = isinstance(error, KeyboardInterrupt) and stop.asked(MPI.COMM_SELF)
+            if not second:  # else what is written is all
+                self._fail(error)
         self._left.clear()
         for group in others:
             leaders.send(None, group, tag=END)

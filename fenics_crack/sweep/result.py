@@ -94,7 +94,7 @@ def run_sweep(
 ) -> SweepResult:
     """Solve all cases of a scene's sweep by harmonic balance (collective).
 
-    A case that cannot be solved is recorded with the reason. Ctrl-C stops after the present jobs;
+    A case that cannot be solved is recorded with the reason. Ctrl-C stops after the present cases;
     the same call continues with the cases that are missing.
 
     Parameters

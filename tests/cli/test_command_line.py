@@ -9,8 +9,10 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
+import time
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +20,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import MPI_ENVIRONMENT, ROOT
+from helpers import MPI_ENVIRONMENT, ROOT, wrap
 from surroundings import main
 
 import fenics_crack as fc
@@ -459,6 +461,79 @@ def test_a_largest_response_is_one_peak_or_still_rising(
     assert f"{peak.frequency:.6g} Hz" in said
     assert main(["report", str(tmp_path / "curve.h5"), "--quiet"]) == 0
     assert f"{peak.frequency:.6g} Hz" in (tmp_path / "report.html").read_text()
+
+
+def test_ctrl_c_during_the_verdicts_of_a_curve(tmp_path: Path) -> None:
+    """They would take a minute and more: the points are saved within seconds, without them."""
+    words = ["curve", str(PAPER), "--output", str(tmp_path), "--set", "curve.start=2000.0",
+             "--set", "curve.stop=3000.0"]  # fmt: skip
+    program = subprocess.Popen(
+        [*PROGRAM, *words], env=ENVIRONMENT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+        text=True,
+    )  # fmt: skip
+    with program:
+        assert program.stderr is not None
+        assert any("points" in line or "stability" in line for line in program.stderr)
+        program.send_signal(signal.SIGINT)
+        began = time.monotonic()
+        assert program.wait(60.0) == 3
+    assert time.monotonic() - began < 15.0  # seconds where other tests run meanwhile
+    curve = fc.load_run(tmp_path / "curve.h5").result
+    assert isinstance(curve, fc.ResponseCurve)
+    assert (curve.status, curve.multipliers) == ("interrupted", None) and len(curve) > 10
+    assert len(table(tmp_path / "curve.csv")) == len(curve)
+
+
+def test_ctrl_c_during_the_errors(
+    results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The solution is saved beside an older one, whatever comes meanwhile."""
+    shutil.copy(results / "solution.h5", tmp_path)
+
+    def stopped(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    def again(save: Callable[..., None], *given: Any) -> None:
+        signal.raise_signal(signal.SIGINT)
+        save(*given)
+
+    handler = signal.getsignal(signal.SIGINT)
+    with monkeypatch.context() as patch:
+        patch.setattr("fenics_crack.study.run.errors_of", stopped)
+        wrap(patch, "fenics_crack.study.run.on_root", again)
+        assert main(["solve", str(PAPER), "--output", str(tmp_path)]) == 3
+    assert signal.getsignal(signal.SIGINT) == handler
+    assert (tmp_path / "solution.h5").read_bytes() == (results / "solution.h5").read_bytes()
+    found = fc.load_run(tmp_path / "solution_interrupted.h5")
+    assert found.result.converged and found.stated is None
+
+
+@pytest.mark.parametrize(
+    ("command", "changes", "said"),
+    [
+        (
+            "curve",
+            "curve.start=1e3 curve.stop=3e3 curve.stability=false harmonic_balance.harmonics=40",
+            r"\d+% .* \d+ points?",
+        ),
+        ("sweep", "sweep.over={'excitation.omega'=[1e3,1.1e3,1.2e3]}", "[0-3] of 3 cases"),
+        ("integrate", "integration.periods=200", r"\d+ of 200 periods"),
+    ],
+)
+def test_signs_of_life_say_how_far(
+    command: str,
+    changes: str,
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+) -> None:
+    """On what is no terminal, a line each."""
+    monkeypatch.setattr("fenics_crack.stages.BEAT", 0.01)
+    settings = ["damping.ratio=0.02", "contact.stiffness=1e9", *changes.split()]
+    words = [word for one in settings for word in ("--set", one)]
+    assert main([command, str(PAPER), "--output", str(tmp_path), *words]) in (0, 3)
+    assert re.search(rf"^  .* \d+ s, {said}", capsys.readouterr().err, re.MULTILINE)
 
 
 def test_points_of_a_curve(results: Path) -> None:

@@ -1,5 +1,8 @@
 """Response curves by arc-length continuation."""
 
+import io
+import re
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -16,6 +19,7 @@ from helpers import (
     to_complex,
     true_error,
     two_masses,
+    wrap,
 )
 
 import fenics_crack as fc
@@ -403,6 +407,20 @@ def test_interruption_keeps_what_is_done(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(fc.Continuation, "progress", progress)
     curve = continue_frequency(structure, 2.0, 0.3, law, progress=True)
     assert not curve.complete and curve.status == "interrupted" and len(curve) == 20
+
+
+def test_the_bar_counts_whole_per_cents(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a terminal of unknown width, too."""
+    shown = io.StringIO()
+
+    def narrow(bar: Callable[..., Any], **options: Any) -> Any:
+        return bar(**options, ncols=0, file=shown, mininterval=0.0)
+
+    wrap(monkeypatch, "fenics_crack.curves.follow.tqdm", narrow)
+    law = fc.UnilateralPenalty(1.0)
+    assert continue_frequency(oscillator(0.02, 0.1), 2.0, 0.3, law, progress=True).complete
+    counts = re.findall(r"% (\S+)/100 ", shown.getvalue())
+    assert len(counts) > 10 and counts[-1] == "100" and all(map(str.isdigit, counts))
 
 
 def test_harmonics_follow_the_truncation(tmp_path: Path) -> None:
