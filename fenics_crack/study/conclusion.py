@@ -12,6 +12,7 @@ import numpy as np
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.curves.peak import AT_END
+from fenics_crack.errors import INTERRUPTED
 from fenics_crack.model.modal import is_small
 from fenics_crack.scene.tables import Integration
 from fenics_crack.study.key_figures import (
@@ -111,6 +112,8 @@ def _outcome(run: Answer) -> str:
         missed = tolerance is not None and found.report.total > tolerance
         return "solved, but the tolerance is missed" if missed else "solved"
     if isinstance(found, ResponseCurve):
+        if found.status == INTERRUPTED:
+            return "the curve was interrupted, its errors and stability were not examined"
         return "curve complete" if found.complete else "the curve ended early"
     if isinstance(found, TimeHistory):
         return "integrated"
