@@ -113,7 +113,7 @@ def _outcome(run: Answer) -> str:
         return "solved, but the tolerance is missed" if missed else "solved"
     if isinstance(found, ResponseCurve):
         if found.status == INTERRUPTED:
-            return "the curve was interrupted, its errors and stability were not examined"
+            return "curve interrupted"
         return "curve complete" if found.complete else "the curve ended early"
     if isinstance(found, TimeHistory):
         return "integrated"
