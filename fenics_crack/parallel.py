@@ -11,7 +11,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import dropwhile
 from typing import Any, TypeVar, cast
 
@@ -96,7 +96,7 @@ def on_root(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
     return comm.bcast(result)
 
 
-def collect_garbage(comm: MPI.Comm) -> None:
+def collect_garbage(comm: MPI.Comm, *, stopped: bool = False) -> None:
     """Free PETSc objects that are no longer referenced (collective).
 
     petsc4py leaves them alone when Python deletes them: ranks may do so in different orders. So it
@@ -104,8 +104,9 @@ def collect_garbage(comm: MPI.Comm) -> None:
     """
     from petsc4py import PETSc
 
-    PETSc.garbage_cleanup(comm)
-    PETSc.garbage_cleanup(MPI.COMM_SELF)
+    with suppress(*[PETSc.Error] if stopped else []):  # of a solver in the middle of a step
+        PETSc.garbage_cleanup(comm)
+        PETSc.garbage_cleanup(MPI.COMM_SELF)
 
 
 def gather_rows(comm: MPI.Comm, rows: np.ndarray) -> np.ndarray[Any, Any]:

@@ -78,11 +78,11 @@ class Worker:
         """Let the others of the group go; called by its leader."""
         self._group.bcast(None)
 
-    def free(self) -> None:
+    def free(self, *, stopped: bool) -> None:
         """Let go of what was built while the group is still there to free it (collective)."""
         self._built = None
         gc.collect()  # structures and their rotations know each other
-        collect_garbage(self._group)
+        collect_garbage(self._group, stopped=stopped)
 
     def _work(self, job: Job, go_on: Callable[[], bool]) -> Iterator[tuple[np.ndarray, Outcome]]:
         rank, size = self._group.rank, self._group.size

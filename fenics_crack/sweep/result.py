@@ -29,14 +29,12 @@ import re
 import shutil
 import tempfile
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 from mpi4py import MPI
-from petsc4py import PETSc
 
 from fenics_crack.balance.contact_system import default_weight
 from fenics_crack.balance.error_report import LARGE_ERROR, PARTS
@@ -177,8 +175,7 @@ def run_sweep(
             worker.end()
         else:
             worker.follow()
-    with suppress(*[PETSc.Error] if stop.asked(comm) else []):  # stopped in the middle of a step
-        worker.free()
+    worker.free(stopped=stop.asked(comm))
     leaders.Free()
     group.Free()
     return on_root(comm, lambda: SweepResult.of(managers[0].stored))

@@ -501,7 +501,8 @@ def test_ctrl_c_during_the_errors(
     with monkeypatch.context() as patch:
         patch.setattr("fenics_crack.study.run.errors_of", stopped)
         wrap(patch, "fenics_crack.study.run.on_root", again)
-        assert main(["solve", str(PAPER), "--output", str(tmp_path)]) == 3
+        words = ["--output", str(tmp_path), "--set", "contact.stiffness=1e9"]
+        assert main(["solve", str(PAPER), *words, "--set", "damping.ratio=0.02"]) == 3
     assert signal.getsignal(signal.SIGINT) == handler
     assert (tmp_path / "solution.h5").read_bytes() == (results / "solution.h5").read_bytes()
     found = fc.load_run(tmp_path / "solution_interrupted.h5")
