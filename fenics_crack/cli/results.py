@@ -435,7 +435,10 @@ def _account_of_curve(run: Run[ResponseCurve]) -> Account:
     few, hidden = few_special_points(run, special)
     seen = _seen_at_largest(run)
     largest = _largest(run, seen)
-    notes = [largest if seen else "", remark_on(run.structure, highest_omega(scene, "curve"))]
+    notes = [
+        largest if seen or not found.complete else "",
+        remark_on(run.structure, highest_omega(scene, "curve")),
+    ]
     if hidden:
         notes.insert(0, f"{hidden} more bifurcations and changes of stability: curve.json")
     kinds = dict.fromkeys(point.kind for point in found.bifurcations)
