@@ -65,6 +65,16 @@ class Answer(Study):
         return self.watched[0].dof
 
 
+LINEAR = "no pair of the crack opens and closes: the vibration is linear"
+
+
+def at_rest(closed_share: np.ndarray) -> list[str]:
+    """Report if every pair stays open, or closed, in all of some solutions, by their shares of the
+    period in which pairs are closed (...), nan without pairs."""
+    breathe = np.any((closed_share > 0.0) & (closed_share < 1.0))
+    return [] if breathe or not np.any(np.isfinite(closed_share)) else [LINEAR]
+
+
 def known_to(run: Answer, name: str = "") -> str:
     """Return how well a number of a result is known, by default the watched amplitude: "2.4 %,
     most of it by the mesh"; empty where that is not stated."""
@@ -140,10 +150,13 @@ def _known(run: Answer) -> str:
 def _others(run: Answer) -> list[str]:
     """The verdict, and what the numbers alone do not show."""
     found = run.result
-    if isinstance(found, ResponseCurve) and found.multipliers is not None:
-        names, counts = np.unique(found.verdicts, return_counts=True)
-        shares = (f"{n} {name}" for n, name in zip(counts, names, strict=True))
-        return [f"of {len(found)} points {', '.join(shares)}"]
+    if isinstance(found, ResponseCurve):
+        said = at_rest(found.indicators(run.watched_dof).closed_share)
+        if found.multipliers is not None:
+            names, counts = np.unique(found.verdicts, return_counts=True)
+            shares = (f"{n} {name}" for n, name in zip(counts, names, strict=True))
+            said.append(f"of {len(found)} points {', '.join(shares)}")
+        return said
     if isinstance(found, TimeHistory):
         asked = run.scene.integration or Integration()
         if asked.free:
@@ -155,7 +168,7 @@ def _others(run: Answer) -> list[str]:
         return ["nothing vibrates"]
     said = []
     if run.structure.n_pairs and found.contact is not None and not found.breathes:
-        said.append("the crack neither closes nor opens: the vibration is linear")
+        said.append(LINEAR)
     return [*said, *in_place_of(found.stability, found.amplitude(run.watched_dof))]
 
 

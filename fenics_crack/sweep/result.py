@@ -51,6 +51,7 @@ from fenics_crack.scene.scene import Scene, unit_of
 from fenics_crack.scene.tables import Sweep
 from fenics_crack.scene.words import check_scene
 from fenics_crack.stages import reaching
+from fenics_crack.study.conclusion import at_rest
 from fenics_crack.study.prepare import law_of
 from fenics_crack.sweep.case import Asked, build
 from fenics_crack.sweep.file import (
@@ -438,12 +439,13 @@ class SweepResult(Tabular):
         unknown = int(np.sum(total >= UNKNOWN))
         largest, what = total.max(initial=0.0), "largest estimated error by modes and harmonics"
         names, counts = np.unique(self["verdict"][self.converged], return_counts=True)
+        closed = self["closed_share"][self.converged]
         verdicts = [f"{n} {name}" for n, name in zip(counts, names, strict=True) if name]
         return closing_sentence(
             f"{self.converged.sum()} of {counted(self.converged.size, 'case')} converged",
             unknown=f"in {counted(unknown, 'case')} it could not be estimated" if unknown else "",
             known=f"{what} {percent(largest)}" if largest > 0.0 else "",
-            others=[", ".join(verdicts)],
+            others=[*at_rest(closed), ", ".join(verdicts)],
             warnings=warnings,
             remarks=remarks,
         )
