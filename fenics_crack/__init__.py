@@ -15,16 +15,20 @@ if sys.argv[:1] == ["-m"] and not sys.flags.safe_path:
     del sys.path[0]  # python -m fenics_crack: no library is the one in the working folder
 
 import ast
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from types import FunctionType
 from typing import Any
 
-from fenics_crack.machine import alone, launched
+from fenics_crack.errors import InputError
+from fenics_crack.machine import alone, check_modules, launched
 from fenics_crack.version import VERSION
 
 if launched():
-    import_module("fenics_crack.parallel")
+    with suppress(InputError):  # raised again where the package is used
+        check_modules()
+        import_module("fenics_crack.parallel")
 
 _MODULES = {
     alias.name: node.module
@@ -42,6 +46,7 @@ def __getattr__(name: str) -> Any:
         from fenics_crack.hints import no_attribute
 
         raise no_attribute(f"module {__name__!r}", name, __all__, package=True)
+    check_modules()
     with alone():
         value = getattr(import_module(_MODULES[name]), name)
     if isinstance(value, FunctionType):

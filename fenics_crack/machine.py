@@ -1,4 +1,4 @@
-"""What the package takes of the machine: one thread at a time, and so much memory.
+"""What the package takes of the machine: Debian's modules, one thread at a time, some memory.
 
 Its functions run one at a time, and with one thread of OpenBLAS and of OpenMP. gmsh, PETSc and
 MUMPS keep their state in global variables: two threads of Python in them end the process. And their
@@ -17,15 +17,46 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import lru_cache
+from functools import cache, lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+
+from fenics_crack.errors import InputError
 
 SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "GOTO_NUM_THREADS")
 """Variables by which a user tells OpenBLAS how many threads to use."""
 LAUNCHERS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
 """Variables by which mpirun tells a process its rank, before MPI is started."""
+COMPILED_FOR = ("numpy", "mpi4py")
+"""Modules for whose compiled interfaces Debian's DOLFINx, PETSc and SciPy are built."""
 _lock = threading.RLock()
+
+
+@cache
+def check_modules() -> None:
+    """Check, before they are imported, that Debian's NumPy and mpi4py are found and no others.
+
+    The versions are those that ``install.sh`` has pinned in this virtual environment; one that it
+    has not made is not checked.
+
+    Raises
+    ------
+    InputError
+        Another version stands before Debian's.
+    """
+    pins = Path(sys.prefix, "debian-pins.txt")
+    wanted = dict(re.findall("(.+)==(.+)", pins.read_text())) if pins.exists() else {}
+    for name in wanted.keys() & COMPILED_FOR:
+        place = getattr(find_spec(name), "origin", None)
+        if place is None or place.startswith("/usr/lib/python3/"):
+            continue
+        from importlib.metadata import version  # takes a while, and is hardly ever needed
+
+        if version(name) != wanted[name]:
+            remedy = f"run 'sh install.sh' again, or remove {Path(place).parent}"
+            allowed = f"{wanted[name]}, for which Debian's DOLFINx is built: {remedy}"
+            raise InputError(name, version(name), allowed)
 
 
 def launched() -> bool:

@@ -103,6 +103,31 @@ print(sum(name.startswith("fenics_crack") for name in sys.modules))
     assert libraries == "['numpy']" and int(count) <= 23
 
 
+def test_another_numpy_is_refused_before_it_is_loaded(tmp_path: Path) -> None:
+    """Than the one that install.sh has pinned; from Python and from the shell."""
+    (tmp_path / "debian-pins.txt").write_text("cffi==1.15.1\nnumpy==1.24.2\nother<2\n")
+    for place in ("numpy", "numpy-2.4.1.dist-info"):
+        (tmp_path / place).mkdir()
+    (tmp_path / "numpy" / "__init__.py").write_text("raise ImportError('not for this')\n")
+    (tmp_path / "numpy-2.4.1.dist-info" / "METADATA").write_text("Name: numpy\nVersion: 2.4.1\n")
+    program = f"""
+import sys
+sys.prefix = {str(tmp_path)!r}
+sys.path.insert(0, sys.prefix)
+sys.stderr = sys.stdout
+from surroundings import main
+import fenics_crack as fc
+print(int(main(["check", {str(DEMOS / "paper_plate.toml")!r}])))
+try:
+    fc.Scene
+except fc.errors.InputError as error:
+    print(error.key, error.value, "1.24.2" in error.allowed, sys.prefix in error.allowed)
+"""
+    line, code, told = fresh(program).splitlines()
+    assert line.startswith("fenics-crack: numpy = '2.4.1': must be 1.24.2") and code == "2"
+    assert told == "numpy 2.4.1 True True"
+
+
 def test_what_was_stopped_ends_without_noise() -> None:
     """Not even that of a library which ends after Ctrl-C, in the middle of a step."""
     program = f"""

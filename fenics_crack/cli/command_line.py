@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 from fenics_crack.errors import ConvergenceError, Exit, InputError, StoppedError, WriteError
 from fenics_crack.hints import in_other_words, meant, near
-from fenics_crack.machine import LAUNCHERS, alone, launched
+from fenics_crack.machine import LAUNCHERS, alone, check_modules, launched
 from fenics_crack.version import VERSION
 from fenics_crack.whole import FULL
 
@@ -182,6 +182,7 @@ def _run(given: argparse.Namespace) -> Exit:
     MPI and PETSc take longer to load than most input to be refused. Where mpirun has started this
     process, rank 0 reads for all.
     """
+    check_modules()
     from fenics_crack.cli.given import Console, read_inputs
 
     inputs = None if launched() else read_inputs(given)
