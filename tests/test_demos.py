@@ -1,5 +1,6 @@
 """The demos run, and reproduce the numbers that are known."""
 
+import ast
 import contextlib
 import csv
 import importlib.util
@@ -8,11 +9,14 @@ import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from helpers import DEMOS
+from matplotlib import pyplot
+from matplotlib.figure import Figure
 
 import fenics_crack as fc
 
@@ -189,3 +193,40 @@ def test_growth(tmp_path: Path) -> None:
     for drive in lives:
         assert (tmp_path / f"{drive}.png").stat().st_size > 10_000
         assert (tmp_path / drive / "growth_1.h5").exists()
+
+
+def test_first_notebook(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each cell that ends with a value shows a picture or a table; the file keeps no output."""
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=str))
+    cells = json.loads((DEMOS / "first_notebook.ipynb").read_text())["cells"]
+    names: dict[str, Any] = {}
+    shown = []
+    for cell in [cell for cell in cells if cell["cell_type"] == "code"]:
+        assert cell["outputs"] == [] and cell["execution_count"] is None
+        *lines, last = ast.parse("".join(cell["source"])).body
+        if isinstance(last, ast.Expr):
+            lines.append(ast.parse("shown = 0").body[0])
+            lines[-1].value = last.value
+        else:
+            lines.append(last)
+        exec(compile(ast.Module(lines, []), "notebook", "exec"), names)
+        shown.append(names.pop("shown", None))
+    assert shown.pop(0) is None  # the import
+    figures = [value._repr_png_() for value in shown if isinstance(value, Figure)]
+    assert len(figures) == 5 and all(png.startswith(b"\x89PNG") for png in figures)
+    assert not pyplot.get_fignums()  # nothing that pyplot would show again
+    [frame] = [value for value in shown if isinstance(value, str)]
+    assert "'amplitude': [" in frame
+    tables = [value._repr_html_() for value in shown if not isinstance(value, Figure | str)]
+    assert len(tables) == 4 and all(page.startswith("<table>") for page in tables)
+    assert names["curve"].peak().omega == pytest.approx(2.0 * np.pi * 832.2, rel=1e-3)
+
+
+def test_first_notebook_in_jupyter() -> None:
+    """Where it is installed, as after "pip install jupyter pandas"."""
+    reader, client = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
+    notebook = reader.read(DEMOS / "first_notebook.ipynb", 4)
+    client.NotebookClient(notebook, resources={"metadata": {"path": str(DEMOS)}}).execute()
+    outputs = [output for cell in notebook.cells for output in cell.get("outputs", ())]
+    kinds = [kind for output in outputs for kind in output.get("data", ())]
+    assert kinds.count("image/png") == kinds.count("text/html") == 5

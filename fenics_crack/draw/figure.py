@@ -64,6 +64,14 @@ class Where(TypedDict, total=False):
     legend: bool
 
 
+class ShownFigure(Figure):
+    """A figure that notebooks show where it is the value of a cell, whether or not they have loaded
+    pyplot, which knows nothing of it and shows no second copy."""
+
+    def _repr_png_(self) -> bytes:
+        return png_of(self)
+
+
 class Picture:
     """The panels of a picture, and its end.
 
@@ -109,7 +117,7 @@ class Picture:
         self.legend = legend
         axes = given_axes(axes, ax)
         if axes is None:
-            figure = Figure(figsize=size, dpi=DPI, layout="constrained")
+            figure = ShownFigure(figsize=size, dpi=DPI, layout="constrained")
             FigureCanvasAgg(figure)
             rows = -(-count // columns)
             axes = figure.subplots(rows, columns, squeeze=False, sharex=sharex).ravel()
@@ -145,22 +153,29 @@ class Picture:
             above = self.panels[0].child_axes  # the title makes way for one of them on the top
             self.panels[0].set_title(self._title, y=None if above else 1.0)
         if self._path is not None:
-            file, picture = Path(self._path), BytesIO()
+            file = Path(self._path)
             begin(file.name)
 
             def save() -> None:
-                if file.suffix == ".png":  # without the draft that savefig draws before
-                    canvas = FigureCanvasAgg(self.figure)
-                    canvas.draw()
-                    resolution = 2 * (self.figure.dpi,)
-                    drawn_on(canvas).save(picture, "PNG", compress_level=3, dpi=resolution)
+                if file.suffix == ".png":
+                    written = png_of(self.figure)
                 else:
+                    picture = BytesIO()
                     with rc_context({"pdf.fonttype": 42}):  # publishers refuse Type 3 fonts
                         self.figure.savefig(picture, format=file.suffix.removeprefix(".") or None)
-                write_whole(file, picture.getvalue())
+                    written = picture.getvalue()
+                write_whole(file, written)
 
             on_root(self._comm, save)
         return self.figure
+
+
+def png_of(figure: Figure) -> bytes:
+    """Return a figure as a PNG, without the draft that ``savefig`` draws before."""
+    canvas, picture = FigureCanvasAgg(figure), BytesIO()
+    canvas.draw()
+    drawn_on(canvas).save(picture, "PNG", compress_level=3, dpi=(figure.dpi, figure.dpi))
+    return picture.getvalue()
 
 
 def drawn_on(canvas: FigureCanvasAgg) -> Image.Image:

@@ -106,6 +106,9 @@ class Run(Answer, Generic[Found]):
     def __repr__(self) -> str:
         return f"Run({self.result!r}, {self.scene!r})"
 
+    def _repr_html_(self) -> str:
+        return self.result.table().html(str(self))
+
     def __dir__(self) -> list[str]:
         return sorted({*super().__dir__()} - {"peak"} | {*dir(self.result)})
 
