@@ -1,11 +1,26 @@
 #!/bin/sh
 # Sets this project up on Debian 12 or 13: Debian's packages first, then .venv beside this file.
 #
-#     sh install.sh
+#     sh install.sh            what the program needs
+#     sh install.sh --tests    also what its tests and the site of its documentation need
 #
 # It may be run again at any time. When everything is in place it changes nothing, needs no
-# network and no root rights, and takes a second or two.
+# network and no root rights, and takes a second or two. What --tests has added stays.
 set -eu
+
+extras= tools=
+case $#${1:-} in
+0) ;;
+1--tests) extras=test,docs ;;
+1--help | 1-h)
+    echo 'usage: sh install.sh [--tests]    (--tests: also what tests and documentation need)'
+    exit 0
+    ;;
+*)
+    echo "install.sh: '$*' is not an option: sh install.sh, or sh install.sh --tests" >&2
+    exit 2
+    ;;
+esac
 
 fail() {
     printf 'install.sh: %s\n' "$*" >&2
@@ -91,26 +106,63 @@ sound_venv() {
         .venv/pyvenv.cfg 2>/dev/null && .venv/bin/python -m pip --version >/dev/null 2>&1
 }
 
-# What the project needs can be loaded. Its own code is only looked for, not run: a mistake in
-# that is a matter for the tests.
+# What the program needs can be loaded.
 debian_imports() {
     (cd / && "$1" -c '
 import dolfinx.fem, gmsh, h5py, matplotlib, mpi4py.MPI, petsc4py.PETSc, scipy, slepc4py.SLEPc, tqdm
 ')
 }
 everything_imports() {
-    debian_imports "$here/.venv/bin/python" && (cd / && "$here/.venv/bin/python" -c '
-import importlib.util
-import cffi, hypothesis, pytest, pyvista, xdist
-for name in ("fenics_crack", "furo", "mypy", "myst_parser", "numpydoc", "ruff", "sphinx"):
-    if importlib.util.find_spec(name) is None:
+    debian_imports "$here/.venv/bin/python" &&
+        (cd / && "$here/.venv/bin/python" -c 'import cffi, pyvista')
+}
+
+# These modules are found, and the program is that of this folder. Its code is not run: a mistake in
+# that is a matter for the tests.
+everything_is_found() {
+    (cd / && "$here/.venv/bin/python" -c '
+import sys
+from importlib.util import find_spec
+for name in sys.argv[2:]:
+    if find_spec(name) is None:
         raise ImportError("there is no module " + name)
+if find_spec("fenics_crack").origin != sys.argv[1] + "/fenics_crack/__init__.py":
+    raise ImportError("fenics_crack is that of another folder")
+' "$here" fenics_crack $tools)
+}
+
+# versions PYTHON [OPTION]: of those of Debian's packages that PyPI has, too.
+versions() {
+    (cd / && "$@" -c '
+from importlib.metadata import version
+for name in ("cffi", "numpy", "scipy", "matplotlib", "mpi4py", "pillow", "tqdm"):
+    print(f"{name}=={version(name)}")
 ')
 }
 
-# What .venv depends on: when any of it changes, pip runs again, and builds the kernel again.
-wanted=$({ cat pyproject.toml setup.py install.sh fenics_crack/kernel/*.[ch] fenics_crack/kernel/build.py; /usr/bin/python3 -VV; echo "$here"; } | sha256sum)
+# Debian's compiled modules need Debian's NumPy and MPI: no others may stand before them.
+debian_is_first() {
+    found=$(versions "$here/.venv/bin/python") || return 1
+    [ "$found" = "$pins" ] && return
+    echo "Debian's modules are" $pins
+    echo "but others stand before them:" $found
+    (cd / && "$here/.venv/bin/python" -c 'import numpy; print(numpy.__file__)')
+    return 1
+}
+
+pins=$(versions /usr/bin/python3 -I) ||
+    fail "the versions of Debian's Python packages cannot be read"
 stamp=.venv/fenics_crack.stamp
+case $(cat "$stamp" 2>/dev/null) in *' test,docs') extras=test,docs ;; esac
+[ -z "$extras" ] || tools='furo hypothesis mypy myst_parser numpydoc pytest ruff sphinx xdist'
+
+# What .venv depends on: when any of it changes, pip runs again, and builds the kernel again.
+wanted=$({
+    cat pyproject.toml setup.py install.sh fenics_crack/kernel/*.[ch] fenics_crack/kernel/build.py
+    /usr/bin/python3 -VV
+    echo "$here" "$pins"
+} | sha256sum)
+wanted="${wanted%% *} $extras"
 
 # compile_program: its bytecode. Where Python may not write that itself (PYTHONDONTWRITEBYTECODE,
 # a folder of somebody else), each start would take a third of a second more.
@@ -118,32 +170,33 @@ compile_program() {
     .venv/bin/python -m compileall -q fenics_crack >/dev/null 2>&1 || :
 }
 
-if sound_venv && everything_imports >/dev/null 2>&1; then
-    if [ "$(cat "$stamp" 2>/dev/null)" = "$wanted" ]; then
-        compile_program
-        echo "install.sh: everything is in place"
-        exit 0
-    fi
-    rm -f "$stamp"
-else
+if ! { sound_venv && debian_is_first && everything_imports; } >/dev/null 2>&1; then
     # If the fault is not in .venv, say so and leave it alone.
     step "checking that Debian's packages can be imported" debian_imports /usr/bin/python3
     rm -rf .venv
     step "making .venv" /usr/bin/python3 -m venv --system-site-packages .venv
+elif [ "$(cat "$stamp" 2>/dev/null)" = "$wanted" ] && everything_is_found >/dev/null 2>&1; then
+    compile_program
+    echo "install.sh: everything is in place"
+    exit 0
 fi
+echo "unfinished $extras" >"$stamp"
 
-# Debian's compiled modules need Debian's numpy and MPI: pip must not put others before them.
+# write_pins: pip obeys them whenever it runs in .venv, and leaves Debian's modules where they are.
+# Later ones of matplotlib-inline, of which notebooks draw, need another Matplotlib than Debian 12's.
 write_pins() {
+    printf '%s\n' "$pins" 'matplotlib-inline<0.2' >.venv/debian-pins.txt
     .venv/bin/python -c '
-from importlib.metadata import version
-for name in ("cffi", "numpy", "scipy", "matplotlib", "mpi4py", "pillow", "tqdm"):
-    print(f"{name}=={version(name)}")
-' >.venv/debian-pins.txt
+import pathlib
+print("[install]", "constraint = " + pathlib.Path(".venv/debian-pins.txt").absolute().as_uri(), sep="\n")
+' >.venv/pip.conf
 }
-step "reading the versions of Debian's packages" write_pins
+step "pinning the versions of Debian's packages" write_pins
 step "installing PyPI packages and the project into .venv" \
-    .venv/bin/python -m pip install --constraint .venv/debian-pins.txt pyvista --editable '.[test,docs]'
+    .venv/bin/python -m pip install --editable ".${extras:+[$extras]}"
+step "checking that Debian's packages come first" debian_is_first
 step "checking that everything can be imported" everything_imports
+step "checking that everything is there" everything_is_found
 compile_program
 
 printf '%s\n' "$wanted" >"$stamp"

@@ -68,12 +68,15 @@ nitpicky = True
 nitpick_ignore_regex = [("py:class", ".*")]
 
 
-def lead_to_benchmarks(app: Sphinx, *place_and_text: object) -> None:
-    """Links to the benchmarks, which lie outside of this folder, lead to their page here."""
+def lead_outside(app: Sphinx, *place_and_text: object) -> None:
+    """Links to the benchmarks, which lie outside of this folder, lead to their page here; those of
+    the first page, which lies there, to what lies beside it."""
     text = place_and_text[-1]
     assert isinstance(text, list)
     for link in ("(../benchmarks/README.md", "(benchmarks/README.md"):
         text[0] = text[0].replace(link, "(benchmarks.md")
+    for link in ("demos/first_notebook.ipynb", "CITATION.cff"):
+        text[0] = text[0].replace(f"({link}", f"(../{link}")
 
 
 def write_the_scene(app: Sphinx, page: str, text: list[str]) -> None:
@@ -120,6 +123,6 @@ def setup(app: Sphinx) -> None:
     app.add_lexer("geo", TextLexer)  # gmsh's language
     app.connect("autodoc-process-docstring", say_what_is_allowed)
     app.connect("autodoc-process-signature", show_what_returns)
-    app.connect("source-read", lead_to_benchmarks)
-    app.connect("include-read", lead_to_benchmarks)
+    app.connect("source-read", lead_outside)
+    app.connect("include-read", lead_outside)
     app.connect("source-read", write_the_scene)

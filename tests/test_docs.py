@@ -5,6 +5,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -254,8 +255,24 @@ def test_verification_names_its_tests() -> None:
 
 def test_readme_starts_with_the_two_commands() -> None:
     """Exactly the two lines that a newcomer needs."""
-    commands = re.findall(r"^    (sh install\.sh && .*)$", PAGES[0].read_text(), re.M)
+    commands = re.findall(r"^    (sh install\.sh .*&& .*)$", PAGES[0].read_text(), re.M)
     assert commands == [
         "sh install.sh && .venv/bin/python demos/paper_plate.py",
-        "sh install.sh && .venv/bin/python -m pytest",
+        "sh install.sh --tests && .venv/bin/python -m pytest",
     ]
+    for file in (".ci/run", ".ci/fresh_debian"):
+        assert commands[1] in (ROOT / file).read_text()
+
+
+@pytest.mark.parametrize(("option", "code"), [("--help", 0), ("--test", 2), ("", 2)])
+def test_install_answers_a_wrong_option(option: str, code: int, tmp_path: Path) -> None:
+    """In one line, before it does anything."""
+    script = shutil.copy(ROOT / "install.sh", tmp_path)
+    done = subprocess.run(["sh", script, option], capture_output=True, text=True, timeout=60)
+    assert done.returncode == code and len((done.stdout + done.stderr).splitlines()) == 1
+    assert [*tmp_path.iterdir()] == [Path(script)]
+
+
+def test_citation_is_of_this_version() -> None:
+    text = (ROOT / "CITATION.cff").read_text()
+    assert re.findall(r"^version: (.*)$", text, re.M) == [fc.__version__]
