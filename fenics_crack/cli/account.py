@@ -7,7 +7,6 @@ in time.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -346,7 +345,7 @@ def account_of_verification(found: Verification) -> Account:
         remarks=(remarks := remarks_on_scene(found.scene)),
         closing=found.conclusion(len(remarks)),
         done=not found.failures,
-        missed=not math.isfinite(found.stated(next(iter(found.values)))[0]),
+        missed=bool(found.doubt(next(iter(found.values)))),
     )
 
 

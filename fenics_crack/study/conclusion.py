@@ -3,7 +3,6 @@ and the sentence with which the program, a report and Python's ``str`` end."""
 
 from __future__ import annotations
 
-import math
 from functools import cached_property
 from typing import Any
 
@@ -24,7 +23,7 @@ from fenics_crack.study.key_figures import (
 )
 from fenics_crack.study.prepare import REFUSALS, Study
 from fenics_crack.study.stated_errors import not_estimated
-from fenics_crack.study.verification import ESTIMATED, Verification
+from fenics_crack.study.verification import Verification
 from fenics_crack.table import closing_sentence, in_unit, percent, quantity
 from fenics_crack.time.march import TimeHistory
 
@@ -95,9 +94,7 @@ def unknown_error(run: Answer) -> str:
         return not_estimated(found.report)
     if stated is None or not is_small(run.structure):  # then the report alone has the error
         return ""
-    if math.isinf(stated.stated(run.watched[0].column("amplitude"))[0]):
-        return "the mesh is too coarse to estimate its part"
-    return next((stated.unknown[cause] for cause in ESTIMATED if cause in stated.unknown), "")
+    return stated.doubt(run.watched[0].column("amplitude"))
 
 
 def conclusion(run: Answer, warnings: int = 0) -> str:

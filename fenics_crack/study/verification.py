@@ -366,6 +366,17 @@ class Verification(Tabular):
             return math.nan, ""
         return total, max(parts, key=lambda one: parts[one])
 
+    def doubt(self, quantity: str) -> str:
+        """Return why the error of a quantity is unknown; empty where it is known, or was left out
+        by choice."""
+        for cause in ESTIMATED:
+            if cause in self.unknown:
+                return self.unknown[cause]
+        error, cause = self.stated(quantity)
+        if error >= 1.0:
+            return f"its estimate is as large as the value, most of it by the {cause}"
+        return ""
+
     @property
     def resonance(self) -> str:
         """Which quantity is the resonance that the answer lies next to; empty without lips."""
@@ -434,12 +445,11 @@ class Verification(Tabular):
 
     def conclusion(self, remarks: int = 0) -> str:
         """Return the last sentence on the study, after its warnings and so many remarks."""
-        error, cause = self.stated(next(iter(self.values)))
-        unknown = {} if math.isfinite(error) else self.unknown or {"": "nothing was varied"}
         name = next(iter(self.values))
+        error, cause = self.stated(name)
         return closing_sentence(
             "verified",
-            unknown="; ".join(unknown.values()),
+            unknown=self.doubt(name),
             known=f"{name} known to {percent(error)}, most of it by the {cause}",
             others=[self.without, *(f"{run}: {verdict}" for run, verdict in self.verdicts.items())],
             warnings=len(self.warnings),
