@@ -1,9 +1,11 @@
 """What the mesh contributes to an error, by a coarser one: elements about twice as long,
-those of mesh.coarser where the mesh is a file, r by their numbers, and
+those of mesh.coarser where the mesh is a file, and
 
     e = |f - f_r| / (r - 1),
 
-as they converge with the order 1 at the tip of a crack (:mod:`refinement`).
+as they converge with the order 1 at the tip of a crack (:mod:`refinement`). The ratio r of lengths
+follows from the numbers of elements; of a solid that is meshed here it is that at the fronts of its
+cracks, as no element becomes longer than the solid is thick.
 """
 
 from __future__ import annotations
@@ -56,25 +58,30 @@ def errors_of_natural(study: Study, natural: Mapping[str, np.ndarray]) -> Verifi
         if isinstance(coarse, str):
             stated.take("mesh", coarse)
             return stated
-        twin, counts = coarse
+        twin, counts, ratio = coarse
         count = max(map(len, natural.values()))
         both = {"open": solve_modes(twin.structure, count).omega}
         if "tied" in natural:
             both["tied"] = tied_modes(twin.structure, count).omega
-        stated.take("mesh", (counts, expected("mesh", counts, stated.values, named(both), scene)))
+        stated.take(
+            "mesh",
+            (counts, expected("mesh", counts, stated.values, named(both), scene, ratio=ratio)),
+        )
     except REFUSALS as error:
         stated.unknown["mesh"] = str(error)
     return stated
 
 
-def coarser(study: Study) -> tuple[Study, tuple[int, int]] | str:
-    """The twin on a coarser mesh, reduced where the study is, and the elements of both; or why
-    there is none (collective)."""
+def coarser(study: Study) -> tuple[Study, tuple[int, int], float] | str:
+    """The twin on a coarser mesh, reduced where the study is, the elements of both, and how much
+    longer those of the twin are; or why there is none (collective)."""
     scene, structure = study.scene, study.structure
     if scene.structure is not None:
         return "there is one mesh"
     if not scene.mesh.error:
         return "mesh.error = false"
+    if scene.mesh.lip_elements == 1:
+        return "one element along the crack is too few to estimate its error"
     if scene.mesh.layout == "file":
         if scene.mesh.coarser is None:
             return "there is one mesh: mesh.coarser may be another"
@@ -96,7 +103,18 @@ def coarser(study: Study) -> tuple[Study, tuple[int, int]] | str:
         return f"mesh.coarser is another part, of {' x '.join(f'{size:.4g}' for size in other)} m"
     if scene.mesh.layout == "file" and (why := _other_cracks(structure, twin.structure)):
         return why
-    return twin, counts
+    return twin, counts, _ratio(scene, coarse, counts)
+
+
+def _ratio(scene: Scene, coarse: Scene, counts: tuple[int, int]) -> float:
+    """How much longer the elements of a coarser mesh are: by their numbers, but at the fronts of
+    the cracks of a solid, where they err the most, as they are asked for; elements that are longer
+    than it is thick become no longer across it, and leave more than these say."""
+    size = scene.mesh.size
+    if scene.dimension == 3 and scene.all_cracks and size is not None:
+        if size <= min(scene.geometry.sides):
+            return coarse.mesh.given("size") / size
+    return float((counts[0] / counts[1]) ** (1.0 / scene.dimension))
 
 
 def _other_cracks(structure: Structure, coarse: Structure) -> str:
@@ -137,11 +155,19 @@ def _middle(areas: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 def expected(
     cause: str, counts: tuple[int, int], own: Mapping[str, float], other: Mapping[str, float],
-    scene: Scene,
+    scene: Scene, ratio: float | None = None,
 ) -> dict[str, GridConvergence]:  # fmt: skip
-    """The part of a cause, of order 1 in :func:`_size_of`, without a factor of safety."""
-    parts = parts_of(cause, counts, (own, other), scene, formal=1.0)
-    return {name: replace(part, factor=1.0) for name, part in parts.items()}
+    """The part of a cause, of order 1 in :func:`_size_of`, or by a ratio of sizes, without a factor
+    of safety."""
+    sizes = [_size_of(cause, count, scene) for count in counts]
+    if ratio is not None:
+        sizes[1] = ratio * sizes[0]
+    return {
+        name: replace(
+            grid_convergence(sizes, [value, other.get(name, 0.0)], formal=1.0), factor=1.0
+        )
+        for name, value in own.items()
+    }
 
 
 def parts_of(

@@ -14,8 +14,10 @@ A mesh moves the resonances before all else. Next to one a small shift changes a
 one side up and on the other down, so that differences may vanish by chance. The coarse mesh is
 therefore solved at w w_r / w_b, as far from its resonance w_r as the answer is from its own, w_b,
 and what the shift changes is solved for on the answer's mesh, at w w_b / w_e, w_e being the
-extrapolated resonance. Both have a sign and are added. Their order p is that of the same tips and
-clamps, between 1 and 1.5, but for some of it:
+extrapolated resonance. It is that of the mode whose shift changes the watched points the most
+(:func:`_moving`): at half a resonance the second harmonic meets it, and another mode may be nearer
+to the load. Both have a sign and are added. Their order p is that of the same tips and clamps,
+between 1 and 1.5, but for some of it, or any up to the best of the elements:
 
     e = max over p of |(f - f_r) / (r^p - 1) + f(w w_b / w_e(p)) - f|,
 
@@ -78,7 +80,7 @@ LOWEST_MODES = (1, 2, 3)
 TINY = 1e-9
 """A ratio that is none."""
 ORDERS = CLAMP, TIP
-"""Between which that of a mesh is, the one that corrects less first."""
+"""Of a mesh, the one that corrects less first."""
 UNSURE = 0.1
 """Share of the smaller of two parts of one order that is not known, so that something is left where
 they cancel."""
@@ -346,35 +348,52 @@ def _coarser_mesh(study: Study, near: PeriodicSolution, own: Numbers, of_peak: b
     coarse = coarser(study)
     if isinstance(coarse, str):
         return coarse
-    twin, counts = coarse
+    twin, counts, ratio = coarse
     few = max(near.harmonics // 2, min(near.harmonics, _highest(study, near)))
     half = _solved(study, near.omega, few, near)
     with_few = numbers_of(study, half, own.mode)
-    moved = resonance_of(twin.structure, own.mode) / resonance_of(study.structure, own.mode)
-    there = numbers_of(twin, _solved(twin, near.omega * moved, few), own.mode).values
-    parts = expected("mesh", counts, with_few.values, there, study.scene)
-    fine, coarse_size = parts[own.resonance].sizes
-    left = [1.0 / ((coarse_size / fine) ** order - 1.0) for order in ORDERS]
-    shifts = len(left) * [with_few.values]
+    mode = _moving(study, half)
+    moved = resonance_of(twin.structure, mode) / resonance_of(study.structure, mode)
+    other = _solved(twin, near.omega * moved, few)
+    there = numbers_of(twin, other, own.mode)
+    parts = expected("mesh", counts, with_few.values, there.values, study.scene, ratio=ratio)
+    sizes = parts[own.resonance].sizes
+    orders = 2.0 * study.scene.mesh.order, *ORDERS
+    left = [1.0 / ((sizes[1] / sizes[0]) ** order - 1.0) for order in orders]
+    both = len(left) * [(with_few.values, there.values)]
     if not of_peak:
         factors = [1.0 / (1.0 + share * (1.0 - moved)) for share in left]
-        shifts = shifted(study, half, own.mode, factors)
+        changed = (shifted(*one, own.mode, factors) for one in ((study, half), (twin, other)))
+        both = [*zip(*changed, strict=True)]
     between = _between_pairs(study, half, own.mode)
     found = {}
     for name, part in parts.items():
-        value, other = part.values
-        both = [
-            (share * (value - other), values.get(name, 0.0) - value)
-            for share, values in zip(left, shifts, strict=True)
+        value, coarse_value = part.values
+        terms = [
+            (share * (one.get(name, 0.0) - two.get(name, 0.0)), one.get(name, 0.0) - value)
+            for share, (one, two) in zip(left, both, strict=True)
         ]
         error = math.hypot(
-            max(abs(shape + shift) for shape, shift in both),
-            UNSURE * max(min(abs(shape), abs(shift)) for shape, shift in both),
+            max(abs(shape + shift) for shape, shift in terms),
+            UNSURE * max(min(abs(shape), abs(shift)) for shape, shift in terms),
             between.get(name, value) - value,
         )
         at = own.values.get(name, 0.0)
-        found[name] = replace(part, values=(at, at + other - value), extrapolated=at + error)
+        change = coarse_value - value
+        found[name] = replace(part, values=(at, at + change), extrapolated=at + error)
     return counts, found
+
+
+def _moving(study: Study, near: PeriodicSolution) -> int:
+    """The mode whose resonance moves the watched points the most where it is shifted: harmonic k of
+    the amplitude U_k changes by about 2 U_k / |1 - (k w / w_j)^2| times the relative shift
+    (collective)."""
+    rows = near.coefficients_at([watched.dof for watched in study.watched])
+    sizes = np.hypot(rows[1::2], rows[2::2]).max(axis=1)
+    harmonics = np.arange(1, near.harmonics + 1)
+    omega = bilinear_frequencies(study.structure).omega_bilinear
+    away = np.abs(1.0 - (harmonics * near.omega / omega[:, None]) ** 2)
+    return int(np.argmax((sizes / np.maximum(away, TINY)).max(axis=1))) + 1
 
 
 def _highest(study: Study, near: PeriodicSolution) -> int:

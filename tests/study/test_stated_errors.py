@@ -18,6 +18,7 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack import InputError
+from fenics_crack.errors import Exit
 
 COARSE = {
     "mesh.size": 0.03, "mesh.lip_elements": 3, "reduction.modes": 10, "curve": None, "sweep": None,
@@ -33,6 +34,18 @@ harmonic_balance = { tolerance = 1e-2 }
 mesh = { layout = "graded", order = 2, size = 0.012, lip_elements = 2, error = false }
 reduction = { modes = 12 }
 """
+THROUGH = """
+geometry = { kind = "solid", width = 0.02, height = 0.08, thickness = 0.006 }
+crack = { edge = "left", height = 0.02, length = 0.008 }
+material = { young = 7e10, poisson = 0.33, density = 2700.0 }
+damping = { ratio = 0.01 }
+excitation = { point = [0.0, 0.08, 0.003], force_sin = [1.0, 0.0, 0.0], frequency = 1064.758 }
+contact = { law = "unilateral" }
+harmonic_balance = { tolerance = 1e-2 }
+mesh = { layout = "graded", order = 2, size = 0.006, lip_elements = 4 }
+reduction = { modes = 20 }
+"""
+"""Its crack breathes in mode 2, at 2129.5 Hz; mode 1, across the plate, is at 754 Hz."""
 
 
 @pytest.fixture(scope="module")
@@ -113,6 +126,46 @@ def test_elements_longer_than_a_solid_is_thick() -> None:
             assert 0.1 < seen / stated < 1.0, (lips, mode)
 
 
+@pytest.mark.parametrize(
+    ("frequency", "amplitude", "opening"),
+    [(1064.758, 1.921e-6, 2.477e-7), (1916.564, 4.624e-6, 7.159e-7)],
+)
+def test_a_solid_at_half_of_a_resonance_and_below_it(
+    frequency: float, amplitude: float, opening: float
+) -> None:
+    """Its second harmonic meets mode 2, though mode 1 is nearer to the load: at most 1.5 times what
+    is stated is true, and at least a fifth (2.3 times it was, and an eighth). What is right is that
+    of a mesh of 41,784 dofs, 2.9 times finer (``benchmarks/stated_errors.py --only new_solids`` has
+    more of the kind)."""
+    scene = fc.Scene.from_text(THROUGH).replace({"excitation.frequency": frequency})
+    run = fc.solve(scene, MPI.COMM_SELF)
+    assert run.errors is not None
+    for name, right in {"amplitude": amplitude, "opening": opening}.items():
+        true, (stated, cause) = abs(right / run.errors.values[name] - 1.0), run.errors.stated(name)
+        assert cause == "mesh" and 0.2 < true / stated < 1.5, name
+
+
+def test_a_mesh_too_coarse_to_know_its_error(scene: fc.Scene, tmp_path: Path) -> None:
+    """The error of a number that the mesh changes by as much as it is is unknown, here next to a
+    resonance of 0.02 % damping, and that of the resonance is not; with one element along the crack
+    there is no coarser mesh."""
+    path = tmp_path / "plate.toml"
+    changes = {"mesh.lip_elements": 2, "damping.ratio": 2e-4, "excitation.frequency": 830.0}
+    path.write_text(scene.replace(changes).as_toml())
+    assert main(["solve", str(path), "--output", str(tmp_path), "--quiet"]) == Exit.MISSED
+    rows = {row["name"]: row for row in json.loads((tmp_path / "solution.json").read_text())}
+    amplitude, resonance = rows["amplitude"], rows["over_bilinear"]
+    assert amplitude["error [%]"] is None and amplitude["most by"] == "mesh"
+    assert 0.1 < resonance["error [%]"] < 10.0
+    found = fc.load_run(tmp_path / "solution.h5", MPI.COMM_SELF).stated
+    assert (
+        found is not None and found.contributions("amplitude")["mesh"] > found.values["amplitude"]
+    )
+    assert found.stated("amplitude") == (math.inf, "mesh")
+    few = fc.modes(scene.replace({"mesh.lip_elements": 1}), comm=MPI.COMM_SELF).errors
+    assert few is not None and few.unknown.keys() == {"mesh"}
+
+
 def test_the_share_closed_is_counted_at_instants(run: fc.Run) -> None:
     """Its stated error has what counting leaves out: beside the orbit's own switching instants, or
     of a smooth law, without an orbit, one instant's part."""
@@ -155,10 +208,11 @@ def test_parts_are_what_their_runs_say(scene: fc.Scene, run: fc.Run) -> None:
     many, few = found.counts["mesh"]
     meshes = [plate.structure.whole.nodes.cells for plate in (run, twin)]
     assert [many, few] == [*map(len, meshes)] and many > few
-    left = [1.0 / ((many / few) ** (order / 2.0) - 1.0) for order in (1.0, 1.5)]
     resonance = found.values[found.resonance]
     frequency = found.contributions("frequency_bilinear_1")["mesh"] / resonance
-    assert frequency == pytest.approx(abs(natural[1] / natural[0] - 1.0) * left[0], rel=1e-9)
+    assert frequency == pytest.approx(
+        abs(natural[1] / natural[0] - 1.0) / ((many / few) ** 0.5 - 1.0), rel=1e-9
+    )
 
     def opening(structure: fc.Structure, omega: float, **how: Any) -> float:
         law = fc.contact_law(run.scene.contact, structure)
@@ -169,16 +223,18 @@ def test_parts_are_what_their_runs_say(scene: fc.Scene, run: fc.Run) -> None:
     def with_half(structure: fc.Structure, omega: float) -> float:
         return opening(structure, omega, harmonics=run.result.harmonics // 2)
 
-    omega = run.result.omega
-    own, parts = opening(run.structure, omega), found.contributions("opening")
-    half, there = (
-        with_half(run.structure, omega),
-        with_half(twin.structure, omega * natural[1] / natural[0]),
-    )
-    extrapolated = [natural[0] + share * (natural[0] - natural[1]) for share in left]
-    shifts = [with_half(run.structure, omega * natural[0] / one) - half for one in extrapolated]
-    shapes = [share * (half - there) for share in left]
-    both = [*zip(shapes, shifts, strict=True)]
+    omega, parts = run.result.omega, found.contributions("opening")
+    own, half = opening(run.structure, omega), with_half(run.structure, omega)
+    there = with_half(twin.structure, omega * natural[1] / natural[0])
+    both = []
+    for order in (1.0, 1.5, 4.0):
+        share = 1.0 / ((many / few) ** (order / 2.0) - 1.0)
+        shift = omega / (natural[0] + share * (natural[0] - natural[1]))
+        one, other = (
+            with_half(plate.structure, shift * own_natural)
+            for plate, own_natural in zip((run, twin), natural, strict=True)
+        )
+        both.append((share * (one - other), one - half))
     most, least = max(abs(sum(one)) for one in both), max(min(map(abs, one)) for one in both)
     law = fc.contact_law(run.scene.contact, run.structure)
     kept = fc.solve_harmonic_balance(run.structure, omega, law, harmonics=run.result.harmonics // 2)
@@ -373,8 +429,8 @@ def test_words_and_files(
     short = ["curve.parameter=frequency", "curve.start=825.0", "curve.stop=845.0"]
     of_curve = [*short, "curve.stability=false"]
     assert main(["curve", str(path), *where, *(w for s in of_curve for w in ("--set", s))]) == 0
-    assert "largest response of the curve" in (told := capsys.readouterr().err)
-    assert told.count("known to") >= 2
+    told = capsys.readouterr().err
+    assert "largest response" in told and "known to" in told
     assert main(["solve", str(path), *where, "--set", "mesh.error=false"]) == 0
     assert "without the mesh: mesh.error = false" in capsys.readouterr().err
 
