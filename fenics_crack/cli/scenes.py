@@ -22,11 +22,13 @@ from fenics_crack.study.coarser_mesh import errors_of_natural
 from fenics_crack.study.key_figures import (
     CURVE_UNITS,
     KeyFigures,
+    Remark,
     find_key_figures,
     highest_omega,
     is_proportional,
     proposed_curve,
     remarks_on,
+    remarks_on_mesh,
     remarks_on_structure,
 )
 from fenics_crack.study.prepare import (
@@ -36,6 +38,7 @@ from fenics_crack.study.prepare import (
     prepare,
     reduction_of,
 )
+from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.plan import Plan
 from fenics_crack.table import RPM, TURN, Table, counted, percent, ranging
 
@@ -59,11 +62,12 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
     memory = check_memory_of(scene, whole, run_up=run_up)
     with console.stage("natural frequencies"):
         figures = find_key_figures(study)
+        by_mesh = _errors_by_mesh(study, figures)
     rows: dict[str, object] = {
         **({} if whole.nodes is None else _extents(figures)),
         "degrees of freedom": whole.n_dofs,
         **_frequencies(study.scene, figures),
-        **_errors_by_mesh(study, figures),
+        **_known_by_mesh(by_mesh),
         **_rotation(study.scene, figures),
         **_contact(study, figures),
         "harmonics": harmonics_in_words(scene),
@@ -84,6 +88,7 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
         rows["of them impossible"] = on_root(console.comm, lambda: _impossible(scene))
     remark = _remark_on_whole(scene, whole, highest_omega(scene))
     remarks = remarks_on(study.scene, figures) + remarks_on_structure(scene, whole)
+    remarks += _of_mesh(study.scene, figures, by_mesh)
     console.table(Table(("what", "value"), [*rows.items()]))
     console.note(remark)
     console.note(*(f"remark: {remark}" for remark in remarks))
@@ -123,19 +128,31 @@ def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:
     return rows
 
 
-def _errors_by_mesh(study: Study, figures: KeyFigures) -> dict[str, object]:
+def _errors_by_mesh(study: Study, figures: KeyFigures) -> Verification:
     """How well the mesh knows these frequencies."""
-    if study.scene.structure is not None:
-        return {}
     natural = {"open": figures.omega_open}
     if study.structure.n_pairs:
         natural["tied"] = figures.omega_tied
-    found = errors_of_natural(study, natural)
+    return errors_of_natural(study, natural)
+
+
+def _known_by_mesh(found: Verification) -> dict[str, object]:
+    """The same as a row; of matrices none."""
+    if found.scene.structure is not None:
+        return {}
     if found.unknown:
         return {"natural frequencies known to": f"without the mesh: {found.unknown['mesh']}"}
-    ends = [percent(found.stated(name)[0]) for name in found.values]
-    first = [end for name, end in zip(found.values, ends, strict=True) if name.endswith("_1")]
-    return {"first natural frequencies known to, by the mesh": " and ".join(first)}
+    ends = [percent(found.stated(name)[0]) for name in found.values if name.endswith("_1")]
+    return {"first natural frequencies known to, by the mesh": " and ".join(ends)}
+
+
+def _of_mesh(scene: Scene, figures: KeyFigures, found: Verification) -> list[Remark]:
+    """Remarks on what these errors change of the answer."""
+    errors: dict[str, list[float]] = {}
+    for name in found.values if found.parts else ():
+        errors.setdefault(name.rpartition("_")[2], []).append(found.stated(name)[0])
+    means = np.array([np.mean(both) for both in errors.values()])
+    return [*remarks_on_mesh(scene, figures, means)] if errors else []
 
 
 def _rotation(scene: Scene, figures: KeyFigures) -> dict[str, object]:

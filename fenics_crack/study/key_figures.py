@@ -48,7 +48,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCES, Curve, Rotation
 from fenics_crack.scene.words import faces_in_words
 from fenics_crack.study.prepare import Study, reduction_of
-from fenics_crack.table import RPM, TURN, ranging
+from fenics_crack.table import RPM, TURN, percent, ranging
 
 N_MODES = 4
 """Modes that are computed."""
@@ -385,6 +385,8 @@ AT_CLAMP = 0.01
 are then wrong by that of a blade's length."""
 LEAST_FREQUENCY = 0.02
 """Load frequency, relative to the first natural one, below which a scene is one of statics."""
+LARGEST_OF_MESH = 0.05
+"""Part of the mesh in the error of an amplitude, relative to it, up to which nothing is said."""
 MEANT_FOR = 0.1
 """Relative distance at which a load frequency is taken to be meant for a natural one."""
 MM = {"mm": 1e-3}
@@ -432,6 +434,31 @@ def remarks_on(scene: Scene, figures: KeyFigures) -> list[Remark]:
     if any(remark.key.startswith(firsts) for remark in own):
         return own  # all else may follow from these
     return own + [remark for rule in chosen for remark in rule(scene, figures)]
+
+
+def remarks_on_mesh(scene: Scene, figures: KeyFigures, errors: np.ndarray) -> Remarks:
+    """That the mesh changes the amplitude at the load's frequency w by more than is usual, by its
+    part in the errors of the bilinear frequencies w_j (m,), relative to them.
+
+    Of the nearest mode |1 - x^2 + 2 i xi x| changes with x = w / w_j; where the crack breathes, and
+    2 w meets a resonance, with x = 2 w / w_j."""
+    natural = 2.0 / (1.0 / figures.omega_open + 1.0 / figures.omega_tied)[: len(errors)]
+    omega, change, moved = scene.excitation.omega, 0.0, 0.0
+    for order in (1, 2) if figures.breathes else (1,):
+        mode = int(np.abs(order * omega / natural - 1.0).argmin())
+        x, error, ratio = order * omega / natural[mode], errors[mode], figures.damping[mode]
+        if order == 1 or abs(x - 1.0) <= ratio + error:
+            shifted = x * (1.0 + error * np.array([0.0, 1.0, -1.0]))
+            size = 1.0 / np.abs(1.0 - shifted**2 + 2j * ratio * shifted)
+            largest = float(np.abs(size / size[0] - 1.0).max())
+            change, moved = max((change, moved), (largest, error))
+    if change > LARGEST_OF_MESH:
+        key = {"grid": "columns", "file": "file"}.get(scene.mesh.layout, "size")
+        text = (
+            f"the mesh moves the resonance by about {percent(moved)}, which changes the amplitude "
+            f"at {omega / TURN:.4g} Hz by about {percent(change)}; smaller elements reduce it"
+        )
+        yield Remark(f"mesh.{key}", getattr(scene.mesh, key), text)
 
 
 # --- of the scene alone ---------------------------------------------------------------------------
