@@ -11,6 +11,10 @@ force is: edge cracks and inner ones, of solids also part through, three metals,
 mean loads, 60 % of them within a tenth of a resonance. Of solids the reference is a mesh twice as
 fine.
 
+``new_solids``: the same of four solids on meshes as ``new --solid`` writes them, at half and 0.9 of
+the resonance at which their crack breathes, against meshes twice and three times as fine; and by
+how much the last refinement moves a number, over its true error.
+
 The others: does the truth lie within the uncertainties of ``fc.verify``?
 
 ``mesh``: scenes of many kinds (the demos' plates, both orders, triangles, a grid, a crack inside,
@@ -49,6 +53,7 @@ from fenics_crack.study.stated_errors import numbers_of
 from fenics_crack.study.verification import MESH
 
 Numbers = dict[str, float]
+Vector = tuple[float, float, float]
 Span = tuple[float, float]
 COLUMNS = ("scene", "quantity", "value", "true", "stated", "true / stated", "order", "behaviour")
 GRID = {
@@ -146,6 +151,44 @@ HELD_OUT: dict[str, tuple[dict[str, Any], int, float]] = {
     "two preloaded cracks, triangles": (PRESSED_PAIR, 1, 0.93),
 }
 """Changes, a mode, and the load's frequency over its bilinear one."""
+STEEL, TITANIUM, ALUMINIUM = (
+    {"material.young": young, "material.poisson": poisson, "material.density": density}
+    for young, poisson, density in (
+        (2.1e11, 0.3, 7850.0),
+        (1.14e11, 0.33, 4430.0),
+        (7e10, 0.33, 2700.0),
+    )
+)
+THROUGH = {
+    "crack.center": None,
+    "crack.edge": "left",
+    "crack.height": 0.025,
+    "crack.length": 0.0096,
+}
+FACE = {
+    "crack.center": 0.015, "crack.height": 0.02, "crack.length": 0.016, "crack.depth": 0.005,
+    "crack.front": "elliptical",
+}  # fmt: skip
+CORNER = {
+    "crack.center": None, "crack.edge": "left", "crack.height": 0.025, "crack.length": 0.01,
+    "crack.depth": 0.005, "crack.front": "elliptical",
+}  # fmt: skip
+IN_BAR = {"crack.center": None, "crack.edge": "left", "crack.height": 0.03, "crack.length": 0.008}
+ALONG, ACROSS = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+NEW_SOLIDS: dict[str, tuple[Vector, dict[str, Any], int, Vector]] = {
+    "aluminium plate, through": (
+        (0.024, 0.09, 0.008), THROUGH | ALUMINIUM | {"damping.ratio": 0.01}, 2, ALONG,
+    ),
+    "steel plate, half an ellipse": (
+        (0.03, 0.06, 0.01), FACE | STEEL | {"damping.ratio": 0.005}, 1, ACROSS,
+    ),
+    "titanium strip, quarter of an ellipse": (
+        (0.02, 0.08, 0.008), CORNER | TITANIUM | {"damping.ratio": 0.01}, 1, ACROSS,
+    ),
+    "steel bar, through": ((0.02, 0.1, 0.02), IN_BAR | STEEL | {"damping.ratio": 0.008}, 1, ALONG),
+}  # fmt: skip
+"""Sides [m], crack, metal and damping, the mode in which the crack breathes, and the force [N]."""
+SHARES, TWICE_AND_THRICE = (0.5, 0.9), (2.0, 3.0)
 HEADLINES = ("amplitude", "opening", "ratio_2_1")
 ANSWERED = (
     "scene", "quantity", "value", "true", "stated", "true / stated", "most by", "within 2 %",
@@ -162,6 +205,7 @@ SIDES = ("width", "height", "thickness")
 def main() -> None:
     """Run it."""
     answers = {"answers": run_answers, "plates": run_plates, "solids": run_solids}
+    answers["new_solids"] = run_new_solids
     parts = {"mesh": run_mesh, "boxes": run_boxes, "harmonics": run_harmonics, "modes": run_modes}
     common.run(__doc__, answers | parts)
 
@@ -453,6 +497,59 @@ def run_plates(arguments: common.Arguments) -> None:
 def run_solids(arguments: common.Arguments) -> None:
     """Random solids."""
     run_random(arguments, "solids", new("solid"), 2.0)
+
+
+def new_solids() -> Iterator[tuple[str, fc.Scene]]:
+    """Each at both frequencies, on a mesh as that of ``new --solid``: as many elements along the
+    crack, and as long beside the thickness."""
+    base = new("solid")
+    longest = base.mesh.given("size") / base.geometry.given("thickness")
+    for name, (sides, changes, mode, force) in NEW_SOLIDS.items():
+        shape = {f"geometry.{side}": value for side, value in zip(SIDES, sides, strict=True)}
+        load = {"point": [0.0, sides[1], sides[2] / 2.0], "force_sin": force}
+        own = {"mesh.size": longest * sides[2]} | {f"excitation.{k}": v for k, v in load.items()}
+        box = base.replace(shape | own | {"crack.front": None, "crack.depth": None} | changes)
+        natural = fc.bilinear_frequencies(fc.prepare(box).structure).omega_bilinear[mode - 1]
+        for share in SHARES:
+            yield f"{name}, {share:g}", box.replace({"excitation.omega": float(share * natural)})
+
+
+def run_new_solids(arguments: common.Arguments) -> None:
+    """Against two finer meshes, :data:`MANY_MODES` modes and 20 harmonics."""
+    rows: list[common.Row] = []
+    columns = (*ANSWERED[:-1], "moved / true")
+    references: list[Study] = []
+    for number, (name, scene) in enumerate(new_solids()):
+        if arguments.quick and number >= len(SHARES):
+            break
+        if number % len(SHARES) == 0:  # frequencies of one solid share its references
+            references = [finer_study(scene, factor) for factor in TWICE_AND_THRICE]
+        run = fc.solve(scene)
+        assert run.errors is not None
+        less, more = (without_verdict(one, run.result.omega) for one in references)
+        for quantity in ("amplitude", "opening"):
+            value, (stated, cause) = run.errors.values[quantity], run.errors.stated(quantity)
+            true = abs(more[quantity] / value - 1.0)
+            moved = abs(more[quantity] - less[quantity]) / (true * value)
+            rows.append((name, quantity, value, true, stated, true / stated, cause, moved))
+        path = arguments.folder / "stated_errors_new_solids.csv"
+        common.save_table(path, "solids", columns, rows)
+    tell(rows)
+
+
+def finer_study(scene: fc.Scene, factor: float) -> Study:
+    """A scene on a finer mesh, with many modes."""
+    finer = finer_mesh(scene, factor)
+    assert finer is not None
+    return fc.prepare(finer.replace({"reduction.modes": MANY_MODES}), judged=False)
+
+
+def without_verdict(study: Study, omega: float) -> Numbers:
+    """Numbers of a study's solution at a frequency, with 20 harmonics."""
+    assert study.contact is not None
+    found = fc.solve_harmonic_balance(study.structure, omega, study.contact, harmonics=20)
+    seen = found.indicators(study.watched[0].dof)
+    return {name: float(getattr(seen, name)) for name in ("amplitude", "opening")}
 
 
 def run_random(arguments: common.Arguments, part: str, base: fc.Scene, finer: float) -> None:
