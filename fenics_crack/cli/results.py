@@ -325,7 +325,8 @@ def _errors(run: Run[Any], name: str) -> tuple[float, str]:
         mode = bilinear_frequencies(run.structure).nearest(run.result.omega)["mode"]
         name = natural_name(run.scene, kind, int(mode))
     error, cause = run.stated.stated(name)
-    return float(f"{100.0 * max(error, READ):.3g}"), cause
+    percents = 100.0 * max(error, READ) if error < np.inf else np.nan
+    return float(f"{percents:.3g}"), cause
 
 
 def _of_point(watched: Watched, values: Mapping[str, object]) -> list[Row]:

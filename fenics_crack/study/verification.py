@@ -49,9 +49,8 @@ SAFE, CAUTIOUS = 1.25, 3.0
 LEAST_ORDER, MOST_OVER_FORMAL = 0.5, 1.5
 """Observed orders that are believed: the least; and the largest relative to that of theory, where
 no highest one is known."""
-TOO_COARSE = 1.0
-"""Part of the mesh relative to a quantity from which on its error is unknown: no extrapolation
-from a coarser mesh holds where the difference is as large as the number itself."""
+AS_LARGE = 1.0
+"""Error, relative to a number, from which on it is unknown: the number may be of either sign."""
 HIGHEST_ORDER = 50.0
 """Largest order that is told."""
 UNCHANGED = 1e-9
@@ -359,23 +358,17 @@ class Verification(Tabular):
         """The error of a quantity, relative to it, by all causes (:meth:`total`); and the largest
         of them: "mesh", "modes", "harmonics", "samples". Not known: nan, also where the part of the
         harmonics or the modes is not, or nothing that was varied changes it and something else was
-        not. Infinite, by the "mesh", where that is too coarse to estimate it
-        (:meth:`is_too_coarse`)."""
+        not. Infinite where the estimate is as large as the quantity, as of a mesh too coarse to
+        tell."""
         unknown = any(cause in self.unknown for cause in ESTIMATED)
         if quantity not in self.values or not self.parts or unknown:
             return math.nan, ""
         parts = self._parts(quantity)
-        if self.is_too_coarse(quantity):
-            return math.inf, "mesh"
         total = self.relative(quantity, self.total(quantity))
         if total == 0.0 and self.unknown:
             return math.nan, ""
-        return total, max(parts, key=lambda one: parts[one])
-
-    def is_too_coarse(self, quantity: str) -> bool:
-        """True if the mesh may change a quantity by as much as it is: its error is unknown."""
-        part = self._parts(quantity).get("mesh", 0.0)
-        return self.relative(quantity, part) >= TOO_COARSE
+        cause = max(parts, key=lambda one: parts[one])
+        return math.inf if total >= AS_LARGE else total, cause
 
     def doubt(self, quantity: str) -> str:
         """Return why the error of a quantity is unknown; empty where it is known, or was left out
@@ -384,7 +377,7 @@ class Verification(Tabular):
             if cause in self.unknown:
                 return self.unknown[cause]
         error, cause = self.stated(quantity)
-        if error >= 1.0:
+        if math.isinf(error):
             coarse = "the mesh is too coarse; " if cause == "mesh" else ""
             return f"{coarse}the estimate is as large as the value, most of it by the {cause}"
         return ""

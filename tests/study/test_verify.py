@@ -18,6 +18,7 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack import ConvergenceError, InputError, Scene, Study, stages
+from fenics_crack.errors import Exit
 
 PLATE: dict[str, Any] = {
     "geometry": {"width": 0.1, "height": 0.1, "thickness": 1.0},
@@ -296,7 +297,7 @@ def test_command(
     path = tmp_path / "plate.toml"
     path.write_text(plate({"excitation.frequency": 318.3}).as_toml())
     words = ["verify", str(path), "--output", str(tmp_path)]
-    assert main(words) == 0
+    assert main(words) == Exit.MISSED  # next to a resonance so coarse a mesh knows no amplitude
     printed = capsys.readouterr()
     assert "frequency_open_1 [Hz]" in printed.out and "total [%]" in printed.out
     assert "amplitude = " in printed.err and "contact is integrated exactly" in printed.err
@@ -308,7 +309,7 @@ def test_command(
     records = json.loads((tmp_path / "verify.json").read_text())
     assert {row["cause"] for row in records} == {*verified.causes, "total", "sum"}
     assert (tmp_path / "verify.png").stat().st_size > 20_000
-    assert main([*words, "--format", "json", "--quiet"]) == 0
+    assert main([*words, "--format", "json", "--quiet"]) == Exit.MISSED
     assert json.loads(capsys.readouterr().out) == records
     kept = str(tmp_path / "verify.h5")
     assert main(["report", kept, "--output", str(tmp_path / "page.html"), "--quiet"]) == 0
