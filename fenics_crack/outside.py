@@ -37,6 +37,8 @@ ALWAYS = 2**24
 """Bytes that any file may expand to: 16 MiB of text take seconds, of numbers less."""
 MEMORY = 2**30
 """Memory of a reader beside that for numbers [bytes]: gmsh and h5py need a quarter of it."""
+MOST_TEXT = 2**26
+"""Bytes of a text that is read whole, such as a scene or a table: a million rows have 40 MiB."""
 WAITING = 4
 """Times the processor time: how long a reader is waited for."""
 FOREIGN = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "HDF5_")
@@ -69,8 +71,9 @@ def away() -> Iterator[None]:
         os.close(here)
 
 
-def bytes_of(path: str | Path, most: int | None = MOST_BYTES) -> int:
-    """Size of a regular file: neither a device nor a pipe, which need not end.
+def bytes_of(path: str | Path, most: int | None = MOST_BYTES, *, links: bool = True) -> int:
+    """Size of a regular file: neither a device nor a pipe, which need not end; without ``links``
+    no link to one either.
 
     Raises
     ------
@@ -78,7 +81,7 @@ def bytes_of(path: str | Path, most: int | None = MOST_BYTES) -> int:
         There is no such file, or it is larger than ``most``.
     """
     try:
-        found = os.stat(path)
+        found = os.stat(path, follow_symlinks=links)
     except ValueError as error:  # no name of a file
         raise OSError(str(error)) from None
     if not stat.S_ISREG(found.st_mode):
@@ -86,6 +89,12 @@ def bytes_of(path: str | Path, most: int | None = MOST_BYTES) -> int:
     if most is not None and found.st_size > most:
         raise OSError(f"it has more than {most} bytes")
     return found.st_size
+
+
+def content_of(path: str | Path, most: int = MOST_TEXT, *, links: bool = True) -> bytes:
+    """Content of a file that is read whole; OSError as of :func:`bytes_of`."""
+    bytes_of(path, most, links=links)
+    return Path(path).read_bytes()
 
 
 def allowance(size: int) -> int:
@@ -109,9 +118,9 @@ def text_of(path: str | Path) -> str:
     Raises
     ------
     OSError, ValueError
-        The file cannot be read; or its text is in another encoding.
+        As of :func:`content_of`; or its text is in another encoding.
     """
-    content = Path(path).read_bytes()
+    content = content_of(path)
     for mark, name in MARKS.items():
         if content.startswith(mark):
             raise ValueError(

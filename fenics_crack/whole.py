@@ -1,7 +1,9 @@
 """Files that are written whole or not at all.
 
 Everything the program writes goes through here. A file gets a hidden name first and its own once it
-is complete, so that a full disk, an error or a kill leaves what was there.
+is complete, so that a full disk, an error or a kill leaves what was there. A link or a pipe of that
+name, which a folder from somebody else may hold, is replaced by the file: nothing is written
+through it.
 """
 
 from __future__ import annotations
@@ -9,13 +11,13 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import stat
-import threading
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from fenics_crack.errors import InputError, WriteError
 
+DEVICES = "/dev", "/dev/fd", "/proc/self/fd"
+"""Folders of devices and open files, which are written as they are."""
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 """Errors of a disk that takes no more; others come from a path that cannot be used."""
 
@@ -26,7 +28,7 @@ def write_whole(path: str | Path, content: bytes | str, key: str = "path") -> No
     Parameters
     ----------
     path : path
-        The file. What is no regular file, such as ``/dev/stdout``, is written as it is.
+        The file. A device or an open file, such as ``/dev/stdout``, is written as it is.
     content : bytes or str
         All of it.
     key : str
@@ -38,11 +40,10 @@ def write_whole(path: str | Path, content: bytes | str, key: str = "path") -> No
         As of :func:`not_written`.
     """
     data = content.encode() if isinstance(content, str) else content
-    with contextlib.suppress(OSError):
-        if not stat.S_ISREG(mode := os.stat(path).st_mode) and not stat.S_ISDIR(mode):
-            with _told(path, key), open(path, "wb") as device:
-                device.write(data)
-            return
+    if os.path.dirname(os.path.abspath(path)) in DEVICES:
+        with _told(path, key), open(path, "wb") as device:
+            device.write(data)
+        return
     with whole_file(path, key) as partial, open(partial, "wb") as file:
         file.write(data)
 
@@ -76,8 +77,8 @@ def whole_file(path: str | Path, key: str = "path", *, new: bool = False) -> Ite
     InputError
         As of :func:`not_written`.
     """
-    target = Path(os.path.realpath(path))  # of a link the file that it leads to
-    partial = target.parent / f".{threading.get_native_id()}.{target.name}"
+    target = Path(path)
+    partial = target.parent / f".{os.urandom(4).hex()}.{target.name}"  # which nobody can foresee
     with _told(path, key):
         try:
             target.parent.mkdir(parents=True, exist_ok=True)

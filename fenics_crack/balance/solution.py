@@ -286,7 +286,14 @@ class PeriodicSolution(Wave, Described):
         """Half the peak-to-peak displacement of a dof, or of the watched one [m] (collective)."""
         if self.still:
             return 0.0
-        return float(np.ptp(self.displacement(self.instants(), [dof])) / 2.0)
+        if self.residual is None:
+            return float(np.ptp(self.displacement(self.instants(), [dof])) / 2.0)
+        return float(np.ptp(self.structure.values_at(self._coordinates, [dof])) / 2.0)
+
+    @cached_property
+    def _coordinates(self) -> np.ndarray:
+        """Those of the structure over the period, by which all dofs move."""
+        return self.coordinates(self.instants())
 
     def indicators(self, dof: int | None = None) -> Indicators:
         """What a dof, or the watched one, and the lips show of a breathing crack (collective)."""
@@ -294,10 +301,11 @@ class PeriodicSolution(Wave, Described):
             self.omega,
             self.coefficients_at([dof])[:, 0],
             self.amplitude(dof),
-            self._extremes(),
+            self._extremes,
             self.subharmonic,
         )
 
+    @cached_property
     def _extremes(self) -> dict[str, float]:
         """What the lips do at most in the period."""
         time = self.instants()
@@ -351,7 +359,7 @@ class PeriodicSolution(Wave, Described):
             "subharmonic": self.subharmonic,
             "pairs": self.gap_coefficients.shape[1],
         }
-        found |= self._extremes()
+        found |= self._extremes
         found |= {f"{name}_error": value for name, value in self.report.to_dict().items()}
         found["penetration_share"] = found.pop("penetration_error")
         if self.stability is not None:

@@ -39,7 +39,7 @@ TABLES = {
     "excitation": ("omega",),
     "harmonic_balance": ("harmonics", "samples", "tolerance"),
     "integration": ("steps_per_period",),
-    "reduction": ("modes",),
+    "reduction": ("method", "modes"),
     "tip_timing": ("clock", "noise", "probes", "revolutions", "tip_radius"),
 }
 DAMPING = ("mass", "modes", "omegas", "ratio", "ratios", "stiffness")

@@ -7,7 +7,6 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -41,6 +40,7 @@ from fenics_crack.errors import INTERRUPTED, ConvergenceError, InputError
 from fenics_crack.files.store import IDENTIFICATION, Stored
 from fenics_crack.model.modes import KINDS, BilinearFrequencies, Modes, bilinear_frequencies
 from fenics_crack.model.rotation import RunUpStructure
+from fenics_crack.outside import content_of
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
 from fenics_crack.scene.words import key_in_words, value_in_words
@@ -72,6 +72,8 @@ from fenics_crack.table import (
 )
 from fenics_crack.time.march import TimeHistory
 
+PNG = b"\x89PNG\r\n\x1a\n"
+"""Beginning of a PNG file."""
 ERROR = "error [%]"
 """Of modes, harmonics and mesh, as far as it is known."""
 Row = tuple[str, str, object, str]
@@ -713,8 +715,8 @@ class Identified:
     scene: Scene
     summary: Mapping[str, Any]
     """As ``identify.json`` has it."""
-    picture: Path
-    """Of the posterior."""
+    picture: bytes
+    """Of the posterior, a PNG file."""
 
 
 def _identified(stored: Stored) -> Identified:
@@ -724,9 +726,12 @@ def _identified(stored: Stored) -> Identified:
         scene, summary = stored.scene(), json.loads(parts["summary"])
         if scene is None:
             raise LookupError("scene")
-    if not picture.is_file():
-        raise InputError("result", str(stored.path), f"with {picture.name} beside it")
-    return Identified(scene, summary, picture)
+    drawn = b""
+    with suppress(OSError):
+        drawn = content_of(picture, links=False)
+    if not drawn.startswith(PNG):
+        raise InputError("result", str(stored.path), f"with the picture {picture.name} beside it")
+    return Identified(scene, summary, drawn)
 
 
 def _account_of_identified(found: Identified) -> Account:

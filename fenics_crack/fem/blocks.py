@@ -41,6 +41,7 @@ from fenics_crack.fem.lips import Lip
 from fenics_crack.kernel import Struct, kernel
 from fenics_crack.machine import machine_memory
 from fenics_crack.mesher import gmsh
+from fenics_crack.model.factor import factor_memory
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Crack
 
@@ -138,20 +139,21 @@ def _plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Sl
     return columns, rows, slits
 
 
-def _check_cells(scene: Scene, key: str, cells: float, per_cell: int) -> None:
+def _check_cells(scene: Scene, key: str, cells: float, per_cell: int, shortest: str = "") -> None:
     """Raise InputError where there are too many cells for gmsh, or their matrices, of so many
-    degrees of freedom per cell, would not fit."""
-    needed, machine = ASSEMBLED * per_cell * cells, machine_memory()
+    degrees of freedom per cell, or the factor of one would not fit."""
+    factor = factor_memory(per_cell * cells, solid=scene.dimension == 3)
+    needed, machine = max(ASSEMBLED * per_cell * cells, factor), machine_memory()
     reason = ""
     if cells > MAX_CELLS:
         reason = f"{cells:.2g} are more than {MAX_CELLS:.0e}"
     elif needed > machine:
         reason = (
-            f"the matrices of {cells:.2g} need about {needed / 2**30:.0f} GiB of this machine's "
+            f"to solve {cells:.2g} takes about {needed / 2**30:.0f} GiB of this machine's "
             f"{machine / 2**30:.3g}"
         )
     if reason:
-        allowed = f"so that there are fewer cells: {reason}"
+        allowed = f"so that there are fewer cells{shortest}: {reason}"
         raise InputError(f"mesh.{key}", getattr(scene.mesh, key), allowed)
 
 
@@ -575,8 +577,11 @@ def _check_size(scene: Scene, gradings: list[_Grading]) -> None:
     size = scene.mesh.given("size")
     bulk = PER_VOLUME * math.prod(scene.geometry.sides) / size**3
     fronts = sum(one.cells(size) for one in gradings)
-    key = "size" if bulk >= fronts else "lip_elements"
-    _check_cells(scene, key, bulk + fronts, scene.mesh.order**3 // 2)
+    key, shortest = "size", ""
+    if fronts > bulk:
+        least = min(one.shortest for one in gradings)
+        key, shortest = "lip_elements", f", at a crack's front {least:.2g} m long"
+    _check_cells(scene, key, bulk + fronts, scene.mesh.order**3 // 2, shortest)
 
 
 def _front(

@@ -19,6 +19,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from fenics_crack.caches import settle_caches
 from fenics_crack.machine import addresses_left
 from fenics_crack.mesher import gmsh
 from fenics_crack.outside import away
@@ -38,6 +39,7 @@ def _versions_by_metadata() -> Iterator[None]:
             del sys.modules["pkg_resources"]
 
 
+settle_caches()
 with _versions_by_metadata(), away():
     import basix
     import dolfinx

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from numbers import Integral
@@ -55,6 +56,8 @@ UNIVERSAL = (".uff", ".unv")
 """Endings of universal files."""
 LARGEST_PHASE = 4.0 * math.pi
 """Of a period of 2 pi, for whoever begins it elsewhere [rad]; what is larger is in degrees."""
+MOST_MEASUREMENTS = 1000
+"""Measured numbers of one crack: a covariance of all is decomposed at each crack looked at."""
 FEWEST_PROBES = 4
 """Probes of which displacements tell more than the size and phase of a load, and a constant."""
 AT_REST = 1e-3
@@ -217,7 +220,7 @@ class Measurements(Tabular):
     Attributes
     ----------
     rows : tuple of Measurement
-        At least one.
+        At least one, and :data:`MOST_MEASUREMENTS` at most.
     """
 
     rows: tuple[Measurement, ...]
@@ -226,9 +229,9 @@ class Measurements(Tabular):
         object.__setattr__(self, "rows", tuple(self.rows))
         if not self.rows or not all(isinstance(row, Measurement) for row in self.rows):
             raise InputError("measurements", list(self.rows), "one Measurement or more")
-        names = [row.name for row in self.rows if row.quantity != "displacement"]
-        twice = [name for name in names if names.count(name) > 1]
-        if twice:
+        _check_count_of(self.rows)
+        names = Counter(row.name for row in self.rows if row.quantity != "displacement")
+        if twice := [name for name, count in names.items() if count > 1]:
             found = [row.value for row in self.rows if row.name == twice[0]]
             allowed = "one value, the mean, with the standard deviation of that"
             raise InputError(f"measurements, {twice[0]}", found, allowed)
@@ -459,6 +462,13 @@ class Measurements(Tabular):
         return ", ".join(f"{count} {what}" for count, what in parts if count) or counted(0, "row")
 
 
+def _check_count_of(rows: Sequence[object]) -> None:
+    """Raise InputError for too many measurements."""
+    if len(rows) > MOST_MEASUREMENTS:
+        allowed = f"{MOST_MEASUREMENTS} at most; several of one quantity are one, their mean"
+        raise InputError("measurements", f"{len(rows)} rows", allowed)
+
+
 def without_crack(scene: Scene) -> dict[str, Any] | None:
     """What is to be changed in a scene to take its crack out; None where that cannot be done."""
     changes: dict[str, Any] = dict.fromkeys(("crack", "cracks", "contact", "output.quantities"))
@@ -472,6 +482,7 @@ def _table(path: str | Path) -> list[Measurement]:
     """The lines of a CSV file; raises InputError."""
     with reading("measurements", path, "a CSV file"):
         lines = table_lines(path)
+        _check_count_of(lines[1:])
         table = list(csv.reader(line for _, line in lines))
     headings = table[0] if table else []
     names = [cell.partition("[")[0].strip() for cell in headings]

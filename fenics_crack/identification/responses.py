@@ -31,7 +31,7 @@ import numpy as np
 from scipy.signal import find_peaks
 
 from fenics_crack.errors import InputError
-from fenics_crack.outside import bytes_of
+from fenics_crack.outside import MOST_BYTES, content_of
 from fenics_crack.table import TURN
 
 BORDER = b"-1"
@@ -78,9 +78,8 @@ def read_responses(path: Path) -> list[FrequencyResponse]:
     OSError, ValueError
         The file cannot be read, contradicts itself, or has none.
     """
-    bytes_of(path)
     found = []
-    for heading, numbers, order in _functions(BytesIO(path.read_bytes())):
+    for heading, numbers, order in _functions(BytesIO(content_of(path, MOST_BYTES))):
         lines = [line.decode("latin-1") for line in heading]
         if int(lines[6][:5]) == RESPONSE:
             found.append(_response(lines, numbers, order))

@@ -51,7 +51,7 @@ DIRECTIONS = {"UX": 1, "UY": 2, "UZ": 3, "ROTX": 4, "ROTY": 5, "ROTZ": 6}
 """Of Ansys."""
 SHORTEST = {"coordinate": 4, "array": 2}
 """Bytes of an entry and the end of its line."""
-LAYOUTS, FIELDS = ("coordinate", "array"), ("real", "integer", "pattern")
+LAYOUTS, FIELDS = ("coordinate", "array"), ("real", "integer")
 MIRROR = {"symmetric": 1, "skew-symmetric": -1}
 """What an entry below the diagonal is multiplied by above it."""
 SYMMETRIES = ("general", *MIRROR)
@@ -350,7 +350,7 @@ def read_matrix_market(path: Path, rows: int | None = None) -> sparse.csr_matrix
         The file cannot be read, or contradicts itself.
     """
     with _opened(path) as (lines, most):
-        (layout, field, symmetry), sizes, entries = _announced(lines, most)
+        (layout, symmetry), sizes, entries = _announced(lines, most)
         shape = sizes[0], sizes[1]
         if rows is not None and shape[0] != rows:
             raise ValueError(f"it has {shape[0]} rows instead of {rows}")
@@ -368,7 +368,7 @@ def read_matrix_market(path: Path, rows: int | None = None) -> sparse.csr_matrix
     elif max(shape) > max(len(body), rows or 1):
         raise ValueError(f"of shape {shape}, it has only {len(body)} entries")
     else:
-        values, at = _coordinates(body, shape, symmetry, field)
+        values, at = _coordinates(body, shape, symmetry)
     if symmetry == "general":
         matrix = sparse.csr_matrix((values, at), shape)
     else:
@@ -403,8 +403,8 @@ def _opened(path: Path) -> Iterator[tuple[Iterator[str], int]]:
         yield lines_of(file, most), most
 
 
-def _announced(lines: Iterator[str], most: int) -> tuple[tuple[str, str, str], list[int], int]:
-    """Layout, field and symmetry, the numbers of the line with the size, and those of entries."""
+def _announced(lines: Iterator[str], most: int) -> tuple[tuple[str, str], list[int], int]:
+    """Layout and symmetry, the numbers of the line with the size, and those of entries."""
     header = _header(next(lines, ""))
     line = next((line for line in lines if line.strip() and not line.startswith("%")), "")
     sizes = [int(word) for word in line.split()]
@@ -413,13 +413,13 @@ def _announced(lines: Iterator[str], most: int) -> tuple[tuple[str, str, str], l
     if len(sizes) == 3:
         entries = sizes[2]
     else:
-        entries = _entries(sizes[0], sizes[1], header[2])
+        entries = _entries(sizes[0], sizes[1], header[1])
     if entries * SHORTEST[header[0]] > most:
         raise ValueError(f"it announces {entries} entries, more than it can hold")
     return header, sizes, entries
 
 
-def _header(line: str) -> tuple[str, str, str]:
+def _header(line: str) -> tuple[str, str]:
     words = line.lower().split()
     if len(words) != 5 or words[:2] != ["%%matrixmarket", "matrix"]:
         raise ValueError("it does not begin with %%MatrixMarket matrix")
@@ -427,9 +427,7 @@ def _header(line: str) -> tuple[str, str, str]:
     for word, known in ((layout, LAYOUTS), (field, FIELDS), (symmetry, SYMMETRIES)):
         if word not in known:
             raise ValueError(f"{word!r} instead of one of {', '.join(known)}")
-    if (layout, field) == ("array", "pattern"):
-        raise ValueError("an array without values")
-    return layout, field, symmetry
+    return layout, symmetry
 
 
 def _entries(rows: int, columns: int, symmetry: str) -> int:
@@ -449,19 +447,18 @@ def _places_in_array(shape: tuple[int, int], symmetry: str) -> tuple[np.ndarray,
 
 
 def _coordinates(
-    body: np.ndarray, shape: tuple[int, int], symmetry: str, field: str
+    body: np.ndarray, shape: tuple[int, int], symmetry: str
 ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
     """Values, rows and columns of a sparse file's entries."""
-    width = 2 if field == "pattern" else 3
-    if len(body) and body.shape[1] != width:
-        raise ValueError(f"its entries have {body.shape[1]} numbers instead of {width}")
-    body = body.reshape(-1, width)
+    if len(body) and body.shape[1] != 3:
+        raise ValueError(f"its entries have {body.shape[1]} numbers instead of 3")
+    body = body.reshape(-1, 3)
     if not np.all((body[:, :2] >= 1) & (body[:, :2] <= shape) & (body[:, :2] % 1 == 0)):
         raise ValueError("an entry lies outside of the matrix")
     rows, columns = body[:, :2].astype(np.int64).T - 1
     if symmetry != "general" and np.any(rows < columns):
         raise ValueError(f"{symmetry}, but with entries above the diagonal")
-    return np.ones(len(body)) if field == "pattern" else body[:, 2], (rows, columns)
+    return body[:, 2], (rows, columns)
 
 
 # --- lines ----------------------------------------------------------------------------------------

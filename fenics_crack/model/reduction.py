@@ -103,7 +103,8 @@ def reduce_structure(
     Raises
     ------
     InputError
-        Unknown method, fewer modes than asked for, more than 600 dofs with a ratio for each.
+        Unknown method, fewer modes than asked for, more than 600 dofs with a ratio for each, or
+        with "craig_bampton" tied pairs that leave no motion.
 
     Examples
     --------
@@ -131,6 +132,8 @@ def reduce_structure(
     ties, count = None, int(modes)
     if method == "craig_bampton" and structure.n_pairs:
         ties, count = independent_ties(structure), min(count, n_tied_modes(structure))
+        if count == 0:
+            raise InputError("method", method, "another one: the tied pairs leave no motion")
     with Factor(structure.stiffness, definite=True, border=ties) as own:
         found = modes_by(own, structure, count, ties)
         kept, squares = found.shapes[:, :count], found.omega[:count] ** 2

@@ -40,6 +40,8 @@ FORCES = ("force_mean", "force_cos", "force_sin")
 """Parts of the excitation."""
 KINDS = ("force", "pressure", "traction")
 """Of the loads at a point or on an edge."""
+MOST_POINTS = 100
+"""Points of ``[output.points]``: every quantity of each is computed, printed and written."""
 LEAST_OF_AN_UNKNOWN = 4
 """Values that its interpolation needs."""
 
@@ -1004,8 +1006,11 @@ class Output(Table):
     """Default: a few of them. Files have them all."""
     points: tuple[Point, ...] = holds(
         "a table of points: a name of letters, digits and _, and [x, y], or [x, y, z] of a solid, "
-        "finite numbers",
-        lambda points: all(re.fullmatch(r"[A-Za-z]\w{0,29}", point.key, re.A) for point in points),
+        f"finite numbers; {MOST_POINTS} of them at most",
+        lambda points: (
+            len(points) <= MOST_POINTS
+            and all(re.fullmatch(r"[A-Za-z]\w{0,29}", point.key, re.A) for point in points)
+        ),
         (),
     )
     """[m]; the nearest node of each is watched in x and y. Default: the dof with most of the load.

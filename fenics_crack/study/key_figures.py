@@ -393,6 +393,9 @@ MM = {"mm": 1e-3}
 """In metres."""
 MANY_MODES = 2000
 """Modes of a whole structure that take minutes."""
+SOFTEST = 1e-3
+"""Contact stiffness per area over that of a crack's faces, E / length, of which a deep crack has
+1/200 at its mouth."""
 AS_SOFT, AS_RIGID = 1.0, 1e6
 """Contact stiffness over that of the lips: as soft as these, and not to be told from rigid."""
 
@@ -412,7 +415,9 @@ class Remark:
 
 def remarks_on_scene(scene: Scene) -> list[Remark]:
     """What the scene alone shows; costs nothing."""
-    of_plates = (_material, _plate, _rotor, _damping, _load, _settling, _proportional, _growth)
+    of_plates = (
+        _material, _plate, _faces, _rotor, _damping, _load, _settling, _proportional, _growth,
+    )  # fmt: skip
     of_matrices = () if scene.damping is None else (_damping, _settling)
     chosen = of_plates if scene.structure is None else of_matrices
     return [remark for rule in (*chosen, _probes) for remark in rule(scene)]
@@ -433,7 +438,9 @@ def remarks_on(scene: Scene, figures: KeyFigures) -> list[Remark]:
     firsts = "material.", "geometry.", "rotation.", "mesh.file", "structure.model"
     if any(remark.key.startswith(firsts) for remark in own):
         return own  # all else may follow from these
-    return own + [remark for rule in chosen for remark in rule(scene, figures)]
+    told = {remark.key for remark in own}
+    found = [remark for rule in chosen for remark in rule(scene, figures)]
+    return own + [remark for remark in found if remark.key not in told]
 
 
 def remarks_on_mesh(scene: Scene, figures: KeyFigures, errors: np.ndarray) -> Remarks:
@@ -515,6 +522,30 @@ def _plate(scene: Scene) -> Remarks:
         text = f"longer than half the {kind}'s shorter side, {shortest:g} m"
         units = MM if size > shortest else {}
         yield from _unless_usual("mesh.size", size, (0.0, shortest / 2.0), text, units)
+
+
+def _faces(scene: Scene) -> Remarks:
+    """Gaps that no small motion closes, contact that is softer than any crack faces, and contact of
+    nothing."""
+    cracks, contact, geometry = scene.all_cracks, scene.contact, scene.geometry
+    if contact is not None and not cracks and scene.mesh.layout != "file":
+        text = "there is no [crack], so nothing touches and the response is linear"
+        yield Remark("contact.law", contact.law, text)
+    sides = [side for side in (geometry.width, geometry.height) if side is not None]
+    for name, crack in cracks.items():
+        largest = SMALL_MOTION * min(sides, default=np.inf)
+        text = f"more than {SMALL_MOTION:g} of the shorter side, beyond small displacements"
+        yield from _unless_usual(f"{name}.clearance", crack.clearance, (-largest, largest), text)
+    lengths = [crack.length for crack in cracks.values() if crack.length is not None]
+    area = None if contact is None else contact.stiffness_per_area
+    if area is not None and lengths:
+        ratio = area * max(lengths) / scene.material.young
+        if ratio < SOFTEST:
+            text = (
+                f"{ratio:.2g} of young / crack.length, softer than the crack faces themselves: they "
+                "pass through each other"
+            )
+            yield Remark("contact.stiffness_per_area", area, text)
 
 
 def _rotor(scene: Scene) -> Remarks:

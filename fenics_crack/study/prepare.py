@@ -1,12 +1,7 @@
 """From a scene to what is solved: its structure, reduced as it says, and its contact law.
 
-The memory that this is going to take is stated before it is spent. Nested dissection leaves O(n log
-n) numbers in the factor of the stiffness of a plane mesh with n dofs (George, SIAM Journal on
-Numerical Analysis 10, 1973, 345); the constant here is that of MUMPS with its work space, from
-4,000 to a million dofs of quadratic cells. In space they are O(n^(4/3)), with a constant that falls
-with the thickness: of quadratic tetrahedra, from 7,000 to 180,000 dofs, it is 95 to 136 in twisted
-blades, 133 to 203 in plates, 210 to 233 in cubes. Modes are counted by a second factor while the
-first one is held.
+The memory that this is going to take is stated before it is spent. Modes are counted by a second
+factor while the first one is held.
 """
 
 from __future__ import annotations
@@ -32,7 +27,7 @@ from fenics_crack.model.contact import (
     UnilateralConstraint,
     UnilateralPenalty,
 )
-from fenics_crack.model.factor import AT_A_TIME
+from fenics_crack.model.factor import AT_A_TIME, factor_memory
 from fenics_crack.model.modes import krylov_vectors
 from fenics_crack.model.nodes import AXES
 from fenics_crack.model.reduction import MODES, reduce_structure
@@ -47,10 +42,6 @@ FEW_DOFS = 100
 """A structure with at most so many dofs is reduced only on request."""
 MEMORY_SHARE = 0.8
 """Of the machine's memory that may be used."""
-FACTOR = 60.0
-"""Bytes of a factor over n log2 n."""
-SOLID_FACTOR = 130.0
-"""Of a solid over n^(4/3)."""
 BASES = 3
 """Of a run-up: as it is put together, what comes in, and what is made of both."""
 
@@ -325,9 +316,8 @@ def _matrix_memory(structure: Structure) -> float:
 
 
 def _factor_memory(structure: Structure) -> float:
-    if structure.nodes is not None and structure.nodes.points.shape[1] == 3:
-        return SOLID_FACTOR * structure.n_dofs ** (4.0 / 3.0)
-    return FACTOR * structure.n_dofs * float(np.log2(structure.n_dofs + 1))
+    solid = structure.nodes is not None and structure.nodes.points.shape[1] == 3
+    return factor_memory(structure.n_dofs, solid=solid)
 
 
 def give_back_freed() -> None:

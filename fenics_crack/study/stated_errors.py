@@ -116,6 +116,7 @@ def numbers_of(study: Study, found: PeriodicSolution, mode: int | None = None) -
     chosen = (scene.output.quantities if scene.output is not None else None) or ANSWER
     values: dict[str, float] = {}
     units: dict[str, str] = {}
+    found.coefficients_at([watched.dof for watched in study.watched])  # by one factor
     for watched in study.watched:
         seen = found.indicators(watched.dof)
         rounding = NEGLIGIBLE * (seen.amplitude + abs(seen.mean))  # of lips that are held closed

@@ -33,7 +33,7 @@ import numpy as np
 from fenics_crack.errors import FEW_MODES, InputError, WriteError
 from fenics_crack.files import store
 from fenics_crack.files.store import about
-from fenics_crack.outside import MOST_BYTES
+from fenics_crack.outside import MOST_BYTES, bytes_of
 from fenics_crack.scene.scene import LOOKED_AT, Scene, asked_quantities
 from fenics_crack.scene.words import differences
 from fenics_crack.table import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QUANTITIES
@@ -144,7 +144,9 @@ class SweepFile:
     ) -> None:
         self._path, self._columns = path, columns_of(scene)
         try:
-            made = None if path.exists() else _made(path, scene, harmonics, pairs, omitted)
+            there = os.path.lexists(path)
+            made = None if there else _made(path, scene, harmonics, pairs, omitted)
+            bytes_of(path, None, links=False)  # nothing is written elsewhere
             self._file = os.open(path, os.O_RDWR)
             try:
                 fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)

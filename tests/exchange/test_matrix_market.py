@@ -46,12 +46,11 @@ def test_as_written_by_scipy(tmp_path: Path, symmetry: str, dense: bool) -> None
         np.testing.assert_allclose(read(file), matrix, rtol=1e-15)
 
 
-def test_integers_and_patterns(tmp_path: Path) -> None:
-    """Whole numbers; and places alone, which stand for ones."""
+def test_integers(tmp_path: Path) -> None:
+    """Whole numbers."""
     path = tmp_path / "matrix.mtx"
-    for field in ("integer", "pattern"):
-        scipy.io.mmwrite(path, (RANDOM != 0.0).astype(int), field=field)
-        np.testing.assert_array_equal(read(path), RANDOM.toarray() != 0.0)
+    scipy.io.mmwrite(path, (RANDOM != 0.0).astype(int), field="integer")
+    np.testing.assert_array_equal(read(path), RANDOM.toarray() != 0.0)
 
 
 @pytest.mark.parametrize(
@@ -59,7 +58,7 @@ def test_integers_and_patterns(tmp_path: Path) -> None:
     [
         ("", "does not begin"),
         ("matrix array complex general\n1 1\n1 0\n", "'complex' instead of"),
-        ("matrix array pattern general\n1 1\n", "without values"),
+        ("matrix coordinate pattern general\n1 1 1\n1 1\n", "'pattern' instead of"),
         ("matrix array real general\n", "size is missing"),
         ("matrix array real general\n2 1\n1\n2\n3\n", "more entries instead of 2"),
         ("matrix array real symmetric\n2 1\n1\n2\n", "symmetric, but of shape"),
