@@ -1,0 +1,62 @@
+"""Folders in which DOLFINx keeps compiled forms and Matplotlib its list of fonts.
+
+Both look for them in the environment when they are imported, and fail where the user's home does
+not exist or takes no files, as in containers and on clusters.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import tempfile
+from functools import lru_cache
+from pathlib import Path
+
+from fenics_crack.whole import not_written
+
+ROOM = 2**22
+"""Size of what must fit into a cache [bytes]; the forms of a scene take 1 to 2 MiB."""
+
+
+@lru_cache
+def settle_caches() -> None:
+    """Replace a home that cannot be entered, and caches that cannot be written, by a private
+    folder for temporary files, and say so in one line.
+
+    Raises
+    ------
+    InputError
+        That folder cannot be written either.
+    """
+    home = os.path.expanduser("~")
+    if not (os.path.isdir(home) and os.access(home, os.X_OK)):
+        _replace("HOME", Path(home), "no folder that can be entered")
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    try:
+        _check_room(cache)
+    except OSError as error:
+        _replace("XDG_CACHE_HOME", cache, f"no folder that can be written, {error.strerror}")
+        os.environ.setdefault("MPLCONFIGDIR", os.environ["XDG_CACHE_HOME"])
+
+
+def _replace(name: str, path: Path, why: str) -> None:
+    """Set a variable of the environment to this user's own folder for temporary files."""
+    try:
+        own = Path(tempfile.gettempdir()) / f"fenics-crack-{os.geteuid()}"
+        own.mkdir(mode=0o700, exist_ok=True)
+        found = own.lstat()
+        if found.st_uid != os.geteuid() or found.st_mode & 0o77:  # what is compiled there is run
+            raise PermissionError(f"{own} is not this user's alone")
+        _check_room(own)
+    except OSError as error:
+        raise not_written(name, path, error, "a folder that can be written") from None
+    os.environ[name] = str(own)
+    # Python prints warnings that no handler is set for, to standard error.
+    logging.getLogger(__name__).warning("remark: %s: %s; %s is used", path, why, own)
+
+
+def _check_room(folder: Path) -> None:
+    """Make a folder; OSError unless it has room for a cache."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryFile(dir=folder) as file:
+        file.write(bytes(ROOM))
