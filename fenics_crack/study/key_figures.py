@@ -542,7 +542,7 @@ def _faces(scene: Scene) -> Remarks:
         ratio = area * max(lengths) / scene.material.young
         if ratio < SOFTEST:
             text = (
-                f"{ratio:.2g} of young / crack.length, softer than the crack faces themselves: they "
+                f"{ratio:.2g} of young / crack.length, softer than the crack faces: they "
                 "pass through each other"
             )
             yield Remark("contact.stiffness_per_area", area, text)

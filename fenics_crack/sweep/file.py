@@ -126,8 +126,9 @@ class SweepFile:
     """A sweep's file, open for writing; continued if it exists, else made.
 
     ``harmonics`` and ``pairs`` are upper bounds for all cases, ``omitted`` names what is not asked
-    of them. Raises InputError if the file cannot be written, another program is writing it, it is
-    not a sweep of this scene, or other cases would have other columns than those in it.
+    of them. Raises InputError if the file cannot be written, cases are left and another program is
+    writing it, it is not a sweep of this scene, or other cases would have other columns than those
+    in it.
 
     Attributes
     ----------
@@ -149,10 +150,12 @@ class SweepFile:
             bytes_of(path, None, links=False)  # nothing is written elsewhere
             self._file = os.open(path, os.O_RDWR)
             try:
-                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                busy = _lock(self._file)
                 self.stored = made or _of_scene(path, scene)
                 self.state = _whole_cases(self.stored, scene)
-                if np.any(self.state == PENDING):
+                if np.any(self.state == PENDING):  # else nothing is written
+                    if busy:
+                        raise busy
                     _check_omitted(self.stored, omitted)
             except BaseException:
                 os.close(self._file)
@@ -225,6 +228,15 @@ class SweepFile:
             return os.path.samestat(os.fstat(self._file), os.stat(self._path))
         except OSError:
             return False
+
+
+def _lock(file: int) -> OSError | None:
+    """Lock an open file, or return the error where another program has locked it."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        return error
+    return None
 
 
 def _padded(arrays: list[np.ndarray], pairs: int) -> np.ndarray:
