@@ -25,6 +25,9 @@ with away():  # UCX would read a ucx.conf
     from petsc4py import init, lib
 
 Result = TypeVar("Result")
+STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
+"""Signals that stop: of Ctrl-C; what mpirun sends its ranks a second before it kills them; and what
+it passes on to them, so that they end by themselves."""
 
 
 def _start_petsc() -> None:
@@ -128,8 +131,8 @@ def uninterrupted() -> Iterator[None]:
 
 
 class StopRequest:
-    """Ctrl-C stops where nothing is lost; a second one stops at once. Of two, one within the other,
-    the outer one is then asked, too.
+    """Ctrl-C, or another of :data:`STOPS`, stops where nothing is lost; a second one stops at once.
+    Of two, one within the other, the outer one is then asked, too.
 
     with StopRequest() as stop:
         while not stop.asked(comm): ...
@@ -137,17 +140,17 @@ class StopRequest:
 
     def __init__(self) -> None:
         self._asked = False
-        self._handler: Any = None
+        self._handlers: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> StopRequest:
         if threading.current_thread() is threading.main_thread():
-            self._handler = signal.signal(signal.SIGINT, self._ask)
+            self._handlers = {number: signal.signal(number, self._ask) for number in STOPS}
         return self
 
     def __exit__(self, *exception: object) -> None:
-        if self._handler is not None:
-            signal.signal(signal.SIGINT, self._handler)
-        outer = getattr(self._handler, "__self__", None)
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
+        outer = getattr(self._handlers.get(signal.SIGINT), "__self__", None)
         if self._asked and isinstance(outer, StopRequest):
             outer._asked = True
 

@@ -94,13 +94,47 @@ def test_full_tmpfs(results: Path, tmp_path: Path) -> None:
     assert done.returncode == 1 and "sweep.h5" in line and "No space left" in line
 
 
+@pytest.mark.parametrize("command", COMMANDS)
+def test_links_in_the_folder_lead_nowhere(command: str, results: Path, tmp_path: Path) -> None:
+    """A file takes the place of a link, and what the link leads to stays as it was."""
+    own, victim = tmp_path / "own", tmp_path / "victim"
+    own.mkdir()
+    victim.write_text("before")
+    for name in COMMANDS[command]:
+        (own / name).symlink_to(victim)
+    words = [command, str(DEMOS / "chain.toml"), *SMALL, "--output", str(own)]
+    if command in ("plot", "report"):
+        page = "report.html" if command == "report" else ""
+        words = [command, str(results), "--quiet", "--output", str(own / page)]
+    assert main(words) == 0
+    assert victim.read_text() == "before"
+    assert not any((own / name).is_symlink() for name in COMMANDS[command])
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_a_sweep_through_a_link_is_refused(
+    there: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One line, whether the link leads to another sweep of the same scene or to nothing yet."""
+    words = ["sweep", str(DEMOS / "chain.toml"), *SMALL, "--output"]
+    victim, own = tmp_path / "victim", tmp_path / "own"
+    if there:
+        assert main([*words, str(victim)]) == 0
+    own.mkdir()
+    (own / "sweep.h5").symlink_to(victim / "sweep.h5")
+    capsys.readouterr()
+    assert main([*words, str(own)]) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert "regular file" in line and (victim / "sweep.h5").exists() == there
+
+
 def test_links_devices_and_folders(tmp_path: Path) -> None:
-    """A link stays one, a device is written to as it is, a folder is refused."""
+    """A link is replaced, a device is written to as it is, a folder is refused."""
     file, link = tmp_path / "file", tmp_path / "link"
     file.write_text("before")
     link.symlink_to(file)
     write_whole(link, "after")
-    assert link.is_symlink() and file.read_text() == "after"
+    assert not link.is_symlink() and file.read_text() == "before" and link.read_text() == "after"
     write_whole("/dev/null", "anything")
     assert Path("/dev/null").is_char_device()
     with pytest.raises(WriteError, match="/dev/full"):

@@ -100,6 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # the last to be registered is the first to be called.
         atexit.register(setattr, sys, "unraisablehook", lambda _: None)
         _say("stopped")
+        _end_others(Exit.STOPPED)
         return Exit.STOPPED
     except BrokenPipeError:  # the reader of our output has gone
         _discard_output()
@@ -110,12 +111,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
             _discard_output()
         else:
             traceback.print_exc(file=sys.__stderr__)
-        if launched():
-            from mpi4py import MPI
-
-            if MPI.COMM_WORLD.size > 1:  # the other ranks may wait for this one
-                MPI.COMM_WORLD.Abort(Exit.FAULT)
+        _end_others(Exit.FAULT)
         return Exit.FAULT
+
+
+def _end_others(code: Exit) -> None:
+    """End the other ranks, which may wait for this one, and this one, with an exit code."""
+    if launched():
+        from mpi4py import MPI
+
+        if MPI.COMM_WORLD.size > 1:
+            MPI.COMM_WORLD.Abort(code)
 
 
 def _read(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -190,12 +196,14 @@ def _run(given: argparse.Namespace) -> Exit:
     if meshes and not (inputs and inputs.scene.structure):
         from fenics_crack import mesher  # noqa: F401  before MPI: see there
     with _settings({} if launched() else ALONE):
-        from fenics_crack.parallel import MPI, on_root
+        from fenics_crack.parallel import MPI, STOPS, on_root
 
     comm = MPI.COMM_WORLD
     if comm.rank > 0:
         _be_silent()
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # else PETSc ends the program if a reader leaves
+    for number in STOPS:
+        signal.signal(number, signal.default_int_handler)
     with alone():
         if launched():
             inputs = on_root(comm, lambda: read_inputs(given))

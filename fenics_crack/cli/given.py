@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fenics_crack.errors import InputError, check_count
+from fenics_crack.outside import content_of
 from fenics_crack.scene.scene import Scene
 from fenics_crack.stages import StageLines, begin, listening
 from fenics_crack.table import Table
@@ -272,8 +273,8 @@ def kept_before(folder: Path, command: str, comm: MPI.Comm) -> Iterator[None]:
 
 def has_replaced(table: Path) -> bool:
     """True if the table of a result, within :func:`kept_before`, has replaced another one."""
-    with suppress(FileNotFoundError):
-        return table.read_bytes() != _aside(table).read_bytes()
+    with suppress(OSError):
+        return content_of(table) != content_of(_aside(table), links=False)
     return False
 
 

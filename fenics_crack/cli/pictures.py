@@ -52,6 +52,7 @@ from fenics_crack.errors import FEW_MODES, InputError
 from fenics_crack.files.store import Stored, read, versions
 from fenics_crack.model.modes import LIPS, Modes, n_tied_modes, solve_modes
 from fenics_crack.model.structure import Structure
+from fenics_crack.outside import content_of
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene, unit_of
@@ -408,11 +409,11 @@ def _posterior(found: Identified, file: File) -> None:
     """Take the picture that ``identify`` has drawn, which may be written to its own place."""
     path = file("posterior")
     source = found.picture.with_suffix(path.suffix)
-    if not source.is_file():
-        kind = path.suffix[1:]
+    try:
+        write_whole(path, content_of(source, links=False))
+    except OSError:
         allowed = f"png, or the --pictures of identify: there is no {source}"
-        raise InputError("--pictures", kind, allowed)
-    path.write_bytes(source.read_bytes())
+        raise InputError("--pictures", path.suffix[1:], allowed) from None
 
 
 DRAW: dict[str, Callable[[Any, File], object]] = {

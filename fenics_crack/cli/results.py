@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -715,8 +716,8 @@ class Identified:
     scene: Scene
     summary: Mapping[str, Any]
     """As ``identify.json`` has it."""
-    picture: bytes
-    """Of the posterior, a PNG file."""
+    picture: Path
+    """Of the posterior, a PNG file and no link."""
 
 
 def _identified(stored: Stored) -> Identified:
@@ -730,8 +731,8 @@ def _identified(stored: Stored) -> Identified:
     with suppress(OSError):
         drawn = content_of(picture, links=False)
     if not drawn.startswith(PNG):
-        raise InputError("result", str(stored.path), f"with the picture {picture.name} beside it")
-    return Identified(scene, summary, drawn)
+        raise InputError("result", str(stored.path), f"with {picture.name} beside it")
+    return Identified(scene, summary, picture)
 
 
 def _account_of_identified(found: Identified) -> Account:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import html
 import json
 import os
@@ -11,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -685,6 +687,11 @@ def test_command(
         "where_to_measure.csv",
     ):
         assert (folder / name).exists()
+    with ExitStack() as held:  # by another call at this moment
+        for path in folder.glob("*_*.h5"):
+            fcntl.flock(held.enter_context(path.open("rb")), fcntl.LOCK_EX)
+        assert main([*words, "--output", str(folder)]) == 0
+    capsys.readouterr()
     wrong = (tmp_path / "m.csv").read_text().replace("tip.ux", "top.ux")
     (tmp_path / "m.csv").write_text(wrong)
     assert main([*words, "--output", str(folder)]) == 2
@@ -923,7 +930,17 @@ def test_beside_other_results(
     assert main(["report", own, "--output", str(page)]) == 0 and main(["plot", own]) == 0
     assert picture.read_bytes() == before
     assert main(["plot", own, "--pictures", "pdf"]) == 2  # which identify has not drawn
-    picture.unlink()
+    for beside in ("link", "text", "nothing"):
+        picture.unlink(missing_ok=True)
+        if beside == "link":  # of somebody else's folder, to any picture of mine
+            (tmp_path / "mine.png").write_bytes(before)
+            picture.symlink_to(tmp_path / "mine.png")
+        elif beside == "text":
+            picture.write_text("no picture")
+        _assert_refused(own, capsys)
+
+
+def _assert_refused(own: str, capsys: pytest.CaptureFixture[str]) -> None:
     for command in ("plot", "report"):
         capsys.readouterr()
         assert main([command, own]) == 2

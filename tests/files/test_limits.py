@@ -1,0 +1,204 @@
+"""What a file may ask for: what is too large, or never ends, is refused at once."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import DEMOS, ROOT
+from surroundings import main
+
+import fenics_crack as fc
+from fenics_crack.caches import settle_caches
+
+SECONDS, MEMORY = 20.0, 2 * 2**30
+"""In which a command answers, and with which [byte]."""
+
+
+def run(*words: object, **surroundings: str) -> tuple[int, list[str]]:
+    """Exit code and last lines of the program, within :data:`SECONDS` and :data:`MEMORY`."""
+    began = time.perf_counter()
+    done = subprocess.Popen(
+        [sys.executable, "-m", "fenics_crack", *map(str, words)],
+        env=os.environ | surroundings, cwd=ROOT, text=True,
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    assert done.stderr is not None
+    with done.stderr:
+        said = done.stderr.read()
+    _, status, usage = os.wait4(done.pid, 0)
+    done.returncode = os.waitstatus_to_exitcode(status)
+    assert time.perf_counter() - began < SECONDS and 1024 * usage.ru_maxrss < MEMORY
+    return done.returncode, said.splitlines()
+
+
+def scene_of(folder: Path, *options: str) -> Path:
+    """A scene as ``new`` writes it."""
+    assert main(["new", str(folder / "scene.toml"), *options, "--quiet"]) == 0
+    return folder / "scene.toml"
+
+
+@pytest.mark.parametrize("change", ["crack.depth=1e-6", "mesh.lip_elements=2000"])
+def test_too_many_cells(change: str, tmp_path: Path) -> None:
+    """Of a solid, before it is meshed."""
+    code, said = run("check", scene_of(tmp_path, "--solid"), "--set", change)
+    assert code == 2 and "mesh.lip_elements" in said[-1]
+
+
+def test_too_many_points(tmp_path: Path) -> None:
+    """A hundred thousand of them; a hundred are watched."""
+    path = scene_of(tmp_path)
+    for count, code in ((100_000, 2), (100, 0)):
+        heights = np.linspace(0.16, 0.3, count)
+        rows = "".join(f"p{n} = [0.05, {height:.7f}]\n" for n, height in enumerate(heights))
+        plate = tmp_path / f"{count}.toml"
+        plate.write_text(f"{path.read_text().partition('[output]')[0]}[output.points]\n{rows}")
+        assert run("check", plate)[0] == code
+
+
+def test_too_many_measurements(tmp_path: Path) -> None:
+    """A million rows."""
+    path = scene_of(tmp_path, "--identify")
+    rows = "".join(f"harmonic_1,1e-6,1e-8,{100_000 + number}\n" for number in range(1_000_000))
+    (tmp_path / "m.csv").write_text(f"quantity,value,deviation,frequency\n{rows}")
+    code, said = run("identify", path, tmp_path / "m.csv")
+    assert code == 2 and len(said) == 1 and "measurements" in said[0]
+
+
+@pytest.mark.parametrize("kind", ["device", "pipe"])
+def test_what_never_ends_is_no_text(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A scene, measurements, responses and arrivals; a table that a result replaces."""
+    scene = scene_of(tmp_path, "--identify")
+    for name in ("never.toml", "never.csv", "never.uff"):
+        if kind == "pipe":
+            os.mkfifo(tmp_path / name)
+        else:
+            (tmp_path / name).symlink_to("/dev/zero")
+    text, table, universal = (tmp_path / f"never.{ending}" for ending in ("toml", "csv", "uff"))
+    for words in (
+        ["check", text], ["identify", scene, table], ["identify", scene, universal],
+        ["timing", table],
+    ):  # fmt: skip
+        capsys.readouterr()
+        assert main([*map(str, words), "--quiet"]) == 2
+        [line] = capsys.readouterr().err.splitlines()
+        assert "regular file" in line
+    place = tmp_path / "out" / "solution.json"
+    place.parent.mkdir()
+    (tmp_path / "never.csv").rename(place)
+    assert main(["solve", str(DEMOS / "chain.toml"), "--output", str(place.parent)]) == 0
+    assert place.is_file() and not place.is_symlink()
+
+
+def test_matrices_without_values(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of a pattern nobody knows the numbers."""
+    shutil.copytree(ROOT / "meshes" / "chain", tmp_path / "chain")
+    text = (DEMOS / "chain.toml").read_text().replace("../meshes/chain", "chain")
+    (tmp_path / "scene.toml").write_text(text)
+    head = "%%MatrixMarket matrix coordinate pattern symmetric\n12 12 12\n"
+    rows = "".join(f"{n} {n}\n" for n in range(1, 13))
+    (tmp_path / "chain" / "mass.mtx").write_text(head + rows)
+    assert main(["check", str(tmp_path / "scene.toml")]) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert "structure.mass" in line and "pattern" in line
+
+
+def test_pairs_that_leave_no_motion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As many as there are dofs, with tied pairs: no mode is left for Craig and Bampton."""
+    one = "%%MatrixMarket matrix array real general\n2 2\n1\n0\n0\n1\n"
+    (tmp_path / "one.mtx").write_text(one)
+    (tmp_path / "force.mtx").write_text("%%MatrixMarket matrix array real general\n2 1\n1\n0\n")
+    (tmp_path / "scene.toml").write_text(
+        """
+[structure]
+mass = "one.mtx"
+stiffness = "one.mtx"
+gap = "one.mtx"
+force_sin = "force.mtx"
+[damping]
+ratio = 0.05
+[excitation]
+omega = 0.9
+[contact]
+stiffness = 10.0
+[reduction]
+method = "craig_bampton"
+modes = 2
+"""
+    )
+    assert main(["solve", str(tmp_path / "scene.toml"), "--output", str(tmp_path)]) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert "reduction.method" in line
+
+
+@pytest.mark.parametrize(
+    ("key", "changes"),
+    [
+        ("crack.clearance", ["crack.clearance=1.0"]),
+        ("contact.stiffness_per_area", ["contact.law=penalty", "contact.stiffness_per_area=1.0"]),
+        ("contact.law", ["crack=none", "sweep=none"]),
+    ],
+)
+def test_contact_that_nothing_makes(
+    key: str, changes: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is remarked once."""
+    path = scene_of(tmp_path)
+    few = ["mesh.size=0.05", "mesh.lip_elements=2", "mesh.error=false", *changes]
+    capsys.readouterr()
+    assert main(["check", str(path), *(word for one in few for word in ("--set", one))]) == 0
+    said = capsys.readouterr().err
+    assert said.count(f"remark: {key} = ") == 1
+
+
+# --- caches ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder that takes the place of caches, not yet made."""
+    place = tmp_path / "temporary"
+    place.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(place))
+    for name in ("HOME", "XDG_CACHE_HOME", "MPLCONFIGDIR"):  # to be put back
+        monkeypatch.setenv(name, os.environ.get(name, str(tmp_path)))
+    return place / f"fenics-crack-{os.geteuid()}"
+
+
+@pytest.mark.parametrize("lost", ["HOME", "XDG_CACHE_HOME"])
+def test_a_home_that_takes_no_files(
+    lost: str, tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file in its place; a folder of this user's alone is used, and no other."""
+    (tmp_path / "file").touch()
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv(lost, str(tmp_path / "file"))
+    settle_caches.__wrapped__()
+    assert os.environ[lost] == str(temporary) and temporary.stat().st_mode & 0o777 == 0o700
+    temporary.chmod(0o755)
+    monkeypatch.setenv(lost, str(tmp_path / "file"))
+    with pytest.raises(fc.InputError, match=lost):
+        settle_caches.__wrapped__()
+
+
+def test_a_cache_that_cannot_be_written(tmp_path: Path) -> None:
+    """One line more, and the answer."""
+    kept = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fenics"
+    own = tmp_path / f"fenics-crack-{os.geteuid()}"
+    own.mkdir(mode=0o700)
+    if kept.is_dir():  # forms that are compiled take no time
+        shutil.copytree(kept, own / "fenics")
+    (tmp_path / "file").touch()
+    few = ["--set", "mesh.size=0.05", "--set", "mesh.lip_elements=2"]
+    words = ["modes", scene_of(tmp_path), *few, "--output", tmp_path / "out", "--quiet"]
+    code, said = run(*words, XDG_CACHE_HOME=str(tmp_path / "file"), TMPDIR=str(tmp_path))
+    assert code == 0 and len(said) == 1
