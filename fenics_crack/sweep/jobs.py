@@ -200,6 +200,8 @@ class Manager:
 
         def go_on() -> bool:
             while self._given_out and leaders.iprobe():
+                if stop.asked(MPI.COMM_SELF):
+                    self._left.clear()  # no job is handed out any more
                 self._hear(leaders)
             return self._error is None and not stop.asked(MPI.COMM_SELF)
 

@@ -384,6 +384,29 @@ def test_bad_input_on_two_ranks(tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.mpi
+@pytest.mark.parametrize("number", [signal.SIGUSR1, signal.SIGINT])
+def test_a_signal_to_mpirun_alone(tmp_path: Path, number: int) -> None:
+    """SIGUSR1 goes to the ranks, which end by themselves, with the tables of what was found. At
+    SIGINT mpirun soon kills them, and its code is its own; the cases stay."""
+    over = "sweep.over={'excitation.frequency' = {start = 7.0, stop = 12.0, count = 600}}"
+    words = ["sweep", str(ROOT / "demos" / "chain.toml"), "--set", over, "--output", str(tmp_path)]
+    program = subprocess.Popen(
+        ["mpirun", "-n", "2", *PROGRAM, *words], env=ENVIRONMENT, stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    path, done = tmp_path / "sweep.h5", 0
+    while program.poll() is None and not done:
+        time.sleep(0.1)
+        done = path.exists() and np.count_nonzero(fc.SweepResult.load(path)["state"])
+    program.send_signal(number)
+    code = program.wait(60.0)
+    assert 0 < np.count_nonzero(fc.SweepResult.load(path)["state"]) < 600
+    if number == signal.SIGUSR1:
+        assert code == 3 and (tmp_path / "sweep.csv").exists()
+    assert code != 0
+
+
 def test_a_failed_run_leaves_older_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A file is replaced only when the new one is complete."""
     words = ["modes", str(PAPER), "--output", str(tmp_path), "--quiet"]
