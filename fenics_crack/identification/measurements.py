@@ -220,7 +220,7 @@ class Measurements(Tabular):
     Attributes
     ----------
     rows : tuple of Measurement
-        At least one, and :data:`MOST_MEASUREMENTS` at most.
+        At least one, and 1000 at most.
     """
 
     rows: tuple[Measurement, ...]
