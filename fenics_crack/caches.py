@@ -56,7 +56,8 @@ def _replace(name: str, path: Path, why: str) -> None:
 
 
 def _check_room(folder: Path) -> None:
-    """Make a folder; OSError unless it has room for a cache."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Raise OSError unless a folder, or the one in which it would be made, has room for a cache."""
+    while not os.path.lexists(folder):
+        folder = folder.parent
     with tempfile.TemporaryFile(dir=folder) as file:
         file.write(bytes(ROOM))
