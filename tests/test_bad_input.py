@@ -30,7 +30,7 @@ LISTS["TABLES"] = LISTS["SWEPT"] + ", curve, integration, sweep, growth, identif
 TABLE = [
     # command, scene or file and arguments (key=value stands for --set key=value), message
     ("check missing.toml", "scene = 'missing.toml': must be a readable file (No such file or directory)"),
-    ("check folder", "scene = 'folder': must be a readable file (Is a directory)"),
+    ("check folder", "scene = 'folder': must be a readable file (it is not a regular file)"),
     ("check bad.toml", "scene = 'bad.toml': must be a TOML file ("),
     ("check empty.toml", "geometry = None: must be given: a table"),
     ("check extra.toml", "x = 1: must be left out; known tables: TABLES"),

@@ -377,7 +377,8 @@ def test_refused(paper_scene: fc.Scene, tmp_path: Path) -> None:
 
 
 def test_files_that_cannot_be_used(paper_scene: fc.Scene, tmp_path: Path) -> None:
-    """Another scene's, something else, one that cannot be written, one that is being written."""
+    """Another scene's, something else, one that cannot be written, one that is being written: of a
+    complete one nothing is."""
     scene, path = swept(paper_scene, FAST), tmp_path / "sweep.h5"
     run_sweep(scene, path)
     content = path.read_bytes()
@@ -390,9 +391,15 @@ def test_files_that_cannot_be_used(paper_scene: fc.Scene, tmp_path: Path) -> Non
             run_sweep(scene.replace(changes), path)
     other_curve = {"curve.start": 1000.0, "curve.stop": 1500.0, "integration.periods": 7}
     assert run_sweep(scene.replace(other_curve), path).complete  # no case depends on these
-    with h5py.File(path, "r+"), pytest.raises(fc.InputError, match="path"):
-        run_sweep(scene, path)
+    with h5py.File(path, "r+"):
+        assert run_sweep(scene, path).complete
     assert path.read_bytes() == content
+    partial = tmp_path / "partial.h5"
+    partial.write_bytes(content)
+    with h5py.File(partial, "r+") as file:
+        file["checksum"][...] = 0  # of no case that is complete
+    with h5py.File(partial, "r+"), pytest.raises(fc.InputError, match="path"):
+        run_sweep(scene, partial)
     other = tmp_path / "other.h5"
     other.write_text("no HDF5")
     for wrong in (other, tmp_path, other / "sweep.h5"):
