@@ -81,7 +81,7 @@ def known_to(run: Answer, name: str = "") -> str:
     if run.stated is None:
         return ""
     error, cause = run.stated.stated(name or run.watched[0].column("amplitude"))
-    if not 0.0 < error < math.inf:  # of a plate at rest, or of what no cause changes; or unknown
+    if not 0.0 < error < np.inf:  # of a plate at rest, or of what no cause changes; or unknown
         return ""
     size = percent(error) if error > READ else f"less than {percent(READ)}"
     by = f", most of it by the {cause}" if error > LEAST_TOLD else ""
