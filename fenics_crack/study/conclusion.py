@@ -3,7 +3,6 @@ and the sentence with which the program, a report and Python's ``str`` end."""
 
 from __future__ import annotations
 
-import math
 from functools import cached_property
 from typing import Any
 
