@@ -231,13 +231,12 @@ def _command(given: argparse.Namespace, inputs: Inputs | None, console: Console)
     command: Callable[..., Exit | None] = getattr(module, given.command)
     if inputs is None or "output" not in given:
         return command(given, inputs, console)
-    from fenics_crack.cli.given import kept_before, make_writable
+    from fenics_crack.cli.given import make_writable
     from fenics_crack.study.key_figures import remarks_on_scene
 
     make_writable(inputs.folder, console.comm)
     try:
-        with kept_before(inputs.folder, given.command, console.comm):
-            return command(given, inputs, console)
+        return command(given, inputs, console)
     except (ConvergenceError, KeyboardInterrupt):  # what is unusual may be why
         console.note(*(f"remark: {remark}" for remark in remarks_on_scene(inputs.scene)))
         raise

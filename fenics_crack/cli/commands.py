@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fenics_crack.cli.account import Account, account_of_sweep
-from fenics_crack.cli.given import BEFORE, Console, Inputs, has_replaced
+from fenics_crack.cli.given import Console, Inputs, keep_before
 from fenics_crack.cli.results import account_of
 from fenics_crack.cli.scenes import remark_on_sweep
 from fenics_crack.errors import FEW_MODES, INTERRUPTED, Exit, InputError, StoppedError
@@ -61,21 +61,30 @@ def solved(given: Namespace, inputs: Inputs, console: Console) -> Exit:
                 f"{folder / name}.* stays as it was: what was found until Ctrl-C is beside it"
             )
             name = f"{name}_interrupted"  # a part takes the place of no result
-        run.save(folder / f"{name}.h5")
         if account is None:
+            run.save(folder / f"{name}.h5")
             raise StoppedError(f"stopped; {folder / name}.h5 has what was found until then")
-        return tell(replace(account, name=name), folder, console)
+        return tell(replace(account, name=name), folder, console, save=run.save)
 
 
 modes = solve = curve = integrate = solved
 
 
 def tell(
-    account: Account, folder: Path, console: Console, draw: Callable[..., Any] | None = None
+    account: Account,
+    folder: Path,
+    console: Console,
+    draw: Callable[..., Any] | None = None,
+    save: Callable[[Path], None] | None = None,
 ) -> Exit:
-    """Write the tables of an account, and its picture by ``draw(path=...)``; print what there is to
-    say. Returns how that ended."""
-    path = folder / account.name
+    """Write the file of a result by ``save(path)``, the tables of its account, and its picture by
+    ``draw(path=...)``; print what there is to say. Returns how that ended."""
+    path, replaced = folder / account.name, ""
+    if account.name != "sweep":  # whose file is of one scene
+        text = account.summary.formatted("json")
+        replaced = keep_before(Path(f"{path}.json"), text, console.comm)
+    if save:
+        save(Path(f"{path}.h5"))
 
     def write() -> None:
         account.summary.save(f"{path}.json")
@@ -89,7 +98,7 @@ def tell(
     h5 = f"{path}.h5"
     drawn = f"{f'{h5}, ' if Path(h5).exists() else path}.csv, .json, .{console.pictures}"
     console.note(drawn if draw else f"{h5}, .csv, .json; pictures: fenics-crack plot {h5}")
-    _note_replaced(path, console)
+    console.note(replaced)
     if account.run is not None:
         away = {w.name.partition(".")[0]: w.distance for w in account.run.watched if w.distance > 0}
         places = [f"{name} {quantity(distance, 'm')}" for name, distance in away.items()]
@@ -100,12 +109,6 @@ def tell(
     console.warn(*account.warnings)
     console.note(account.closing)
     return account.exit
-
-
-def _note_replaced(path: Path, console: Console) -> None:
-    """Say where the result is that one of other content has replaced."""
-    if has_replaced(Path(f"{path}.json")):
-        console.note(f"{path.parent / BEFORE}: here is the earlier result, of other content")
 
 
 def sweep(_: Namespace, inputs: Inputs, console: Console) -> Exit:
@@ -126,9 +129,8 @@ def grow(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     scene, folder = inputs.scene, inputs.folder
     with console.stage("growth", bars=True):
         found = growth.grow(scene, folder, console.comm, progress=console.progress)
-    found.save(folder / "growth.h5", console.comm)
     draw = partial(draw_growth, found, in_hertz=scene.in_hertz)
-    return tell(account_of(found), folder, console, draw)
+    return tell(account_of(found), folder, console, draw, partial(found.save, comm=console.comm))
 
 
 def campbell(given: Namespace, inputs: Inputs, console: Console) -> Exit:
@@ -173,8 +175,8 @@ def verify(_: Namespace, inputs: Inputs, console: Console) -> Exit:
 
     with console.stage("verification"):
         found = refinement.verify(inputs.scene, console.comm)
-    found.save(inputs.folder / "verify.h5", console.comm)
-    return tell(account_of(found), inputs.folder, console, partial(draw_verification, found))
+    draw, save = partial(draw_verification, found), partial(found.save, comm=console.comm)
+    return tell(account_of(found), inputs.folder, console, draw, save)
 
 
 def _told_by(
@@ -235,6 +237,8 @@ def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
         for kind in {"png", console.pictures}:  # a report takes the first
             draw_posterior(found, path=folder / f"posterior.{kind}")
 
+    fit, others = found.fit_table().formatted("csv"), ("identify", "posterior", "where_to_measure")
+    replaced = keep_before(folder / "fit.csv", fit, console.comm, *others)
     on_root(console.comm, write)
     console.table(found.table())
     console.note(f"{found.verdict}: {found.reason}")
@@ -243,8 +247,8 @@ def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     said = [*found.remarks, *remarks_on_scene(scene)]
     console.note(*(f"remark: {remark}" for remark in said))
     console.note(*(f"next to measure: {advice}" for advice in found.advice))
-    others = f"posterior.{console.pictures}, fit.csv, where_to_measure.csv"
-    console.note(f"{folder / 'identify.h5'}, .json; {others}")
-    _note_replaced(folder / "identify", console)
+    names = f"posterior.{console.pictures}, fit.csv, where_to_measure.csv"
+    console.note(f"{folder / 'identify.h5'}, .json; {names}")
+    console.note(replaced)
     console.warn(*found.warnings)
     return Exit.NOT_CONVERGED if found.doubts else Exit.DONE

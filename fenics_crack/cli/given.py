@@ -19,7 +19,7 @@ import time
 import tomllib
 from argparse import Namespace
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -43,19 +43,9 @@ if TYPE_CHECKING:
 COMMENTED = "cli/new_scene.toml"
 RECORDS = (".csv", ".h5")
 """Endings of arrivals, and of results that make them."""
-REPLACED = {
-    "modes": ("modes",),
-    "solve": ("solution",),
-    "curve": ("curve",),
-    "integrate": ("integration",),
-    "verify": ("verify",),
-    "campbell": ("campbell",),
-    "grow": ("growth",),
-    "timing": ("timing", "arrivals"),
-    "identify": ("identify", "posterior", "fit", "where_to_measure"),
-}
-"""Names of the files of a command's result, first that of its table; a sweep resumes its own."""
 BEFORE = "before"
+WRITTEN = (".h5", ".csv", ".json", ".png", ".pdf", ".svg")
+"""Folder in which a result is kept that another one replaces, and what its files end in."""
 KINDS = ("blade", "timing", "identify")
 """What ``new`` writes besides a plate."""
 
@@ -208,19 +198,22 @@ def make_writable(folder: Path, comm: MPI.Comm) -> None:
     from fenics_crack.parallel import on_root  # PETSc
 
     def work() -> None:
-        with _written(folder):
+        try:
             folder.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryFile(dir=folder):
                 pass
+        except OSError as error:
+            raise not_written("--output", folder, error, "a folder that can be written") from None
 
     on_root(comm, work)
 
 
-@contextmanager
-def kept_before(folder: Path, command: str, comm: MPI.Comm) -> Iterator[None]:
-    """Keep the files of a command's result in the folder :data:`BEFORE`, one generation, where
-    those of another one take their place in the block: whose table is another, or has not been
-    reached (collective).
+def keep_before(table: Path, text: str, comm: MPI.Comm, *others: str) -> str:
+    """Keep an earlier result in the folder :data:`BEFORE` beside it, too, one generation, where the
+    text of its table is not that of the one that takes its place; return a line that says so, or
+    nothing (collective).
+
+    Its files are those of the name of the table and of the ``others``.
 
     Raises
     ------
@@ -229,80 +222,38 @@ def kept_before(folder: Path, command: str, comm: MPI.Comm) -> Iterator[None]:
     """
     from fenics_crack.parallel import on_root  # PETSc
 
-    names, before = REPLACED.get(command, ()), folder / BEFORE
+    before = table.with_name(BEFORE)
 
-    def set_aside() -> dict[Path, tuple[int, int]]:
-        old = [path for name in names for path in folder.glob(f"{name}.*") if _is_own(path)]
-        if old and (before.is_symlink() or (before.exists() and not before.is_dir())):
+    def files(folder: Path) -> list[Path]:
+        names = table.stem, *others
+        found = (folder / f"{name}{kind}" for name in names for kind in WRITTEN)
+        return [path for path in found if path.is_file() and not path.is_symlink()]
+
+    def work() -> str:
+        try:
+            if content_of(table, links=False) == text.encode():
+                return ""
+        except FileNotFoundError:
+            return ""
+        except OSError:  # no table of ours
+            pass
+        if before.is_symlink() or (before.exists() and not before.is_dir()):
             raise InputError("--output", str(before), "a folder, for results of another content")
-        for path in old:
-            _aside(path).unlink(missing_ok=True)
-            try:
-                os.link(path, _aside(path))
-            except OSError:  # a file system without links
-                shutil.copy2(path, _aside(path))
-        return {path: _mark(path) for path in old}
-
-    def settle(done: bool) -> None:
-        replaced = [path for path, mark in old.items() if _mark(path) != mark]
-        table = folder / f"{names[0]}.json" if names else folder
-        if done and table in old and not has_replaced(table):
-            replaced = []  # by the same result
-        if replaced:
+        try:
             before.mkdir(exist_ok=True)
-            for kept in [path for name in names for path in before.glob(f"{name}.*")]:
-                kept.unlink()
-        for path in old:
-            if path in replaced:
-                os.replace(_aside(path), before / path.name)
-            else:
-                _aside(path).unlink()
+            for path in files(before):
+                path.unlink()
+            for path in files(table.parent):
+                try:
+                    os.link(path, before / path.name)  # a new file takes the place of this name
+                except OSError:  # a file system without links
+                    shutil.copy2(path, before / path.name)
+        except OSError as error:
+            allowed = "a folder that can be written"
+            raise not_written("--output", table.parent, error, allowed) from None
+        return f"{before}: here is the earlier result, of other content"
 
-    with _written(folder):
-        old = on_root(comm, set_aside)
-    try:
-        yield
-    except BaseException:
-        if comm.rank == 0:
-            with suppress(OSError):
-                settle(done=False)
-        raise
-    with _written(folder):
-        on_root(comm, lambda: settle(done=True))
-
-
-def has_replaced(table: Path) -> bool:
-    """True if the table of a result, within :func:`kept_before`, has replaced another one."""
-    with suppress(OSError):
-        return content_of(table) != content_of(_aside(table), links=False)
-    return False
-
-
-def _aside(path: Path) -> Path:
-    """Where a file is kept while another one may take its place."""
-    return path.with_name(f".{path.name}.{BEFORE}")
-
-
-def _is_own(path: Path) -> bool:
-    """True if it is a file, not a link to one."""
-    return path.is_file() and not path.is_symlink()
-
-
-def _mark(path: Path) -> tuple[int, int]:
-    """What tells a file from one that has taken its place; zeros where there is none."""
-    with suppress(FileNotFoundError):
-        status = path.stat()
-        return status.st_ino, status.st_mtime_ns
-    return 0, 0
-
-
-@contextmanager
-def _written(folder: Path) -> Iterator[None]:
-    """Name the folder in the error of what cannot be written there."""
-    try:
-        yield
-    except OSError as error:
-        raise not_written("--output", folder, error, "a folder that can be written") from None
+    return on_root(comm, work)
 
 
 # --- the scene that is written --------------------------------------------------------------------

@@ -18,7 +18,7 @@ from fenics_crack.arrivals.passages import PassageFit, find_passages
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import Account, in_one_unit, of_error, of_stability
 from fenics_crack.cli.commands import tell
-from fenics_crack.cli.given import Console, Inputs, changes, kept_before, make_writable
+from fenics_crack.cli.given import Console, Inputs, changes, keep_before, make_writable
 from fenics_crack.draw.plot_study import draw_arrivals, draw_passages, draw_tip_fit, draw_tip_track
 from fenics_crack.errors import Exit, InputError
 from fenics_crack.parallel import on_root
@@ -80,6 +80,8 @@ def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
         picture = folder / f"arrivals.{console.pictures}"
         draw_arrivals(arrivals, path=picture, in_rpm=scene.in_rpm)
 
+    rows = arrivals.table().formatted("csv")
+    console.note(keep_before(folder / "arrivals.csv", rows, console.comm))
     on_root(console.comm, write)
     first, last = (speed_in_words(arrivals.speed[end], scene.in_rpm) for end in (0, -1))
     ends = f"{first} to {last}" if study.is_run_up(arrivals, run) else first
@@ -162,8 +164,7 @@ def _record(given: Namespace, console: Console) -> Exit:
     account = _account_of_passages(found)
     warnings = [*remarks_on_arrivals(blades[first]), *account.warnings]
     warnings += [UNSWEPT] * blades[first].steady
-    with kept_before(folder, given.command, console.comm):
-        return tell(replace(account, warnings=warnings), folder, console, draw)
+    return tell(replace(account, warnings=warnings), folder, console, draw)
 
 
 def _account_of_passages(found: Mapping[int, Sequence[PassageFit]]) -> Account:
