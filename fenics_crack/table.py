@@ -100,7 +100,8 @@ UNITS = {name: unit for name, (_, unit) in QUANTITIES.items()} | {
         "rpm": "rpm",
         "rad": "angle phase",
         "s": "time mark next_mark arrival",
-        "m": "amplitude_error displacement response clearance crack_length tip_radius",
+        "m": "amplitude_error displacement response clearance crack_length tip_radius "
+        "rest_amplitude",
         "m/cycle": "rate",
         "J": "energy",
     }.items()

@@ -446,7 +446,7 @@ class Verification(Tabular):
         return self.statement[0]
 
     def __str__(self) -> str:
-        return self.conclusion()
+        return f"{self!r}: {self.conclusion()}"
 
     def conclusion(self, remarks: int = 0) -> str:
         """Return the last sentence on the study, after its warnings and so many remarks."""

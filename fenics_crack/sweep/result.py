@@ -431,18 +431,20 @@ class SweepResult(Tabular):
         return swept | {name: unit for name, (unit, _) in columns_of(self.scene).items()}
 
     def __str__(self) -> str:
-        return self.conclusion()
+        return f"{self!r}: {self.conclusion()}"
 
     def conclusion(self, warnings: int = 0, remarks: int = 0) -> str:
         """Return the last sentence on the sweep, after so many warnings and remarks."""
-        total = self.errors.sum(axis=0)[self.converged]
+        total, cases = self.errors.sum(axis=0)[self.converged], counted(self.converged.size, "case")
         unknown = int(np.sum(total >= UNKNOWN))
         largest, what = total.max(initial=0.0), "largest estimated error by modes and harmonics"
         names, counts = np.unique(self["verdict"][self.converged], return_counts=True)
         closed = self["closed_share"][self.converged]
         verdicts = [f"{n} {name}" for n, name in zip(counts, names, strict=True) if name]
         return closing_sentence(
-            f"{self.converged.sum()} of {counted(self.converged.size, 'case')} converged",
+            "sweep complete"
+            if self.converged.all()
+            else f"{self.converged.sum()} of {cases} converged",
             unknown=f"in {counted(unknown, 'case')} it could not be estimated" if unknown else "",
             known=f"{what} {percent(largest)}" if largest > 0.0 else "",
             others=[*at_rest(closed), ", ".join(verdicts)],

@@ -456,7 +456,7 @@ def test_a_larger_harmonic_that_is_left_out(
     scene: fc.Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """At a sixth of the resonance five harmonics call the second one the largest: the sixth of the
-    exact orbit is told, and within the stated error; with eight there is no more to tell."""
+    exact orbit is told, and no error is stated; with eight there is no more to tell."""
     slow = {"excitation.frequency": 138.8, "mesh.error": False, "curve": None}
     words = ["solve", str(tmp_path / "plate.toml"), "--output", str(tmp_path), "--format", "json"]
     told, orders, seen = [], [], []
@@ -471,7 +471,7 @@ def test_a_larger_harmonic_that_is_left_out(
         seen.append(rows["ratio_largest"])
     assert told == [True, False] and orders == [2.0, 6.0]
     apart = 100.0 * (seen[1]["value"] / seen[0]["value"] - 1.0)
-    assert apart > 300.0 and seen[0]["error [%]"] == pytest.approx(apart, rel=0.02)
+    assert apart > 300.0 and seen[0]["error [%]"] is None  # as large as the number: unknown
 
 
 def test_rounding_is_no_high_harmonic(
