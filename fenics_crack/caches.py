@@ -33,7 +33,7 @@ def settle_caches() -> None:
         _replace("HOME", Path(home), "no folder that can be entered")
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     try:
-        _check_room(cache)
+        _check_room(cache / "fenics")
     except OSError as error:
         _replace("XDG_CACHE_HOME", cache, f"no folder that can be written, {error.strerror}")
         os.environ.setdefault("MPLCONFIGDIR", os.environ["XDG_CACHE_HOME"])

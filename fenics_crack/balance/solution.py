@@ -187,8 +187,8 @@ class Stability(Described):
         What the motion from rest does, where that was looked for and it does not settle to the
         solution; else "".
     rest_amplitude : float [m]
-        Half the peak-to-peak displacement of the watched dof to which it settles, in the largest
-        period of the load; nan: it does not.
+        Half the peak-to-peak displacement of the watched dof to which it settles, over all periods
+        of the load after which it repeats itself; nan: it does not.
     """
 
     multipliers: np.ndarray

@@ -198,6 +198,9 @@ def make_writable(folder: Path, comm: MPI.Comm) -> None:
     from fenics_crack.parallel import on_root  # PETSc
 
     def work() -> None:
+        before = folder / BEFORE
+        if before.is_symlink() or (before.exists() and not before.is_dir()):
+            raise InputError("--output", str(before), "a folder, in which earlier results are kept")
         try:
             folder.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryFile(dir=folder):
@@ -211,14 +214,9 @@ def make_writable(folder: Path, comm: MPI.Comm) -> None:
 def keep_before(table: Path, text: str, comm: MPI.Comm, *others: str) -> str:
     """Keep an earlier result in the folder :data:`BEFORE` beside it, too, one generation, where the
     text of its table is not that of the one that takes its place; return a line that says so, or
-    nothing (collective).
+    why it could not be kept, or nothing (collective).
 
     Its files are those of the name of the table and of the ``others``.
-
-    Raises
-    ------
-    InputError
-        They cannot be kept.
     """
     from fenics_crack.parallel import on_root  # PETSc
 
@@ -237,8 +235,6 @@ def keep_before(table: Path, text: str, comm: MPI.Comm, *others: str) -> str:
             return ""
         except OSError:  # no table of ours
             pass
-        if before.is_symlink() or (before.exists() and not before.is_dir()):
-            raise InputError("--output", str(before), "a folder, for results of another content")
         try:
             before.mkdir(exist_ok=True)
             for path in files(before):
@@ -249,8 +245,7 @@ def keep_before(table: Path, text: str, comm: MPI.Comm, *others: str) -> str:
                 except OSError:  # a file system without links
                     shutil.copy2(path, before / path.name)
         except OSError as error:
-            allowed = "a folder that can be written"
-            raise not_written("--output", table.parent, error, allowed) from None
+            return f"{before}: the earlier result could not be kept here ({error.strerror})"
         return f"{before}: here is the earlier result, of other content"
 
     return on_root(comm, work)

@@ -581,8 +581,8 @@ def _write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) -
                 heading += f": {differs or file.path}"
             told = [*found.facts]
             blocks = [_paragraph(f"In this result {differs}.", "small")] if differs else []
-            said = [*found.warnings, *map(str, found.remarks)]
-            doubtful = [f"{text[0].upper()}{text[1:]}" for text in said]
+            doubtful = [f"{text[0].upper()}{text[1:]}" for text in found.warnings]
+            doubtful += map(str, found.remarks)  # which begin with a key
             blocks += [_points(told), _points(doubtful, "doubtful")]
             blocks += [_paragraph(*found.verdict)] if found.verdict else []
             if _can_be_drawn(result):
@@ -593,7 +593,7 @@ def _write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) -
             closing = f"{found.closing[0].upper()}{found.closing[1:]}." if found.closing else ""
             blocks += [_paragraph(closing)] if closing else []
             facts += [*told[:1], *filter(None, [closing])]
-            doubts += [f"{heading}: {text}" for text in said]
+            doubts += [f"{heading}: {text}" for text in (*found.warnings, *found.remarks)]
     short = [_points(facts), _points(doubts, "doubtful")]
     if not doubts:
         short.append(_paragraph("No warnings and no remarks.", "good"))

@@ -47,7 +47,7 @@ from fenics_crack.scene.tables import Integration
 from fenics_crack.scene.words import key_in_words, value_in_words
 from fenics_crack.study.asked import asked_along_curve, asked_of_motion
 from fenics_crack.study.coarser_mesh import natural_name
-from fenics_crack.study.conclusion import READ, conclusion, known_to, unknown_error
+from fenics_crack.study.conclusion import conclusion, known_to, unknown_error
 from fenics_crack.study.key_figures import highest_omega
 from fenics_crack.study.prepare import Watched
 from fenics_crack.study.run import Run, run_of
@@ -60,6 +60,7 @@ from fenics_crack.table import (
     OF_LIPS,
     OF_POINTS,
     QUANTITIES,
+    READ,
     SHORT,
     UNITS,
     Table,
@@ -77,6 +78,8 @@ PNG = b"\x89PNG\r\n\x1a\n"
 """Beginning of a PNG file."""
 ERROR = "error [%]"
 """Of modes, harmonics and mesh, as far as it is known."""
+UNKNOWN_PARTS = ("total_error", "displacement_error")
+"""Of an error report, which mean nothing where the error is unknown."""
 Row = tuple[str, str, object, str]
 """Name, words, value, unit."""
 
@@ -161,7 +164,8 @@ def _in_doubt(run: Run[PeriodicSolution]) -> dict[str, object]:
     found["remarks"] = "; ".join(map(str, run.remarks))
     if judged is not None:
         found |= {"from_rest": judged.from_rest, "rest_amplitude": judged.rest_amplitude}
-    return {name: value for name, value in found.items() if value and value == value}
+    known = {name: value for name, value in found.items() if value and value == value}
+    return known | (dict.fromkeys(UNKNOWN_PARTS, np.nan) if run.result.report.unknown else {})
 
 
 def _in_numbers(table: Table, scene: Scene) -> dict[str, Table]:

@@ -400,6 +400,7 @@ ABOUT: dict[str, tuple[str, str]] = {
     "watched_coefficients": ("m", f"{ROWS}; along a curve points before rows; last: 'watched'"),
     "watched_displacement": ("m", "instants; 'watched'"),
     "multipliers": ("1", "Floquet multipliers, those of a curve the largest of each point"),
+    "rest_amplitude": ("m", "half peak-to-peak of the motion from rest at the watched dof"),
     "static_above": ("rad/s", "modes of higher frequencies answer contact forces at once"),
     "weight": ("N/m", "of the constraint"),
     "law_stiffness": ("N/m", "of all pairs, or of each"),

@@ -24,14 +24,11 @@ from fenics_crack.study.key_figures import (
 from fenics_crack.study.prepare import REFUSALS, Study
 from fenics_crack.study.stated_errors import not_estimated
 from fenics_crack.study.verification import Verification
-from fenics_crack.table import closing_sentence, in_unit, percent, quantity
+from fenics_crack.table import closing_sentence, error_in_words, in_unit, quantity
 from fenics_crack.time.march import TimeHistory
 
 LEAST_TOLD = 1e-4
 """Error whose largest cause is reported."""
-READ = 1e-5
-"""Error below which none is reported: extremes are read at 1,024 instants of the period, which
-leaves 1 - cos(pi / 1024) = 5e-6 of a sine."""
 
 
 class Answer(Study):
@@ -82,9 +79,8 @@ def known_to(run: Answer, name: str = "") -> str:
     error, cause = run.stated.stated(name or run.watched[0].column("amplitude"))
     if not 0.0 < error < np.inf:  # of a plate at rest, or of what no cause changes; or unknown
         return ""
-    size = percent(error) if error > READ else f"less than {percent(READ)}"
     by = f", most of it by the {cause}" if error > LEAST_TOLD else ""
-    return ", ".join(filter(None, (f"{size}{by}", run.stated.left_out)))
+    return ", ".join(filter(None, (f"{error_in_words(error)}{by}", run.stated.left_out)))
 
 
 def unknown_error(run: Answer) -> str:
@@ -135,10 +131,12 @@ def _known(run: Answer) -> str:
     if isinstance(run.result, ResponseCurve):
         top = run.result.top(run.watched_dof)
         axis = parameter_axis(run.result.parameter, run.scene.in_hertz)
-        where = f"{AT_END}, " if top.at_end else "at "
+        where = "at "
+        if top.at_end:
+            where = f"{AT_END if run.result.complete else 'rising up to where it ended'}, "
         size = quantity(top.amplitude, "m")
-        text = f"largest response {size} {where}{in_unit(axis, top.value)}"
-        return f"{text}, known to {known}" if known else text
+        how = f"known to {known}" if known else "its error is not estimated"
+        return f"largest response {size} {where}{in_unit(axis, top.value)}, {how}"
     if run.stated is not None and run.stated.left_out:
         return f"errors are stated {run.stated.left_out}"
     return ""

@@ -316,7 +316,8 @@ def proposed_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
         parameter = "frequency" if scene.in_hertz else "omega"
     if curve is not None:
         parameter = curve.parameter
-        if parameter not in CURVE_UNITS or _holds_resonance(scene, figures, *curve.followed):
+        held = _holds_resonance(scene, figures, *curve.followed, of_first=True)
+        if parameter not in CURVE_UNITS or held:
             return None
     opened, breathing = float(figures.omega_open[0]), figures.omega_breathing
     beyond = 1.0 + WIDTHS * 2.0 * float(figures.damping[0])
@@ -345,21 +346,30 @@ def _meeting(scene: Scene, figures: KeyFigures, parameter: str) -> Callable[[flo
 
 
 def _holds_resonance(
-    scene: Scene, figures: KeyFigures, parameter: str, start: float, stop: float
+    scene: Scene,
+    figures: KeyFigures,
+    parameter: str,
+    start: float,
+    stop: float,
+    *,
+    of_first: bool = False,
 ) -> bool:
-    """True if a range of load frequencies, or rotor speeds [rad/s], may hold a resonance: also of a
-    harmonic, or of one of half the frequency. Modes are between open and bonded crack, but the
+    """True if a range of load frequencies, or rotor speeds [rad/s], may hold a resonance: that of
+    the first mode with the load itself, or of any, also of a harmonic, or of one of half the
+    frequency. Modes are between open and bonded crack, but the
     first at its breathing frequency where all forces and gaps are proportional to the load."""
     low, high = sorted((start, stop))
     meets = _meeting(scene, figures, parameter)
     breathing = figures.omega_breathing, figures.omega_breathing
     known = is_proportional(scene) and figures.closed == 0 and figures.mean_opening == 0.0
     for mode, ends in enumerate(zip(figures.omega_open, figures.omega_tied, strict=False)):
-        for order in (0.5, 1.0, 2.0, 3.0):
+        for order in (1.0,) if of_first else (0.5, 1.0, 2.0, 3.0):
             between = breathing if known and mode == 0 and order == 1.0 else ends
             at_open, at_bonded = (meets(float(omega), order) for omega in between)
             if low <= at_bonded and high >= at_open:
                 return True
+        if of_first:
+            return False
     return high >= meets(float(figures.omega_tied[-1]), 1.0)
 
 

@@ -255,7 +255,7 @@ def _with_motion_from_rest(run: Run[PeriodicSolution], seconds: float) -> Run[Pe
     if judged is None or found.still or (judged.verdict != "undecided" and found.breathes):
         return run
     begin("the motion from rest")
-    with suppress(ConvergenceError):
+    with suppress(ConvergenceError, KeyboardInterrupt):  # the solution stays what it is
         motion = from_rest(found, seconds)
         if motion is None:
             return run
@@ -263,7 +263,9 @@ def _with_motion_from_rest(run: Run[PeriodicSolution], seconds: float) -> Run[Pe
         told = f"has not settled after {counted(motion.periods, 'period')} of the load"
         if motion.orbit is not None:
             told = motion.told
-            amplitude = float(motion.amplitudes(dof).max())
+            time = np.linspace(0.0, motion.orbit.period, len(found.instants()))
+            moved = found.structure.values_at(motion.orbit.displacement_at(time), [dof])
+            amplitude = float(np.ptp(moved)) / 2.0
             own = found.amplitude(dof)
             if judged.verdict != "undecided" and abs(amplitude - own) <= SETTLED * own:
                 return run  # the same motion

@@ -42,7 +42,16 @@ from fenics_crack.files.store import Stored, write
 from fenics_crack.hints import checked_call
 from fenics_crack.model.matrices import numbers
 from fenics_crack.scene.scene import Scene
-from fenics_crack.table import Described, Table, Tabular, closing_sentence, percent, with_unit
+from fenics_crack.table import (
+    QUANTITIES,
+    Described,
+    Table,
+    Tabular,
+    closing_sentence,
+    error_in_words,
+    percent,
+    with_unit,
+)
 
 SAFE, CAUTIOUS = 1.25, 3.0
 """Factors of safety."""
@@ -451,11 +460,16 @@ class Verification(Tabular):
     def conclusion(self, remarks: int = 0) -> str:
         """Return the last sentence on the study, after its warnings and so many remarks."""
         name = next(iter(self.values))
+        words, _ = QUANTITIES.get(name.rpartition(".")[2], (name, ""))
+        bound = "factors of safety included, most of it by the"
         error, cause = self.stated(name)
+        known = f"{words} within {error_in_words(error)}, {bound} {cause}"
+        if math.isnan(error):
+            known = "nothing that was varied changes the numbers"
         return closing_sentence(
             "verified",
             unknown=self.doubt(name),
-            known=f"{name} known to {percent(error)}, most of it by the {cause}",
+            known=known,
             others=[self.without, *(f"{run}: {verdict}" for run, verdict in self.verdicts.items())],
             warnings=len(self.warnings),
             remarks=remarks,

@@ -70,7 +70,14 @@ from fenics_crack.sweep.file import (
 )
 from fenics_crack.sweep.jobs import Manager, Worker, serve
 from fenics_crack.sweep.plan import Plan
-from fenics_crack.table import OF_POINTS, QUANTITIES, Tabular, closing_sentence, counted, percent
+from fenics_crack.table import (
+    OF_POINTS,
+    QUANTITIES,
+    Tabular,
+    closing_sentence,
+    counted,
+    error_in_words,
+)
 
 SHOWN_REASONS = 4
 """Why cases failed or are undecided: so many kinds are told."""
@@ -446,7 +453,7 @@ class SweepResult(Tabular):
             if self.converged.all()
             else f"{self.converged.sum()} of {cases} converged",
             unknown=f"in {counted(unknown, 'case')} it could not be estimated" if unknown else "",
-            known=f"{what} {percent(largest)}" if largest > 0.0 else "",
+            known=f"{what} {error_in_words(largest)}" if largest > 0.0 else "",
             others=[*at_rest(closed), ", ".join(verdicts)],
             warnings=warnings,
             remarks=remarks,
