@@ -60,4 +60,4 @@ def _check_room(folder: Path) -> None:
     while not os.path.lexists(folder):
         folder = folder.parent
     with tempfile.TemporaryFile(dir=folder) as file:
-        file.write(bytes(ROOM))
+        os.posix_fallocate(file.fileno(), 0, ROOM)

@@ -117,18 +117,21 @@ def gather_rows(comm: MPI.Comm, rows: np.ndarray) -> np.ndarray[Any, Any]:
     return np.concatenate(comm.allgather(np.asarray(rows)), axis=0)
 
 
+def _install(handlers: Mapping[signal.Signals, Any]) -> dict[signal.Signals, Any]:
+    """Install handlers of signals, as the main thread alone may, and return those before."""
+    if threading.current_thread() is not threading.main_thread():
+        return {}
+    return {number: signal.signal(number, handler) for number, handler in handlers.items()}
+
+
 @contextmanager
 def uninterrupted() -> Iterator[None]:
     """Ignore Ctrl-C while what was found is written."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    handlers = {number: signal.signal(number, signal.SIG_IGN) for number in STOPS}
+    handlers = _install(dict.fromkeys(STOPS, signal.SIG_IGN))
     try:
         yield
     finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
+        _install(handlers)
 
 
 class StopRequest:
@@ -144,13 +147,11 @@ class StopRequest:
         self._handlers: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> StopRequest:
-        if threading.current_thread() is threading.main_thread():
-            self._handlers = {number: signal.signal(number, self._ask) for number in STOPS}
+        self._handlers = _install(dict.fromkeys(STOPS, self._ask))
         return self
 
     def __exit__(self, *exception: object) -> None:
-        for number, handler in self._handlers.items():
-            signal.signal(number, handler)
+        _install(self._handlers)
         outer = getattr(self._handlers.get(signal.SIGINT), "__self__", None)
         if self._asked and isinstance(outer, StopRequest):
             outer._asked = True

@@ -99,6 +99,11 @@ class ErrorReport(Described):
         """True if the total could not be estimated."""
         return self.total >= UNKNOWN
 
+    @property
+    def largest_part(self) -> str:
+        """Name of the largest part of the total; of those that are as large the first."""
+        return max(PARTS, key=lambda name: getattr(self, name))
+
     def to_dict(self) -> dict[str, Any]:
         """All of them by their names, and the total."""
         return {**asdict(self), "total": self.total}

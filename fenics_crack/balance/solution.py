@@ -541,11 +541,11 @@ def solve_beside(
             near = half.attempt(near, patient=False, reported=False)[1]
         problem = problem.with_harmonics(count)
     found = Solver(problem, enough=enough).solve(near)
-    while tolerance is not None:
-        left = _left_to_harmonics(found, tolerance)
-        more = more_harmonics(found.harmonics, _truncation(found), left)
-        if more is None:
-            break
+    while tolerance is not None and (
+        more := more_harmonics(
+            found.harmonics, _truncation(found), _left_to_harmonics(found, tolerance)
+        )
+    ):
         found = Solver(problem.with_harmonics(more), enough=enough).solve(found)
     if tolerance is not None and _truncation(found) > tolerance:
         raise ConvergenceError(

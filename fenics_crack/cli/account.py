@@ -165,7 +165,7 @@ def of_error(
     part, and never what the scene does already."""
     if report.total <= limit:
         return
-    part = max(PARTS, key=lambda name: getattr(report, name))
+    part = report.largest_part
     if part == "truncation":
         wanted = MORE
         if scene.harmonic_balance.tolerance is not None:

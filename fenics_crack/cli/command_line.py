@@ -238,7 +238,7 @@ def _command(given: argparse.Namespace, inputs: Inputs | None, console: Console)
     try:
         return command(given, inputs, console)
     except (ConvergenceError, KeyboardInterrupt):  # what is unusual may be why
-        console.note(*(f"remark: {remark}" for remark in remarks_on_scene(inputs.scene)))
+        console.remark(*remarks_on_scene(inputs.scene))
         raise
 
 

@@ -105,7 +105,8 @@ def tell(
         told = f"watched at the nearest node, away by: {', '.join(places)}"
         told += "; the stated errors leave that out" if account.run.stated is not None else ""
         console.note(told if places else "")
-    console.note(*account.notes, *(f"remark: {remark}" for remark in account.remarks))
+    console.note(*account.notes)
+    console.remark(*account.remarks)
     console.warn(*account.warnings)
     console.note(account.closing)
     return account.exit
@@ -244,8 +245,7 @@ def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     console.note(f"{found.verdict}: {found.reason}")
     if found.mesh is not None:
         console.note(f"nearest mesh: {found.mesh}")
-    said = [*found.remarks, *remarks_on_scene(scene)]
-    console.note(*(f"remark: {remark}" for remark in said))
+    console.remark(*found.remarks, *remarks_on_scene(scene))
     console.note(*(f"next to measure: {advice}" for advice in found.advice))
     names = f"posterior.{console.pictures}, fit.csv, where_to_measure.csv"
     console.note(f"{folder / 'identify.h5'}, .json; {names}")

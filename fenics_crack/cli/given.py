@@ -169,6 +169,10 @@ class Console:
             if text and not self.quiet:
                 print(text, file=sys.stderr, flush=True)
 
+    def remark(self, *remarks: object) -> None:
+        """Print what is unusual about a scene, likewise."""
+        self.note(*(f"remark: {remark}" for remark in remarks))
+
     def warn(self, *texts: str) -> None:
         """Print warnings, even if quiet."""
         for text in texts:

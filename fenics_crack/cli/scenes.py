@@ -91,7 +91,7 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
     remarks += _of_mesh(study.scene, figures, by_mesh)
     console.table(Table(("what", "value"), [*rows.items()]))
     console.note(remark)
-    console.note(*(f"remark: {remark}" for remark in remarks))
+    console.remark(*remarks)
 
 
 def _extents(figures: KeyFigures) -> dict[str, object]:

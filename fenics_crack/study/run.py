@@ -255,23 +255,22 @@ def _with_motion_from_rest(run: Run[PeriodicSolution], seconds: float) -> Run[Pe
     if judged is None or found.still or (judged.verdict != "undecided" and found.breathes):
         return run
     begin("the motion from rest")
+    motion = None
     with suppress(ConvergenceError, KeyboardInterrupt):  # the solution stays what it is
         motion = from_rest(found, seconds)
-        if motion is None:
-            return run
-        amplitude = math.nan
-        told = f"has not settled after {counted(motion.periods, 'period')} of the load"
-        if motion.orbit is not None:
-            told = motion.told
-            time = np.linspace(0.0, motion.orbit.period, len(found.instants()))
-            moved = found.structure.values_at(motion.orbit.displacement_at(time), [dof])
-            amplitude = float(np.ptp(moved)) / 2.0
-            own = found.amplitude(dof)
-            if judged.verdict != "undecided" and abs(amplitude - own) <= SETTLED * own:
-                return run  # the same motion
-        seen = replace(judged, from_rest=told, rest_amplitude=amplitude)
-        return replace(run, result=replace(found, stability=seen))
-    return run
+    if motion is None:
+        return run
+    amplitude = math.nan
+    told = f"has not settled after {counted(motion.periods, 'period')} of the load"
+    if motion.orbit is not None:
+        time = np.linspace(0.0, motion.orbit.period, len(found.instants()))
+        moved = found.structure.values_at(motion.orbit.displacement_at(time), [dof])
+        told, amplitude = motion.told, float(np.ptp(moved)) / 2.0
+        own = found.amplitude(dof)
+        if judged.verdict != "undecided" and abs(amplitude - own) <= SETTLED * own:
+            return run  # the same motion
+    seen = replace(judged, from_rest=told, rest_amplitude=amplitude)
+    return replace(run, result=replace(found, stability=seen))
 
 
 def solve_prepared(

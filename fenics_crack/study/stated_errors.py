@@ -46,7 +46,7 @@ from operator import methodcaller
 
 import numpy as np
 
-from fenics_crack.balance.error_report import LARGE_ERROR, PARTS, ErrorReport
+from fenics_crack.balance.error_report import LARGE_ERROR, ErrorReport
 from fenics_crack.balance.harmonic_balance import solve_linear, wave_of
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Solver, contact_extremes, indicators_of
@@ -195,7 +195,7 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
 
 def not_estimated(report: ErrorReport) -> str:
     """Return which part of an unknown error could not be estimated."""
-    part = max(PARTS, key=lambda name: getattr(report, name))
+    part = report.largest_part
     words = {"truncation": "harmonics that are left out", "reduction": "modes that are left out"}
     return f"the part of the {words.get(part, part)} could not be estimated"
 
