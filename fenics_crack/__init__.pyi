@@ -91,8 +91,8 @@ from fenics_crack.model.rotation import run_up_structure as run_up_structure
 from fenics_crack.model.structure import ModalDamping as ModalDamping
 from fenics_crack.model.structure import RayleighDamping as RayleighDamping
 from fenics_crack.model.structure import Structure as Structure
+from fenics_crack.motion.attractors import Attractor as Attractor
 from fenics_crack.motion.orbit import PeriodicOrbit as PeriodicOrbit
-from fenics_crack.motion.shooting import Attractor as Attractor
 from fenics_crack.scene.scene import Scene as Scene
 from fenics_crack.study.campbell import Campbell as Campbell
 from fenics_crack.study.campbell import campbell as campbell

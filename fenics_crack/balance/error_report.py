@@ -10,8 +10,8 @@ J of F(g) = g + R b(g) - g_lin at the solution, and a disturbance d of b,
   collocation this is the aliasing;
 - reduction: R lacks delta R, known from a larger basis: R d becomes delta R b - delta g_lin.
 
-Truncation is the distance of the exact orbit next to the solution (:mod:`judgement`); where the
-flow is not at hand it, and reduction where pairs are seen through a static compliance
+Truncation is what the exact flow says of the solution (:mod:`assessment`); where that is not at
+hand it, and reduction where pairs are seen through a static compliance
 (:mod:`contact_system`), are what Newton's method changes with more harmonics, or with the modes of
 the larger basis. Where it does not settle the error is not known, which an estimate of 1 or more
 says.
@@ -31,10 +31,11 @@ from typing import Any
 
 import numpy as np
 
+from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.compliance import Compliance
 from fenics_crack.balance.contact_integrals import respond
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, Wave
-from fenics_crack.balance.judgement import UNKNOWN, Judgement, seen_parts
+from fenics_crack.balance.more_modes import UNKNOWN, seen_parts
 from fenics_crack.balance.problem import Problem
 from fenics_crack.model.contact import REGULAR, UnilateralPenalty, is_regular, is_rigid
 from fenics_crack.model.modal import SMALL, all_modes
@@ -120,17 +121,11 @@ class ErrorReport(Described):
 
 
 def estimate_errors(
-    at: ContactPoint,
-    judged: Judgement,
-    problem: Problem,
-    *,
-    search: bool = True,
-    enough: float = math.inf,
+    at: ContactPoint, known: Assessment, problem: Problem, *, search: bool = True
 ) -> ErrorReport:
     """Estimate the errors of a solution, given as the equations there and by what the exact flow
-    says of it; with ``search`` an orbit is looked for (collective). Where the truncation is above
-    ``enough``, other harmonics are to be taken: no other error is estimated (nan)."""
-    structure, displacement = problem.structure, judged.wave.displacement_coefficients
+    says of it; with ``search`` its orbit is looked for (collective)."""
+    structure, displacement = problem.structure, known.wave.displacement_coefficients
     expanded = structure.apply_bt(displacement)
     expanded[0] -= structure.clearance
 
@@ -141,20 +136,17 @@ def estimate_errors(
     if finer is not None:
         sampling = relative(at.gap_by_force(finer.force(at.unknown) - at.force))
     changes, at_load = [], 0.0
-    if judged.affordable:
+    if known.affordable:
         # The distance of the orbit is what harmonics and samples leave out together.
-        error, at_load = judged.errors(search=search)
+        error, at_load = known.errors(search=search)
         truncation = UNKNOWN if error >= UNKNOWN else max(error - sampling, 0.0)
     else:
         changes.append(beyond_truncation(at))
         truncation = changes[0].relative_to(at, structure.clearance)
-    if truncation > enough:
-        return ErrorReport(math.nan, truncation, math.nan, math.nan, math.nan, math.nan)
-    exactly = judged.affordable and search and structure.light_lips
-    larger = judged.larger if exactly else None
-    lost = larger.changes if larger is not None and larger.affordable else None
-    if lost is not None:
-        reduction, at_load = min(lost[0], UNKNOWN), at_load + lost[1]
+    exactly = known.affordable and search and structure.light_lips
+    if exactly and known.more_modes is not None:
+        reduction, more_at_load = known.more_modes.changes
+        at_load += more_at_load
     else:
         changes.append(_lost_in_reduction(at, problem))
         reduction = changes[-1].relative_to(at, structure.clearance)

@@ -5,16 +5,16 @@ balanced by projection on the same functions, with the contact force integrated 
 samples.
 Other forms of the method are kept for comparison in ``benchmarks/laboratory.py``.
 
-**To a tolerance**, harmonics and modes are chosen by what each leaves out. Harmonic balance with
-few harmonics finds a motion, shooting the exact orbit next to it; where these lead to none, an
-orbit that the motion settles to or passes. The orbit's coefficients solve
+**To a tolerance** the solution is an exact orbit. Harmonic balance with few harmonics finds a
+motion, and shooting the orbit next to it (:mod:`fenics_crack.motion.search`). Its coefficients
+solve
 
     u_k = A_k^-1 (c_k - B b_k),    b_k those of lambda(g(t)),
 
 for every k: as many of them are kept as the tolerance asks for, by the distance of the wave from
-the orbit. What a reduction leaves out is the distance to the orbit of its reference, which has
-twice the modes; the modes of a large structure are doubled until that is small. The search does not
-know the tolerance, so that a tighter one is never answered by a worse solution.
+the orbit. What a reduction leaves out is what one step of the orbit on the flow of its reference,
+which has twice the modes, changes; the modes of a large structure are doubled until that is small.
+The search does not know the tolerance, so that a tighter one is never answered by a worse solution.
 
 Laws and structures without an exact flow, and motions whose orbit is not found, take as many
 harmonics as bring the estimated error down.
@@ -23,6 +23,7 @@ harmonics as bring the estimated error down.
 from __future__ import annotations
 
 import contextlib
+import math
 from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -30,11 +31,12 @@ from functools import partial
 
 import numpy as np
 
+from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
 from fenics_crack.balance.error_report import SLIGHT, ErrorReport, beside
-from fenics_crack.balance.judgement import FARTHEST, UNKNOWN, Judgement
+from fenics_crack.balance.more_modes import UNKNOWN
 from fenics_crack.balance.problem import Problem, check_memory
-from fenics_crack.balance.solution import PeriodicSolution, Solver, more_harmonics
+from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.errors import (
     ConvergenceError,
     InputError,
@@ -52,12 +54,12 @@ from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ContactFlow, flow_of
-from fenics_crack.motion.orbit import OrbitCoefficients, PeriodicOrbit, affordable
-from fenics_crack.motion.shooting import Patience, recurring
+from fenics_crack.motion.orbit import INSTANTS, OrbitCoefficients, PeriodicOrbit, affordable
+from fenics_crack.motion.search import PARTS, OrbitSearch, SearchOptions, search_orbit
 from fenics_crack.numerics.fourier import from_complex, to_complex
 from fenics_crack.numerics.newton import relative_to_motion
 from fenics_crack.stages import begin
-from fenics_crack.table import percent
+from fenics_crack.table import percent, quantity
 
 
 def solve_linear(structure: Structure, omega: float, *, harmonics: int = 5) -> PeriodicSolution:
@@ -247,7 +249,9 @@ def solve_harmonic_balance(
             raise InputError("samples", samples, "left out where a tolerance is given")
     if harmonics is None:
         check_count("subharmonic", subharmonic, 1)
-        harmonics = max(5, subharmonic) if tolerance is None else RUNGS[0] * subharmonic
+        harmonics = (
+            max(5, subharmonic) if tolerance is None else SearchOptions.harmonics[0] * subharmonic
+        )
     problem = Problem(structure, omega, contact, harmonics, samples, subharmonic)
     if samples is not None:
         check_count("samples", samples, 4 * harmonics + 1)
@@ -282,8 +286,6 @@ def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
 
 FIRST_MODES, MAX_MODES = 10, 100
 """Modes with which a large structure is tried first, and at most."""
-RUNGS = (5, 10, 20, 40)
-"""Harmonics of the load's frequency with which a solution is sought whose orbit is known."""
 SAFETY = 0.7
 """Part of what modes leave of a tolerance that harmonics may take: forces and K are known less well
 than gaps. A part SLIGHT of the modes' error is not worth any."""
@@ -310,13 +312,12 @@ def solve_to_tolerance(
     if reduced_to is None and not (is_small(whole) or isinstance(whole, ReducedStructure)):
         reduced_to = partial(_without_mass, whole)
     most = min(max(modes, MAX_MODES), whole.n_dofs)
-    solver = replace(solver, patience=Patience(2))
     best = last = None
     while True:
         if reduced_to is not None:
             problem = replace(solver.problem, structure=reduced_to(modes))
             solver = replace(solver, problem=problem)
-        last = _solved(replace(solver, cold={}), tolerance, initial)
+        last = _solved(solver, tolerance, initial)
         last = replace(last, report=whole.comm.bcast(last.report))
         if best is None or last.report.total < best.report.total:
             best = last
@@ -325,6 +326,33 @@ def solve_to_tolerance(
             return _told(solver, best, tolerance)
         modes = min(2 * modes, most)
         initial = last if last.structure.light_lips else None
+
+
+def solve_beside(
+    problem: Problem, near: PeriodicSolution | None, tolerance: float | None = None
+) -> PeriodicSolution:
+    """The solution of a problem of a small structure, sought from that of another one.
+
+    With a tolerance it is the orbit next to that, with no fewer harmonics than the problem has, and
+    as many as bring what harmonics leave out below it.
+
+    Raises
+    ------
+    InputError
+        The contact is so stiff that rounding leaves nothing of its force.
+    ConvergenceError
+        There is no solution, or not to the tolerance.
+    """
+    if tolerance is None:
+        return Solver(problem).solve(near)
+    found = _solved(Solver(problem), tolerance, near)
+    if not found.report.truncation <= tolerance:
+        raise ConvergenceError(
+            f"harmonic balance at {problem.omega:g} rad/s: the estimated truncation error, "
+            f"{found.report.truncation:.1e} with H = {found.harmonics}, stays above {tolerance:g}; "
+            f"{found.status}"
+        )
+    return found
 
 
 def _without_mass(whole: Structure, modes: int) -> Structure:
@@ -373,66 +401,49 @@ def _solved(solver: Solver, tolerance: float, initial: PeriodicSolution | None) 
     flow = flow_of(problem.structure, problem.contact)
     if flow is None or not affordable(flow, problem.omega, problem.subharmonic):
         return _by_harmonics(solver, tolerance, _begun(solver, problem).solve(initial))
-    near, orbit, way = _sought(solver, flow, initial)
-    if orbit is None:  # with more harmonics it may be found, or the error known all the same
-        few = solver
-        if near is not None and near.harmonics >= problem.harmonics:
-            few = replace(solver, problem=problem.with_harmonics(near.harmonics))
-            near = few.reported(near)
-        else:
-            near = _begun(solver, problem).solve(near or initial)
-        near = _by_harmonics(few, tolerance, near)
-        orbit = near.judged.orbit if near.converged else None
-        if orbit is None:
-            tried = ", ".join(map(str, RUNGS))
-            return replace(near, status=f"no exact orbit from H = {tried}; {way}; {near.status}")
-        way = _way(near)
-    return replace(_kept(solver, orbit, tolerance), status=way)
+    balanced, found = initial_orbit(solver, flow, initial)
+    if found.orbit is not None:
+        kept = solution_of_orbit(problem, found.orbit, tolerance)
+        way = f"{found.reason}, from H = {balanced[-1].harmonics}" if balanced else found.reason
+        return replace(kept, status=way + _told_of_others(found), others=found.others)
+    if balanced:
+        few = replace(solver, problem=problem.with_harmonics(balanced[-1].harmonics))
+        near = few.reported(balanced[-1])
+    else:
+        few, near = solver, _begun(solver, problem).solve(initial)
+    near = _by_harmonics(few, tolerance, near)
+    tried = ", ".join(str(count * problem.subharmonic) for count in SearchOptions.harmonics)
+    return replace(
+        near, status=f"no exact orbit found from H = {tried}; {found.reason}; {near.status}"
+    )
 
 
 # --- by an orbit ----------------------------------------------------------------------------------
 
 
-def _sought(
-    solver: Solver, flow: ContactFlow, initial: PeriodicSolution | None
-) -> tuple[PeriodicSolution | None, PeriodicOrbit | None, str]:
-    """A solution with few harmonics and the orbit next to it, where it is that solution's own;
-    where none has its own, another one, or one that the motion passes. And how it was found, or
-    what the motion does."""
-    problem, start = solver.problem, np.zeros(flow.size)
-    periods, omega = problem.subharmonic, problem.omega
-    for few in _rungs(solver):
-        near = few.attempt(initial, patient=False, reported=False)[1]
-        if near.converged:
-            break
-    if near.converged:
-        alone = near if near.judged.orbit is not None else _by_itself(solver, near.harmonics)
-        if alone is not None:
-            return alone, alone.judged.orbit, _way(alone)
-        start = near.judged.states[0]
-    known = near if near.converged else None
-    return known, *recurring(flow, omega, start, periods)
+def initial_orbit(
+    solver: Solver, flow: ContactFlow, initial: PeriodicSolution | None = None
+) -> tuple[list[PeriodicSolution], OrbitSearch]:
+    """Search for an exact orbit from harmonic-balance solutions with more and more harmonics, all
+    sought from an initial one, whose orbit is the first then; and these solutions."""
+    problem, balanced = solver.problem, list[PeriodicSolution]()
 
+    def guesses() -> Iterator[np.ndarray]:
+        if initial is not None and initial.orbit is not None:
+            known = initial.orbit
+            if initial.structure is problem.structure and known.subharmonic == problem.subharmonic:
+                yield known.sampled.states[:: INSTANTS // PARTS]
+        for count in SearchOptions.harmonics:
+            few = problem.with_harmonics(count * problem.subharmonic)
+            near = _begun(solver, few).attempt(initial, wholly=False, reported=False)[1]
+            if near.converged:
+                balanced.append(near)
+                yield near.assessment.states
 
-def _by_itself(solver: Solver, fewer: int) -> PeriodicSolution | None:
-    """A solution with more harmonics, and with its own orbit, that no other one leads to: with few
-    harmonics it may be another motion's."""
-    for more in _rungs(solver, fewer):
-        found = more.attempt(None, patient=False, reported=False)[1]
-        if not found.converged:
-            return None
-        judged = found.judged
-        if judged.prediction <= FARTHEST and judged.near is not None and judged.accepted:
-            return found
-    return None
-
-
-def _rungs(solver: Solver, fewer: int = 0) -> Iterator[Solver]:
-    """The same with the harmonics of one rung after the other, above some."""
-    for count in RUNGS:
-        problem = solver.problem.with_harmonics(count * solver.problem.subharmonic)
-        if problem.harmonics > fewer:
-            yield _begun(solver, problem)
+    found = search_orbit(
+        flow, problem.omega, guesses(), problem.subharmonic, any_other=initial is None
+    )
+    return balanced, found
 
 
 def _begun(solver: Solver, problem: Problem) -> Solver:
@@ -440,15 +451,21 @@ def _begun(solver: Solver, problem: Problem) -> Solver:
     return replace(solver, problem=problem)
 
 
-def _way(found: PeriodicSolution) -> str:
-    return f"exact orbit next to the solution with H = {found.harmonics}"
+def _told_of_others(found: OrbitSearch) -> str:
+    """Which other orbits were met."""
+    words = []
+    for one in found.others:
+        values = one.flow.structure.values_at(one.sampled.displacement, [None])
+        size = quantity(float(np.ptp(values)) / 2.0, "m")
+        words.append(f"{'stable' if one.is_stable else 'unstable'}, amplitude {size}")
+    return f"; other orbits at this frequency: {'; '.join(words)}" if words else ""
 
 
-def _kept(solver: Solver, orbit: PeriodicOrbit, tolerance: float) -> PeriodicSolution:
-    """The solution with the fewest harmonics of an orbit that meet a tolerance."""
-    problem = solver.problem
+def solution_of_orbit(problem: Problem, orbit: PeriodicOrbit, tolerance: float) -> PeriodicSolution:
+    """The solution with the fewest harmonics of an orbit that meet a tolerance, no fewer than a
+    problem has; its errors are those of the coefficients left out, and of the modes."""
     most = MAX_HARMONICS * problem.subharmonic
-    known = orbit.coefficients(RUNGS[-1] * problem.subharmonic)
+    known = orbit.coefficients(SearchOptions.harmonics[-1] * problem.subharmonic)
 
     def wave_with(harmonics: int) -> PeriodicSolution:
         nonlocal known
@@ -456,24 +473,24 @@ def _kept(solver: Solver, orbit: PeriodicOrbit, tolerance: float) -> PeriodicSol
             known = orbit.coefficients(harmonics)
         return wave_of(problem.with_harmonics(harmonics), orbit, known)
 
-    reduction, at_load = _lost(solver, wave_with(RUNGS[0] * problem.subharmonic))
+    reduction, at_load = _lost(problem, wave_with(SearchOptions.harmonics[0] * problem.subharmonic))
     goal = _goal(tolerance, reduction)
     fewer, found = 0, wave_with(problem.harmonics)
-    while not found.judged.distance <= goal and found.harmonics < most:
+    while not found.assessment.distance <= goal and found.harmonics < most:
         fewer, found = found.harmonics, wave_with(min(2 * found.harmonics, most))
     between = range(fewer + 1, found.harmonics) if fewer else range(0)
-    kept = bisect_left(between, True, key=lambda count: wave_with(count).judged.distance <= goal)
+    kept = bisect_left(between, True, key=lambda n: wave_with(n).assessment.distance <= goal)
     if kept < len(between):
         found = wave_with(between[kept])
-    gap, judged = orbit.gap, found.judged
+    gap, known_errors = orbit.gap, found.assessment.errors()
     closing = gap + problem.structure.clearance
     report = ErrorReport(
         residual=orbit.residual,
-        truncation=judged.distance,
+        truncation=known_errors[0],
         sampling=0.0,
         reduction=reduction,
         penetration=relative_to_motion(np.maximum(gap, 0.0), closing),
-        displacement=min(judged.errors()[1] + at_load, UNKNOWN),
+        displacement=min(known_errors[1] + at_load, UNKNOWN),
     )
     return replace(found, report=report, iterations=orbit.iterations)
 
@@ -486,20 +503,19 @@ def wave_of(problem: Problem, orbit: PeriodicOrbit, known: OrbitCoefficients) ->
         known.gap[rows], known.force[rows], problem.subharmonic,
         static_above=problem.static_cutoff,
     )  # fmt: skip
-    return replace(found, judged=Judgement(found.judged.wave, orbit))
+    return replace(found, assessment=Assessment(found.assessment.wave, orbit))
 
 
-def _lost(solver: Solver, found: PeriodicSolution) -> tuple[float, float]:
+def _lost(problem: Problem, found: PeriodicSolution) -> tuple[float, float]:
     """Of the gap, and of the displacement at the load, by what a reduction leaves out."""
     structure = found.structure
     if not isinstance(structure, ReducedStructure) or structure.reference is None:
         return 0.0, 0.0
-    finer = found.judged.larger
-    if finer is None or finer.too_slow:  # no flow: nothing is left without mass; or a long one
-        few = solver.problem.with_harmonics(RUNGS[-1] * found.subharmonic)
-        report = replace(solver, problem=few).attempt(found, patient=False)[1].report
-        return report.reduction, report.displacement
-    return finer.distances or (finer.affordable and finer.changes) or (UNKNOWN, UNKNOWN)
+    if (more := found.assessment.more_modes) is not None:
+        return more.changes
+    few = problem.with_harmonics(SearchOptions.harmonics[-1] * found.subharmonic)
+    report = Solver(few).attempt(found, wholly=False)[1].report
+    return report.reduction, report.displacement
 
 
 # --- by harmonics ---------------------------------------------------------------------------------
@@ -510,7 +526,7 @@ def _by_harmonics(solver: Solver, tolerance: float, found: PeriodicSolution) -> 
     best = found
     while found.converged and (finer := _finer(solver.problem, found.report, tolerance)):
         solver = _begun(solver, finer)
-        found = solver.attempt(found, patient=False)[1]
+        found = solver.attempt(found, wholly=False)[1]
         if found.converged and found.report.total < best.report.total:
             best = found
     return best
@@ -521,6 +537,15 @@ def _finer(problem: Problem, report: ErrorReport, tolerance: float) -> Problem |
     needed, or allowed."""
     harmonics, goal = problem.harmonics, _goal(tolerance, report.reduction)
     left = report.truncation + report.sampling
-    unknown = left >= UNKNOWN and harmonics >= RUNGS[-1] * problem.subharmonic
-    more = None if unknown else more_harmonics(harmonics, left, goal, MAX_HARMONICS)
+    unknown = left >= UNKNOWN and harmonics >= SearchOptions.harmonics[-1] * problem.subharmonic
+    more = None if unknown else more_harmonics(harmonics, left, goal)
     return None if more is None else problem.with_harmonics(more)
+
+
+def more_harmonics(count: int, truncation: float, tolerance: float) -> int | None:
+    """As many harmonics as an error that falls like H^-3 asks for; None where these are enough, or
+    the most."""
+    if truncation <= tolerance or count >= MAX_HARMONICS:
+        return None
+    factor = min(2.0, 1.1 * (truncation / tolerance) ** (1.0 / 3.0))
+    return min(MAX_HARMONICS, math.ceil(factor * count))

@@ -28,7 +28,7 @@ eps k |g|, which moves the gap by eps k R |g|, and no residual can be smaller th
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -61,8 +61,8 @@ from fenics_crack.model.contact import ContactLaw, check_law, is_regular, is_rig
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ExponentialFlow, flow_of
-from fenics_crack.motion.orbit import PeriodicOrbit, affordable
-from fenics_crack.motion.shooting import Patience, orbit_next_to, wave_states
+from fenics_crack.motion.orbit import PeriodicOrbit, affordable, find_orbit
+from fenics_crack.motion.search import wave_states
 from fenics_crack.numerics.equations import (
     EPSILON,
     NEARLY_SOLVED,
@@ -75,7 +75,6 @@ from fenics_crack.numerics.newton import (
     FULL_STEPS,
     PATIENCE,
     Newton,
-    PathPoint,
     kernel_solves,
     point_on_path,
     solve_at,
@@ -87,11 +86,8 @@ from fenics_crack.stages import begin
 BEYOND = 2.0
 """Modes above so many times the highest harmonic answer at once."""
 ON_PATH = 15_000
-"""Unknowns of all points together of a path to more harmonics: 0.1 s where these are few. And of
-what one call of the kernel follows of a curve: Ctrl-C waits for it, a second or two."""
-MOST_FORMED = 1000
-"""Unknowns up to which J is formed for such a motion: with 1,500 each point of a path takes
-seconds, and ten lead nowhere."""
+"""Unknowns of all points together that one call of the kernel follows of a curve: Ctrl-C waits for
+it, a second or two."""
 SINGULAR = (
     "'penalty', with a stiffness, as some lips hardly give beside others: they lie on a strip too "
     "thin for no penetration at all, or no modes are left out; or cracks farther apart"
@@ -242,33 +238,6 @@ class Problem:
             self.subharmonic, self.static_cutoff,
         )  # fmt: skip
 
-    def next_to(self, wave: Wave, patience: Patience | None = None) -> Wave | None:
-        """The motion that Newton's method leads to from a wave, in the kernel, or else, unless
-        ``patience`` is at its end, a path from it; None where these lead to none, or the kernel has
-        no such equations."""
-        with suppress(ConvergenceError, np.linalg.LinAlgError):
-            system = self.system(self.compliance())
-            times = self.subharmonic // wave.subharmonic
-            start = system.slow(wave.gap_coefficients, wave.force_coefficients, times)
-            if system.integrals.exact:
-                found, patience = _nearly_solved(system, start), patience or Patience(1)
-                if found is None and patience.paths > 0:
-                    patience.paths -= 1
-                    found = _end_of_path(system, start)
-                return None if found is None else self.wave(system.linearise(found.unknown))
-        return None
-
-    def left(self, wave: Wave, gap: np.ndarray, force: np.ndarray) -> float:
-        """What Newton's method from a motion of some coefficients leaves of the way to a wave;
-        infinite where it does not arrive."""
-        with suppress(ConvergenceError, np.linalg.LinAlgError):
-            system = self.system(self.compliance())
-            start = system.slow(gap, force)
-            end = system.slow(wave.gap_coefficients, wave.force_coefficients)
-            if found := _nearly_solved(system, start):
-                return float(np.linalg.norm(found.unknown - end) / np.linalg.norm(start - end))
-        return np.inf
-
     def integrals(self) -> ContactIntegrals:
         """How the contact force is integrated; that of a projection by its weight."""
         contact, harmonics = self.contact, self.harmonics
@@ -311,27 +280,6 @@ def check_memory(structure: Structure, harmonics: int) -> None:
         )
 
 
-def _nearly_solved(system: ContactSystem, start: np.ndarray) -> PathPoint | None:
-    """By Newton's method; where J is not formed by full steps alone, as those that lead nowhere
-    take long. None where J would be formed of too many unknowns."""
-    if system.size > MOST_FORMED and not system.matrix_free:
-        return None
-    steps = solve_at if system.matrix_free else solve_near
-    return steps(system, start, 1.0, tolerance=NEARLY_SOLVED)
-
-
-def _end_of_path(system: ContactSystem, start: np.ndarray) -> PathPoint | None:
-    """Where the path F(s) = (1 - p) F(s_0) from a start has its end; None where it has none, or
-    that takes long."""
-    if system.size > MOST_FORMED:
-        return None
-    most = ON_PATH // system.size
-    missed = system.linearise(start).residual
-    along = system.compile(system.linear + missed, system.moving, linear_rate=-missed)
-    options = replace(NARROW, max_steps=most, at_once=most, rtol=NEARLY_SOLVED)
-    return Path(along, point_on_path(along, start, 0.0), options, [Target(1.0)]).run()
-
-
 # --- the search -----------------------------------------------------------------------------------
 
 
@@ -359,8 +307,6 @@ class Search:
     all have failed."""
     attempts: list[str] = field(default_factory=list)
     """What was tried and how it ended."""
-    orbit: PeriodicOrbit | None = None
-    """From which a guess was taken."""
     _rounding: float = ROUNDING
     _most: float = 0.0
 
@@ -375,9 +321,9 @@ class Search:
             "contact, more damping, or a solution nearby as initial"
         )
 
-    def solve(self, *starts: np.ndarray, cold: bool = True) -> Linearisation:
+    def solve(self, *starts: np.ndarray) -> Linearisation:
         """The equations where Newton's method arrives, or where it was last, from solutions nearby
-        or ``cold``.
+        or from nothing.
 
         Raises InputError where the contact is so stiff that rounding leaves nothing of its force.
         """
@@ -392,7 +338,7 @@ class Search:
             snes = None
             if not kernel_solves(system):
                 snes = held.enter_context(Newton(system, self.history))
-            for name, guesses in self._starts(starts, cold):
+            for name, guesses in self._starts(starts):
                 begin(name)
                 before = self.iterations
                 for guess in guesses:
@@ -443,13 +389,11 @@ class Search:
 
     # --- the starts -------------------------------------------------------------------------------
 
-    def _starts(self, starts: Sequence[np.ndarray], cold: bool) -> Iterator[Start]:
+    def _starts(self, starts: Sequence[np.ndarray]) -> Iterator[Start]:
         """Which are tried, one after the other."""
         system, problem = self.system, self.problem
         for start in starts:
             yield "full Newton steps", self._near(system, start)
-        if not cold:
-            return
         if problem is not None:
             if system.integrals.coupled and system.integrals.exact:
                 yield "from a marched motion", self._marched(problem)
@@ -515,9 +459,9 @@ class Search:
 
     def _next_to_orbit(self, lowest: Problem, at: ContactPoint) -> Iterator[np.ndarray]:
         """The slow gap of the exact orbit next to a solution with few harmonics."""
-        self.orbit = _orbit_next_to(lowest, at)
-        if self.orbit is not None:
-            known = self.orbit.coefficients(self.system.integrals.harmonics)
+        orbit = _orbit_next_to(lowest, at)
+        if orbit is not None:
+            known = orbit.coefficients(self.system.integrals.harmonics)
             yield from self._near(self.system, self.system.slow(known.gap, known.force))
 
     def _slow_gaps(self, system: ContactSystem, problem: Problem) -> Iterator[np.ndarray]:
@@ -575,7 +519,7 @@ def _orbit_next_to(problem: Problem, at: ContactPoint) -> PeriodicOrbit | None:
     if flow is None or not affordable(flow, omega, periods):
         return None
     states = wave_states(flow, problem.wave(at).displacement_coefficients, problem.base_omega)
-    return orbit_next_to(flow, omega, states[0], periods, patience=Patience(0))
+    return find_orbit(flow, omega, states[0], subharmonic=periods)
 
 
 def rounding_left(compliance: Compliance, law: ContactLaw) -> float:

@@ -23,16 +23,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.compliance import Compliance
 from fenics_crack.balance.contact_system import ContactPoint, Wave
-from fenics_crack.balance.error_report import SLIGHT, ErrorReport, estimate_errors, of_no_solution
-from fenics_crack.balance.judgement import Judgement
+from fenics_crack.balance.error_report import ErrorReport, estimate_errors, of_no_solution
 from fenics_crack.balance.problem import Problem, Search
-from fenics_crack.errors import MOST_HARMONICS, ConvergenceError
+from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import check_slope, is_unilateral
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.motion.orbit import PeriodicOrbit
-from fenics_crack.motion.shooting import Patience
 from fenics_crack.numerics.fourier import evaluate, resized, sampled
 from fenics_crack.table import Described, Tabular, counted, quantity, with_frequency
 
@@ -160,7 +159,7 @@ def contact_extremes(
     }
 
 
-IMPATIENT = 0.25
+IN_PART = 0.25
 """Of a search's iterations, where other ways are left."""
 
 
@@ -257,8 +256,10 @@ class PeriodicSolution(Wave, Described):
         Estimated errors, relative to the gap's amplitude.
     stability : Stability or None
         Where it has been judged (:func:`fenics_crack.floquet`).
-    judged : Judgement
-        What the exact flow says of it: the error predicted, and the orbit next to it.
+    others : tuple of PeriodicOrbit
+        Exact orbits at the same frequency that were met when this one was sought.
+    assessment : Assessment
+        What the exact flow says of it: the predicted error, and the nearest orbit.
     """
 
     converged: bool = True
@@ -266,14 +267,20 @@ class PeriodicSolution(Wave, Described):
     iterations: int = 0
     report: ErrorReport = ErrorReport()
     stability: Stability | None = None
-    judged: Judgement = field(default=None, compare=False)  # type: ignore[assignment]
+    others: tuple[PeriodicOrbit, ...] = field(default=(), compare=False)
+    assessment: Assessment = field(default=None, compare=False)  # type: ignore[assignment]
 
     KIND: ClassVar[str] = "periodic solution"
 
     def __post_init__(self) -> None:
-        if self.judged is None or not self.judged.is_of(self):
+        if self.assessment is None or not self.assessment.is_of(self):
             wave = Wave(**{one.name: getattr(self, one.name) for one in fields(Wave)})
-            object.__setattr__(self, "judged", Judgement(wave))
+            object.__setattr__(self, "assessment", Assessment(wave))
+
+    @property
+    def orbit(self) -> PeriodicOrbit | None:
+        """The exact orbit whose Fourier coefficients these are; None where they are balanced."""
+        return self.assessment.own
 
     def displacement(self, time: np.ndarray, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
         """Displacement of dofs, or of the watched one, at times [s]: (len(time), len(dofs)) [m]
@@ -393,30 +400,21 @@ def solution_of(
     status: str,
     converged: bool = True,
     search: bool = True,
-    enough: float = math.inf,
     reported: bool = True,
-    orbit: PeriodicOrbit | None = None,
-    patience: Patience | None = None,
 ) -> PeriodicSolution:
     """The solution that belongs to a point of the condensed equations (collective).
 
-    With ``search`` its error is the distance of its exact orbit; else what is predicted without;
-    nothing is estimated where it is not ``reported``, and nothing else where the truncation is
-    above ``enough``, or of equations that are not solved. Its orbit may be known already; else it
-    is sought with ``patience``.
+    With ``search`` its exact orbit is looked for; else its error is what is predicted without; and
+    nothing is estimated where it is not ``reported``, or of equations that are not solved.
     """
     wave = problem.wave(at)
-    judged = Judgement(wave, patience=patience)
-    found = PeriodicSolution(**vars(wave), status=status, converged=converged, judged=judged)
-    if orbit is not None:
-        found.judged.suggest(orbit)
+    known = Assessment(wave)
+    found = PeriodicSolution(**vars(wave), status=status, converged=converged, assessment=known)
     if not reported:
         return found
     if not converged:
         return replace(found, report=of_no_solution(at, problem))
-    return replace(
-        found, report=estimate_errors(at, found.judged, problem, search=search, enough=enough)
-    )
+    return replace(found, report=estimate_errors(at, known, problem, search=search))
 
 
 @dataclass(frozen=True)
@@ -428,13 +426,6 @@ class Solver:
     """|F| / |x| at which a solution is accepted."""
     throw: bool = True
     """Raise ConvergenceError if nothing converged; else return the last iterate."""
-    enough: float = math.inf
-    """Truncation error above which no other is estimated."""
-    patience: Patience | None = None
-    """With which orbits are sought next to all its solutions; None: each with its own."""
-    cold: dict[int, PeriodicSolution] | None = None
-    """What was found from nothing, by its harmonics, so that this is not done twice; None: it is
-    not kept."""
 
     def solve(
         self, initial: PeriodicSolution | None = None, *, reported: bool = True
@@ -462,22 +453,18 @@ class Solver:
             check_slope(self.problem.contact, np.concatenate([gap, -gap]))
 
     def attempt(
-        self, initial: PeriodicSolution | None, *, patient: bool = True, reported: bool = True
+        self, initial: PeriodicSolution | None, *, wholly: bool = True, reported: bool = True
     ) -> tuple[Search, PeriodicSolution]:
         """The same, whether or not it converged, and the record of the search; its errors are
         estimated unless they are not asked for."""
         with self.compliance() as compliance:
             problem = self.problem.weighted(compliance)
-            share = 1.0 if patient else IMPATIENT
+            share = 1.0 if wholly else IN_PART
             search, at = replace(self, problem=problem).find(compliance, initial, share)
             found = solution_of(
-                problem, at, status=search.status, converged=search.converged, enough=self.enough,
-                reported=reported, orbit=search.orbit, patience=self.patience,
-            )  # fmt: skip
-            found = replace(found, iterations=search.iterations)
-            if initial is None and self.cold is not None:
-                self.cold[problem.harmonics] = found
-            return search, found
+                problem, at, status=search.status, converged=search.converged, reported=reported
+            )
+            return search, replace(found, iterations=search.iterations)
 
     def reported(self, found: PeriodicSolution) -> PeriodicSolution:
         """A solution with its estimated errors, which were not asked for (collective)."""
@@ -486,7 +473,7 @@ class Solver:
             system = problem.system(compliance)
             start = system.slow(found.gap_coefficients, found.force_coefficients)
             at = system.linearise(start)
-            return replace(found, report=estimate_errors(at, found.judged, problem))
+            return replace(found, report=estimate_errors(at, found.assessment, problem))
 
     @contextmanager
     def compliance(self) -> Iterator[Compliance]:
@@ -501,84 +488,13 @@ class Solver:
         self, compliance: Compliance, initial: PeriodicSolution | None, share: float = 1.0
     ) -> tuple[Search, ContactPoint]:
         """A search, and the equations where it arrives."""
-        problem, known = self.problem, None
-        if share < 1.0 and self.cold is not None:
-            known = self.cold.get(problem.harmonics)
+        problem = self.problem
         system, starts = problem.system(compliance), []
-        for near in (initial, known):
-            if near is not None and (near is initial or near.converged):
-                times = problem.subharmonic // near.subharmonic
-                starts.append(system.slow(near.gap_coefficients, near.force_coefficients, times))
+        if initial is not None:
+            times = problem.subharmonic // initial.subharmonic
+            slow = system.slow(initial.gap_coefficients, initial.force_coefficients, times)
+            starts.append(slow)
         search = Search(system, problem, self.residual_tolerance, share)
-        at = search.solve(*starts, cold=known is None)
+        at = search.solve(*starts)
         # The kernel's points do not know the forces.
         return search, at if isinstance(at, ContactPoint) else system.linearise(at.unknown)
-
-
-def solve_beside(
-    problem: Problem, near: PeriodicSolution | None, tolerance: float | None = None
-) -> PeriodicSolution:
-    """The solution of a problem of a small structure, sought from that of another one.
-
-    With a tolerance it has as many harmonics as the other one, and then as many more as bring the
-    truncation below what the other errors leave of it, if they leave any. Half of them come first,
-    unless the other one is of the same equations: many fail from far away.
-
-    Raises
-    ------
-    InputError
-        The contact is so stiff that rounding leaves nothing of its force.
-    ConvergenceError
-        There is no solution, or not to the tolerance.
-    """
-    enough = math.inf if tolerance is None else tolerance
-    if tolerance is not None and near is not None:
-        left = _left_to_harmonics(near, tolerance)
-        count = fewer_harmonics(near.harmonics, _truncation(near), left, problem.harmonics)
-        same = near.structure is problem.structure and near.contact is problem.contact
-        if count // 2 >= problem.harmonics and not (same and near.omega == problem.omega):
-            half = Solver(problem.with_harmonics(count // 2))
-            near = half.attempt(near, patient=False, reported=False)[1]
-        problem = problem.with_harmonics(count)
-    found = Solver(problem, enough=enough).solve(near)
-    while tolerance is not None and (
-        more := more_harmonics(
-            found.harmonics, _truncation(found), _left_to_harmonics(found, tolerance)
-        )
-    ):
-        found = Solver(problem.with_harmonics(more), enough=enough).solve(found)
-    if tolerance is not None and _truncation(found) > tolerance:
-        raise ConvergenceError(
-            f"harmonic balance at {problem.omega:g} rad/s: the estimated truncation error, "
-            f"{_truncation(found):.1e} with H = {found.harmonics}, stays above {tolerance:g}"
-        )
-    return found
-
-
-def more_harmonics(
-    count: int, truncation: float, tolerance: float | None, most: int = MOST_HARMONICS
-) -> int | None:
-    """As many harmonics as an error that falls like H^-3 asks for; None where these are enough, or
-    the most."""
-    if tolerance is None or truncation <= tolerance or count >= most:
-        return None
-    factor = min(2.0, 1.1 * (truncation / tolerance) ** (1.0 / 3.0))
-    return min(most, math.ceil(factor * count))
-
-
-def fewer_harmonics(count: int, truncation: float, tolerance: float, least: int) -> int:
-    """As many harmonics as a neighbour's error allows to begin with."""
-    return max(least, math.floor(0.8 * count)) if truncation < SLIGHT * tolerance else count
-
-
-def _left_to_harmonics(solution: PeriodicSolution, tolerance: float) -> float:
-    """Part of a tolerance that the other errors of a solution leave to its truncation; all of it
-    where they exceed it by themselves, or are unknown."""
-    others = solution.report.total - solution.report.truncation
-    return max(tolerance - others, SLIGHT * tolerance) if others < tolerance else tolerance
-
-
-def _truncation(solution: PeriodicSolution) -> float:
-    """Estimated truncation error, infinite where it is unknown."""
-    found = solution.report.truncation
-    return found if math.isfinite(found) else math.inf

@@ -210,7 +210,7 @@ def of_stability(
 def of_more_modes(found: PeriodicSolution, verdict: str) -> Iterator[str]:
     """A warning of a solution whose orbit has another verdict with twice the modes or more
     (collective)."""
-    larger = found.judged.larger
+    larger = found.assessment.more_modes
     if larger is not None and (said := larger.contradicts(verdict)):
         yield f"{said}: the verdict {verdict!r} {ON_MODES}; raise reduction.modes"
 

@@ -50,7 +50,7 @@ from tqdm import tqdm
 
 from fenics_crack.balance.contact_integrals import contact_integrals
 from fenics_crack.balance.error_report import SLIGHT, ErrorReport, mean_square, moving_mean_square
-from fenics_crack.balance.judgement import UNKNOWN
+from fenics_crack.balance.more_modes import UNKNOWN
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.free_motion import (
     ELSEWHERE,

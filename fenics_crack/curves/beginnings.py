@@ -41,8 +41,8 @@ from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import SMALL
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import flow_of
-from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit
-from fenics_crack.motion.shooting import FlowOrbits, orbit_next_to
+from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit, find_orbit
+from fenics_crack.motion.shooting import FlowOrbits
 from fenics_crack.numerics.equations import CLOSE, System
 from fenics_crack.numerics.fourier import resized, stretched
 from fenics_crack.numerics.newton import (
@@ -263,7 +263,7 @@ def _at_doubling(curve: ResponseCurve, one: Bifurcation) -> PeriodicOrbit | None
         return None
     near = np.argsort(np.abs(curve.omega - one.exact), kind="stable")[:NEAREST]
     for motion in curve.motions(near):
-        orbit = orbit_next_to(flow, one.exact, flow.state(*motion), curve.subharmonic)
+        orbit = find_orbit(flow, one.exact, flow.state(*motion), subharmonic=curve.subharmonic)
         if orbit is not None and np.abs(orbit.multipliers + 1.0).min() <= KNOWN:
             return orbit
     return None

@@ -16,13 +16,7 @@ import numpy as np
 
 from fenics_crack.balance.harmonic_balance import check_initial
 from fenics_crack.balance.problem import ON_PATH, Problem, check_memory
-from fenics_crack.balance.solution import (
-    PeriodicSolution,
-    Solver,
-    fewer_harmonics,
-    more_harmonics,
-    solution_of,
-)
+from fenics_crack.balance.solution import PeriodicSolution, Solver, solution_of
 from fenics_crack.curves.beginnings import (
     DoubledStart,
     check_resumed,
@@ -37,9 +31,9 @@ from fenics_crack.curves.curve import (
     columns,
     parameter_axis,
 )
-from fenics_crack.curves.exact import FOLLOWED, verified
+from fenics_crack.curves.exact import FOLLOWED, judge_curve
 from fenics_crack.curves.family import FAMILIES, Family
-from fenics_crack.errors import InputError, check_choice, check_count, check_number
+from fenics_crack.errors import MOST_HARMONICS, InputError, check_choice, check_count, check_number
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
@@ -203,7 +197,7 @@ class Continuation:
     @property
     def curve(self) -> ResponseCurve:
         """All points so far; judged with ``stability=True``."""
-        return verified(self.followed) if self._judged else self.followed
+        return judge_curve(self.followed) if self._judged else self.followed
 
     @property
     def followed(self) -> ResponseCurve:
@@ -350,8 +344,7 @@ def _first_solution(
         check_memory(first.structure, count)
         if initial is not None:
             check_initial(first, initial)
-        solver = Solver(first, enough=0.0)
-        initial = solver.solve(initial, reported=tolerance is not None)
+        initial = Solver(first).solve(initial, reported=tolerance is not None)
         more = more_harmonics(count, initial.report.truncation, tolerance)
         if more is None:
             return family, initial.slow_gap_coefficients, initial.iterations
@@ -361,7 +354,21 @@ def _first_solution(
 def _truncation(family: Family, value: float, point: PathPoint) -> float:
     """The estimated error of the harmonics left out at a point."""
     at = family.linearise(point.unknown, point.parameter)
-    return solution_of(family.at(value), at, status="", search=False, enough=0.0).report.truncation
+    return solution_of(family.at(value), at, status="", search=False).report.truncation
+
+
+def more_harmonics(count: int, truncation: float, tolerance: float | None) -> int | None:
+    """As many harmonics as an error that falls like H^-3 asks for; None where these are enough, or
+    the most."""
+    if tolerance is None or truncation <= tolerance or count >= MOST_HARMONICS:
+        return None
+    factor = min(2.0, 1.1 * (truncation / tolerance) ** (1.0 / 3.0))
+    return min(MOST_HARMONICS, math.ceil(factor * count))
+
+
+def fewer_harmonics(count: int, truncation: float, tolerance: float, least: int) -> int:
+    """As many harmonics as a neighbour's error allows to begin with."""
+    return max(least, math.floor(0.8 * count)) if truncation < 0.05 * tolerance else count
 
 
 def _with_harmonics(

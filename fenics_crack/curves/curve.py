@@ -11,10 +11,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.balance.judgement import Judgement
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import (
     Indicators,
@@ -25,13 +25,12 @@ from fenics_crack.balance.solution import (
 )
 from fenics_crack.curves.family import FAMILIES, Family
 from fenics_crack.curves.peak import Peak, Top, damping_by_width, top_of
-from fenics_crack.curves.stability import floquet, stability_of
+from fenics_crack.curves.stability import floquet
 from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.flow import ContactFlow
 from fenics_crack.numerics.fourier import evaluate, resized
 from fenics_crack.table import (
     Described,
@@ -414,23 +413,13 @@ class ResponseCurve(_Waves):
     def reason(self, index: int) -> str:
         """Why the stability is undecided at a point, and what to do; "" where it is decided.
 
-        It is what :func:`fenics_crack.floquet` says of the point's solution by itself; but where an
-        exact orbit lies next to it not where the motion goes that begins with it: neighbours tell.
+        It is what :func:`fenics_crack.floquet` says of the point's solution by itself.
         """
         if not self._open[index]:
             return ""
-        solution = self.solution(index)
-        if solution.judged.orbit is None:
-            alone = floquet(solution.structure, solution)
-        else:
-            alone = stability_of(solution.judged)
         if self._open.all():
-            why = "no orbit along the curve was followed, or accepted: fewer modes are followed"
-            why += " sooner, and more harmonics lead to more orbits"
-        else:
-            why = "orbits beside it along the curve are others, or on another side of a"
-            why += " bifurcation, or few of its open points had one; more harmonics tell"
-        return alone.reason or f"by itself it is {alone.verdict}, but {why}"
+            return "no point of the curve has an exact orbit of its own"
+        return self.assessment(index).reason or "its largest multiplier is 1 to rounding"
 
     @property
     def problem(self) -> Problem:
@@ -452,12 +441,11 @@ class ResponseCurve(_Waves):
         its exact orbit the report is what one Newton step predicts."""
         return _expanded(self.problem_of(index), self.unknown(index), search=search)
 
-    def judged(self, index: int, flow: ContactFlow | None = None, **search: Any) -> Judgement:
-        """What the exact flow, if it is known, says of a point, as :class:`Judgement`, which takes
-        the options; no error is estimated."""
+    def assessment(self, index: int) -> Assessment:
+        """What the exact flow says of a point; no error is estimated."""
         problem = self.problem_of(index)
         at = problem.system(problem.compliance()).linearise(self.unknown(index))
-        return Judgement(problem.wave(at), flow=flow, **search)
+        return Assessment(problem.wave(at))
 
     def top(self, dof: int | None = None) -> Top:
         """Find where the largest response of a dof, or of the watched one, is and how large;

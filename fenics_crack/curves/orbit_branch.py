@@ -35,7 +35,6 @@ import numpy as np
 import scipy.optimize
 from scipy.linalg.lapack import dgeqrf, dorgqr
 
-from fenics_crack.balance.judgement import relative
 from fenics_crack.curves.orbit_nodes import (
     EVERY,
     LEADING,
@@ -54,7 +53,7 @@ from fenics_crack.curves.orbit_nodes import (
 )  # fmt: skip
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.orbit import KNOWN, SHRINKING, eigenvalues
-from fenics_crack.motion.shooting import FlowOrbits, Homotopy, OrbitPoint
+from fenics_crack.motion.shooting import FlowOrbits, OrbitPoint
 from fenics_crack.numerics.equations import CLOSE, LOCATED
 from fenics_crack.numerics.newton import (
     FULL_STEPS,
@@ -108,7 +107,6 @@ class OrbitBranch:
         self._reach = REACH * max(1.0, float(np.ptp(parameters)))
         self._known: dict[int, np.ndarray] = {}
         self.added: dict[int, np.ndarray] = {}
-        self._homotopy = Homotopy(system)
         self._turn = _to_turns(parameters)
         self._halved: set[tuple[float, float]] = set()
         self._missed: set[tuple[float, float]] = set()
@@ -225,7 +223,9 @@ class OrbitBranch:
                 found = self._solved(start, parameter, chord)
                 if found is None:
                     continue
-                away = relative(found.unknown - motion, motion)
+                away = float(
+                    np.linalg.norm(found.unknown - motion) / (np.linalg.norm(motion) or 1.0)
+                )
                 if away <= ALIKE:
                     self.added[place] = found.unknown - motion
                     return self._node(place, found, self._ahead(place, along=False), away)
@@ -247,10 +247,6 @@ class OrbitBranch:
         if added is not None:
             yield motion + added
         yield motion
-        if far and added is None:
-            end = self._homotopy.end(motion, float(self._parameters[place]))
-            if end is not None:
-                yield end
 
     def inside(self, first: Node, last: Node, share: float, found: PathPoint) -> Node:
         """The node of an orbit at a part of the segment between two others."""

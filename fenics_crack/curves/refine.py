@@ -26,7 +26,7 @@ from scipy.interpolate import CubicSpline
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import SPREAD, CurvePoint, ResponseCurve, columns
-from fenics_crack.curves.exact import verified
+from fenics_crack.curves.exact import judge_curve
 from fenics_crack.curves.family import Family
 from fenics_crack.curves.orbit_branch import ALIKE, KINDS, OrbitBranch
 from fenics_crack.curves.orbit_nodes import Node
@@ -134,7 +134,7 @@ def refine_curve(curve: ResponseCurve, between: int | None = None) -> ResponseCu
                 )
     points.append(curve.point(len(curve) - 1))
     merged = replace(curve, **columns(points), multipliers=None, undecided=None)
-    return merged if curve.multipliers is None else verified(merged)
+    return merged if curve.multipliers is None else judge_curve(merged)
 
 
 def _split(place: np.ndarray, family: Family) -> tuple[np.ndarray, float]:

@@ -2,8 +2,7 @@
 
 The multipliers mu are those of the exact orbit next to a solution, which is stable where they lie
 within the unit circle (:mod:`fenics_crack.motion.orbit`); :func:`shoot` finds that orbit by itself.
-It is the orbit that the solution's error was found by (:mod:`fenics_crack.balance.judgement`),
-which says whether it is the solution's own.
+Whether it is the solution's own :mod:`fenics_crack.balance.assessment` says.
 
 Laws that are not linear in contact have no exact flow. Their verdict is that of the root of Hill's
 determinant next to the leading multiplier of the linear flow
@@ -39,31 +38,20 @@ from time import perf_counter
 
 import numpy as np
 
+from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.contact_integrals import CoupledIntegrals
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.balance.judgement import (
-    BELIEVED,
-    FARTHEST,
-    NO_DOUBT,
-    UNKNOWN,
-    Judgement,
-    alike,
-    farther,
-)
+from fenics_crack.balance.more_modes import UNKNOWN
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.errors import ConvergenceError, InputError, check_count, check_kind
 from fenics_crack.model.contact import ContactLaw, check_law, check_slope, is_rigid, smooth_forces
 from fenics_crack.model.modal import CACHED, AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
+from fenics_crack.motion.attractors import Attractor, in_the_long_run
 from fenics_crack.motion.flow import exact_flow
-from fenics_crack.motion.orbit import FORMED, KNOWN, PeriodicOrbit, eigenvalues, find_orbit
-from fenics_crack.motion.shooting import (
-    LATER,
-    Attractor,
-    FlowOrbits,
-    in_the_long_run,
-    orbit_next_to,
-)
+from fenics_crack.motion.orbit import FORMED, KNOWN, PeriodicOrbit, alike, eigenvalues, find_orbit
+from fenics_crack.motion.search import SearchOptions, by_homotopy
+from fenics_crack.motion.shooting import FlowOrbits
 from fenics_crack.numerics.fourier import resized, sampled, to_complex
 from fenics_crack.numerics.newton import moving_size
 from fenics_crack.table import percent
@@ -72,8 +60,11 @@ from fenics_crack.time.march import initial_state
 LONGEST = 100_000
 """Periods of the load for which a motion from rest is followed at most; each state is kept."""
 
-HILL_STEPS = 2**13
-"""In a period."""
+HILL_STEPS, HILL_REACH = 2**13, 0.1
+"""In a period; and how far a root of the determinant may be from where it is looked for, in base
+frequencies."""
+DISTURBANCE = 0.01
+"""Of what moves, by which motions leave an unstable orbit."""
 
 
 def monodromy(
@@ -193,7 +184,7 @@ def hill_root(
             vector[:] = found.conj() / np.linalg.norm(found)
 
         def bordering(exponent: complex) -> complex:
-            if not abs(exponent - start) < FARTHEST * omega:
+            if not abs(exponent - start) < HILL_REACH * omega:
                 return complex(np.nan)
             bordered[:size, :size] = matrix(exponent)
             return complex(np.linalg.solve(bordered, last)[-1])
@@ -244,32 +235,6 @@ def _stiffness_means(solution: PeriodicSolution, contact: ContactLaw) -> np.ndar
     samples = max(1024, 8 * highest)
     slopes = contact.tangent(sampled(resized(gap, highest), samples))
     return np.fft.rfft(slopes, axis=0)[: highest + 1].T.conj() / samples
-
-
-FOLLOWED = 30
-"""Periods that a motion is followed."""
-
-
-def leaves(
-    orbits: FlowOrbits, motion: np.ndarray, orbit: np.ndarray, parameter: float = 1.0
-) -> bool:
-    """Whether a motion, given by its x at phase zero, leaves a stable orbit given like that: it is
-    much farther away within some periods than at first, or in the end, where it is not there to a
-    millionth, or as well as the orbit is known, than a small disturbance would be."""
-    there = orbits.linearise(orbit, parameter)
-    monodromy, linear = there.monodromy, motion - orbit
-    known = np.linalg.norm(np.linalg.solve(np.eye(len(orbit)) - monodromy, there.residual))
-    away, expected = [np.linalg.norm(linear)], [np.linalg.norm(linear)]
-    try:
-        for _ in range(FOLLOWED):
-            motion, linear = orbits.moved(motion, parameter), monodromy @ linear
-            away.append(np.linalg.norm(motion - orbit))
-            expected.append(np.linalg.norm(linear))
-            if away[-1] > BELIEVED * max(expected[0], expected[-1]):
-                return True
-    except ConvergenceError:  # pairs chatter without end
-        return True
-    return bool(max(away[-LATER:]) > BELIEVED * max(*expected[-LATER:], KNOWN * expected[0], known))
 
 
 def orbits_near(
@@ -327,12 +292,15 @@ def shoot(
     check_law(structure, law, rigid=True)
     assert law is not None
     check_count("settle", settle, 0)
-    orbits = orbits_near(structure, law, solution)
-    judged = replace(solution, structure=structure, contact=law).judged
-    found = None if settle else judged.orbit
+    orbits, periods = orbits_near(structure, law, solution), solution.subharmonic
+    known = replace(solution, structure=structure, contact=law).assessment
+    found = None if settle else known.orbit
     if found is None:
         start = orbits.state(orbits.followed(settle))
-        found = orbit_next_to(orbits.flow, solution.omega, start, solution.subharmonic)
+        found = find_orbit(orbits.flow, solution.omega, start, subharmonic=periods)
+        if found is None and orbits.flow.size <= FORMED:
+            begun = FlowOrbits(orbits.flow, solution.omega, start, periods)
+            found = by_homotopy(begun, SearchOptions())
     if found is not None and found.residual > tolerance:  # its last step was short, but M is large
         again = find_orbit(found.flow, found.omega, found.state, subharmonic=found.subharmonic)
         found = again or found
@@ -370,8 +338,8 @@ def floquet(
     Returns
     -------
     Stability
-        The multipliers, largest first, the verdict, and the reason where it is open: with what the
-        exact motion that begins with the solution does in the long run, where no orbit is its own.
+        The multipliers, largest first, the verdict, and the reason where it is open: with the
+        distance of the nearest orbit and its own stability, where one was found.
 
     Raises
     ------
@@ -394,29 +362,14 @@ def floquet(
     assert contact is not None
     if solution.structure.n_dofs != structure.n_dofs:
         raise InputError("solution", f"{solution.structure.n_dofs} dofs", "of this structure")
-    judged = replace(solution, structure=structure, contact=contact).judged
-    if judged.flow is None:
+    known = replace(solution, structure=structure, contact=contact).assessment
+    if known.flow is None:
         if is_rigid(contact) or not is_small(structure):
             exact_flow(structure, contact)  # says what is missing
         return _by_hill(structure, solution, contact)
     if not refine:
-        return _along_the_wave(judged, "the multipliers of a wave, without its orbit")
-    found = stability_of(judged)
-    told = judged.accepted or judged.too_slow or judged.flow.size > FORMED
-    if found.verdict == "undecided" and not told:
-        return replace(found, reason=f"{found.reason}; {_from_it(judged)}")
-    return found
-
-
-def _from_it(judged: Judgement) -> str:
-    """What the exact motion that begins with a solution does."""
-    flow, wave = judged.flow, judged.wave
-    assert flow is not None
-    orbits = FlowOrbits(flow, wave.omega, judged.states[0], wave.subharmonic)
-    found, away = in_the_long_run(orbits, orbits.start), ""
-    if found.orbit is not None and found.orbit.subharmonic == wave.subharmonic:
-        away = f" {percent(judged.to(found.orbit))} away"
-    return f"the exact motion that begins with it {found.told}{away}"
+        return _along_the_wave(known, "the multipliers of a solution, without its orbit")
+    return stability_of(known)
 
 
 def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attractor, ...]:
@@ -454,26 +407,30 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     ...     seen = [one.amplitudes().max() for one in fc.attractors(structure, solution)]
     """
     check_kind("solution", solution, PeriodicSolution)
-    judged = replace(solution, structure=structure).judged
-    followed = judged.flow is not None and judged.flow.size <= FORMED
-    verdict = stability_of(judged).verdict if followed else "no exact flow"
+    known = replace(solution, structure=structure).assessment
+    followed = known.flow is not None and known.flow.size <= FORMED
+    verdict = stability_of(known).verdict if followed else "no exact flow"
     if verdict != "unstable":
         allowed = f"an unstable one by its exact orbit, of at most {FORMED // 2} modes"
         raise InputError("solution", verdict, allowed)
-    orbit = judged.orbit
+    orbit = known.orbit
     assert orbit is not None
     orbits = FlowOrbits(orbit.flow, orbit.omega, orbit.state, orbit.subharmonic)
     values, vectors = np.linalg.eig(orbits.of_unknowns(orbit.monodromy))
     leading = int(np.abs(values).argmax())
     mu, change = values[leading], vectors[:, leading].real
     moved = moving_size(orbits.scale * orbit.sampled.states) / np.sqrt(len(orbit.sampled.states))
-    change *= NO_DOUBT * moved / np.linalg.norm(change)
+    change *= DISTURBANCE * moved / np.linalg.norm(change)
     found: list[Attractor] = []
     for start in (orbits.start + change, orbits.start - change)[: 2 if mu == abs(mu) else 1]:
         one = in_the_long_run(orbits, start)
-        if not any(alike(one.orbit, other.orbit) for other in found):
+        if not any(_same(one.orbit, other.orbit) for other in found):
             found.append(one)
     return tuple(found)
+
+
+def _same(one: PeriodicOrbit | None, other: PeriodicOrbit | None) -> bool:
+    return one is not None and other is not None and alike(one, other)
 
 
 def from_rest(solution: PeriodicSolution, seconds: float) -> Attractor | None:
@@ -502,51 +459,35 @@ def from_rest(solution: PeriodicSolution, seconds: float) -> Attractor | None:
     >>> motion = from_rest(solution, 1.0)
     >>> settled = motion is not None and motion.orbit is not None
     """
-    judged = solution.judged
-    if judged.flow is None or judged.flow.size > FORMED:
+    flow = solution.assessment.flow
+    if flow is None or flow.size > FORMED:
         return None
-    orbits = FlowOrbits(judged.flow, solution.omega, judged.states[0])
-    rest = np.zeros(judged.flow.size)
+    rest = np.zeros(flow.size)
+    orbits = FlowOrbits(flow, solution.omega, solution.assessment.states[0])
     started = perf_counter()
     orbits.moved(rest, 1.0)
     periods = int(min(seconds / (perf_counter() - started), LONGEST))
     return in_the_long_run(orbits, rest, solution.structure.whole.comm.bcast(periods))
 
 
-def stability_of(judged: Judgement) -> Stability:
-    """Stability of a solution by the orbit next to it."""
-    orbit = judged.orbit
+def stability_of(known: Assessment) -> Stability:
+    """Stability of a solution by its orbit."""
+    orbit = known.orbit
     if orbit is None:
-        return _along_the_wave(judged, judged.reason)
-    reason, largest = judged.reason, abs(orbit.multipliers[0])
-    own = "stable" if largest < 1.0 else "unstable"
+        return _along_the_wave(known, known.reason)
+    reason, largest = known.reason, abs(orbit.multipliers[0])
     if not reason and abs(largest - 1.0) <= KNOWN:
         reason = "its largest multiplier is 1 to rounding: a bifurcation, or no damping"
-    if not (reason or judged.expected):
-        reason = f"{farther(judged)}; it is {own}; take more harmonics"
-    if not reason and largest < 1.0 and not judged.of_orbit:
-        assert judged.decisive is not None
-        if _left(orbit, judged.decisive):
-            reason = "the exact motion that begins with it leaves its orbit; take more harmonics"
-    verdict = "undecided" if reason else own
-    return Stability(orbit.multipliers, verdict, KNOWN, True, judged.distance, reason)
+    verdict = "undecided" if reason else "stable" if largest < 1.0 else "unstable"
+    return Stability(orbit.multipliers, verdict, KNOWN, True, known.distance, reason)
 
 
-def _left(orbit: PeriodicOrbit, judged: Judgement) -> bool:
-    """Whether the exact motion that begins with a wave leaves the stable orbit next to it, as that
-    of pairs with mass, which bounce, may."""
-    if judged.wave.structure.light_lips or judged.distance <= KNOWN:
-        return False
-    orbits = FlowOrbits(orbit.flow, orbit.omega, orbit.state, orbit.subharmonic)
-    return leaves(orbits, orbits.unknown(judged.states[0]), orbits.start)
-
-
-def _along_the_wave(judged: Judgement, reason: str) -> Stability:
-    """Without an orbit: the multipliers of the flow along the wave, and why they do not judge."""
-    assert judged.flow is not None
-    values = np.full(judged.flow.size, np.nan + 0j)
-    if judged.predicted is not None:
-        values = eigenvalues(judged.predicted.monodromy)
+def _along_the_wave(known: Assessment, reason: str) -> Stability:
+    """Without an orbit: the multipliers of the flow along the solution, which say nothing."""
+    assert known.flow is not None
+    values = np.full(known.flow.size, np.nan + 0j)
+    if known.prediction is not None and known.flow.size <= FORMED:
+        values = eigenvalues(known.prediction.monodromy)
     return Stability(values, "undecided", np.nan, reason=reason)
 
 

@@ -220,7 +220,9 @@ def _marks(mesh: NodalMesh) -> np.ndarray:
 
 
 def _pack_solution(solution: PeriodicSolution) -> Parts:
-    parts = _fields(solution, "displacement_coefficients", "report", "stability", "judged")
+    parts = _fields(
+        solution, "displacement_coefficients", "report", "stability", "others", "assessment"
+    )
     parts |= {f"error_{name}": value for name, value in asdict(solution.report).items()}
     if is_rigid(solution.contact):
         parts["weight"] = solution.contact.weight

@@ -168,6 +168,11 @@ class PeriodicOrbit(Described):
         return self.samples(np.arange(INSTANTS) * self.period / INSTANTS)
 
     @property
+    def is_stable(self) -> bool:
+        """Whether all multipliers lie within the unit circle."""
+        return bool(abs(self.multipliers[0]) < 1.0)
+
+    @property
     def gap(self) -> np.ndarray:
         """g there: (512, n_pairs) [m]."""
         return self.sampled.gap
@@ -303,9 +308,9 @@ def find_orbit(
     budget: Budget | None = None,
     inverse: Inverse | None = None,
 ) -> PeriodicOrbit | None:
-    """The orbit that Newton's method leads to from a state at phase zero; None where it leads to
-    none, or takes more than the budget allows: pieces of all motions together, and intervals of
-    each. It may begin with the inverse of a motion nearby."""
+    """The orbit that Newton's method leads to from a state at phase zero, closed to 1e-6; None
+    where it leads to none, or takes more than the budget allows: pieces of all motions together,
+    and intervals of each. It may begin with the inverse of a motion nearby."""
     search = _Search(flow, omega, subharmonic, state, budget)
     try:
         if not search.leads_to_orbit(inverse):
@@ -313,6 +318,8 @@ def find_orbit(
     except (ConvergenceError, np.linalg.LinAlgError, ValueError):
         return None
     residual = search.size(search.motion.state - search.state) / (search.size(search.state) or 1.0)
+    if not residual <= KNOWN:  # where M is huge a step may be short and the motion does not close
+        return None
     return PeriodicOrbit(
         flow, omega, subharmonic, search.motion, search.state, residual, search.flows
     )
@@ -396,6 +403,13 @@ class _Search:
         found = self._flow.advance(state, self._omega, self._period, budget=self._left)
         self._left = replace(self._left, pieces=self._left.pieces - found.pieces)
         return found
+
+
+def alike(one: PeriodicOrbit, other: PeriodicOrbit) -> bool:
+    """Whether two orbits of a flow are the same to 1e-6, in the norm of the energy."""
+    weights = one.flow.weights(one.omega / one.subharmonic)
+    change = float(np.linalg.norm(weights * (one.state - other.state)))
+    return change <= KNOWN * float(np.linalg.norm(weights * one.state))
 
 
 def eigenvalues(matrix: np.ndarray) -> np.ndarray:

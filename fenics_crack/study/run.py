@@ -39,7 +39,7 @@ from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.reduction import MODES
 from fenics_crack.model.rotation import run_up_structure
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.shooting import SETTLED
+from fenics_crack.motion.attractors import SETTLED
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene, check_known, without_clamp, without_tips
 from fenics_crack.scene.tables import Integration

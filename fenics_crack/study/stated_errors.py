@@ -228,8 +228,8 @@ def _more_modes(
     if reference is None or table is None or table.modes is None:
         return "all are kept"
     more, counts = replace(study, structure=reference), (table.modes, 2 * table.modes)
-    larger = found.judged.larger if exact else None
-    if exact and larger and larger.affordable and larger.orbit:
+    larger = found.assessment.more_modes if exact else None
+    if exact and larger and larger.orbit:
         other = as_changed(own.values, exact, _of_orbit(more, found, larger.orbit, own.mode))
     else:
         start = near if structure.light_lips else None  # else these have other coordinates
@@ -296,9 +296,9 @@ def of_own_orbit(study: Study, found: PeriodicSolution, mode: int) -> dict[str, 
 
 def _own_orbit(found: PeriodicSolution) -> PeriodicOrbit | None:
     """The exact orbit that is a solution's own, unless it would be sought for long (collective)."""
-    judged = found.judged
-    known = found.contact is not None and judged.affordable and judged.accepted
-    return judged.orbit if known else None
+    known = found.assessment
+    own = found.contact is not None and known.affordable and known.accepted
+    return known.orbit if own else None
 
 
 def largest_left_out(found: PeriodicSolution, dof: int) -> tuple[int, float] | None:

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.balance.harmonic_balance import solve_linear
+from fenics_crack.balance.harmonic_balance import solve_beside, solve_linear
 from fenics_crack.balance.problem import Problem, check_memory
-from fenics_crack.balance.solution import PeriodicSolution, Solver, indicators_of, solve_beside
+from fenics_crack.balance.solution import PeriodicSolution, Solver, indicators_of
 from fenics_crack.curves.peak import top_of
 from fenics_crack.curves.stability import floquet
 from fenics_crack.errors import ConvergenceError, InputError
@@ -303,8 +303,8 @@ class Cases:
             return {"verdict": "undecided", "told": f"; {OPEN}{error}"}
         if found.reason:
             told = f"; {OPEN}{found.reason}"
-        elif structure.light_lips and (larger := solution.judged.larger):  # others need all ranks
-            said = larger.contradicts(found.verdict, quick=True)
+        elif structure.light_lips and (more := solution.assessment.more_modes):  # else collective
+            said = more.contradicts(found.verdict, quick=True)
             told = YET + said if said else ""
         return {"verdict": found.verdict, "multiplier": abs(found.multipliers[0]), "told": told}
 

@@ -39,7 +39,7 @@ from mpi4py import MPI
 from fenics_crack.balance.contact_system import default_weight
 from fenics_crack.balance.error_report import LARGE_ERROR, PARTS
 from fenics_crack.balance.harmonic_balance import solve_linear
-from fenics_crack.balance.judgement import UNKNOWN
+from fenics_crack.balance.more_modes import UNKNOWN
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import InputError

@@ -1,0 +1,202 @@
+"""What the modes that a reduction leaves out change of an exact motion.
+
+The reference of a reduced structure has more modes (:mod:`fenics_crack.model.reduction`). The
+motion is one of the reference, too; modes that lips without mass leave out begin as their statics
+have them,
+
+    Lambda q = f - P lambda,
+
+where the gaps are those known. One step of Newton's method of the whole motion on the reference's
+flow tells by how much these change; its orbit from there, exactly.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fenics_crack.balance.contact_integrals import CoupledIntegrals
+from fenics_crack.model.contact import ContactLaw
+from fenics_crack.model.modal import is_small
+from fenics_crack.model.modes import NEGLIGIBLE, times
+from fenics_crack.model.reduced import ReducedStructure, massless
+from fenics_crack.model.structure import Structure
+from fenics_crack.motion.flow import ContactFlow, Samples, flow_of
+from fenics_crack.motion.orbit import (
+    FLOWS,
+    FORMED,
+    INSTANTS,
+    KNOWN,
+    PeriodicOrbit,
+    Prediction,
+    affordable,
+    eigenvalues,
+    find_orbit,
+    predicted,
+)
+from fenics_crack.motion.search import PARTS
+from fenics_crack.numerics.fourier import waves
+from fenics_crack.numerics.newton import relative_to_motion
+
+if TYPE_CHECKING:
+    from fenics_crack.balance.assessment import Assessment
+
+
+UNKNOWN = 1.0
+"""An error that is not known."""
+
+
+def reference_flow(
+    structure: Structure, contact: ContactLaw, omega: float, subharmonic: int
+) -> ContactFlow | None:
+    """The flow of the reference of a reduced structure; None where there is none, or a step on it
+    would take long."""
+    reference = structure.reference if isinstance(structure, ReducedStructure) else None
+    if reference is None or not is_small(reference):
+        return None
+    flow = flow_of(reference, contact)
+    return flow if flow is not None and affordable(flow, omega, subharmonic, FLOWS) else None
+
+
+class MoreModes:
+    """The motion of a solution on the flow of more modes.
+
+    Attributes
+    ----------
+    flow : ContactFlow
+    """
+
+    def __init__(self, known: Assessment, flow: ContactFlow) -> None:
+        self.flow, self._known = flow, known
+
+    @cached_property
+    def _states(self) -> np.ndarray | None:
+        """At equal parts of the period: of the orbit, where it is the solution's own, else of the
+        solution behind its own step; None where that is not known."""
+        known, wave = self._known, self._known.wave
+        time = wave.period / INSTANTS * np.arange(INSTANTS)
+        every = slice(None, None, INSTANTS // PARTS)
+        if known.accepted:
+            assert known.orbit is not None
+            few, force = known.orbit.sampled.states[every], known.orbit.sampled.force
+        elif known.prediction is not None:
+            few, force = known.prediction.states, wave.contact_force(time)
+        else:
+            return None
+        shape, speed = np.split(few, 2, axis=1)
+        if massless(wave.structure) is None:
+            return self._expanded(shape, speed)
+        static = self._static(time, force, shape.shape[1])
+        rate = (np.roll(static, -1, axis=0) - np.roll(static, 1, axis=0)) / (2.0 * time[1])
+        return np.hstack([shape, static[every], speed, rate[every]])
+
+    def _expanded(self, shape: np.ndarray, speed: np.ndarray) -> np.ndarray:
+        """States of the reference of modal ones of a structure with mass."""
+        structure, reference = self._known.wave.structure, self.flow.structure
+        assert isinstance(structure, ReducedStructure) and isinstance(reference, ReducedStructure)
+        whole, flow = structure.whole, self._known.flow
+        assert flow is not None
+        moved = times(whole.mass, structure.basis)
+        map_to = whole.sum_over_ranks(reference.basis.T @ moved) @ flow.modes.shapes
+        return self.flow.state(shape @ map_to.T, speed @ map_to.T)
+
+    def _static(self, time: np.ndarray, force: np.ndarray, kept: int) -> np.ndarray:
+        """The new modes under the load and contact forces at times."""
+        modes = self.flow.modes
+        loads = self._waves(time) @ self.flow.force[:, kept:] - force @ modes.pairs[kept:].T
+        found: np.ndarray = loads / modes.squares[kept:]
+        return found
+
+    def _gap(self, states: np.ndarray) -> np.ndarray:
+        """g of states at equal parts of the period: (n, n_pairs) [m]."""
+        flow = self.flow
+        slow = states[:, : flow.size // 2] @ flow.modes.pairs + self._waves(self._time) @ flow.gap
+        if not np.any(flow.residual):
+            return slow
+        integrals = CoupledIntegrals(flow.contact, 1, residual=flow.residual)
+        return slow - integrals.forces(slow) @ flow.residual
+
+    def _waves(self, time: np.ndarray) -> np.ndarray:
+        """Of the load: mean, cosine and sine."""
+        return waves(self._known.wave.omega * time)
+
+    @property
+    def _time(self) -> np.ndarray:
+        return self._known.wave.period / PARTS * np.arange(PARTS)
+
+    @cached_property
+    def prediction(self) -> Prediction | None:
+        """One step of Newton's method; None where the motion is not followed."""
+        if self._states is None:
+            return None
+        wave = self._known.wave
+        return predicted(self.flow, wave.omega, self._states, wave.subharmonic)
+
+    @cached_property
+    def changes(self) -> tuple[float, float]:
+        """Of the gap, and of the displacement at the load, by that step, at most :data:`UNKNOWN`,
+        which they are where the motion is not followed."""
+        if self.prediction is None:
+            return UNKNOWN, UNKNOWN
+        wave, states = self._known.wave, self._states
+        assert states is not None
+        gap, ahead = self._gap(states), self.prediction.states
+        seen, half = seen_parts(wave.structure), self.flow.size // 2
+        moved = (ahead - states)[:, :half] @ self.flow.force[seen].T
+        at_load = relative_to_motion(
+            moved, wave.coordinates(self._time) @ wave.structure.force[seen].T
+        )
+        orbit, of_gap = self._known.orbit, 0.0
+        if orbit is None or not is_still(orbit.sampled):
+            of_gap = relative_to_motion(self._gap(ahead) - gap, gap + wave.structure.clearance)
+        return min(of_gap, UNKNOWN), min(at_load, UNKNOWN)
+
+    @cached_property
+    def orbit(self) -> PeriodicOrbit | None:
+        """Next to the motion; None where none is found."""
+        step, wave = self.prediction, self._known.wave
+        if step is None or self._states is None:
+            return None
+        return find_orbit(
+            self.flow, wave.omega, self._states[0], subharmonic=wave.subharmonic,
+            inverse=step.inverse,
+        )  # fmt: skip
+
+    def contradicts(self, verdict: str, *, quick: bool = False) -> str:
+        """What the orbit with these modes says against a verdict on stability, in words; "" where
+        it says the same, or is not known. With ``quick`` it is asked where M along the motion says
+        so already."""
+        if verdict not in ("stable", "unstable") or (quick and not self._foreseen(verdict)):
+            return ""
+        if self.orbit is None:
+            return ""
+        size = float(abs(self.orbit.multipliers[0]))
+        other = "stable" if size < 1.0 else "unstable"
+        if other == verdict or abs(size - 1.0) <= KNOWN:
+            return ""
+        many = len(self.flow.modes.squares)
+        return f"with {many} modes the orbit is {other} (largest multiplier {size:.6g})"
+
+    def _foreseen(self, verdict: str) -> bool:
+        """Whether M along the motion is on the other side of a verdict."""
+        step = self.prediction
+        if step is None or self.flow.size > FORMED:
+            return False
+        return bool((abs(eigenvalues(step.monodromy)[0]) < 1.0) != (verdict == "stable"))
+
+
+def is_still(samples: Samples) -> bool:
+    """Whether lips, which the load presses together, move by rounding only."""
+    slow = samples.states[:, : samples.flow.size // 2] @ samples.flow.modes.pairs
+    moved = samples.gap + samples.flow.structure.clearance
+    return bool(np.linalg.norm(moved) <= NEGLIGIBLE * np.linalg.norm(slow))
+
+
+def seen_parts(structure: Structure) -> np.ndarray:
+    """By which parts of the load the displacement at it is seen: (3,) bool; those that vibrate, if
+    there are some (collective)."""
+    found = structure.sum_over_ranks(np.sum(structure.force**2, axis=1)) > 0.0
+    found[0] &= not found[1:].any()
+    return np.asarray(found)

@@ -1,0 +1,93 @@
+"""Where motions of the exact flow go in the long run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+
+from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit, find_orbit
+from fenics_crack.motion.search import LATER, SearchOptions, comes_back, followed
+from fenics_crack.motion.shooting import FlowOrbits
+from fenics_crack.numerics.equations import LOCATED
+from fenics_crack.stages import begin
+
+SETTLED = 1e-3
+"""How near a motion comes to where it was before, relative, that has settled."""
+SHOWN = 100
+"""Periods of a motion that does not settle, of which amplitudes are told."""
+
+
+@dataclass(frozen=True, repr=False)
+class Attractor:
+    """Where a motion goes in the long run.
+
+    Attributes
+    ----------
+    orbit : PeriodicOrbit or None
+        The stable orbit to which it settles, perhaps one of several periods; None where it has not.
+    told : str
+        What it does, in words.
+    periods : int
+        Of the load, that it was followed for.
+    orbits : FlowOrbits
+        Of its flow and period.
+    last : (2 n_modes,)
+        The state x to which it was followed.
+    """
+
+    orbit: PeriodicOrbit | None
+    told: str
+    periods: int
+    orbits: FlowOrbits
+    last: np.ndarray
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.told})"
+
+    def amplitudes(self, dof: int | None = None) -> np.ndarray:
+        """Half the peak-to-peak displacement of a dof, or of the watched one, in each period of the
+        orbit, or in 100 more where the motion does not settle: (n,) [m] (collective).
+
+        Raises
+        ------
+        ConvergenceError
+            It cannot be followed that long.
+        """
+        flow, omega = self.orbits.flow, self.orbits.omega
+        period = 2.0 * np.pi * self.orbits.subharmonic / omega
+        state, count = self.orbits.state(self.last), SHOWN
+        if self.orbit is not None:
+            state, count = self.orbit.state, self.orbit.subharmonic // self.orbits.subharmonic
+        time = np.arange(count * INSTANTS) * period / INSTANTS
+        found = flow.advance(state, omega, count * period, instants=time).samples.displacement
+        values = flow.structure.values_at(found, [dof]).reshape(count, INSTANTS)
+        return np.asarray(np.ptp(values, axis=1) / 2.0)
+
+
+def in_the_long_run(orbits: FlowOrbits, start: np.ndarray, most: int | None = None) -> Attractor:
+    """What the exact motion from a state x does after many periods: it is followed until it has
+    settled, or for ``most``, by default as many as a search for an orbit may follow."""
+    most = max(LATER + 1, SearchOptions().periods(orbits.flow) if most is None else most)
+    begin(f"the exact motion over up to {most} periods")
+    passed, ahead = start[None], followed(orbits, start, most)
+    while more := list(islice(ahead, len(passed) - 1 + LATER)):
+        passed = np.concatenate([passed, more])
+        last = passed[-1]
+        changes = np.linalg.norm(passed[-2 : -LATER - 2 : -1] - last, axis=1)
+        size = np.linalg.norm(last)
+        for several in np.flatnonzero(changes <= SETTLED * size):
+            turns = int(1 + several) * orbits.subharmonic
+            orbit = find_orbit(orbits.flow, orbits.omega, orbits.state(last), subharmonic=turns)
+            if orbit is None:
+                continue
+            decays = 1.0 - abs(orbit.multipliers[0])
+            off = np.linalg.norm(orbits.unknown(orbit.state) - last)
+            # What decays by |mu| a period and is off by d changes by no less than (1 - |mu|) d.
+            if decays > 0.0 and decays * off <= 2.0 * changes[several] + LOCATED * size:
+                after = f"one that repeats itself after {turns} periods of the load"
+                does = f"settles to {after if several else 'an orbit'}"
+                return Attractor(orbit, does, (len(passed) - 1) * orbits.subharmonic, orbits, last)
+    does = f"does not settle: {comes_back(passed, orbits.subharmonic, 'it')}"
+    return Attractor(None, does, (len(passed) - 1) * orbits.subharmonic, orbits, passed[-1])

@@ -1,0 +1,272 @@
+"""Search for a periodic orbit of the exact flow: guesses, Newton's method, and one budget.
+
+Newton's method (:mod:`orbit`) leads to an orbit from the motion of nearly every harmonic-balance
+solution with few harmonics. Where it leads to none from all of some guesses, it is tried from where
+one step of the whole motion leads (:func:`fenics_crack.motion.orbit.predicted`); then along a path,
+
+    p (z(T) - a) - (z - a) = 0,    from z = a at p = 0 to an orbit at p = 1,
+
+through folds: damping lets no solution for p <= 1 go far, and at p = 0 there is no other. Then from
+where the motion that begins with the guess nearly repeats itself: a motion that no orbit attracts
+wanders, and passes near orbits that it leaves again.
+
+Sources: Chow, Mallet-Paret and Yorke, Mathematics of Computation 32 (1978) 887-899; Auerbach et
+al., Physical Review Letters 58 (1987) 2387-2389.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from fenics_crack.errors import ConvergenceError
+from fenics_crack.motion.flow import Budget, ContactFlow
+from fenics_crack.motion.orbit import FORMED, PeriodicOrbit, alike, find_orbit, predicted
+from fenics_crack.motion.shooting import FlowOrbits, OrbitPoint
+from fenics_crack.numerics.equations import LOCATED, DenseLinearisation
+from fenics_crack.numerics.fourier import derivative, evaluate
+from fenics_crack.numerics.newton import point_on_path, solve_in_plane
+from fenics_crack.numerics.path import NARROW, Path, Target
+from fenics_crack.stages import begin
+from fenics_crack.table import counted, percent
+
+PARTS = 32
+"""Of the period, whose starts' states are a guess of the whole motion."""
+LATER = 8
+"""Periods after which a motion may be where it was."""
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """Options of a search for an orbit; the defaults suit up to 120 modes.
+
+    Attributes
+    ----------
+    harmonics : tuple of int
+        Of the load's frequency, of the harmonic-balance solutions that are its guesses.
+    evaluations : int
+        Periods of the flow that may be followed where Newton's method leads to no orbit from them:
+        half of them along the path, a quarter of the motion, the rest from where that nearly
+        repeats itself. They are of 200 pieces of the Taylor series and 12 modes; others count by
+        the time they take, like pieces and the square of the modes. About a second.
+    """
+
+    harmonics: tuple[int, ...] = (5, 10, 20, 40)
+    evaluations: int = 4000
+
+    def pieces(self, flow: ContactFlow) -> int:
+        """Pieces of the Taylor series for them."""
+        return int(200 * self.evaluations * min(1.0, (24.0 / flow.size) ** 2))
+
+    def periods(self, flow: ContactFlow) -> int:
+        """Of the motion that is followed, at most."""
+        return max(self.pieces(flow) // 800, 60)
+
+
+@dataclass(frozen=True)
+class OrbitSearch:
+    """What a search has found.
+
+    Attributes
+    ----------
+    orbit : PeriodicOrbit or None
+        A stable one if one was met, else the first.
+    others : tuple of PeriodicOrbit
+        That were met as well.
+    reason : str
+        How it was found, or what was tried and what the motion does.
+    """
+
+    orbit: PeriodicOrbit | None
+    others: tuple[PeriodicOrbit, ...] = ()
+    reason: str = ""
+
+
+def search_orbit(
+    flow: ContactFlow,
+    omega: float,
+    guesses: Iterable[np.ndarray],
+    subharmonic: int = 1,
+    options: SearchOptions | None = None,
+    *,
+    any_other: bool = True,
+) -> OrbitSearch:
+    """Search for an orbit of the flow from guesses, taken as they are needed.
+
+    Parameters
+    ----------
+    guesses : iterable of (n, 2 n_modes)
+        States at equal parts of the period, from phase zero on.
+    any_other : bool
+        Look on where the first orbit is unstable; the stable one comes first then.
+
+    Returns
+    -------
+    OrbitSearch
+    """
+    met: list[PeriodicOrbit] = []
+    tried: list[np.ndarray] = []
+    for states in guesses:
+        tried.append(states)
+        orbit = find_orbit(flow, omega, states[0], subharmonic=subharmonic)
+        if orbit is not None and not any(alike(orbit, other) for other in met):
+            met.append(orbit)
+        if orbit is not None and (not any_other or flow.size > FORMED or orbit.is_stable):
+            break
+    if met:
+        if any_other and flow.size <= FORMED:
+            met.sort(key=lambda one: not one.is_stable)
+        return OrbitSearch(met[0], tuple(met[1:]), "exact orbit by Newton's method")
+    for states in tried:
+        step = predicted(flow, omega, states, subharmonic)
+        orbit = None
+        if step is not None:
+            orbit = find_orbit(
+                flow, omega, step.states[0], subharmonic=subharmonic, inverse=step.inverse
+            )
+        if orbit is not None:
+            return OrbitSearch(orbit, (), "exact orbit by a step of the whole motion")
+    start = tried[-1][0] if tried else np.zeros(flow.size)
+    options = options or SearchOptions()
+    orbits = FlowOrbits(flow, omega, start, subharmonic)
+    if tried and flow.size <= FORMED and (orbit := by_homotopy(orbits, options)) is not None:
+        return OrbitSearch(orbit, (), "exact orbit along a path from the motion")
+    return _by_recurrence(orbits, options)
+
+
+def wave_states(flow: ContactFlow, displacement: np.ndarray, base_omega: float) -> np.ndarray:
+    """States at equal parts of the period of a wave of the displacement, given by its coefficients
+    (2H+1, n_dofs) [m]: (32, 2 n_modes)."""
+    time = 2.0 * np.pi / base_omega / PARTS * np.arange(PARTS)
+    rate = derivative(displacement, base_omega)
+    return flow.state(evaluate(displacement, base_omega, time), evaluate(rate, base_omega, time))
+
+
+# --- along a path ---------------------------------------------------------------------------------
+
+
+class _HomotopyPoint(DenseLinearisation):
+    """The homotopy's equations at a point."""
+
+    def __init__(self, at: OrbitPoint, parameter: float, start: np.ndarray) -> None:
+        self._at, self._parameter, self.unknown = at, parameter, at.unknown
+        self._moved = at.unknown + at.residual - start
+        self.residual = parameter * self._moved - (at.unknown - start)
+
+    @cached_property
+    def jacobian(self) -> np.ndarray:
+        """p M - I."""
+        monodromy = self._at.monodromy
+        return self._parameter * monodromy - np.eye(len(monodromy))
+
+    @property
+    def by_parameter(self) -> np.ndarray:
+        return self._moved
+
+
+class Homotopy:
+    """p (z(T) - a) - (z - a) = 0 in the unknowns x of some orbits, a their start.
+
+    Attributes
+    ----------
+    left : int
+        Pieces that motions may still have.
+    """
+
+    def __init__(self, orbits: FlowOrbits, pieces: int) -> None:
+        self._orbits, self.shape, self.left = orbits, orbits.shape, pieces
+
+    def linearise(self, unknown: np.ndarray, parameter: float) -> _HomotopyPoint:
+        """The equations at a point; raises as :meth:`FlowOrbits.linearise`, and where no pieces
+        are left."""
+        if self.left <= 0:
+            raise ConvergenceError("orbits: the homotopy takes too long")
+        at = self._orbits.linearise(unknown, 1.0)
+        self.left -= at.pieces
+        return _HomotopyPoint(at, parameter, self._orbits.start)
+
+
+def by_homotopy(orbits: FlowOrbits, options: SearchOptions) -> PeriodicOrbit | None:
+    """The orbit to which the path from the start of some leads; None where that takes too long."""
+    begin("an orbit along a path from the motion")
+    system = Homotopy(orbits, options.pieces(orbits.flow) // 2)
+    steps = replace(NARROW, max_steps=Budget.pieces)
+    try:
+        # M - I may be singular where the motion closes: next to a resonance without damping.
+        closed = solve_in_plane(orbits, orbits.start, 1.0, None, tolerance=LOCATED, iterations=1)
+        if closed is not None:
+            return orbits.orbit(closed)
+        begun = point_on_path(system, orbits.start, 0.0)
+        end = Path(system, begun, steps, [Target(1.0)]).run()
+    except (ConvergenceError, np.linalg.LinAlgError):
+        return None
+    if end is None:
+        return None
+    state = orbits.state(end.unknown)
+    return find_orbit(orbits.flow, orbits.omega, state, subharmonic=orbits.subharmonic)
+
+
+# --- along the motion -----------------------------------------------------------------------------
+
+
+def _by_recurrence(orbits: FlowOrbits, options: SearchOptions) -> OrbitSearch:
+    """An orbit that the motion from the start settles to, or passes on its way."""
+    flow, omega, subharmonic = orbits.flow, orbits.omega, orbits.subharmonic
+    periods, left = options.periods(flow), options.pieces(flow) // 4
+    begin(f"the exact motion over up to {periods} periods, and orbits that it passes")
+    passed = np.array([orbits.start, *followed(orbits, orbits.start, periods)])
+    for place in recurrences(passed):
+        if left <= 0:
+            break
+        state = orbits.state(passed[place])
+        orbit = find_orbit(flow, omega, state, subharmonic=subharmonic)
+        if orbit is not None:
+            return OrbitSearch(orbit, (), "exact orbit, by following the motion")
+        left -= FAILED * max(1, orbits.pieces)
+    return OrbitSearch(None, (), comes_back(passed, subharmonic))
+
+
+FAILED = 10
+"""Periods that a search by Newton's method which fails follows, about."""
+
+
+def recurrences(passed: Sequence[np.ndarray] | np.ndarray) -> list[int]:
+    """Where orbits are sought in a motion, of states (n, ...) a period apart: the last of them, and
+    those from which the motion came nearest to where it had been, the nearest first."""
+    apart = np.linalg.norm(np.diff(passed, axis=0), axis=1)
+    return [-1, *map(int, np.argsort(apart, kind="stable"))]
+
+
+def followed(orbits: FlowOrbits, state: np.ndarray, periods: int) -> Iterator[np.ndarray]:
+    """States x a period apart of the motion from a state, after the first period and later ones; as
+    far as it can be followed, and in no more than 200 pieces for each of so many periods."""
+    left = 200 * periods
+    with suppress(ConvergenceError):  # pairs that chatter without end
+        for _ in range(periods):
+            if left <= 0:
+                return
+            state = orbits.moved(state, 1.0)
+            left -= orbits.pieces
+            yield state
+
+
+def comes_back(passed: np.ndarray, subharmonic: int, motion: str = "the exact motion") -> str:
+    """How near a motion, of states so many periods of the load apart (n, 2 n_modes), came to where
+    it had been."""
+    found = []
+    for later in range(1, min(LATER, len(passed) - 1) + 1):
+        sizes = np.linalg.norm(passed[later:], axis=1)
+        apart = np.linalg.norm(passed[later:] - passed[:-later], axis=1)
+        found.append(float(np.min(apart / np.maximum(sizes, 1e-300))))
+    if not found:
+        return f"{motion} cannot be followed for a period"
+    nearest = int(np.argmin(found))
+    most, after = (one * subharmonic for one in (len(passed) - 1, nearest + 1))
+    return (
+        f"followed for {counted(most, 'period')} of the load, {motion} comes back to within "
+        f"{percent(found[nearest])} of where it was at best, after {counted(after, 'period')}"
+    )
