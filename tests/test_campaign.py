@@ -89,7 +89,7 @@ def test_wave_with_a_long_step_has_the_verdict_of_the_orbit_that_leads_to_it() -
     found = fc.solve_harmonic_balance(
         case.structure, case.omega, case.law, harmonics=case.harmonics
     )
-    assert 0.09 < found.report.truncation < 0.1 and found.judged.prediction > 0.2
+    assert 0.09 < found.report.truncation < 0.1 and found.assessment.predicted_error > 0.2
     assert fc.floquet(case.structure, found).verdict == "stable"
 
 
@@ -416,7 +416,7 @@ def test_large_error_is_stated_as_predicted() -> None:
     found = fc.solve_harmonic_balance(
         case.structure, case.omega, case.law, harmonics=case.harmonics
     )
-    assert found.report.truncation == pytest.approx(found.judged.prediction)
+    assert found.report.truncation == pytest.approx(found.assessment.predicted_error)
     assert 0.4 < found.report.truncation < campaign.UNKNOWN
     reason = fc.floquet(case.structure, found).reason
     assert reason.startswith("the harmonics left out change it by") and "take more" in reason

@@ -12,8 +12,8 @@ solve
     u_k = A_k^-1 (c_k - B b_k),    b_k those of lambda(g(t)),
 
 for every k: as many of them are kept as the tolerance asks for, by the distance of the wave from
-the orbit. What a reduction leaves out is what one step of the orbit on the flow of its reference,
-which has twice the modes, changes; the modes of a large structure are doubled until that is small.
+the orbit. What a reduction leaves out is the distance to the orbit of its reference, which has
+twice the modes; the modes of a large structure are doubled until that is small.
 The search does not know the tolerance, so that a tighter one is never answered by a worse solution.
 
 Laws and structures without an exact flow, and motions whose orbit is not found, take as many
@@ -512,7 +512,7 @@ def _lost(problem: Problem, found: PeriodicSolution) -> tuple[float, float]:
     if not isinstance(structure, ReducedStructure) or structure.reference is None:
         return 0.0, 0.0
     if (more := found.assessment.more_modes) is not None:
-        return more.changes
+        return more.distances
     few = problem.with_harmonics(SearchOptions.harmonics[-1] * found.subharmonic)
     report = Solver(few).attempt(found, wholly=False)[1].report
     return report.reduction, report.displacement

@@ -148,10 +148,28 @@ class MoreModes:
         at_load = relative_to_motion(
             moved, wave.coordinates(self._time) @ wave.structure.force[seen].T
         )
-        orbit, of_gap = self._known.orbit, 0.0
-        if orbit is None or not is_still(orbit.sampled):
-            of_gap = relative_to_motion(self._gap(ahead) - gap, gap + wave.structure.clearance)
-        return min(of_gap, UNKNOWN), min(at_load, UNKNOWN)
+        return min(self._of_gap(self._gap(ahead) - gap, gap), UNKNOWN), min(at_load, UNKNOWN)
+
+    @property
+    def distances(self) -> tuple[float, float]:
+        """The same between the orbits with these modes and without them; by the step where one is
+        not known."""
+        few, many = self._known.orbit, self.orbit
+        if few is None or many is None:
+            return self.changes
+        gap, seen = few.sampled.gap, seen_parts(few.flow.structure)
+        moved, more = (
+            orbit.sampled.displacement @ orbit.flow.structure.force[seen].T for orbit in (few, many)
+        )
+        of_gap = self._of_gap(many.sampled.gap - gap, gap)
+        return min(of_gap, UNKNOWN), min(relative_to_motion(more - moved, moved), UNKNOWN)
+
+    def _of_gap(self, change: np.ndarray, gap: np.ndarray) -> float:
+        """A change relative to what moves of B^T u; 0 where that is rounding."""
+        orbit = self._known.orbit
+        if orbit is not None and is_still(orbit.sampled):
+            return 0.0
+        return relative_to_motion(change, gap + self._known.wave.structure.clearance)
 
     @cached_property
     def orbit(self) -> PeriodicOrbit | None:

@@ -354,7 +354,7 @@ def test_a_wrong_tangent_is_named_where_newton_fails(throw: bool) -> None:
 @pytest.mark.parametrize("law", [fc.SmoothedPenalty(1.0, 10.0), fc.UnilateralConstraint()])
 def test_no_orbit_judges_where_no_flow_is_exact(law: ContactLaw) -> None:
     """A smoothed law, and rigid lips with mass: nothing is decided, and it is said why."""
-    judged = fc.solve_harmonic_balance(oscillator(), 1.0, law).judged
-    assert judged.orbit is None and judged.prediction == np.inf
-    assert not judged.accepted and np.isnan(judged.distance)
-    assert judged.reason == "its law or its structure has no exact flow"
+    known = fc.solve_harmonic_balance(oscillator(), 1.0, law).assessment
+    assert known.orbit is None and known.predicted_error == np.inf
+    assert not known.accepted and np.isnan(known.distance)
+    assert known.reason == "its law or its structure has no exact flow"

@@ -38,7 +38,7 @@ def test_branch_by_way_of_exact_orbits(stiffness: float, harmonics: int, doubled
         assert np.linalg.norm(halves) > 0.1 * np.linalg.norm(orbit.gap)
         wave = solution.gap(np.arange(len(orbit.gap)) * solution.period / len(orbit.gap))
         off = np.linalg.norm(wave - orbit.gap) / np.linalg.norm(orbit.gap)
-        assert off < 3.0 * solution.judged.errors()[0] < 0.5
+        assert off < 3.0 * solution.assessment.errors()[0] < 0.5
 
 
 def test_a_pair_without_mass_has_the_same_branch() -> None:

@@ -23,7 +23,7 @@ def test_path_leads_to_the_nearer_orbit(paper_structure: fc.Structure) -> None:
     orbit = fc.shoot(paper_structure, solution)
     assert orbit.residual < 1e-10
     assert abs(orbit.multipliers[0]) == pytest.approx(1.560060, rel=1e-5)
-    assert solution.judged.distance == pytest.approx(5.96e-3, rel=1e-3)
+    assert solution.assessment.distance == pytest.approx(5.96e-3, rel=1e-3)
 
 
 @pytest.mark.parametrize(("omega", "verdict"), [(0.5, "stable"), (0.05, "undecided")])

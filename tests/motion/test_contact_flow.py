@@ -361,8 +361,8 @@ def test_by_products_as_by_factors(seed: int, monkeypatch: pytest.MonkeyPatch) -
     change = np.random.default_rng(seed).normal(size=orbit.flow.size)
     assert relative(orbit.motion.track @ change, orbit.monodromy @ change) < 1e-12
     monkeypatch.setattr("fenics_crack.motion.orbit.FORMED", 0)
-    found = predicted(orbit.flow, orbit.omega, solution.judged.states)
-    again = find_orbit(orbit.flow, orbit.omega, solution.judged.states[0])
+    found = predicted(orbit.flow, orbit.omega, solution.assessment.states)
+    again = find_orbit(orbit.flow, orbit.omega, solution.assessment.states[0])
     assert found is not None and found.error == pytest.approx(expected.error, rel=0.05)
     assert relative(found.monodromy, expected.monodromy) < 1e-10
     assert again is not None and relative(again.state, orbit.state) < 1e-7

@@ -114,7 +114,7 @@ def test_claims_of_a_blade() -> None:
     scene = fc.Scene.load(BLADE).replace({"crack.length": 0.014, "mesh.lip_elements": 8})
     changes = {"excitation.frequency": 121.12, "harmonic_balance.tolerance": 3e-3}
     found = fc.solve(scene.replace(changes), MPI.COMM_SELF).result
-    orbit = found.judged.orbit
+    orbit = found.assessment.orbit
     assert orbit is not None and found.report.total < 3e-3
     reference, time = ReferenceFlow(orbit.flow, found.omega), orbit.sampled.time
     end, passed, _, _ = reference.advance(orbit.state, found.period, time)
@@ -135,7 +135,7 @@ def test_reduction_is_what_twice_the_modes_change(new: fc.Scene, modes: int) -> 
     few = fc.solve(new.replace(given | {"reduction.modes": modes}), MPI.COMM_SELF).result
     changes = {"harmonic_balance.tolerance": 1e-5, "reduction.modes": 2 * modes}
     many = fc.solve(new.replace(changes), MPI.COMM_SELF).result
-    orbit = few.judged.orbit
+    orbit = few.assessment.orbit
     assert orbit is not None
     error = relative(many.gap(orbit.sampled.time), orbit.gap)
     assert error / 3.0 < few.report.reduction < 3.0 * error
@@ -195,7 +195,7 @@ def test_the_fewest_harmonics() -> None:
     scene = fc.Scene.load(BLADE).replace(given | {"curve": None})
     for count in (5, 12):
         run = fc.solve(scene.replace({"harmonic_balance.harmonics": count}), MPI.COMM_SELF)
-        assert run.result.harmonics == count and run.result.judged.distance < 0.1
+        assert run.result.harmonics == count and run.result.assessment.distance < 0.1
         assert run.result.indicators().ratio_3_1 > 0.0
         assert run.errors is not None and run.errors.stated("ratio_3_1")[0] < 1.0
     solution = fc.solve_harmonic_balance(
