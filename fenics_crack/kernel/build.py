@@ -32,6 +32,7 @@ extern "Python" {
     void python_solve_nearly(equations *at, double *x);
     void python_by_parameter(equations *at, double *found);
     double python_sign(equations *at);
+    void python_record(equations *at, double *found);
 }
 """
 """Functions of equations in Python (``numerics/equations.py``)."""

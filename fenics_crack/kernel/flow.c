@@ -34,6 +34,7 @@ struct flow {
     double *seen, *drag;             /* (p), (m) */
     double *turned;                  /* (LOAD, m + p) derivative of the load */
     double *pulled;                  /* (LOAD, m) of a load, (LOAD, p) */
+    double *source, *motion;         /* (TERMS, m), (TERMS + 2, m) of another series */
     signed char *closed;             /* (p) */
 };
 
@@ -45,13 +46,13 @@ static double fastest(const flow *f, double omega)
     return fmax(fmax(f->of.fastest, omega), 1e-300);
 }
 
-/* y = C x of the damping. */
-static void damp(const flow *f, const double *x, double *y)
+/* y = C x of a damping. */
+static void damp(const flow *f, const double *damping, const double *x, double *y)
 {
     const int m = f->of.modes;
-    if (f->of.coupled) multiply(m, m, f->of.damping, x, y);
+    if (f->of.coupled) multiply(m, m, damping, x, y);
     else
-        for (int j = 0; j < m; j++) y[j] = f->of.damping[j] * x[j];
+        for (int j = 0; j < m; j++) y[j] = damping[j] * x[j];
 }
 
 /* --- the series ------------------------------------------------------------------------------- */
@@ -99,9 +100,9 @@ static void pull(flow *f, const closed_set *a, const double *force, const double
     for (int j = 0; j < LOAD * m; j++) f->pulled[j] = force[j] - f->pulled[j];
 }
 
-/* Series of q of a piece, from a state. */
+/* Series of q of a piece, from a state; with `sources`, a load (TERMS, m) is added. */
 WIDE static void expand(flow *f, const closed_set *a, const double *force, const double *gap,
-                        double length, const double *state)
+                        const double *sources, double length, const double *state)
 {
     const int m = f->of.modes, size = a->size;
     const double *restrict squares = f->of.squares;
@@ -115,10 +116,11 @@ WIDE static void expand(flow *f, const closed_set *a, const double *force, const
         double *restrict next = f->series + (long)(n + 2) * m;
         const double gain = length * length / ((n + 1) * (n + 2)), loss = length / (n + 2);
         const double *w = f->weights + n * LOAD, mean = gain * w[0], c = gain * w[1], s = gain * w[2];
-        damp(f, rate, drag);
+        damp(f, f->of.damping, rate, drag);
         for (int j = 0; j < m; j++)
             next[j] = c * cosine[j] + s * sine[j] - gain * squares[j] * now[j] - loss * drag[j];
         if (mean != 0.0) add_rows(1, m, f->pulled, &mean, next);
+        if (sources) add_rows(1, m, sources + (long)n * m, &gain, next);
         if (a->stiffness) {
             for (int j = 0; j < m; j++) drag[j] = -gain * now[j];
             add_rows(m, m, a->stiffness, drag, next);
@@ -276,7 +278,7 @@ int flow_advance(flow *f, flow_motion *m)
         const closed_set *a = closed_set_of(f->known, closed);
         if (!a) return FLOW_MEMORY;
         wave(f, m->omega, m->now, length, 0);
-        expand(f, a, f->of.force, f->of.gap, length, m->state);
+        expand(f, a, f->of.force, f->of.gap, NULL, length, m->state);
         answer(f, a, f->of.gap);
         double end = series_reach(f->of.modes, f->order, f->series, fmin(1.0, left));
         end = series_reach(p, f->order, f->gaps, end);
@@ -314,7 +316,7 @@ int flow_column(flow *f, const flow_track *track, const double *force, const dou
         f->order = order_for(length / longest * FLOW_REACH);
         for (double left = length > 0.0 ? track->lengths[k] / length : 0.0; left > 0.0;) {
             wave(f, track->omega, now, length, by_time);
-            expand(f, a, force, gap, length, state);
+            expand(f, a, force, gap, NULL, length, state);
             const double end = series_reach(f->of.modes, f->order, f->series, fmin(1.0, left));
             if (!(end > 0.0)) return FLOW_LOST;
             state_at(f, length, end, state);
@@ -344,6 +346,60 @@ int flow_by_omega(flow *f, const flow_track *track, double *state)
     return flow_column(f, track, force, gap, 1, state);
 }
 
+/* What drives the derivative of a motion, of which the series are known: -C' q' and P_A S D' lambda,
+ * the derivative of -P_A S s. */
+static void drive(flow *f, const closed_set *a, const double *damping, const double *compliance,
+                  double length)
+{
+    const int m = f->of.modes, p = f->of.pairs;
+    memset(f->source, 0, bytes((f->order + 1L) * m));
+    for (int n = 0; n < f->order; n++) {
+        double *source = f->source + (long)n * m;
+        if (damping) {
+            damp(f, damping, f->series + (n + 1L) * m, f->drag);
+            for (int j = 0; j < m; j++) source[j] = -(n + 1) / length * f->drag[j];
+        }
+        for (int i = 0, at = 0; compliance && i < p; i++)
+            if (a->closed[i]) f->seen[at++] = compliance[i] * f->answers[(long)n * p + i];
+        if (compliance) add_rows(a->size, m, a->pushed, f->seen, source);
+    }
+}
+
+int flow_by_structure(flow *f, const flow_track *track, const double *start, const double *damping,
+                      const double *compliance, double *state)
+{
+    const double longest = FLOW_REACH / fastest(f, track->omega);
+    const int m = f->of.modes;
+    double *still = f->turned, *here = f->motion + (long)TERMS * m, *series = f->series;
+    double now = track->start;
+    memset(still, 0, bytes(LOAD * (m + f->of.pairs)));
+    memset(state, 0, bytes(2 * m));
+    memcpy(here, start, bytes(2 * m));
+    for (int k = 0; k < track->intervals; k++) {
+        const closed_set *a = closed_set_of(f->known, track->sets + (long)k * f->of.pairs);
+        if (!a) return FLOW_MEMORY;
+        const double length = track->lengths[k] / ceil(track->lengths[k] / longest);
+        f->order = order_for(length / longest * FLOW_REACH);
+        for (double left = length > 0.0 ? track->lengths[k] / length : 0.0; left > 0.0;) {
+            wave(f, track->omega, now, length, 0);
+            expand(f, a, f->of.force, f->of.gap, NULL, length, here);
+            answer(f, a, f->of.gap);
+            drive(f, a, damping, compliance, length);
+            double end = series_reach(m, f->order, series, fmin(1.0, left));
+            f->series = f->motion;
+            expand(f, a, still, still + LOAD * m, f->source, length, state);
+            end = series_reach(m, f->order, f->series, end);
+            if (end > 0.0) state_at(f, length, end, state);
+            f->series = series;
+            if (!(end > 0.0)) return FLOW_LOST;
+            state_at(f, length, end, here);
+            left -= end;
+            now += end * length;
+        }
+    }
+    return finite_state(2 * m, state) ? FLOW_DONE : FLOW_LOST;
+}
+
 int flow_rate(flow *f, double omega, double time, const double *state, double *rate)
 {
     const int m = f->of.modes;
@@ -351,7 +407,7 @@ int flow_rate(flow *f, double omega, double time, const double *state, double *r
     if (contact_at(f, omega, time, state, f->closed)) return 1;
     memcpy(rate, state + m, bytes(m));
     multiply(m, f->of.pairs, f->columns, f->force, faster);
-    damp(f, rate, f->drag);
+    damp(f, f->of.damping, rate, f->drag);
     for (int j = 0; j < m; j++)
         faster[j] = -faster[j] - f->drag[j] - f->of.squares[j] * state[j];
     add_rows(LOAD, m, f->of.force, f->weights, faster);
@@ -444,7 +500,7 @@ flow *new_flow(const flow_parts *given)
 {
     const long m = given->modes, p = given->pairs, damping = given->coupled ? m * m : m;
     const long room = m + damping + 2 * p * m + TERMS * (LOAD + m + 2 * p) + 2 * (BLOCK + 1) * p
-                      + 4 * p + m + 2 * LOAD * (m + p);
+                      + 4 * p + m + 2 * LOAD * (m + p) + (2 * TERMS + 2) * m;
     flow *f = calloc(1, sizeof(flow));
     if (!f) return NULL;
     f->of = *given;
@@ -475,6 +531,8 @@ flow *new_flow(const flow_parts *given)
     f->drag = taken(&place, m);
     f->turned = taken(&place, LOAD * (m + p));
     f->pulled = taken(&place, LOAD * (m + p));
+    f->source = taken(&place, TERMS * m);
+    f->motion = taken(&place, (TERMS + 2) * m);
     f->known = new_closed_sets((int)m, (int)p, f->of.rows, f->contact, given->most);
     if (f->known) return f;
     free_flow(f);

@@ -74,6 +74,10 @@ int flow_column(flow *f, const flow_track *track, const double *force, const dou
                 int by_time, double *state);
 /* The same by omega: state (2 m), from 0 at the start. */
 int flow_by_omega(flow *f, const flow_track *track, double *state);
+/* The same by a parameter of the structure: of a motion from the state `start`, given the derivatives of
+ * the damping, as the flow's own, and of the diagonal of the compliance (p); NULL: it does not change. */
+int flow_by_structure(flow *f, const flow_track *track, const double *start, const double *damping,
+                      const double *compliance, double *state);
 /* The state's derivative by the time (2 m): 0, or 1 where no set of closed pairs answers it. */
 int flow_rate(flow *f, double omega, double time, const double *state, double *rate);
 /* The motion over each of `nodes` equal parts of a period, from a wave's states (nodes, 2 m) at their

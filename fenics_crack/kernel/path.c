@@ -118,7 +118,7 @@ static correction correction_of(const stepping *how, double step)
 }
 
 /* One more point, whose unknowns and tangent are in their places. */
-static void append(const equations *at, path *points, double p, double slope, norm own,
+static void append(equations *at, path *points, double p, double slope, norm own,
                    int taken, int crossing, double *room)
 {
     const int n = at->unknowns, next = points->known++;
@@ -127,6 +127,7 @@ static void append(const equations *at, path *points, double p, double slope, no
     points->parameters[next] = p, points->slopes[next] = slope;
     points->weights[next] = own.weight, points->of_means[next] = own.of_means;
     points->iterations[next] = taken, points->crossings[next] = crossing;
+    if (points->records) at->record(at, points->records + (size_t)next * at->records);
     const double square = product(at, norm_of(points, next - 1), room, room);
     points->lengths[next] = sqrt(square + rise * rise);
 }

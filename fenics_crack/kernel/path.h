@@ -20,6 +20,7 @@ typedef struct {
     double *unknowns, *parameters, *tangents, *slopes, *weights, *of_means, *lengths;
     int *iterations;
     signed char *crossings; /* whether another branch crosses before the point */
+    double *records; /* (room, equations.records), or NULL: not kept */
     double step, orientation; /* sign of t_p det J along the path; 0: not asked for yet */
 } path;
 

@@ -6,6 +6,8 @@
 
 #include "dense.h"
 
+enum { LOAD = 3 }; /* rows of a load: its mean, cosine and sine */
+
 struct shooting_point {
     dense common;
     shooting_equations of;
@@ -13,9 +15,18 @@ struct shooting_point {
     int known; /* whether M is */
     double parameter;
     double *scale, *residual, *state, *rate, *tangent;
+    double *force, *gap; /* load_0 */
 };
 
 static size_t bytes(long count) { return (size_t)count * sizeof(double); }
+
+/* The load at a parameter. */
+static void change_load(const shooting_point *at, double p)
+{
+    const shooting_equations *of = &at->of;
+    for (int i = 0; i < LOAD * of->modes; i++) of->force[i] = at->force[i] + p * of->force_by[i];
+    for (int i = 0; i < LOAD * of->pairs; i++) of->gap[i] = at->gap[i] + p * of->gap_by[i];
+}
 
 static int evaluate(equations *own, const double *x, double p)
 {
@@ -25,7 +36,8 @@ static int evaluate(equations *own, const double *x, double p)
     at->known = at->common.factored = 0;
     at->parameter = p;
     for (int i = 0; i < n; i++) at->state[i] = x[i] / at->scale[i];
-    m->omega = p * at->of.omega;
+    if (at->of.force) change_load(at, p);
+    m->omega = at->of.base + p * at->of.rate;
     m->now = 0.0;
     m->end = at->of.turns / m->omega;
     m->state = at->state;
@@ -70,20 +82,34 @@ static void form_jacobian(dense *common)
     for (long i = 0; i < n; i++) common->matrix[i * (n + 1)] -= 1.0;
 }
 
-/* What omega does to the load, and to when the period ends. */
+/* What omega does to the load, and to when the period ends; 0, or 1 where that is not known. */
+static int by_omega(shooting_point *at, const flow_track *track, double *found)
+{
+    const flow_motion *m = &at->moved;
+    if (flow_by_omega(at->of.flow, track, found)) return 1;
+    if (flow_rate(at->of.flow, m->omega, m->end, m->state, at->rate)) return 1;
+    for (int i = 0; i < at->common.size; i++)
+        found[i] = at->of.rate * (found[i] - m->end / m->omega * at->rate[i]);
+    return 0;
+}
+
 static void by_parameter(equations *own, double *found)
 {
     shooting_point *at = (shooting_point *)own;
     const int n = own->unknowns;
-    const flow_motion *m = &at->moved;
     const flow_track track = track_of(at);
-    const int failed = flow_by_omega(at->of.flow, &track, found);
-    if (failed || flow_rate(at->of.flow, m->omega, m->end, m->state, at->rate)) {
-        for (int i = 0; i < n; i++) found[i] = NAN;
-        return;
-    }
-    for (int i = 0; i < n; i++)
-        found[i] = at->of.omega * at->scale[i] * (found[i] - m->end / m->omega * at->rate[i]);
+    memset(found, 0, bytes(n));
+    const int failed =
+        at->of.force ? flow_column(at->of.flow, &track, at->of.force_by, at->of.gap_by, 0, found)
+                     : by_omega(at, &track, found);
+    for (int i = 0; i < n; i++) found[i] = failed ? NAN : at->scale[i] * found[i];
+}
+
+static void record(equations *own, double *found)
+{
+    shooting_point *at = (shooting_point *)own;
+    know(at);
+    memcpy(found, at->tangent, bytes(own->records));
 }
 
 shooting_point *new_shooting_point(const shooting_equations *given)
@@ -94,9 +120,11 @@ shooting_point *new_shooting_point(const shooting_equations *given)
     at->of = *given;
     at->common.own = (equations){
         .unknowns = (int)n, .evaluate = evaluate, .residual = residual, .solve = solve_dense,
-        .solve_nearly = solve_nearly_dense, .by_parameter = by_parameter, .sign = sign_of_dense};
+        .solve_nearly = solve_nearly_dense, .by_parameter = by_parameter, .sign = sign_of_dense,
+        .records = (int)(n * n), .record = record};
     const int failed = make_dense(&at->common, (int)n, form_jacobian);
-    at->scale = malloc(bytes(4 * n + n * n));
+    const long load = given->force ? LOAD * (given->modes + given->pairs) : 0;
+    at->scale = malloc(bytes(4 * n + n * n + load));
     at->moved.most_pieces = given->pieces;
     at->moved.most = given->intervals;
     at->moved.sets = malloc((size_t)(intervals * given->pairs + 1));
@@ -111,6 +139,11 @@ shooting_point *new_shooting_point(const shooting_equations *given)
     at->state = at->residual + n;
     at->rate = at->state + n;
     at->tangent = at->rate + n;
+    if (load) {
+        at->force = at->tangent + n * n, at->gap = at->force + LOAD * given->modes;
+        memcpy(at->force, given->force, bytes(LOAD * given->modes));
+        memcpy(at->gap, given->gap, bytes(LOAD * given->pairs));
+    }
     return at;
 }
 

@@ -48,7 +48,7 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.errors import ConvergenceError, InputError
-from fenics_crack.kernel import Struct, kernel, owned, pointer, shaped
+from fenics_crack.kernel import NULL, Struct, kernel, owned, pointer, shaped
 from fenics_crack.model.contact import (
     KEPT,
     ActiveSets,
@@ -318,6 +318,24 @@ class Track:
         """dz(end) / dz(start): (2 n_modes, 2 n_modes)."""
         found = np.empty((self.flow.size, self.flow.size))
         outcome = kernel.flow_tangent(self.flow.handle, self._known.at, pointer(found))
+        _check(outcome, len(self.lengths) - 1)
+        return found
+
+    def by_structure(
+        self, start: np.ndarray, damping: np.ndarray | None, softness: np.ndarray | None
+    ) -> np.ndarray:
+        """dz(end) by a parameter, from dz(start) = 0, of the motion from a state: given the
+        derivatives of the damping and of the softness by it, None: they do not change."""
+        found, known = np.empty(self.flow.size), self._known.at
+        given = [
+            NULL if one is None else pointer(shaped(one, *own.shape))
+            for one, own in (
+                (damping, self.flow.modes.damping), (softness, self.flow.softness)
+            )
+        ]  # fmt: skip
+        outcome = kernel.flow_by_structure(
+            self.flow.handle, known, pointer(_doubles(start)), *given, pointer(found)
+        )
         _check(outcome, len(self.lengths) - 1)
         return found
 

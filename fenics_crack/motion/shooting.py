@@ -60,47 +60,50 @@ class OrbitPoint(DenseLinearisation):
     def by_parameter(self) -> np.ndarray:
         return self._slope()
 
+    @property
+    def record(self) -> np.ndarray:
+        return self.monodromy
 
-class FlowOrbits(Equations):
-    """F(x, p) of the exact flow, in the kernel, x = w z / |w z_0| with 1 / w the modes' frequencies
-    where z are velocities: by the amplitude. dF/dx = M - I and dF/dp are exact
-    (``kernel/shooting.h``).
 
-    Attributes
+class ShootingEquations(Equations):
+    """F(x, p) of an exact flow in the kernel (``kernel/shooting.h``), x = scale z; dF/dx = M - I
+    and dF/dp are exact.
+
+    Parameters
     ----------
     flow : ContactFlow
-    omega : float
-        omega_0, of the load [rad/s].
-    subharmonic : int
-        Its periods in one of the orbit.
-    budget : Budget
-        Of each motion.
     scale : (2 n_modes,)
         x / z.
-    start : (2 n_modes,)
-        x of the state nearby, at p = 1.
+    omega : (float, float)
+        Of the load at p = 0, and its rate [rad/s].
+    subharmonic : int
+        The load's periods in one of the orbit.
+    budget : Budget, optional
+        Of each motion.
+    load : (force, gap), optional
+        Rates of the flow's own load, (3, n_modes) and (3, n_pairs); the flow, at p = 0 when it is
+        given, follows p.
     """
 
     def __init__(
-        self,
-        flow: ContactFlow,
-        omega: float,
-        state: np.ndarray,
-        subharmonic: int = 1,
-        budget: Budget | None = None,
-    ) -> None:
-        self.flow, self.omega, self.shape = flow, omega, state.shape
+        self, flow: ContactFlow, scale: np.ndarray, omega: tuple[float, float],
+        subharmonic: int = 1, budget: Budget | None = None,
+        load: tuple[np.ndarray, np.ndarray] | None = None,
+    ) -> None:  # fmt: skip
+        self.flow, self.scale, self.shape = flow, scale, scale.shape
         self.subharmonic, self.budget = subharmonic, budget or Budget()
-        weights = flow.weights(omega / subharmonic)
-        weights /= np.tile(weights[: flow.size // 2], 2)
-        self.scale = weights / (float(np.linalg.norm(weights * state)) or 1.0)
-        self.start = self.scale * state
-        given = Struct(
+        changed = {}
+        if load is not None:
+            changed = {
+                "force": flow.force, "gap": flow.gap, "force_by": load[0], "gap_by": load[1]
+            }  # fmt: skip
+        self._given = Struct(
             "shooting_equations", flow=flow.handle, modes=flow.size // 2,
-            pairs=len(flow.softness), omega=omega, turns=2.0 * np.pi * subharmonic,
-            scale=self.scale, pieces=self.budget.pieces, intervals=self.budget.intervals,
+            pairs=len(flow.softness), base=omega[0], rate=omega[1],
+            turns=2.0 * np.pi * subharmonic, scale=scale, pieces=self.budget.pieces,
+            intervals=self.budget.intervals, **changed,
         )  # fmt: skip
-        self._point = owned(kernel.new_shooting_point(given.at), kernel.free_shooting_point)
+        self._point = owned(kernel.new_shooting_point(self._given.at), kernel.free_shooting_point)
         self.table = kernel.equations_of_shooting(self._point)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
@@ -114,22 +117,6 @@ class FlowOrbits(Equations):
         self._evaluate(unknown, parameter)
         return self.found(unknown, parameter)
 
-    def state(self, unknown: np.ndarray) -> np.ndarray:
-        """z of x: (2n,)."""
-        return np.asarray(unknown / self.scale)
-
-    def unknown(self, state: np.ndarray) -> np.ndarray:
-        """x of z: (2n,)."""
-        return np.asarray(self.scale * state)
-
-    def of_unknowns(self, monodromy: np.ndarray) -> np.ndarray:
-        """dx(T)/dx of M = dz(T)/dz: (2n, 2n)."""
-        return np.asarray(self.scale[:, None] * monodromy / self.scale)
-
-    def unknown_of(self, displacement: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """x of other motions at phase zero, (..., n_dofs) each."""
-        return self.unknown(self.flow.state(displacement, velocity))
-
     def moved(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
         """x after a period."""
         self._evaluate(unknown, parameter)
@@ -139,35 +126,6 @@ class FlowOrbits(Equations):
     def pieces(self) -> int:
         """Of the Taylor series in the motion last followed."""
         return int(kernel.pieces_of(self._point))
-
-    def followed(self, periods: int) -> np.ndarray:
-        """The start after some periods of the response, nearer to what attracts it: (2n,)."""
-        state = self.start
-        for _ in range(periods):
-            state = self.moved(state, 1.0)
-        return state
-
-    def gap(self, unknown: np.ndarray, parameter: float, count: int = INSTANTS) -> np.ndarray:
-        """g at equally spaced instants of a period: (count, n_pairs) [m]."""
-        return self._motion(unknown, parameter, np.arange(count) / count).samples.gap
-
-    def orbit(self, found: PathPoint) -> PeriodicOrbit:
-        """The orbit of a solution of the equations."""
-        motion = self._motion(found.unknown, found.parameter, np.zeros(0))
-        size = float(np.linalg.norm(found.unknown))
-        off = float(np.linalg.norm(self.unknown(motion.state) - found.unknown))
-        return PeriodicOrbit(
-            self.flow, found.parameter * self.omega, self.subharmonic, motion,
-            self.state(found.unknown), off / size if size > 0.0 else 0.0, found.iterations + 1,
-        )  # fmt: skip
-
-    def _motion(self, unknown: np.ndarray, parameter: float, instants: np.ndarray) -> Motion:
-        """Over a period, sampled at parts of it."""
-        omega = parameter * self.omega
-        period = 2.0 * np.pi * self.subharmonic / omega
-        return self.flow.advance(
-            self.state(unknown), omega, period, instants=instants * period, budget=self.budget
-        )
 
     def _evaluate(self, unknown: np.ndarray, parameter: float) -> None:
         assert unknown.shape == self.shape
@@ -206,3 +164,83 @@ class FlowOrbits(Equations):
         known = weakref.ref(found)
         self._last = found
         return found
+
+
+class FlowOrbits(ShootingEquations):
+    """F(x, p) of the exact flow, in the kernel, x = w z / |w z_0| with 1 / w the modes' frequencies
+    where z are velocities: by the amplitude. dF/dx = M - I and dF/dp are exact
+    (``kernel/shooting.h``).
+
+    Attributes
+    ----------
+    flow : ContactFlow
+    omega : float
+        omega_0, of the load [rad/s].
+    subharmonic : int
+        Its periods in one of the orbit.
+    budget : Budget
+        Of each motion.
+    scale : (2 n_modes,)
+        x / z.
+    start : (2 n_modes,)
+        x of the state nearby, at p = 1.
+    """
+
+    def __init__(
+        self,
+        flow: ContactFlow,
+        omega: float,
+        state: np.ndarray,
+        subharmonic: int = 1,
+        budget: Budget | None = None,
+    ) -> None:
+        weights = flow.weights(omega / subharmonic)
+        weights /= np.tile(weights[: flow.size // 2], 2)
+        scale = weights / (float(np.linalg.norm(weights * state)) or 1.0)
+        super().__init__(flow, scale, (0.0, omega), subharmonic, budget)
+        self.omega, self.start = omega, scale * state
+
+    def state(self, unknown: np.ndarray) -> np.ndarray:
+        """z of x: (2n,)."""
+        return np.asarray(unknown / self.scale)
+
+    def unknown(self, state: np.ndarray) -> np.ndarray:
+        """x of z: (2n,)."""
+        return np.asarray(self.scale * state)
+
+    def of_unknowns(self, monodromy: np.ndarray) -> np.ndarray:
+        """dx(T)/dx of M = dz(T)/dz: (2n, 2n)."""
+        return np.asarray(self.scale[:, None] * monodromy / self.scale)
+
+    def unknown_of(self, displacement: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """x of other motions at phase zero, (..., n_dofs) each."""
+        return self.unknown(self.flow.state(displacement, velocity))
+
+    def followed(self, periods: int) -> np.ndarray:
+        """The start after some periods of the response, nearer to what attracts it: (2n,)."""
+        state = self.start
+        for _ in range(periods):
+            state = self.moved(state, 1.0)
+        return state
+
+    def gap(self, unknown: np.ndarray, parameter: float, count: int = INSTANTS) -> np.ndarray:
+        """g at equally spaced instants of a period: (count, n_pairs) [m]."""
+        return self._motion(unknown, parameter, np.arange(count) / count).samples.gap
+
+    def orbit(self, found: PathPoint) -> PeriodicOrbit:
+        """The orbit of a solution of the equations."""
+        motion = self._motion(found.unknown, found.parameter, np.zeros(0))
+        size = float(np.linalg.norm(found.unknown))
+        off = float(np.linalg.norm(self.unknown(motion.state) - found.unknown))
+        return PeriodicOrbit(
+            self.flow, found.parameter * self.omega, self.subharmonic, motion,
+            self.state(found.unknown), off / size if size > 0.0 else 0.0, found.iterations + 1,
+        )  # fmt: skip
+
+    def _motion(self, unknown: np.ndarray, parameter: float, instants: np.ndarray) -> Motion:
+        """Over a period, sampled at parts of it."""
+        omega = parameter * self.omega
+        period = 2.0 * np.pi * self.subharmonic / omega
+        return self.flow.advance(
+            self.state(unknown), omega, period, instants=instants * period, budget=self.budget
+        )

@@ -61,6 +61,11 @@ class Linearisation(ABC):
         """dF/dp."""
 
     @property
+    def record(self) -> np.ndarray:
+        """What paths may keep of the point."""
+        raise NotImplementedError
+
+    @property
     @abstractmethod
     def sign(self) -> float:
         """Sign of det J, +1 or -1, which changes at the folds of a path."""
@@ -70,8 +75,10 @@ class System(Protocol):
     """F(x, p) = 0 for unknowns in arrays of one shape, the same on every rank.
 
     It may have more: ``compiled``, its kernel's equations; ``counts``, by how much each unknown
-    counts where turns are judged; and ``means``, how many of the unknowns, the first, are means
-    over time.
+    counts where turns are judged; ``means``, how many of the unknowns, the first, are means over
+    time; and ``records``, how many numbers paths may keep of each point, the ``record`` of its
+    linearisation, with ``observe(records)``, what a step control sees of them: (n, ...) of
+    (n, records).
     """
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> Linearisation:
@@ -191,7 +198,7 @@ class _Interpreted(Equations):
             counts = np.ascontiguousarray(np.broadcast_to(counts, shape), dtype=float)
         self._struct = Struct(
             "equations", unknowns=size, means=getattr(system, "means", 0), context=self._handle,
-            counts=counts,
+            counts=counts, records=getattr(system, "records", 0), record=kernel.python_record,
             evaluate=kernel.python_evaluate, residual=kernel.python_residual,
             solve=kernel.python_solve, solve_nearly=kernel.python_solve_nearly,
             by_parameter=kernel.python_by_parameter, sign=kernel.python_sign,
@@ -272,6 +279,12 @@ def _solve_by(at: Linearisation, both: np.ndarray) -> None:
 @_called_back(None)
 def _by_parameter(state: _State, found: Any) -> None:
     state.array(found)[...] = state.at.by_parameter
+
+
+@_called_back(None)
+def _record(state: _State, found: Any) -> None:
+    record = state.at.record.ravel()
+    np.frombuffer(ffi.buffer(found, record.nbytes))[:] = record
 
 
 @_called_back(np.nan)

@@ -269,6 +269,8 @@ class PathPoint:
     at: Linearisation | None = field(default=None, repr=False, compare=False)
     length: float = float("nan")
     """Of the chord from the point before in that one's norm, where it is known."""
+    observed: np.ndarray | None = field(default=None, repr=False, compare=False)
+    """What a step control sees of it."""
 
 
 def means_of(system: System) -> int:

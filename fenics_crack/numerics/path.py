@@ -16,7 +16,8 @@ A step of length h
 The steps are the kernel's (``kernel/path.c``), many of them in one call where the equations are
 compiled (:mod:`equations`). What may happen between two points is an :class:`Event`: a fold, a
 value of the parameter that is sought, a path that closes, a branch that crosses, any function that
-vanishes. A path ends at those that are terminal.
+vanishes. A path ends at those that are terminal. A :class:`StepControl` may ask for shorter steps,
+by what it observes of the points.
 
 Source: Keller, in Applications of Bifurcation Theory, 1977; Seydel, Practical Bifurcation and
 Stability Analysis, chapter 4.
@@ -27,6 +28,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import overload
@@ -35,7 +37,14 @@ import numpy as np
 
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import NULL, Struct, kernel, pointer
-from fenics_crack.numerics.equations import EPSILON, LOCATED, ROUNDING, System, equations_of
+from fenics_crack.numerics.equations import (
+    EPSILON,
+    LOCATED,
+    ROUNDING,
+    Linearisation,
+    System,
+    equations_of,
+)
 from fenics_crack.numerics.newton import (
     STRAY,
     PathPoint,
@@ -43,11 +52,15 @@ from fenics_crack.numerics.newton import (
     correction,
     distance,
     solve_at,
+    solve_in_plane,
     step_along,
+    tangent_of,
 )
 
 STRAIGHT = 0.9
 """Cosine of an angle up to which two directions are taken for one."""
+FEW = 3
+"""Points that are followed at once where steps were halved."""
 ARRIVED = math.sqrt(EPSILON)
 """Distance to a point of a path at which it counts as found, and the shortest step: where the
 parameter turns, it is then known to the square of that."""
@@ -92,6 +105,10 @@ class Ended(Enum):
         return str(self.value).format(most=most)
 
 
+UNKNOWN = "met", "observed"
+"""What the kernel does not know of a stretch."""
+
+
 class Stretch(Sequence[PathPoint]):
     """Points of a path in the kernel's arrays, one after the other; each is made where it is asked
     for.
@@ -107,10 +124,18 @@ class Stretch(Sequence[PathPoint]):
         1 where another branch has been crossed since the point before.
     met : list of (Event, PathPoint)
         What lies between its last point and the one before it, and where.
+    records : (n, records), optional
+        What the system records of points that the kernel has found.
+    observed : (n, ...), optional
+        What a step control sees of all.
     """
 
-    def __init__(self, known: Sequence[PathPoint], room: int) -> None:
+    observed: np.ndarray
+
+    def __init__(self, known: Sequence[PathPoint], room: int, records: int = 0) -> None:
         shape = known[0].unknown.shape
+        if records:
+            self.records = np.zeros((room, records))
         self.unknowns, self.tangents = np.zeros((room, *shape)), np.zeros((room, *shape))
         self.parameters, self.slopes, self.lengths = np.zeros((3, room))
         self.weights, self.of_means = np.zeros((2, room))
@@ -125,6 +150,8 @@ class Stretch(Sequence[PathPoint]):
         self.parameters[place], self.slopes[place] = point.parameter, point.tangent.p
         self.weights[place], self.of_means[place] = point.tangent.weight, point.tangent.of_means
         self.lengths[place] = point.length
+        if "observed" in vars(self):
+            self.observed[place] = point.observed
         self.iterations[place], self.crossings[place] = point.iterations, point.crosses_branch
 
     def struct(self, known: int, **numbers: float) -> Struct:
@@ -134,7 +161,7 @@ class Stretch(Sequence[PathPoint]):
     @property
     def _arrays(self) -> dict[str, np.ndarray]:
         """Its arrays by their names in the kernel."""
-        return {name: array for name, array in vars(self).items() if name != "met"}
+        return {name: array for name, array in vars(self).items() if name not in UNKNOWN}
 
     def __len__(self) -> int:
         return len(self.parameters)
@@ -153,14 +180,22 @@ class Stretch(Sequence[PathPoint]):
     def __getitem__(self, place: int | slice) -> PathPoint | Stretch:
         if isinstance(place, slice):
             part = object.__new__(Stretch)
-            vars(part).update({name: array[place] for name, array in self._arrays.items()}, met=[])
+            arrays = {name: array for name, array in vars(self).items() if name != "met"}
+            vars(part).update({name: array[place] for name, array in arrays.items()}, met=[])
             return part
         norm = float(self.weights[place]), float(self.of_means[place])
         tangent = Tangent(self.tangents[place], float(self.slopes[place]), *norm)
         return PathPoint(
             self.unknowns[place], float(self.parameters[place]), int(self.iterations[place]),
             tangent, bool(self.crossings[place]), length=float(self.lengths[place]),
+            observed=self.observed[place] if "observed" in vars(self) else None,
         )  # fmt: skip
+
+    def observe(self, system: System, known: Sequence[PathPoint]) -> None:
+        """See all points behind those that are known."""
+        new = system.observe(self.records[len(known) :])  # type: ignore[attr-defined]
+        self.observed = np.concatenate([[point.observed for point in known], new])
+        del self.records
 
 
 # --- events ---------------------------------------------------------------------------------------
@@ -228,8 +263,7 @@ def _orientation(system: System, point: PathPoint) -> float:
 
 
 class Crossing(Event):
-    """Where a function of points vanishes, by Brent's method; the point met at which it is smallest
-    where that fails."""
+    """Where a function of points vanishes (:func:`zero_between`)."""
 
     def __init__(self, test: Callable[[PathPoint], float]) -> None:
         self._test = test
@@ -239,28 +273,45 @@ class Crossing(Event):
         return np.asarray(values[1:] * values[:-1] < 0.0)
 
     def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
-        before, after = ends
-        met: list[tuple[float, PathPoint]] = []
+        return zero_between(system, ends, self._test, rtol)[0]
 
-        import scipy.optimize  # takes a while, and a path without events needs none
 
-        def value(step: float) -> float:
-            point = before if step == 0.0 else step_along(system, before, step, rtol)
-            if point is None:
+def zero_between(
+    system: System, ends: Ends, test: Callable[[PathPoint], float], rtol: float
+) -> tuple[PathPoint, float]:
+    """The point between two neighbours where a function vanishes, by Brent's method, and the
+    function there; where that fails the point at which it was smallest.
+
+    Points are found in the planes across the chord, from Hermite's cubic through both ends.
+    """
+    import scipy.optimize  # takes a while, and a path without events needs none
+
+    before, after = ends
+    change, rise = after.unknown - before.unknown, after.parameter - before.parameter
+    length = distance(system, before, after) or 1.0
+    chord = replace(before.tangent, x=change / length, p=rise / length)
+    met = {share: (point, test(point)) for share, point in zip((0.0, 1.0), ends, strict=True)}
+
+    def value(share: float) -> float:
+        if share not in met:
+            lean = share * (1.0 - share) * length * np.array([1.0 - share, -share])
+            smooth = share * share * (3.0 - 2.0 * share)
+            x = before.unknown + smooth * change
+            x = x + lean[0] * before.tangent.x + lean[1] * after.tangent.x
+            p = before.parameter + smooth * rise
+            p += lean[0] * before.tangent.p + lean[1] * after.tangent.p
+            found = solve_in_plane(system, x, p, chord, tolerance=rtol, reach=STRAY * length)
+            if found is None:
                 raise ConvergenceError("path: lost between two points")
-            met.append((self._test(point), point))
-            return met[-1][0]
+            assert found.at is not None
+            tangent = tangent_of(system, found.unknown, found.at, chord)
+            point = replace(found, tangent=tangent, observed=observed(system, found.at))
+            met[share] = point, test(point)
+        return met[share][1]
 
-        length = distance(system, before, after)
-        for reach in (1.0, 1.2, 0.8, 1.5):  # along the tangent the other point is not quite as far
-            try:
-                scipy.optimize.brentq(value, 0.0, reach * length, xtol=1e-12, rtol=1e-12)
-                break
-            except (ConvergenceError, ValueError):
-                continue
-        else:
-            met.append((self._test(after), after))
-        return min(met, key=lambda found: abs(found[0]))[1]
+    with suppress(ConvergenceError, ValueError):
+        scipy.optimize.brentq(value, 0.0, 1.0, xtol=1e-12, rtol=1e-12)
+    return min(met.values(), key=lambda found: abs(found[1]))
 
 
 class Fold(Crossing):
@@ -355,6 +406,20 @@ def _between(system: System, ends: Ends, target: float | None, rtol: float) -> P
 # --- the path -------------------------------------------------------------------------------------
 
 
+class StepControl(ABC):
+    """What steps must resolve besides the path itself."""
+
+    @abstractmethod
+    def too_long(self, points: Stretch) -> np.ndarray:
+        """Whether the step behind each point but the last is to be halved: (n-1,) bool."""
+
+
+def observed(system: System, at: Linearisation) -> np.ndarray | None:
+    """What a step control sees at a point, if the system lets it."""
+    observe = getattr(system, "observe", None)
+    return None if observe is None else np.asarray(observe(at.record[None])[0])
+
+
 class Path:
     """The path from a solution on: iterate over it once, by stretches at whose ends something
     happens, or by as many points as come together.
@@ -366,6 +431,8 @@ class Path:
         Its tangent tells in which direction.
     options : PathOptions
     events : sequence of Event
+    control : StepControl, optional
+        The system must have ``records`` and ``observe`` then.
 
     Attributes
     ----------
@@ -378,11 +445,13 @@ class Path:
     """
 
     def __init__(
-        self, system: System, start: PathPoint, options: PathOptions, events: Sequence[Event] = ()
-    ) -> None:
+        self, system: System, start: PathPoint, options: PathOptions, events: Sequence[Event] = (),
+        control: StepControl | None = None,
+    ) -> None:  # fmt: skip
         self._system, self._options, self._events = system, options, events
-        self._equations = equations_of(system, start.unknown.shape)
-        self.last = start
+        self._equations, self._control = equations_of(system, start.unknown.shape), control
+        self._longest, self._at_once = options.max_step, options.at_once
+        self.last = start = self._observed(start)
         self.ended: Ended | None = None
         self.event: Event | None = None
         self._begin(start, options.initial_step)
@@ -405,6 +474,8 @@ class Path:
                 self.ended = Ended.MANY
                 return
             stretch = self._follow(left)
+            if stretch is None:
+                continue
             if len(stretch) == 1:
                 self.ended = Ended.SHORT
                 return
@@ -439,6 +510,7 @@ class Path:
             for event, near in zip(self._events, flags[:, place], strict=True):
                 at = event.locate(self._system, ends, sharp) if near else None
                 if at is not None:
+                    at = self._observed(at)
                     found.met.append((event, at))
                 if at is not None and event.terminal:
                     if at is ends[0]:
@@ -463,6 +535,13 @@ class Path:
 
     # --- its steps --------------------------------------------------------------------------------
 
+    def _observed(self, point: PathPoint) -> PathPoint:
+        """A point with what a step control sees of it."""
+        if self._control is None or point.observed is not None:
+            return point
+        at = point.at or self._system.linearise(point.unknown, point.parameter)
+        return replace(point, observed=observed(self._system, at))
+
     def _rounding(self, point: PathPoint) -> float:
         """What rounding leaves of |F| / |x| there."""
         of_system = getattr(self._system, "rounding", None)
@@ -475,18 +554,37 @@ class Path:
     def _remember(self, found: Stretch) -> None:
         self._known = [*self._known, *found[-2:]][-2:]
 
-    def _follow(self, left: int) -> Stretch:
-        """The last point that is known, and those behind it, if no step is too short; no more than
-        are left."""
+    def _accepted(self, found: Stretch, known: int) -> Stretch | None:
+        """The last point that was known, and those behind it up to the first step that is halved;
+        None if that is the first."""
+        assert self._control is not None
+        found.observe(self._system, self._known)
+        halved = np.flatnonzero(self._control.too_long(found)[known - 1 :])
+        if not len(halved):
+            self._longest = min(2.0 * self._longest, self._options.max_step)
+            if self._longest == self._options.max_step:
+                self._at_once = min(2 * self._at_once, self._options.at_once)
+            return found[known - 1 :]
+        last = known - 1 + int(halved[0])
+        if found.crossings[last + 1 :].sum() % 2:
+            self._orientation = -self._orientation
+        self._step = self._longest = 0.5 * float(found.lengths[last + 1])
+        self._at_once = FEW
+        return found[known - 1 : last + 1] if last >= known else None
+
+    def _follow(self, left: int) -> Stretch | None:
+        """The last point that is known, and those behind it, if no step is too short, no more than
+        are left; None where a step control halves the first step."""
         options, known = self._options, self._known
         here, rounding = known[-1].parameter, self._rounding(known[-1])
         targets = [event.parameter for event in self._events if isinstance(event, Target)]
         bounds = [*options.span, *targets]
-        many = min(left, options.at_once if self._equations.many else 1)
-        found = Stretch(known, len(known) + many)
+        many = min(left, self._at_once if self._equations.many else 1)
+        records = 0 if self._control is None else int(self._equations.table.records)
+        found = Stretch(known, len(known) + many, records)
         path = found.struct(len(known), step=self._step, orientation=self._orientation)
         how = Struct(
-            "stepping", longest=options.max_step, shortest=options.min_step,
+            "stepping", longest=self._longest, shortest=options.min_step,
             least_cosine=options.min_cosine, rounding=rounding,
             newton=correction(max(options.rtol, rounding), STRAY),
             lowest=max(p for p in bounds if p <= here),
@@ -496,4 +594,6 @@ class Path:
         self._orientation, self._step = path.at.orientation, path.at.step
         if path.at.known == len(known):
             self._equations.check(outcome)
-        return found[len(known) - 1 : path.at.known]
+        if path.at.known == len(known) or self._control is None:
+            return found[len(known) - 1 : path.at.known]
+        return self._accepted(found[: path.at.known], len(known))

@@ -1,0 +1,148 @@
+"""Bifurcations of periodic orbits along a path, and steps that resolve their Floquet multipliers.
+
+Of the leading multipliers mu of each point,
+
+    r = number of real mu > 1,    d = number of real mu < -1,    c = pairs with |mu| > 1.
+
+Between two points lies a fold where the parameter turns back, a period doubling where d changes, a
+Neimark-Sacker point where c does; two real multipliers outside the circle that meet and become a
+pair are none. Where multipliers cross the unit circle is located by Brent's
+method (:func:`fenics_crack.numerics.path.zero_between`) on
+
+    the product of all 1 + mu,    |mu_k| - 1 of the k-th pair.
+
+Where no orbit between the two has it within 1e-6 of the circle it jumps, which is no bifurcation.
+
+Source: Seydel, Practical Bifurcation and Stability Analysis, chapters 5 and 7.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fenics_crack.motion.orbit import KNOWN
+from fenics_crack.numerics.equations import CLOSE, System
+from fenics_crack.numerics.newton import PathPoint
+from fenics_crack.numerics.path import Ends, Event, StepControl, Stretch, zero_between
+
+LEADING = 8
+"""Multipliers of largest modulus that points keep."""
+RESOLVED, LEAST = 0.5, 0.01
+"""Maximum change of ln |mu| in a step: part of its distance to zero, and what is always allowed."""
+FLOOR = 0.02
+"""Shortest step to resolve changes of ln |mu|, relative to the longest step."""
+
+
+def observe(monodromy: np.ndarray) -> np.ndarray:
+    """Leading multipliers of monodromy matrices (n, N, N), largest modulus first, and their r, d
+    and c: (n, k + 3) complex, k = 8, or N where that is less. Those within 1e-6 of the circle are
+    not outside."""
+    values = np.linalg.eigvals(monodromy)
+    size = np.abs(values)
+    order = np.argsort(-size, axis=1, kind="stable")[:, :LEADING]
+    rows = np.arange(len(order))[:, None]
+    values, large = values[rows, order], size[rows, order] > 1.0 + KNOWN
+    found = np.empty((len(order), order.shape[1] + 3), dtype=complex)
+    found[:, :-3] = values
+    real = values.imag == 0.0
+    found[:, -3] = (large & real & (values.real > 0.0)).sum(axis=1)
+    found[:, -2] = (large & real).sum(axis=1) - found[:, -3]
+    found[:, -1] = (large & (values.imag > 0.0)).sum(axis=1)
+    return found
+
+
+def changes(observed: np.ndarray) -> np.ndarray:
+    """Changes of r, d and c behind each point but the last, (n-1, 3), without those by two real
+    multipliers that become a pair, or a pair that becomes two."""
+    found = np.diff(observed[:, -3:].real, axis=0)
+    some = np.flatnonzero(found[:, 2])
+    real, pairs = found[some, :2], found[some, 2]
+    meet = (np.abs(real).max(axis=1) == 2.0) & (real.sum(axis=1) == -2.0 * pairs)
+    found[some[meet]] = 0.0
+    return found
+
+
+class MultiplierControl(StepControl):
+    """Reject a step over which a leading multiplier moves more than half its distance to the unit
+    circle, or is mispredicted by as much (linear extrapolation of sorted ln |mu|), down to a floor;
+    and one over which more than one of r, d and c changes, or one by more than 1.
+
+    Parameters
+    ----------
+    longest_step : float
+        Of the path.
+    """
+
+    def __init__(self, longest_step: float) -> None:
+        self._floor = FLOOR * longest_step
+
+    def too_long(self, points: Stretch) -> np.ndarray:
+        logs = np.log(np.maximum(np.abs(points.observed[:, :-3]), KNOWN))
+        change, lengths = np.diff(logs, axis=0), points.lengths[1:]
+        allowed = np.maximum(RESOLVED * np.abs(logs[:-1]), LEAST)
+        far = np.any(np.abs(change) > allowed, axis=1)
+        if len(change) > 1:
+            ratio = (lengths[1:] / lengths[:-1])[:, None]
+            off = np.abs(change[1:] - ratio * change[:-1])
+            far[1:] |= np.any(off > allowed[1:], axis=1)
+        several = np.abs(changes(points.observed)).sum(axis=1) > 1
+        return np.asarray((far & (lengths > self._floor)) | several)
+
+
+class PeriodDoubling(Event):
+    """A real multiplier crosses -1: the product of all 1 + mu changes its sign."""
+
+    kind = "period_doubling"
+
+    def between(self, points: Stretch) -> np.ndarray:
+        return np.asarray(changes(points.observed)[:, 1] != 0.0)
+
+    def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
+        found = zero_between(system, ends, lambda one: _about_minus_one(multipliers(one)), rtol)[0]
+        return found if np.abs(1.0 + multipliers(found)).min() <= KNOWN else None
+
+
+class NeimarkSacker(Event):
+    """A pair of multipliers crosses the unit circle: |mu_k| - 1 of the k-th pair vanishes."""
+
+    kind = "neimark_sacker"
+
+    def between(self, points: Stretch) -> np.ndarray:
+        return np.asarray(changes(points.observed)[:, 2] != 0.0)
+
+    def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
+        sides = [_pairs(one) for one in ends]
+        number = max(int(np.count_nonzero(sizes > 1.0 + KNOWN)) for sizes in sides) - 1
+
+        def beyond(sizes: np.ndarray) -> float:
+            return float(sizes[number] - 1.0) if len(sizes) > number else -1.0
+
+        # What was within 1e-6 of the circle may have been beyond it all the time.
+        shift = 0.0 if beyond(sides[0]) * beyond(sides[1]) < 0.0 else KNOWN
+
+        def value(point: PathPoint) -> float:
+            found = beyond(_pairs(point)) - shift
+            return found if abs(found) > CLOSE else 0.0
+
+        found, left = zero_between(system, ends, value, rtol)
+        return found if abs(left) <= KNOWN else None
+
+
+def multipliers(point: PathPoint) -> np.ndarray:
+    """Leading multipliers of a point of a path: (k,) complex."""
+    assert point.observed is not None
+    return point.observed[:-3]
+
+
+def _about_minus_one(values: np.ndarray) -> float:
+    """A function of multipliers with the sign and the zeros of the product of all 1 + mu, at most
+    1; 0 where it is small enough."""
+    factors = np.where(values.imag == 0.0, 1.0 + values.real, np.abs(1.0 + values))
+    found = float(np.prod(factors / np.maximum(1.0, np.abs(factors))))
+    return found if np.abs(factors).min() > CLOSE else 0.0
+
+
+def _pairs(point: PathPoint) -> np.ndarray:
+    """Moduli of its pairs of multipliers, largest first."""
+    values = multipliers(point)
+    return np.abs(values[values.imag > 0.0])

@@ -1,0 +1,231 @@
+"""Periodic orbits of exact flows along one parameter, as :mod:`path` follows them.
+
+    F(x, p) = scale (z(T; x, v) - z(0)) = 0,    v = v_start + p (v_end - v_start),
+
+z = (q, q') the state at phase zero of the load, x = scale z(0), T = 2 pi m / omega, and v one of
+the parameters of :mod:`family`. dF/dx = M - I with the monodromy matrix M in the unknowns. Over the
+load's frequency, its factor and the clearance the kernel has the equations: all points of a path
+share one flow. Else a flow is made for each point. dF/dp is exact over the damping and the contact
+stiffness too: with forces that are continuous it is the motion's own variation,
+
+    dq'' + C dq' + Lambda dq + P_A S P_A^T dq = -C' q' + P_A S D' lambda_A,
+
+' the derivative by p, S = (D_AA)^-1 of the compliance D of the closed pairs A. Over a rotor's
+speed, with which modes change, it is a forward difference: another flow a point.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+
+import numpy as np
+
+from fenics_crack.balance.problem import Problem
+from fenics_crack.curves.family import FAMILIES
+from fenics_crack.curves.orbit_events import observe
+from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.model.modal import all_modes
+from fenics_crack.motion.flow import Budget, ContactFlow, Motion, exact_flow
+from fenics_crack.motion.orbit import PeriodicOrbit
+from fenics_crack.motion.shooting import OrbitPoint, ShootingEquations
+from fenics_crack.numerics.equations import EPSILON
+from fenics_crack.numerics.newton import Tangent, norm_at
+
+DIFFERENCE = math.sqrt(EPSILON)
+"""Of p, for a forward difference: what it leaves out is then as small as its rounding."""
+
+
+class OrbitFamily:
+    """The equations of periodic orbits along a parameter, from its value ``start`` at p = 0 to
+    ``end`` at p = 1.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of a small or reduced structure whose law has an exact flow; its ``subharmonic`` is m.
+    parameter : str
+        As of :class:`fenics_crack.Continuation`.
+    start, end : float
+        Its values.
+    budget : Budget, optional
+        Of each motion.
+
+    Attributes
+    ----------
+    scale : (2 n_modes,)
+        x / z: 1 of modal displacements, 1 / w of velocities, w the modes' frequencies, at least
+        that of the response.
+    shape : (2 n_modes,)
+    records : int
+        Numbers of M.
+
+    Raises
+    ------
+    InputError
+        There is no exact flow.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        parameter: str,
+        start: float,
+        end: float,
+        budget: Budget | None = None,
+    ) -> None:
+        self.problem, self.name, self.start, self.end = problem, parameter, start, end
+        self.subharmonic, self.budget = problem.subharmonic, budget or Budget()
+        self._along = FAMILIES[parameter](problem, start, end)
+        first = self.at(start)
+        self._first = exact_flow(first.structure, first.contact)
+        self._last: tuple[float, ContactFlow] | None = None
+        weights = self._first.weights(self.omega(start) / self.subharmonic)
+        self.scale = weights / np.tile(weights[: self._first.size // 2], 2)
+        self.shape, self.records = self.scale.shape, self._first.size**2
+
+    def at(self, value: float) -> Problem:
+        """The problem where the parameter has a value."""
+        return self._along.vary(self.problem, value)
+
+    def value(self, parameter: float) -> float:
+        """v of p."""
+        return self._along.value(parameter)
+
+    def parameter(self, value: float) -> float:
+        """p of v."""
+        return self._along.parameter(value)
+
+    def omega(self, value: float) -> float:
+        """Load frequency where the parameter has a value [rad/s]."""
+        return self._along.omega(value)
+
+    def flow(self, value: float) -> ContactFlow:
+        """The flow where the parameter has a value; the last one is kept."""
+        if self.name == "omega" or value == self.start:
+            return self._first
+        if self._last is None or self._last[0] != value:
+            problem = self.at(value)
+            self._last = value, exact_flow(problem.structure, problem.contact)
+        return self._last[1]
+
+    def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
+        """z of x (..., 2 n_modes) where the parameter has a value."""
+        state = unknown / self.scale
+        return np.asarray(state if self.name != "speed" else state @ self._modes(value).T)
+
+    def unknown(self, state: np.ndarray, value: float) -> np.ndarray:
+        """x of z (..., 2 n_modes) where the parameter has a value."""
+        if self.name == "speed":
+            state = np.linalg.solve(self._modes(value), state.T).T
+        return np.asarray(state * self.scale)
+
+    def _modes(self, value: float) -> np.ndarray:
+        """States of the first flow to those where the speed has a value."""
+        change = self.flow(value).modes.inverse @ self._first.modes.shapes
+        return np.kron(np.eye(2), change)
+
+    def _motion(self, unknown: np.ndarray, parameter: float, part: float = 1.0) -> Motion:
+        """Over a part of the period."""
+        value = self.value(parameter)
+        omega, state = self.omega(value), self.state(unknown, value)
+        period = 2.0 * np.pi * self.subharmonic / omega
+        return self.flow(value).advance(state, omega, part * period, budget=self.budget)
+
+    def moved(self, unknown: np.ndarray, parameter: float, part: float = 1.0) -> np.ndarray:
+        """x after a part of the period."""
+        state = self._motion(unknown, parameter, part).state
+        return self.unknown(state, self.value(parameter))
+
+    def monodromy(self, unknown: np.ndarray, parameter: float, part: float = 1.0) -> np.ndarray:
+        """The derivative of that by x: (2 n_modes, 2 n_modes)."""
+        tangent = self._motion(unknown, parameter, part).track.tangent
+        return self._of_unknowns(tangent, self.value(parameter))
+
+    def _of_unknowns(self, tangent: np.ndarray, value: float) -> np.ndarray:
+        """dx(T)/dx of dz(T)/dz."""
+        if self.name == "speed":
+            modes = self._modes(value)
+            tangent = np.linalg.solve(modes, tangent @ modes)
+        return np.asarray(self.scale[:, None] * tangent / self.scale)
+
+    def orbit(self, unknown: np.ndarray, parameter: float, iterations: int = 0) -> PeriodicOrbit:
+        """The orbit of a solution of the equations."""
+        value, motion = self.value(parameter), self._motion(unknown, parameter)
+        flow, omega, state = motion.track.flow, self.omega(value), self.state(unknown, value)
+        weights = flow.weights(omega / self.subharmonic)
+        off = float(np.linalg.norm(weights * (motion.state - state)))
+        size = float(np.linalg.norm(weights * state)) or 1.0
+        return PeriodicOrbit(
+            flow, omega, self.subharmonic, motion, state, off / size, iterations + 1
+        )  # fmt: skip
+
+    def direction(
+        self, before: tuple[float, np.ndarray], after: tuple[float, np.ndarray]
+    ) -> Tangent:
+        """From one point, its value and state, to another one."""
+        ends = [self.unknown(state, value) for value, state in (before, after)]
+        rise = self.parameter(after[0]) - self.parameter(before[0])
+        return Tangent(ends[1] - ends[0], rise, *norm_at(self, ends[1]))
+
+    # --- what paths ask for -----------------------------------------------------------------------
+
+    @cached_property
+    def compiled(self) -> ShootingEquations | None:
+        """The same equations in the kernel; None where it does not have them."""
+        omega = self.omega(self.start), self.omega(self.end) - self.omega(self.start)
+        given = self._first, self.scale
+        if self.name == "omega":
+            return ShootingEquations(*given, omega, self.subharmonic, self.budget)
+        if self.name in ("load", "clearance"):
+            last = self.flow(self.end)
+            load = last.force - self._first.force, last.gap - self._first.gap
+            problem = self.at(self.start)  # its own flow: its load changes
+            given = exact_flow(problem.structure, problem.contact), self.scale
+            return ShootingEquations(*given, (omega[0], 0.0), self.subharmonic, self.budget, load)
+        return None
+
+    def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
+        """The equations at a point.
+
+        Raises
+        ------
+        ConvergenceError
+            The motion takes more than the budget allows, or is not finite.
+        """
+        if self.compiled is not None:
+            return self.compiled.linearise(unknown, parameter)
+        try:
+            motion = self._motion(unknown, parameter)
+        except InputError as error:  # Newton's method has left what the parameter may be
+            raise ConvergenceError(str(error)) from None
+        value = self.value(parameter)
+        residual = self.unknown(motion.state, value) - unknown
+
+        def monodromy() -> np.ndarray:
+            return self._of_unknowns(motion.track.tangent, value)
+
+        def by_parameter() -> np.ndarray:
+            if self.name == "speed":
+                step = DIFFERENCE if parameter < 0.5 else -DIFFERENCE
+                return (self.moved(unknown, parameter + step) - unknown - residual) / step
+            state = self.state(unknown, value)
+            change = motion.track.by_structure(state, *self._rates(motion.track.flow, value))
+            return np.asarray(self.scale * change)
+
+        events, pieces = motion.events, motion.pieces
+        return OrbitPoint(unknown, residual, monodromy, by_parameter, events, pieces)
+
+    def _rates(
+        self, flow: ContactFlow, value: float
+    ) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """Derivatives of the damping and of the pairs' softness by p."""
+        rate = self._along.rate(value)
+        if self.name == "stiffness":
+            return None, -rate / value * flow.softness
+        return rate * all_modes(self.problem.structure).damping, None
+
+    def observe(self, records: np.ndarray) -> np.ndarray:
+        """Leading multipliers of points from their M, and r, d and c (:mod:`orbit_events`)."""
+        size = len(self.scale)
+        return observe(records.reshape(-1, size, size))
