@@ -53,7 +53,7 @@ from fenics_crack.model.modes import LIPS
 from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.flow import ContactFlow, flow_of
+from fenics_crack.motion.flow import ContactFlow, exact_flow, flow_of
 from fenics_crack.motion.orbit import INSTANTS, OrbitCoefficients, PeriodicOrbit, affordable
 from fenics_crack.motion.search import PARTS, OrbitSearch, SearchOptions, search_orbit
 from fenics_crack.numerics.fourier import from_complex, to_complex
@@ -401,7 +401,7 @@ def _solved(solver: Solver, tolerance: float, initial: PeriodicSolution | None) 
     flow = flow_of(problem.structure, problem.contact)
     if flow is None or not affordable(flow, problem.omega, problem.subharmonic):
         return _by_harmonics(solver, tolerance, _begun(solver, problem).solve(initial))
-    balanced, found = initial_orbit(solver, flow, initial)
+    balanced, found = _sought(solver, flow, initial)
     if found.orbit is not None:
         kept = solution_of_orbit(problem, found.orbit, tolerance)
         way = f"{found.reason}, from H = {balanced[-1].harmonics}" if balanced else found.reason
@@ -421,11 +421,23 @@ def _solved(solver: Solver, tolerance: float, initial: PeriodicSolution | None) 
 # --- by an orbit ----------------------------------------------------------------------------------
 
 
-def initial_orbit(
-    solver: Solver, flow: ContactFlow, initial: PeriodicSolution | None = None
-) -> tuple[list[PeriodicSolution], OrbitSearch]:
+def initial_orbit(problem: Problem, initial: PeriodicSolution | None = None) -> OrbitSearch:
     """Search for an exact orbit from harmonic-balance solutions with more and more harmonics, all
-    sought from an initial one, whose orbit is the first then; and these solutions."""
+    sought from an initial one, whose orbit is the first then.
+
+    Raises
+    ------
+    InputError
+        There is no exact flow.
+    """
+    flow = exact_flow(problem.structure, problem.contact)
+    return _sought(Solver(problem, throw=False), flow, initial)[1]
+
+
+def _sought(
+    solver: Solver, flow: ContactFlow, initial: PeriodicSolution | None
+) -> tuple[list[PeriodicSolution], OrbitSearch]:
+    """The same, and these solutions."""
     problem, balanced = solver.problem, list[PeriodicSolution]()
 
     def guesses() -> Iterator[np.ndarray]:

@@ -64,7 +64,7 @@ from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.growth import Growth
 from fenics_crack.sweep.plan import FREQUENCIES
 from fenics_crack.sweep.result import SweepResult
-from fenics_crack.table import Table, percent, ranging, readable, with_unit
+from fenics_crack.table import Table, percent, readable, with_unit
 from fenics_crack.time.march import TimeHistory
 from fenics_crack.version import VERSION, packaged
 from fenics_crack.whole import write_whole
@@ -265,7 +265,7 @@ def _waves(run: Run, omega: float | None, **where: Any) -> None:
 
 def _curve(run: Run[ResponseCurve], file: File) -> None:
     found, dof, in_hertz = run.result, run.watched_dof, run.scene.in_hertz
-    title = f"{run.watched_name}, H = {ranging(found.harmonics)}"
+    title = f"{run.watched_name}, {found.method}"
     without = _without_contact(run)
     draw_curve(found, dof, path=file("curve"), title=title, in_hertz=in_hertz, behind=without)
     draw_content(found, dof, path=file("curve_content"), title=title, in_hertz=in_hertz)

@@ -68,7 +68,6 @@ from fenics_crack.table import (
     in_unit,
     percent,
     quantity,
-    ranging,
     with_frequency,
     with_unit,
 )
@@ -460,7 +459,7 @@ def _account_of_curve(run: Run[ResponseCurve]) -> Account:
         where = "the largest response" if _passed(found, peak) else "its end"
         notes.append(f"at {where} {order}, {share}")
     if scene.harmonic_balance.tolerance is not None and run.structure.n_pairs:
-        notes.append(f"harmonics, by the truncation error: {ranging(found.harmonics)}")
+        notes.append(f"by the tolerance: {found.method}")
     return Account(
         "curve",
         special,
@@ -552,7 +551,7 @@ def _warnings_of_curve(run: Run[ResponseCurve]) -> Iterator[str]:
     reports = {index: one.report for index, one in solutions.items()}
     worst = max(reports, key=lambda index: reports[index].total)
     where = f" at {_place(run, found.values[worst])}"
-    yield from of_error(scene, reports[worst], int(found.harmonics[worst]), where)
+    yield from of_error(scene, reports[worst], solutions[worst].harmonics, where)
     if found.multipliers is not None and _passed(found, peak):
         for said in of_more_modes(solutions[peak], found.verdicts[peak]):
             yield f"at the largest response, {said}"

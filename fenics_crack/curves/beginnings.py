@@ -33,8 +33,9 @@ import numpy as np
 import scipy.linalg
 
 from fenics_crack.balance.problem import Problem
-from fenics_crack.curves.curve import Bifurcation, ResponseCurve
+from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.family import Family, FrequencyFamily
+from fenics_crack.curves.harmonic_curve import HarmonicBifurcation, HarmonicCurve
 from fenics_crack.curves.orbit_branch import ALIKE
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import ContactLaw
@@ -43,7 +44,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit, find_orbit
 from fenics_crack.motion.shooting import FlowOrbits
-from fenics_crack.numerics.equations import CLOSE, System
+from fenics_crack.numerics.equations import CLOSE, DenseLinearisation, System
 from fenics_crack.numerics.fourier import resized, stretched
 from fenics_crack.numerics.newton import (
     PathPoint,
@@ -61,7 +62,7 @@ UNFINISHED = "a ResponseCurve that is not complete"
 
 
 def same_problem(
-    curve: ResponseCurve, structure: Structure, omega: float, contact: ContactLaw
+    curve: HarmonicCurve, structure: Structure, omega: float, contact: ContactLaw
 ) -> Problem:
     """The problem of a curve to be resumed, with its structure and law given anew."""
     if not isinstance(curve, ResponseCurve):
@@ -69,7 +70,7 @@ def same_problem(
     return replace(curve.problem, structure=structure, omega=omega, contact=contact)
 
 
-def check_resumed(curve: ResponseCurve, family: Family) -> None:
+def check_resumed(curve: HarmonicCurve, family: Family) -> None:
     """Raise InputError unless a curve is not complete and a family goes on where it ends."""
     if curve.complete:
         raise InputError("resume", type(curve).__name__, UNFINISHED)
@@ -89,7 +90,7 @@ def check_resumed(curve: ResponseCurve, family: Family) -> None:
         raise InputError("resume", "a curve of another problem", "of this structure and law")
 
 
-def directions(family: Family, curve: ResponseCurve) -> tuple[Tangent | None, PathPoint | None]:
+def directions(family: Family, curve: HarmonicCurve) -> tuple[Tangent | None, PathPoint | None]:
     """Where a curve goes on from its last point, and its first point as :mod:`path` has it.
 
     The latter only where both have the same harmonics.
@@ -104,7 +105,7 @@ def directions(family: Family, curve: ResponseCurve) -> tuple[Tangent | None, Pa
     return towards, origin
 
 
-def chord(family: Family, curve: ResponseCurve, first: int, second: int) -> Tangent:
+def chord(family: Family, curve: HarmonicCurve, first: int, second: int) -> Tangent:
     """From one point of a curve to another, with the family's harmonics."""
     count = family.problem.harmonics
     before, after = (resized(curve.unknown(place), count) for place in (first, second))
@@ -124,7 +125,9 @@ def odd_rows(family: Family) -> np.ndarray:
     return ((row + 1) // 2) % 2 == 1 if even else np.zeros(len(row), dtype=bool)
 
 
-def first_of_branch(family: Family, bifurcation: Bifurcation, longest_step: float) -> PathPoint:
+def first_of_branch(
+    family: Family, bifurcation: HarmonicBifurcation, longest_step: float
+) -> PathPoint:
     """The first point on the branch that begins at a bifurcation; its tangent is the way to it.
 
     The new direction is the null vector of the Jacobian [J, F_p] across the old branch; for a
@@ -174,23 +177,29 @@ def first_aside(
 
 def _across(family: Family, unknown: np.ndarray, parameter: float, doubled: bool) -> Tangent:
     """Unit direction in the null space of [J, F_p], across the old branch."""
+    if not doubled:
+        return across(family, unknown, parameter)
     at = family.linearise(unknown, parameter)
-    old = tangent_of(family, unknown, at)
-    if doubled:
-        places = np.flatnonzero(np.repeat(odd_rows(family), unknown.shape[1]))
-        across = np.zeros(unknown.size)
-        across[places] = scipy.linalg.svd(at.jacobian[np.ix_(places, places)])[2][-1]
-        slope = 0.0
-    else:
-        size = math.sqrt(old.weight)  # the parameter in the units of the gap
-        derivative = at.by_parameter.reshape(-1, 1)
-        null = scipy.linalg.svd(np.hstack([at.jacobian, derivative * size]))[2][-2:]
-        mix = null @ np.append(old.x.ravel(), old.p / size)
-        vector = mix[1] * null[0] - mix[0] * null[1]
-        across, slope = vector[:-1], float(vector[-1]) * size
-    away = Tangent(across.reshape(unknown.shape), slope, old.weight)
-    length = math.sqrt(away.weight * float(np.vdot(away.x, away.x)) + away.p**2)
-    return replace(away, x=away.x / length, p=away.p / length)
+    places = np.flatnonzero(np.repeat(odd_rows(family), unknown.shape[1]))
+    found = np.zeros(unknown.size)
+    found[places] = scipy.linalg.svd(at.jacobian[np.ix_(places, places)])[2][-1]
+    weight = tangent_of(family, unknown, at).weight
+    return Tangent(found.reshape(unknown.shape) / math.sqrt(weight), 0.0, weight)
+
+
+def across(system: System, unknown: np.ndarray, parameter: float) -> Tangent:
+    """Unit direction in the null space of [J, F_p] at a branch point, across the old branch."""
+    at = system.linearise(unknown, parameter)
+    assert isinstance(at, DenseLinearisation)
+    old = tangent_of(system, unknown, at)
+    size = math.sqrt(old.weight)  # the parameter in the units of the unknowns
+    derivative = at.by_parameter.reshape(-1, 1)
+    null = scipy.linalg.svd(np.hstack([at.jacobian, derivative * size]))[2][-2:]
+    mix = null @ np.append(old.x.ravel(), old.p / size)
+    vector = mix[1] * null[0] - mix[0] * null[1]
+    slope = float(vector[-1]) * size
+    length = math.sqrt(old.weight * float(vector[:-1] @ vector[:-1]) + slope**2)
+    return Tangent(vector[:-1].reshape(unknown.shape) / length, slope / length, old.weight)
 
 
 NEAREST = 6
@@ -208,8 +217,8 @@ class DoubledStart:
 
 
 def next_to_doubled_orbits(
-    curve: ResponseCurve,
-    bifurcation: Bifurcation,
+    curve: HarmonicCurve,
+    bifurcation: HarmonicBifurcation,
     problem: Problem,
     span: tuple[float, float],
     longest_step: float,
@@ -255,7 +264,7 @@ def _ladder(problem: Problem) -> list[int]:
     return counts
 
 
-def _at_doubling(curve: ResponseCurve, one: Bifurcation) -> PeriodicOrbit | None:
+def _at_doubling(curve: HarmonicCurve, one: HarmonicBifurcation) -> PeriodicOrbit | None:
     """The exact orbit of a doubling, from the motions of the curve next to it; None where there is
     no flow, or where these lead to other orbits."""
     flow = flow_of(curve.structure, curve.contact)

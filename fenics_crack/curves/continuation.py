@@ -24,15 +24,15 @@ from fenics_crack.curves.beginnings import (
     first_of_branch,
     odd_rows,
 )
-from fenics_crack.curves.curve import (
-    Bifurcation,
-    CurvePoint,
-    ResponseCurve,
-    columns,
-    parameter_axis,
-)
+from fenics_crack.curves.curve import parameter_axis
 from fenics_crack.curves.exact import FOLLOWED, judge_curve
 from fenics_crack.curves.family import FAMILIES, Family
+from fenics_crack.curves.harmonic_curve import (
+    CurvePoint,
+    HarmonicBifurcation,
+    HarmonicCurve,
+    columns,
+)
 from fenics_crack.errors import MOST_HARMONICS, InputError, check_choice, check_count, check_number
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import is_small
@@ -63,6 +63,8 @@ from fenics_crack.numerics.path import (
 )
 from fenics_crack.table import counted, in_unit
 
+Beginning = PeriodicSolution | HarmonicCurve | HarmonicBifurcation | DoubledStart | None
+"""Where a curve of harmonic balance may begin."""
 LONGEST_STEP = 0.05
 """Longest step, unless another one is asked for."""
 LOOK_EVERY = 4
@@ -88,7 +90,7 @@ class Continuation:
         added to that of every pair [m]; "speed": of the rotor [rad/s], which ``omega`` follows.
     start, end : float
         Its values; the end may be below the start.
-    initial : PeriodicSolution, ResponseCurve, Bifurcation or DoubledStart, optional
+    initial : PeriodicSolution, HarmonicCurve, HarmonicBifurcation or DoubledStart, optional
         Where to start. A solution: near the first point. A curve that did not reach its end: from
         its last point; ``start`` is then its own, or for a branch ``start`` and ``end`` bound the
         parameter. A bifurcation: on the branch that begins there; ``start`` and ``end`` bound the
@@ -133,38 +135,29 @@ class Continuation:
         start: float,
         end: float,
         *,
-        initial: PeriodicSolution | ResponseCurve | Bifurcation | DoubledStart | None = None,
+        initial: Beginning = None,
         tolerance: float | None = None,
         stability: bool = False,
         longest_step: float = LONGEST_STEP,
         most_points: int = 50000,
         turning_back: float = 0.1,
     ) -> None:
-        _check_range(problem, parameter, start, end)
-        check_number("longest_step", longest_step, 0.0, above=True)
-        if longest_step > 1.0:
-            raise InputError("longest_step", longest_step, "at most 1")
-        check_count("most_points", most_points, 1)
-        check_number("turning_back", turning_back, 0.0)
         if problem.samples is not None:
             check_count("samples", problem.samples, 4 * problem.harmonics + 1)
         if tolerance is not None:
             check_number("tolerance", tolerance, 0.0, above=True)
             if problem.samples is not None:
                 raise InputError("samples", problem.samples, "left out where a tolerance is given")
-        if parameter in ("omega", "speed"):
-            problem = FAMILIES[parameter].vary(problem, start)
-        if not is_small(problem.structure):
-            reduced = reduce_structure(problem.structure, method="massless")
-            problem = replace(problem, structure=reduced)
-            if isinstance(initial, PeriodicSolution):  # its gaps are all that is used
-                initial = replace(initial, structure=reduced)
+        large = not is_small(problem.structure)
+        problem, self._back = checked(
+            problem, parameter, start, end, longest_step, most_points, turning_back
+        )
+        if large and isinstance(initial, PeriodicSolution):  # its gaps are all that is used
+            initial = replace(initial, structure=problem.structure)
         if stability and is_rigid(problem.contact):
             exact_flow(problem.structure, problem.contact)
         self._tolerance, self._least = tolerance, problem.harmonics
-        self._longest, self._most, self._back = longest_step, most_points, turning_back
-        if 0.0 < start < end and parameter in ("omega", "damping", "speed"):  # not to 0
-            self._back = min(turning_back, 0.9 * start / (end - start))
+        self._longest, self._most = longest_step, most_points
         self._at_once, self._judged = False, stability
         self._points: list[CurvePoint] = []
         self._special: list[tuple[str, float, np.ndarray]] = []
@@ -176,12 +169,12 @@ class Continuation:
         def family_of(problem: Problem) -> Family:
             return FAMILIES[parameter](problem, start, end)
 
-        if isinstance(initial, ResponseCurve):
+        if isinstance(initial, HarmonicCurve):
             self._family = family_of(problem.with_harmonics(int(initial.harmonics[-1])))
             self._take_over(initial)
-        elif isinstance(initial, Bifurcation | DoubledStart):
+        elif isinstance(initial, HarmonicBifurcation | DoubledStart):
             self._family, self._branch = family_of(problem), True
-            if isinstance(initial, Bifurcation):
+            if isinstance(initial, HarmonicBifurcation):
                 begun = first_of_branch(self._family, initial, longest_step)
             else:
                 begun = initial.point
@@ -195,15 +188,15 @@ class Continuation:
             self._points.append(CurvePoint(value, self._family.omega(value), unknown, iterations))
 
     @property
-    def curve(self) -> ResponseCurve:
+    def curve(self) -> HarmonicCurve:
         """All points so far; judged with ``stability=True``."""
         return judge_curve(self.followed) if self._judged else self.followed
 
     @property
-    def followed(self) -> ResponseCurve:
+    def followed(self) -> HarmonicCurve:
         """All points so far, without verdicts."""
         problem = self._family.problem
-        curve = ResponseCurve(
+        curve = HarmonicCurve(
             structure=problem.structure,
             contact=problem.contact,
             parameter=self._family.name,
@@ -218,6 +211,11 @@ class Continuation:
         )
         special = tuple(curve.bifurcation(*one) for one in self._special)
         return replace(curve, bifurcations=special)
+
+    @property
+    def size(self) -> int:
+        """Unknowns of a point."""
+        return int(np.prod(self._family.shape))
 
     def progress(self) -> float:
         """How much of the way from start to end has been gone, 0 to 1."""
@@ -319,7 +317,7 @@ class Continuation:
 
     # --- going on ---------------------------------------------------------------------------------
 
-    def _take_over(self, curve: ResponseCurve) -> None:
+    def _take_over(self, curve: HarmonicCurve) -> None:
         """Begin with the points of another curve, on its way."""
         check_resumed(curve, self._family)
         self._points = [curve.point(index) for index in range(len(curve))]
@@ -425,6 +423,33 @@ class _Joined(Event):
         """The size of what tells points from the branch that was left, relative to theirs: (n,)."""
         odd = np.linalg.norm(unknowns[:, self._odd], axis=(1, 2))
         return np.asarray(odd / np.linalg.norm(unknowns, axis=(1, 2)))
+
+
+def checked(
+    problem: Problem,
+    parameter: str,
+    start: float,
+    end: float,
+    longest_step: float,
+    most_points: int,
+    turning_back: float,
+) -> tuple[Problem, float]:
+    """The problem at the start of a curve, of a small structure, and how far the curve may turn
+    back; InputError where an argument cannot be used."""
+    _check_range(problem, parameter, start, end)
+    check_number("longest_step", longest_step, 0.0, above=True)
+    if longest_step > 1.0:
+        raise InputError("longest_step", longest_step, "at most 1")
+    check_count("most_points", most_points, 1)
+    check_number("turning_back", turning_back, 0.0)
+    if parameter in ("omega", "speed"):
+        problem = FAMILIES[parameter].vary(problem, start)
+    if not is_small(problem.structure):
+        reduced = reduce_structure(problem.structure, method="massless")
+        problem = replace(problem, structure=reduced)
+    if 0.0 < start < end and parameter in ("omega", "damping", "speed"):  # not to 0
+        turning_back = min(turning_back, 0.9 * start / (end - start))
+    return problem, turning_back
 
 
 def _check_range(problem: Problem, parameter: str, start: float, end: float) -> None:

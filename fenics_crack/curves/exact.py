@@ -25,8 +25,8 @@ import numpy as np
 
 from fenics_crack.balance.solution import Stability
 from fenics_crack.curves.beginnings import chord
-from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.family import Family
+from fenics_crack.curves.harmonic_curve import HarmonicBifurcation, HarmonicCurve
 from fenics_crack.curves.stability import floquet, monodromy, stability_of
 from fenics_crack.errors import check_kind
 from fenics_crack.model.contact import is_unilateral
@@ -42,7 +42,7 @@ FIRST_ASKED = 8
 """Points, spread along a curve, of which one has to have an orbit that the others are asked."""
 
 
-def judge_curve(curve: ResponseCurve) -> ResponseCurve:
+def judge_curve(curve: HarmonicCurve) -> HarmonicCurve:
     """Judge the points of a curve over any parameter by their nearest exact orbits.
 
     Laws that are not linear in contact have no exact orbits: their points are judged as
@@ -51,12 +51,12 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
 
     Parameters
     ----------
-    curve : ResponseCurve
+    curve : HarmonicCurve
         Followed with or without ``stability=True``.
 
     Returns
     -------
-    ResponseCurve
+    HarmonicCurve
         The same points, with the multipliers of their orbits; "undecided" (and nan) where the
         predicted error is above 0.1, or no orbit is nearer than three times that.
 
@@ -70,7 +70,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     >>> judged = fc.judge_curve(curve)
     >>> verdicts = judged.verdicts
     """
-    check_kind("curve", curve, ResponseCurve)
+    check_kind("curve", curve, HarmonicCurve)
     if not is_unilateral(curve.contact):
         return judged_by_waves(curve)
     begin("stability by exact orbits")
@@ -83,7 +83,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     return replace(curve, multipliers=multipliers, undecided=np.isnan(multipliers))
 
 
-def _decides(curve: ResponseCurve, place: int, multipliers: np.ndarray) -> bool:
+def _decides(curve: HarmonicCurve, place: int, multipliers: np.ndarray) -> bool:
     """Judge a point, whose leading multiplier is set; whether that is decided."""
     found = stability_of(curve.assessment(place))
     if found.verdict == "undecided":
@@ -93,7 +93,7 @@ def _decides(curve: ResponseCurve, place: int, multipliers: np.ndarray) -> bool:
     return True
 
 
-def judged_by_waves(curve: ResponseCurve) -> ResponseCurve:
+def judged_by_waves(curve: HarmonicCurve) -> HarmonicCurve:
     """The same curve with verdicts, and with bifurcations where multipliers of its waves leave the
     unit circle."""
     begin("stability of each point")
@@ -130,7 +130,7 @@ def _crossed(before: Stability, after: Stability) -> str | None:
     return "neimark_sacker" if pair else None
 
 
-def _located(curve: ResponseCurve, place: int, kind: str) -> tuple[float, np.ndarray]:
+def _located(curve: HarmonicCurve, place: int, kind: str) -> tuple[float, np.ndarray]:
     """Value of the parameter and unknown of a bifurcation behind a point."""
     count = int(max(curve.harmonics[place : place + 2]))
     family = curve.equations(count)
@@ -160,7 +160,7 @@ def _monodromy(family: Family, at: PathPoint) -> np.ndarray:
     return monodromy(problem.structure, problem.contact, at.unknown, problem.base_omega, above)
 
 
-def place_on(curve: ResponseCurve, one: Bifurcation) -> int:
+def place_on(curve: HarmonicCurve, one: HarmonicBifurcation) -> int:
     """The point of a curve nearest to a bifurcation of it."""
     unknown = resized(one.unknown, curve.unknowns.shape[1] // 2)
     sizes = np.linalg.norm(curve.unknowns - unknown, axis=(1, 2)) / np.linalg.norm(unknown)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any, TypedDict, Unpack
@@ -15,7 +15,11 @@ from fenics_crack.balance.problem import ON_PATH, Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.beginnings import next_to_doubled_orbits, same_problem
 from fenics_crack.curves.continuation import LONGEST_STEP, Continuation
-from fenics_crack.curves.curve import Bifurcation, CurvePoint, ResponseCurve
+from fenics_crack.curves.curve import Bifurcation, ResponseCurve
+from fenics_crack.curves.harmonic_curve import CurvePoint, HarmonicBifurcation, HarmonicCurve
+from fenics_crack.curves.orbit_continuation import OrbitContinuation
+from fenics_crack.curves.orbit_curve import OrbitCurve
+from fenics_crack.curves.orbit_path import OrbitCurvePoint
 from fenics_crack.errors import (
     INTERRUPTED,
     ConvergenceError,
@@ -26,12 +30,17 @@ from fenics_crack.errors import (
 )
 from fenics_crack.hints import check_options
 from fenics_crack.model.contact import ContactLaw
+from fenics_crack.model.modal import is_small
+from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
+from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.stages import begin, reaching
 from fenics_crack.table import RPM
 
 ATTEMPTS = 4
 """Places, from the end on, from which another curve is sought that leads to the start."""
+Growing = Continuation | OrbitContinuation
+"""A curve of either kind that grows."""
 BAR = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}{postfix}"
 """Of a curve; how long it is going to take cannot be told from how far it has come."""
 
@@ -43,6 +52,9 @@ class CurveOptions(TypedDict, total=False):
         As in :func:`.solve_harmonic_balance`; ``initial`` is where to start.
     tolerance, stability, longest_step, most_points, turning_back
         As in :class:`.Continuation`.
+    exact
+        Follow exact orbits, an :class:`OrbitCurve`; ``harmonics``, ``samples`` and ``stability``
+        are left out.
     resume
         Go on from the last point of a curve that did not reach its end. ``start`` is then its own,
         or for a branch ``start`` and ``end`` bound the parameter; harmonics, samples, subharmonic
@@ -58,6 +70,7 @@ class CurveOptions(TypedDict, total=False):
     longest_step: float
     most_points: int
     turning_back: float
+    exact: bool
     resume: ResponseCurve | None
 
 
@@ -95,7 +108,7 @@ def continue_frequency(
         Ctrl-C always returns what was found.
     **options
         As :class:`.CurveOptions` lists them: harmonics, samples, subharmonic, initial, tolerance,
-        stability, longest_step, most_points, turning_back, resume.
+        stability, longest_step, most_points, turning_back, exact, resume.
 
     Returns
     -------
@@ -166,25 +179,30 @@ def continue_parameter(
     ...     structure, 2000.0, contact, "load", 1.0, 2.0, harmonics=5)
     """
     check_options("continue_parameter", options, CurveOptions.__annotations__)
+    if options.get("exact") and not is_small(structure):
+        structure = reduce_structure(structure, method="massless")
     span = parameter, start, end
-    growing = _continuation(structure, omega, contact, span, options)
+    begun_elsewhere = options.get("initial") is not None or options.get("resume") is not None
 
-    def again() -> Continuation | None:
+    def again(begun: Growing | None = None) -> Growing | None:
         """Another curve from the start, with a solution met by following one from the end to it, or
         from between: where the first solution found lies on a curve that comes back to the start,
-        such as a closed loop of the truncated equations."""
-        first = growing.followed
-        most = 2 * ATTEMPTS * ON_PATH  # unknowns of all points: seconds where there are many
-        left = max(len(first), most // first.unknowns[0].size)
+        such as a closed loop of the truncated equations, or where there is none."""
+        first = None if begun is None else begun.followed
+        small = structure if first is None else first.structure
+        size = 2 * small.n_dofs if begun is None else begun.size
+        left = max(0 if first is None else len(first), 2 * ATTEMPTS * ON_PATH // size)
 
-        def reaches(begun: float, goal: float, initial: PeriodicSolution | None) -> Continuation:
+        def reaches(
+            origin: float, goal: float, initial: PeriodicSolution | PeriodicOrbit | None
+        ) -> Growing:
             """A curve that reaches its end, in no more points than are left for all."""
             nonlocal left
             if left < 1:
                 raise ConvergenceError("no points are left")
             points = min(left, options.get("most_points", left))
-            given: CurveOptions = {**options, "most_points": points, "initial": initial}
-            found = _continuation(first.structure, omega, contact, (parameter, begun, goal), given)
+            given: dict[str, Any] = {**options, "most_points": points, "initial": initial}
+            found = _continuation(small, omega, contact, (parameter, origin, goal), given)
             try:
                 found.run()
             finally:
@@ -193,15 +211,23 @@ def continue_parameter(
                 raise ConvergenceError(found.status)
             return found
 
-        for begun in np.linspace(end, start, ATTEMPTS, endpoint=False).tolist():
+        for origin in np.linspace(end, start, ATTEMPTS, endpoint=False).tolist():
             with suppress(ConvergenceError):
-                met = reaches(begun, start, None).followed
-                other = reaches(start, end, met.solution(len(met) - 1))
+                met = reaches(origin, start, None).followed
+                last = len(met) - 1
+                there = met.orbit(last) if isinstance(met, OrbitCurve) else met.solution(last)
+                other = reaches(start, end, there)
                 other.status += ", not by the first solution found at its start"
                 return other
         return None
 
-    begun_elsewhere = options.get("initial") is not None or options.get("resume") is not None
+    try:
+        growing = _continuation(structure, omega, contact, span, options)
+    except ConvergenceError as error:
+        other = None if begun_elsewhere or not options.get("exact") else again()
+        if other is None:
+            raise error from None
+        growing = other
     return _run(growing, progress, throw, None if begun_elsewhere else again)
 
 
@@ -256,14 +282,14 @@ def follow_branch(
         kind = getattr(bifurcation, "kind", type(bifurcation).__name__)
         raise InputError("bifurcation", kind, "a Bifurcation of kind " + " or ".join(kinds))
     check_options("follow_branch", options, CurveOptions.__annotations__)
-    for key in ("harmonics", "samples", "subharmonic", "initial", "resume"):
+    for key in ("harmonics", "samples", "subharmonic", "initial", "resume", "exact"):
         if key in options:
             raise InputError(key, options.get(key), "left out: it follows from the curve")
-    doubled = 2 if bifurcation.kind == "period_doubling" else 1
     start = float(curve.values.min()) if start is None else start
     end = float(curve.values.max()) if end is None else end
     if not min(start, end) < bifurcation.value < max(start, end):
         raise InputError("start, end", (start, end), f"on either side of {bifurcation.value:g}")
+    doubled = 2 if bifurcation.kind == "period_doubling" else 1
     structure = curve.structure
     if curve.parameter == "speed":
         structure = bifurcation.problem.structure
@@ -271,20 +297,24 @@ def follow_branch(
         curve.problem,
         structure=structure,
         omega=bifurcation.omega,
-        harmonics=doubled * (len(bifurcation.unknown) // 2),
-        samples=curve.samples and doubled * curve.samples,
+        harmonics=doubled * bifurcation.problem.harmonics,
+        samples=curve.problem.samples and doubled * curve.problem.samples,
         subharmonic=doubled * curve.subharmonic,
     )
-    given: dict[str, Any] = {**options}
+    span, given = (curve.parameter, start, end), dict[str, Any](options)
+    if isinstance(curve, OrbitCurve):
+        given.pop("stability", None)
+        return _run(_orbits(problem, span, bifurcation, given), progress, throw)
+    assert isinstance(curve, HarmonicCurve) and isinstance(bifurcation, HarmonicBifurcation)
     try:
-        growing = Continuation(problem, curve.parameter, start, end, **given, initial=bifurcation)
+        growing = Continuation(problem, *span, **given, initial=bifurcation)
     except ConvergenceError:
         begun = next_to_doubled_orbits(
             curve, bifurcation, problem, (start, end), options.get("longest_step", LONGEST_STEP)
         )
         if begun is None:
             raise
-        growing = Continuation(begun.problem, curve.parameter, start, end, **given, initial=begun)
+        growing = Continuation(begun.problem, *span, **given, initial=begun)
         branch = _run(growing, progress, throw)
         note = f", begun next to the exact orbit at {branch.omega[0]:.6g} rad/s"
         return replace(branch, status=branch.status + note)
@@ -296,26 +326,43 @@ def _continuation(
     omega: float,
     contact: ContactLaw,
     span: tuple[str, float, float],
-    options: CurveOptions,
-) -> Continuation:
+    options: Mapping[str, Any],
+) -> Growing:
     """The continuation that options ask for, from the start or of an unfinished curve."""
     given: dict[str, Any] = dict(options)
     resume = given.pop("resume", None)
+    exact = given.pop("exact", False) or isinstance(resume, OrbitCurve)
     unset = {"harmonics": None, "samples": None, "subharmonic": 1}
     if resume is None:
         harmonics, samples, subharmonic = (given.pop(*item) for item in unset.items())
+        if exact and (harmonics, samples) != (None, None):
+            raise InputError("harmonics, samples", (harmonics, samples), "left out: exact orbits")
         check_count("subharmonic", subharmonic, 1)
         harmonics = max(5, subharmonic) if harmonics is None else harmonics
         problem = Problem(structure, omega, contact, harmonics, samples, subharmonic)
-        return Continuation(problem, *span, **given)
-    for key, nothing in (unset | {"initial": None}).items():
-        if (value := given.pop(key, nothing)) not in (nothing, None):
-            raise InputError(key, value, "left out where a curve is resumed")
-    problem = same_problem(resume, structure, omega, contact)
-    return Continuation(problem, *span, initial=resume, **given)
+        initial = given.pop("initial", None)
+    else:
+        for key, nothing in (unset | {"initial": None}).items():
+            if (value := given.pop(key, nothing)) not in (nothing, None):
+                raise InputError(key, value, "left out where a curve is resumed")
+        problem, initial = same_problem(resume, structure, omega, contact), resume
+    if exact:
+        given.pop("stability", None)
+        return _orbits(problem, span, initial, given)
+    return Continuation(problem, *span, initial=initial, **given)
 
 
-def _where(parameter: str, point: CurvePoint, count: int) -> str:
+def _orbits(
+    problem: Problem, span: tuple[str, float, float], initial: Any, options: dict[str, Any]
+) -> OrbitContinuation:
+    """A curve of exact orbits; a tolerance that is None is left to it."""
+    tolerance = options.pop("tolerance", None)
+    if tolerance is not None:
+        options["tolerance"] = tolerance
+    return OrbitContinuation(problem, *span, initial=initial, **options)
+
+
+def _where(parameter: str, point: CurvePoint | OrbitCurvePoint, count: int) -> str:
     """A point of a curve in words: load frequency or other parameter, and how many there are."""
     where = f"{point.value:.6g}"
     hertz = f"{point.omega / (2.0 * math.pi):.6g} Hz"
@@ -327,10 +374,10 @@ def _where(parameter: str, point: CurvePoint, count: int) -> str:
 
 
 def _run(
-    growing: Continuation,
+    growing: Growing,
     progress: bool,
     throw: bool,
-    again: Callable[[], Continuation | None] | None = None,
+    again: Callable[[Growing], Growing | None] | None = None,
 ) -> ResponseCurve:
     """Follow to the end, where the curve comes back to its start from another solution there; the
     curve, judged if that is asked for, but not after Ctrl-C."""
@@ -338,7 +385,7 @@ def _run(
         try:
             _follow(growing, progress)
             if again is not None and growing.returned:
-                other = again()
+                other = again(growing)
                 if other is None and not growing.complete:
                     growing.status += " (no other curve was met from its end on)"
                 growing = other or growing
@@ -357,7 +404,7 @@ def _run(
     return curve
 
 
-def _follow(growing: Continuation, progress: bool) -> None:
+def _follow(growing: Growing, progress: bool) -> None:
     """Follow to the end with a bar, or signs of life."""
     first = growing.followed
     if not progress or first.structure.whole.comm.rank != 0:
@@ -367,6 +414,7 @@ def _follow(growing: Continuation, progress: bool) -> None:
         return
     begin("")
     with tqdm(total=100, desc="curve", unit="%", bar_format=BAR) as bar:
-        for count, point in enumerate(growing, 1):
+        points: Iterable[CurvePoint | OrbitCurvePoint] = growing
+        for count, point in enumerate(points, 1):
             bar.set_postfix_str(_where(first.parameter, point, count), refresh=False)
             bar.update(max(0, int(100.0 * growing.progress()) - bar.n))

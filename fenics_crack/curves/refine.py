@@ -25,10 +25,12 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.curves.curve import SPREAD, CurvePoint, ResponseCurve, columns
+from fenics_crack.curves.curve import SPREAD, ResponseCurve
 from fenics_crack.curves.exact import judge_curve
 from fenics_crack.curves.family import Family
+from fenics_crack.curves.harmonic_curve import CurvePoint, HarmonicCurve, columns
 from fenics_crack.curves.orbit_branch import ALIKE, KINDS, OrbitBranch
+from fenics_crack.curves.orbit_curve import OrbitCurve, leading
 from fenics_crack.curves.orbit_nodes import Node
 from fenics_crack.curves.stability import orbits_near
 from fenics_crack.errors import (
@@ -41,7 +43,7 @@ from fenics_crack.errors import (
 )
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.orbit import PeriodicOrbit
+from fenics_crack.motion.orbit import PeriodicOrbit, find_orbit
 from fenics_crack.motion.shooting import FlowOrbits
 from fenics_crack.numerics.equations import CLOSE
 from fenics_crack.numerics.newton import (
@@ -102,6 +104,14 @@ def refine_curve(curve: ResponseCurve, between: int | None = None) -> ResponseCu
             raise InputError("between", between, f"at most {most}")
     if len(curve) < 4:
         raise InputError("curve", f"{len(curve)} points", "at least 4")
+    if isinstance(curve, OrbitCurve):
+        return _more_orbits(curve, between)
+    assert isinstance(curve, HarmonicCurve)
+    return _more_solutions(curve, between)
+
+
+def _more_solutions(curve: HarmonicCurve, between: int | None) -> HarmonicCurve:
+    """The same of harmonic balance."""
     whole = curve.equations(int(curve.harmonics[0]))
     parameters = np.array([whole.parameter(value) for value in curve.values])
     flat = curve.unknowns.reshape(len(curve), -1)
@@ -135,6 +145,46 @@ def refine_curve(curve: ResponseCurve, between: int | None = None) -> ResponseCu
     points.append(curve.point(len(curve) - 1))
     merged = replace(curve, **columns(points), multipliers=None, undecided=None)
     return merged if curve.multipliers is None else judge_curve(merged)
+
+
+def _more_orbits(curve: OrbitCurve, between: int | None) -> OrbitCurve:
+    """The same of exact orbits, at values of the parameter between those of the points."""
+    first = curve.orbit(0)
+    weights = first.flow.weights(first.omega / first.subharmonic)
+    size = float(np.linalg.norm(weights * curve.states, axis=1).max()) or 1.0
+    wide = float(np.ptp(curve.values)) or 1.0
+    place = np.column_stack([weights * curve.states / size, curve.values / wide])
+    distance = np.maximum(np.linalg.norm(np.diff(place, axis=0), axis=1), 1e-12)
+    along = np.concatenate([[0.0], np.cumsum(distance)])
+    added = np.full(len(distance), between or 0)
+    if between is None:
+        added = np.ceil(distance * SPREAD).astype(int) - 1
+    spline, found = CubicSpline(along, place), list[tuple[int, float, PeriodicOrbit]]()
+    for index, more in enumerate(added):
+        for at in along[index] + np.arange(1, more + 1) / (more + 1) * distance[index]:
+            guess = spline(at)
+            value, state = wide * float(guess[-1]), size * guess[:-1] / weights
+            omega = curve.problem_at(value).omega
+            orbit = find_orbit(curve.flow(value), omega, state, subharmonic=curve.subharmonic)
+            if orbit is not None:
+                off = np.linalg.norm(weights * (orbit.state - state)) / size
+                found += [(index + 1, value, orbit)] * bool(off <= distance[index])
+    places = [place for place, _, _ in found]
+    columns = {
+        "values": [value for _, value, _ in found],
+        "omega": [orbit.omega for _, _, orbit in found],
+        "iterations": [orbit.iterations for _, _, orbit in found],
+        "states": [orbit.state for _, _, orbit in found],
+        "multipliers": [leading(orbit.multipliers) for _, _, orbit in found],
+    }
+    return replace(
+        curve,
+        **{
+            name: np.insert(getattr(curve, name), places, np.array(column), axis=0)
+            for name, column in columns.items()
+            if found
+        },
+    )
 
 
 def _split(place: np.ndarray, family: Family) -> tuple[np.ndarray, float]:

@@ -15,11 +15,13 @@ from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.curves.backbone import Backbone
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.family import FAMILIES
+from fenics_crack.curves.harmonic_curve import HarmonicCurve
+from fenics_crack.curves.orbit_curve import OrbitCurve
 from fenics_crack.errors import InputError
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.files.store import Stored, check_shapes, read, write
 from fenics_crack.model.contact import ContactLaw, UnilateralConstraint, is_rigid, is_unilateral
-from fenics_crack.model.modal import is_small
+from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import NEGLIGIBLE, Modes
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
@@ -131,7 +133,7 @@ def type_of(stored: Stored) -> type[Result]:
         The file holds something else.
     """
     for kind in _FORMS:
-        if kind.KIND == stored.kind:
+        if kind.KIND == stored.kind and (kind is OrbitCurve) == ("states" in stored.parts):
             return kind
     allowed = f"a result written by save; this is a {stored.kind} (SweepResult.load reads sweeps)"
     raise InputError("path", str(stored.path), allowed)
@@ -306,31 +308,64 @@ def _check_gap(
 
 
 def _pack_curve(curve: ResponseCurve) -> Parts:
+    """What both kinds of curves have."""
     parts = _fields(curve, "bifurcations")
     parts["kinds"] = [b.kind for b in curve.bifurcations]
     parts["bifurcation_values"] = [b.value for b in curve.bifurcations]
-    parts["exact_values"] = [b.exact for b in curve.bifurcations]
-    for number, bifurcation in enumerate(curve.bifurcations):
-        parts[f"bifurcation_{number}"] = bifurcation.unknown
     return parts | _law_parts(curve.contact, curve.structure)
 
 
-def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseCurve:
+def _pack_harmonic_curve(curve: HarmonicCurve) -> Parts:
+    parts = _pack_curve(curve)
+    parts["exact_values"] = [b.exact for b in curve.bifurcations]
+    for number, bifurcation in enumerate(curve.bifurcations):
+        parts[f"bifurcation_{number}"] = bifurcation.unknown
+    return parts
+
+
+def _pack_orbit_curve(curve: OrbitCurve) -> Parts:
+    """Its states by displacements and velocities of the structure's dofs, whose signs are known."""
+    parts = _pack_curve(curve)
+    points = curve.at_bifurcations.part(slice(1, -1))
+    parts["states"] = _of_dofs(curve)
+    parts["bifurcation_states"] = _of_dofs(points)
+    parts["bifurcation_multipliers"] = points.multipliers
+    return parts | {"couplings": _couplings(curve.structure)}
+
+
+def _of_dofs(curve: OrbitCurve) -> np.ndarray:
+    """Displacements [m] and velocities [m/s] of the modes that move, by dof: (n, 2, n_dofs)."""
+    found = np.zeros((len(curve), 2, curve.structure.n_dofs))
+    for place, value in enumerate(curve.values):
+        shapes = all_modes(curve.problem_at(float(value)).structure).shapes
+        found[place] = curve.states[place].reshape(2, -1) @ shapes.T
+    return found
+
+
+def _taken_curve(parts: Parts, structure: Structure, contact: Law) -> tuple[Structure, Shapes]:
+    """The structure of a curve, reduced as it was, and shapes of what both kinds have; its law is
+    taken out of the datasets."""
     if not is_small(structure):
         structure = reduce_structure(structure, method="massless")
     _take_law(parts, contact, structure)
+    if parts["parameter"] not in FAMILIES or parts["subharmonic"] < 1:
+        raise ValueError("its parts do not fit")
+    along = [f.name for f in fields(HarmonicCurve) if "np.ndarray" in str(f.type)]
+    shapes: Shapes = dict.fromkeys(along, (parts["values"].size,))
+    special = "bifurcation_values", "exact_values", "bifurcation_multipliers"
+    return structure, shapes | dict.fromkeys(special, (len(parts["kinds"]),))
+
+
+def _unpack_harmonic_curve(parts: Parts, structure: Structure, contact: Law) -> HarmonicCurve:
+    structure, shapes = _taken_curve(parts, structure, contact)
     unknowns, harmonics, kinds = parts["unknowns"], parts["harmonics"], parts["kinds"]
     _check_pairs(structure, unknowns)
-    along = [f.name for f in fields(ResponseCurve) if "np.ndarray" in str(f.type)]
-    shapes: Shapes = dict.fromkeys(along, (len(unknowns),))
-    shapes["unknowns"] = len(unknowns), unknowns.shape[1] | 1, structure.n_pairs
-    shapes |= dict.fromkeys(("bifurcation_values", "exact_values"), (len(kinds),))
+    shapes["unknowns"] = parts["values"].size, unknowns.shape[1] | 1, structure.n_pairs
     for number in range(len(kinds)):
         name = f"bifurcation_{number}"
         shapes[name] = len(parts[name]) | 1, structure.n_pairs
     check_shapes(parts, shapes)
-    known_kind = parts["parameter"] in FAMILIES and parts["subharmonic"] >= 1
-    if not known_kind or not 0 <= harmonics.min() <= harmonics.max() <= unknowns.shape[1] // 2:
+    if not 0 <= harmonics.min() <= harmonics.max() <= unknowns.shape[1] // 2:
         raise ValueError("its parts do not fit")
     del parts["kinds"]
     values = parts.pop("bifurcation_values").tolist()
@@ -340,7 +375,7 @@ def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseC
     ]
     known: Parts = {"structure": structure, "contact": contact, "bifurcations": (), "samples": None}
     exact = parts.pop("exact_values", np.full(len(special), np.nan))
-    curve = ResponseCurve(**(known | parts))
+    curve = HarmonicCurve(**(known | parts))
     first = curve.solution(0)
     _check_gap(first.structure, first.displacement_coefficients, first.gap_coefficients, 1e-4)
     bifurcations = tuple(
@@ -348,6 +383,33 @@ def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseC
         for one, at in zip(special, exact, strict=True)
     )
     return replace(curve, bifurcations=bifurcations)
+
+
+def _unpack_orbit_curve(parts: Parts, structure: Structure, contact: Law) -> OrbitCurve:
+    structure, shapes = _taken_curve(parts, structure, contact)
+    signs = _signs(structure, parts.pop("couplings"))
+    shapes["states"] = parts["values"].size, 2, structure.n_dofs
+    shapes["bifurcation_states"] = len(parts["kinds"]), 2, structure.n_dofs
+    check_shapes(parts, shapes)
+    kinds, values = parts.pop("kinds"), parts.pop("bifurcation_values")
+    special = signs * parts.pop("bifurcation_states"), parts.pop("bifurcation_multipliers")
+    known: Parts = {"structure": structure, "contact": contact, "bifurcations": ()}
+    curve = OrbitCurve(**(known | parts))
+    curve = replace(curve, states=_modal(curve, curve.values, signs * curve.states))
+    if not curve.orbit(0).residual <= 1e-4:  # nan neither
+        raise InputError("structure", "another load, mesh or material", "that of the file")
+    points = zip(kinds, values.tolist(), _modal(curve, values, special[0]), special[1], strict=True)
+    found = [curve.bifurcation(kind, at, z, np.array([mu])) for kind, at, z, mu in points]
+    return replace(curve, bifurcations=tuple(found))
+
+
+def _modal(curve: OrbitCurve, values: np.ndarray, of_dofs: np.ndarray) -> np.ndarray:
+    """States (n, 2 n_modes) of displacements and velocities (n, 2, n_dofs)."""
+    found = []
+    for value, moved in zip(values.tolist(), of_dofs, strict=True):
+        inverse = all_modes(curve.problem_at(value).structure).inverse
+        found.append((moved @ inverse.T).ravel())
+    return np.array(found).reshape(len(found), -1)
 
 
 def _pack_backbone(backbone: Backbone) -> Parts:
@@ -462,13 +524,20 @@ def _check_types(kind: type[Result], parts: Parts) -> None:
 
 _SCALARS: dict[str, Any] = {"float": (float, int), "int": int, "bool": bool, "str": str}
 """Types of numbers and words by those of the fields."""
-_ARRAYS = {"multipliers": "bifuc", "harmonics": "iu", "undecided": "b", "jumps": "b"}
+_ARRAYS = {
+    "multipliers": "bifuc",
+    "bifurcation_multipliers": "bifuc",
+    "harmonics": "iu",
+    "undecided": "b",
+    "jumps": "b",
+}
 """Kinds of the types of arrays, where not every real one will do."""
 
 _FORMS: dict[type[Result], tuple[Pack, Unpack]] = {
     Modes: (_pack_modes, _unpack_modes),
     PeriodicSolution: (_pack_solution, _unpack_solution),
-    ResponseCurve: (_pack_curve, _unpack_curve),
+    HarmonicCurve: (_pack_harmonic_curve, _unpack_harmonic_curve),
+    OrbitCurve: (_pack_orbit_curve, _unpack_orbit_curve),
     Backbone: (_pack_backbone, _unpack_backbone),
     TimeHistory: (_pack_history, _unpack_history),
 }

@@ -606,7 +606,7 @@ def run_of(stored: Stored, comm: MPI.Comm = MPI.COMM_WORLD, *, judged: bool = Tr
     if scene is None:
         raise InputError("path", str(stored.path), f"a {kind.KIND} saved with its scene")
     on_root(comm, lambda: stored.check_files(scene))
-    if kind is ResponseCurve and scene.curve is not None:
+    if issubclass(kind, ResponseCurve) and scene.curve is not None:
         study = _prepare_curve(scene, comm)
     else:
         study = prepare(scene, comm, whole=kind is Modes, judged=judged)

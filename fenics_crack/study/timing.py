@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from fenics_crack.arrivals.harmonics import ORDERS, TipFit
 from fenics_crack.arrivals.passages import Follows, PassageFit, find_passages
 from fenics_crack.arrivals.simulate import run_up_points, tip_timing
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.curves.curve import ResponseCurve, columns
+from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.fem.lips import SAME
@@ -110,14 +109,7 @@ def _stable_part(curve: ResponseCurve) -> ResponseCurve:
     points, lost = run_up_points(curve)
     if lost is None or len(points) < SHORTEST:
         return curve
-    assert curve.multipliers is not None
-    return replace(
-        curve,
-        **columns([curve.point(place) for place in points.tolist()]),
-        bifurcations=(),
-        multipliers=curve.multipliers[points],
-        undecided=None if curve.undecided is None else curve.undecided[points],
-    )
+    return curve.part(points)
 
 
 def of_another_scene(scene: Scene, run: Run[Any]) -> str:

@@ -1,0 +1,209 @@
+"""Response curves of exact orbits: states at phase zero, and everything that follows from them.
+
+A point is the state z = (q, q') at phase zero of the load, in the modes of the structure as the
+parameter varies it; the motion over its period is followed anew wherever more is asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from fenics_crack.balance.harmonic_balance import solution_of_orbit
+from fenics_crack.balance.problem import Problem
+from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.curves.curve import PHASES, Bifurcation, ResponseCurve
+from fenics_crack.curves.family import FAMILIES
+from fenics_crack.motion.flow import ContactFlow, exact_flow
+from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit
+from fenics_crack.numerics.fourier import balanced
+
+HARMONICS = 40
+"""Of the period, that :meth:`ResponseCurve.coefficients_at` has of exact orbits. By 256 instants
+the one of order k is off by that of order 256 - k, of motions with kinks (k / 216)^2 of it."""
+
+
+def orbit_from(
+    flow: ContactFlow, omega: float, state: np.ndarray, subharmonic: int, iterations: int = 0
+) -> PeriodicOrbit:
+    """The orbit of a state at phase zero (2 n_modes,), which is followed over its period."""
+    motion = flow.advance(state, omega, 2.0 * np.pi * subharmonic / omega)
+    weights = flow.weights(omega / subharmonic)
+    size = float(np.linalg.norm(weights * state)) or 1.0
+    residual = float(np.linalg.norm(weights * (motion.state - state))) / size
+    return PeriodicOrbit(flow, omega, subharmonic, motion, state, residual, iterations + 1)
+
+
+def leading(multipliers: np.ndarray) -> complex:
+    """Of multipliers, largest modulus first, the one that a curve keeps."""
+    first = complex(multipliers[0])
+    return complex(first.real, abs(first.imag))
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class ExactBifurcation(Bifurcation):
+    """A special point of an :class:`OrbitCurve`: a bifurcation of exact orbits.
+
+    Attributes
+    ----------
+    kind, value, problem
+        As of any :class:`Bifurcation`.
+    state : (2 n_modes,)
+        Of the orbit there, at phase zero.
+    multipliers : (m,) complex
+        Its leading Floquet multipliers, largest modulus first.
+    tolerance : float
+        As of the curve.
+    """
+
+    state: np.ndarray
+    multipliers: np.ndarray
+    tolerance: float
+
+    @cached_property
+    def orbit(self) -> PeriodicOrbit:
+        """The orbit there."""
+        problem = self.problem
+        flow = exact_flow(problem.structure, problem.contact)
+        return orbit_from(flow, problem.omega, self.state, problem.subharmonic)
+
+    @cached_property
+    def solution(self) -> PeriodicSolution:
+        """Its Fourier series, with displacement and error report."""
+        return solution_of_orbit(self.problem, self.orbit, self.tolerance)
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class OrbitCurve(ResponseCurve):
+    """Exact orbits along a curve.
+
+    Attributes
+    ----------
+    structure, contact, parameter, values, omega, iterations, complete, status, subharmonic, branch
+        As of any :class:`ResponseCurve`.
+    states : (n, 2 n_modes)
+        Modal displacements and velocities at phase zero, in the modes of the structure as the
+        parameter varies it.
+    multipliers : (n,) complex
+        Floquet multiplier of largest modulus at each point, of a pair the one with positive
+        imaginary part.
+    bifurcations : tuple of ExactBifurcation
+        Special points, in order along the curve.
+    tolerance : float
+        Error to which :meth:`solution` keeps an orbit's Fourier coefficients.
+    """
+
+    states: np.ndarray
+    multipliers: np.ndarray
+    bifurcations: tuple[ExactBifurcation, ...]
+    tolerance: float
+
+    @property
+    def method(self) -> str:
+        """Exact orbits."""
+        return "exact orbits"
+
+    @property
+    def problem(self) -> Problem:
+        """What was solved at the first point; its harmonics are the fewest of a solution."""
+        omega, least = float(self.omega[0]), 5 * self.subharmonic
+        return Problem(self.structure, omega, self.contact, least, subharmonic=self.subharmonic)
+
+    def problem_at(self, value: float) -> Problem:
+        """What is solved where the parameter has a value."""
+        return FAMILIES[self.parameter].vary(self.problem, value)
+
+    def problem_of(self, index: int) -> Problem:
+        """What was solved at a point, of the structure as the parameter varies it."""
+        return self.problem_at(float(self.values[index]))
+
+    @cached_property
+    def _flow(self) -> ContactFlow:
+        return exact_flow(self.structure, self.contact)
+
+    def flow(self, value: float) -> ContactFlow:
+        """The exact flow where the parameter has a value."""
+        if self.parameter == "omega":
+            return self._flow
+        problem = self.problem_at(value)
+        return exact_flow(problem.structure, problem.contact)
+
+    def orbit(self, index: int) -> PeriodicOrbit:
+        """The orbit at a point."""
+        flow, omega = self.flow(float(self.values[index])), float(self.omega[index])
+        iterations = int(self.iterations[index])
+        return orbit_from(flow, omega, self.states[index], self.subharmonic, iterations)
+
+    def solution(self, index: int, *, search: bool = True) -> PeriodicSolution:
+        """Fourier series of the orbit at a point, as long as the tolerance asks for, with its error
+        report; nothing is searched for."""
+        return solution_of_orbit(self.problem_of(index), self.orbit(index), self.tolerance)
+
+    @property
+    def undecided(self) -> np.ndarray:
+        """Where the largest multiplier is on the unit circle to its accuracy: (n,) bool."""
+        return np.asarray(np.abs(np.abs(self.multipliers) - 1.0) <= KNOWN)
+
+    def reason(self, index: int) -> str:
+        """Why the stability is undecided at a point; "" where it is decided."""
+        return "its largest multiplier is 1 to its accuracy" if self.undecided[index] else ""
+
+    @cached_property
+    def gap_coefficients(self) -> np.ndarray:
+        """Closing of the pairs, by the exact integrals of the orbits, with 40 harmonics of their
+        period: (n, 81, n_pairs) [m]."""
+        orbits = (self.orbit(index) for index in range(len(self)))
+        return np.array([one.coefficients(HARMONICS).gap for one in orbits])
+
+    @cached_property
+    def at_bifurcations(self) -> OrbitCurve:
+        """The first point, the bifurcations and the last point, to be measured: a curve of their
+        own."""
+        met = self.bifurcations
+        between: dict[str, list[Any]] = {
+            "values": [one.value for one in met],
+            "omega": [one.omega for one in met],
+            "iterations": [0] * len(met),
+            "states": [one.state for one in met],
+            "multipliers": [leading(one.multipliers) for one in met],
+        }
+        ends = {name: getattr(self, name)[[0, -1]] for name in between}
+        points = {name: np.array([x[0], *between[name], x[1]]) for name, x in ends.items()}
+        return replace(self, **points, bifurcations=())
+
+    def bifurcation(
+        self, kind: str, value: float, state: np.ndarray, multipliers: np.ndarray
+    ) -> ExactBifurcation:
+        """A special point of this curve, where the parameter has a value."""
+        return ExactBifurcation(
+            kind=kind, value=value, problem=self.problem_at(value), state=state,
+            multipliers=multipliers, tolerance=self.tolerance,
+        )  # fmt: skip
+
+    def followed_by(self, other: OrbitCurve) -> OrbitCurve:
+        """The points and bifurcations of both, and how the other one ended."""
+        names = "values", "omega", "iterations", "states", "multipliers"
+        both = {name: [getattr(one, name) for one in (self, other)] for name in names}
+        points = {name: np.concatenate(columns) for name, columns in both.items()}
+        special = self.bifurcations + other.bifurcations
+        return replace(other, **points, bifurcations=special, structure=self.structure)
+
+    @property
+    def _rows(self) -> int:
+        return 2 * HARMONICS + 1
+
+    def seen_through(
+        self, rows: np.ndarray
+    ) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+        """As of any curve, by the exact motions at 256 instants."""
+        for index, state in enumerate(self.states):
+            value, omega = float(self.values[index]), float(self.omega[index])
+            base = omega / self.subharmonic
+            period, instants = 2.0 * np.pi / base, PHASES / base
+            samples = self.flow(value).advance(state, omega, period, instants=instants).samples
+            motion = samples.displacement @ rows.T
+            yield index, balanced(motion, HARMONICS), motion, samples.gap, samples.force
