@@ -7,10 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import oscillator
+from helpers import oscillator, two_masses
 
 import fenics_crack as fc
+from fenics_crack.curves import orbit_continuation
 from fenics_crack.curves.orbit_curve import leading
+from fenics_crack.curves.orbit_path import OrbitPath
+from fenics_crack.errors import INTERRUPTED
 
 LAW = fc.UnilateralPenalty(5.0)
 OMEGA = np.linspace(0.9, 1.0, 9)
@@ -124,3 +127,143 @@ def test_more_points(curve: fc.OrbitCurve) -> None:
     assert len(finer) == 25 and np.all(np.diff(finer.omega) > 0.0)
     assert all(finer.orbit(index).residual < 1e-8 for index in range(len(finer)))
     assert finer.omega[::3] == pytest.approx(curve.omega)
+
+
+# --- followed -------------------------------------------------------------------------------------
+
+STOP = fc.UnilateralPenalty(100.0)
+EXACT = {
+    "neimark_sacker": [0.6186068743],
+    "period_doubling": [0.7387830254, 0.7555861594],
+    "fold": [0.7556273526, 0.6534401345],
+}
+"""Two masses and a stop, as in test_exact_bifurcations.py."""
+
+
+@pytest.fixture(scope="module")
+def followed() -> fc.OrbitCurve:
+    """Through the resonance of two masses and a stop."""
+    curve = fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, exact=True)
+    assert isinstance(curve, fc.OrbitCurve)
+    return curve
+
+
+def test_followed_with_its_bifurcations(followed: fc.OrbitCurve) -> None:
+    """Each where orbits of single solutions have it, and nothing is undecided."""
+    assert followed.complete and followed.omega[[0, -1]] == pytest.approx([0.6, 0.9], rel=1e-12)
+    assert not followed.undecided.any()
+    for kind, expected in EXACT.items():
+        values = [one.exact for one in followed.bifurcations if one.kind == kind]
+        assert values == pytest.approx(expected, rel=1e-6)
+    doubling = followed.bifurcations[1]
+    assert np.abs(doubling.orbit.multipliers + 1.0).min() < 1e-6
+    alone = fc.floquet(followed.structure, followed.solution(20))
+    assert alone.verdict == followed.verdicts[20]
+
+
+def test_branch_of_twice_the_period(followed: fc.OrbitCurve) -> None:
+    """From one doubling to the other one, and resumed on the way."""
+    first, second = (one for one in followed.bifurcations if one.kind == "period_doubling")
+    branch = fc.follow_branch(followed, first)
+    assert branch.subharmonic == 2 and branch.branch and branch.complete
+    assert branch.values[-1] == pytest.approx(second.value, rel=1e-6)
+    assert np.all(branch.indicators().ratio_half_1[1:-1] > 0.0)
+    part = fc.follow_branch(followed, first, most_points=10, throw=False)
+    rest = fc.continue_frequency(followed.structure, 0.6, 0.9, STOP, resume=part)
+    assert rest.complete and rest.values[:11] == pytest.approx(part.values)
+    assert rest.values[-1] == pytest.approx(second.value, rel=1e-6)
+    with pytest.raises(fc.InputError, match=r"^bifurcation"):
+        fc.follow_branch(followed, next(b for b in followed.bifurcations if b.kind == "fold"))
+
+
+def test_stopped_saved_and_resumed(followed: fc.OrbitCurve, tmp_path: Path) -> None:
+    """A curve that has not reached its end goes on from a file, to the same end."""
+    structure = followed.structure
+    part = fc.continue_frequency(structure, 0.6, 0.9, STOP, exact=True, most_points=60, throw=False)
+    assert not part.complete and "not enough" in part.status
+    with pytest.raises(fc.ConvergenceError, match="after 61 points") as error:
+        fc.continue_frequency(structure, 0.6, 0.9, STOP, exact=True, most_points=60)
+    assert len(error.value.found) == 61
+    fc.save(part, tmp_path / "part.h5")
+    part = fc.load(tmp_path / "part.h5", structure, STOP)
+    rest = fc.continue_frequency(structure, 0.6, 0.9, STOP, resume=part)
+    assert rest.complete and rest.states[:61] == pytest.approx(part.states, rel=1e-9)
+    assert [one.kind for one in rest.bifurcations] == [one.kind for one in followed.bifurcations]
+    assert [one.value for one in rest.bifurcations] == pytest.approx(
+        [one.value for one in followed.bifurcations], rel=1e-6
+    )
+    with pytest.raises(fc.InputError, match="not complete"):
+        fc.continue_frequency(structure, 0.6, 0.9, STOP, resume=followed)
+    with pytest.raises(fc.InputError, match=r"^start"):
+        fc.continue_frequency(structure, 0.5, 0.9, STOP, resume=part)
+    with pytest.raises(fc.InputError, match="another problem"):
+        fc.continue_frequency(two_masses(0.2), 0.6, 0.9, STOP, resume=part)
+
+
+def test_ctrl_c_keeps_the_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those that were found until then."""
+    record, count = OrbitPath._record, 0
+
+    def interrupted(path: OrbitPath, points: object) -> object:
+        nonlocal count
+        count += 1
+        if count > 20:
+            raise KeyboardInterrupt
+        return record(path, points)
+
+    monkeypatch.setattr(OrbitPath, "_record", interrupted)
+    curve = fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, exact=True, progress=True)
+    assert curve.status == INTERRUPTED and len(curve) == 21 and not curve.complete
+
+
+@pytest.mark.parametrize(
+    ("parameter", "end"), [("load", 1.3), ("stiffness", 2.0), ("damping", 0.7), ("clearance", -0.1)]
+)
+def test_over_other_parameters(parameter: str, end: float) -> None:
+    """To the orbit that the end has by itself."""
+    start = 0.0 if parameter == "clearance" else 1.0
+    curve = fc.continue_parameter(two_masses(), 0.7, STOP, parameter, start, end, exact=True)
+    assert curve.complete and curve.values[-1] == pytest.approx(end, rel=1e-12)
+    orbit = curve.orbit(len(curve) - 1)
+    assert orbit.residual < 1e-9
+    problem = curve.problem_of(len(curve) - 1)
+    alone = fc.solve_harmonic_balance(
+        problem.structure,
+        0.7,
+        problem.contact,
+        harmonics=40,
+        initial=curve.solution(len(curve) - 1),
+    )
+    assert curve.amplitude()[-1] == pytest.approx(alone.amplitude(), rel=1e-3)
+
+
+def test_begins_elsewhere(monkeypatch: pytest.MonkeyPatch, followed: fc.OrbitCurve) -> None:
+    """Where no orbit is found at the start, by a curve from the end; or it says that there is
+    none."""
+    search = orbit_continuation.initial_orbit
+
+    def lost(problem: fc.Problem, initial: fc.PeriodicSolution | None = None) -> object:
+        return replace(search(problem, initial), orbit=None, reason="lost")
+
+    def lost_at_start(problem: fc.Problem, initial: fc.PeriodicSolution | None = None) -> object:
+        return (lost if problem.omega == 0.6 else search)(problem, initial)
+
+    monkeypatch.setattr(orbit_continuation, "initial_orbit", lost_at_start)
+    curve = fc.continue_frequency(followed.structure, 0.6, 0.9, STOP, exact=True)
+    assert curve.complete and curve.values[-1] == 0.9 and "not by the first" in curve.status
+    assert curve.states[0] == pytest.approx(followed.states[0], rel=1e-6)
+    monkeypatch.setattr(orbit_continuation, "initial_orbit", lost)
+    with pytest.raises(fc.ConvergenceError, match=r"no exact orbit at 0.6 rad/s: lost"):
+        fc.continue_frequency(followed.structure, 0.6, 0.9, STOP, exact=True)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"harmonics": 5}, {"samples": 100}, {"tolerance": 0.0}, {"longest_step": 2.0}]
+)
+def test_arguments_that_cannot_be_used(wrong: dict[str, float]) -> None:
+    """Each is named."""
+    with pytest.raises(fc.InputError, match=next(iter(wrong))):
+        fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, exact=True, **wrong)
+    with pytest.raises(fc.InputError, match=r"^contact"):
+        law = fc.SmoothedPenalty(100.0, 10.0)
+        fc.continue_frequency(two_masses(), 0.6, 0.9, law, exact=True)
