@@ -24,8 +24,8 @@ import numpy as np
 
 import fenics_crack as fc
 from fenics_crack.motion.flow import ContactFlow, flow_of
-from fenics_crack.motion.orbit import PeriodicOrbit
-from fenics_crack.motion.shooting import orbit_next_to, predicted, wave_states
+from fenics_crack.motion.orbit import PeriodicOrbit, predicted
+from fenics_crack.motion.shooting import orbit_next_to, wave_states
 from fenics_crack.numerics.fourier import evaluate
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "motion"))
@@ -73,18 +73,21 @@ def orbits(arguments: common.Arguments) -> None:
     print(f"worst gap {np.nanmax(table[:, 10]):.1e}, multiplier {np.nanmax(table[:, 11]):.1e}")
 
 
-def plate(random: np.random.Generator) -> tuple[fc.Structure, float, float]:
-    """Its reduced structure, a frequency [rad/s], and its damping."""
+def plate(
+    random: np.random.Generator, lips: tuple[int, int] = (5, 14), modes: tuple[int, int] = (12, 40)
+) -> tuple[fc.ReducedStructure, float, float]:
+    """Its reduced structure, a frequency [rad/s], and its damping; from ranges of the elements
+    along a lip and of the modes, ends excluded."""
     ratio = float(np.exp(random.uniform(np.log(5e-4), np.log(1e-2))))
     scene = fc.Scene.load(NEW).replace(
         {
             "crack.length": float(random.uniform(0.015, 0.06)),
-            "mesh.lip_elements": int(random.integers(5, 14)),
+            "mesh.lip_elements": int(random.integers(*lips)),
             "damping.ratio": ratio,
         }
     )
-    modes = int(random.integers(12, 40))
-    structure = fc.reduce_structure(fc.build_structure(scene), modes=modes, method="massless")
+    count = int(random.integers(*modes))
+    structure = fc.reduce_structure(fc.build_structure(scene), modes=count, method="massless")
     near = float(random.uniform(0.95, 1.1))
     factor = random.choice([near, near / 2, near / 3, random.uniform(0.2, 3.0)])
     return structure, float(factor * structure.omega[0]), ratio

@@ -4,30 +4,33 @@
 #include <string.h>
 
 #include "lapack.h"
+#include "pivots.h"
+#include "series.h"
+#include "sets.h"
 
 struct closed_sets {
     int modes, pairs;
-    const double *rows;
-    sets *contact;
+    const double *rows, *d;
     long most, kept;
-    double *matrix; /* (p, p + m) */
-    int next;       /* bucket that is emptied */
+    double *room; /* (p, p + m), or (p, p) and three times (TERMS, p) */
+    int next;     /* bucket that is emptied */
     closed_set *bucket[BUCKETS];
 };
 
 static size_t bytes(long count) { return (size_t)count * sizeof(double); }
 
-closed_sets *new_closed_sets(int modes, int pairs, const double *rows, sets *contact, long most)
+closed_sets *new_closed_sets(int modes, int pairs, const double *rows, const double *d, long most)
 {
+    const long rest = modes > 3 * TERMS ? modes : 3 * TERMS;
     closed_sets *s = calloc(1, sizeof(closed_sets));
     if (!s) return NULL;
     s->modes = modes;
     s->pairs = pairs;
     s->rows = rows;
-    s->contact = contact;
+    s->d = d;
     s->most = most;
-    s->matrix = malloc(bytes((long)pairs * (pairs + modes) + 1));
-    if (s->matrix) return s;
+    s->room = malloc(bytes(pairs * (pairs + rest) + 1));
+    if (s->room) return s;
     free(s);
     return NULL;
 }
@@ -35,10 +38,10 @@ closed_sets *new_closed_sets(int modes, int pairs, const double *rows, sets *con
 /* Whether products with P_A S P_A^T are shorter than with its factors. */
 static int has_many(const closed_sets *s, int size) { return 2 * size > s->modes; }
 
-static long numbers_of(const closed_sets *s, int size)
+static long numbers_of(const closed_sets *s, long size)
 {
-    const long m = s->modes, p = s->pairs;
-    return p * p + 2 * m * size + p + (has_many(s, size) ? m * m : 0);
+    const long m = s->modes;
+    return size * size + 2 * m * size + s->pairs + (has_many(s, (int)size) ? m * m : 0);
 }
 
 /* Forgets sets, bucket by bucket, until so many numbers are kept: of a motion that passes more sets
@@ -50,7 +53,7 @@ static void forget(closed_sets *s, long left)
         for (; first; first = next) {
             next = first->next;
             s->kept -= numbers_of(s, first->size);
-            free(first->answer);
+            free(first->inverse);
             free(first);
         }
         s->bucket[s->next] = NULL;
@@ -61,54 +64,74 @@ static void forget(closed_sets *s, long left)
 void free_closed_sets(closed_sets *s)
 {
     forget(s, -1);
-    free(s->matrix);
+    free(s->room);
     free(s);
 }
 
-/* What a new set is known by: 0, or 1 where D_AA is singular. */
+/* What a set is known by, whatever has been asked for before: 0, or 1 where D_AA is singular. */
 static int fill(closed_sets *s, closed_set *a)
 {
     const int m = s->modes, p = s->pairs, size = a->size;
-    double *inverse = s->matrix, *closed = inverse + (long)size * size;
-    if (answer_anew(s->contact, a->closed, a->answer)) return 1;
-    for (int i = 0, row = 0; i < p; i++) {
-        a->scale[i] = a->closed[i] ? a->answer[(long)i * p + i] : 1.0;
-        if (!a->closed[i]) continue;
-        for (int j = 0, column = 0; j < p; j++)
-            if (a->closed[j]) inverse[row * size + column++] = a->answer[(long)i * p + j];
-        memcpy(closed + (long)row * m, s->rows + (long)i * m, bytes(m));
-        for (int j = 0; j < m; j++) a->pairs[(long)j * size + row] = closed[(long)row * m + j];
-        row++;
+    double *closed = s->room;
+    for (int i = 0, in = 0, out = size; i < p; i++) a->members[a->closed[i] ? in++ : out++] = i;
+    for (int i = 0; i < size; i++) {
+        const double *d = s->d + (long)a->members[i] * p;
+        for (int j = 0; j < size; j++) a->inverse[(long)i * size + j] = d[a->members[j]];
     }
-    multiply_matrices(size, size, m, inverse, closed, 0.0, a->pushed);
+    if (invert_positive(size, a->inverse)) return 1;
+    for (int i = 0; i < p; i++) a->scale[i] = 1.0;
+    for (int i = 0; i < size; i++) {
+        a->scale[a->members[i]] = a->inverse[(long)i * (size + 1)];
+        memcpy(closed + (long)i * m, s->rows + (long)a->members[i] * m, bytes(m));
+        for (int j = 0; j < m; j++) a->pairs[(long)j * size + i] = closed[(long)i * m + j];
+    }
+    multiply_matrices(size, size, m, a->inverse, closed, 0.0, a->pushed);
     if (a->stiffness) multiply_matrices(m, size, m, a->pairs, a->pushed, 0.0, a->stiffness);
-    for (int i = 0; i < p; i++)
-        for (int j = 0; j < i; j++) {
-            double *one = a->answer + (long)i * p + j, *other = a->answer + (long)j * p + i;
-            const double held = *one;
-            *one = *other;
-            *other = held;
-        }
     return 0;
+}
+
+void answer_gaps(closed_sets *s, const closed_set *a, int count, const double *gaps, double *answers)
+{
+    const int p = s->pairs, size = a->size, others = p - size;
+    const int *in = a->members, *out = in + size;
+    double *across = s->room, *closed = across + (long)p * p;
+    double *forces = closed + (long)count * p, *openings = forces + (long)count * size;
+    for (int i = 0; i < size; i++) {
+        const double *d = s->d + (long)in[i] * p;
+        for (int j = 0; j < others; j++) across[(long)i * others + j] = d[out[j]];
+    }
+    for (int t = 0; t < count; t++) {
+        const double *row = gaps + (long)t * p;
+        for (int i = 0; i < size; i++) closed[(long)t * size + i] = row[in[i]];
+        for (int j = 0; j < others; j++) openings[(long)t * others + j] = row[out[j]];
+    }
+    multiply_matrices(count, size, size, closed, a->inverse, 0.0, forces);
+    multiply_matrices(count, size, others, forces, across, -1.0, openings);
+    for (int t = 0; t < count; t++) {
+        double *row = answers + (long)t * p;
+        for (int i = 0; i < size; i++) row[in[i]] = forces[(long)t * size + i];
+        for (int j = 0; j < others; j++) row[out[j]] = openings[(long)t * others + j];
+    }
 }
 
 /* NULL without memory. */
 static closed_set *room_for(const closed_sets *s, int size, const signed char *closed)
 {
     const long m = s->modes, p = s->pairs;
-    closed_set *made = calloc(1, sizeof(closed_set) + (size_t)p);
+    closed_set *made = calloc(1, sizeof(closed_set) + (size_t)p * (sizeof(int) + 1));
     if (!made) return NULL;
-    made->answer = malloc(bytes(numbers_of(s, size) + 1));
-    if (!made->answer) {
+    made->inverse = malloc(bytes(numbers_of(s, size) + 1));
+    if (!made->inverse) {
         free(made);
         return NULL;
     }
     made->size = size;
-    made->pairs = made->answer + p * p;
+    made->pairs = made->inverse + (long)size * size;
     made->pushed = made->pairs + m * size;
     made->scale = made->pushed + m * size;
     made->stiffness = has_many(s, size) ? made->scale + p : NULL;
-    made->closed = (signed char *)(made + 1);
+    made->members = (int *)(made + 1);
+    made->closed = (signed char *)(made->members + p);
     memcpy(made->closed, closed, (size_t)p);
     return made;
 }
@@ -126,7 +149,7 @@ const closed_set *closed_set_of(closed_sets *s, const signed char *closed)
     closed_set *made = room_for(s, size, closed);
     if (!made) return NULL;
     if (fill(s, made)) {
-        free(made->answer);
+        free(made->inverse);
         free(made);
         return NULL;
     }
@@ -134,4 +157,23 @@ const closed_set *closed_set_of(closed_sets *s, const signed char *closed)
     *bucket = made;
     s->kept += needed;
     return made;
+}
+
+const closed_set *set_at(closed_sets *s, const double *gap, signed char *closed, double *answers)
+{
+    const int p = s->pairs;
+    for (long turn = 0; turn < TOGETHER + 20L * p; turn++) {
+        const closed_set *a = closed_set_of(s, closed);
+        if (!a) return NULL;
+        answer_gaps(s, a, 1, gap, answers);
+        int wrong = 0;
+        for (int i = 0; i < p; i++) {
+            /* Without force a pair is open. */
+            if (closed[i] ? answers[i] > 0.0 : answers[i] >= 0.0) continue;
+            if (!wrong || turn < TOGETHER) closed[i] = !closed[i];
+            wrong = 1;
+        }
+        if (!wrong) return a;
+    }
+    return NULL;
 }

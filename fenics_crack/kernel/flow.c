@@ -10,18 +10,19 @@
 #include "rounding.h"
 #include "series.h"
 
-/* Rows of a load: its mean, cosine and sine. ANSWERS: of complementarity problems that are kept. */
-enum { LOAD = 3, ANSWERS = 64 };
+/* Rows of a load: its mean, cosine and sine. */
+enum { LOAD = 3 };
 
-/* Length of a step of the search for events, times the largest frequency. */
-static const double GRID = 0.5;
+/* GRID: steps of the search for events while what is fastest turns by 1; STEPS: so many in a piece at
+ * most; LEAST: and as many as show how answers bend. */
+enum { GRID = 2, STEPS = GRID * FLOW_REACH, LEAST = 3 };
+_Static_assert((int)STEPS < (int)TIMES, "values at the ends of all steps are found together");
 /* When pairs that should have changed with the one before do so, as a part of a piece. */
 static const double BEHIND = 1e-12;
 
 struct flow {
     flow_parts of;
     int order; /* of the series of a piece */
-    sets *contact;
     closed_sets *known;
     exponentials *exponential;
     double *room;
@@ -29,7 +30,7 @@ struct flow {
     double *weights;                 /* (TERMS, LOAD) of the load's rows */
     double *series, *gaps, *answers; /* (TERMS, m), (TERMS, p), (TERMS, p) of q, s, i */
     double *allowed;                 /* (p) what of a negative answer is rounding */
-    double *value, *slope;           /* (BLOCK + 1, p) at steps' ends */
+    double *value, *falling;         /* (STEPS + 1, p) answers at steps' ends; (p) */
     double *near, *force;            /* (p) s of a state, its forces */
     double *seen, *drag;             /* (p), (m) */
     double *turned;                  /* (LOAD, m + p) derivative of the load */
@@ -139,7 +140,7 @@ static void answer(flow *f, const closed_set *a, const double *gap)
     const int m = f->of.modes, p = f->of.pairs, terms = f->order + 1;
     multiply_matrices(terms, LOAD, p, f->weights, gap, 0.0, f->gaps);
     multiply_matrices(terms, m, p, f->series, f->columns, 1.0, f->gaps);
-    multiply_matrices(terms, p, p, f->gaps, a->answer, 0.0, f->answers);
+    answer_gaps(f->known, a, terms, f->gaps, f->answers);
 }
 
 static void round_off(flow *f, const closed_set *a, double length)
@@ -157,24 +158,25 @@ static void state_at(const flow *f, double length, double time, double *state)
 
 /* --- events ----------------------------------------------------------------------------------- */
 
-/* When an answer becomes negative in a step of the search, from its values and slopes at the ends;
- * NAN: it does not, or not before another one. Where several change at one instant, as in mirror images, each of the others is
- * found to fall from zero in a next piece: one is changed after the other, the first of them first,
- * which ends (Murty, Opsearch 11 (1974) 90). */
-static double falls(const flow *f, int pair, double low, double high, double before,
-                    const double *value, const double *slope)
+/* When an answer becomes negative in a step of the search, from its values at the ends; NAN: it does
+ * not, or not before another one. Where several change at one instant, as in mirror images, each of
+ * the others is found to fall from zero in a next piece: one is changed after the other, the first of
+ * them first, which ends (Murty, Opsearch 11 (1974) 90). */
+static double falls(const flow *f, int pair, double low, double high, double before, double first,
+                    double last)
 {
     const int p = f->of.pairs;
-    double other, bottom;
-    if (value[p] >= -f->allowed[pair]) {
+    double other, bottom, fall, rise;
+    if (last >= -f->allowed[pair]) {
         /* Both ends positive, but a minimum between them may not be. */
-        if (!(slope[0] < 0.0 && slope[p] > 0.0 && value[0] + (high - low) * slope[0] < 0.0))
-            return NAN;
+        column_at(p, f->order, f->answers, pair, 0, low, &fall);
+        column_at(p, f->order, f->answers, pair, 0, high, &rise);
+        if (!(fall < 0.0 && rise > 0.0 && first + (high - low) * fall < 0.0)) return NAN;
         high = column_zero(p, f->order, f->answers, pair, 1, low, high);
         bottom = column_at(p, f->order, f->answers, pair, 0, high, &other);
         if (bottom >= -f->allowed[pair]) return NAN;
     }
-    if (value[0] <= f->allowed[pair]) {
+    if (first <= f->allowed[pair]) {
         low = fmax(low, BEHIND);
         if (low >= high || column_at(p, f->order, f->answers, pair, 0, low, &other) <= 0.0) return low;
     }
@@ -185,48 +187,66 @@ static double falls(const flow *f, int pair, double low, double high, double bef
     return column_zero(p, f->order, f->answers, pair, 0, low, high);
 }
 
+/* How many of the answers (p) may be negative in a step, from their values at its ends and at four
+ * instants in a row about it: where they are at an end, or where twice the bend between these is
+ * more than what is left at both ends. */
+WIDE static int may_fall(int p, const double *restrict low, const double *restrict high,
+                         const double *restrict around, double *restrict found)
+{
+    const double *one = around + p, *two = one + p, *last = two + p;
+    double count = 0.0;
+    for (int i = 0; i < p; i++) {
+        const double bend = fabs(around[i] - 2.0 * one[i] + two[i]);
+        const double other = fabs(one[i] - 2.0 * two[i] + last[i]);
+        const double left = low[i] < high[i] ? low[i] : high[i];
+        const double most = 0.25 * (bend > other ? bend : other);
+        found[i] = high[i] < 0.0 || left < most ? 1.0 : 0.0;
+        count += found[i];
+    }
+    return count > 0.0;
+}
+
 /* The first pair that changes its state, and when; -1: none before `end`. */
 static int next_event(flow *f, double step, double end, double *when)
 {
-    const int p = f->of.pairs, many = p < BLOCK ? BLOCK : 1; /* steps at once */
-    double *value = f->value, *slope = f->slope, at[BLOCK + 1] = {0.0};
-    memcpy(value, f->answers, bytes(p));
-    memcpy(slope, f->answers + p, bytes(p));
-    for (int first = 0; p && first * step < end; first += many) {
-        for (int k = 0; k < many; k++) at[k + 1] = fmin((first + k + 1) * step, end);
-        if (many > 1) series_at_times(p, f->order, f->answers, at + 1, value + p, slope + p);
-        else series_at(p, f->order, f->answers, at[1], value + p, slope + p);
-        for (int k = 0; k < many && at[k] < end; k++) {
-            int found = -1;
-            for (int i = k * p; i < (k + 1) * p; i++) {
-                if (value[p + i] >= 0.0 && !(slope[i] < 0.0 && slope[p + i] > 0.0)) continue;
-                const double before = found >= 0 ? *when : INFINITY;
-                const double root =
-                    falls(f, i - k * p, at[k], at[k + 1], before, value + i, slope + i);
-                if (isnan(root) || (found >= 0 && root >= *when)) continue;
-                found = i - k * p;
-                *when = root;
-            }
-            if (found >= 0) return found;
+    const int p = f->of.pairs;
+    const int steps = (int)fmin(fmax(ceil(end / step), LEAST), STEPS);
+    double at[TIMES];
+    for (int k = 0; k <= steps; k++) at[k] = k < steps ? k * end / steps : end;
+    values_at(p, f->order, f->answers, steps + 1, at, f->value);
+    for (int k = 0; k < steps && p; k++) {
+        const double *low = f->value + (long)k * p, *high = low + p;
+        const int around = k == 0 ? 0 : k + 3 <= steps ? k - 1 : steps - 3;
+        int found = -1;
+        if (!may_fall(p, low, high, f->value + (long)around * p, f->falling)) continue;
+        for (int i = 0; i < p; i++) {
+            if (f->falling[i] == 0.0) continue;
+            const double before = found >= 0 ? *when : INFINITY;
+            const double root = falls(f, i, at[k], at[k + 1], before, low[i], high[i]);
+            if (isnan(root) || (found >= 0 && root >= *when)) continue;
+            found = i;
+            *when = root;
         }
-        at[0] = at[many];
-        memcpy(value, value + many * p, bytes(p));
-        memcpy(slope, slope + many * p, bytes(p));
+        if (found >= 0) return found;
     }
     return -1;
 }
 
 /* --- motions ---------------------------------------------------------------------------------- */
 
-/* The set of closed pairs of a state, and their forces. */
-static int contact_at(flow *f, double omega, double time, const double *state, signed char *closed)
+/* The set of closed pairs of a state, from a guess or, with NULL, from its gaps; and their forces.
+ * Returns 1 where none answers it. */
+static int contact_at(flow *f, double omega, double time, const double *state, const signed char *guess)
 {
     const int m = f->of.modes, p = f->of.pairs;
     wave(f, omega, time, 0.0, 0);
     multiply(p, m, f->of.rows, state, f->near);
     add_rows(LOAD, p, f->of.gap, f->weights, f->near);
-    for (int i = 0; i < p; i++) closed[i] = f->near[i] > 0.0;
-    return forces_at(f->contact, f->near, 0.0, NULL, closed, f->force);
+    for (int i = 0; i < p; i++) f->closed[i] = guess ? guess[i] : f->near[i] > 0.0;
+    if (!set_at(f->known, f->near, f->closed, f->force)) return 1;
+    for (int i = 0; i < p; i++)
+        if (!f->closed[i]) f->force[i] = 0.0;
+    return 0;
 }
 
 /* The motion at the instants up to the end of a piece. */
@@ -262,13 +282,14 @@ static int finite_state(int count, const double *state)
     return sum == 0.0;
 }
 
-int flow_advance(flow *f, flow_motion *m)
+/* With the set of closed pairs at its beginning, or NULL where none is near. */
+static int advance(flow *f, flow_motion *m, const signed char *guess)
 {
     const int p = f->of.pairs;
     const double rate = fastest(f, m->omega), longest = FLOW_REACH / rate;
     double stayed = 0.0, allowed = longest;
     signed char *closed = f->closed;
-    if (contact_at(f, m->omega, m->now, m->state, closed)) return FLOW_LOST;
+    if (contact_at(f, m->omega, m->now, m->state, guess)) return FLOW_LOST;
     for (; m->now < m->end; m->pieces++) {
         const double length = fmin(allowed, m->end - m->now);
         const double left = (m->end - m->now) / length;
@@ -285,7 +306,7 @@ int flow_advance(flow *f, flow_motion *m)
         if (!(end > 0.0)) return FLOW_LOST;
         round_off(f, a, end);
         double when = end;
-        const int pair = next_event(f, GRID / (length * rate), end, &when);
+        const int pair = next_event(f, 1.0 / (GRID * length * rate), end, &when);
         const int last = pair < 0 && end == left;
         sample(f, m, closed, length, when, last);
         state_at(f, length, when, m->state);
@@ -297,12 +318,14 @@ int flow_advance(flow *f, flow_motion *m)
         if (pair < 0) continue;
         closed[pair] = !closed[pair];
         /* Those between which a crack closes are short, and a short series has few terms. */
-        allowed = fmin(longest, fmax(GRID / rate, 2.0 * stayed));
+        allowed = fmin(longest, fmax(1.0 / (GRID * rate), 2.0 * stayed));
         stayed = 0.0;
         m->events++;
     }
     return FLOW_DONE;
 }
+
+int flow_advance(flow *f, flow_motion *m) { return advance(f, m, NULL); }
 
 int flow_column(flow *f, const flow_track *track, const double *force, const double *gap,
                 int by_time, double *state)
@@ -404,7 +427,7 @@ int flow_rate(flow *f, double omega, double time, const double *state, double *r
 {
     const int m = f->of.modes;
     double *faster = rate + m;
-    if (contact_at(f, omega, time, state, f->closed)) return 1;
+    if (contact_at(f, omega, time, state, NULL)) return 1;
     memcpy(rate, state + m, bytes(m));
     multiply(m, f->of.pairs, f->columns, f->force, faster);
     damp(f, f->of.damping, rate, f->drag);
@@ -449,7 +472,7 @@ int flow_wave(flow *f, flow_motion *m, int nodes, double period, const double *s
     for (int i = 0; i < nodes; i++) {
         part.now = i * period / nodes, part.end = (i + 1) * period / nodes;
         part.state = moved + i * size;
-        const int outcome = flow_advance(f, &part);
+        const int outcome = advance(f, &part, i ? f->closed : NULL);
         m->passed += part.passed;
         m->events = part.events;
         if (outcome != FLOW_DONE) return outcome;
@@ -499,15 +522,14 @@ static double *copied(double **place, const double *from, long count)
 flow *new_flow(const flow_parts *given)
 {
     const long m = given->modes, p = given->pairs, damping = given->coupled ? m * m : m;
-    const long room = m + damping + 2 * p * m + TERMS * (LOAD + m + 2 * p) + 2 * (BLOCK + 1) * p
+    const long room = m + damping + p * p + 2 * p * m + TERMS * (LOAD + m + 2 * p) + (STEPS + 2) * p
                       + 4 * p + m + 2 * LOAD * (m + p) + (2 * TERMS + 2) * m;
     flow *f = calloc(1, sizeof(flow));
     if (!f) return NULL;
     f->of = *given;
     f->room = malloc(bytes(room + 1));
     f->closed = malloc((size_t)p + 1);
-    f->contact = new_sets((int)p, given->compliance, ANSWERS);
-    if (!f->room || !f->closed || !f->contact) {
+    if (!f->room || !f->closed) {
         free_flow(f);
         return NULL;
     }
@@ -515,6 +537,7 @@ flow *new_flow(const flow_parts *given)
     f->of.squares = copied(&place, given->squares, m);
     f->of.damping = copied(&place, given->damping, damping);
     f->of.rows = copied(&place, given->rows, p * m);
+    f->of.compliance = copied(&place, given->compliance, p * p);
     f->columns = taken(&place, m * p);
     for (long i = 0; i < p; i++)
         for (long j = 0; j < m; j++) f->columns[j * p + i] = given->rows[i * m + j];
@@ -522,8 +545,8 @@ flow *new_flow(const flow_parts *given)
     f->series = taken(&place, TERMS * m);
     f->gaps = taken(&place, TERMS * p);
     f->answers = taken(&place, TERMS * p);
-    f->value = taken(&place, (BLOCK + 1) * p);
-    f->slope = taken(&place, (BLOCK + 1) * p);
+    f->value = taken(&place, (STEPS + 1) * p);
+    f->falling = taken(&place, p);
     f->allowed = taken(&place, p);
     f->near = taken(&place, p);
     f->force = taken(&place, p);
@@ -533,7 +556,7 @@ flow *new_flow(const flow_parts *given)
     f->pulled = taken(&place, LOAD * (m + p));
     f->source = taken(&place, TERMS * m);
     f->motion = taken(&place, (TERMS + 2) * m);
-    f->known = new_closed_sets((int)m, (int)p, f->of.rows, f->contact, given->most);
+    f->known = new_closed_sets((int)m, (int)p, f->of.rows, f->of.compliance, given->most);
     if (f->known) return f;
     free_flow(f);
     return NULL;
@@ -543,7 +566,6 @@ void free_flow(flow *f)
 {
     if (f->known) free_closed_sets(f->known);
     if (f->exponential) free_exponentials(f->exponential);
-    if (f->contact) free_sets(f->contact);
     free(f->closed);
     free(f->room);
     free(f);

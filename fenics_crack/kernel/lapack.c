@@ -19,6 +19,8 @@ typedef void getrf_t(const int *, const int *, double *, const int *, int *, int
 typedef void getrs_t(const char *, const int *, const int *, const double *, const int *,
                      const int *, double *, const int *, int *);
 
+typedef void potrf_t(const char *, const int *, double *, const int *, int *);
+
 void bind_lapack(void **functions)
 {
     for (int i = 0; i < LAPACK_FUNCTIONS; i++) bound[i] = functions[i];
@@ -139,6 +141,17 @@ int factor(int n, double *a, int *pivots)
     /* LAPACK sees A^T, which is factored just as well. */
     ((getrf_t *)bound[DGETRF])(&n, &n, a, &n, pivots, &info);
     return info;
+}
+
+int invert_positive(int n, double *a)
+{
+    int info = 0;
+    if (!n) return 0;
+    ((potrf_t *)bound[DPOTRF])("L", &n, a, &n, &info);
+    if (!info) ((potrf_t *)bound[DPOTRI])("L", &n, a, &n, &info);
+    for (long i = 0; i < n; i++) /* in C's order the upper triangle is known */
+        for (long j = 0; j < i; j++) a[i * n + j] = a[j * n + i];
+    return info != 0;
 }
 
 void solve_factored(int n, const double *a, const int *pivots, double *x)

@@ -3,7 +3,7 @@
 #define LAPACK_H
 
 /* Names in the order in which bind_lapack takes their addresses. */
-enum { DGEMV, DGEMM, DGETRF, DGETRS, LAPACK_FUNCTIONS };
+enum { DGEMV, DGEMM, DGETRF, DGETRS, DPOTRF, DPOTRI, LAPACK_FUNCTIONS };
 
 void bind_lapack(void **functions);
 
@@ -21,7 +21,10 @@ void multiply_transposed(int rows, int inner, int columns, const double *a, cons
                          double *c);
 /* LU factors of a matrix (n, n) in C's order, in place: 0, or where its pivot vanishes. */
 int factor(int n, double *a, int *pivots);
-/* x = A^-1 x from these, for one right-hand side. */
+/* A^-1 of a symmetric matrix (n, n), in place: 0, or 1, with nothing of use, where it is not positive
+ * definite. */
+int invert_positive(int n, double *a);
+/* x = A^-1 x from LU factors, for one right-hand side. */
 void solve_factored(int n, const double *a, const int *pivots, double *x);
 /* Sign of det A from these. */
 double sign_of_factored(int n, const double *a, const int *pivots);

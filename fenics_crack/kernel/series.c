@@ -61,23 +61,35 @@ WIDE void series_at(int n, int order, const double *restrict terms, double time,
     }
 }
 
-WIDE void series_at_times(int n, int order, const double *restrict terms,
-                          const double *restrict times, double *restrict value,
-                          double *restrict slope)
+/* Of few functions, at all times at once. */
+WIDE static void values_of_few(int n, int order, const double *restrict terms, int count,
+                               const double *restrict times, double *restrict values)
 {
+    double at[TIMES] = {0.0};
+    memcpy(at, times, (size_t)count * sizeof(double));
     for (int i = 0; i < n; i++) {
         const double *row = terms + (long)order * n + i;
-        double v[BLOCK] = {0.0}, d[BLOCK] = {0.0};
+        double v[TIMES] = {0.0};
         for (int k = order; k >= 0; k--, row -= n)
-            for (int j = 0; j < BLOCK; j++) {
-                d[j] = d[j] * times[j] + v[j];
-                v[j] = v[j] * times[j] + *row;
-            }
-        for (int j = 0; j < BLOCK; j++) {
-            value[j * n + i] = v[j];
-            slope[j * n + i] = d[j];
-        }
+            for (int j = 0; j < TIMES; j++) v[j] = v[j] * at[j] + *row;
+        for (int j = 0; j < count; j++) values[(long)j * n + i] = v[j];
     }
+}
+
+void values_at(int n, int order, const double *terms, int count, const double *times,
+               double *values)
+{
+    double powers[TIMES * TERMS];
+    if (n < BLOCK) {
+        values_of_few(n, order, terms, count, times, values);
+        return;
+    }
+    for (int k = 0; k <= order; k++)
+        for (int j = 0; j < count; j++) {
+            double *own = powers + j * (order + 1) + k;
+            *own = k ? own[-1] * times[j] : 1.0;
+        }
+    multiply_matrices(count, order + 1, n, powers, terms, 0.0, values);
 }
 
 double column_at(int n, int order, const double *terms, int column, int slopes, double time,

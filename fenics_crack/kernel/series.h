@@ -9,17 +9,18 @@
 #define WIDE
 #endif
 
-/* ORDER: of the polynomials, at most. BLOCK: numbers that a processor works on together. */
-enum { ORDER = 38, TERMS = ORDER + 1, BLOCK = 8 };
+/* ORDER: of the polynomials, at most. BLOCK: numbers that a processor works on together.
+ * TIMES: at which values are found together, at most. */
+enum { ORDER = 38, TERMS = ORDER + 1, BLOCK = 8, TIMES = 3 * BLOCK };
 
 /* sum (n) += weights (count) times rows (count, n). */
 void add_rows(int count, int n, const double *rows, const double *weights, double *sum);
 
 /* Of polynomials of an order, values (n) and slopes (n) at a time. */
 void series_at(int n, int order, const double *terms, double time, double *value, double *slope);
-/* The same (BLOCK, n) at BLOCK times. */
-void series_at_times(int n, int order, const double *terms, const double *times, double *value,
-                     double *slope);
+/* Values (count, n) at so many times. */
+void values_at(int n, int order, const double *terms, int count, const double *times,
+               double *values);
 /* Value of one function, or with `slopes` of its slope, and the slope of that. */
 double column_at(int n, int order, const double *terms, int column, int slopes, double time,
                  double *slope);

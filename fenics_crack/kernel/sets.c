@@ -88,7 +88,9 @@ void free_sets(sets *s)
     free(s);
 }
 
-int answer_anew(sets *s, const signed char *closed, double *answer)
+/* The answer of a set by factors of D_AA, whatever has been asked for before: 0, or 1 where it is
+ * singular. */
+static int answer_anew(sets *s, const signed char *closed, double *answer)
 {
     const int n = s->n;
     int size = 0;

@@ -21,8 +21,6 @@ sets *new_sets(int n, const double *d, long most);
 void free_sets(sets *s);
 /* The answer of a set (n), valid until the next one is asked for; NULL where D_AA is singular. */
 const double *answer_of(sets *s, const signed char *closed);
-/* The same (n, n) by factors of D_AA, whatever has been asked for before: 0, or 1 where singular. */
-int answer_anew(sets *s, const signed char *closed, double *answer);
 /* Forces (n) and the set of gaps (n) from a guess of the set: pairs pulled are opened, those that
  * penetrate by more than `allowed` times the largest gap are closed, all at once (Hintermueller,
  * Ito and Kunisch, SIAM Journal on Optimization 13 (2002) 865); where that goes round, the first of

@@ -1,0 +1,167 @@
+"""What a solution's error and verdict cost, over its cold search by harmonic balance.
+
+plates20, plates50: plates drawn as in orbits.py with 8 to 62 rigid pairs and 20 or 50 modes, H =
+20. solid: the box that ``new --solid`` writes with about 300 patches on its crack, H = 10. million:
+the plate of growth.py with a million dofs and 280 pairs, penalty, H = 5: its first solution with
+its error [s] is the figure.
+
+Error and verdict are: one Newton step of the whole solution on the exact flow, the orbit that
+Newton's method leads to from its state, its multipliers where the monodromy matrix is formed, its
+distance, and one Newton step on the reference, which has twice the modes. The mesh's part of the
+error is left out. Processor times of one thread, each measured once, from a flow that knows nothing
+yet. Reported: the three parts and the whole over the search, and how often an error was stated.
+
+    OMP_NUM_THREADS=1 python benchmarks/error_cost.py [--quick] [--only PART] [folder]
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from functools import partial
+from importlib import resources
+
+import common
+import numpy as np
+from growth import MESHES, MILLION, MODES, PER_AREA
+from orbits import plate
+
+import fenics_crack as fc
+from fenics_crack.balance.judgement import Judgement, MoreModes
+from fenics_crack.balance.solution import Solver
+from fenics_crack.model.reduced import ReducedStructure
+from fenics_crack.motion.flow import flow_of
+from fenics_crack.motion.orbit import FORMED, find_orbit, predicted
+from fenics_crack.motion.shooting import wave_states
+
+SEED, PLATES, FEW = 66, 40, 6
+LIPS = 4, 32
+"""Elements along a lip: two pairs each."""
+PATCHES = {"mesh.lip_elements": 8, "mesh.error": False}
+"""Of the box that ``new --solid`` writes: 293 on its crack."""
+COLUMNS = (
+    "case", "pairs", "modes", "search ms", "step ms", "orbit ms", "reference ms", "step", "orbit",
+    "reference", "error", "predicted", "distance", "more modes", "|mu|",
+)  # fmt: skip
+
+
+def main() -> None:
+    """Run it."""
+    parts: dict[str, common.Part] = {
+        "plates20": partial(plates, 20), "plates50": partial(plates, 50), "solid": solid,
+        "million": million,
+    }  # fmt: skip
+    common.run(__doc__, parts, seed={"type": int, "default": SEED})
+
+
+@dataclass
+class Assessed:
+    """Error and verdict of a solution, nan where not found, and the time of each part [s]."""
+
+    step: float = np.nan
+    orbit: float = np.nan
+    reference: float = np.nan
+    predicted: float = np.nan
+    distance: float = np.nan
+    more_modes: float = np.nan
+    multiplier: float = np.nan
+
+
+def assessed(solution: fc.PeriodicSolution, structure: ReducedStructure) -> Assessed:
+    """Find error and verdict of a solution."""
+    contact, omega = solution.contact, solution.omega
+    assert contact is not None
+    found, clock = Assessed(), time.process_time()
+    flow = flow_of(structure, contact)
+    assert flow is not None
+    states = wave_states(flow, solution.displacement_coefficients, omega)
+    step = predicted(flow, omega, states)
+    found.step, clock = time.process_time() - clock, time.process_time()
+    found.orbit = found.reference = 0.0
+    if step is None:
+        return found
+    found.predicted = step.error
+    orbit = find_orbit(flow, omega, states[0], inverse=step.inverse)
+    if orbit is not None:
+        found.distance = Judgement(solution.judged.wave, orbit).distance
+        if flow.size <= FORMED:
+            found.multiplier = float(abs(orbit.multipliers[0]))
+    found.orbit, clock = time.process_time() - clock, time.process_time()
+    larger = flow_of(structure.reference, contact) if structure.reference is not None else None
+    if orbit is not None and larger is not None:
+        changes = MoreModes(Judgement(solution.judged.wave, orbit), larger).changes
+        found.more_modes = np.nan if changes is None else changes[0]
+    found.reference = time.process_time() - clock
+    return found
+
+
+def measured(
+    name: str, structure: ReducedStructure, omega: float, law: fc.ContactLaw, harmonics: int
+) -> common.Row:
+    """A row of the table."""
+    solver = Solver(fc.Problem(structure, omega, law, harmonics), throw=False)
+    clock = time.process_time()
+    solution = solver.solve(reported=False)
+    search = time.process_time() - clock
+    found = assessed(solution, structure)
+    parts = np.array([found.step, found.orbit, found.reference])
+    return (
+        name, structure.n_pairs, structure.n_modes, *(1e3 * np.array([search, *parts])),
+        *(parts / search), parts.sum() / search, found.predicted, found.distance,
+        found.more_modes, found.multiplier,
+    )  # fmt: skip
+
+
+def plates(modes: int, arguments: common.Arguments) -> None:
+    """All plates with so many modes."""
+    random, rows = np.random.default_rng(arguments.seed), []
+    law = fc.UnilateralConstraint()
+    for number in range(FEW if arguments.quick else PLATES):
+        structure, omega, _ = plate(random, LIPS, (modes, modes + 1))
+        if not number:  # what is compiled and imported at first use is no part of the times
+            measured("", structure, omega, law, 5)
+        rows.append(measured(str(number), structure, omega, law, 20))
+    report(arguments, f"plates with {modes} modes", f"plates{modes}", rows)
+
+
+def solid(arguments: common.Arguments) -> None:
+    """The box with many patches."""
+    text = resources.files("fenics_crack.cli").joinpath("new_solid.toml").read_text("utf-8")
+    scene = fc.Scene.from_text(text).replace({"sweep": None, "curve": None} | PATCHES)
+    study = fc.prepare(scene)
+    omega, law = study.scene.excitation.omega, study.contact
+    rows = [measured("solid", study.structure, omega, law, 10)]
+    report(arguments, "solid box", "solid", rows)
+
+
+def million(arguments: common.Arguments) -> None:
+    """The plate with a million dofs; a coarser one with ``--quick``."""
+    size, lips, grading = (0.002, 140, 4.0) if arguments.quick else MESHES[MILLION][0]
+    scene = fc.Scene.load(common.DEMOS / "breathing_plate.toml").replace(
+        {
+            "crack.length": 0.04284, "crack.first_omega": None, "damping.modes": MODES,
+            "mesh.size": size, "mesh.lip_elements": lips, "mesh.grading": grading,
+        }
+    )  # fmt: skip
+    whole = fc.build_structure(scene)
+    structure = fc.reduce_structure(whole, modes=MODES, method="massless")
+    assert whole.pair_areas is not None
+    law = fc.UnilateralPenalty(PER_AREA * whole.pair_areas)
+    row = measured("million", structure, 2000.0, law, 5)
+    report(arguments, f"plate with {whole.n_dofs} dofs", "million", [row])
+    print(f"first solution with its error {1e-3 * sum(row[3:7]):.1f} s")
+
+
+def report(arguments: common.Arguments, title: str, name: str, rows: list[common.Row]) -> None:
+    """The table, and what it comes to."""
+    common.save_table(arguments.folder / f"error_cost_{name}.csv", title, COLUMNS, rows)
+    table = np.array([row[3:] for row in rows], dtype=float)
+    for column, part in enumerate(COLUMNS[7:11], 4):
+        middle, most = np.percentile(table[:, column], [50, 90])
+        print(f"{part} / search: median {middle:.2f}, 90 % {most:.2f}")
+    stated = np.isfinite(table[:, 9:11]).all(axis=1)
+    print(f"an error stated for {stated.sum()} of {len(rows)}")
+
+
+if __name__ == "__main__":
+    main()
