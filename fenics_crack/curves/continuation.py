@@ -17,13 +17,7 @@ import numpy as np
 from fenics_crack.balance.harmonic_balance import check_initial
 from fenics_crack.balance.problem import ON_PATH, Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver, solution_of
-from fenics_crack.curves.beginnings import (
-    DoubledStart,
-    check_resumed,
-    directions,
-    first_of_branch,
-    odd_rows,
-)
+from fenics_crack.curves.beginnings import check_resumed, directions, first_of_branch, odd_rows
 from fenics_crack.curves.curve import parameter_axis
 from fenics_crack.curves.exact import FOLLOWED, judge_curve
 from fenics_crack.curves.family import FAMILIES, Family
@@ -63,7 +57,7 @@ from fenics_crack.numerics.path import (
 )
 from fenics_crack.table import counted, in_unit
 
-Beginning = PeriodicSolution | HarmonicCurve | HarmonicBifurcation | DoubledStart | None
+Beginning = PeriodicSolution | HarmonicCurve | HarmonicBifurcation | None
 """Where a curve of harmonic balance may begin."""
 LONGEST_STEP = 0.05
 """Longest step, unless another one is asked for."""
@@ -90,12 +84,11 @@ class Continuation:
         added to that of every pair [m]; "speed": of the rotor [rad/s], which ``omega`` follows.
     start, end : float
         Its values; the end may be below the start.
-    initial : PeriodicSolution, HarmonicCurve, HarmonicBifurcation or DoubledStart, optional
+    initial : PeriodicSolution, HarmonicCurve or HarmonicBifurcation, optional
         Where to start. A solution: near the first point. A curve that did not reach its end: from
         its last point; ``start`` is then its own, or for a branch ``start`` and ``end`` bound the
         parameter. A bifurcation: on the branch that begins there; ``start`` and ``end`` bound the
-        parameter on either side (:func:`follow_branch`). A start on a branch of twice the period:
-        likewise, with its ``problem``.
+        parameter on either side (:func:`follow_branch`).
     tolerance : float, optional
         Without ``samples``. Raise and lower H along the curve so that the estimated truncation
         error, looked at every fourth point, stays near or below this, between the problem's
@@ -172,12 +165,9 @@ class Continuation:
         if isinstance(initial, HarmonicCurve):
             self._family = family_of(problem.with_harmonics(int(initial.harmonics[-1])))
             self._take_over(initial)
-        elif isinstance(initial, HarmonicBifurcation | DoubledStart):
+        elif isinstance(initial, HarmonicBifurcation):
             self._family, self._branch = family_of(problem), True
-            if isinstance(initial, HarmonicBifurcation):
-                begun = first_of_branch(self._family, initial, longest_step)
-            else:
-                begun = initial.point
+            begun = first_of_branch(self._family, initial, longest_step)
             self._towards = begun.tangent
             unknown, place, iterations = begun.unknown, begun.parameter, begun.iterations
         else:

@@ -13,8 +13,8 @@ from tqdm import tqdm
 
 from fenics_crack.balance.problem import ON_PATH, Problem
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.curves.beginnings import next_to_doubled_orbits, same_problem
-from fenics_crack.curves.continuation import LONGEST_STEP, Continuation
+from fenics_crack.curves.beginnings import same_problem
+from fenics_crack.curves.continuation import Continuation
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.harmonic_curve import CurvePoint, HarmonicBifurcation, HarmonicCurve
 from fenics_crack.curves.orbit_continuation import OrbitContinuation
@@ -245,9 +245,7 @@ def follow_branch(
 
     The doubled branch has twice the period and twice as many harmonics. It is followed in one
     direction, until the parameter leaves the range or the branch joins the old one again; the
-    other direction of a doubled branch is the same orbits half a period later. Where the equations
-    have no doubled branch next to a confirmed period doubling, that of the exact orbits leads to a
-    first point farther on, with more harmonics where as many do not have it; the status says so.
+    other direction of a doubled branch is the same orbits half a period later.
 
     Parameters
     ----------
@@ -306,19 +304,7 @@ def follow_branch(
         given.pop("stability", None)
         return _run(_orbits(problem, span, bifurcation, given), progress, throw)
     assert isinstance(curve, HarmonicCurve) and isinstance(bifurcation, HarmonicBifurcation)
-    try:
-        growing = Continuation(problem, *span, **given, initial=bifurcation)
-    except ConvergenceError:
-        begun = next_to_doubled_orbits(
-            curve, bifurcation, problem, (start, end), options.get("longest_step", LONGEST_STEP)
-        )
-        if begun is None:
-            raise
-        growing = Continuation(begun.problem, *span, **given, initial=begun)
-        branch = _run(growing, progress, throw)
-        note = f", begun next to the exact orbit at {branch.omega[0]:.6g} rad/s"
-        return replace(branch, status=branch.status + note)
-    return _run(growing, progress, throw)
+    return _run(Continuation(problem, *span, **given, initial=bifurcation), progress, throw)
 
 
 def _continuation(

@@ -5,10 +5,9 @@ along the curve, whose error falls like the fourth power of the distance. From t
 in the plane across the curve (:mod:`fenics_crack.numerics.newton`) makes a few steps: most points
 need one or two. Those that are not solutions after a fixed number of steps are left out.
 
-Harmonic balance locates a bifurcation as well as its wave is resolved: with stiff contact and few
-harmonics, to some per cent. Here the branch of exact orbits is followed from there by
-pseudo-arc-length, in both directions by turns, until one of its segments has a bifurcation of this
-kind (:mod:`orbit_branch`).
+Harmonic balance locates a bifurcation as well as its solution is resolved: with stiff contact and
+few harmonics, to some per cent. Here the branch of exact orbits is followed from there
+(:mod:`orbit_path`), in both directions by turns, to a bifurcation of this kind.
 
 Source: Kuznetsov, Elements of Applied Bifurcation Theory, chapter 10; Seydel, Practical
 Bifurcation and Stability Analysis, chapters 4 and 7.
@@ -24,15 +23,15 @@ from typing import Protocol
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import SPREAD, ResponseCurve
 from fenics_crack.curves.exact import judge_curve
 from fenics_crack.curves.family import Family
 from fenics_crack.curves.harmonic_curve import CurvePoint, HarmonicCurve, columns
-from fenics_crack.curves.orbit_branch import ALIKE, KINDS, OrbitBranch
-from fenics_crack.curves.orbit_curve import OrbitCurve, leading
-from fenics_crack.curves.orbit_nodes import Node
-from fenics_crack.curves.stability import orbits_near
+from fenics_crack.curves.orbit_curve import OrbitCurve, leading, orbit_from
+from fenics_crack.curves.orbit_family import OrbitFamily
+from fenics_crack.curves.orbit_path import OrbitBifurcation, OrbitPath
 from fenics_crack.errors import (
     ConvergenceError,
     InputError,
@@ -43,8 +42,8 @@ from fenics_crack.errors import (
 )
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
+from fenics_crack.motion.flow import exact_flow
 from fenics_crack.motion.orbit import PeriodicOrbit, find_orbit
-from fenics_crack.motion.shooting import FlowOrbits
 from fenics_crack.numerics.equations import CLOSE
 from fenics_crack.numerics.newton import (
     FULL_STEPS,
@@ -55,7 +54,8 @@ from fenics_crack.numerics.newton import (
     solve_in_plane,
     tangent_of,
 )
-from fenics_crack.numerics.path import STRAIGHT, Path, PathOptions
+from fenics_crack.numerics.path import PathOptions
+from fenics_crack.time.march import initial_state
 
 
 def filled(curve: ResponseCurve) -> ResponseCurve:
@@ -204,6 +204,10 @@ def _for_a_picture(system: Family, norms: list[Tangent], parameter: np.ndarray) 
     return np.maximum(np.ceil(distance * SPREAD).astype(int) - 1, 0)
 
 
+KINDS = "fold", "period_doubling", "neimark_sacker"
+"""Of bifurcations that are located on exact orbits."""
+
+
 class _Special(Protocol):
     """What is asked of a bifurcation: as :class:`fenics_crack.curves.curve.Bifurcation`."""
 
@@ -267,58 +271,59 @@ def refine_bifurcation(
     if reach > 0.5:
         raise InputError("reach", reach, "at most 0.5")
     check_number("longest_step", longest_step, 0.0, above=True)
-    law = solution.contact if contact is None else contact
+    omega, law = solution.omega, solution.contact if contact is None else contact
     assert law is not None
-    orbits = orbits_near(structure or solution.structure, law, solution)
-    start = _orbit_next_to(orbits)
-    if start is None:
-        raise ConvergenceError(
-            f"refinement: no exact orbit near the solution at {solution.omega:g} rad/s"
-        )
-    far = reach + longest_step
-    options = PathOptions(
-        0.1 * longest_step, longest_step, rtol=CLOSE, min_cosine=STRAIGHT, at_once=1,
-        span=(1.0 - far, 1.0 + far),
-    )  # fmt: skip
-    ways = start.tangent, start.tangent.reversed()
-    sides = [_met(orbits, replace(start, tangent=way), options) for way in ways]
-    for node in chain.from_iterable(chain.from_iterable(zip_longest(*sides, fillvalue=()))):
-        assert node.crossing is not None
-        within = abs(node.parameter - 1.0) <= reach
-        if node.crossing.kind == kind and node.crossing.located and within:
-            found = PathPoint(node.unknown, node.parameter, start.iterations, node.tangent)
-            return node.parameter * solution.omega, orbits.orbit(found)
+    structure = structure or solution.structure
+    flow = exact_flow(structure, law)
+    problem = Problem(structure, omega, law, subharmonic=solution.subharmonic)
+    family = OrbitFamily(problem, "omega", (1.0 - reach) * omega, (1.0 + reach) * omega)
+    start = family.unknown(flow.state(*initial_state(structure, solution)), omega)
+    begun = _orbit_next_to(family, start, family.parameter(omega))
+    if begun is None:
+        raise ConvergenceError(f"refinement: no exact orbit near the solution at {omega:g} rad/s")
+    ways = begun.tangent, begun.tangent.reversed()
+    sides = [_met(family, replace(begun, tangent=way), longest_step) for way in ways]
+    for met in chain.from_iterable(zip_longest(*sides, fillvalue=())):
+        for one in met:
+            if one.kind == kind:
+                periods, count = solution.subharmonic, begun.iterations
+                return one.value, orbit_from(flow, one.value, one.state, periods, count)
     raise ConvergenceError(
         f"refinement: no {kind.replace('_', ' ')} of exact orbits within "
-        f"{100.0 * reach:g} % of {solution.omega:g} rad/s"
+        f"{100.0 * reach:g} % of {omega:g} rad/s"
     )
 
 
-def _orbit_next_to(orbits: FlowOrbits) -> PathPoint | None:
-    """The orbit next to a solution's motion, across the branch; None where it is another one's."""
+def _orbit_next_to(family: OrbitFamily, start: np.ndarray, parameter: float) -> PathPoint | None:
+    """The orbit next to a motion, across the curve, as beside a fold there may be none at its own
+    frequency; None where it is farther away than half its size."""
     try:
-        ahead = tangent_of(orbits, orbits.start, orbits.linearise(orbits.start, 1.0))
+        ahead = tangent_of(family, start, family.linearise(start, parameter))
         found = solve_in_plane(
-            orbits, orbits.start, 1.0, ahead,
-            tolerance=CLOSE, iterations=FULL_STEPS, reach=0.5, least_damping=LEAST_STEP,
+            family, start, parameter, ahead,
+            tolerance=CLOSE, iterations=FULL_STEPS, least_damping=LEAST_STEP,
         )  # fmt: skip
     except ConvergenceError:  # pairs chatter without end
         return None
-    if found is None or np.linalg.norm(found.unknown - orbits.start) > ALIKE:
+    if found is None or not np.linalg.norm(found.unknown - start) <= 0.5 * np.linalg.norm(start):
         return None
     assert found.at is not None
-    return replace(found, tangent=tangent_of(orbits, found.unknown, found.at))
+    return replace(found, tangent=tangent_of(family, found.unknown, found.at))
 
 
-def _met(orbits: FlowOrbits, start: PathPoint, options: PathOptions) -> Iterator[list[Node]]:
-    """The bifurcations of each segment of the branch, from an orbit along its tangent."""
-    path = Path(orbits, start, options)
+def _met(
+    family: OrbitFamily, begun: PathPoint, longest_step: float
+) -> Iterator[tuple[OrbitBifurcation, ...]]:
+    """Bifurcations between the points of the curve from an orbit along its tangent, until it leaves
+    the family's range."""
+    value = family.value(begun.parameter)
+    path = OrbitPath(
+        family, family.state(begun.unknown, value), longest_step=longest_step,
+        most_points=PathOptions.max_steps, turning_back=0.0, value=value, towards=begun.tangent,
+        branch=True,
+    )  # fmt: skip
     try:
-        for ends in pairwise(chain([start], path.points())):
-            parameters = np.array([one.parameter for one in ends])
-            unknowns = np.array([one.unknown for one in ends])
-            branch = OrbitBranch(orbits, parameters, unknowns.__getitem__, every=1)
-            branch.locate()
-            yield [one for one in branch.nodes if one.crossing is not None]
+        for point in path:
+            yield point.bifurcations
     except ConvergenceError:  # pairs chatter without end
         return
