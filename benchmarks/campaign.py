@@ -155,7 +155,7 @@ def _starts(
     periods, and the states of solutions with two and four times its harmonics."""
     state = flow.states_of(found, np.zeros(1))[0]
     yield lambda: state
-    if found.judged.flow is not None and (known := found.judged.orbit) is not None:
+    if found.assessment.flow is not None and (known := found.assessment.orbit) is not None:
         shape, rate = np.split(known.state, 2) @ known.flow.modes.shapes.T
         yield lambda: flow.state(shape, rate)
     for periods in (3, 10):
@@ -263,7 +263,7 @@ def judge(
         return row
     if estimate(found) > LARGE and verdict not in ("stable", "unstable"):
         row.judgement = TOO_LARGE
-        row.remark = "" if found.judged.flow is None else found.judged.reason
+        row.remark = "" if found.assessment.flow is None else found.assessment.reason
         return row
     orbit, row.true = exact_orbit(case, found)
     row.pred = float("nan") if orbit is None else _pred(case, found)

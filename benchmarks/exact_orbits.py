@@ -345,9 +345,7 @@ def population(quick: bool) -> Iterator[Row]:
 
 def is_orbit(found: fc.PeriodicSolution) -> bool:
     """Whether a solution is an exact orbit's, or one is its own."""
-    if BRANCHES:
-        return found.orbit is not None
-    return bool(found.judged.accepted)
+    return found.orbit is not None if hasattr(found, "orbit") else bool(found.judged.accepted)
 
 
 def of_population(now: list[Row], before: list[Row]) -> Iterator[tuple[str, bool | None]]:

@@ -103,7 +103,7 @@ def one(structure: fc.Structure, omega: float, harmonics: int, *, compared: bool
     states = wave_states(flow, solution.displacement_coefficients, omega)
     guess = predicted(flow, omega, states)
     first = time.process_time()
-    orbit = orbit_next_to(flow, omega, states[0])
+    orbit = find_orbit(flow, omega, states[0])
     second = time.process_time()
     error = np.nan if guess is None else guess.error
     spent = [1e3 * (first - start), 1e3 * (second - first)]

@@ -110,7 +110,7 @@ def case(kc: float, harmonics: int, span: tuple[float, float] = SPAN) -> tuple[o
 
 def exact_branch(curve: fc.ResponseCurve) -> Branch:
     """The branch of exact orbits that begins at a curve's first point, to its last frequency."""
-    first = curve.solution(0).judged.orbit
+    first = curve.solution(0).assessment.orbit
     assert first is not None
     orbits = FlowOrbits(first.flow, first.omega, first.state, first.subharmonic)
     start = point_on_path(orbits, orbits.start, 1.0)
