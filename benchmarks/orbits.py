@@ -24,8 +24,8 @@ import numpy as np
 
 import fenics_crack as fc
 from fenics_crack.motion.flow import ContactFlow, flow_of
-from fenics_crack.motion.orbit import PeriodicOrbit, predicted
-from fenics_crack.motion.shooting import orbit_next_to, wave_states
+from fenics_crack.motion.orbit import PeriodicOrbit, find_orbit, predicted
+from fenics_crack.motion.search import wave_states
 from fenics_crack.numerics.fourier import evaluate
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "motion"))
