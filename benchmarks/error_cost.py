@@ -27,12 +27,9 @@ from growth import MESHES, MILLION, MODES, PER_AREA
 from orbits import plate
 
 import fenics_crack as fc
-from fenics_crack.balance.judgement import Judgement, MoreModes
 from fenics_crack.balance.solution import Solver
 from fenics_crack.model.reduced import ReducedStructure
-from fenics_crack.motion.flow import flow_of
-from fenics_crack.motion.orbit import FORMED, find_orbit, predicted
-from fenics_crack.motion.shooting import wave_states
+from fenics_crack.motion.orbit import FORMED
 
 SEED, PLATES, FEW = 66, 40, 6
 LIPS = 4, 32
@@ -67,30 +64,22 @@ class Assessed:
     multiplier: float = np.nan
 
 
-def assessed(solution: fc.PeriodicSolution, structure: ReducedStructure) -> Assessed:
+def assessed(solution: fc.PeriodicSolution) -> Assessed:
     """Find error and verdict of a solution."""
-    contact, omega = solution.contact, solution.omega
-    assert contact is not None
-    found, clock = Assessed(), time.process_time()
-    flow = flow_of(structure, contact)
-    assert flow is not None
-    states = wave_states(flow, solution.displacement_coefficients, omega)
-    step = predicted(flow, omega, states)
+    known, found, clock = solution.assessment, Assessed(), time.process_time()
+    step = known.prediction
     found.step, clock = time.process_time() - clock, time.process_time()
     found.orbit = found.reference = 0.0
     if step is None:
         return found
     found.predicted = step.error
-    orbit = find_orbit(flow, omega, states[0], inverse=step.inverse)
-    if orbit is not None:
-        found.distance = Judgement(solution.judged.wave, orbit).distance
-        if flow.size <= FORMED:
-            found.multiplier = float(abs(orbit.multipliers[0]))
+    if known.orbit is not None:
+        found.distance = known.distance
+        if known.orbit.flow.size <= FORMED:
+            found.multiplier = float(abs(known.orbit.multipliers[0]))
     found.orbit, clock = time.process_time() - clock, time.process_time()
-    larger = flow_of(structure.reference, contact) if structure.reference is not None else None
-    if orbit is not None and larger is not None:
-        changes = MoreModes(Judgement(solution.judged.wave, orbit), larger).changes
-        found.more_modes = np.nan if changes is None else changes[0]
+    if known.orbit is not None and known.more_modes is not None:
+        found.more_modes = known.more_modes.changes[0]
     found.reference = time.process_time() - clock
     return found
 
@@ -103,7 +92,7 @@ def measured(
     clock = time.process_time()
     solution = solver.solve(reported=False)
     search = time.process_time() - clock
-    found = assessed(solution, structure)
+    found = assessed(solution)
     parts = np.array([found.step, found.orbit, found.reference])
     return (
         name, structure.n_pairs, structure.n_modes, *(1e3 * np.array([search, *parts])),
