@@ -46,8 +46,9 @@ from fenics_crack.numerics.path import (
     Target,
 )
 
-AT_ONCE = 2**21
-"""Numbers of monodromy matrices that are kept at a time."""
+AT_ONCE = 2**13
+"""Numbers of monodromy matrices that are found at a time: those behind a rejected step are lost,
+and of large ones few pay for the time between calls."""
 ASIDE = 0.1, 0.03, 0.3, 0.01, 1.0
 """How far from a period doubling its branch is entered, in longest steps, one tried after the
 other."""

@@ -450,7 +450,8 @@ class Path:
     ) -> None:  # fmt: skip
         self._system, self._options, self._events = system, options, events
         self._equations, self._control = equations_of(system, start.unknown.shape), control
-        self._longest, self._at_once = options.max_step, options.at_once
+        self._longest = options.max_step
+        self._at_once = options.at_once if control is None else min(FEW, options.at_once)
         self.last = start = self._observed(start)
         self.ended: Ended | None = None
         self.event: Event | None = None
@@ -569,7 +570,7 @@ class Path:
         if found.crossings[last + 1 :].sum() % 2:
             self._orientation = -self._orientation
         self._step = self._longest = 0.5 * float(found.lengths[last + 1])
-        self._at_once = FEW
+        self._at_once = min(FEW, self._options.at_once)
         return found[known - 1 : last + 1] if last >= known else None
 
     def _follow(self, left: int) -> Stretch | None:
