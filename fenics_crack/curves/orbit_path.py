@@ -186,14 +186,14 @@ class OrbitPath:
     def _path_on(self) -> Path:
         """The path behind the first point, to where the curve ends."""
         family = self.family
-        events: list[Event] = [Joined(family)] if self._branch and family.subharmonic > 1 else []
+        doubled = self._branch and family.subharmonic % 2 == 0
+        events: list[Event] = [Joined(family)] if doubled else []
         events += [Fold(), BranchPoint(), PeriodDoubling(), NeimarkSacker(), Target(1.0)]
         events += [Target(0.0)] if self._branch else []
         events.append(Closed(self._origin, family))
         options = PathOptions(
             initial_step=0.2 * self._longest,
             max_step=self._longest,
-            min_step=1e-10,
             max_steps=self._most,
             at_once=max(1, min(PathOptions.at_once, AT_ONCE // family.records)),
             span=(-self._back, np.inf),

@@ -1,0 +1,337 @@
+"""Curves of exact orbits, against closed forms and a flow that shares no code with them."""
+
+from __future__ import annotations
+
+import sys
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import OMEGA_0, ROOT, chain, oscillator, two_masses
+
+import fenics_crack as fc
+from fenics_crack.curves.orbit_events import FLOOR, MultiplierControl, changes, observe
+from fenics_crack.curves.orbit_family import OrbitFamily
+from fenics_crack.curves.orbit_path import (
+    OrbitBifurcation,
+    OrbitCurvePoint,
+    OrbitPath,
+    doubled_start,
+)
+from fenics_crack.motion.flow import exact_flow
+from fenics_crack.motion.orbit import PeriodicOrbit, find_orbit
+from fenics_crack.motion.shooting import wave_states
+from fenics_crack.numerics.newton import point_on_path
+from fenics_crack.numerics.path import Path, PathOptions, Target
+
+sys.path.insert(0, str(ROOT / "tests" / "motion"))
+from reference import ReferenceFlow
+
+LAW = fc.UnilateralPenalty(100.0)
+EXACT = {
+    "period_doubling": (0.7387830254, 0.7555861594),
+    "fold": (0.7556273526, 0.6534401345),
+    "neimark_sacker": (0.6186068743,),
+}
+"""Two masses and a stop, from 0.6 to 0.9 rad/s: where the equations of 21 to 121 harmonics lead
+to."""
+RANGES = {
+    "omega": (1.1, 1.6),
+    "load": (0.5, 2.0),
+    "stiffness": (0.3, 3.0),
+    "damping": (0.0, 2.0),
+    "clearance": (-0.2, 0.3),
+}
+
+
+def orbit_at(problem: fc.Problem) -> PeriodicOrbit:
+    """An orbit near the harmonic-balance solution of a problem."""
+    flow, law = exact_flow(problem.structure, problem.contact), problem.contact
+    for harmonics in (10, 40):
+        wave = fc.solve_harmonic_balance(
+            problem.structure, problem.omega, law, harmonics=harmonics, throw=False
+        )
+        state = wave_states(flow, wave.displacement_coefficients, wave.omega)[0]
+        orbit = find_orbit(flow, problem.omega, state)
+        if orbit is not None and orbit.residual < 1e-6:
+            return orbit
+    raise AssertionError("no orbit")
+
+
+def followed(family: OrbitFamily, longest_step: float = 0.05, **options: Any) -> OrbitPath:
+    """The curve of a family from its start on."""
+    start = orbit_at(family.at(family.start))
+    options = {"most_points": 3000, "turning_back": 0.1} | options
+    path = OrbitPath(family, start.state, longest_step=longest_step, **options)
+    path.run()
+    return path
+
+
+def special(points: list[OrbitCurvePoint]) -> list[OrbitBifurcation]:
+    """All bifurcations."""
+    return [one for point in points for one in point.bifurcations]
+
+
+@pytest.fixture(scope="module")
+def stop() -> OrbitPath:
+    """Two masses and a stop."""
+    return followed(OrbitFamily(fc.Problem(two_masses(), 0.6, LAW), "omega", 0.6, 0.9))
+
+
+# --- the equations --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("parameter", RANGES)
+@pytest.mark.parametrize("damping", ["modal", "matrix"])
+def test_derivatives(parameter: str, damping: str) -> None:
+    """dF/dx and dF/dp against central differences, through openings and closings."""
+    problem = fc.Problem(chain(damping), 1.3, fc.UnilateralPenalty(5.0))
+    family = OrbitFamily(problem, parameter, *RANGES[parameter])
+    unknown, place, step = np.random.default_rng(1).normal(size=family.shape), 0.37, 1e-5
+    at = family.linearise(unknown, place)
+    assert at.events > 2
+    assert at.residual == pytest.approx(family.moved(unknown, place) - unknown, abs=1e-11)
+
+    def difference(dx: np.ndarray, dp: float) -> np.ndarray:
+        above, below = (
+            family.linearise(unknown + side * step * dx, place + side * step * dp).residual
+            for side in (1.0, -1.0)
+        )
+        return (above - below) / (2.0 * step)
+
+    rate = difference(np.zeros_like(unknown), 1.0)
+    assert at.by_parameter == pytest.approx(rate, abs=1e-6 * np.abs(rate).max())
+    way = np.random.default_rng(2).normal(size=family.shape)
+    assert at.jacobian @ way == pytest.approx(difference(way, 0.0), abs=1e-6)
+
+
+@pytest.mark.parametrize("parameter", RANGES)
+def test_end_is_the_orbit_found_there(parameter: str) -> None:
+    """By the problem varied as a whole, and Newton's method on its own flow."""
+    problem = fc.Problem(chain(), 1.3, fc.UnilateralPenalty(5.0))
+    path = followed(OrbitFamily(problem, parameter, *RANGES[parameter]), 0.1)
+    assert path.complete and path.progress() == 1.0
+    last, there = path.points[-1], path.family.at(RANGES[parameter][1])
+    assert last.value == pytest.approx(RANGES[parameter][1]) and last.omega == there.omega
+    orbit = find_orbit(exact_flow(there.structure, there.contact), there.omega, 1.001 * last.state)
+    assert orbit is not None
+    assert last.state == pytest.approx(orbit.state, abs=1e-7 * np.abs(orbit.state).max())
+    assert np.abs(last.multipliers) == pytest.approx(np.abs(orbit.multipliers[:8]), abs=1e-7)
+
+
+def test_twice_the_load_and_clearance_is_twice_the_motion() -> None:
+    """A clearance that grows from c to 2 c is a load that falls from 1 to 1/2, times two."""
+    problem = fc.Problem(oscillator(clearance=0.5), 1.2, fc.UnilateralPenalty(1.0))
+    closer = followed(OrbitFamily(problem, "load", 1.0, 0.5)).points[-1]
+    wider = followed(OrbitFamily(problem, "clearance", 0.0, 0.5)).points[-1]
+    assert wider.state == pytest.approx(2.0 * closer.state, abs=1e-8)
+    assert wider.multipliers == pytest.approx(closer.multipliers, abs=1e-8)
+
+
+def test_without_contact() -> None:
+    """A stop too far away: linear response and multipliers exp(-c T / 2 +- i w T) all along."""
+    problem = fc.Problem(oscillator(clearance=50.0), 0.5, fc.UnilateralPenalty(1.0))
+    path = followed(OrbitFamily(problem, "omega", 0.5, 2.0))
+    assert path.complete and not special(path.points)
+    for point in path.points:
+        omega, period = point.omega, 2.0 * np.pi / point.omega
+        wave = 1.0 / (1.0 - omega**2 + 0.1j * omega)
+        assert np.abs(point.state) == pytest.approx(
+            np.abs([wave.real, -omega * wave.imag]), rel=1e-7, abs=1e-8
+        )
+        turn = np.exp((-0.05 + 1j * np.sqrt(1.0 - 0.05**2)) * period)
+        assert np.sort_complex(point.multipliers) == pytest.approx(
+            np.sort_complex([turn, turn.conjugate()]), abs=1e-8
+        )
+
+
+def test_paths_keep_what_the_kernel_records(stop: OrbitPath) -> None:
+    """M of each point is that of the equations there."""
+    family = stop.family
+    start = point_on_path(family, family.unknown(stop.points[0].state, 0.6), 0.0)
+    seen: list[np.ndarray] = []
+
+    class Watched(MultiplierControl):
+        def too_long(self, points: Any) -> np.ndarray:
+            seen.append(points.observed[-1])
+            return np.zeros(len(points) - 1, dtype=bool)
+
+    path = Path(family, start, PathOptions(0.05, 0.05), [Target(0.3)], Watched(0.05))
+    for stretch in path:
+        at = family.linearise(stretch.unknowns[-1], float(stretch.parameters[-1]))
+        assert stretch.observed[-1] == pytest.approx(observe(at.monodromy[None])[0], abs=1e-7)
+    assert path.event is not None and len(seen) > 2
+
+
+# --- bifurcations ---------------------------------------------------------------------------------
+
+
+def test_bifurcations_of_two_masses_and_a_stop(stop: OrbitPath) -> None:
+    """Where many harmonics lead to, each on the unit circle."""
+    found = special(stop.points)
+    assert stop.complete and stop.status == "reached the end"
+    for kind, values in EXACT.items():
+        mine = [one for one in found if one.kind == kind]
+        assert [one.value for one in mine][: len(values)] == pytest.approx(values, rel=1e-8)
+        assert len(mine) == len(values)
+
+
+def test_bifurcations_by_the_reference_flow(stop: OrbitPath) -> None:
+    """States are orbits of another integration, with a multiplier where it must be; but for the
+    fold where the stop is only just touched: there multipliers jump."""
+    found = special(stop.points)
+    assert found[-1].kind == "fold" and np.abs(found[-1].multipliers - 1.0).min() > 1e-4
+    for one in found[:-1]:
+        reference = ReferenceFlow(stop.family.flow(one.value), one.value)
+        period = 2.0 * np.pi / one.value
+        moved, _, tangent, _ = reference.advance(one.state, period, np.zeros(0))
+        assert moved == pytest.approx(one.state, abs=1e-8)
+        mu = np.linalg.eigvals(tangent)
+        pair = np.abs(mu[mu.imag > 0.0])
+        off = {
+            "fold": np.abs(mu - 1.0).min(),
+            "period_doubling": np.abs(mu + 1.0).min(),
+            "neimark_sacker": np.abs(pair - 1.0).min(initial=np.inf),
+        }
+        assert off[one.kind] < 1e-5
+
+
+def test_one_by_one_is_the_same(stop: OrbitPath) -> None:
+    """Iterating yields what a run records."""
+    first = stop.points[0]
+    path = OrbitPath(
+        stop.family, first.state, longest_step=0.05, most_points=3000, turning_back=0.1
+    )
+    points = list(path)
+    assert len(points) == len(stop.points) and path.status == stop.status
+    assert [one.value for one in points] == [one.value for one in stop.points]
+    assert [one.value for one in special(points)] == [one.value for one in special(stop.points)]
+
+
+def test_goes_on_where_it_was_stopped(stop: OrbitPath) -> None:
+    """From a point and the direction from the one before; too few points say so."""
+    family, half = stop.family, stop.points[: len(stop.points) // 2]
+    short = OrbitPath(
+        family, half[0].state, longest_step=0.05, most_points=len(half) - 1, turning_back=0.1
+    )
+    short.run()
+    assert not short.complete and short.status == f"{len(half) - 1} points were not enough"
+    before, last = short.points[-2:]
+    path = OrbitPath(
+        family, last.state, longest_step=0.05, most_points=3000, turning_back=0.1,
+        value=last.value,
+        towards=family.direction((before.value, before.state), (last.value, last.state)),
+    )  # fmt: skip
+    path.run()
+    found = [one.value for one in special([*short.points, *path.points])]
+    expected = [one.value for one in special(stop.points)]
+    assert path.complete and found == pytest.approx(expected, rel=1e-8)
+
+
+def test_turns_back_past_its_start(stop: OrbitPath) -> None:
+    """Behind the first fold, where it may not turn back."""
+    first = next(one for one in stop.points if one.value > 0.7)
+    family = OrbitFamily(fc.Problem(two_masses(), 0.7, LAW), "omega", first.value, 0.9)
+    path = OrbitPath(family, first.state, longest_step=0.05, most_points=500, turning_back=0.0)
+    path.run()
+    assert not path.complete and path.returned
+    assert path.status == "turned back past its start"
+
+
+# --- branches of twice the period -----------------------------------------------------------------
+
+
+def test_branch_of_twice_the_period(stop: OrbitPath) -> None:
+    """From one doubling of the oscillator to the other, through orbits of period two."""
+    problem = fc.Problem(oscillator(), 1.5, fc.UnilateralPenalty(1.0))
+    single = followed(OrbitFamily(problem, "omega", 1.5, 3.0))
+    first, second = special(single.points)
+    assert {first.kind, second.kind} == {"period_doubling"}
+    assert first.value < 2.0 * OMEGA_0 < second.value
+    doubled = OrbitFamily(
+        fc.Problem(oscillator(), 1.5, fc.UnilateralPenalty(1.0), subharmonic=2), "omega", 1.5, 3.0
+    )
+    start = doubled_start(doubled, first, 0.05)
+    path = OrbitPath(
+        doubled, start.state, longest_step=0.05, most_points=500, turning_back=0.0,
+        value=start.value, towards=start.towards, branch=True,
+    )  # fmt: skip
+    path.run()
+    assert path.complete and path.status == "joined the branch that it left"
+    assert path.points[-1].value == pytest.approx(second.value, rel=1e-6)
+    middle = path.points[len(path.points) // 2]
+    flow, period = doubled.flow(middle.value), 2.0 * np.pi / middle.value
+    once = flow.advance(middle.state, middle.omega, period).state
+    twice = flow.advance(once, middle.omega, period, start=period).state
+    assert twice == pytest.approx(middle.state, abs=1e-8)
+    assert np.abs(once - middle.state).max() > 0.1 * np.abs(middle.state).max()
+
+
+def test_no_branch_of_twice_the_period_from_a_fold(stop: OrbitPath) -> None:
+    """Where no multiplier is -1 there is none."""
+    doubled = OrbitFamily(fc.Problem(two_masses(), 0.6, LAW, subharmonic=2), "omega", 0.6, 0.9)
+    quiet = stop.points[0]
+    one = OrbitBifurcation("period_doubling", quiet.value, quiet.state, quiet.multipliers)
+    with pytest.raises(fc.ConvergenceError, match="no orbit of twice the period"):
+        doubled_start(doubled, one, 0.05)
+
+
+# --- steps and events -----------------------------------------------------------------------------
+
+
+def row(*values: complex) -> np.ndarray:
+    """What is observed where multipliers are these."""
+    blocks = np.zeros((len(values) * 2,) * 2)
+    size = 0
+    for value in values:
+        if isinstance(value, complex):
+            blocks[size : size + 2, size : size + 2] = [
+                [value.real, value.imag], [-value.imag, value.real]
+            ]  # fmt: skip
+            size += 2
+        else:
+            blocks[size, size] = value
+            size += 1
+    return observe(blocks[None, :size, :size])[0]
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "expected"),
+    [
+        ((0.9 + 0.1j, -0.9, 0.1), (0.9 + 0.1j, -1.1, 0.1), (0, 1, 0)),
+        ((0.9 + 0.1j, 0.2), (1.2 + 0.1j, 0.2), (0, 0, 1)),
+        ((1.5, 1.4, 0.1), (1.45 + 0.1j, 0.1), (0, 0, 0)),  # two reals become a pair
+        ((-1.45 + 0.1j, 0.1), (-1.5, -1.4, 0.1), (0, 0, 0)),
+        ((1.5, -1.4, 0.1), (1.45 + 0.1j, 0.1), (-1, -1, 1)),  # of two signs they cannot
+        ((0.3, 0.2), (1.0 + 5e-7, 0.2), (0, 0, 0)),  # within 1e-6 of the circle
+    ],
+)
+def test_what_counts_as_a_change(before: Any, after: Any, expected: tuple[int, ...]) -> None:
+    """Of r, d and c."""
+    assert changes(np.array([row(*before), row(*after)]))[0].tolist() == list(expected)
+
+
+@pytest.mark.parametrize(
+    ("logs", "lengths", "expected"),
+    [
+        ((-0.5, -0.45, -0.4), (0.0, 1.0, 1.0), (False, False)),
+        ((-0.5, -0.1, 0.3), (0.0, 1.0, 1.0), (True, True)),  # more than half of its distance
+        ((-0.5, -0.5, -0.52), (0.0, FLOOR / 2, FLOOR / 2), (False, False)),
+        ((-0.5, -0.1, 0.3), (0.0, FLOOR / 2, FLOOR / 2), (False, False)),  # not below the floor
+        ((-0.06, -0.08, -0.06), (0.0, 1.0, 1.0), (False, True)),  # not as it came
+        ((-0.06, -0.08, -0.16), (0.0, 1.0, 2.0), (False, True)),  # by as much
+    ],
+)
+def test_steps_that_are_halved(logs: Any, lengths: Any, expected: tuple[bool, ...]) -> None:
+    """By one real multiplier; the longest step is 1."""
+    observed = np.array([row(float(np.exp(one)), 1e-3) for one in logs])
+    points: Any = SimpleNamespace(observed=observed, lengths=np.array(lengths))
+    assert tuple(MultiplierControl(1.0).too_long(points)) == expected
+
+
+def test_several_changes_are_parted_below_the_floor() -> None:
+    """Two events in one step are halved until each is by itself."""
+    observed = np.array([row(-0.999, 0.99 + 0.1j), row(-1.001, 1.0 + 0.1j)])
+    points: Any = SimpleNamespace(observed=observed, lengths=np.array([0.0, 1e-6]))
+    assert MultiplierControl(1.0).too_long(points).tolist() == [True]
