@@ -35,6 +35,7 @@ from fenics_crack.motion.orbit import (
     eigenvalues,
     find_orbit,
     predicted,
+    predicted_with_more_modes,
 )
 from fenics_crack.motion.search import PARTS
 from fenics_crack.numerics.fourier import waves
@@ -129,10 +130,15 @@ class MoreModes:
     @cached_property
     def prediction(self) -> Prediction | None:
         """One step of Newton's method; None where the motion is not followed."""
-        if self._states is None:
+        known, wave, states = self._known, self._known.wave, self._states
+        if states is None:
             return None
-        wave = self._known.wave
-        return predicted(self.flow, wave.omega, self._states, wave.subharmonic)
+        flow, omega, periods = self.flow, wave.omega, wave.subharmonic
+        few = known.orbit if known.accepted else known.prediction
+        lips = massless(wave.structure)
+        if few is None or lips is None or len(states[0]) <= FORMED // 2:
+            return predicted(flow, omega, states, periods)
+        return predicted_with_more_modes(flow, omega, states, few.inverse, lips.n_modes, periods)
 
     @cached_property
     def changes(self) -> tuple[float, float]:
@@ -177,10 +183,7 @@ class MoreModes:
         step, wave = self.prediction, self._known.wave
         if step is None or self._states is None:
             return None
-        return find_orbit(
-            self.flow, wave.omega, self._states[0], subharmonic=wave.subharmonic,
-            inverse=step.inverse,
-        )  # fmt: skip
+        return find_orbit(self.flow, wave.omega, self._states[0], subharmonic=wave.subharmonic)
 
     def contradicts(self, verdict: str, *, quick: bool = False) -> str:
         """What the orbit with these modes says against a verdict on stability, in words; "" where

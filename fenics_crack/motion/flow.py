@@ -49,8 +49,8 @@ import numpy as np
 
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.kernel import NULL, Struct, kernel, owned, pointer, shaped
+from fenics_crack.machine import machine_memory
 from fenics_crack.model.contact import (
-    KEPT,
     ActiveSets,
     ContactLaw,
     check_law,
@@ -61,6 +61,10 @@ from fenics_crack.model.contact import (
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import waves
+
+KEPT = 1 / 32
+"""Part of the machine's memory for the sets of closed pairs of one flow, of which there may be some
+in each of several processes. A set that is found anew takes the time of five pieces of a motion."""
 
 
 @dataclass(frozen=True)
@@ -197,7 +201,7 @@ class ContactFlow(Flow):
             "flow_parts", modes=count, pairs=pairs, coupled=modes.damping.ndim == 2,
             squares=_doubles(modes.squares), damping=_doubles(modes.damping),
             rows=_doubles(modes.pairs.T), compliance=_doubles(self.compliance), force=self.force,
-            gap=self.gap, fastest=self.fastest, most=KEPT // 8,
+            gap=self.gap, fastest=self.fastest, most=int(KEPT * machine_memory()) // 8,
         )  # fmt: skip
         self.handle = owned(kernel.new_flow(parts.at), kernel.free_flow)
         """The kernel's own object."""

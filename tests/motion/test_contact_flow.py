@@ -14,8 +14,9 @@ from reference_flow import size_of_motion
 import fenics_crack as fc
 from fenics_crack import PeriodicOrbit
 from fenics_crack.kernel import kernel, pointer
+from fenics_crack.motion import flow as flow_module
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, flow_of
-from fenics_crack.motion.orbit import Prediction, find_orbit, predicted
+from fenics_crack.motion.orbit import Prediction, find_orbit, predicted, predicted_with_more_modes
 from fenics_crack.motion.shooting import (
     PACE,
     WANDERING,
@@ -24,7 +25,7 @@ from fenics_crack.motion.shooting import (
     orbit_next_to,
     wave_states,
 )
-from fenics_crack.numerics.fourier import balanced, evaluate
+from fenics_crack.numerics.fourier import balanced, evaluate, waves
 
 RIGID = fc.UnilateralConstraint()
 
@@ -203,6 +204,49 @@ def _matrices(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray, np.ndarr
     )  # fmt: skip
 
 
+@pytest.mark.parametrize("remembered", [1.0, 0.0])
+def test_motions_do_not_depend_on_earlier_ones(
+    remembered: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """State, track, derivative and error predicted, whatever was followed before and however many
+    sets of closed pairs are kept: equal to the last bit."""
+    solution = fc.solve_harmonic_balance(light_chain(3), 0.5, RIGID, harmonics=10)
+    displacement = solution.displacement_coefficients
+
+    def found(busy: bool) -> tuple[np.ndarray, ...]:
+        flow = known(solution.structure, RIGID)
+        for seed in range(5 * busy):
+            flow.advance(thrown(flow, seed), 0.3 + 0.1 * seed, 40.0)
+        motion = flow.advance(thrown(flow, 7), 0.5, 60.0)
+        step = predicted(flow, 0.5, wave_states(flow, displacement, 0.5))
+        assert motion.events > 40 and step is not None
+        return motion.state, motion.track.lengths, motion.track.tangent, step.states
+
+    expected = found(busy=False)
+    monkeypatch.setattr(flow_module, "KEPT", remembered * flow_module.KEPT)
+    for one, other in zip(found(busy=True), expected, strict=True):
+        assert np.array_equal(one, other)
+
+
+@pytest.mark.parametrize("pairs", [1, 6, 40])
+def test_answers_of_sets(pairs: int) -> None:
+    """Forces and openings at instants by NumPy's solution for the closed pairs."""
+    structure = fc.reduce_structure(chain("modal", 125, pairs, seed=1), modes=8, method="massless")
+    flow, omega = known(structure, RIGID), 0.7
+    instants = np.linspace(0.0, 30.0, 200)
+    samples = flow.advance(thrown(flow), omega, 30.0, instants=instants).samples
+    gaps = (
+        samples.states[:, : flow.size // 2] @ flow.modes.pairs + waves(omega * instants) @ flow.gap
+    )
+    assert len(np.unique(samples.closed, axis=0)) > min(pairs, 10)
+    for gap, closed, answers in zip(gaps, samples.closed, samples.answers, strict=True):
+        force = np.zeros(pairs)
+        force[closed] = np.linalg.solve(flow.compliance[np.ix_(closed, closed)], gap[closed])
+        opening = flow.compliance @ force - gap
+        size = np.abs(gap).max() * (1.0 if closed.all() else max(1.0, np.abs(force).max()))
+        assert np.where(closed, force, opening) == pytest.approx(answers, abs=1e-11 * size)
+
+
 def test_rest_stays() -> None:
     """No load, and pairs that touch: nothing moves, nothing happens."""
     flow = known(oscillator(force=0.0), fc.UnilateralPenalty(1.0))
@@ -366,6 +410,28 @@ def test_by_products_as_by_factors(seed: int, monkeypatch: pytest.MonkeyPatch) -
     assert found is not None and found.error == pytest.approx(expected.error, rel=0.05)
     assert relative(found.monodromy, expected.monodromy) < 1e-10
     assert again is not None and relative(again.state, orbit.state) < 1e-7
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_step_with_more_modes(seed: int) -> None:
+    """With the inverse of the orbit of few modes, about as by the factors of all."""
+    whole = chain("modal", 30, 5, seed).varied(load=0.5)
+    few, many = (fc.reduce_structure(whole, modes=n, method="massless") for n in (8, 20))
+    flow, more = known(few, RIGID), known(many, RIGID)
+    settled = flow.advance(np.zeros(flow.size), 0.5, 60 * 2.0 * np.pi / 0.5).state
+    orbit = find_orbit(flow, 0.5, settled)
+    assert orbit is not None and orbit.events > 0
+    shape, speed = np.split(orbit.sampled.states, 2, axis=1)
+    new = waves(0.5 * orbit.sampled.time) @ more.force[:, 8:]
+    new -= orbit.sampled.force @ more.modes.pairs[8:].T
+    new /= more.modes.squares[8:]
+    rate = np.gradient(new, orbit.sampled.time, axis=0)
+    states = np.hstack([shape, new, speed, rate])[::16]
+    exact = predicted(more, 0.5, states)
+    found = predicted_with_more_modes(more, 0.5, states, orbit.inverse, 8)
+    assert exact is not None and found is not None and exact.error > 1e-3
+    assert relative(found.states - states, exact.states - states) < 0.5
+    assert 0.7 < found.error / exact.error < 1.4
 
 
 def test_by_omega() -> None:
