@@ -20,7 +20,10 @@ MAX_SAMPLES = 2**20
 RECORDED_PERIODS = 4
 """Periods that commands keep of a motion in time, and of which its extremes are."""
 MOST_HARMONICS = 100
-"""Beyond these they are not raised along a curve or from case to case."""
+"""Beyond these they are not raised for a curve or from case to case."""
+TOLERANCE = 1e-2
+"""Relative error that is asked for where nothing else is: that of modes and harmonics is then below
+what meshes usually leave."""
 
 
 class Exit(IntEnum):

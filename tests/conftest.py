@@ -124,6 +124,7 @@ def paper_scene() -> Scene:
             "damping": {"ratio": 0.001, "modes": "all"},
             "excitation": {"omega": 2000.0, "point": [0.1, 0.1], "force_sin": [100.0, 0.0]},
             "contact": {"stiffness": 1e11},
+            "harmonic_balance": {"harmonics": 5},
             "mesh": {"layout": "grid", "cells": "quadrilateral", "columns": 2, "rows": 8},
         }
     )

@@ -615,10 +615,7 @@ def special_points(run: Run[ResponseCurve], along: Columns | None = None) -> Tab
     at_top = _at_top(run, top, along)
     rows = [("start", 0, along), ("end", -1, along), (largest, 0, at_top)]
     for number, point in enumerate(found.bifurcations, 1):
-        name = kind_in_words(point.kind)
-        if found.undecided is not None:
-            name += f", exact {_place(run, point.exact)}" if point.confirmed else ", unconfirmed"
-        rows.append((name, number, there))
+        rows.append((kind_in_words(point.kind), number, there))
     if found.multipliers is not None:
         for index in np.flatnonzero(found.verdicts[1:] != found.verdicts[:-1]):
             after = found.verdicts[index + 1]
@@ -655,8 +652,8 @@ def _places(curve: ResponseCurve) -> dict[str, np.ndarray]:
 def few_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table, int]:
     """The first rows of :func:`special_points` and some others, and how many are left out.
 
-    Bifurcations come before changes of stability, those of the exact orbits before others, and of
-    alike ones those with the larger response. Where no point is decided, none changes.
+    Bifurcations come before changes of stability, and of alike ones those with the larger response.
+    Where no point is decided, none changes.
     """
     found, rows = run.result, [*table.rows]
     ends, others = rows[:ENDS], rows[ENDS:]
@@ -665,9 +662,8 @@ def few_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table, in
     if found.multipliers is not None and np.all(found.verdicts == "undecided"):
         others = others[: len(points)]
 
-    def weight(place: int) -> tuple[bool, bool, float]:
-        special = place < len(points)
-        return special, special and points[place].confirmed, others[place][amplitude]
+    def weight(place: int) -> tuple[bool, float]:
+        return place < len(points), others[place][amplitude]
 
     kept = sorted(sorted(range(len(others)), key=weight, reverse=True)[:SHOWN_POINTS])
     shown = [*ends, *(others[place] for place in kept)]

@@ -9,14 +9,14 @@ mesh. Along it folds are located by root finding, branch points by steps that sh
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from fenics_crack.balance.harmonic_balance import check_initial
 from fenics_crack.balance.problem import ON_PATH, Problem, check_memory
-from fenics_crack.balance.solution import PeriodicSolution, Solver, solution_of
+from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.curves.beginnings import check_resumed, directions, first_of_branch, odd_rows
 from fenics_crack.curves.curve import parameter_axis
 from fenics_crack.curves.exact import FOLLOWED, judge_curve
@@ -33,15 +33,7 @@ from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.motion.flow import exact_flow
 from fenics_crack.numerics.equations import System
-from fenics_crack.numerics.fourier import resized
-from fenics_crack.numerics.newton import (
-    MIN_DAMPING,
-    PathPoint,
-    Tangent,
-    distance,
-    point_on_path,
-    solve_in_plane,
-)
+from fenics_crack.numerics.newton import PathPoint, Tangent, point_on_path
 from fenics_crack.numerics.path import (
     ARRIVED,
     BranchPoint,
@@ -57,12 +49,8 @@ from fenics_crack.numerics.path import (
 )
 from fenics_crack.table import counted, in_unit
 
-Beginning = PeriodicSolution | HarmonicCurve | HarmonicBifurcation | None
-"""Where a curve of harmonic balance may begin."""
 LONGEST_STEP = 0.05
 """Longest step, unless another one is asked for."""
-LOOK_EVERY = 4
-"""Points between two looks at the truncation."""
 
 
 class Continuation:
@@ -90,9 +78,8 @@ class Continuation:
         parameter. A bifurcation: on the branch that begins there; ``start`` and ``end`` bound the
         parameter on either side (:func:`follow_branch`).
     tolerance : float, optional
-        Without ``samples``. Raise and lower H along the curve so that the estimated truncation
-        error, looked at every fourth point, stays near or below this, between the problem's
-        ``harmonics`` and 100. Where there is no solution with that many H grows by less.
+        Without ``samples``. Choose H, between the problem's ``harmonics`` and 100, so that the
+        estimated truncation error of the first point is below this.
     stability : bool
         Judge ``curve`` each time that it is taken (:func:`judge_curve`).
     longest_step : float
@@ -128,7 +115,7 @@ class Continuation:
         start: float,
         end: float,
         *,
-        initial: Beginning = None,
+        initial: PeriodicSolution | HarmonicCurve | HarmonicBifurcation | None = None,
         tolerance: float | None = None,
         stability: bool = False,
         longest_step: float = LONGEST_STEP,
@@ -149,7 +136,6 @@ class Continuation:
             initial = replace(initial, structure=problem.structure)
         if stability and is_rigid(problem.contact):
             exact_flow(problem.structure, problem.contact)
-        self._tolerance, self._least = tolerance, problem.harmonics
         self._longest, self._most = longest_step, most_points
         self._at_once, self._judged = False, stability
         self._points: list[CurvePoint] = []
@@ -227,9 +213,14 @@ class Continuation:
             return
         here = point_on_path(family, last.unknown, family.parameter(last.value), self._towards)
         self._origin, self.status = self._origin or here, "under way"
-        way: tuple[PathPoint, float] | None = (here, 0.2 * self._longest)
-        while way is not None:
-            way = yield from self._follow(*way)
+        path = self._path(here)
+        for stretch in path:
+            for part in [stretch] if self._at_once else stretch.singly():
+                yield self._record(part)
+        assert path.ended is not None
+        self.complete = path.event is not None
+        self.status = path.event.told if path.event else path.ended.told(self._most)
+        self.returned = path.ended is Ended.LEFT or isinstance(path.event, Closed)
 
     def run(self) -> None:
         """Follow to the end: as iterating over all points does, but faster, since those between
@@ -241,36 +232,7 @@ class Continuation:
         finally:
             self._at_once = False
 
-    def _follow(
-        self, here: PathPoint, step: float
-    ) -> Generator[CurvePoint, None, tuple[PathPoint, float] | None]:
-        """Follow the path with one number of harmonics; return where and how to go on, or None."""
-        path, asked = self._path(here, step), self._tolerance is not None
-        for stretch in path:
-            parts = [stretch] if self._at_once and not asked else [*stretch.singly()]
-            for part in parts:
-                point, at = self._record(part), part[-1]
-                if asked and len(self._points) % LOOK_EVERY == 0:
-                    truncation = _truncation(self._family, point.value, at)
-                    point = self._points[-1] = replace(point, truncation=truncation)
-                yield point
-                error, count = point.truncation, self._family.problem.harmonics
-                over = path.event is not None and part is parts[-1]
-                if self._tolerance is None or math.isnan(error) or over:
-                    continue
-                wanted = more_harmonics(count, error, self._tolerance)
-                wanted = wanted or fewer_harmonics(count, error, self._tolerance, self._least)
-                if (again := _with_harmonics(self._family, at, wanted, self._longest)) is not None:
-                    self._family, here = again
-                    self._towards = here.tangent
-                    return here, max(0.1 * at.length, 1e-3 * self._longest)
-        assert path.ended is not None
-        self.complete = path.event is not None
-        self.status = path.event.told if path.event else path.ended.told(self._most)
-        self.returned = path.ended is Ended.LEFT or isinstance(path.event, Closed)
-        return None
-
-    def _path(self, here: PathPoint, step: float) -> Path:
+    def _path(self, here: PathPoint) -> Path:
         """The path behind a point, to where the curve ends."""
         events: list[Event] = [Fold(), BranchPoint(), Target(1.0)]
         if self._branch:
@@ -279,13 +241,12 @@ class Continuation:
                 events.append(_Joined(odd))
         if self._origin is not None and self._origin.unknown.shape == here.unknown.shape:
             events.append(Closed(self._origin, self._family))
-        most = LOOK_EVERY if self._tolerance is not None else PathOptions.at_once
         options = PathOptions(
-            initial_step=step,
+            initial_step=0.2 * self._longest,
             max_step=self._longest,
             min_step=max(1e-10, self._family.rounding(here.parameter)),
             max_steps=self._most + 1 - len(self._points),
-            at_once=max(1, min(most, ON_PATH // here.unknown.size)),
+            at_once=max(1, min(PathOptions.at_once, ON_PATH // here.unknown.size)),
             span=(-self._back, np.inf),
         )
         return Path(self._family, here, options, events)
@@ -314,7 +275,7 @@ class Continuation:
         self._special = [
             (b.kind, b.value, b.unknown) for b in curve.bifurcations if b.kind in FOLLOWED
         ]
-        self._branch, self._least = curve.branch, int(curve.harmonics.min())
+        self._branch = curve.branch
         self._towards, self._origin = directions(self._family, curve)
 
 
@@ -339,12 +300,6 @@ def _first_solution(
         problem = problem.with_harmonics(more)
 
 
-def _truncation(family: Family, value: float, point: PathPoint) -> float:
-    """The estimated error of the harmonics left out at a point."""
-    at = family.linearise(point.unknown, point.parameter)
-    return solution_of(family.at(value), at, status="", search=False).report.truncation
-
-
 def more_harmonics(count: int, truncation: float, tolerance: float | None) -> int | None:
     """As many harmonics as an error that falls like H^-3 asks for; None where these are enough, or
     the most."""
@@ -352,42 +307,6 @@ def more_harmonics(count: int, truncation: float, tolerance: float | None) -> in
         return None
     factor = min(2.0, 1.1 * (truncation / tolerance) ** (1.0 / 3.0))
     return min(MOST_HARMONICS, math.ceil(factor * count))
-
-
-def fewer_harmonics(count: int, truncation: float, tolerance: float, least: int) -> int:
-    """As many harmonics as a neighbour's error allows to begin with."""
-    return max(least, math.floor(0.8 * count)) if truncation < 0.05 * tolerance else count
-
-
-def _with_harmonics(
-    family: Family, point: PathPoint, wanted: int, reach: float
-) -> tuple[Family, PathPoint] | None:
-    """A family with other harmonics and a point with them; by fewer than wanted where there is none
-    within reach."""
-    count = family.problem.harmonics
-    while wanted != count:
-        other = family.with_harmonics(wanted)
-        if (found := _again(other, point, reach)) is not None:
-            return other, found
-        wanted = count + int((wanted - count) / 2)
-    return None
-
-
-def _again(family: Family, point: PathPoint, reach: float) -> PathPoint | None:
-    """A point with other harmonics, in the plane across the path. Full steps first: the residual of
-    the new harmonics may grow before it falls."""
-    count = family.problem.harmonics
-    tangent = replace(point.tangent, x=resized(point.tangent.x, count))
-    start = replace(point, unknown=resized(point.unknown, count), tangent=tangent)
-    sharp = max(PathOptions.rtol, family.rounding(point.parameter))
-    for damping in (None, MIN_DAMPING):
-        found = solve_in_plane(
-            family, start.unknown, start.parameter, tangent,
-            tolerance=sharp, reach=reach, least_damping=damping,
-        )  # fmt: skip
-        if found is not None and distance(family, start, found) <= reach:
-            return found
-    return None
 
 
 class _Joined(Event):
@@ -426,7 +345,7 @@ def checked(
 ) -> tuple[Problem, float]:
     """The problem at the start of a curve, of a small structure, and how far the curve may turn
     back; InputError where an argument cannot be used."""
-    _check_range(problem, parameter, start, end)
+    check_range(problem, parameter, start, end)
     check_number("longest_step", longest_step, 0.0, above=True)
     if longest_step > 1.0:
         raise InputError("longest_step", longest_step, "at most 1")
@@ -442,7 +361,7 @@ def checked(
     return problem, turning_back
 
 
-def _check_range(problem: Problem, parameter: str, start: float, end: float) -> None:
+def check_range(problem: Problem, parameter: str, start: float, end: float) -> None:
     """Raise InputError unless a curve can go from one value of a parameter to another."""
     structure = problem.structure
     check_choice("parameter", parameter, FAMILIES)

@@ -90,12 +90,12 @@ class Bifurcation(Described):
 
     @property
     def exact(self) -> float:
-        """Value of the parameter at the bifurcation of the exact orbits; nan: unconfirmed."""
+        """Value of the parameter at the bifurcation of exact orbits; nan of harmonic balance."""
         return self.value
 
     @property
     def confirmed(self) -> bool:
-        """Whether the exact orbits have it."""
+        """True if it is one of exact orbits."""
         return not math.isnan(self.exact)
 
     @property

@@ -14,11 +14,12 @@ from tqdm import tqdm
 from fenics_crack.balance.problem import ON_PATH, Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.beginnings import same_problem
-from fenics_crack.curves.continuation import Continuation
+from fenics_crack.curves.continuation import Continuation, check_range
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
-from fenics_crack.curves.harmonic_curve import CurvePoint, HarmonicBifurcation, HarmonicCurve
-from fenics_crack.curves.orbit_continuation import OrbitContinuation
-from fenics_crack.curves.orbit_curve import OrbitCurve
+from fenics_crack.curves.family import FAMILIES
+from fenics_crack.curves.harmonic_curve import CurvePoint, HarmonicBifurcation
+from fenics_crack.curves.orbit_continuation import OrbitContinuation, has_orbits
+from fenics_crack.curves.orbit_curve import ExactBifurcation, OrbitCurve
 from fenics_crack.curves.orbit_path import OrbitCurvePoint
 from fenics_crack.errors import (
     INTERRUPTED,
@@ -26,6 +27,7 @@ from fenics_crack.errors import (
     InputError,
     check_count,
     check_kind,
+    check_number,
     check_omega,
 )
 from fenics_crack.hints import check_options
@@ -50,11 +52,13 @@ class CurveOptions(TypedDict, total=False):
 
     harmonics, samples, subharmonic, initial
         As in :func:`.solve_harmonic_balance`; ``initial`` is where to start.
-    tolerance, stability, longest_step, most_points, turning_back
-        As in :class:`.Continuation`.
-    exact
-        Follow exact orbits, an :class:`OrbitCurve`; ``harmonics``, ``samples`` and ``stability``
-        are left out.
+    tolerance
+        In place of ``harmonics`` and ``samples``: follow exact orbits, an :class:`OrbitCurve` whose
+        solutions are kept to this error. Where their flow is not known, as for smooth laws, or they
+        would take too long, with more than 120 modes or under a very slow load: harmonic balance
+        with as many harmonics as the truncation error of the first point asks for.
+    stability, longest_step, most_points, turning_back
+        As in :class:`.Continuation`; exact orbits always have their stability.
     resume
         Go on from the last point of a curve that did not reach its end. ``start`` is then its own,
         or for a branch ``start`` and ``end`` bound the parameter; harmonics, samples, subharmonic
@@ -70,7 +74,6 @@ class CurveOptions(TypedDict, total=False):
     longest_step: float
     most_points: int
     turning_back: float
-    exact: bool
     resume: ResponseCurve | None
 
 
@@ -108,12 +111,13 @@ def continue_frequency(
         Ctrl-C always returns what was found.
     **options
         As :class:`.CurveOptions` lists them: harmonics, samples, subharmonic, initial, tolerance,
-        stability, longest_step, most_points, turning_back, exact, resume.
+        stability, longest_step, most_points, turning_back, resume.
 
     Returns
     -------
     ResponseCurve
-        From the start on; ``complete`` if it reached the end.
+        From the start on; ``complete`` if it reached the end. An :class:`OrbitCurve` with a
+        ``tolerance``, else a :class:`HarmonicCurve`.
 
     Raises
     ------
@@ -164,7 +168,8 @@ def continue_parameter(
     Returns
     -------
     ResponseCurve
-        From the start on; ``complete`` if it reached the end.
+        From the start on; ``complete`` if it reached the end. An :class:`OrbitCurve` with a
+        ``tolerance``, else a :class:`HarmonicCurve`.
 
     Raises
     ------
@@ -179,7 +184,7 @@ def continue_parameter(
     ...     structure, 2000.0, contact, "load", 1.0, 2.0, harmonics=5)
     """
     check_options("continue_parameter", options, CurveOptions.__annotations__)
-    if options.get("exact") and not is_small(structure):
+    if options.get("tolerance") is not None and not is_small(structure):
         structure = reduce_structure(structure, method="massless")
     span = parameter, start, end
     begun_elsewhere = options.get("initial") is not None or options.get("resume") is not None
@@ -211,7 +216,8 @@ def continue_parameter(
                 raise ConvergenceError(found.status)
             return found
 
-        for origin in np.linspace(end, start, ATTEMPTS, endpoint=False).tolist():
+        places = ATTEMPTS if begun is not None else 1  # where there is no orbit a search takes long
+        for origin in np.linspace(end, start, ATTEMPTS, endpoint=False)[:places].tolist():
             with suppress(ConvergenceError):
                 met = reaches(origin, start, None).followed
                 last = len(met) - 1
@@ -224,7 +230,8 @@ def continue_parameter(
     try:
         growing = _continuation(structure, omega, contact, span, options)
     except ConvergenceError as error:
-        other = None if begun_elsewhere or not options.get("exact") else again()
+        orbits = options.get("tolerance") is not None and not begun_elsewhere
+        other = again() if orbits else None
         if other is None:
             raise error from None
         growing = other
@@ -243,9 +250,9 @@ def follow_branch(
 ) -> ResponseCurve:
     """Follow the branch that begins at a period doubling, or crosses at a branch point.
 
-    The doubled branch has twice the period and twice as many harmonics. It is followed in one
-    direction, until the parameter leaves the range or the branch joins the old one again; the
-    other direction of a doubled branch is the same orbits half a period later.
+    The doubled branch has twice the period, and of harmonic balance twice as many harmonics. It is
+    followed in one direction, until the parameter leaves the range or the branch joins the old one
+    again; the other direction of a doubled branch is the same orbits half a period later.
 
     Parameters
     ----------
@@ -256,7 +263,8 @@ def follow_branch(
     start, end : float, optional
         Range of the parameter; default: the curve's own.
     progress, throw, **options
-        As in :func:`continue_frequency`; harmonics, samples and subharmonic follow from the curve.
+        As in :func:`continue_frequency`; harmonics, samples, subharmonic and tolerance follow from
+        the curve.
 
     Returns
     -------
@@ -280,7 +288,7 @@ def follow_branch(
         kind = getattr(bifurcation, "kind", type(bifurcation).__name__)
         raise InputError("bifurcation", kind, "a Bifurcation of kind " + " or ".join(kinds))
     check_options("follow_branch", options, CurveOptions.__annotations__)
-    for key in ("harmonics", "samples", "subharmonic", "initial", "resume", "exact"):
+    for key in ("harmonics", "samples", "subharmonic", "initial", "tolerance", "resume"):
         if key in options:
             raise InputError(key, options.get(key), "left out: it follows from the curve")
     start = float(curve.values.min()) if start is None else start
@@ -301,10 +309,12 @@ def follow_branch(
     )
     span, given = (curve.parameter, start, end), dict[str, Any](options)
     if isinstance(curve, OrbitCurve):
+        assert isinstance(bifurcation, ExactBifurcation)
         given.pop("stability", None)
-        return _run(_orbits(problem, span, bifurcation, given), progress, throw)
-    assert isinstance(curve, HarmonicCurve) and isinstance(bifurcation, HarmonicBifurcation)
-    return _run(Continuation(problem, *span, **given, initial=bifurcation), progress, throw)
+        growing = OrbitContinuation(problem, *span, initial=bifurcation, **given)
+        return _run(growing, progress, throw)
+    assert isinstance(bifurcation, HarmonicBifurcation)
+    return _run(Continuation(problem, *span, initial=bifurcation, **given), progress, throw)
 
 
 def _continuation(
@@ -316,36 +326,37 @@ def _continuation(
 ) -> Growing:
     """The continuation that options ask for, from the start or of an unfinished curve."""
     given: dict[str, Any] = dict(options)
-    resume = given.pop("resume", None)
-    exact = given.pop("exact", False) or isinstance(resume, OrbitCurve)
+    resume, stability = given.pop("resume", None), given.pop("stability", False)
     unset = {"harmonics": None, "samples": None, "subharmonic": 1}
     if resume is None:
         harmonics, samples, subharmonic = (given.pop(*item) for item in unset.items())
-        if exact and (harmonics, samples) != (None, None):
-            raise InputError("harmonics, samples", (harmonics, samples), "left out: exact orbits")
+        if (tolerance := given.get("tolerance")) is not None:
+            check_number("tolerance", tolerance, 0.0, above=True)
+            if harmonics is not None:
+                raise InputError("tolerance", tolerance, "left out where harmonics are given")
+            if samples is not None:
+                raise InputError("samples", samples, "left out where a tolerance is given")
         check_count("subharmonic", subharmonic, 1)
         harmonics = max(5, subharmonic) if harmonics is None else harmonics
         problem = Problem(structure, omega, contact, harmonics, samples, subharmonic)
         initial = given.pop("initial", None)
+        exact = tolerance is not None and _has_orbits(problem, *span)
     else:
         for key, nothing in (unset | {"initial": None}).items():
             if (value := given.pop(key, nothing)) not in (nothing, None):
                 raise InputError(key, value, "left out where a curve is resumed")
         problem, initial = same_problem(resume, structure, omega, contact), resume
+        exact = isinstance(resume, OrbitCurve)
     if exact:
-        given.pop("stability", None)
-        return _orbits(problem, span, initial, given)
-    return Continuation(problem, *span, initial=initial, **given)
+        return OrbitContinuation(problem, *span, initial=initial, **given)
+    return Continuation(problem, *span, initial=initial, stability=stability, **given)
 
 
-def _orbits(
-    problem: Problem, span: tuple[str, float, float], initial: Any, options: dict[str, Any]
-) -> OrbitContinuation:
-    """A curve of exact orbits; a tolerance that is None is left to it."""
-    tolerance = options.pop("tolerance", None)
-    if tolerance is not None:
-        options["tolerance"] = tolerance
-    return OrbitContinuation(problem, *span, initial=initial, **options)
+def _has_orbits(problem: Problem, parameter: str, start: float, end: float) -> bool:
+    """True if the exact orbits along a curve can be followed."""
+    check_range(problem, parameter, start, end)
+    ends = [FAMILIES[parameter].vary(problem, value).omega for value in (start, end)]
+    return has_orbits(problem, *ends)
 
 
 def _where(parameter: str, point: CurvePoint | OrbitCurvePoint, count: int) -> str:

@@ -42,8 +42,6 @@ class CurvePoint:
         Gap coefficients, or the slow gap's (``HarmonicCurve.unknowns``).
     iterations : int
         Newton iterations.
-    truncation : float
-        Estimated error of the harmonics left out, or nan where it was not estimated.
     bifurcations : tuple of (str, float)
         Kinds and parameters of the special points since the point before.
     """
@@ -52,7 +50,6 @@ class CurvePoint:
     omega: float
     unknown: np.ndarray
     iterations: int
-    truncation: float = math.nan
     bifurcations: tuple[tuple[str, float], ...] = ()
 
 
@@ -70,7 +67,6 @@ def columns(points: Sequence[CurvePoint]) -> dict[str, np.ndarray]:
         "unknowns": np.array(unknowns),
         "harmonics": np.array(counts),
         "iterations": np.array([point.iterations for point in points]),
-        "truncation": np.array([point.truncation for point in points]),
     }
 
 
@@ -84,13 +80,14 @@ class HarmonicBifurcation(Bifurcation):
         As of any :class:`Bifurcation`.
     unknown : (2H+1, n_pairs) [m]
         The solution there, as the curve's unknowns.
-    exact : float
-        Value of the parameter at the bifurcation of the exact orbits that confirms it
-        (:func:`judge_curve`); nan: unconfirmed.
     """
 
     unknown: np.ndarray
-    exact: float = math.nan
+
+    @property
+    def exact(self) -> float:
+        """nan: it is one of the truncated equations."""
+        return math.nan
 
     @cached_property
     def solution(self) -> PeriodicSolution:
@@ -98,8 +95,7 @@ class HarmonicBifurcation(Bifurcation):
         return _expanded(self.problem, self.unknown, search=False)
 
     def _title(self) -> str:
-        found = f", exact {self.exact:.6g}" if self.confirmed else ""
-        return f"{super()._title()}, H = {self.problem.harmonics}{found}"
+        return f"{super()._title()}, H = {self.problem.harmonics}"
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -115,8 +111,6 @@ class HarmonicCurve(ResponseCurve):
         pairs are seen through R_inf; zeros above a point's own harmonics.
     harmonics : (n,) int
         H of each point.
-    truncation : (n,)
-        Estimated error of the harmonics left out, where it was estimated; else nan.
     bifurcations : tuple of HarmonicBifurcation
         Special points, in order along the curve.
     samples : int or None
@@ -134,7 +128,6 @@ class HarmonicCurve(ResponseCurve):
 
     unknowns: np.ndarray
     harmonics: np.ndarray
-    truncation: np.ndarray
     bifurcations: tuple[HarmonicBifurcation, ...]
     samples: int | None
     static_above: float | None = None
@@ -142,7 +135,7 @@ class HarmonicCurve(ResponseCurve):
 
     @property
     def method(self) -> str:
-        """Its harmonics: "H = 5", "H = 5 to 40"."""
+        """Its harmonics: "H = 5"; of older versions' curves "H = 5 to 40"."""
         return f"H = {ranging(self.harmonics)}"
 
     @property
@@ -204,7 +197,7 @@ class HarmonicCurve(ResponseCurve):
         """A point as :class:`Continuation` yields it, without the bifurcations before it."""
         return CurvePoint(
             float(self.values[index]), float(self.omega[index]), self.unknown(index),
-            int(self.iterations[index]), float(self.truncation[index]),
+            int(self.iterations[index]),
         )  # fmt: skip
 
     @cached_property
@@ -251,24 +244,6 @@ class HarmonicCurve(ResponseCurve):
         for index, system in self._systems(places):
             yield index, system.linearise(self.unknown(index))
 
-    def motions(self, places: np.ndarray | None = None) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Displacements [m] and velocities [m/s] of all dofs at phase zero, at all points or some:
-        (n_dofs,) each."""
-        found = {}
-        places = np.arange(len(self.omega)) if places is None else places
-        for index, at in self._linearised(places):
-            waves = at.system.compliance.displacement(at.force)
-            order = np.arange(1, len(waves) // 2 + 1) * self.omega[index] / self.subharmonic
-            found[index] = waves[0] + waves[1::2].sum(axis=0), order @ waves[2::2]
-        return (found[int(place)] for place in places)
-
-    def gaps_in_time(self, places: np.ndarray) -> np.ndarray:
-        """Gaps of all pairs over the period at some points: (n, 256, n_pairs) [m]."""
-        slow = evaluate(self.unknowns[places].swapaxes(0, 1), 1.0, PHASES).swapaxes(0, 1)
-        systems = dict(self._systems(places))
-        pairs = zip(places, slow, strict=True)
-        return np.array([systems[int(place)].in_time(waves)[0] for place, waves in pairs])
-
     @property
     def _rows(self) -> int:
         return int(self.unknowns.shape[1])
@@ -291,5 +266,4 @@ class HarmonicCurve(ResponseCurve):
             yield index, waves, motion, gap, force
 
     def _columns(self) -> dict[str, np.ndarray]:
-        names = "omega", "harmonics", "iterations", "truncation"
-        return {name: getattr(self, name) for name in names}
+        return {name: getattr(self, name) for name in ("omega", "harmonics", "iterations")}

@@ -29,14 +29,21 @@ from fenics_crack.curves.orbit_path import (
     OrbitStart,
     doubled_start,
 )
-from fenics_crack.errors import ConvergenceError, InputError, check_number
-from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit, affordable
+from fenics_crack.errors import TOLERANCE, ConvergenceError, InputError, check_number
+from fenics_crack.motion.flow import flow_of
+from fenics_crack.motion.orbit import FORMED, KNOWN, PeriodicOrbit, too_slow
 from fenics_crack.numerics.newton import PathPoint, distance, point_on_path
 from fenics_crack.numerics.path import PathOptions
 from fenics_crack.table import counted, in_unit
 
-TOLERANCE = 1e-2
-"""Error to which solutions of a curve of exact orbits are kept, unless another one is asked for."""
+
+def has_orbits(problem: Problem, *frequencies: float) -> bool:
+    """True if the exact orbits of a small structure can be followed: it has a flow, of so few modes
+    that the monodromy matrix is formed, and the load is not too slow at frequencies [rad/s]."""
+    flow = flow_of(problem.structure, problem.contact)
+    if flow is None or flow.size > FORMED:
+        return False
+    return not any(too_slow(flow, omega, problem.subharmonic) for omega in frequencies)
 
 
 class OrbitContinuation:
@@ -50,8 +57,8 @@ class OrbitContinuation:
         Where to start: next to a solution; at an orbit at ``start``; at the last point of a curve
         that did not reach its end, whose ``start`` is then this one's, or for a branch ``start``
         and ``end`` bound the parameter; or on the branch that begins at a bifurcation, likewise.
-    tolerance : float
-        As of :class:`OrbitCurve`.
+    tolerance : float, optional
+        As of :class:`OrbitCurve`; default: that of ``initial``, or 0.01.
 
     Attributes
     ----------
@@ -74,19 +81,19 @@ class OrbitContinuation:
         end: float,
         *,
         initial: PeriodicSolution | PeriodicOrbit | OrbitCurve | ExactBifurcation | None = None,
-        tolerance: float = TOLERANCE,
+        tolerance: float | None = None,
         longest_step: float = LONGEST_STEP,
         most_points: int = 50000,
         turning_back: float = 0.1,
     ) -> None:
+        if tolerance is None:
+            tolerance = getattr(initial, "tolerance", TOLERANCE)
         check_number("tolerance", tolerance, 0.0, above=True)
         problem, turning_back = checked(
             problem, parameter, start, end, longest_step, most_points, turning_back
         )
         self._problem, self._tolerance, self._branch = problem, tolerance, False
         self._family = family = OrbitFamily(problem, parameter, start, end)
-        if not affordable(family.flow(start), family.omega(start), problem.subharmonic):
-            raise InputError("exact", True, "left out: exact orbits would take too long here")
         self._known: OrbitCurve | None = None
         options: dict[str, Any] = {
             "longest_step": longest_step, "most_points": most_points, "turning_back": turning_back
@@ -217,7 +224,10 @@ def _first_orbit(
         check_initial(problem, initial)
     search = initial_orbit(problem, initial)
     if search.orbit is None:
-        raise ConvergenceError(f"no exact orbit at {problem.omega:g} rad/s: {search.reason}")
+        raise ConvergenceError(
+            f"no exact orbit at {problem.omega:g} rad/s: {search.reason}; with harmonics in place "
+            "of a tolerance the curve of harmonic balance is followed"
+        )
     return search.orbit
 
 

@@ -46,9 +46,8 @@ def draw_curve(
     multipliers. Parts whose displacement has a large estimated error are faint. A ring marks the
     largest response, whose place and size the legend has. A curve in frequency without multipliers
     is drawn with more solutions between those followed (:func:`refine_curve`) where these lie far
-    apart. Bifurcations are marked, of many in one place only some, and the legend has their number;
-    hollow marks are not confirmed by exact orbits. The order of the largest harmonic stands at
-    superharmonic peaks.
+    apart. Bifurcations are marked, of many in one place only some, and the legend has their
+    number. The order of the largest harmonic stands at superharmonic peaks.
 
     Parameters
     ----------
@@ -146,43 +145,30 @@ def _mark_bifurcations(
     found = list(curve.bifurcations)
     if not found:
         return
-    judged = curve.undecided is not None
     x = np.array([factor * one.value for one in found])
     y = curve.at_bifurcations.amplitude(dof)[1:-1]
-    solid = np.array([one.confirmed or not judged for one in found])
     kinds = np.array([one.kind for one in found])
-    shown = _apart(axes, x, y, kinds, ~solid)
+    shown = _apart(axes, x, y, kinds)
     for kind, marker in MARKERS.items():
         at, name = kinds == kind, kind_in_words(kind)
         if not at.any():
             continue
         look: dict[str, Any] = {"ls": "none", "marker": marker, "ms": 3.8, "mew": 0.8, "zorder": 3}
-        for full in (True, False):
-            which = shown & at & (solid == full)
-            face = {} if full else {"mfc": "white"}
-            axes.plot(x[which], y[which], color=ink or COLOURS["orange"], **look, **face)
+        axes.plot(x[shown & at], y[shown & at], color=ink or COLOURS["orange"], **look)
         if not ink:
             total, drawn = int(at.sum()), int((shown & at).sum())
             name += f" ({total})" if drawn == total else f" ({total}, {drawn} marked)"
         axes.plot([], [], color=COLOURS["grey"] if ink else COLOURS["orange"], label=name, **look)
-    if not solid.all():
-        axes.plot([], [], " ", label="hollow: not confirmed by exact orbits")
 
 
-def _apart(
-    axes: Axes, x: np.ndarray, y: np.ndarray, kinds: np.ndarray, later: np.ndarray
-) -> np.ndarray:
+def _apart(axes: Axes, x: np.ndarray, y: np.ndarray, kinds: np.ndarray) -> np.ndarray:
     """Which of the places in a picture are marked, so that marks of a kind do not pile up: (n,)
-    bool.
-
-    Those of ``later`` come after the others.
-    """
+    bool."""
     axes.autoscale_view()  # to what is drawn so far
     places = (axes.transData - axes.transAxes).transform(np.column_stack([x, y]))
-    order = np.argsort(later, kind="stable")
     cells = np.column_stack([np.floor(places / PER_MARK), np.unique(kinds, return_inverse=True)[1]])
-    _, first = np.unique(cells[order], axis=0, return_index=True)
-    return np.isin(np.arange(len(x)), order[first])
+    _, first = np.unique(cells, axis=0, return_index=True)
+    return np.isin(np.arange(len(x)), first)
 
 
 def _mark_superharmonics(

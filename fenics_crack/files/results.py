@@ -317,7 +317,6 @@ def _pack_curve(curve: ResponseCurve) -> Parts:
 
 def _pack_harmonic_curve(curve: HarmonicCurve) -> Parts:
     parts = _pack_curve(curve)
-    parts["exact_values"] = [b.exact for b in curve.bifurcations]
     for number, bifurcation in enumerate(curve.bifurcations):
         parts[f"bifurcation_{number}"] = bifurcation.unknown
     return parts
@@ -352,7 +351,7 @@ def _taken_curve(parts: Parts, structure: Structure, contact: Law) -> tuple[Stru
         raise ValueError("its parts do not fit")
     along = [f.name for f in fields(HarmonicCurve) if "np.ndarray" in str(f.type)]
     shapes: Shapes = dict.fromkeys(along, (parts["values"].size,))
-    special = "bifurcation_values", "exact_values", "bifurcation_multipliers"
+    special = "bifurcation_values", "bifurcation_multipliers"
     return structure, shapes | dict.fromkeys(special, (len(parts["kinds"]),))
 
 
@@ -374,15 +373,12 @@ def _unpack_harmonic_curve(parts: Parts, structure: Structure, contact: Law) -> 
         for number, (kind, value) in enumerate(zip(kinds, values, strict=True))
     ]
     known: Parts = {"structure": structure, "contact": contact, "bifurcations": (), "samples": None}
-    exact = parts.pop("exact_values", np.full(len(special), np.nan))
+    for name in ("exact_values", "truncation"):  # of older versions
+        parts.pop(name, None)
     curve = HarmonicCurve(**(known | parts))
     first = curve.solution(0)
     _check_gap(first.structure, first.displacement_coefficients, first.gap_coefficients, 1e-4)
-    bifurcations = tuple(
-        replace(curve.bifurcation(*one), exact=float(at))
-        for one, at in zip(special, exact, strict=True)
-    )
-    return replace(curve, bifurcations=bifurcations)
+    return replace(curve, bifurcations=tuple(curve.bifurcation(*one) for one in special))
 
 
 def _unpack_orbit_curve(parts: Parts, structure: Structure, contact: Law) -> OrbitCurve:

@@ -410,7 +410,6 @@ ABOUT: dict[str, tuple[str, str]] = {
     "states": ("m, m/s", "points; displacement and velocity at phase zero of the load; dofs"),
     "bifurcation_states": ("m, m/s", "bifurcations; displacement and velocity; dofs"),
     "bifurcation_multipliers": ("1", "the largest Floquet multiplier of each bifurcation"),
-    "truncation": ("1", "points; estimated error relative to the gap"),
     "shapes": ("kg^-1/2", "modes; nodes; x and y"),
     "nodes": ("m", "nodes; x and y, and those of the middle of the cells around it"),
     "time": ("s", "instants"),
@@ -438,11 +437,9 @@ ABOUT: dict[str, tuple[str, str]] = {
 
 def about(name: str, parts: Mapping[str, Any]) -> dict[str, str]:
     """The attributes of a dataset, of those of its file; none where it is a count or a word."""
-    if name in ("values", "bifurcation_values", "exact_values") and "parameter" in parts:
+    if name in ("values", "bifurcation_values") and "parameter" in parts:
         parameter = str(parts["parameter"])  # most are factors
         found = UNITS.get(parameter, "1"), f"of the parameter {parameter}"
-        if name == "exact_values":
-            found = found[0], f"{found[1]} at the exact bifurcations, nan where there is none"
     elif name.startswith("error_"):
         found = "1", "estimated, relative to the gap"
     elif name.removeprefix("bifurcation_").isdigit():

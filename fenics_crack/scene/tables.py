@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fenics_crack.errors import MAX_SAMPLES, InputError, check_two_ratios
+from fenics_crack.errors import MAX_SAMPLES, TOLERANCE, InputError, check_two_ratios
 from fenics_crack.scene.fields import (
     OR_ZERO,
     Axis,
@@ -440,16 +440,24 @@ class Contact(Table):
 class HarmonicBalance(Table):
     """Truncation of the Fourier series and sampling of the contact force."""
 
-    harmonics: int = at_least_one(5)
-    """H; with a tolerance, the fewest."""
+    harmonics: int = at_least_one(None)
+    """H of plain harmonic balance; with a tolerance, the fewest of a solution. Default: 5."""
     samples: int | None = at_least_one(None)
     """Instants per period at which contact is evaluated; chosen by the solver when left out."""
     tolerance: float | None = positive(None)
-    """Choose H so that the estimated error stays below this: of one solution all of it, along a
-    curve and in a sweep that of the truncation."""
+    """Find the exact orbit, and keep so many of its harmonics, and modes, that the error stays
+    below this; a curve is one of exact orbits. Default: 0.01, but none where harmonics or samples
+    are given."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        chosen = {"harmonics": 5, "tolerance": TOLERANCE}
+        if self.harmonics is not None or self.samples is not None:
+            del chosen["tolerance"]
+        follows = {key for key in chosen if getattr(self, key) is None}
+        for key in follows:
+            object.__setattr__(self, key, chosen[key])
+        object.__setattr__(self, "_follows", follows)
         if self.tolerance is not None:
             self.leave_out(("samples",), "a tolerance")
         least = 4 * self.harmonics + 1
@@ -458,6 +466,12 @@ class HarmonicBalance(Table):
             "samples",
             f"a whole number from {least} (4 harmonics + 1) to {MAX_SAMPLES}, or left out",
         )
+
+    @property
+    def derived(self) -> set[str]:
+        """The keys that are not given, and have their defaults."""
+        found: set[str] = vars(self)["_follows"]
+        return super().derived | found
 
 
 @dataclass(frozen=True)

@@ -380,14 +380,11 @@ def curve(
         allowed = "'penalty' or 'smoothed', or used with reduction.method = 'massless', for a curve"
         raise InputError("contact.law", "unilateral", allowed)
     prepare_asked(study)  # before the curve: it may be refused
-    options: dict[str, Any] = {
-        "harmonics": balance.harmonics,
-        "samples": balance.samples,
-        "tolerance": balance.tolerance,
-        "stability": table.stability,
-        "progress": progress,
-        "throw": False,
-    }
+    options: dict[str, Any] = {"stability": table.stability, "progress": progress, "throw": False}
+    if balance.tolerance is None:
+        options |= {"harmonics": balance.harmonics, "samples": balance.samples}
+    else:
+        options["tolerance"] = balance.tolerance
     structure, omega = study.structure, scene.excitation.omega
     if parameter == "omega":
         followed = continue_frequency(structure, start, stop, law, **options)

@@ -143,7 +143,7 @@ EXACT = {
 @pytest.fixture(scope="module")
 def followed() -> fc.OrbitCurve:
     """Through the resonance of two masses and a stop."""
-    curve = fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, exact=True)
+    curve = fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, tolerance=1e-2)
     assert isinstance(curve, fc.OrbitCurve)
     return curve
 
@@ -179,10 +179,11 @@ def test_branch_of_twice_the_period(followed: fc.OrbitCurve) -> None:
 def test_stopped_saved_and_resumed(followed: fc.OrbitCurve, tmp_path: Path) -> None:
     """A curve that has not reached its end goes on from a file, to the same end."""
     structure = followed.structure
-    part = fc.continue_frequency(structure, 0.6, 0.9, STOP, exact=True, most_points=60, throw=False)
+    few = {"tolerance": 1e-2, "most_points": 60}
+    part = fc.continue_frequency(structure, 0.6, 0.9, STOP, **few, throw=False)
     assert not part.complete and "not enough" in part.status
     with pytest.raises(fc.ConvergenceError, match="after 61 points") as error:
-        fc.continue_frequency(structure, 0.6, 0.9, STOP, exact=True, most_points=60)
+        fc.continue_frequency(structure, 0.6, 0.9, STOP, **few)
     assert len(error.value.found) == 61
     fc.save(part, tmp_path / "part.h5")
     part = fc.load(tmp_path / "part.h5", structure, STOP)
@@ -212,7 +213,7 @@ def test_ctrl_c_keeps_the_points(monkeypatch: pytest.MonkeyPatch) -> None:
         return record(path, points)
 
     monkeypatch.setattr(OrbitPath, "_record", interrupted)
-    curve = fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, exact=True, progress=True)
+    curve = fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, tolerance=1e-2, progress=True)
     assert curve.status == INTERRUPTED and len(curve) == 21 and not curve.complete
 
 
@@ -222,7 +223,7 @@ def test_ctrl_c_keeps_the_points(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_over_other_parameters(parameter: str, end: float) -> None:
     """To the orbit that the end has by itself."""
     start = 0.0 if parameter == "clearance" else 1.0
-    curve = fc.continue_parameter(two_masses(), 0.7, STOP, parameter, start, end, exact=True)
+    curve = fc.continue_parameter(two_masses(), 0.7, STOP, parameter, start, end, tolerance=1e-2)
     assert curve.complete and curve.values[-1] == pytest.approx(end, rel=1e-12)
     orbit = curve.orbit(len(curve) - 1)
     assert orbit.residual < 1e-9
@@ -249,21 +250,39 @@ def test_begins_elsewhere(monkeypatch: pytest.MonkeyPatch, followed: fc.OrbitCur
         return (lost if problem.omega == 0.6 else search)(problem, initial)
 
     monkeypatch.setattr(orbit_continuation, "initial_orbit", lost_at_start)
-    curve = fc.continue_frequency(followed.structure, 0.6, 0.9, STOP, exact=True)
+    curve = fc.continue_frequency(followed.structure, 0.6, 0.9, STOP, tolerance=1e-2)
     assert curve.complete and curve.values[-1] == 0.9 and "not by the first" in curve.status
     assert curve.states[0] == pytest.approx(followed.states[0], rel=1e-6)
     monkeypatch.setattr(orbit_continuation, "initial_orbit", lost)
     with pytest.raises(fc.ConvergenceError, match=r"no exact orbit at 0.6 rad/s: lost"):
-        fc.continue_frequency(followed.structure, 0.6, 0.9, STOP, exact=True)
+        fc.continue_frequency(followed.structure, 0.6, 0.9, STOP, tolerance=1e-2)
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"harmonics": 5}, {"samples": 100}, {"tolerance": 0.0}, {"longest_step": 2.0}]
+    ("key", "wrong"),
+    [
+        ("tolerance", {"harmonics": 5}),
+        ("samples", {"samples": 100}),
+        ("tolerance", {"tolerance": 0.0}),
+        ("longest_step", {"longest_step": 2.0}),
+        ("omega_end", {"omega_end": -1.0}),
+    ],
 )
-def test_arguments_that_cannot_be_used(wrong: dict[str, float]) -> None:
+def test_arguments_that_cannot_be_used(key: str, wrong: dict[str, float]) -> None:
     """Each is named."""
-    with pytest.raises(fc.InputError, match=next(iter(wrong))):
-        fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, exact=True, **wrong)
-    with pytest.raises(fc.InputError, match=r"^contact"):
-        law = fc.SmoothedPenalty(100.0, 10.0)
-        fc.continue_frequency(two_masses(), 0.6, 0.9, law, exact=True)
+    given = {"omega_start": 0.6, "omega_end": 0.9, "contact": STOP, "tolerance": 1e-2}
+    with pytest.raises(fc.InputError, match=rf"^{key}"):
+        fc.continue_frequency(two_masses(), **(given | wrong))
+
+
+def test_harmonic_balance_where_there_are_no_orbits() -> None:
+    """Of a smooth law, with as many harmonics along the curve as its first point asks for; and
+    where harmonics are given."""
+    law = fc.SmoothedPenalty(5.0, 10.0)
+    few, many = (
+        fc.continue_frequency(oscillator(), 0.9, 1.0, law, tolerance=one) for one in (0.3, 1e-4)
+    )
+    assert isinstance(few, fc.HarmonicCurve) and isinstance(many, fc.HarmonicCurve)
+    assert set(few.harmonics) == {5} and min(many.harmonics) == max(many.harmonics) > 5
+    plain = fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, harmonics=7)
+    assert isinstance(plain, fc.HarmonicCurve) and set(plain.harmonics) == {7}
