@@ -353,13 +353,14 @@ class ResponseCurve(Tabular):
         square, as ``displacement`` of :class:`fenics_crack.ErrorReport`: (n,).
 
         At points spread evenly along the curve, and at those on both sides of where a warning
-        begins to be due, that of :meth:`solution` without a search; elsewhere it is interpolated.
+        begins to be due, what one Newton step on the exact flow predicts, where there is one, of
+        harmonics and modes left out, of exact orbits of modes; elsewhere it is interpolated.
         """
         known: dict[int, float] = {}
         asked = set(np.linspace(0, len(self) - 1, SPREAD).astype(int).tolist())
         while asked:
             for place in asked:
-                known[place] = self.solution(place, search=False).report.displacement
+                known[place] = self._displacement_error(place)
             asked = {
                 (first + last) // 2
                 for first, last in pairwise(sorted(known))
@@ -367,6 +368,10 @@ class ResponseCurve(Tabular):
             }
         places = sorted(known)
         return np.interp(np.arange(len(self)), places, [known[place] for place in places])
+
+    def _displacement_error(self, index: int) -> float:
+        """The same at a point."""
+        return self.solution(index, search=False).report.displacement
 
     # --- shown ------------------------------------------------------------------------------------
 

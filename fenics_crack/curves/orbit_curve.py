@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.harmonic_balance import solution_of_orbit
+from fenics_crack.balance.harmonic_balance import solution_of_orbit, wave_of
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import PHASES, Bifurcation, ResponseCurve
@@ -142,6 +142,12 @@ class OrbitCurve(ResponseCurve):
         """Fourier series of the orbit at a point, as long as the tolerance asks for, with its error
         report; nothing is searched for."""
         return solution_of_orbit(self.problem_of(index), self.orbit(index), self.tolerance)
+
+    def _displacement_error(self, index: int) -> float:
+        orbit, problem = self.orbit(index), self.problem_of(index)
+        found = wave_of(problem, orbit, orbit.coefficients(problem.harmonics))
+        more = found.assessment.more_modes
+        return super()._displacement_error(index) if more is None else more.changes[1]
 
     @property
     def undecided(self) -> np.ndarray:

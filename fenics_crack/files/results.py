@@ -405,7 +405,7 @@ def _modal(curve: OrbitCurve, values: np.ndarray, of_dofs: np.ndarray) -> np.nda
     for value, moved in zip(values.tolist(), of_dofs, strict=True):
         inverse = all_modes(curve.problem_at(value).structure).inverse
         found.append((moved @ inverse.T).ravel())
-    return np.array(found).reshape(len(found), -1)
+    return np.array(found)
 
 
 def _pack_backbone(backbone: Backbone) -> Parts:
