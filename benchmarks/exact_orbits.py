@@ -105,6 +105,11 @@ def elsewhere(checkout: Path, name: str, quick: bool) -> list[Row]:
     return found
 
 
+def named(now: list[Row], before: list[Row]) -> list[tuple[str, list[Row]]]:
+    """The rows that there are, by the name of their checkout."""
+    return [(name, rows) for name, rows in (("before", before), ("now", now)) if rows]
+
+
 def spent(rows: Sequence[Row], key: str = "s") -> float:
     """Sum of the times [s]."""
     return float(sum(row[key] for row in rows))
@@ -159,13 +164,7 @@ def off_circle(curve: fc.ResponseCurve) -> np.ndarray:
 
 def stated(curve: fc.ResponseCurve) -> list[Any]:
     """Bifurcations of the exact orbits: all of a branch; of harmonic balance the confirmed ones."""
-    return [one for one in curve.bifurcations if getattr(one, "confirmed", True)]
-
-
-def place(one: Any) -> float:
-    """The parameter at a bifurcation of the exact orbits."""
-    exact = getattr(one, "exact", np.nan)
-    return float(one.value if np.isnan(exact) else exact)
+    return [one for one in curve.bifurcations if one.confirmed]
 
 
 def around(structure: fc.Structure) -> tuple[float, float]:
@@ -183,7 +182,7 @@ def chains(quick: bool) -> Iterator[Row]:
     row, curve = followed("5012", structure, around(structure), law)
     fine = fc.continue_frequency(structure, *around(structure), law, harmonics=60, throw=False)
     known = [one.value for one in fine.bifurcations if one.kind == "fold"]
-    found = [place(one) for one in stated(curve) if one.kind == "fold"] if curve else []
+    found = [one.exact for one in stated(curve) if one.kind == "fold"] if curve else []
     apart = [min((abs(one / its - 1.0) for one in found), default=np.inf) for its in known]
     yield row | {"folds, H = 60": len(known), "farthest": max(apart, default=np.inf)}
     structure, law = random_chain(17)
@@ -192,7 +191,7 @@ def chains(quick: bool) -> Iterator[Row]:
 
 def of_chains(now: list[Row], before: list[Row]) -> Iterator[tuple[str, bool | None]]:
     """27 of 30 reach the end, none has an undecided point, in no more time."""
-    for name, rows in (("before", before), ("now", now)):
+    for name, rows in named(now, before):
         thirty = [row for row in rows if row["case"].startswith("6")]
         ended = sum(row["at end"] for row in thirty)
         points, left = spent(thirty, "points"), spent(thirty, "undecided")
@@ -217,7 +216,7 @@ def of_chains(now: list[Row], before: list[Row]) -> Iterator[tuple[str, bool | N
 def new(**changes: Any) -> tuple[fc.Scene, fc.Structure, Any]:
     """The scene of `new` with other values, its structure and law."""
     changes = {key.replace("__", "."): value for key, value in changes.items()}
-    scene = fc.Scene.from_text(new_scene("new.toml", "", ())).replace(changes)
+    scene = fc.Scene.from_text(new_scene("new.toml", "", ())).rechanges.exact
     structure = fc.prepare(scene).structure
     return scene, structure, fc.contact_law(scene.contact, structure)
 
@@ -230,7 +229,7 @@ def lobes(quick: bool) -> Iterator[Row]:
         name = f"step {step:g}"
         row, curve = followed(name, structure, (2340.0, 3140.0), law, longest_step=step, **options)
         found = (
-            [place(one) for one in stated(curve) if one.kind == "period_doubling"] if curve else []
+            [one.exact for one in stated(curve) if one.kind == "period_doubling"] if curve else []
         )
         ends = {
             f"{end:.3f}": min((abs(one - end) for one in found), default=np.inf) for end in LOBES
@@ -240,7 +239,7 @@ def lobes(quick: bool) -> Iterator[Row]:
 
 def of_lobes(now: list[Row], before: list[Row]) -> Iterator[tuple[str, bool | None]]:
     """All ends to .01 rad/s; the narrowest lobe's may be missing at the default step."""
-    for name, rows in (("before", before), ("now", now)):
+    for name, rows in named(now, before):
         for number, row in enumerate(rows):
             met = [row[f"{end:.3f}"] <= 0.01 for end in LOBES]
             yield (
@@ -266,7 +265,7 @@ def breathing(quick: bool) -> Iterator[Row]:
 
 def of_breathing(now: list[Row], before: list[Row]) -> Iterator[tuple[str, bool | None]]:
     """At most three times the curve without verdicts."""
-    for name, rows in (("before", before), ("now", now)):
+    for name, rows in named(now, before):
         if rows:
             ratio = rows[1]["s"] / rows[0]["s"]
             yield f"{name}: {ratio:.1f} times the curve without verdicts (3)", ratio <= 3.0
@@ -350,7 +349,7 @@ def is_orbit(found: fc.PeriodicSolution) -> bool:
 
 def of_population(now: list[Row], before: list[Row]) -> Iterator[tuple[str, bool | None]]:
     """All plates, 59 of 60 chains, 48 of 50 stiff ones."""
-    for name, rows in (("before", before), ("now", now)):
+    for name, rows in named(now, before):
         for group, lacking in (("plates", 0), ("chains", 1), ("stiff", 2)):
             some = [row for row in rows if row["group"] == group]
             good = [r for r in some if r["orbit"] and r["verdict"] in ("stable", "unstable")]
@@ -404,7 +403,7 @@ def answer(
 
 def of_independence(now: list[Row], before: list[Row]) -> Iterator[tuple[str, bool | None]]:
     """Nothing differs beyond rounding."""
-    for name, rows in (("before", before), ("now", now)):
+    for name, rows in named(now, before):
         others = [row for row in rows if row["other verdict"] or not row["apart"] <= 1e-9]
         worst = max((row["apart"] for row in rows), default=0.0)
         yield f"{name}: {len(others)} of {len(rows)} differ, errors by {worst:.1e}", not others
@@ -443,7 +442,7 @@ def few_pairs(quick: bool) -> Iterator[Row]:
                 if one.kind in ("period_doubling", "neimark_sacker"):
                     off = off_reference(flow, one)
                     yield {"case": str(number), "_curve": False, "kind": one.kind,
-                           "omega": place(one), "off": off}  # fmt: skip
+                           "omega": one.exact, "off": off}  # fmt: skip
 
 
 def off_reference(flow: ReferenceFlow, one: Any) -> float:
@@ -451,7 +450,7 @@ def off_reference(flow: ReferenceFlow, one: Any) -> float:
     the reference's orbit; inf where it has none."""
     state = flow.states_of(one.solution, np.zeros(1))[0]
     try:
-        orbit = flow.orbit(state, place(one), 2.0 * np.pi / place(one))
+        orbit = flow.orbit(state, one.exact, 2.0 * np.pi / one.exact)
     except (NoOrbit, np.linalg.LinAlgError):
         return float("inf")
     values = orbit.multipliers
@@ -463,7 +462,7 @@ def off_reference(flow: ReferenceFlow, one: Any) -> float:
 def of_few_pairs(now: list[Row], before: list[Row]) -> Iterator[tuple[str, bool | None]]:
     """99 % of what is stated is right; 97 % of what is right and was stated is stated."""
     right: dict[str, list[Row]] = {}
-    for name, rows in (("before", before), ("now", now)):
+    for name, rows in named(now, before):
         points = [row for row in rows if not row["_curve"]]
         curves = [row for row in rows if row["_curve"]]
         right[name] = [row for row in points if row["off"] <= 1e-3]
@@ -527,7 +526,7 @@ def snes(quick: bool) -> Iterator[Row]:
 
 def of_snes(now: list[Row], before: list[Row]) -> Iterator[tuple[str, bool | None]]:
     """SNES prints its residuals, and both find the same to 1e-10."""
-    for name, rows in (("before", before), ("now", now)):
+    for name, rows in named(now, before):
         for row in rows:
             prints = bool(row["monitored"]) == row["way"].startswith("SNES")
             good = row["converged"] and prints and row["apart"] <= 1e-10
@@ -560,7 +559,10 @@ def demos(quick: bool) -> Iterator[Row]:
             run([program, command, *words, "--output", "out"])
             seconds = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - began
             names, values, errors = numbers(command, Path(folder, "out"))
-        yield {"command": command, "numbers": len(values), "s": seconds,
+            words = Path(folder, "out", "sweep.csv").read_text() if command == "sweep" else ""
+        kinds = ("stable", "unstable", "undecided")
+        verdicts = ", ".join(f"{words.count(f',{kind},')} {kind}" for kind in kinds if words)
+        yield {"command": command, "numbers": len(values), "verdicts": verdicts, "s": seconds,
                "_names": names, "_values": values, "_errors": errors}  # fmt: skip
 
 
