@@ -3,15 +3,17 @@
     F(x, p) = scale (z(T; x, v) - z(0)) = 0,    v = v_start + p (v_end - v_start),
 
 z = (q, q') the state at phase zero of the load, x = scale z(0), T = 2 pi m / omega, and v one of
-the parameters of :mod:`family`. dF/dx = M - I with the monodromy matrix M in the unknowns. Over the
-load's frequency, its factor and the clearance the kernel has the equations: all points of a path
-share one flow. Else a flow is made for each point. dF/dp is exact over the damping and the contact
-stiffness too: with forces that are continuous it is the motion's own variation,
+the parameters of :mod:`family`. dF/dx = M - I with the monodromy matrix M in the unknowns.
+
+Over the load's frequency, its factor, the damping and the clearance the kernel has the equations:
+all points of a path share one flow. Over the contact stiffness and a rotor's speed a flow is made
+for each point. dF/dp is exact but over the speed: forces are continuous, and it is the motion's own
+variation, over damping and stiffness
 
     dq'' + C dq' + Lambda dq + P_A S P_A^T dq = -C' q' + P_A S D' lambda_A,
 
-' the derivative by p, S = (D_AA)^-1 of the compliance D of the closed pairs A. Over a rotor's
-speed, with which modes change, it is a forward difference: another flow a point.
+' the derivative by p, S = (D_AA)^-1 of the compliance D of the closed pairs A. Over the speed, with
+which modes change, it is a forward difference: another flow a point.
 """
 
 from __future__ import annotations
@@ -25,7 +27,6 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.curves.family import FAMILIES
 from fenics_crack.curves.orbit_events import observe
 from fenics_crack.errors import ConvergenceError, InputError
-from fenics_crack.model.modal import all_modes
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, exact_flow
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.motion.shooting import OrbitPoint, ShootingEquations
@@ -183,6 +184,14 @@ class OrbitFamily:
             problem = self.at(self.start)  # its own flow: its load changes
             given = exact_flow(problem.structure, problem.contact), self.scale
             return ShootingEquations(*given, (omega[0], 0.0), self.subharmonic, self.budget, load)
+        if self.name == "damping":
+            first, last = (self.flow(one).modes.damping for one in (self.start, self.end))
+            problem = self.at(max(self.start, self.end))
+            given = exact_flow(problem.structure, problem.contact), self.scale
+            damping = first, last - first
+            return ShootingEquations(
+                *given, (omega[0], 0.0), self.subharmonic, self.budget, damping=damping
+            )
         return None
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
@@ -210,20 +219,12 @@ class OrbitFamily:
                 step = DIFFERENCE if parameter < 0.5 else -DIFFERENCE
                 return (self.moved(unknown, parameter + step) - unknown - residual) / step
             state = self.state(unknown, value)
-            change = motion.track.by_structure(state, *self._rates(motion.track.flow, value))
+            softness = -self._along.rate(value) / value * motion.track.flow.softness
+            change = motion.track.by_structure(state, softness)
             return np.asarray(self.scale * change)
 
         events, pieces = motion.events, motion.pieces
         return OrbitPoint(unknown, residual, monodromy, by_parameter, events, pieces)
-
-    def _rates(
-        self, flow: ContactFlow, value: float
-    ) -> tuple[np.ndarray | None, np.ndarray | None]:
-        """Derivatives of the damping and of the pairs' softness by p."""
-        rate = self._along.rate(value)
-        if self.name == "stiffness":
-            return None, -rate / value * flow.softness
-        return rate * all_modes(self.problem.structure).damping, None
 
     def observe(self, records: np.ndarray) -> np.ndarray:
         """Leading multipliers of points from their M, and r, d and c (:mod:`orbit_events`)."""

@@ -562,6 +562,14 @@ flow *new_flow(const flow_parts *given)
     return NULL;
 }
 
+void flow_damp(flow *f, const double *damping)
+{
+    const long m = f->of.modes;
+    memcpy((double *)f->of.damping, damping, bytes(f->of.coupled ? m * m : m));
+    if (f->exponential) free_exponentials(f->exponential);
+    f->exponential = NULL;
+}
+
 void free_flow(flow *f)
 {
     if (f->known) free_closed_sets(f->known);

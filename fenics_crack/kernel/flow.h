@@ -35,6 +35,9 @@ enum { FLOW_REACH = 10 };
 flow *new_flow(const flow_parts *given);
 void free_flow(flow *f);
 
+/* Another damping; with this no set may turn or decay faster than the flow has been told. */
+void flow_damp(flow *f, const double *damping);
+
 /* What comes of a motion: it has reached its end; takes more pieces, or more intervals, than
  * allowed; is not finite, or no set of closed pairs answers it; there is no memory. */
 enum { FLOW_DONE, FLOW_PIECES, FLOW_INTERVALS, FLOW_LOST, FLOW_MEMORY };

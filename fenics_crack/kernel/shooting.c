@@ -16,6 +16,7 @@ struct shooting_point {
     double parameter;
     double *scale, *residual, *state, *rate, *tangent;
     double *force, *gap; /* load_0 */
+    double *start, *damping;
 };
 
 static size_t bytes(long count) { return (size_t)count * sizeof(double); }
@@ -35,8 +36,13 @@ static int evaluate(equations *own, const double *x, double p)
     flow_motion *m = &at->moved;
     at->known = at->common.factored = 0;
     at->parameter = p;
-    for (int i = 0; i < n; i++) at->state[i] = x[i] / at->scale[i];
+    for (int i = 0; i < n; i++) at->start[i] = at->state[i] = x[i] / at->scale[i];
     if (at->of.force) change_load(at, p);
+    if (at->of.rates) {
+        for (int i = 0; i < at->of.rates; i++)
+            at->damping[i] = at->of.damping[i] + p * at->of.damping_by[i];
+        flow_damp(at->of.flow, at->damping);
+    }
     m->omega = at->of.base + p * at->of.rate;
     m->now = 0.0;
     m->end = at->of.turns / m->omega;
@@ -98,10 +104,12 @@ static void by_parameter(equations *own, double *found)
     shooting_point *at = (shooting_point *)own;
     const int n = own->unknowns;
     const flow_track track = track_of(at);
+    const shooting_equations *of = &at->of;
     memset(found, 0, bytes(n));
     const int failed =
-        at->of.force ? flow_column(at->of.flow, &track, at->of.force_by, at->of.gap_by, 0, found)
-                     : by_omega(at, &track, found);
+        of->force   ? flow_column(of->flow, &track, of->force_by, of->gap_by, 0, found)
+        : of->rates ? flow_by_structure(of->flow, &track, at->start, of->damping_by, NULL, found)
+                    : by_omega(at, &track, found);
     for (int i = 0; i < n; i++) found[i] = failed ? NAN : at->scale[i] * found[i];
 }
 
@@ -124,7 +132,7 @@ shooting_point *new_shooting_point(const shooting_equations *given)
         .records = (int)(n * n), .record = record};
     const int failed = make_dense(&at->common, (int)n, form_jacobian);
     const long load = given->force ? LOAD * (given->modes + given->pairs) : 0;
-    at->scale = malloc(bytes(4 * n + n * n + load));
+    at->scale = malloc(bytes(5 * n + n * n + load + given->rates));
     at->moved.most_pieces = given->pieces;
     at->moved.most = given->intervals;
     at->moved.sets = malloc((size_t)(intervals * given->pairs + 1));
@@ -139,8 +147,10 @@ shooting_point *new_shooting_point(const shooting_equations *given)
     at->state = at->residual + n;
     at->rate = at->state + n;
     at->tangent = at->rate + n;
+    at->start = at->tangent + n * n;
+    at->damping = at->start + n;
     if (load) {
-        at->force = at->tangent + n * n, at->gap = at->force + LOAD * given->modes;
+        at->force = at->damping + given->rates, at->gap = at->force + LOAD * given->modes;
         memcpy(at->force, given->force, bytes(LOAD * given->modes));
         memcpy(at->gap, given->gap, bytes(LOAD * given->pairs));
     }

@@ -6,7 +6,7 @@
 #include "flow.h"
 
 /*     F(x, p) = scale z(T; x, p) - x,   x = scale z(0),   T = turns / omega,
- *     omega = base + rate p,   load = load_0 + p load_1,
+ *     omega = base + rate p,   load = load_0 + p load_1,   damping = C_0 + p C_1,
  *
  * dF/dx = scale M / scale - I, M the flow's derivative over the period; dF/dp is exact too. Paths may
  * keep M in the unknowns of each point. An evaluation returns FOUND; NOT_FOUND where the motion takes more than `pieces` or `intervals`, or
@@ -21,11 +21,13 @@ typedef struct {
     int pieces, intervals;
     double *force, *gap;   /* the flow's own load, (3, m) and (3, p); NULL: it does not change */
     const double *force_by, *gap_by; /* load_1 */
+    int rates;                       /* numbers of the damping; 0: it does not change */
+    const double *damping, *damping_by; /* C_0 and C_1, as the flow's own */
 } shooting_equations;
 
 typedef struct shooting_point shooting_point;
 
-/* All is copied but the flow, and load_1, which must stay. NULL without memory. */
+/* All is copied but the flow, load_1, C_0 and C_1, which must stay. NULL without memory. */
 shooting_point *new_shooting_point(const shooting_equations *given);
 void free_shooting_point(shooting_point *at);
 equations *equations_of_shooting(shooting_point *at);

@@ -325,20 +325,17 @@ class Track:
         _check(outcome, len(self.lengths) - 1)
         return found
 
-    def by_structure(
-        self, start: np.ndarray, damping: np.ndarray | None, softness: np.ndarray | None
-    ) -> np.ndarray:
-        """dz(end) by a parameter, from dz(start) = 0, of the motion from a state: given the
-        derivatives of the damping and of the softness by it, None: they do not change."""
+    def by_structure(self, start: np.ndarray, softness: np.ndarray) -> np.ndarray:
+        """dz(end) by a parameter, from dz(start) = 0, of the motion from a state, given the
+        derivative of the softness by it, (n_pairs,)."""
         found, known = np.empty(self.flow.size), self._known.at
-        given = [
-            NULL if one is None else pointer(shaped(one, *own.shape))
-            for one, own in (
-                (damping, self.flow.modes.damping), (softness, self.flow.softness)
-            )
-        ]  # fmt: skip
         outcome = kernel.flow_by_structure(
-            self.flow.handle, known, pointer(_doubles(start)), *given, pointer(found)
+            self.flow.handle,
+            known,
+            pointer(_doubles(start)),
+            NULL,
+            pointer(shaped(softness, *self.flow.softness.shape)),
+            pointer(found),
         )
         _check(outcome, len(self.lengths) - 1)
         return found

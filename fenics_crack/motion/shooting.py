@@ -13,6 +13,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -83,20 +84,26 @@ class ShootingEquations(Equations):
     load : (force, gap), optional
         Rates of the flow's own load, (3, n_modes) and (3, n_pairs); the flow, at p = 0 when it is
         given, follows p.
+    damping : (array, array), optional
+        Its own at p = 0, and its rate: likewise, the flow given with the largest one.
     """
 
     def __init__(
         self, flow: ContactFlow, scale: np.ndarray, omega: tuple[float, float],
         subharmonic: int = 1, budget: Budget | None = None,
         load: tuple[np.ndarray, np.ndarray] | None = None,
+        damping: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> None:  # fmt: skip
         self.flow, self.scale, self.shape = flow, scale, scale.shape
         self.subharmonic, self.budget = subharmonic, budget or Budget()
-        changed = {}
+        changed: dict[str, Any] = {}
         if load is not None:
             changed = {
                 "force": flow.force, "gap": flow.gap, "force_by": load[0], "gap_by": load[1]
             }  # fmt: skip
+        if damping is not None:
+            rows = [np.ascontiguousarray(one) for one in damping]
+            changed |= {"rates": rows[0].size, "damping": rows[0], "damping_by": rows[1]}
         self._given = Struct(
             "shooting_equations", flow=flow.handle, modes=flow.size // 2,
             pairs=len(flow.softness), base=omega[0], rate=omega[1],

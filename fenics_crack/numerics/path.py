@@ -560,7 +560,8 @@ class Path:
         None if that is the first."""
         assert self._control is not None
         found.observe(self._system, self._known)
-        halved = np.flatnonzero(self._control.too_long(found)[known - 1 :])
+        long = found.lengths[1:] > 2.0 * self._options.min_step
+        halved = np.flatnonzero((self._control.too_long(found) & long)[known - 1 :])
         if not len(halved):
             self._longest = min(2.0 * self._longest, self._options.max_step)
             if self._longest == self._options.max_step:
