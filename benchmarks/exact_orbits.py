@@ -37,6 +37,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -216,8 +217,9 @@ def of_chains(now: list[Row], before: list[Row]) -> Iterator[tuple[str, bool | N
 def new(**changes: Any) -> tuple[fc.Scene, fc.Structure, Any]:
     """The scene of `new` with other values, its structure and law."""
     changes = {key.replace("__", "."): value for key, value in changes.items()}
-    scene = fc.Scene.from_text(new_scene("new.toml", "", ())).rechanges.exact
+    scene = fc.Scene.from_text(new_scene("new.toml", "", ())).replace(changes)
     structure = fc.prepare(scene).structure
+    assert scene.contact is not None
     return scene, structure, fc.contact_law(scene.contact, structure)
 
 
@@ -281,7 +283,7 @@ def many(quick: bool) -> Iterator[Row]:
         _, start, stop = scene.given("curve").followed
         options = {} if BRANCHES else {"tolerance": TOLERANCE}
         row, _ = followed(name, structure, (start, stop), law, **options)
-        yield {"pairs": structure.n_pairs, "modes": scene.reduction.modes} | row
+        yield {"pairs": structure.n_pairs, "modes": structure.n_modes} | row
 
 
 def of_many(now: list[Row], before: list[Row]) -> Iterator[tuple[str, bool | None]]:
@@ -344,7 +346,8 @@ def population(quick: bool) -> Iterator[Row]:
 
 def is_orbit(found: fc.PeriodicSolution) -> bool:
     """Whether a solution is an exact orbit's, or one is its own."""
-    return found.orbit is not None if hasattr(found, "orbit") else bool(found.judged.accepted)
+    judged = getattr(found, "judged", None)
+    return found.orbit is not None if judged is None else bool(judged.accepted)
 
 
 def of_population(now: list[Row], before: list[Row]) -> Iterator[tuple[str, bool | None]]:
@@ -388,17 +391,18 @@ def independence(quick: bool) -> Iterator[Row]:
 def answer(
     structure: fc.Structure, omega: float, law: Any, harmonics: int, way: str
 ) -> tuple[float, str]:
-    """Error and verdict of a solution."""
+    """Error and verdict of a solution of which nothing is known yet."""
     solve = partial(fc.solve_harmonic_balance, structure, harmonics=harmonics, throw=False)
-    if way == "after neighbours":
-        for near in (0.99 * omega, 1.01 * omega):
-            neighbour = solve(near, law)
-            fc.floquet(structure, neighbour), neighbour.report
+    for near in (0.99 * omega, 1.01 * omega) if way == "after neighbours" else ():
+        fc.floquet(structure, solve(near, law))
     found = solve(omega, law)
+    known = "assessment" if hasattr(found, "assessment") else "judged"
+    nothing: dict[str, Any] = {known: None}
+    found = replace(found, **nothing)
     if way == "verdict first":
         verdict = fc.floquet(structure, found).verdict
-        return found.report.total, verdict
-    return found.report.total, fc.floquet(structure, found).verdict
+        return getattr(found, known).errors()[0], verdict
+    return getattr(found, known).errors()[0], fc.floquet(structure, found).verdict
 
 
 def of_independence(now: list[Row], before: list[Row]) -> Iterator[tuple[str, bool | None]]:
@@ -435,7 +439,7 @@ def few_pairs(quick: bool) -> Iterator[Row]:
         flow = ReferenceFlow(structure, law)
         for natural in np.sqrt(_modes(structure)[0][:2]):
             span = 0.9 * float(natural), 1.1 * float(natural)
-            row, curve = followed(str(number), structure, span, law, most_points=600)
+            row, curve = followed(str(number), structure, span, law, most_points=2000)
             row |= {"_curve": True, "kind": "-", "omega": span[0], "off": np.nan}
             yield row
             for one in [] if curve is None else stated(curve):
@@ -501,7 +505,8 @@ import fenics_crack as fc
 plate = common.plate("paper_plate")
 found = fc.solve_harmonic_balance(plate, 2000.0, fc.UnilateralPenalty(1e11), harmonics=5)
 if plate.comm.rank == 0:
-    print(json.dumps([found.converged, found.iterations, found.gap_coefficients.tolist()]))
+    gap = found.gap_coefficients.tolist()
+    print(json.dumps({"converged": found.converged, "iterations": found.iterations, "gap": gap}))
 """
 
 
@@ -515,9 +520,8 @@ def snes(quick: bool) -> Iterator[Row]:
         output = subprocess.run(
             command, capture_output=True, text=True, check=True, env=os.environ | ENVIRONMENT
         ).stdout
-        line = next(line for line in output.splitlines() if line.startswith("[true") or
-                    line.startswith("[false"))  # fmt: skip
-        converged, iterations, gap = json.loads(line)
+        line = next(line for line in output.splitlines() if line.startswith("{"))
+        converged, iterations, gap = json.loads(line).values()
         known = np.array(gap) if known is None else known
         off = float(np.linalg.norm(np.array(gap) - known) / np.linalg.norm(known))
         yield {"way": " ".join(words), "converged": converged, "iterations": iterations,
@@ -559,9 +563,9 @@ def demos(quick: bool) -> Iterator[Row]:
             run([program, command, *words, "--output", "out"])
             seconds = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - began
             names, values, errors = numbers(command, Path(folder, "out"))
-            words = Path(folder, "out", "sweep.csv").read_text() if command == "sweep" else ""
+            text = Path(folder, "out", "sweep.csv").read_text() if command == "sweep" else ""
         kinds = ("stable", "unstable", "undecided")
-        verdicts = ", ".join(f"{words.count(f',{kind},')} {kind}" for kind in kinds if words)
+        verdicts = ", ".join(f"{text.count(f',{kind},')} {kind}" for kind in kinds if text)
         yield {"command": command, "numbers": len(values), "verdicts": verdicts, "s": seconds,
                "_names": names, "_values": values, "_errors": errors}  # fmt: skip
 
