@@ -129,10 +129,9 @@ def curve_to_tolerance(
         return fc.continue_frequency(
             structure, *span, law, tolerance=TOLERANCE, throw=False, **options
         )
-    accuracy = {} if "tolerance" in options else {"harmonics": 15}
-    return fc.continue_frequency(
-        structure, *span, law, stability=True, throw=False, **accuracy, **options
-    )
+    if "tolerance" not in options:
+        options |= {"harmonics": 15}
+    return fc.continue_frequency(structure, *span, law, stability=True, throw=False, **options)
 
 
 def followed(name: str, *arguments: Any, **options: Any) -> tuple[Row, fc.ResponseCurve | None]:
