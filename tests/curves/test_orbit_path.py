@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import OMEGA_0, ROOT, chain, oscillator, two_masses
+from mpi4py import MPI
+from rotating import cracked
 
 import fenics_crack as fc
 from fenics_crack.curves.orbit_events import FLOOR, MultiplierControl, changes, observe
@@ -118,6 +120,24 @@ def test_end_is_the_orbit_found_there(parameter: str) -> None:
     assert orbit is not None
     assert last.state == pytest.approx(orbit.state, abs=1e-7 * np.abs(orbit.state).max())
     assert np.abs(last.multipliers) == pytest.approx(np.abs(orbit.multipliers[:8]), abs=1e-7)
+
+
+def test_over_the_speed_of_a_rotor() -> None:
+    """Orbits in the modes of each speed; the derivative against a wider difference."""
+    whole = fc.build_structure(cracked(600.0, -250.0), MPI.COMM_SELF)
+    spinning = fc.run_up_structure(whole, 560.0, 640.0, 4).at_speed(600.0)
+    problem = fc.Problem(spinning, 12 * 600.0, fc.UnilateralConstraint())
+    family = OrbitFamily(problem, "speed", 560.0, 640.0)
+    orbit = orbit_at(family.at(600.0))
+    assert orbit.events > 0 and family.omega(620.0) == pytest.approx(12 * 620.0)
+    unknown = family.unknown(orbit.state, 600.0)
+    assert family.state(unknown, 600.0) == pytest.approx(orbit.state, abs=1e-12)
+    size = np.abs(unknown).max()
+    at, step = family.linearise(unknown, 0.5), 1e-5
+    assert at.residual == pytest.approx(0.0, abs=1e-9 * size)
+    above, below = (family.linearise(unknown, 0.5 + dp).residual for dp in (step, -step))
+    rate = (above - below) / (2.0 * step)
+    assert at.by_parameter == pytest.approx(rate, abs=1e-4 * np.abs(rate).max())
 
 
 def test_twice_the_load_and_clearance_is_twice_the_motion() -> None:
