@@ -187,9 +187,10 @@ static double falls(const flow *f, int pair, double low, double high, double bef
     return column_zero(p, f->order, f->answers, pair, 0, low, high);
 }
 
-/* How many of the answers (p) may be negative in a step, from their values at its ends and at four
- * instants in a row about it: where they are at an end, or where twice the bend between these is
- * more than what is left at both ends. */
+/* Whether one of the answers (p) may be negative in a step, and which, from values at its ends and at
+ * four ends of steps in a row about it: an answer that is at the end, or that may bend to there:
+ * between two values it falls below both by an eighth of the second difference at most; twice that
+ * is allowed for. */
 WIDE static int may_fall(int p, const double *restrict low, const double *restrict high,
                          const double *restrict around, double *restrict found)
 {
