@@ -157,21 +157,18 @@ def first_aside(
 
 def _across(family: Family, unknown: np.ndarray, parameter: float, doubled: bool) -> Tangent:
     """Unit direction in the null space of [J, F_p], across the old branch."""
-    if not doubled:
-        return across(family, unknown, parameter)
     at = family.linearise(unknown, parameter)
+    old = tangent_of(family, unknown, at)
+    if not doubled:
+        return across(at, old)
     places = np.flatnonzero(np.repeat(odd_rows(family), unknown.shape[1]))
     found = np.zeros(unknown.size)
     found[places] = scipy.linalg.svd(at.jacobian[np.ix_(places, places)])[2][-1]
-    weight = tangent_of(family, unknown, at).weight
-    return Tangent(found.reshape(unknown.shape) / math.sqrt(weight), 0.0, weight)
+    return Tangent(found.reshape(unknown.shape) / math.sqrt(old.weight), 0.0, old.weight)
 
 
-def across(system: System, unknown: np.ndarray, parameter: float) -> Tangent:
+def across(at: DenseLinearisation, old: Tangent) -> Tangent:
     """Unit direction in the null space of [J, F_p] at a branch point, across the old branch."""
-    at = system.linearise(unknown, parameter)
-    assert isinstance(at, DenseLinearisation)
-    old = tangent_of(system, unknown, at)
     size = math.sqrt(old.weight)  # the parameter in the units of the unknowns
     derivative = at.by_parameter.reshape(-1, 1)
     null = scipy.linalg.svd(np.hstack([at.jacobian, derivative * size]))[2][-2:]
@@ -179,4 +176,4 @@ def across(system: System, unknown: np.ndarray, parameter: float) -> Tangent:
     vector = mix[1] * null[0] - mix[0] * null[1]
     slope = float(vector[-1]) * size
     length = math.sqrt(old.weight * float(vector[:-1] @ vector[:-1]) + slope**2)
-    return Tangent(vector[:-1].reshape(unknown.shape) / length, slope / length, old.weight)
+    return Tangent(vector[:-1].reshape(old.x.shape) / length, slope / length, old.weight)

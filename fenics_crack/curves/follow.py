@@ -311,7 +311,7 @@ def follow_branch(
     if isinstance(curve, OrbitCurve):
         assert isinstance(bifurcation, ExactBifurcation)
         given.pop("stability", None)
-        growing = OrbitContinuation(problem, *span, initial=bifurcation, **given)
+        growing = OrbitContinuation(problem, *span, initial=(curve, bifurcation), **given)
         return _run(growing, progress, throw)
     assert isinstance(bifurcation, HarmonicBifurcation)
     return _run(Continuation(problem, *span, initial=bifurcation, **given), progress, throw)

@@ -33,8 +33,13 @@ from fenics_crack.errors import TOLERANCE, ConvergenceError, InputError, check_n
 from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import FORMED, KNOWN, PeriodicOrbit, too_slow
 from fenics_crack.numerics.newton import PathPoint, distance, point_on_path
-from fenics_crack.numerics.path import PathOptions
+from fenics_crack.numerics.path import STRAIGHT, PathOptions
 from fenics_crack.table import counted, in_unit
+
+Beginning = (
+    PeriodicSolution | PeriodicOrbit | OrbitCurve | tuple[OrbitCurve, ExactBifurcation] | None
+)
+"""Where a curve of exact orbits may begin."""
 
 
 def has_orbits(problem: Problem, *frequencies: float) -> bool:
@@ -53,10 +58,11 @@ class OrbitContinuation:
     ----------
     problem, parameter, start, end, longest_step, most_points, turning_back
         As of :class:`fenics_crack.Continuation`; the problem's harmonics play no part.
-    initial : PeriodicSolution, PeriodicOrbit, OrbitCurve or ExactBifurcation, optional
+    initial : PeriodicSolution, PeriodicOrbit, OrbitCurve, (OrbitCurve, ExactBifurcation), optional
         Where to start: next to a solution; at an orbit at ``start``; at the last point of a curve
         that did not reach its end, whose ``start`` is then this one's, or for a branch ``start``
-        and ``end`` bound the parameter; or on the branch that begins at a bifurcation, likewise.
+        and ``end`` bound the parameter; or on the branch that begins at a bifurcation of a curve,
+        likewise.
     tolerance : float, optional
         As of :class:`OrbitCurve`; default: that of ``initial``, or 0.01.
 
@@ -80,14 +86,15 @@ class OrbitContinuation:
         start: float,
         end: float,
         *,
-        initial: PeriodicSolution | PeriodicOrbit | OrbitCurve | ExactBifurcation | None = None,
+        initial: Beginning = None,
         tolerance: float | None = None,
         longest_step: float = LONGEST_STEP,
         most_points: int = 50000,
         turning_back: float = 0.1,
     ) -> None:
         if tolerance is None:
-            tolerance = getattr(initial, "tolerance", TOLERANCE)
+            known = initial[0] if isinstance(initial, tuple) else initial
+            tolerance = known.tolerance if isinstance(known, OrbitCurve) else TOLERANCE
         check_number("tolerance", tolerance, 0.0, above=True)
         problem, turning_back = checked(
             problem, parameter, start, end, longest_step, most_points, turning_back
@@ -100,10 +107,8 @@ class OrbitContinuation:
         }  # fmt: skip
         if isinstance(initial, OrbitCurve):
             options |= self._resumed(initial)
-        elif isinstance(initial, ExactBifurcation):
-            one = OrbitBifurcation(initial.kind, initial.value, initial.state, initial.multipliers)
-            enter = doubled_start if initial.kind == "period_doubling" else branch_start
-            begun = enter(family, one, longest_step)
+        elif isinstance(initial, tuple):
+            begun = _branch_start(family, *initial, longest_step)
             self._branch = True
             options |= {"state": begun.state, "value": begun.value, "towards": begun.towards}
         else:
@@ -231,22 +236,30 @@ def _first_orbit(
     return search.orbit
 
 
-def branch_start(
-    family: OrbitFamily, bifurcation: OrbitBifurcation, longest_step: float
+def _branch_start(
+    family: OrbitFamily, curve: OrbitCurve, bifurcation: ExactBifurcation, longest_step: float
 ) -> OrbitStart:
-    """Enter the branch that crosses at a branch point.
+    """Enter the branch of twice the period at a period doubling of a curve, or the one that crosses
+    it at a branch point.
 
     Raises
     ------
     ConvergenceError
         No orbit of another branch is found next to it.
     """
+    if bifurcation.kind == "period_doubling":
+        known = bifurcation.kind, bifurcation.value, bifurcation.state, bifurcation.multipliers
+        return doubled_start(family, OrbitBifurcation(*known), longest_step)
     value, parameter = bifurcation.value, family.parameter(bifurcation.value)
     unknown = family.unknown(bifurcation.state, value)
-    start = PathPoint(unknown, parameter, 0, across(family, unknown, parameter))
+    # J is singular: the old branch goes on as its points on both sides do.
+    ends = curve.part(curve.around(bifurcation))
+    before, after = zip(ends.values.tolist(), ends.states, strict=True)
+    old = family.direction(before, after)
+    start = PathPoint(unknown, parameter, 0, across(family.linearise(unknown, parameter), old))
 
     def near(found: PathPoint, step: float) -> bool:
-        return distance(family, start, found) < 3.0 * step
+        return STRAIGHT * distance(family, start, found) < step
 
     found = first_aside(family, start, longest_step, PathOptions.rtol, near)
     if found is None:

@@ -190,6 +190,16 @@ class OrbitCurve(ResponseCurve):
             multipliers=multipliers, tolerance=self.tolerance,
         )  # fmt: skip
 
+    def around(self, bifurcation: ExactBifurcation) -> np.ndarray:
+        """Numbers of the points before and behind the one nearest to a bifurcation: (2,)."""
+        flow = self.flow(bifurcation.value)
+        weights = flow.weights(bifurcation.omega / self.subharmonic)
+        off = np.linalg.norm(weights * (self.states - bifurcation.state), axis=1)
+        off /= float(np.linalg.norm(weights * bifurcation.state)) or 1.0
+        wide = float(np.ptp(self.values)) or 1.0
+        nearest = int(np.argmin(np.hypot(off, (self.values - bifurcation.value) / wide)))
+        return np.clip([nearest - 1, nearest + 1], 0, len(self) - 1)
+
     def followed_by(self, other: OrbitCurve) -> OrbitCurve:
         """The points and bifurcations of both, and how the other one ended."""
         names = "values", "omega", "iterations", "states", "multipliers"

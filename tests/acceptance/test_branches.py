@@ -14,9 +14,9 @@ SOFT = fc.UnilateralPenalty(1.0)
 @cache
 def found() -> tuple[fc.ResponseCurve, fc.ResponseCurve]:
     """The oscillator's curve, and its branch."""
-    curve = fc.continue_frequency(judged.oscillator(), 1.5, 3.0, SOFT, harmonics=20, stability=True)
+    curve = fc.continue_frequency(judged.oscillator(), 1.5, 3.0, SOFT, tolerance=1e-3)
     first = next(one for one in curve.bifurcations if one.kind == "period_doubling")
-    return curve, fc.follow_branch(curve, first, stability=True)
+    return curve, fc.follow_branch(curve, first)
 
 
 def odd(branch: fc.ResponseCurve) -> np.ndarray:

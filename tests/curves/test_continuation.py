@@ -11,16 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.linalg
-from helpers import (
-    Cubic,
-    amplitudes,
-    oscillator,
-    random_stiffness,
-    to_complex,
-    true_error,
-    two_masses,
-    wrap,
-)
+from helpers import Cubic, amplitudes, oscillator, random_stiffness, to_complex, two_masses, wrap
 
 import fenics_crack as fc
 from fenics_crack import continue_frequency
@@ -137,23 +128,10 @@ def test_fold_of_a_duffing_oscillator() -> None:
 
 
 def test_period_doubling_of_two_masses_and_a_stop() -> None:
-    """Published at W = 0.7387830: that of the exact orbits, whichever harmonics the curve has."""
-    structure, law = two_masses(), fc.UnilateralPenalty(100.0)
-    for harmonics in (21, 61):
-        curve = continue_frequency(
-            structure, 0.72, 0.75, law, harmonics=harmonics, stability=True,
-            initial=_contact_branch(structure, law, harmonics), throw=False, most_points=60,
-        )  # fmt: skip
-        [doubling] = [b for b in curve.bifurcations if b.kind == "period_doubling"]
-        assert doubling.exact == pytest.approx(0.7387830, abs=1e-7)
-
-
-def _contact_branch(
-    structure: fc.Structure, law: fc.UnilateralPenalty, harmonics: int
-) -> fc.PeriodicSolution:
-    """The branch with contact at W = 0.72: reached from below, where it is the only one."""
-    curve = continue_frequency(structure, 0.6, 0.72, law, harmonics=harmonics)
-    return curve.solution(len(curve.omega) - 1)
+    """Published at W = 0.7387830."""
+    curve = continue_frequency(two_masses(), 0.6, 0.75, fc.UnilateralPenalty(100.0), tolerance=1e-2)
+    [doubling] = [b for b in curve.bifurcations if b.kind == "period_doubling"]
+    assert doubling.exact == pytest.approx(0.7387830, abs=1e-7)
 
 
 def test_saved_curve_comes_back(tmp_path: Path) -> None:
@@ -317,15 +295,15 @@ def test_doubled_branch() -> None:
     The branch is stable, and joins the old one again at the other period doubling.
     """
     structure, law = oscillator(0.1, 1.0), fc.UnilateralPenalty(1.0)
-    curve = continue_frequency(structure, 1.5, 3.0, law, harmonics=20, stability=True)
+    curve = continue_frequency(structure, 1.5, 3.0, law, tolerance=1e-3)
     doublings = [b for b in curve.bifurcations if b.kind == "period_doubling"]
     assert len(doublings) == 2
     between = (curve.omega > doublings[0].omega) & (curve.omega < doublings[1].omega)
     assert np.array_equal(curve.stable, ~between)
-    branch = fc.follow_branch(curve, doublings[0], stability=True)
+    branch = fc.follow_branch(curve, doublings[0])
     assert branch.complete and branch.status == "joined the branch that it left"
     assert branch.multipliers is not None and branch.subharmonic == 2
-    assert set(branch.verdicts) <= {"stable", "undecided"} and np.mean(branch.stable) > 0.9
+    assert set(branch.verdicts[1:-1]) == {"stable"}
     ends = doublings[0].omega, doublings[1].omega
     assert (branch.omega.min(), branch.omega.max()) == pytest.approx(ends, abs=1e-4)
     omega = 4.0 * np.sqrt(2.0) / (1.0 + np.sqrt(2.0))
@@ -423,50 +401,6 @@ def test_the_bar_counts_whole_per_cents(monkeypatch: pytest.MonkeyPatch) -> None
     assert len(counts) > 10 and counts[-1] == "100" and all(map(str.isdigit, counts))
 
 
-def test_harmonics_follow_the_truncation(tmp_path: Path) -> None:
-    """More harmonics where they are needed alone; every point is as good as was asked for."""
-    structure, law = oscillator(0.1, 1.0), fc.UnilateralPenalty(1.0)
-    curve = continue_frequency(structure, 0.2, 3.0, law, harmonics=4, tolerance=1e-3)
-    assert curve.complete
-    assert curve.harmonics.min() == 4 and 8 <= curve.harmonics.max() <= 40
-    assert curve.harmonics[-1] < curve.harmonics.max()
-    errors = []
-    for index in range(0, len(curve), 10):
-        rough = curve.solution(index)
-        exact = fc.solve_harmonic_balance(structure, rough.omega, law, harmonics=80, initial=rough)
-        errors.append(true_error(rough, exact))
-    assert np.median(errors) < 1e-3 and max(errors) < 1e-2
-    fc.save(curve, tmp_path / "curve.h5")
-    again = fc.load(tmp_path / "curve.h5", structure, law)
-    assert np.array_equal(again.harmonics, curve.harmonics)
-    assert np.array_equal(again.amplitude(0), curve.amplitude(0))
-
-
-def test_fewer_harmonics_where_more_have_no_solution(monkeypatch: pytest.MonkeyPatch) -> None:
-    """H grows by less, and the curve goes on: an estimate that is far too large does not end it."""
-    monkeypatch.setattr(
-        "fenics_crack.curves.continuation.distance",
-        lambda family, *_: np.inf if family.problem.harmonics > 7 else 0.0,
-    )
-    structure, law = oscillator(0.1, 1.0), fc.UnilateralPenalty(1.0)
-    curve = continue_frequency(structure, 3.0, 0.2, law, harmonics=4, tolerance=1e-3)
-    assert curve.complete and set(curve.harmonics) == {4, 5, 7}
-    assert np.nanmax(curve.truncation) > 1e-3
-
-
-def test_the_end_of_a_curve_takes_no_other_harmonics(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its last point may ask for more of them: no step leads on from there."""
-    monkeypatch.setattr("fenics_crack.curves.continuation.LOOK_EVERY", 1)
-    monkeypatch.setattr(
-        "fenics_crack.curves.continuation._truncation",
-        lambda family, value, at: 1.0 if abs(at.parameter - 1.0) < 1e-9 else 5e-3,
-    )
-    structure, law = oscillator(0.1, 1.0), fc.UnilateralPenalty(1.0)
-    curve = continue_frequency(structure, 0.5, 0.6, law, harmonics=9, tolerance=1e-2)
-    assert curve.complete and curve.omega[-1] == pytest.approx(0.6, rel=1e-12)
-    assert set(curve.harmonics) == {9} and curve.truncation[-1] == 1.0
-
-
 @pytest.mark.parametrize(
     ("key", "arguments"),
     [
@@ -518,10 +452,10 @@ def test_branch_where_rounding_leaves_much(seed: int) -> None:
         damping=0.1 * np.eye(4),
     )
     law = fc.UnilateralPenalty(1.0)
-    curve = continue_frequency(structure, 3.2, 2.5, law, harmonics=8, stability=True)
+    curve = continue_frequency(structure, 3.2, 2.5, law, tolerance=1e-2)
     doubling = next(b for b in curve.bifurcations if b.kind == "period_doubling")
     branch = fc.follow_branch(curve, doubling, throw=False, most_points=5)
-    assert len(branch) == 6 and branch.iterations[0] <= 4
+    assert len(branch) == 6
     assert np.all(np.linalg.norm(branch.gap_coefficients[:, 1:3], axis=(1, 2)) > 0.0)
 
 
@@ -581,7 +515,7 @@ def test_run_records_what_iterating_gives(span: tuple[float, float], most: int) 
     one, other = growing[0].curve, growing[1].curve
     assert len(points) == len(other) and one.status == other.status
     assert np.array_equal([point.value for point in points], other.values)
-    for name in ("values", "omega", "unknowns", "iterations", "harmonics", "truncation"):
+    for name in ("values", "omega", "unknowns", "iterations", "harmonics"):
         assert np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True)
     assert folds(one) == folds(other)
     assert len(folds(other)) == sum(len(point.bifurcations) for point in points)

@@ -176,6 +176,23 @@ def test_branch_of_twice_the_period(followed: fc.OrbitCurve) -> None:
         fc.follow_branch(followed, next(b for b in followed.bifurcations if b.kind == "fold"))
 
 
+def test_branches_of_equal_masses() -> None:
+    """Two with stops, loaded alike, move alike on the curve; at four branch points they part, and
+    the branches come back."""
+    structure = fc.Structure.from_matrices(
+        np.eye(2), np.array([[2.0, -1.0], [-1.0, 2.0]]), np.eye(2), force_sin=np.ones(2),
+        clearance=0.3, damping=fc.ModalDamping(0.02),
+    )  # fmt: skip
+    law = fc.UnilateralPenalty(2.0)
+    curve = fc.continue_frequency(structure, 0.9, 2.0, law, tolerance=1e-2)
+    points = [one for one in curve.bifurcations if one.kind == "branch_point"]
+    assert len(points) == 4 and np.ptp(curve.gap_coefficients, axis=2).max() < 1e-7
+    for point in points:
+        branch = fc.follow_branch(curve, point)
+        assert branch.status == "closed loop"
+        assert np.ptp(branch.gap_coefficients, axis=2).max() > 0.5
+
+
 def test_stopped_saved_and_resumed(followed: fc.OrbitCurve, tmp_path: Path) -> None:
     """A curve that has not reached its end goes on from a file, to the same end."""
     structure = followed.structure
