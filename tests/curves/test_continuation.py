@@ -303,7 +303,7 @@ def test_doubled_branch() -> None:
     branch = fc.follow_branch(curve, doublings[0])
     assert branch.complete and branch.status == "joined the branch that it left"
     assert branch.multipliers is not None and branch.subharmonic == 2
-    assert set(branch.verdicts[1:-1]) == {"stable"}
+    assert set(branch.verdicts) <= {"stable", "undecided"} and np.mean(branch.stable) > 0.9
     ends = doublings[0].omega, doublings[1].omega
     assert (branch.omega.min(), branch.omega.max()) == pytest.approx(ends, abs=1e-4)
     omega = 4.0 * np.sqrt(2.0) / (1.0 + np.sqrt(2.0))
