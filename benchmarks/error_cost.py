@@ -23,7 +23,6 @@ from importlib import resources
 
 import common
 import numpy as np
-from fenics_crack.balance.judgement import Judgement, MoreModes
 from growth import MESHES, MILLION, MODES, PER_AREA
 from orbits import plate
 
