@@ -23,7 +23,7 @@ from fenics_crack.curves.orbit_path import (
 )
 from fenics_crack.motion.flow import exact_flow
 from fenics_crack.motion.orbit import PeriodicOrbit, find_orbit
-from fenics_crack.motion.shooting import wave_states
+from fenics_crack.motion.search import wave_states
 from fenics_crack.numerics.newton import point_on_path
 from fenics_crack.numerics.path import Path, PathOptions, Target
 
