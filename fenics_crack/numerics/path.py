@@ -555,13 +555,15 @@ class Path:
     def _remember(self, found: Stretch) -> None:
         self._known = [*self._known, *found[-2:]][-2:]
 
-    def _accepted(self, found: Stretch, known: int) -> Stretch | None:
-        """The last point that was known, and those behind it up to the first step that is halved;
-        None if that is the first."""
+    def _accepted(self, found: Stretch, known: int, step: float) -> Stretch | None:
+        """The last point that was known, and those behind it, of which the first was sought by a
+        step, up to the first step that is halved; None if that is the first."""
         assert self._control is not None
         found.observe(self._system, self._known)
-        long = found.lengths[1:] > 2.0 * self._options.min_step
-        halved = np.flatnonzero((self._control.too_long(found) & long)[known - 1 :])
+        lengths = found.lengths[known:].copy()
+        lengths[0] = min(lengths[0], step)  # where the path jumps its chord is no step
+        long = lengths > 2.0 * self._options.min_step
+        halved = np.flatnonzero(self._control.too_long(found)[known - 1 :] & long)
         if not len(halved):
             self._longest = min(2.0 * self._longest, self._options.max_step)
             if self._longest == self._options.max_step:
@@ -570,7 +572,7 @@ class Path:
         last = known - 1 + int(halved[0])
         if found.crossings[last + 1 :].sum() % 2:
             self._orientation = -self._orientation
-        self._step = self._longest = 0.5 * float(found.lengths[last + 1])
+        self._step = self._longest = 0.5 * float(lengths[halved[0]])
         self._at_once = min(FEW, self._options.at_once)
         return found[known - 1 : last + 1] if last >= known else None
 
@@ -592,10 +594,11 @@ class Path:
             lowest=max(p for p in bounds if p <= here),
             highest=min(p for p in bounds if p >= here),
         )  # fmt: skip
+        step = self._step
         outcome = self._equations.run(kernel.follow, how.at, path.at)
         self._orientation, self._step = path.at.orientation, path.at.step
         if path.at.known == len(known):
             self._equations.check(outcome)
         if path.at.known == len(known) or self._control is None:
             return found[len(known) - 1 : path.at.known]
-        return self._accepted(found[: path.at.known], len(known))
+        return self._accepted(found[: path.at.known], len(known), step)
