@@ -38,7 +38,7 @@ PATCHES = {"mesh.lip_elements": 8, "mesh.error": False}
 """Of the box that ``new --solid`` writes: 293 on its crack."""
 COLUMNS = (
     "case", "pairs", "modes", "search ms", "step ms", "orbit ms", "reference ms", "step", "orbit",
-    "reference", "error", "predicted", "distance", "more modes", "|mu|",
+    "reference", "error", "predicted", "truncation", "distance", "more modes", "|mu|",
 )  # fmt: skip
 
 
@@ -59,6 +59,7 @@ class Assessed:
     orbit: float = np.nan
     reference: float = np.nan
     predicted: float = np.nan
+    truncation: float = np.nan
     distance: float = np.nan
     more_modes: float = np.nan
     multiplier: float = np.nan
@@ -72,13 +73,13 @@ def assessed(solution: fc.PeriodicSolution) -> Assessed:
     found.orbit = found.reference = 0.0
     if step is None:
         return found
-    found.predicted = step.error
+    found.predicted, found.truncation = step.error, known.errors()[0]
     if known.orbit is not None:
         found.distance = known.distance
         if known.orbit.flow.size <= FORMED:
             found.multiplier = float(abs(known.orbit.multipliers[0]))
     found.orbit, clock = time.process_time() - clock, time.process_time()
-    if known.orbit is not None and known.more_modes is not None:
+    if known.more_modes is not None:
         found.more_modes = known.more_modes.changes[0]
     found.reference = time.process_time() - clock
     return found
@@ -96,7 +97,7 @@ def measured(
     parts = np.array([found.step, found.orbit, found.reference])
     return (
         name, structure.n_pairs, structure.n_modes, *(1e3 * np.array([search, *parts])),
-        *(parts / search), parts.sum() / search, found.predicted, found.distance,
+        *(parts / search), parts.sum() / search, found.predicted, found.truncation, found.distance,
         found.more_modes, found.multiplier,
     )  # fmt: skip
 
@@ -148,7 +149,7 @@ def report(arguments: common.Arguments, title: str, name: str, rows: list[common
     for column, part in enumerate(COLUMNS[7:11], 4):
         middle, most = np.percentile(table[:, column], [50, 90])
         print(f"{part} / search: median {middle:.2f}, 90 % {most:.2f}")
-    stated = np.isfinite(table[:, 9:11]).all(axis=1)
+    stated = (table[:, [9, 11]] < 1.0).all(axis=1)
     print(f"an error stated for {stated.sum()} of {len(rows)}")
 
 

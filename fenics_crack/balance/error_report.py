@@ -144,7 +144,9 @@ def estimate_errors(
         changes.append(beyond_truncation(at))
         truncation = changes[0].relative_to(at, structure.clearance)
     exactly = known.affordable and search and structure.light_lips
-    if exactly and known.more_modes is not None:
+    if exactly and truncation >= UNKNOWN:  # nor is what more modes make of the motion
+        reduction = UNKNOWN if isinstance(structure, ReducedStructure) else 0.0
+    elif exactly and known.more_modes is not None:
         reduction, more_at_load = known.more_modes.changes
         at_load += more_at_load
     else:
