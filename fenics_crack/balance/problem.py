@@ -73,7 +73,7 @@ from fenics_crack.numerics.equations import (
 from fenics_crack.numerics.fourier import balanced
 from fenics_crack.numerics.newton import (
     FULL_STEPS,
-    PATIENCE,
+    STALL,
     Newton,
     kernel_solves,
     point_on_path,
@@ -410,7 +410,7 @@ class Search:
         grow."""
         yield guess
         point = solve_near(system, guess, 1.0, tolerance=self.tolerance, full=False)
-        self.iterations += PATIENCE if point is None else point.iterations
+        self.iterations += STALL if point is None else point.iterations
         if point is not None:
             yield point.unknown
 
@@ -493,7 +493,7 @@ class Search:
         if begun is None:
             return
         left = 1 + max(0, int(self._most) - self.iterations)
-        at_once = min(PathOptions.at_once, 1 + left // PATIENCE)
+        at_once = min(PathOptions.at_once, 1 + left // STALL)
         options = replace(NARROW, rounding=self._rounding, max_steps=left, at_once=at_once)
         path = Path(system, point_on_path(system, begun.unknown, 0.0), options, [Target(1.0)])
         for point in path.points():

@@ -23,6 +23,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from fenics_crack.balance.assessment import MAX_PREDICTED_ERROR
 from fenics_crack.balance.solution import Stability
 from fenics_crack.curves.beginnings import chord
 from fenics_crack.curves.family import Family
@@ -38,7 +39,7 @@ from fenics_crack.stages import begin
 
 FOLLOWED = "fold", "branch_point"
 """Kinds of bifurcations that a curve has before it is judged."""
-FIRST_ASKED = 8
+FIRST_ASKED = 6
 """Points, spread along a curve, of which one has to have an orbit that the others are asked."""
 
 
@@ -85,7 +86,10 @@ def judge_curve(curve: HarmonicCurve) -> HarmonicCurve:
 
 def _decides(curve: HarmonicCurve, place: int, multipliers: np.ndarray) -> bool:
     """Judge a point, whose leading multiplier is set; whether that is decided."""
-    found = stability_of(curve.assessment(place))
+    known = curve.assessment(place)
+    if not known.predicted_error <= MAX_PREDICTED_ERROR:  # no orbit would be its own
+        return False
+    found = stability_of(known)
     if found.verdict == "undecided":
         return False
     leading = complex(found.multipliers[0])

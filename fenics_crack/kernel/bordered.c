@@ -4,7 +4,7 @@
 #include <math.h>
 #include <stdlib.h>
 
-enum { PATIENT = 32 };
+enum { LONGEST_STALL = 32 };
 #define STEP 1e-4 /* residual of a step of Newton's method that is found with products */
 const double SHARP = 1e-9;
 
@@ -66,11 +66,11 @@ void turn_round(int n, double *tangent, double *slope)
 int correct_in_plane(equations *at, const plane *in, const correction *how, double *x, double *p,
                      int *taken, double *room)
 {
-    const int n = at->unknowns, patience = how->patience;
+    const int n = at->unknowns, stall = how->stall;
     double *F = room, *change = room + n, *rate = change + n;
     const double guess = *p;
     double shift = 0.0, damping = 1.0, before = INFINITY;
-    double sizes[PATIENT], smallest = INFINITY; /* of the steps before the last `patience` */
+    double sizes[LONGEST_STALL], smallest = INFINITY; /* of the steps before the last `stall` */
     *taken = 0;
     for (int i = 0; i < 4 * how->iterations; i++) {
         const int outcome = at->evaluate(at, x, *p);
@@ -87,9 +87,9 @@ int correct_in_plane(equations *at, const plane *in, const correction *how, doub
             add_to(n, x, -damping, change), *p -= damping * shift;
             continue;
         }
-        if (patience) {
-            sizes[*taken % PATIENT] = size;
-            if (*taken >= patience) smallest = fmin(smallest, sizes[(*taken - patience) % PATIENT]);
+        if (stall) {
+            sizes[*taken % LONGEST_STALL] = size;
+            if (*taken >= stall) smallest = fmin(smallest, sizes[(*taken - stall) % LONGEST_STALL]);
         }
         if (*taken == how->iterations || 0.5 * smallest < size) return NOT_FOUND;
         const int former = *taken && at->solve_nearly && size <= how->lasting * before;

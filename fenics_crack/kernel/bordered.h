@@ -10,7 +10,7 @@
  * residual (0: any number; else at most 30). */
 typedef struct {
     double tolerance, reach, least_damping, lasting;
-    int iterations, patience;
+    int iterations, stall;
 } correction;
 
 /* How changes are measured beside a solution: weight times their square, of which that of means

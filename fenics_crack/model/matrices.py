@@ -15,7 +15,7 @@ Rows of an .op4 or a Matrix Market file get their nodes from a file of their own
 or what Ansys' ``HBMAT`` writes beside the matrix that ``*EXPORT`` writes.
 
 Matrix Market files (Boisvert, Pozo and Remington, The Matrix Market exchange formats, NISTIR 5935,
-1996) are read strictly. SciPy's reader believes what a file announces: depending on its version it
+1996) are read strictly. SciPy's reader relies on what a file announces: depending on its version it
 does not end, asks for all memory, or crashes where the file is damaged. Here no file has more
 entries than it has bytes for, and a packed one is unpacked up to a limit that follows from its own
 size.

@@ -218,7 +218,7 @@ MAX_ITERATIONS = 8
 """Of one correction."""
 MIN_DAMPING = 0.05
 """Of a Newton step."""
-FULL_STEPS, LEAST_STEP, PATIENCE = 20, 0.01, 8
+FULL_STEPS, LEAST_STEP, STALL = 20, 0.01, 8
 """From a guess at a given parameter, how short these may become, and those of them that may
 together fail to halve the residual."""
 STRAY = 3.0
@@ -343,14 +343,14 @@ def solve_in_plane(
     iterations: int = MAX_ITERATIONS,
     reach: float = np.inf,
     least_damping: float | None = MIN_DAMPING,
-    patience: int | None = None,
+    stall: int | None = None,
     lasting: float = 0.0,
 ) -> PathPoint | None:
     """Newton's method in the plane across a tangent, or at a given parameter; None where it fails.
 
     ``tolerance`` is |F| / |x| of the solution, |x| that of the tangent's point; ``reach``: how far
     from the guess the parameter may go; ``least_damping``: how much a step may be shortened where
-    the residual would grow, None for full steps whatever it does; ``patience``: steps, at most 30,
+    the residual would grow, None for full steps whatever it does; ``stall``: steps, at most 30,
     that may together fail to halve |F| / |x|; ``lasting``: to what part of it a step has to shrink
     it that the next one may have the same Jacobian.
     """
@@ -363,7 +363,7 @@ def solve_in_plane(
         size = Struct("norm", weight=plane.weight, of_means=plane.of_means)
         border = Struct("plane", across=across, slope=plane.p, size=size).at
     shortest = -1.0 if least_damping is None else least_damping
-    how = correction(tolerance, reach, iterations, shortest, patience or 0, lasting)
+    how = correction(tolerance, reach, iterations, shortest, stall or 0, lasting)
     outcome = equations.run(
         kernel.solve_in_plane, border, how.at, pointer(shaped(found, *equations.shape)),
         pointer(place), pointer(taken),
@@ -380,13 +380,13 @@ def correction(
     reach: float,
     iterations: int = MAX_ITERATIONS,
     least_damping: float = MIN_DAMPING,
-    patience: int = 0,
+    stall: int = 0,
     lasting: float = 0.0,
 ) -> Struct:
     """The kernel's own, as :func:`solve_in_plane` has it; ``reach`` along a path in steps."""
     return Struct(
         "correction", tolerance=tolerance, reach=reach, iterations=iterations,
-        least_damping=least_damping, patience=patience, lasting=lasting,
+        least_damping=least_damping, stall=stall, lasting=lasting,
     )  # fmt: skip
 
 
@@ -427,7 +427,7 @@ def solve_at(
     """Full Newton steps from a guess at a given parameter; None where they do not converge."""
     return solve_in_plane(
         system, unknown, parameter, None,
-        tolerance=tolerance, iterations=iterations, least_damping=None, patience=PATIENCE,
+        tolerance=tolerance, iterations=iterations, least_damping=None, stall=STALL,
     )  # fmt: skip
 
 
@@ -439,7 +439,7 @@ def solve_near(
     found = solve_at(system, unknown, parameter, tolerance=tolerance) if full else None
     return found or solve_in_plane(
         system, unknown, parameter, None,
-        tolerance=tolerance, iterations=FULL_STEPS, least_damping=LEAST_STEP, patience=PATIENCE,
+        tolerance=tolerance, iterations=FULL_STEPS, least_damping=LEAST_STEP, stall=STALL,
     )  # fmt: skip
 
 
