@@ -7,8 +7,8 @@ any of them can be repeated by itself (``--family plate --first N --cases 1``). 
     tolerance   the same with tolerance=1e-2, 1e-3 or 1e-4, of a reduced structure
     whole       the same of the whole structure, whose modes are chosen, too
     peak        the largest point of a curve over a resonance, and floquet
-    curve       continue_frequency(stability=True), up to 8 of its points, and its bifurcations
-    parameter   continue_parameter(stability=True) over the load, the stiffness of a penalty, the
+    curve       continue_frequency to a tolerance, up to 8 of its points, and its bifurcations
+    parameter   continue_parameter to a tolerance over the load, the stiffness of a penalty, the
                 damping or the clearance at one frequency: the same of it (by itself: --kind)
     branch      follow_branch from a period doubling of such a curve, up to 4 points
     ends        the same, the points next to both ends, and floquet of them once more
@@ -60,6 +60,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import common
 import numpy as np
@@ -99,6 +100,8 @@ SECONDS = 60.0
 """Of processor time that a case may take."""
 PERIODS = {4: 100, 200: 20}
 """Over which a motion called stable is followed, with up to so many pairs."""
+TOLERANCE = 1e-2
+"""Of curves."""
 PEAK = 0.015
 """Of the bilinear frequency, to both sides, where a peak is looked for."""
 ALIKE = 1e-3
@@ -424,17 +427,17 @@ def _with_more_modes(
     return float(np.linalg.norm(better.gap - orbit.gap)) / size, distance(found, better)
 
 
-def followed(case: Case, reach: float = 0.1, stability: bool = True) -> fc.ResponseCurve:
-    """The curve of a case, over its frequency."""
+def followed(case: Case, reach: float = 0.1, **how: Any) -> fc.ResponseCurve:
+    """The curve of a case, over its frequency, to a tolerance."""
     return fc.continue_frequency(
         case.structure, (1.0 - reach) * case.omega, (1.0 + reach) * case.omega, case.law,
-        harmonics=case.harmonics, stability=stability, throw=False, most_points=600,
+        **(how or {"tolerance": TOLERANCE}), throw=False, most_points=600,
     )  # fmt: skip
 
 
 def peaks(case: Case) -> Iterator[Finding]:
     """The point of a curve where lips move most."""
-    curve = followed(case, PEAK, stability=False)
+    curve = followed(case, PEAK, harmonics=case.harmonics)
     sizes = np.linalg.norm(curve.gap_coefficients[:, 1:], axis=(1, 2))
     begun = time.process_time()
     found = curve.solution(int(np.argmax(sizes)))
@@ -461,7 +464,7 @@ def parameters(case: Case) -> Iterator[Finding]:
     start, end = (low, high) if rng.random() < 0.5 else (high, low)
     curve = fc.continue_parameter(
         case.structure, case.omega, case.law, name, start, end,
-        harmonics=case.harmonics, stability=True, throw=False, most_points=600,
+        tolerance=TOLERANCE, throw=False, most_points=600,
     )  # fmt: skip
     yield from along(case, curve)
 
@@ -510,7 +513,7 @@ def _branch(case: Case) -> Iterator[fc.ResponseCurve | Finding]:
         if one.kind != "period_doubling" or not one.confirmed or not low < one.value < high:
             continue
         try:
-            yield fc.follow_branch(curve, one, throw=False, stability=True, most_points=200)
+            yield fc.follow_branch(curve, one, throw=False, most_points=200)
             return
         except fc.ConvergenceError as error:
             yield Finding("branch", case.harmonics, one.value, remark=str(error))
