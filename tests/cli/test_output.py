@@ -196,7 +196,7 @@ def test_rounding_is_printed_as_zero(
         "damping": {"ratio": 0.0},
         "contact": {"stiffness": 1.0},
         "excitation": {"omega": 0.5},
-        "curve": {"start": 0.5, "stop": 0.6, "stability": False},
+        "curve": {"start": 0.55, "stop": 0.6, "stability": False},
         "output": {"quantities": ["amplitude", "mean", "mean_shift"]},
     }
     words = [written(fc.Scene.from_mapping(tables, tmp_path), tmp_path), "--output", str(tmp_path)]

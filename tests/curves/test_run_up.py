@@ -126,7 +126,7 @@ def test_run_up_meets_structures_of_each_speed(run_up: Run[fc.ResponseCurve]) ->
             there, at, run_up.contact, harmonics=mine.harmonics, initial=mine
         )
         expected = found.amplitude(run_up.watched_dof)
-        assert mine.amplitude(run_up.watched_dof) == pytest.approx(expected, rel=1e-4)
+        assert mine.amplitude(run_up.watched_dof) == pytest.approx(expected, rel=3e-3)
 
 
 def test_natural_frequencies_are_those_of_each_speed(run_up: Run[fc.ResponseCurve]) -> None:
