@@ -188,15 +188,16 @@ def test_rounding_is_printed_as_zero(
 ) -> None:
     """Of a length, in both forms of a table; larger ones and numbers without a unit stay, and files
     have all."""
-    parts = {"mass": 1.0, "stiffness": 1.0, "gap": 1.0, "force_sin": 0.75, "force_mean": mean}
+    parts = {"mass": 1.0, "stiffness": 1.0, "gap": 1.0, "force_sin": 0.64, "force_mean": mean}
     for name, value in parts.items():
         scipy.io.mmwrite(tmp_path / f"{name}.mtx", np.full((1, 1), value))
     tables = {
         "structure": {name: f"{name}.mtx" for name in parts} | {"clearance": 10.0},
         "damping": {"ratio": 0.0},
         "contact": {"stiffness": 1.0},
-        "excitation": {"omega": 0.5},
-        "curve": {"start": 0.55, "stop": 0.6, "stability": False},
+        "excitation": {"omega": 0.6},
+        "harmonic_balance": {"harmonics": 5},
+        "curve": {"start": 0.6, "stop": 0.65, "stability": False},
         "output": {"quantities": ["amplitude", "mean", "mean_shift"]},
     }
     words = [written(fc.Scene.from_mapping(tables, tmp_path), tmp_path), "--output", str(tmp_path)]
@@ -209,7 +210,7 @@ def test_rounding_is_printed_as_zero(
     assert kept == pytest.approx(mean, rel=1e-12)
     assert main(["curve", *words]) == 0
     start = capsys.readouterr().out.splitlines()[2].split()
-    assert start == ["start", "0.5", "1", shown, f"{mean:g}"]
+    assert start == ["start", "0.6", "1", shown, f"{mean:g}"]
 
 
 @pytest.fixture
