@@ -485,27 +485,6 @@ def test_a_largest_response_is_one_peak_or_still_rising(
     assert f"{peak.frequency:.6g} Hz" in (tmp_path / "report.html").read_text()
 
 
-def test_ctrl_c_during_the_verdicts_of_a_curve(tmp_path: Path) -> None:
-    """They would take a minute and more: the points are saved within seconds, without them."""
-    words = ["curve", str(PAPER), "--output", str(tmp_path), "--set", "curve.start=2000.0",
-             "--set", "curve.stop=3000.0"]  # fmt: skip
-    program = subprocess.Popen(
-        [*PROGRAM, *words], env=ENVIRONMENT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-        text=True,
-    )  # fmt: skip
-    with program:
-        assert program.stderr is not None
-        assert any("points" in line or "stability" in line for line in program.stderr)
-        program.send_signal(signal.SIGINT)
-        began = time.monotonic()
-        assert program.wait(60.0) == 3
-    assert time.monotonic() - began < 15.0  # seconds where other tests run meanwhile
-    curve = fc.load_run(tmp_path / "curve.h5").result
-    assert isinstance(curve, fc.ResponseCurve)
-    assert (curve.status, curve.multipliers) == ("interrupted", None) and len(curve) > 10
-    assert len(table(tmp_path / "curve.csv")) == len(curve)
-
-
 def test_ctrl_c_during_the_errors(
     results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

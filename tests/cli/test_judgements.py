@@ -130,14 +130,14 @@ def curve_of(kinds: list[tuple[str, bool]], verdicts: list[str]) -> Any:
 
 
 def test_five_bifurcations_at_most() -> None:
-    """Confirmed ones first, then those with the larger response, in order along the curve."""
+    """Those with the larger response, in order along the curve."""
     kinds = [("fold", number % 2 == 0) for number in range(14)]
     rows = [(name, 0.0, 1.0) for name in ("start", "end", "largest")]
     rows += [(f"fold {number}", 0.0, float(number)) for number in range(14)]
     rows += [("stability lost after", 0.0, 99.0)] * 4
     run = curve_of(kinds, ["stable", "unstable"])
     shown, hidden = few_special_points(run, Table(("point", "omega", "amplitude [m]"), rows))
-    assert [row[0] for row in shown.rows[3:]] == [f"fold {n}" for n in (4, 6, 8, 10, 12)]
+    assert [row[0] for row in shown.rows[3:]] == [f"fold {n}" for n in (9, 10, 11, 12, 13)]
     assert hidden == 13
     few = Table(("point", "omega", "amplitude [m]"), rows[:4])
     assert few_special_points(curve_of(kinds[:1], ["stable"]), few) == (few, 0)
