@@ -101,6 +101,11 @@ class ErrorReport(Described):
         return self.total >= UNKNOWN
 
     @property
+    def estimated(self) -> bool:
+        """True if the total was asked for."""
+        return not math.isnan(self.total)
+
+    @property
     def largest_part(self) -> str:
         """Name of the largest part of the total; of those that are as large the first."""
         return max(PARTS, key=lambda name: getattr(self, name))
@@ -161,6 +166,10 @@ def estimate_errors(
         penetration=relative(_penetration(at)),
         displacement=min(at_load, UNKNOWN),
     )
+
+
+NOT_ESTIMATED = ErrorReport(*[math.nan] * 6)
+"""Of a solution whose errors were not asked for."""
 
 
 def of_no_solution(at: ContactPoint, problem: Problem) -> ErrorReport:

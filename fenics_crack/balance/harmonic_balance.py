@@ -184,6 +184,7 @@ def solve_harmonic_balance(
     subharmonic: int = 1,
     tolerance: float | None = None,
     residual_tolerance: float = Solver.residual_tolerance,
+    error: bool = True,
     throw: bool = True,
 ) -> PeriodicSolution:
     """Steady periodic vibration with contact between the lips (collective).
@@ -213,6 +214,8 @@ def solve_harmonic_balance(
     residual_tolerance : float
         ``|F(x)| / |x|`` of the algebraic equations; with very stiff contact (k R > 1e5) rounding
         alone leaves more, eps k R, which is then accepted and reported.
+    error : bool
+        Without a tolerance: estimate the errors. Else all of the report is nan.
     throw : bool
         Raise if nothing converged (else ``converged`` is False), or the tolerance is missed.
 
@@ -247,6 +250,8 @@ def solve_harmonic_balance(
             raise InputError("tolerance", tolerance, "left out where harmonics are given")
         if samples is not None:
             raise InputError("samples", samples, "left out where a tolerance is given")
+        if not error:
+            raise InputError("error", error, "True where a tolerance is given")
     if harmonics is None:
         check_count("subharmonic", subharmonic, 1)
         harmonics = (
@@ -261,7 +266,7 @@ def solve_harmonic_balance(
     if tolerance is not None:
         return solve_to_tolerance(solver, tolerance, initial)
     check_memory(structure, harmonics)
-    return solver.solve(initial)
+    return solver.solve(initial, reported=error)
 
 
 def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
@@ -329,9 +334,14 @@ def solve_to_tolerance(
 
 
 def solve_beside(
-    problem: Problem, near: PeriodicSolution | None, tolerance: float | None = None
+    problem: Problem,
+    near: PeriodicSolution | None,
+    tolerance: float | None = None,
+    *,
+    error: bool = True,
 ) -> PeriodicSolution:
-    """The solution of a problem of a small structure, sought from that of another one.
+    """The solution of a problem of a small structure, sought from that of another one, with its
+    ``error`` or without.
 
     With a tolerance it is the orbit next to that, with no fewer harmonics than the problem has, and
     as many as bring what harmonics leave out below it.
@@ -344,7 +354,7 @@ def solve_beside(
         There is no solution, or not to the tolerance.
     """
     if tolerance is None:
-        return Solver(problem).solve(near)
+        return Solver(problem).solve(near, reported=error)
     found = _solved(Solver(problem), tolerance, near)
     if not found.report.truncation <= tolerance:
         raise ConvergenceError(

@@ -26,7 +26,12 @@ import numpy as np
 from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.compliance import Compliance
 from fenics_crack.balance.contact_system import ContactPoint, Wave
-from fenics_crack.balance.error_report import ErrorReport, estimate_errors, of_no_solution
+from fenics_crack.balance.error_report import (
+    NOT_ESTIMATED,
+    ErrorReport,
+    estimate_errors,
+    of_no_solution,
+)
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import check_slope, is_unilateral
@@ -385,7 +390,7 @@ class PeriodicSolution(Wave, Described):
             parts.append(f"opening {quantity(found['opening'], 'm')}")
         if self.contact is None:
             parts.append("linear")
-        elif not np.isnan(self.report.total):
+        elif self.report.estimated:
             error = "unknown" if self.report.unknown else f"{self.report.total:.2g}"
             parts.append(f"error {error}")
         if self.stability is not None:
@@ -411,7 +416,7 @@ def solution_of(
     known = Assessment(wave)
     found = PeriodicSolution(**vars(wave), status=status, converged=converged, assessment=known)
     if not reported:
-        return found
+        return replace(found, report=NOT_ESTIMATED)
     if not converged:
         return replace(found, report=of_no_solution(at, problem))
     return replace(found, report=estimate_errors(at, known, problem, search=search))

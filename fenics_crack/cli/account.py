@@ -163,7 +163,7 @@ def of_error(
 ) -> Iterator[str]:
     """A warning of an estimated error above a limit, with what makes it smaller: by its largest
     part, and never what the scene does already."""
-    if report.total <= limit:
+    if not report.total > limit:  # or not asked for
         return
     part = report.largest_part
     if part == "truncation":

@@ -210,7 +210,7 @@ def _solution(run: Run[PeriodicSolution], file: File) -> None:
     title = f"{frequency_in_words(run.scene, found.omega)}, H = {found.harmonics}"
     if known := known_to(run):
         title += f", known to {known.partition(',')[0]}"
-    elif found.gap_coefficients.size:
+    elif found.gap_coefficients.size and found.report.estimated:
         error = "unknown" if found.report.unknown else percent(found.report.total)
         title += f", error {error}"
     if found.stability is not None:

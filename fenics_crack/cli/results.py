@@ -108,7 +108,8 @@ def _account_of_solution(run: Run[PeriodicSolution]) -> Account:
     found, scene = run.result, run.scene
     table = _quantities(run, found.to_dict() | _in_doubt(run))
     notes = [remark_on(run.structure, highest_omega(scene, "solve"))]
-    if found.converged and found.stability is None and run.contact is not None:
+    asked = scene.harmonic_balance.error
+    if found.converged and found.stability is None and run.contact is not None and asked:
         notes.append(
             "the stability is not judged, as that would take long: it is for a reduced structure, "
             "with contact.law = 'unilateral' for lips without mass (reduction.method)"
@@ -196,6 +197,8 @@ def _facts(run: Run[PeriodicSolution]) -> Iterator[str]:
         yield f"{fact}; the crack stays {held} over the period: the vibration is linear."
     if unknown := unknown_error(run):
         yield f"The error is unknown: {unknown}."
+    elif not report.estimated:
+        yield "Its error is not estimated (harmonic_balance.error = false)."
     elif not known_to(run):
         yield f"The estimated error of harmonic balance is {percent(report.total)} {SHARE}."
     if report.penetration > 0.0:

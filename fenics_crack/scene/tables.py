@@ -447,12 +447,15 @@ class HarmonicBalance(Table):
     tolerance: float | None = positive(None)
     """Find the exact orbit, and keep so many of its harmonics, and modes, that the error stays
     below this; a curve is one of exact orbits. Default: 0.01, but none where harmonics or samples
-    are given."""
+    are given, or no error is asked for."""
+    error: bool = holds("true or false", default=True)
+    """false: neither the error nor the stability of solutions is found, which takes longer than the
+    solution itself where there are many pairs or modes."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         chosen = {"harmonics": 5, "tolerance": TOLERANCE}
-        if self.harmonics is not None or self.samples is not None:
+        if self.harmonics is not None or self.samples is not None or not self.error:
             del chosen["tolerance"]
         follows = {key for key in chosen if getattr(self, key) is None}
         for key in follows:
@@ -460,6 +463,7 @@ class HarmonicBalance(Table):
         object.__setattr__(self, "_follows", follows)
         if self.tolerance is not None:
             self.leave_out(("samples",), "a tolerance")
+            self.require(self.error, "error", "true, or left out, with a tolerance")
         least = 4 * self.harmonics + 1
         self.require(
             self.samples is None or least <= self.samples <= MAX_SAMPLES,

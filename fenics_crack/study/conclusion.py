@@ -126,8 +126,11 @@ def _outcome(run: Answer) -> str:
 def _known(run: Answer) -> str:
     """The watched amplitude and its error; of a curve the largest."""
     known = known_to(run)
-    if isinstance(run.result, PeriodicSolution) and known:
-        return f"half peak-to-peak displacement known to {known}"
+    if isinstance(run.result, PeriodicSolution):
+        if not run.result.report.estimated:
+            return "its error is not estimated (harmonic_balance.error = false)"
+        if known:
+            return f"half peak-to-peak displacement known to {known}"
     if isinstance(run.result, ResponseCurve):
         top = run.result.top(run.watched_dof)
         axis = parameter_axis(run.result.parameter, run.scene.in_hertz)

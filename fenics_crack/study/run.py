@@ -289,6 +289,7 @@ def solve_prepared(
     if table.tolerance is None:
         study = reduced(whole)
         how: dict[str, Any] = {"harmonics": table.harmonics, "samples": table.samples}
+        how["error"] = table.error
         solution = solve_harmonic_balance(
             study.structure, omega, law, **how, initial=initial, throw=False
         )
@@ -298,7 +299,7 @@ def solve_prepared(
     quick = is_piecewise_linear(law) or structure.n_dofs <= FEW_DOFS  # else it takes minutes
     if is_rigid(law):
         quick = structure.light_lips
-    if solution.converged and quick and is_small(structure):
+    if solution.converged and quick and is_small(structure) and table.error:
         begin("stability")
         solution = replace(solution, stability=floquet(structure, solution))
     return Run(**vars(study), result=solution)

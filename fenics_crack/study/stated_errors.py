@@ -209,7 +209,7 @@ def errors_of(study: Study, result: object) -> Verification | None:
     if isinstance(result, ResponseCurve) and result.parameter == "omega":
         top = result.top(study.watched[0].dof)
         return stated_errors(study, result.solution(top.index), of_peak=not top.at_end)
-    if isinstance(result, PeriodicSolution) and result.converged:
+    if isinstance(result, PeriodicSolution) and result.converged and result.report.estimated:
         return stated_errors(study, result)
     return None
 
@@ -297,7 +297,8 @@ def of_own_orbit(study: Study, found: PeriodicSolution, mode: int) -> dict[str, 
 def _own_orbit(found: PeriodicSolution) -> PeriodicOrbit | None:
     """The exact orbit that is a solution's own, unless it would be sought for long (collective)."""
     known = found.assessment
-    own = found.contact is not None and known.affordable and known.accepted
+    own = found.contact is not None and found.report.estimated
+    own = own and known.affordable and known.accepted
     return known.orbit if own else None
 
 

@@ -196,7 +196,7 @@ def solve_chunk(
                 found.pop("reduction_error")
             found |= _seen(solution, case, geometry)
             found |= asked_of_motion(geometry.study, solution)
-            if asked.verdicts:
+            if asked.verdicts and case.harmonic_balance.error:
                 found |= cases.verdict(solution)
                 found["status"] += found.pop("told", "")
             found |= {"gap": solution.gap_coefficients, "force": solution.force_coefficients}
@@ -228,7 +228,7 @@ class Cases:
         check_memory(structure, table.harmonics)
         problem = Problem(structure, omega, law, table.harmonics, table.samples)
         near, self._near = self._near, None
-        self._near = solve_beside(problem, near, table.tolerance)
+        self._near = solve_beside(problem, near, table.tolerance, error=table.error)
         return self._near
 
     def _take(self, case: Scene) -> None:

@@ -444,8 +444,12 @@ class SweepResult(Tabular):
         """Return the last sentence on the sweep, after so many warnings and remarks."""
         total, cases = self.errors.sum(axis=0)[self.converged], counted(self.converged.size, "case")
         unknown = int(np.sum(total >= UNKNOWN))
-        largest, what = total.max(initial=0.0), "largest estimated error by modes and harmonics"
+        largest, known = total.max(initial=0.0), ""
+        if largest > 0.0:
+            known = f"largest estimated error by modes and harmonics {error_in_words(largest)}"
         names, counts = np.unique(self["verdict"][self.converged], return_counts=True)
+        if not self.scene.harmonic_balance.error:
+            known = "errors and stability are not estimated (harmonic_balance.error = false)"
         closed = self["closed_share"][self.converged]
         verdicts = [f"{n} {name}" for n, name in zip(counts, names, strict=True) if name]
         return closing_sentence(
@@ -453,7 +457,7 @@ class SweepResult(Tabular):
             if self.converged.all()
             else f"{self.converged.sum()} of {cases} converged",
             unknown=f"in {counted(unknown, 'case')} it could not be estimated" if unknown else "",
-            known=f"{what} {error_in_words(largest)}" if largest > 0.0 else "",
+            known=known,
             others=[*at_rest(closed), ", ".join(verdicts)],
             warnings=warnings,
             remarks=remarks,

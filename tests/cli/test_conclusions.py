@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import DEMOS
+from mpi4py import MPI
 from scipy import io, sparse
 from surroundings import main
 
@@ -120,3 +121,26 @@ def test_a_crack_that_a_mean_load_holds_open(tmp_path: Path) -> None:
     page = (tmp_path / "report.html").read_text()
     assert "Breathing crack" not in page and "No warnings" not in page
     assert "excitation.force_mean = [1400.0, 0.0]" in page
+
+
+def test_no_error_is_asked_for(
+    paper_scene: fc.Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """error = false: plain harmonic balance, neither error nor stability, in Python and in the
+    program; with a tolerance it is refused."""
+    scene = paper_scene.replace({"contact.stiffness": 1e9})
+    path = tmp_path / "plate.toml"
+    path.write_text(scene.replace({"harmonic_balance.error": False}).as_toml())
+    assert main(["solve", str(path), "--output", str(tmp_path / "out")]) == 0
+    out, err = capsys.readouterr()
+    assert "error [%]" not in out and "verdict" not in out
+    closing = err.strip().splitlines()[-1]
+    assert "its error is not estimated (harmonic_balance.error = false)" in closing
+    run = fc.solve(fc.Scene.load(path), MPI.COMM_SELF)
+    assert run.errors is None and run.result.stability is None
+    assert not run.result.report.estimated and run.result.converged
+    with pytest.raises(fc.InputError, match="error = False: must be True where a tolerance"):
+        fc.solve_harmonic_balance(run.structure, 2000.0, run.contact, tolerance=1e-2, error=False)
+    refused = {"harmonic_balance.harmonics": None, "harmonic_balance.tolerance": 1e-2}
+    with pytest.raises(fc.InputError, match=r"harmonic_balance\.error = False"):
+        scene.replace(refused | {"harmonic_balance.error": False})
