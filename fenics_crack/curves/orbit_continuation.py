@@ -112,7 +112,7 @@ class OrbitContinuation:
             self._branch = True
             options |= {"state": begun.state, "value": begun.value, "towards": begun.towards}
         else:
-            options["state"] = _first_orbit(problem, initial).state
+            options["state"] = _first_orbit(family.at(start), initial).state
         self._path = OrbitPath(family, **options, branch=self._branch)
 
     def _resumed(self, curve: OrbitCurve) -> dict[str, Any]:
