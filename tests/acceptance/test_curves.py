@@ -5,6 +5,7 @@ from functools import cache
 import judged
 import numpy as np
 import pytest
+from verdicts import random_chain
 
 import fenics_crack as fc
 
@@ -73,22 +74,34 @@ def test_bifurcations_are_those_of_exact_orbits() -> None:
 
 @pytest.mark.parametrize("kind", EXACT)
 def test_multiplier_at_a_bifurcation(kind: str) -> None:
-    """Of the exact orbit there, of a fold as refined and else by a flow that is not the package's:
-    +1, -1, or a pair on the unit circle."""
+    """Of the exact orbit there, and but for a fold of a flow that is not the package's: +1, -1, or
+    a pair on the unit circle."""
     one = next(one for one in stopped().bifurcations if one.kind == kind)
-    omega, orbit = fc.refine_bifurcation(one)
-    assert omega == pytest.approx(EXACT[kind][0], rel=1e-9)
-    values = orbit.multipliers
+    orbit, values = one.orbit, one.orbit.multipliers
+    assert one.omega == pytest.approx(EXACT[kind][0], rel=1e-9) and orbit.residual < 1e-9
     if kind != "fold":  # where no Newton's method can be asked
-        flow = judged.flow_of(judged.two_masses(), STOP)
-        state = flow.states_of(one.solution, judged.START)[0]
-        exact = flow.orbit(state, omega, 2.0 * np.pi / omega)
+        exact = judged.orbit_of(one.solution)
         assert np.linalg.norm(exact.gap - orbit.gap) < 1e-7 * np.linalg.norm(exact.gap)
         values = exact.multipliers
     if kind == "neimark_sacker":
         assert np.abs(np.abs(values[np.abs(values.imag) > 0.1]) - 1.0).min() < 1e-7
     else:
-        assert np.abs(values - (1.0 if kind == "fold" else -1.0)).min() < 1e-6
+        assert np.abs(values - (1.0 if kind == "fold" else -1.0)).min() < 1e-5
+
+
+def test_multiplier_seen_in_the_motion() -> None:
+    """At a period doubling the critical direction changes its sign each period, undamped."""
+    one = next(one for one in stopped().bifurcations if one.kind == "period_doubling")
+    exact, flow = judged.orbit_of(one.solution), judged.flow_of(judged.two_masses(), STOP)
+    period = 2.0 * np.pi / one.omega
+    values, vectors = np.linalg.eig(exact.monodromy)
+    off = vectors[:, np.argmin(np.abs(values + 1.0))].real
+    off *= 1e-6 * np.linalg.norm(exact.state) / np.linalg.norm(off)
+    state = exact.state + off
+    for index in range(1, 5):
+        state = flow.advance(state, one.omega, 0.0, period).state
+        left = state - exact.state - (-1.0) ** index * off
+        assert np.linalg.norm(left) < 1e-4 * np.linalg.norm(off)
 
 
 def test_folds_are_turning_points() -> None:
@@ -164,6 +177,248 @@ def test_curve_that_is_stopped_goes_on() -> None:
     curve = growing.curve
     assert curve.complete and curve.omega[-1] == pytest.approx(3.0)
     assert curve.omega[:5] == pytest.approx(points, rel=1e-12)
+
+
+# --- exact bifurcations ---------------------------------------------------------------------------
+
+
+def kinds(curve: fc.ResponseCurve) -> list[str]:
+    """Those of its bifurcations, in order."""
+    return [one.kind for one in curve.bifurcations]
+
+
+def assert_on_the_circle(one: fc.Bifurcation) -> None:
+    """A multiplier of another flow's orbit there is -1, or a pair is on the unit circle."""
+    values = judged.orbit_of(one.solution).multipliers
+    if one.kind == "period_doubling":
+        assert np.abs(values + 1.0).min() < 1e-5
+    else:
+        pair = values[np.abs(values.imag) > 0.01]
+        assert np.abs(np.abs(pair) - 1.0).min() < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("span", "expected"),
+    [
+        ((1730.0, 1780.0), {"neimark_sacker": 1766.62181}),
+        ((1500.0, 1525.0), {"period_doubling": 1506.78265}),
+    ],
+    ids=["a pair leaves", "doubling"],
+)
+def test_rigid_plate_loses_its_stability(
+    light_lips: fc.Structure, span: tuple[float, float], expected: dict[str, float]
+) -> None:
+    """Where harmonic balance with few harmonics has other bifurcations: disturbed motions come back
+    before it, and leave behind it."""
+    law = fc.UnilateralConstraint()
+    curve = fc.continue_frequency(light_lips, *span, law, tolerance=1e-2)
+    [one] = curve.bifurcations
+    assert {one.kind: one.exact} == pytest.approx(expected, rel=1e-7)
+    assert np.array_equal(curve.stable, curve.omega < one.exact)
+    assert_on_the_circle(one)
+    flow = judged.flow_of(light_lips, law)
+    for place in (0, -1):
+        point = curve.solution(place)
+        exact = judged.orbit_of(point)
+        state, off = exact.state * (1.0 + 1e-6), []
+        for _ in range(30):
+            state = flow.advance(state, point.omega, 0.0, point.period).state
+            off.append(np.linalg.norm(state - exact.state))
+        assert (off[-1] < off[9]) == (curve.verdicts[place] == "stable")
+
+
+SOFT_PLATE = {
+    (2300.0, 2450.0): {"period_doubling": [2366.67199, 2411.27990]},
+    (1700.0, 1725.0): {"neimark_sacker": [1712.68287], "period_doubling": [1712.77557]},
+    (1280.0, 1340.0): {
+        "neimark_sacker": [1297.47229, 1306.56551], "fold": [1318.63889, 1313.45757],
+    },
+}  # fmt: skip
+"""The paper's plate with 1 %, k = 1e9: by exact orbits that 20 and 40 harmonics led to."""
+
+
+@pytest.mark.parametrize("span", SOFT_PLATE)
+def test_paper_plate(soft_plate: fc.Structure, span: tuple[float, float]) -> None:
+    """Doublings that truncated equations lack, two bifurcations within 0.1 rad/s, and one fold for
+    several of harmonic balance: by the multipliers of another flow."""
+    law = fc.UnilateralPenalty(1e9)
+    curve = fc.continue_frequency(soft_plate, *span, law, tolerance=1e-2)
+    for kind, expected in SOFT_PLATE[span].items():
+        found = [one for one in curve.bifurcations if one.kind == kind]
+        assert [one.exact for one in found] == pytest.approx(expected, rel=1e-7)
+        for one in found:
+            if kind != "fold":
+                assert_on_the_circle(one)
+    assert len(curve.bifurcations) == sum(map(len, SOFT_PLATE[span].values()))
+    assert {"stable", "unstable"} == set(curve.verdicts)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "omega", "law", "given", "spans", "expected"),
+    [
+        ("clearance", 1.2, 3.0, {}, [(-3.0, 0.0), (-5.0, 5.0), (-0.5, -2.0)], (-1.41680, -1.15968)),
+        (
+            "load", 1.214, 4.333, {"damping": 0.07, "clearance": -0.3}, [(0.1, 5.0), (5.0, 0.1)],
+            (0.294215, 0.340088),
+        ),
+        ("damping", 2.3, 1.0, {}, [(1.0, 8.0), (8.0, 1.0)], (2.53348,)),
+        ("stiffness", 2.3, 1.0, {}, [(0.05, 2.0), (2.0, 0.05)], (0.480744,)),
+        ("clearance", 2.3, 1.0, {}, [(-3.0, 0.5), (0.5, -3.0)], (-0.211022, 0.19332)),
+    ],
+)  # fmt: skip
+def test_doublings_over_other_parameters(
+    parameter: str, omega: float, law: float, given: dict, spans: list, expected: tuple
+) -> None:
+    """Whatever the range and its direction; the multiplier of another flow is -1 there, and the
+    verdict changes."""
+    structure, contact = judged.oscillator(**given), fc.UnilateralPenalty(law)
+    for start, end in spans:
+        curve = fc.continue_parameter(
+            structure, omega, contact, parameter, start, end, tolerance=1e-2
+        )
+        found = [one for one in curve.bifurcations if one.kind == "period_doubling"]
+        assert curve.complete and sorted(one.exact for one in found) == pytest.approx(
+            expected, abs=1e-5
+        )
+        for one in found:
+            assert_on_the_circle(one)
+        changes = np.flatnonzero(curve.stable[1:] != curve.stable[:-1])
+        between = np.sort([curve.values[changes], curve.values[changes + 1]], axis=0)
+        for place, one in zip(between.T, found, strict=False):
+            assert place[0] <= one.exact <= place[1]
+
+
+@pytest.mark.parametrize(("start", "end"), [(1.0, 0.0), (0.0, 1.0)])
+def test_to_no_damping_and_from_there(start: float, end: float) -> None:
+    """Where the motion without damping has its multipliers on the unit circle it is open."""
+    law = fc.UnilateralPenalty(3.0)
+    curve = fc.continue_parameter(
+        judged.oscillator(), 1.2, law, "damping", start, end, tolerance=1e-2
+    )
+    assert curve.complete
+    assert np.array_equal(curve.verdicts == "undecided", curve.values == 0.0)
+
+
+@cache
+def over_load() -> tuple[fc.Structure, fc.ContactLaw, fc.ResponseCurve]:
+    """One mass of 1000 rad/s and a stop of the same stiffness 1 cm away: up, back and up again."""
+    one, law = np.ones((1, 1)), fc.UnilateralPenalty(1e6)
+    structure = fc.Structure.from_matrices(
+        one, 1e6 * one, one, force_sin=[1e3], damping=30.0 * one, clearance=0.01
+    )
+    curve = fc.continue_parameter(structure, 1100.0, law, "load", 0.3, 3.0, tolerance=1e-3)
+    return structure, law, curve
+
+
+def test_three_motions_at_one_load() -> None:
+    """Small, middle and large: each is found again by a single solution of the structure under that
+    load, and judged alike; a motion that begins next to the middle one leaves it."""
+    base, law, curve = over_load()
+    structure = base.varied(load=1.5)
+    crossings = np.flatnonzero(np.diff(np.sign(curve.values - 1.5)))
+    verdicts = []
+    for near in map(curve.solution, map(int, crossings)):
+        found = fc.solve_harmonic_balance(structure, 1100.0, law, harmonics=20, initial=near)
+        verdicts.append(fc.floquet(structure, found).verdict)
+        history = fc.integrate_events(
+            structure, 1100.0, law, initial=found, periods=60, settle=1e-12
+        )
+        size = float(np.ptp(history.displacement([0])[-256:]) / 2.0)
+        stays = abs(size / found.amplitude(0) - 1.0) < 0.01
+        assert stays == (verdicts[-1] == "stable")
+    assert verdicts == ["stable", "unstable", "stable"] == curve.verdicts[crossings].tolist()
+
+
+def test_folds_over_the_load() -> None:
+    """Where harmonic balance has them with 60 harmonics."""
+    structure, law, curve = over_load()
+    fine = fc.continue_parameter(
+        structure, 1100.0, law, "load", 0.3, 3.0, harmonics=60, longest_step=0.02
+    )
+    assert kinds(curve) == ["fold", "fold"] == kinds(fine)
+    true = [one.value for one in fine.bifurcations]
+    assert [one.exact for one in curve.bifurcations] == pytest.approx(true, rel=5e-4)
+
+
+@pytest.mark.parametrize("seed", [74, 65])
+def test_bifurcations_do_not_depend_on_the_step(seed: int) -> None:
+    """Chains with 0.1 to 1 % of damping lose and find their stability within a few points: all that
+    lie on the way are the same with half of the step."""
+    structure, law = random_chain(seed)
+    first, second = fc.solve_modes(structure, 2).omega
+    found = []
+    for step, most in ((0.02, 150), (0.01, 300)):
+        curve = fc.continue_frequency(
+            structure, 0.8 * first, 1.25 * second, law, tolerance=1e-2, longest_step=step,
+            most_points=most, throw=False,
+        )  # fmt: skip
+        assert {"stable", "unstable"} == {*curve.verdicts}
+        found.append([(one.kind, round(one.exact, 6)) for one in curve.bifurcations])
+    both = min(map(len, found))
+    assert both >= 6 and found[0][:both] == found[1][:both]
+
+
+@pytest.mark.xfail(strict=True, reason="steps are parts of the state, with what holds it in place")
+def test_both_ways_find_the_same_folds() -> None:
+    """A mass pressed on one stop and far from another: large and small vibrations stand side by
+    side, beside a preload ten times as large, and neither way steps over them."""
+    one, law = np.ones((1, 1)), fc.UnilateralPenalty([12.7593, 10.1039])
+    structure = fc.Structure.from_matrices(
+        1.1583 * one, 1.7879 * one, np.array([[-1.0, 1.0]]), force_cos=[-1.0], force_sin=[-0.0531],
+        clearance=[-0.6191, 1.3975], damping=0.2253 * one,
+    )  # fmt: skip
+    ends, folds = (0.745, 2.485), []
+    for start, end in (ends, ends[::-1]):
+        curve = fc.continue_frequency(structure, start, end, law, tolerance=1e-2)
+        folds.append(sorted(one.exact for one in curve.bifurcations if one.kind == "fold"))
+    assert len(folds[0]) == 6 and folds[0] == pytest.approx(folds[1], rel=1e-7)
+
+
+def test_many_pairs_with_mass() -> None:
+    """Eight of them: every point has a verdict, that of its orbit by another flow."""
+    structure, law = judged.chain(8, 25, seed=2), fc.UnilateralPenalty(5.0)
+    curve = fc.continue_frequency(structure, 1.3, 1.32, law, tolerance=1e-2)
+    assert curve.complete and "undecided" not in curve.verdicts
+    for place in (1, len(curve) // 2):
+        orbit = judged.orbit_of(curve.solution(place))
+        assert abs(curve.multipliers[place]) == pytest.approx(abs(orbit.multipliers[0]), rel=1e-6)
+
+
+# --- verdicts of harmonic balance -----------------------------------------------------------------
+
+
+def test_stiff_stop_with_few_harmonics() -> None:
+    """H = 10, against the branch of exact orbits: of the points whose nearest orbit is clear none
+    has the verdict of another one; folds are its own, and confirmed by none."""
+    structure, law, span = judged.oscillator(0.02, 0.1), fc.UnilateralPenalty(100.0), (2.0, 0.5)
+    curve = fc.continue_frequency(structure, *span, law, harmonics=10, stability=True)
+    exact = fc.continue_frequency(structure, *span, law, tolerance=1e-3)
+    rows = exact.gap_coefficients[:, :21, 0]
+    compared = 0
+    for place in np.flatnonzero(curve.verdicts != "undecided"):
+        own = curve.gap_coefficients[place, :, 0]
+        off = np.linalg.norm(rows - own, axis=1) / np.linalg.norm(own)
+        off = np.hypot(off, exact.omega / curve.omega[place] - 1.0)
+        near = {one: off[exact.verdicts == one].min() for one in ("stable", "unstable")}
+        best = min(near, key=lambda one: near[one])
+        if 3.0 * near[best] < max(near.values()):
+            compared += 1
+            assert curve.verdicts[place] == best, curve.omega[place]
+    assert compared > 50 and set(kinds(curve)) == {"fold"}
+    assert not any(one.confirmed for one in curve.bifurcations)
+
+
+def test_undecided_points_have_their_reason() -> None:
+    """In words that say what to do; the others have none, nor do curves that are not judged."""
+    plain = fc.continue_frequency(
+        judged.two_masses(), 0.6, 0.9, fc.UnilateralPenalty(1000.0), harmonics=13
+    )
+    curve = fc.judge_curve(plain)
+    reasons = [curve.reason(index) for index in range(len(curve))]
+    left = curve.verdicts == "undecided"
+    assert left.any() and np.array_equal([bool(one) for one in reasons], left)
+    assert all("take more" in one for one in reasons if one) and plain.reason(0) == ""
+    assert curve.bifurcations == plain.bifurcations
 
 
 def test_plate_without_mass() -> None:

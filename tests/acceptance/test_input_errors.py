@@ -18,6 +18,11 @@ def found() -> fc.PeriodicSolution:
     return fc.solve_harmonic_balance(ONE, 1.0, LAW, harmonics=3)
 
 
+def orbits() -> Any:
+    """A curve of exact orbits."""
+    return fc.continue_frequency(ONE, 1.0, 1.1, LAW, tolerance=1e-2)
+
+
 @dataclass(frozen=True)
 class Law:
     """A law of one's own, with whatever forces, a constant tangent and whatever when scaled."""
@@ -74,7 +79,8 @@ BAD: dict[str, tuple[str, Callable[[], Any]]] = {
     "no solution": ("solution", lambda: fc.floquet(ONE, None)),  # type: ignore[arg-type]
     "no curve": ("curve", lambda: fc.judge_curve(found())),  # type: ignore[arg-type]
     "no curve to refine": ("curve", lambda: fc.refine_curve(found())),  # type: ignore[arg-type]
-    "no bifurcation": ("bifurcation", lambda: fc.refine_bifurcation(found())),  # type: ignore
+    "no bifurcation": ("bifurcation", lambda: fc.follow_branch(orbits(), found())),  # type: ignore[arg-type]
+    "exact orbits to refine": ("curve", lambda: fc.refine_curve(orbits())),
     "forces of another shape": (
         "contact",
         lambda: fc.continue_frequency(ONE, 1.0, 2.0, Law(lambda gap: np.zeros(3))),

@@ -1,5 +1,7 @@
 """What ``floquet``, ``shoot`` and their verdicts promise."""
 
+from dataclasses import replace
+
 import judged
 import numpy as np
 import pytest
@@ -154,4 +156,116 @@ def test_plate_that_only_looks_stable(plate_of_new: fc.Study) -> None:
     )
     omega = study.scene.excitation.omega
     found = fc.solve_harmonic_balance(study.structure, omega, study.contact, harmonics=20)
-    assert fc.floquet(study.structure, found).verdict == "unstable"
+    stability = fc.floquet(study.structure, found)
+    assert stability.verdict == "unstable"
+    assert abs(stability.multipliers[0]) == pytest.approx(1.0089331506, abs=1e-9)
+
+
+# --- with few harmonics ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("stiffness", [10.0, 1000.0])
+@pytest.mark.parametrize("share", [0.99, 0.9999, 1.0001])
+def test_grazing(share: float, stiffness: float) -> None:
+    """A stop that the motion without contact just reaches, or just does not: what is called stable
+    or unstable is an exact orbit within three times the estimate, and its multiplier says so."""
+    reached = 0.1 / abs(1.0 - 0.8**2 + 0.02j * 0.8)
+    structure, law = judged.oscillator(0.02, 0.1, share * reached), fc.UnilateralPenalty(stiffness)
+    solution = fc.solve_harmonic_balance(structure, 0.8, law, harmonics=5)
+    found = fc.floquet(structure, solution)
+    if found.verdict == "undecided":
+        return
+    orbit = judged.orbit_of(solution)
+    assert found.distance == pytest.approx(judged.apart(solution, orbit), abs=1e-6)
+    assert found.distance <= max(3.0 * solution.report.total, 1e-6)
+    assert (found.verdict == "stable") == (abs(orbit.multipliers[0]) < 1.0)
+
+
+PRELOADED = ((1, 531.0, 0.637, 0.012, 6e-5, 0.045, 5), (2, 497.0, 0.535, 0.015, 1.1e-4, -0.01, 20))
+"""Masses, contact stiffness, frequency, damping, by how much the load opens the contact, and by how
+much more another one does whose solution, with so many harmonics, leads to the other orbit."""
+
+
+@pytest.mark.parametrize("case", PRELOADED)
+def test_preloaded_contact_that_just_opens(case: tuple[int | float, ...]) -> None:
+    """H = 5 says an error below 5e-5, and the orbit next to it, which hardly opens, is stable: the
+    exact motion settles to it. One that opens lies a little farther away and is unstable by far."""
+    masses, stiffness, omega, damping, past, more, harmonics = case
+    count = int(masses)
+    springs = np.array([[3.0, -1.0], [-1.0, 5.0]])[:count, :count]
+    place, load, rate = np.eye(count)[0], np.eye(count)[-1], damping * np.eye(count)
+    closed = springs + stiffness * np.outer(place, place)
+    moved = np.linalg.solve(closed - omega**2 * np.eye(count) + 1j * omega * rate, load + 0j)[0]
+    pressed = 1.0 - stiffness * np.linalg.solve(closed, place)[0]  # the gap at rest
+
+    def opened_by(share: float) -> fc.Structure:
+        return fc.Structure.from_matrices(
+            np.eye(count), springs, place, force_cos=(1.0 + share) * pressed / abs(moved) * load,
+            damping=rate, clearance=-1.0,
+        )  # fmt: skip
+
+    structure, law = opened_by(past), fc.UnilateralPenalty(stiffness)
+    solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=5)
+    own, settled = judged.orbit_of(solution), fc.shoot(structure, solution, settle=500)
+    assert solution.report.total < 5e-5 and judged.apart(solution, own) < 5e-5
+    assert abs(own.multipliers[0]) < 1.0 and fc.floquet(structure, solution).verdict == "stable"
+    np.testing.assert_allclose(settled.gap, own.gap, atol=1e-8 * np.ptp(own.gap))
+    beside = fc.solve_harmonic_balance(
+        opened_by(past + more), omega, law, harmonics=int(harmonics), initial=solution
+    )
+    other = fc.shoot(structure, replace(beside, structure=structure))
+    assert abs(other.multipliers[0]) > 3.0 and 4e-3 < judged.apart(solution, other) < 0.2
+
+
+@pytest.mark.parametrize(("omega", "stiffness"), [(0.45, 3.0), (0.6, 3.0), (1.3, 10.0)])
+def test_stiff_second_stop_just_beyond_the_solution(omega: float, stiffness: float) -> None:
+    """H = 5 does not reach a second stop, and without that the orbit is stable; the exact motion
+    reaches it, and is unstable by far: never called stable, and to a tolerance called unstable."""
+    alone = judged.oscillator(0.02, 0.1)
+    first = fc.solve_harmonic_balance(alone, omega, fc.UnilateralPenalty(stiffness), harmonics=5)
+    orbit = judged.orbit_of(first)
+    assert abs(orbit.multipliers[0]) < 1.0
+    reached = first.gap(np.linspace(0.0, first.period, 4096)).max()
+    beyond = reached + 0.3 * (orbit.gap.max() - reached)
+    structure = fc.Structure.from_matrices(
+        [[1.0]], [[1.0]], [[1.0, 1.0]], force_cos=[0.1], damping=[[0.02]], clearance=[0.0, beyond]
+    )
+    law = fc.UnilateralPenalty(np.array([stiffness, 1e4]))
+    solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=5)
+    times = np.linspace(0.0, solution.period, 4096)
+    assert beyond > reached and not np.any(solution.contact_force(times)[:, 1])
+    assert fc.floquet(structure, solution).verdict in ("unstable", "undecided")
+    found = fc.solve_harmonic_balance(structure, omega, law, tolerance=1e-3)
+    exact = judged.orbit_of(found)
+    assert abs(exact.multipliers[0]) > 3.5
+    assert judged.apart(solution, exact) < 3.0 * solution.report.total
+    assert fc.floquet(structure, found).verdict == "unstable"
+
+
+def test_orbit_that_is_none() -> None:
+    """Two masses, the second mode at 11 times the load with hardly any damping: H = 5 was said to
+    be 2.6 % off and stable. The motion to which it leads is 108 % away."""
+    omega, above = 0.7954787921, 11.46120356 * 0.7954787921
+    structure = fc.Structure.from_matrices(
+        np.eye(2), np.diag([1.0, above**2]), [1.0, 1.06492542], force_cos=[1.0, 0.0],
+        damping=np.diag([2.0 * 0.02971492658, 2.0 * 0.00188151738 * above]),
+    )  # fmt: skip
+    law = fc.UnilateralPenalty(18.39356761)
+    solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=5)
+    assert solution.report.total > 0.3
+    assert fc.floquet(structure, solution).verdict == "undecided"
+    for tolerance in (1e-2, 1e-3):
+        met = fc.solve_harmonic_balance(structure, omega, law, tolerance=tolerance)
+        assert judged.true_error(met) <= tolerance
+        assert fc.floquet(structure, met).verdict == "stable"
+
+
+def test_harmonics_are_judged_up_to_the_highest_mode() -> None:
+    """A second mode at 130 times the load's frequency, beyond four times the harmonics."""
+    above = 130 * 0.3
+    structure = fc.Structure.from_matrices(
+        np.eye(2), np.diag([1.0, above**2]), [1.0, 1.0], force_cos=[1.0, 0.0],
+        damping=np.diag([0.02, 2e-3 * above]),
+    )  # fmt: skip
+    solution = fc.solve_harmonic_balance(structure, 0.3, fc.UnilateralPenalty(0.5), harmonics=10)
+    assert judged.true_error(solution) < 3.0 * solution.report.total

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 import scipy.linalg
-from helpers import DAMPINGS, ROOT, Cubic, chain, oscillator, period_two_orbit, relative, two_masses
+from helpers import DAMPINGS, Cubic, chain, oscillator, period_two_orbit, relative, two_masses
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from motion.reference import ReferenceFlow
@@ -15,16 +17,11 @@ import fenics_crack as fc
 from fenics_crack import PeriodicOrbit
 from fenics_crack.kernel import kernel, pointer
 from fenics_crack.motion import flow as flow_module
+from fenics_crack.motion.attractors import in_the_long_run
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, flow_of
 from fenics_crack.motion.orbit import Prediction, find_orbit, predicted, predicted_with_more_modes
-from fenics_crack.motion.shooting import (
-    PACE,
-    WANDERING,
-    FlowOrbits,
-    in_the_long_run,
-    orbit_next_to,
-    wave_states,
-)
+from fenics_crack.motion.search import SearchOptions, search_orbit, wave_states
+from fenics_crack.motion.shooting import FlowOrbits
 from fenics_crack.numerics.fourier import balanced, evaluate, waves
 
 RIGID = fc.UnilateralConstraint()
@@ -309,15 +306,9 @@ RIGID = fc.UnilateralConstraint()
 
 def next_to(solution: fc.PeriodicSolution) -> tuple[Prediction, PeriodicOrbit]:
     """What is predicted of a solution, and the orbit next to it."""
-    assert solution.contact is not None
-    flow = flow_of(solution.structure, solution.contact)
-    assert flow is not None
-    states = wave_states(flow, solution.displacement_coefficients, solution.base_omega)
-    found = predicted(flow, solution.omega, states, solution.subharmonic)
-    assert found is not None
-    orbit = orbit_next_to(flow, solution.omega, states[0], solution.subharmonic)
-    assert orbit is not None and orbit.residual < 1e-10
-    return found, orbit
+    found = solution.assessment
+    assert found.prediction is not None and found.orbit is not None
+    return found.prediction, found.orbit
 
 
 def distance(solution: fc.PeriodicSolution, orbit: PeriodicOrbit) -> float:
@@ -353,37 +344,6 @@ def test_orbit_against_the_reference(seed: int, light: bool) -> None:
     assert abs(orbit.multipliers[0]) == pytest.approx(largest, rel=1e-9)
     assert orbit.events == events > 0
     assert 0.2 < distance(solution, orbit) / found.error < 2.0
-
-
-def test_plate_of_a_wrong_verdict() -> None:
-    """The plate that fixed steps take for stable. Another factor of its stiffness, as accurate,
-    makes another structure of it by rounding: 1.4e-10 of the multiplier."""
-    scene = fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(
-        {
-            "crack.length": 0.03938896112631299,
-            "mesh.lip_elements": 10,
-            "damping.ratio": 0.0014945465368931062,
-        }
-    )
-    structure = fc.reduce_structure(fc.build_structure(scene), modes=32, method="massless")
-    solution = fc.solve_harmonic_balance(structure, 2479.0759527239284, RIGID, harmonics=20)
-    found, orbit = next_to(solution)
-    assert abs(orbit.multipliers[0]) == pytest.approx(1.0089331506, abs=1e-9)
-    assert 0.3 < distance(solution, orbit) / found.error < 2.0
-
-
-@pytest.mark.parametrize("omega", [1700.0, 2600.0, 5000.0])
-def test_multipliers_of_the_paper_plate(paper_structure: fc.Structure, omega: float) -> None:
-    """As shooting with an eigenbasis for each set has them."""
-    structure = paper_structure.damped(fc.ModalDamping(0.01))
-    contact = fc.UnilateralPenalty(1e9)
-    solution = fc.solve_harmonic_balance(structure, omega, contact, harmonics=20)
-    _, orbit = next_to(solution)
-    other = fc.shoot(structure, solution)
-    assert abs(orbit.multipliers[0]) == pytest.approx(abs(other.multipliers[0]), rel=1e-9)
-    assert orbit.gap_at(np.arange(512) * orbit.period / 512) == pytest.approx(
-        other.gap, abs=1e-9 * np.ptp(other.gap)
-    )
 
 
 def test_twice_the_period() -> None:
@@ -446,17 +406,6 @@ def test_by_omega() -> None:
     assert relative(slope, (after.state - before.state) / (2.0 * step)) < 1e-5
 
 
-def test_a_motion_of_many_events_is_followed_for_fewer_periods() -> None:
-    """One that repeats itself after 160 periods of the load, seen every 41 of them."""
-    flow = known(two_masses(), fc.UnilateralPenalty(100.0))
-    orbits = FlowOrbits(flow, 0.614, np.zeros(flow.size), 41)
-    found = in_the_long_run(orbits, orbits.start)
-    followed = found.periods // 41
-    assert found.orbit is None and f"followed for {41 * followed} periods" in found.told
-    assert followed < WANDERING
-    assert followed * orbits.pieces == pytest.approx(PACE * WANDERING, rel=0.1)
-
-
 def test_the_least_periods_after_which_a_motion_is_where_it_was() -> None:
     """It nearly is after two times forty of the load, and is after four: to rounding."""
     flow = known(two_masses(), fc.UnilateralPenalty(100.0))
@@ -503,3 +452,23 @@ def test_no_orbit_is_cheap() -> None:
     flow = flow_of(oscillator(None, clearance=1e6), fc.UnilateralPenalty(1.0))
     assert flow is not None
     assert find_orbit(flow, 1.0, np.zeros(2)) is None
+
+
+# --- the search -----------------------------------------------------------------------------------
+
+
+def test_search_without_guesses() -> None:
+    """From rest along the motion, also to an orbit that it passes: a mass between two hard stops;
+    where there is none, how near the motion came to where it was, in periods of the load."""
+    wandering = fc.Structure.from_matrices(
+        [[1.0]], [[1.0]], [[1.0, -1.0]], force_cos=[0.644], force_sin=[1.332], clearance=0.02127,
+        damping=[[0.6113]],
+    )  # fmt: skip
+    found = search_orbit(known(wandering, fc.UnilateralPenalty(900.0)), 2.6445, (), 3)
+    assert found.orbit is not None and not found.orbit.is_stable and found.orbit.residual < 1e-6
+    assert found.reason == "exact orbit, by following the motion"
+    driven = known(oscillator(None, clearance=1e6), fc.UnilateralPenalty(1.0))
+    found = search_orbit(driven, 1.0, (), 3, SearchOptions(evaluations=300))
+    words = re.search(r"followed for (\d+) periods of the load, .* after (\d+)", found.reason)
+    assert found.orbit is None and words is not None
+    assert int(words[1]) % 3 == 0 and int(words[2]) % 3 == 0
