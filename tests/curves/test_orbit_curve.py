@@ -121,14 +121,6 @@ def test_saved_and_read(parameter: str, values: np.ndarray, tmp_path: Path) -> N
         fc.load(tmp_path / "curve.h5", structure, fc.UnilateralPenalty(90.0))
 
 
-def test_more_points(curve: fc.OrbitCurve) -> None:
-    """Between the others, each an orbit."""
-    finer = fc.refine_curve(curve, between=2)
-    assert len(finer) == 25 and np.all(np.diff(finer.omega) > 0.0)
-    assert all(finer.orbit(index).residual < 1e-8 for index in range(len(finer)))
-    assert finer.omega[::3] == pytest.approx(curve.omega)
-
-
 # --- followed -------------------------------------------------------------------------------------
 
 STOP = fc.UnilateralPenalty(100.0)
@@ -137,7 +129,7 @@ EXACT = {
     "period_doubling": [0.7387830254, 0.7555861594],
     "fold": [0.7556273526, 0.6534401345],
 }
-"""Two masses and a stop, as in test_exact_bifurcations.py."""
+"""Two masses and a stop, as in acceptance/test_curves.py."""
 
 
 @pytest.fixture(scope="module")

@@ -77,23 +77,6 @@ def test_no_resonance_is_stepped_over(ratio: float, damping: float, other: bool)
     assert other or set(curve.verdicts) == {"stable"}
 
 
-def test_both_ways_find_the_same_folds() -> None:
-    """A mass pressed on one stop and far from another: large and small vibrations stand side by
-    side, beside a preload ten times as large, and neither way steps over them."""
-    one = np.ones((1, 1))
-    structure = fc.Structure.from_matrices(
-        1.1583 * one, 1.7879 * one, np.array([[-1.0, 1.0]]), force_cos=[-1.0], force_sin=[-0.0531],
-        clearance=[-0.6191, 1.3975], damping=0.2253 * one,
-    )  # fmt: skip
-    law = fc.UnilateralPenalty([12.7593, 10.1039])
-    both = [
-        fc.continue_frequency(structure, *ends, law, tolerance=1e-2)
-        for ends in ((0.745, 2.485), (2.485, 0.745))
-    ]
-    folds = [sorted(one.exact for one in c.bifurcations if one.kind == "fold") for c in both]
-    assert len(folds[0]) == 6 and folds[0] == pytest.approx(folds[1], rel=1e-7)
-
-
 def test_a_curve_that_is_resumed_beside_a_fold_goes_on() -> None:
     """Between stops that are far away: its last two points say where it was going."""
     one = np.ones((1, 1))

@@ -91,25 +91,29 @@ def test_other_parameters(parameter: str, end: float) -> None:
         assert found.report.residual < 1e-8
 
 
-def test_verdicts_come_along() -> None:
+@pytest.mark.parametrize(
+    ("law", "span"),
+    [(fc.UnilateralPenalty(20.0), (0.8, 1.2)), (fc.SmoothedPenalty(60.0, 20.0), (1.02, 1.4))],
+)
+def test_verdicts_come_along(
+    law: fc.UnilateralPenalty | fc.SmoothedPenalty, span: tuple[float, float]
+) -> None:
     """At the new points too: those of single solutions."""
-    law, span = fc.SmoothedPenalty(60.0, 20.0), (1.02, 1.4)
     structure = oscillator(0.05, 1.0)
     growing = fc.Continuation(
-        fc.Problem(structure, span[0], law, 4), "omega", *span, tolerance=1e-2, stability=True
+        fc.Problem(structure, span[0], law, 12), "omega", *span, stability=True
     )
     growing.run()
     coarse = growing.curve
     fine = fc.refine_curve(coarse, 2)
-    assert len(set(coarse.harmonics)) == 1 and len(set(coarse.verdicts)) > 1
-    assert set(fine.harmonics) == set(coarse.harmonics) and len(fine) > 2.5 * len(coarse)
+    assert len(set(coarse.verdicts)) > 1 and len(fine) > 2.5 * len(coarse)
     assert [one.kind for one in fine.bifurcations] == [one.kind for one in coarse.bifurcations]
     assert fine.multipliers is not None and fc.refine_curve(growing.followed, 2).multipliers is None
     for index in range(0, len(fine), 18):
         alone = fc.floquet(structure, fine.solution(index))
-        assert fine.verdicts[index] in (alone.verdict, "undecided")
-        assert abs(fine.multipliers[index]) == pytest.approx(abs(alone.multipliers[0]))
-    assert np.mean(fine.verdicts == "undecided") < 0.1
+        assert fine.verdicts[index] == alone.verdict
+        if alone.verdict != "undecided":
+            assert abs(fine.multipliers[index]) == pytest.approx(abs(alone.multipliers[0]))
     assert_solutions(fine, 11)
 
 
@@ -134,3 +138,6 @@ def test_bad_arguments() -> None:
     short = fc.continue_frequency(structure, 1.0, 1.5, law, most_points=2, throw=False)
     with pytest.raises(fc.InputError, match="points"):
         fc.refine_curve(short, 1)
+    orbits = fc.continue_frequency(structure, 1.0, 1.5, law, tolerance=1e-2)
+    with pytest.raises(fc.InputError, match=r"^curve = 'exact orbits'.*longest_step"):
+        fc.refine_curve(orbits, 1)

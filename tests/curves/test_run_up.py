@@ -90,7 +90,6 @@ def test_a_crack_that_rotation_holds_open() -> None:
         assert found.complete and len(found) < 200
         assert found.indicators().closed_share.max() == 0.0
         peaks.append(found.peak())
-    assert len(fc.refine_curve(found)) < 5 * len(found)  # for a picture
     assert peaks[1].amplitude == pytest.approx(10.0 * peaks[0].amplitude, rel=1e-3)
     assert peaks[1].damping == pytest.approx(peaks[0].damping, rel=1e-2)
     whole, (speed, omega) = (
@@ -122,11 +121,9 @@ def test_run_up_meets_structures_of_each_speed(run_up: Run[fc.ResponseCurve]) ->
         mine = curve.solution(int(index))
         assert mine.report.residual < 1e-9
         at = float(curve.omega[index])
-        found = fc.solve_harmonic_balance(
-            there, at, run_up.contact, harmonics=mine.harmonics, initial=mine
-        )
+        found = fc.solve_harmonic_balance(there, at, run_up.contact, harmonics=40, initial=mine)
         expected = found.amplitude(run_up.watched_dof)
-        assert mine.amplitude(run_up.watched_dof) == pytest.approx(expected, rel=3e-3)
+        assert amplitude[index] == pytest.approx(expected, rel=1e-4)
 
 
 def test_natural_frequencies_are_those_of_each_speed(run_up: Run[fc.ResponseCurve]) -> None:
