@@ -828,6 +828,7 @@ def test_speeds_share_a_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         return assemble(scene, comm)
 
     coarse = {"mesh.size": 0.02, "mesh.lip_elements": 2, "reduction.modes": 4}
+    coarse["harmonic_balance.harmonics"] = 5
     coarse |= {"curve.parameter": "rpm", "curve.start": 5000.0, "curve.stop": 6000.0}
     scene = cracked(600.0, -250.0).replace({"excitation.order": 12, **coarse})
     over = {"crack.length": [0.005, 0.006], "rotation.speed": [580.0, 600.0, 620.0]}
