@@ -2,8 +2,10 @@
 
     F(x, p) = scale (z(T; x, v) - z(0)) = 0,    v = v_start + p (v_end - v_start),
 
-z = (q, q') the state at phase zero of the load, x = scale z(0), T = 2 pi m / omega, and v one of
-the parameters of :mod:`family`. dF/dx = M - I with the monodromy matrix M in the unknowns.
+z = (q, q') the state at phase zero of the load, x = scale z(0) - x_0 - p x_1, T = 2 pi m / omega,
+and v one of the parameters of :mod:`family`. x_0 and x_0 + x_1 are where the mean of the load holds
+the structure at the start and at the end: steps are parts of what moves, lest a resonance beside a
+large preload is stepped over. dF/dx = M - I with the monodromy matrix M in the unknowns.
 
 Over the load's frequency, its factor, the damping and the clearance the kernel has the equations:
 all points of a path share one flow. Over the contact stiffness and a rotor's speed a flow is made
@@ -20,6 +22,7 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -55,7 +58,7 @@ class OrbitFamily:
     Attributes
     ----------
     scale : (2 n_modes,)
-        x / z: 1 of modal displacements, 1 / w of velocities, w the modes' frequencies, at least
+        dx/dz: 1 of modal displacements, 1 / w of velocities, w the modes' frequencies, at least
         that of the response.
     shape : (2 n_modes,)
     records : int
@@ -84,6 +87,9 @@ class OrbitFamily:
         weights = self._first.weights(self.omega(start) / self.subharmonic)
         self.scale = weights / np.tile(weights[: self._first.size // 2], 2)
         self.shape, self.records = self.scale.shape, self._first.size**2
+        self._rest = np.zeros((2, self._first.size))
+        ends = [self.unknown(self.flow(one).rest, one) for one in (start, end)]
+        self._rest = np.array([ends[0], ends[1] - ends[0]])
 
     def at(self, value: float) -> Problem:
         """The problem where the parameter has a value."""
@@ -112,14 +118,18 @@ class OrbitFamily:
 
     def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
         """z of x (..., 2 n_modes) where the parameter has a value."""
-        state = unknown / self.scale
+        state = (unknown + self._held(value)) / self.scale
         return np.asarray(state if self.name != "speed" else state @ self._modes(value).T)
 
     def unknown(self, state: np.ndarray, value: float) -> np.ndarray:
         """x of z (..., 2 n_modes) where the parameter has a value."""
         if self.name == "speed":
             state = np.linalg.solve(self._modes(value), state.T).T
-        return np.asarray(state * self.scale)
+        return np.asarray(state * self.scale - self._held(value))
+
+    def _held(self, value: float) -> np.ndarray:
+        """x_0 + p x_1."""
+        return np.asarray(self._rest[0] + self.parameter(value) * self._rest[1])
 
     def _modes(self, value: float) -> np.ndarray:
         """States of the first flow to those where the speed has a value."""
@@ -175,22 +185,25 @@ class OrbitFamily:
     def compiled(self) -> ShootingEquations | None:
         """The same equations in the kernel; None where it does not have them."""
         omega = self.omega(self.start), self.omega(self.end) - self.omega(self.start)
-        given = self._first, self.scale
+        given: tuple[ContactFlow, np.ndarray] = self._first, self.scale
+        changed: dict[str, Any] = {"rest": self._rest} if self._rest.any() else {}
         if self.name == "omega":
-            return ShootingEquations(*given, omega, self.subharmonic, self.budget)
+            return ShootingEquations(*given, omega, self.subharmonic, self.budget, **changed)
         if self.name in ("load", "clearance"):
             last = self.flow(self.end)
             load = last.force - self._first.force, last.gap - self._first.gap
             problem = self.at(self.start)  # its own flow: its load changes
             given = exact_flow(problem.structure, problem.contact), self.scale
-            return ShootingEquations(*given, (omega[0], 0.0), self.subharmonic, self.budget, load)
+            return ShootingEquations(
+                *given, (omega[0], 0.0), self.subharmonic, self.budget, load, **changed
+            )
         if self.name == "damping":
             first, last = (self.flow(one).modes.damping for one in (self.start, self.end))
             problem = self.at(max(self.start, self.end))
             given = exact_flow(problem.structure, problem.contact), self.scale
             damping = first, last - first
             return ShootingEquations(
-                *given, (omega[0], 0.0), self.subharmonic, self.budget, damping=damping
+                *given, (omega[0], 0.0), self.subharmonic, self.budget, damping=damping, **changed
             )
         return None
 
@@ -220,8 +233,8 @@ class OrbitFamily:
                 return (self.moved(unknown, parameter + step) - unknown - residual) / step
             state = self.state(unknown, value)
             softness = -self._along.rate(value) / value * motion.track.flow.softness
-            change = motion.track.by_structure(state, softness)
-            return np.asarray(self.scale * change)
+            change = self.scale * motion.track.by_structure(state, softness)
+            return np.asarray(change + monodromy() @ self._rest[1] - self._rest[1])
 
         events, pieces = motion.events, motion.pieces
         return OrbitPoint(unknown, residual, monodromy, by_parameter, events, pieces)

@@ -36,7 +36,10 @@ static int evaluate(equations *own, const double *x, double p)
     flow_motion *m = &at->moved;
     at->known = at->common.factored = 0;
     at->parameter = p;
-    for (int i = 0; i < n; i++) at->start[i] = at->state[i] = x[i] / at->scale[i];
+    for (int i = 0; i < n; i++) {
+        const double rest = at->of.rest ? at->of.rest[i] + p * at->of.rest[n + i] : 0.0;
+        at->start[i] = at->state[i] = (x[i] + rest) / at->scale[i];
+    }
     if (at->of.force) change_load(at, p);
     if (at->of.rates) {
         for (int i = 0; i < at->of.rates; i++)
@@ -51,7 +54,7 @@ static int evaluate(equations *own, const double *x, double p)
     const int outcome = m->omega > 0.0 ? flow_advance(at->of.flow, m) : FLOW_LOST;
     if (outcome == FLOW_MEMORY) return NO_MEMORY;
     if (outcome != FLOW_DONE) return NOT_FOUND;
-    for (int i = 0; i < n; i++) at->residual[i] = at->scale[i] * at->state[i] - x[i];
+    for (int i = 0; i < n; i++) at->residual[i] = at->scale[i] * (at->state[i] - at->start[i]);
     return FOUND;
 }
 
@@ -111,6 +114,13 @@ static void by_parameter(equations *own, double *found)
         : of->rates ? flow_by_structure(of->flow, &track, at->start, of->damping_by, NULL, found)
                     : by_omega(at, &track, found);
     for (int i = 0; i < n; i++) found[i] = failed ? NAN : at->scale[i] * found[i];
+    if (!of->rest) return;
+    const double *moved = of->rest + n; /* (M - I) x_1 */
+    know(at);
+    for (long i = 0; i < n; i++) {
+        found[i] -= moved[i];
+        for (long j = 0; j < n; j++) found[i] += at->tangent[i * n + j] * moved[j];
+    }
 }
 
 static void record(equations *own, double *found)

@@ -5,12 +5,12 @@
 #include "equations.h"
 #include "flow.h"
 
-/*     F(x, p) = scale z(T; x, p) - x,   x = scale z(0),   T = turns / omega,
+/*     F(x, p) = scale (z(T; x, p) - z(0)),   scale z(0) = x + x_0 + p x_1,   T = turns / omega,
  *     omega = base + rate p,   load = load_0 + p load_1,   damping = C_0 + p C_1,
  *
  * dF/dx = scale M / scale - I, M the flow's derivative over the period; dF/dp is exact too. Paths may
- * keep M in the unknowns of each point. An evaluation returns FOUND; NOT_FOUND where the motion takes more than `pieces` or `intervals`, or
- * is not finite; NO_MEMORY.
+ * keep M in the unknowns of each point. An evaluation returns FOUND; NOT_FOUND where the motion
+ * takes more than `pieces` or `intervals`, or is not finite; NO_MEMORY.
  */
 typedef struct {
     flow *flow;
@@ -18,6 +18,7 @@ typedef struct {
     double base, rate;     /* of omega */
     double turns;          /* 2 pi times the load's periods in one of the orbit */
     const double *scale;   /* (2 m) */
+    const double *rest;    /* x_0 and x_1, (2, 2 m); NULL: 0 */
     int pieces, intervals;
     double *force, *gap;   /* the flow's own load, (3, m) and (3, p); NULL: it does not change */
     const double *force_by, *gap_by; /* load_1 */
@@ -27,7 +28,7 @@ typedef struct {
 
 typedef struct shooting_point shooting_point;
 
-/* All is copied but the flow, load_1, C_0 and C_1, which must stay. NULL without memory. */
+/* All is copied but the flow, x_0, x_1, load_1, C_0 and C_1, which must stay. NULL without memory. */
 shooting_point *new_shooting_point(const shooting_equations *given);
 void free_shooting_point(shooting_point *at);
 equations *equations_of_shooting(shooting_point *at);

@@ -207,6 +207,23 @@ class ContactFlow(Flow):
         """The kernel's own object."""
         self._sets, self._lengths = np.empty((0, pairs), dtype=bool), np.empty(0)
 
+    @cached_property
+    def rest(self) -> np.ndarray:
+        """Where the load's mean alone holds it, without what moves it as a rigid body:
+        (2 n_modes,)."""
+        modes = self.modes
+        soft = np.zeros_like(modes.squares)
+        np.divide(1.0, modes.squares, out=soft, where=modes.squares > 0.0)
+        moved, held = soft[:, None] * modes.pairs, soft * self.force[0]
+        gap = held @ modes.pairs + self.gap[0]  # while all pairs are open
+        if np.any(gap > 0.0):
+            from scipy.optimize import nnls  # takes a while
+
+            # D lambda - gap and lambda are >= 0, one of both 0: min |L^T lambda - L^-1 gap|.
+            root = np.linalg.cholesky(self.compliance + modes.pairs.T @ moved)
+            held = held - moved @ nnls(root.T, np.linalg.solve(root, gap))[0]
+        return np.concatenate([held, np.zeros_like(held)])
+
     def pieces(self, duration: float) -> float:
         """Of the Taylor series of a motion so long [s] without events."""
         return float(self.fastest * duration / kernel.FLOW_REACH)

@@ -67,14 +67,14 @@ class OrbitPoint(DenseLinearisation):
 
 
 class ShootingEquations(Equations):
-    """F(x, p) of an exact flow in the kernel (``kernel/shooting.h``), x = scale z; dF/dx = M - I
-    and dF/dp are exact.
+    """F(x, p) of an exact flow in the kernel (``kernel/shooting.h``), x = scale z - x_0 - p x_1;
+    dF/dx = M - I and dF/dp are exact.
 
     Parameters
     ----------
     flow : ContactFlow
     scale : (2 n_modes,)
-        x / z.
+        dx/dz.
     omega : (float, float)
         Of the load at p = 0, and its rate [rad/s].
     subharmonic : int
@@ -86,6 +86,8 @@ class ShootingEquations(Equations):
         given, follows p.
     damping : (array, array), optional
         Its own at p = 0, and its rate: likewise, the flow given with the largest one.
+    rest : (2, 2 n_modes), optional
+        x_0 and x_1, by default 0.
     """
 
     def __init__(
@@ -93,6 +95,7 @@ class ShootingEquations(Equations):
         subharmonic: int = 1, budget: Budget | None = None,
         load: tuple[np.ndarray, np.ndarray] | None = None,
         damping: tuple[np.ndarray, np.ndarray] | None = None,
+        rest: np.ndarray | None = None,
     ) -> None:  # fmt: skip
         self.flow, self.scale, self.shape = flow, scale, scale.shape
         self.subharmonic, self.budget = subharmonic, budget or Budget()
@@ -104,6 +107,8 @@ class ShootingEquations(Equations):
         if damping is not None:
             rows = [np.ascontiguousarray(one) for one in damping]
             changed |= {"rates": rows[0].size, "damping": rows[0], "damping_by": rows[1]}
+        if rest is not None:
+            changed["rest"] = rest
         self._given = Struct(
             "shooting_equations", flow=flow.handle, modes=flow.size // 2,
             pairs=len(flow.softness), base=omega[0], rate=omega[1],

@@ -1,6 +1,7 @@
 """What response curves promise: their points, ends, bifurcations and verdicts."""
 
 from functools import cache
+from typing import Any
 
 import judged
 import numpy as np
@@ -44,6 +45,25 @@ def test_linear_curve_is_that_of_a_resonance() -> None:
     assert curve.omega[[0, -1]] == pytest.approx([0.5, 1.5], rel=1e-14)
     exact = 1.0 / np.abs(1.0 - curve.omega**2 + 0.1j * curve.omega)
     assert state(curve) == pytest.approx(exact, rel=1e-6)
+
+
+@pytest.mark.parametrize("mean", [0.0, -1e5, 1e5])
+@pytest.mark.parametrize("asked", [{"harmonics": 5}, {"tolerance": 1e-2}], ids=["H", "tolerance"])
+def test_resonance_beside_a_steady_load(mean: float, asked: dict[str, Any]) -> None:
+    """Ten to a thousand times the vibration, off a stop or onto it: steps are parts of what
+    moves, and peak and damping are the mode's."""
+    ratio, natural = 1e-3, 1.0 if mean <= 0.0 else np.sqrt(2.0)
+    one, damping = np.ones((1, 1)), 2.0 * ratio * natural
+    structure = fc.Structure.from_matrices(
+        one, one, one, force_cos=[1.0], force_mean=[mean], damping=damping * one,
+        clearance=0.0 if mean else 1e3,
+    )  # fmt: skip
+    curve = fc.continue_frequency(structure, 0.5 * natural, 1.6 * natural, SOFT, **asked)
+    peak = curve.peak()
+    assert peak.omega == pytest.approx(natural * np.sqrt(1.0 - 2.0 * ratio**2), rel=1e-5)
+    exact = 1.0 / (damping * natural * np.sqrt(1.0 - ratio**2))
+    assert peak.amplitude == pytest.approx(exact, rel=1e-3)
+    assert peak.damping == pytest.approx(ratio, rel=1e-2)
 
 
 def test_points_are_solutions_with_their_errors_and_verdicts() -> None:
@@ -358,7 +378,6 @@ def test_bifurcations_do_not_depend_on_the_step(seed: int) -> None:
     assert both >= 6 and found[0][:both] == found[1][:both]
 
 
-@pytest.mark.xfail(strict=True, reason="steps are parts of the state, with what holds it in place")
 def test_both_ways_find_the_same_folds() -> None:
     """A mass pressed on one stop and far from another: large and small vibrations stand side by
     side, beside a preload ten times as large, and neither way steps over them."""
