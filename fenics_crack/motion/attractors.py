@@ -68,7 +68,7 @@ class Attractor:
 
 def in_the_long_run(orbits: FlowOrbits, start: np.ndarray, most: int | None = None) -> Attractor:
     """What the exact motion from a state x does after many periods: it is followed until it has
-    settled, or for ``most``, by default a quarter of the periods of a search, whatever the modes."""
+    settled, or for ``most``, by default a quarter of what a search may follow, for any modes."""
     most = max(LATER + 1, SearchOptions.evaluations // 4 if most is None else most)
     begin(f"the exact motion over up to {most} periods")
     passed, ahead = start[None], followed(orbits, start, most)

@@ -440,6 +440,17 @@ def test_undecided_points_have_their_reason() -> None:
     assert curve.bifurcations == plain.bifurcations
 
 
+def test_from_next_to_no_frequency() -> None:
+    """Periods of 6e9 s are not followed, which is said; points far from there are judged. To a
+    tolerance harmonic balance is followed."""
+    structure = judged.two_masses()
+    curve = fc.continue_frequency(structure, 1e-9, 0.7, SOFT, harmonics=9, stability=True)
+    assert curve.verdicts[0] == "undecided" and "thousand times in a period" in curve.reason(0)
+    assert curve.verdicts[-1] == "stable"
+    curve = fc.continue_frequency(structure, 1e-9, 0.7, SOFT, tolerance=1e-2)
+    assert isinstance(curve, fc.HarmonicCurve) and curve.complete
+
+
 def test_plate_without_mass() -> None:
     """Rigid, next to its first bilinear resonance: points are next to their orbits, and verdicts
     are theirs."""

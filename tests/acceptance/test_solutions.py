@@ -164,3 +164,18 @@ def test_a_large_steady_load_does_not_make_errors_small(speed: float, clearance:
     )
     off, size = (one.indicators().amplitude for one in (found, exact))
     assert 1e-3 < abs(off / size - 1.0) < 2.0 * found.report.displacement < 0.05
+
+
+def test_cold_starts_with_several_stiff_pairs() -> None:
+    """The path in the stiffness leads there, through hundreds of folds."""
+    rng = np.random.default_rng(4)
+    for _ in range(3):
+        turned = np.linalg.qr(rng.normal(size=(6, 6)))[0]
+        squares = np.append(1.0, 30.0 ** (2.0 * rng.random(5)))
+        structure = fc.Structure.from_matrices(
+            np.eye(6), (turned * squares) @ turned.T, np.eye(6)[:, :3],
+            force_cos=rng.normal(size=6),
+            damping=(turned * (0.01 * np.sqrt(squares))) @ turned.T, clearance=0.0,
+        )  # fmt: skip
+        law = fc.UnilateralPenalty(300.0)
+        assert fc.solve_harmonic_balance(structure, 1.1, law, harmonics=10).converged
