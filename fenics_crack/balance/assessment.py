@@ -152,7 +152,10 @@ class Assessment:
         if self.flow is None or wave.contact is None:
             return None
         flow = reference_flow(wave.structure, wave.contact, wave.omega, wave.subharmonic)
-        return None if flow is None else MoreModes(self, flow)
+        if flow is None:
+            return None
+        step = None if self.accepted else self.prediction
+        return MoreModes(flow, wave, self.flow, step, self.orbit, self.accepted)
 
     @property
     def reason(self) -> str:

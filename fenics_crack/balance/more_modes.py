@@ -12,12 +12,13 @@ flow tells by how much these change; its orbit from there, exactly.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fenics_crack.balance.contact_integrals import CoupledIntegrals
+from fenics_crack.balance.contact_system import Wave
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import NEGLIGIBLE, times
@@ -41,10 +42,6 @@ from fenics_crack.motion.search import PARTS
 from fenics_crack.numerics.fourier import waves
 from fenics_crack.numerics.newton import relative_to_motion
 
-if TYPE_CHECKING:
-    from fenics_crack.balance.assessment import Assessment
-
-
 UNKNOWN = 1.0
 """An error that is not known."""
 
@@ -61,29 +58,45 @@ def reference_flow(
     return flow if flow is not None and affordable(flow, omega, subharmonic, FLOWS) else None
 
 
+@dataclass(frozen=True)
 class MoreModes:
     """The motion of a solution on the flow of more modes.
 
     Attributes
     ----------
     flow : ContactFlow
+        With more modes.
+    wave : Wave
+        The solution.
+    fewer : ContactFlow
+        That of its own structure.
+    step : Prediction or None
+        Newton's step of it on that flow; not needed where the orbit is its own.
+    nearest : PeriodicOrbit or None
+        The orbit of that flow next to it.
+    accepted : bool
+        Whether that is the solution's own.
     """
 
-    def __init__(self, known: Assessment, flow: ContactFlow) -> None:
-        self.flow, self._known = flow, known
+    flow: ContactFlow
+    wave: Wave
+    fewer: ContactFlow
+    step: Prediction | None
+    nearest: PeriodicOrbit | None
+    accepted: bool
 
     @cached_property
     def _states(self) -> np.ndarray | None:
         """At equal parts of the period: of the orbit, where it is the solution's own, else of the
         solution behind its own step; None where that is not known."""
-        known, wave = self._known, self._known.wave
+        wave = self.wave
         time = wave.period / INSTANTS * np.arange(INSTANTS)
         every = slice(None, None, INSTANTS // PARTS)
-        if known.accepted:
-            assert known.orbit is not None
-            few, force = known.orbit.sampled.states[every], known.orbit.sampled.force
-        elif known.prediction is not None:
-            few, force = known.prediction.states, wave.contact_force(time)
+        if self.accepted:
+            assert self.nearest is not None
+            few, force = self.nearest.sampled.states[every], self.nearest.sampled.force
+        elif self.step is not None:
+            few, force = self.step.states, wave.contact_force(time)
         else:
             return None
         shape, speed = np.split(few, 2, axis=1)
@@ -95,12 +108,11 @@ class MoreModes:
 
     def _expanded(self, shape: np.ndarray, speed: np.ndarray) -> np.ndarray:
         """States of the reference of modal ones of a structure with mass."""
-        structure, reference = self._known.wave.structure, self.flow.structure
+        structure, reference = self.wave.structure, self.flow.structure
         assert isinstance(structure, ReducedStructure) and isinstance(reference, ReducedStructure)
-        whole, flow = structure.whole, self._known.flow
-        assert flow is not None
+        whole = structure.whole
         moved = times(whole.mass, structure.basis)
-        map_to = whole.sum_over_ranks(reference.basis.T @ moved) @ flow.modes.shapes
+        map_to = whole.sum_over_ranks(reference.basis.T @ moved) @ self.fewer.modes.shapes
         return self.flow.state(shape @ map_to.T, speed @ map_to.T)
 
     def _static(self, time: np.ndarray, force: np.ndarray, kept: int) -> np.ndarray:
@@ -121,20 +133,20 @@ class MoreModes:
 
     def _waves(self, time: np.ndarray) -> np.ndarray:
         """Of the load: mean, cosine and sine."""
-        return waves(self._known.wave.omega * time)
+        return waves(self.wave.omega * time)
 
     @property
     def _time(self) -> np.ndarray:
-        return self._known.wave.period / PARTS * np.arange(PARTS)
+        return self.wave.period / PARTS * np.arange(PARTS)
 
     @cached_property
     def prediction(self) -> Prediction | None:
         """One step of Newton's method; None where the motion is not followed."""
-        known, wave, states = self._known, self._known.wave, self._states
+        wave, states = self.wave, self._states
         if states is None:
             return None
         flow, omega, periods = self.flow, wave.omega, wave.subharmonic
-        few = known.orbit if known.accepted else known.prediction
+        few = self.nearest if self.accepted else self.step
         lips = massless(wave.structure)
         if few is None or lips is None or len(states[0]) <= FORMED // 2:
             return predicted(flow, omega, states, periods)
@@ -146,7 +158,7 @@ class MoreModes:
         which they are where the motion is not followed."""
         if self.prediction is None:
             return UNKNOWN, UNKNOWN
-        wave, states = self._known.wave, self._states
+        wave, states = self.wave, self._states
         assert states is not None
         gap, ahead = self._gap(states), self.prediction.states
         seen, half = seen_parts(wave.structure), self.flow.size // 2
@@ -160,7 +172,7 @@ class MoreModes:
     def distances(self) -> tuple[float, float]:
         """The same between the orbits with these modes and without them; by the step where one is
         not known."""
-        few, many = self._known.orbit, self.orbit
+        few, many = self.nearest, self.orbit
         if few is None or many is None:
             return self.changes
         gap, seen = few.sampled.gap, seen_parts(few.flow.structure)
@@ -172,15 +184,14 @@ class MoreModes:
 
     def _of_gap(self, change: np.ndarray, gap: np.ndarray) -> float:
         """A change relative to what moves of B^T u; 0 where that is rounding."""
-        orbit = self._known.orbit
-        if orbit is not None and is_still(orbit.sampled):
+        if self.nearest is not None and is_still(self.nearest.sampled):
             return 0.0
-        return relative_to_motion(change, gap + self._known.wave.structure.clearance)
+        return relative_to_motion(change, gap + self.wave.structure.clearance)
 
     @cached_property
     def orbit(self) -> PeriodicOrbit | None:
         """Next to the motion; None where none is found."""
-        step, wave = self.prediction, self._known.wave
+        step, wave = self.prediction, self.wave
         if step is None or self._states is None:
             return None
         return find_orbit(self.flow, wave.omega, self._states[0], subharmonic=wave.subharmonic)
