@@ -77,7 +77,8 @@ class Bifurcation(Described):
     kind : str
         "fold": the curve turns back; "branch_point": another branch crosses; "period_doubling": a
         multiplier leaves the unit circle through -1; "neimark_sacker": a pair of them leaves it
-        anywhere else. The last two of harmonic balance only with ``stability=True``.
+        anywhere else. Of harmonic balance the last two are found with ``stability=True``, and only
+        under laws without exact orbits.
     value : float
         Of the curve's parameter.
     problem : Problem
