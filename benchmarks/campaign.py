@@ -68,6 +68,7 @@ from campaign_cases import FAMILIES, KINDS, Case, draw, family_of
 from reference_flow import NoOrbit, Orbit, ReferenceFlow, predicted, size_of_motion
 
 import fenics_crack as fc
+from fenics_crack.motion.orbit import PeriodicOrbit
 
 RIGHT, TOO_LARGE, LIMITED, UNCONVERGED = "right", "large", "limited", "unconverged"
 TOO_LONG, UNCONFIRMED, UNDECIDED, OPEN = "too long", "unconfirmed", "undecided", "open"
@@ -154,13 +155,12 @@ def exact_orbit(case: Case, found: fc.PeriodicSolution) -> tuple[Orbit | None, f
 def _starts(
     case: Case, found: fc.PeriodicSolution, flow: ReferenceFlow
 ) -> Iterator[Callable[[], np.ndarray]]:
-    """The answer's own state, that of the orbit it goes by, where the exact motion is after some
+    """The answer's own state, that of the orbit next to it, where the exact motion is after some
     periods, and the states of solutions with two and four times its harmonics."""
     state = flow.states_of(found, np.zeros(1))[0]
     yield lambda: state
     if found.assessment.flow is not None and (known := found.assessment.orbit) is not None:
-        shape, rate = np.split(known.state, 2) @ known.flow.modes.shapes.T
-        yield lambda: flow.state(shape, rate)
+        yield lambda: state_of(known, flow)
     for periods in (3, 10):
         yield lambda periods=periods: flow.settled(  # type: ignore[misc]
             state, found.omega, found.period, periods
@@ -173,6 +173,11 @@ def _starts(
         yield lambda periods=periods: flow.settled(  # type: ignore[misc]
             state, found.omega, found.period, periods
         )
+
+
+def state_of(orbit: PeriodicOrbit, flow: ReferenceFlow) -> np.ndarray:
+    """An orbit of the package at phase zero."""
+    return flow.state(*np.split(orbit.state, 2) @ orbit.flow.modes.shapes.T)
 
 
 def finer(case: Case, found: fc.PeriodicSolution, factor: int) -> fc.PeriodicSolution:
@@ -196,10 +201,13 @@ def distance(found: fc.PeriodicSolution, orbit: Orbit) -> float:
 
 
 def leaves(case: Case, found: fc.PeriodicSolution, orbit: Orbit) -> bool:
-    """Whether the exact motion that begins with an answer leaves its orbit: after many periods it
-    is farther away than at first, than the linearised motion, and than the estimate allows."""
+    """Whether the exact motion that begins with an answer, or the orbit that is one, leaves its
+    orbit: after many periods it is farther away than at first, than the linearised motion, and
+    than the estimate allows."""
     flow = case.flow(found.structure, found.contact)
     state = flow.states_of(found, np.zeros(1))[0]
+    if found.orbit is not None:
+        state = state_of(found.orbit, flow)
     size = float(np.linalg.norm(orbit.state))
     first = linear = (state - orbit.state) / size
     for _ in range(next(n for most, n in PERIODS.items() if found.structure.n_pairs <= most)):
