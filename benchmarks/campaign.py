@@ -155,11 +155,18 @@ def exact_orbit(case: Case, found: fc.PeriodicSolution) -> tuple[Orbit | None, f
 def _starts(
     case: Case, found: fc.PeriodicSolution, flow: ReferenceFlow
 ) -> Iterator[Callable[[], np.ndarray]]:
-    """The answer's own state, that of the orbit next to it, where the exact motion is after some
-    periods, and the states of solutions with two and four times its harmonics."""
+    """The orbit that the answer is; its own state, that of the orbit next to it, where the exact
+    motion is after some periods, and the states of solutions with two and four times its
+    harmonics."""
     state = flow.states_of(found, np.zeros(1))[0]
+    if (own := found.orbit) is not None:
+        yield lambda: state_of(own, flow)
     yield lambda: state
-    if found.assessment.flow is not None and (known := found.assessment.orbit) is not None:
+    if (
+        own is None
+        and found.assessment.flow is not None
+        and (known := found.assessment.orbit) is not None
+    ):
         yield lambda: state_of(known, flow)
     for periods in (3, 10):
         yield lambda periods=periods: flow.settled(  # type: ignore[misc]

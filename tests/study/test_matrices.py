@@ -52,6 +52,8 @@ def scene(plate: Scene, tmp_path: Path) -> Scene:
         ratio = 0.02
         [contact]
         stiffness = 1e9
+        [harmonic_balance]
+        harmonics = 5
         """
     (tmp_path / "scene.toml").write_text(text)
     return Scene.load(tmp_path / "scene.toml")

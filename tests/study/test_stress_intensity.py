@@ -328,7 +328,7 @@ def test_errors_are_stated() -> None:
 
 
 def test_along_a_curve() -> None:
-    """Columns of a curve are those of its solutions."""
+    """Columns of a curve are those of its solutions, to the tolerance."""
     names = ("amplitude", "K_max", "delta_K_effective")
     scene = fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(
         {"curve.start": 780.0, "curve.stop": 800.0, "curve.stability": False,
@@ -339,7 +339,7 @@ def test_along_a_curve() -> None:
     place = len(run.result) // 2
     alone = asked_of_motion(run, run.result.solution(place))
     for name in names[1:]:
-        assert along[name][place] == pytest.approx(alone[name], rel=1e-3)
+        assert along[name][place] == pytest.approx(alone[name], rel=1e-2)
 
 
 def test_along_a_run_up() -> None:
