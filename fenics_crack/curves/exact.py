@@ -23,7 +23,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fenics_crack.balance.assessment import MAX_PREDICTED_ERROR
+from fenics_crack.balance.assessment import MAX_ERROR
 from fenics_crack.balance.solution import Stability
 from fenics_crack.curves.beginnings import chord
 from fenics_crack.curves.family import Family
@@ -87,7 +87,7 @@ def judge_curve(curve: HarmonicCurve) -> HarmonicCurve:
 def _decides(curve: HarmonicCurve, place: int, multipliers: np.ndarray) -> bool:
     """Judge a point, whose leading multiplier is set; whether that is decided."""
     known = curve.assessment(place)
-    if not known.predicted_error <= MAX_PREDICTED_ERROR:  # no orbit would be its own
+    if not known.predicted_error <= MAX_ERROR:  # no orbit would be its own
         return False
     found = stability_of(known)
     if found.verdict == "undecided":
