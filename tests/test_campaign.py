@@ -104,17 +104,6 @@ def test_short_ranges_in_which_a_light_damping_is_overcome() -> None:
 
 
 @pytest.mark.slow
-def test_segment_in_whose_middle_no_orbit_is_found_judges_no_points() -> None:
-    """Four masses, one stiff pair, H = 10, points 1 % apart: some pairs of multipliers leave the
-    circle between two nodes and others come back; a point between is on a stable orbit."""
-    case = campaign.draw(85, 6, "curve")
-    curve = campaign.followed(case)
-    place = int(np.argmin(np.abs(curve.omega - 1.063027)))
-    row = campaign.judge(case, curve.solution(place), "point", str(curve.verdicts[place]))
-    assert row.exact < 1.0 and row.verdict == "undecided"
-
-
-@pytest.mark.slow
 def test_orbit_with_near_gaps_and_another_state_does_not_judge() -> None:
     """Six masses, two stiff pairs, over the clearance: next to the last point are three stable
     orbits, 0.2 % away and more by their gaps, which hardly see what the two highest modes do."""

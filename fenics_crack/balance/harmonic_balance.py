@@ -56,7 +56,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ContactFlow, exact_flow, flow_of
 from fenics_crack.motion.orbit import INSTANTS, OrbitCoefficients, PeriodicOrbit, affordable
 from fenics_crack.motion.search import PARTS, OrbitSearch, SearchOptions, search_orbit
-from fenics_crack.numerics.fourier import from_complex, to_complex
+from fenics_crack.numerics.fourier import from_complex, resized, to_complex
 from fenics_crack.numerics.newton import relative_to_motion
 from fenics_crack.stages import begin
 from fenics_crack.table import percent, quantity
@@ -371,7 +371,7 @@ def _without_mass(whole: Structure, modes: int) -> Structure:
 
 def _goal(tolerance: float, reduction: float) -> float:
     """What harmonics and samples may leave out."""
-    return max(SAFETY * (tolerance - reduction), SLIGHT * reduction)
+    return min(max(SAFETY * (tolerance - reduction), SLIGHT * reduction), tolerance)
 
 
 def _told(solver: Solver, found: PeriodicSolution, tolerance: float) -> PeriodicSolution:
@@ -525,6 +525,10 @@ def wave_of(problem: Problem, orbit: PeriodicOrbit, known: OrbitCoefficients) ->
         known.gap[rows], known.force[rows], problem.subharmonic,
         static_above=problem.static_cutoff,
     )  # fmt: skip
+    if found.still:  # what its harmonics are is rounding
+        names = "displacement_coefficients", "gap_coefficients", "force_coefficients"
+        means = {name: resized(getattr(found, name)[:1], problem.harmonics) for name in names}
+        found = replace(found, **means)
     return replace(found, assessment=Assessment(found.assessment.wave, orbit))
 
 

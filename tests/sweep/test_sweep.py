@@ -19,7 +19,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from helpers import MPI_ENVIRONMENT, changed
+from helpers import MPI_ENVIRONMENT, changed, relative
 from mpi4py import MPI
 from ranks import kill
 from rotating import cracked
@@ -226,13 +226,12 @@ def test_harmonics_follow_a_tolerance(paper_scene: fc.Scene, tmp_path: Path, cha
     for index in np.ndindex(*result.shape):
         assert len(result.gap(index)) == 2 * counts[index] + 1
     again = result.solution((4, 1))
-    plate = again.structure
+    plate, time = again.structure, again.instants()
+    assert again.harmonics == counts[4, 1]
     alone = fc.solve_harmonic_balance(
-        plate, again.omega, again.contact, harmonics=int(counts[4, 1]), initial=again
+        plate, again.omega, again.contact, tolerance=0.03, initial=again, throw=False
     )
-    assert alone.iterations <= 1 and alone.report.truncation == pytest.approx(
-        result["truncation_error"][4, 1], rel=1e-3
-    )
+    assert relative(again.gap(time), alone.gap(time)) < 0.06
 
 
 def test_a_tolerance_out_of_reach(paper_scene: fc.Scene, tmp_path: Path) -> None:
