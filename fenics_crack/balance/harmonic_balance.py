@@ -184,7 +184,6 @@ def solve_harmonic_balance(
     subharmonic: int = 1,
     tolerance: float | None = None,
     residual_tolerance: float = Solver.residual_tolerance,
-    error: bool = True,
     throw: bool = True,
 ) -> PeriodicSolution:
     """Steady periodic vibration with contact between the lips (collective).
@@ -214,8 +213,6 @@ def solve_harmonic_balance(
     residual_tolerance : float
         ``|F(x)| / |x|`` of the algebraic equations; with very stiff contact (k R > 1e5) rounding
         alone leaves more, eps k R, which is then accepted and reported.
-    error : bool
-        Without a tolerance: estimate the errors. Else all of the report is nan.
     throw : bool
         Raise if nothing converged (else ``converged`` is False), or the tolerance is missed.
 
@@ -250,8 +247,6 @@ def solve_harmonic_balance(
             raise InputError("tolerance", tolerance, "left out where harmonics are given")
         if samples is not None:
             raise InputError("samples", samples, "left out where a tolerance is given")
-        if not error:
-            raise InputError("error", error, "True where a tolerance is given")
     if harmonics is None:
         check_count("subharmonic", subharmonic, 1)
         harmonics = (
@@ -266,7 +261,7 @@ def solve_harmonic_balance(
     if tolerance is not None:
         return solve_to_tolerance(solver, tolerance, initial)
     check_memory(structure, harmonics)
-    return solver.solve(initial, reported=error)
+    return solver.solve(initial)
 
 
 def check_initial(problem: Problem, initial: PeriodicSolution) -> None:

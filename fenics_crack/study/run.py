@@ -22,7 +22,7 @@ from fenics_crack.balance.harmonic_balance import (
     solve_linear,
     solve_to_tolerance,
 )
-from fenics_crack.balance.problem import Problem
+from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.peak import Peak
@@ -288,11 +288,9 @@ def solve_prepared(
         return Run(**vars(study), result=linear)
     if table.tolerance is None:
         study = reduced(whole)
-        how: dict[str, Any] = {"harmonics": table.harmonics, "samples": table.samples}
-        how["error"] = table.error
-        solution = solve_harmonic_balance(
-            study.structure, omega, law, **how, initial=initial, throw=False
-        )
+        check_memory(study.structure, table.harmonics)
+        problem = Problem(study.structure, omega, law, table.harmonics, table.samples)
+        solution = Solver(problem, throw=False).solve(initial, reported=table.error)
     else:
         study, solution = _solve_to_tolerance(whole, law)
     structure = study.structure

@@ -139,8 +139,6 @@ def test_no_error_is_asked_for(
     run = fc.solve(fc.Scene.load(path), MPI.COMM_SELF)
     assert run.errors is None and run.result.stability is None
     assert not run.result.report.estimated and run.result.converged
-    with pytest.raises(fc.InputError, match="error = False: must be True where a tolerance"):
-        fc.solve_harmonic_balance(run.structure, 2000.0, run.contact, tolerance=1e-2, error=False)
     refused = {"harmonic_balance.harmonics": None, "harmonic_balance.tolerance": 1e-2}
     with pytest.raises(fc.InputError, match=r"harmonic_balance\.error = False"):
         scene.replace(refused | {"harmonic_balance.error": False})
