@@ -18,6 +18,7 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack import ConvergenceError, InputError, Scene, Study, stages
+from fenics_crack.balance.solution import Solver
 from fenics_crack.errors import Exit
 
 PLATE: dict[str, Any] = {
@@ -243,17 +244,17 @@ def test_failed_runs_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     law = {"contact.law": "smoothed", "contact.sharpness": 1e8}
     scene = plate(law | {"harmonic_balance.samples": 64})
 
-    whole = fc.solve_harmonic_balance
+    whole = Solver.solve
 
-    def failing(structure: fc.Structure, *how: Any, **more: Any) -> fc.PeriodicSolution:
-        found = whole(structure, *how, **more)
+    def failing(solver: Solver, *how: Any, **more: Any) -> fc.PeriodicSolution:
+        found = whole(solver, *how, **more)
         if found.harmonics in bad:
             return replace(found, converged=False, status="lost")
-        if structure.n_modes == 24:
+        if found.structure.n_modes == 24:
             raise InputError("reduction.modes", 24, "less")
         return found
 
-    monkeypatch.setattr("fenics_crack.study.run.solve_harmonic_balance", failing)
+    monkeypatch.setattr(Solver, "solve", failing)
     bad.add(10)
     found = fc.verify(scene)
     assert found.failures == ("24 modes: reduction.modes = 24: must be less", "10 harmonics: lost")
