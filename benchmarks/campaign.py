@@ -36,7 +36,7 @@ differences.
                  most of 60 more than 3 % from where it was 1, 2, ... or 8 periods before
     unconverged  says so: no solution, a tolerance not reached, a curve not finished, no branch
     too long     60 s of processor time were not enough to answer and to compare
-    unconfirmed  a bifurcation that is said to be so
+    unconfirmed  a bifurcation of harmonic balance
     undecided    the verdict on stability is open, but for motions that wander
     open         no exact orbit of its own was found to compare with, or it cannot tell
     WRONG        none of these: a wrong answer that passes for right
@@ -501,13 +501,13 @@ def bifurcation(case: Case, curve: fc.ResponseCurve, one: fc.Bifurcation) -> Fin
     """Whether the exact orbits next to a bifurcation have it."""
     frequency = curve.parameter == "omega"
     size = abs(one.value) if frequency else max(abs(one.value), float(np.ptp(curve.values)))
-    row = Finding(one.kind, one.problem.harmonics, one.value, true=(one.exact - one.value) / size)
+    row = Finding(one.kind, one.problem.harmonics, one.value, true=0.0)
     if (known := as_known(case, row)) is not None:
         return known
-    if not one.confirmed:
+    if not isinstance(one, fc.ExactBifurcation):
         row.judgement = UNCONFIRMED
         return row
-    near = np.abs(curve.values - one.exact) / size
+    near = np.abs(curve.values - one.value) / size
     seen = set()
     kind = KINDS_OF_BIFURCATION.index(one.kind)
     for count, place in enumerate(np.argsort(near, kind="stable")[:24]):
@@ -525,7 +525,7 @@ def _branch(case: Case) -> Iterator[fc.ResponseCurve | Finding]:
     curve = followed(case)
     low, high = curve.values.min(), curve.values.max()
     for one in curve.bifurcations:
-        if one.kind != "period_doubling" or not one.confirmed or not low < one.value < high:
+        if one.kind != "period_doubling" or not low < one.value < high:
             continue
         try:
             yield fc.follow_branch(curve, one, throw=False, most_points=200)

@@ -143,7 +143,7 @@ def newton(arguments: common.Arguments) -> None:
         curve = fc.continue_frequency(structure, *span, fc.UnilateralPenalty(k), harmonics=10)
         family = FrequencyFamily(curve.problem, *span)
         places = [family.parameter(value) for value in curve.values.tolist()]
-        pairs = [(curve.gap(i), place) for i, place in enumerate(places[1:])]
+        pairs = [(curve.gap_coefficients[i], place) for i, place in enumerate(places[1:])]
         ways = {"SNES": partial(by_snes, family, pairs), "own": partial(by_own, family, pairs)}
         (iterations, found), same = ways["SNES"](), ways["own"]()
         assert same == (iterations, found)

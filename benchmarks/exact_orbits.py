@@ -60,7 +60,7 @@ Report = Callable[[list[Row], list[Row]], Iterator[tuple[str, bool | None]]]
 
 TOLERANCE = 1e-2
 HERE = Path(__file__).parent
-BRANCHES = Path(fc.__file__).parent.joinpath("curves", "orbit_path.py").exists()
+BRANCHES = Path(fc.__file__).parent.joinpath("curves", "growing.py").exists()
 """Whether the package follows branches of exact orbits."""
 LOBES = (2615.838408, 2615.848897, 2616.218934, 2616.273243, 2616.715619, 2617.446838)
 """Period doublings of `new` [rad/s]: where the exact orbits' multiplier is -1, by Brent's method on
@@ -164,7 +164,13 @@ def off_circle(curve: fc.ResponseCurve) -> np.ndarray:
 
 def stated(curve: fc.ResponseCurve) -> list[Any]:
     """Bifurcations of the exact orbits: all of a branch; of harmonic balance the confirmed ones."""
-    return [one for one in curve.bifurcations if one.confirmed]
+    known = curve.bifurcations
+    return [*known] if BRANCHES else [one for one in known if one.confirmed]
+
+
+def value_of(one: Any) -> float:
+    """Of the parameter at a bifurcation."""
+    return float(one.value if BRANCHES else one.exact)
 
 
 def around(structure: fc.Structure) -> tuple[float, float]:
@@ -182,7 +188,7 @@ def chains(quick: bool) -> Iterator[Row]:
     row, curve = followed("5012", structure, around(structure), law)
     fine = fc.continue_frequency(structure, *around(structure), law, harmonics=60, throw=False)
     known = [one.value for one in fine.bifurcations if one.kind == "fold"]
-    found = [one.exact for one in stated(curve) if one.kind == "fold"] if curve else []
+    found = [value_of(one) for one in stated(curve) if one.kind == "fold"] if curve else []
     apart = [min((abs(one / its - 1.0) for one in found), default=np.inf) for its in known]
     yield row | {"folds, H = 60": len(known), "farthest": max(apart, default=np.inf)}
     structure, law = random_chain(17)
@@ -230,7 +236,9 @@ def lobes(quick: bool) -> Iterator[Row]:
         name = f"step {step:g}"
         row, curve = followed(name, structure, (2340.0, 3140.0), law, longest_step=step, **options)
         found = (
-            [one.exact for one in stated(curve) if one.kind == "period_doubling"] if curve else []
+            [value_of(one) for one in stated(curve) if one.kind == "period_doubling"]
+            if curve
+            else []
         )
         ends = {
             f"{end:.3f}": min((abs(one - end) for one in found), default=np.inf) for end in LOBES
@@ -445,7 +453,7 @@ def few_pairs(quick: bool) -> Iterator[Row]:
                 if one.kind in ("period_doubling", "neimark_sacker"):
                     off = off_reference(flow, one)
                     yield {"case": str(number), "_curve": False, "kind": one.kind,
-                           "omega": one.exact, "off": off}  # fmt: skip
+                           "omega": value_of(one), "off": off}  # fmt: skip
 
 
 def off_reference(flow: ReferenceFlow, one: Any) -> float:
@@ -453,7 +461,7 @@ def off_reference(flow: ReferenceFlow, one: Any) -> float:
     the reference's orbit; inf where it has none."""
     state = flow.states_of(one.solution, np.zeros(1))[0]
     try:
-        orbit = flow.orbit(state, one.exact, 2.0 * np.pi / one.exact)
+        orbit = flow.orbit(state, value_of(one), 2.0 * np.pi / value_of(one))
     except (NoOrbit, np.linalg.LinAlgError):
         return float("inf")
     values = orbit.multipliers

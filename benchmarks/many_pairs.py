@@ -346,17 +346,17 @@ def judged_curve(reduced: fc.Structure, law: Any, stop: float, harmonics: int) -
     curve = fc.judge_curve(growing.curve)
     judged = time.process_time() - started - followed
     found = curve.bifurcations
-    kinds = [bifurcation.kind for bifurcation in found if bifurcation.confirmed]
+    kinds = [bifurcation.kind for bifurcation in found]
     print(
         f"\ncurve 6000 to {stop:g} rad/s, H = {harmonics}: {curve.status}, {len(curve)} points in "
         f"{followed:.1f} s, judged in {judged:.1f} s, {curve.undecided.sum()} points "
-        f"undecided, {len(found) - len(kinds)} bifurcations unconfirmed, {len(kinds)} confirmed: "
+        f"undecided, {len(kinds)} bifurcations: "
         + ", ".join(f"{kinds.count(kind)} {kind}" for kind in sorted(set(kinds)))
     )
-    print("  " + ", ".join(f"{one.kind} {one.exact:.1f}" for one in found if one.confirmed))
+    print("  " + ", ".join(f"{one.kind} {one.value:.1f}" for one in found))
     growths = unstable_growths(curve)
     print(
-        f"  {len(growths)} unstable stretches between neighbouring confirmed ones; |mu| - 1 beyond "
+        f"  {len(growths)} unstable stretches between neighbouring ones; |mu| - 1 beyond "
         + ", ".join(f"{least:g}: {np.sum(growths > least)}" for least in (1e-3, 3e-3, 1e-2, 3e-2))
     )
     compared = agree = 0
@@ -371,12 +371,12 @@ def judged_curve(reduced: fc.Structure, law: Any, stop: float, harmonics: int) -
 
 
 def unstable_growths(curve: fc.ResponseCurve) -> np.ndarray:
-    """|mu| - 1 of the marched orbits half way between neighbouring confirmed bifurcations, where
+    """|mu| - 1 of the marched orbits half way between neighbouring bifurcations, where
     it is positive."""
-    known = [one for one in curve.bifurcations if one.confirmed]
+    known = curve.bifurcations
     growths = []
     for one, other in pairwise(known):
-        middle = 0.5 * (one.exact + other.exact)
+        middle = 0.5 * (one.value + other.value)
         index = int(np.argmin(np.abs(curve.omega - middle)))
         near = curve.solution(index)
         try:

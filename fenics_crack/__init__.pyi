@@ -23,12 +23,12 @@ from fenics_crack.curves.backbone import Backbone as Backbone
 from fenics_crack.curves.backbone import follow_backbone as follow_backbone
 from fenics_crack.curves.continuation import Continuation as Continuation
 from fenics_crack.curves.curve import Bifurcation as Bifurcation
+from fenics_crack.curves.curve import CurvePoint as CurvePoint
 from fenics_crack.curves.curve import ResponseCurve as ResponseCurve
 from fenics_crack.curves.exact import judge_curve as judge_curve
 from fenics_crack.curves.follow import continue_frequency as continue_frequency
 from fenics_crack.curves.follow import continue_parameter as continue_parameter
 from fenics_crack.curves.follow import follow_branch as follow_branch
-from fenics_crack.curves.harmonic_curve import CurvePoint as CurvePoint
 from fenics_crack.curves.harmonic_curve import HarmonicBifurcation as HarmonicBifurcation
 from fenics_crack.curves.harmonic_curve import HarmonicCurve as HarmonicCurve
 from fenics_crack.curves.orbit_curve import ExactBifurcation as ExactBifurcation

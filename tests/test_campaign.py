@@ -91,7 +91,7 @@ def test_short_ranges_in_which_a_light_damping_is_overcome() -> None:
     the circles on which they are."""
     case = campaign.draw(85, 11, "curve")
     curve = campaign.followed(case)
-    kinds = [one.kind for one in curve.bifurcations if one.confirmed]
+    kinds = [one.kind for one in curve.bifurcations]
     assert kinds == ["period_doubling"] * 2 + ["neimark_sacker"] * 2 + ["period_doubling"] * 2
     outside = np.flatnonzero(curve.verdicts == "unstable")
     assert len(outside) >= 6

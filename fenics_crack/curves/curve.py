@@ -23,6 +23,7 @@ from fenics_crack.balance.solution import (
     contact_extremes,
     indicators_of,
 )
+from fenics_crack.curves.family import FAMILIES
 from fenics_crack.curves.peak import Peak, Top, damping_by_width, top_of
 from fenics_crack.curves.stability import floquet
 from fenics_crack.errors import InputError
@@ -90,16 +91,6 @@ class Bifurcation(Described):
     problem: Problem
 
     @property
-    def exact(self) -> float:
-        """Value of the parameter at the bifurcation of exact orbits; nan of harmonic balance."""
-        return self.value
-
-    @property
-    def confirmed(self) -> bool:
-        """True if it is one of exact orbits."""
-        return not math.isnan(self.exact)
-
-    @property
     def solution(self) -> PeriodicSolution:
         """The solution there, with its displacement and error report."""
         raise NotImplementedError
@@ -115,18 +106,38 @@ class Bifurcation(Described):
         return self.problem.omega
 
     def to_dict(self) -> dict[str, Any]:
-        """Kind, value of the curve's parameter, load frequency, and the exact orbits' value."""
-        return with_frequency(
-            {
-                "kind": self.kind,
-                "value": float(self.value),
-                "omega": float(self.omega),
-                "exact": float(self.exact),
-            }
-        )
+        """Kind, value of the curve's parameter, and load frequency."""
+        found = {"kind": self.kind, "value": float(self.value), "omega": float(self.omega)}
+        return with_frequency(found)
 
     def _title(self) -> str:
         return f"{kind_in_words(self.kind)} at {self.value:.6g}"
+
+
+@dataclass(frozen=True)
+class CurvePoint:
+    """A point of a curve as it comes.
+
+    Attributes
+    ----------
+    value, omega : float
+        Of the parameter, and load frequency [rad/s].
+    unknown : (2H+1, n_pairs) [m]
+        Gap coefficients, or the slow gap's (``HarmonicCurve.unknowns``).
+    iterations : int
+        Newton iterations.
+    multipliers : (8,) complex or None
+        The leading ones of exact orbits, largest modulus first.
+    bifurcations : tuple of Bifurcation
+        The special points since the point before.
+    """
+
+    value: float
+    omega: float
+    unknown: np.ndarray
+    iterations: int
+    multipliers: np.ndarray | None = None
+    bifurcations: tuple[Bifurcation, ...] = ()
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -205,10 +216,13 @@ class ResponseCurve(Tabular):
         """Closing of the pairs: (n, 2H+1, n_pairs) [m]."""
         raise NotImplementedError
 
+    def _found(self, bifurcation: Bifurcation) -> tuple[np.ndarray, np.ndarray]:
+        """What was found at every point, (n, ...), and at a bifurcation."""
+        raise NotImplementedError
+
     @property
-    def at_bifurcations(self) -> ResponseCurve:
-        """The first point, the bifurcations and the last point, to be measured: a curve of their
-        own."""
+    def _at_bifurcations(self) -> dict[str, list[Any]]:
+        """Columns of the bifurcations by which its own kind is more than any curve."""
         raise NotImplementedError
 
     @property
@@ -220,9 +234,13 @@ class ResponseCurve(Tabular):
         """Why the stability is undecided at a point, and what to do; "" where it is decided."""
         raise NotImplementedError
 
+    def problem_at(self, value: float) -> Problem:
+        """What is solved where the parameter has a value."""
+        return FAMILIES[self.parameter].vary(self.problem, value)
+
     def problem_of(self, index: int) -> Problem:
         """What was solved at a point, of the structure as the parameter varies it."""
-        raise NotImplementedError
+        return self.problem_at(float(self.values[index]))
 
     def solution(self, index: int, *, search: bool = True) -> PeriodicSolution:
         """The solution at a point, with its displacement and error report; without ``search`` for
@@ -266,9 +284,58 @@ class ResponseCurve(Tabular):
 
     def part(self, places: np.ndarray | slice) -> Self:
         """The points at some places, without the bifurcations."""
-        known = {one.name: getattr(self, one.name) for one in fields(self)}
-        columns = {name: x[places] for name, x in known.items() if isinstance(x, np.ndarray)}
+        columns = {name: column[places] for name, column in self._arrays.items()}
         return replace(self, **columns, bifurcations=())
+
+    def unjudged(self) -> Self:
+        """As it was followed, without what has been asked for since."""
+        return self
+
+    def with_points(self, places: Sequence[int], **columns: Sequence[Any]) -> Self:
+        """With other points before those at some places, of which these are the columns."""
+        if not places:
+            return self
+        known = ((name, getattr(self, name), np.array(new)) for name, new in columns.items())
+        return replace(self, **{name: np.insert(x, places, new, axis=0) for name, x, new in known})
+
+    @cached_property
+    def at_bifurcations(self) -> Self:
+        """The first point, the bifurcations and the last point, to be measured: a curve of their
+        own."""
+        met = self.bifurcations
+        return (
+            self.unjudged()
+            .part(np.array([0, -1]))
+            .with_points(
+                [1] * len(met),
+                values=[one.value for one in met],
+                omega=[one.omega for one in met],
+                iterations=[0] * len(met),
+                **self._at_bifurcations,
+            )
+        )
+
+    def nearest(self, bifurcation: Bifurcation) -> int:
+        """The number of the point nearest to a bifurcation."""
+        points, there = self._found(bifurcation)
+        off = np.linalg.norm((points - there).reshape(len(self), -1), axis=1)
+        off /= float(np.linalg.norm(there)) or 1.0
+        wide = float(np.ptp(self.values)) or 1.0
+        return int(np.argmin(np.hypot(off, (self.values - bifurcation.value) / wide)))
+
+    def followed_by(self, other: Self) -> Self:
+        """The points and bifurcations of both, whose last and first point are the same one, and how
+        the other one ended."""
+        both = {name: (x[:-1], getattr(other, name)) for name, x in self._arrays.items()}
+        columns = {name: np.concatenate(columns) for name, columns in both.items()}
+        special = self.bifurcations + other.bifurcations
+        return replace(other, **columns, bifurcations=special, structure=self.structure)
+
+    @property
+    def _arrays(self) -> dict[str, np.ndarray]:
+        """Its columns by the names of its fields."""
+        known = {one.name: getattr(self, one.name) for one in fields(self)}
+        return {name: column for name, column in known.items() if isinstance(column, np.ndarray)}
 
     def indicators(self, dof: int | None = None) -> Indicators:
         """What a dof, or the watched one, and the lips show of a breathing crack at every point, of
@@ -379,16 +446,12 @@ class ResponseCurve(Tabular):
     def to_dict(self) -> dict[str, Any]:
         """Columns, a row for every point: multipliers where the curve has them, and the indicators
         of the watched dof (collective)."""
-        found = {self.parameter: self.values.tolist()}
-        found |= {name: column.tolist() for name, column in self._columns().items()}
+        found = {self.parameter: self.values.tolist(), "omega": self.omega.tolist()}
+        found["iterations"] = self.iterations.tolist()
         if self.multipliers is not None:
             found["multiplier"] = np.abs(self.multipliers).tolist()
             found["verdict"] = self.verdicts.tolist()
         return with_frequency(found | self.indicators().to_dict())
-
-    def _columns(self) -> dict[str, np.ndarray]:
-        """Columns beside the parameter, the stability and the indicators."""
-        return {"omega": self.omega, "iterations": self.iterations}
 
     def _title(self) -> str:
         parts = [

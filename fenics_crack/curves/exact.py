@@ -25,20 +25,17 @@ import numpy as np
 
 from fenics_crack.balance.assessment import MAX_ERROR
 from fenics_crack.balance.solution import Stability
-from fenics_crack.curves.beginnings import chord
 from fenics_crack.curves.family import Family
-from fenics_crack.curves.harmonic_curve import HarmonicBifurcation, HarmonicCurve
+from fenics_crack.curves.growing import chord
+from fenics_crack.curves.harmonic_curve import HarmonicCurve
 from fenics_crack.curves.stability import floquet, monodromy, stability_of
 from fenics_crack.errors import check_kind
 from fenics_crack.model.contact import is_unilateral
 from fenics_crack.motion.orbit import doubling_test, eigenvalues
-from fenics_crack.numerics.fourier import resized
 from fenics_crack.numerics.newton import PathPoint, point_on_path
 from fenics_crack.numerics.path import Crossing
 from fenics_crack.stages import begin
 
-FOLLOWED = "fold", "branch_point"
-"""Kinds of bifurcations that a curve has before it is judged."""
 FIRST_ASKED = 6
 """Points, spread along a curve, of which one has to have an orbit that the others are asked."""
 
@@ -103,12 +100,12 @@ def judged_by_waves(curve: HarmonicCurve) -> HarmonicCurve:
     begin("stability of each point")
     solutions = (curve.solution(place, search=False) for place in range(len(curve)))
     found = [floquet(one.structure, one) for one in solutions]
-    special = [one for one in curve.bifurcations if one.kind in FOLLOWED]
+    special = [*curve.unjudged().bifurcations]
     for place in range(len(curve) - 1):
         kind = _crossed(*found[place : place + 2])
         if kind is not None:
             special.append(curve.bifurcation(kind, *_located(curve, place, kind)))
-    special.sort(key=lambda one: place_on(curve, one))
+    special.sort(key=curve.nearest)
     multipliers = np.array([one.multipliers[0] for one in found])
     return replace(
         curve,
@@ -136,14 +133,11 @@ def _crossed(before: Stability, after: Stability) -> str | None:
 
 def _located(curve: HarmonicCurve, place: int, kind: str) -> tuple[float, np.ndarray]:
     """Value of the parameter and unknown of a bifurcation behind a point."""
-    count = int(max(curve.harmonics[place : place + 2]))
-    family = curve.equations(count)
-    way = chord(family, curve, place, place + 1)
+    family, both = curve.equations, slice(place, place + 2)
+    ends = list(zip(curve.values[both].tolist(), curve.unknowns[both], strict=True))
+    way = chord(family, *ends)
     first, last = (
-        point_on_path(
-            family, resized(curve.unknown(one), count), family.parameter(curve.values[one]), way
-        )
-        for one in (place, place + 1)
+        point_on_path(family, unknown, family.parameter(value), way) for value, unknown in ends
     )
 
     def test(at: PathPoint) -> float:
@@ -162,11 +156,3 @@ def _monodromy(family: Family, at: PathPoint) -> np.ndarray:
     problem = family.at(family.value(at.parameter))
     above = problem.static_cutoff
     return monodromy(problem.structure, problem.contact, at.unknown, problem.base_omega, above)
-
-
-def place_on(curve: HarmonicCurve, one: HarmonicBifurcation) -> int:
-    """The point of a curve nearest to a bifurcation of it."""
-    unknown = resized(one.unknown, curve.unknowns.shape[1] // 2)
-    sizes = np.linalg.norm(curve.unknowns - unknown, axis=(1, 2)) / np.linalg.norm(unknown)
-    wide = float(np.ptp(curve.values)) or 1.0
-    return int(np.argmin(np.hypot(sizes, (curve.values - one.value) / wide)))

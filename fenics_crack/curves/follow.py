@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, TypedDict, Unpack
 
@@ -13,14 +12,11 @@ from tqdm import tqdm
 
 from fenics_crack.balance.problem import ON_PATH, Problem
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.curves.beginnings import same_problem
-from fenics_crack.curves.continuation import Continuation, check_range
-from fenics_crack.curves.curve import Bifurcation, ResponseCurve
-from fenics_crack.curves.family import FAMILIES
-from fenics_crack.curves.harmonic_curve import CurvePoint, HarmonicBifurcation
+from fenics_crack.curves.continuation import Continuation
+from fenics_crack.curves.curve import Bifurcation, CurvePoint, ResponseCurve
+from fenics_crack.curves.growing import Growing, check_unfinished
 from fenics_crack.curves.orbit_continuation import OrbitContinuation, has_orbits
-from fenics_crack.curves.orbit_curve import ExactBifurcation, OrbitCurve
-from fenics_crack.curves.orbit_path import OrbitCurvePoint
+from fenics_crack.curves.orbit_curve import OrbitCurve
 from fenics_crack.errors import (
     INTERRUPTED,
     ConvergenceError,
@@ -41,8 +37,6 @@ from fenics_crack.table import RPM
 
 ATTEMPTS = 4
 """Places, from the end on, from which another curve is sought that leads to the start."""
-Growing = Continuation | OrbitContinuation
-"""A curve of either kind that grows."""
 BAR = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}{postfix}"
 """Of a curve; how long it is going to take cannot be told from how far it has come."""
 
@@ -186,56 +180,54 @@ def continue_parameter(
     check_options("continue_parameter", options, CurveOptions.__annotations__)
     if options.get("tolerance") is not None and not is_small(structure):
         structure = reduce_structure(structure, method="massless")
-    span = parameter, start, end
-    begun_elsewhere = options.get("initial") is not None or options.get("resume") is not None
+    elsewhere = options.get("initial") is not None or options.get("resume") is not None
+
+    def grow(origin: float, goal: float, **changes: Any) -> Growing:
+        span = parameter, origin, goal
+        return _continuation(structure, omega, contact, span, {**options, **changes})
 
     def again(begun: Growing | None = None) -> Growing | None:
-        """Another curve from the start, with a solution met by following one from the end to it, or
-        from between: where the first solution found lies on a curve that comes back to the start,
-        such as a closed loop of the truncated equations, or where there is none."""
-        first = None if begun is None else begun.followed
-        small = structure if first is None else first.structure
-        size = 2 * small.n_dofs if begun is None else begun.size
-        left = max(0 if first is None else len(first), 2 * ATTEMPTS * ON_PATH // size)
-
-        def reaches(
-            origin: float, goal: float, initial: PeriodicSolution | PeriodicOrbit | None
-        ) -> Growing:
-            """A curve that reaches its end, in no more points than are left for all."""
-            nonlocal left
-            if left < 1:
-                raise ConvergenceError("no points are left")
-            points = min(left, options.get("most_points", left))
-            given: dict[str, Any] = {**options, "most_points": points, "initial": initial}
-            found = _continuation(small, omega, contact, (parameter, origin, goal), given)
-            try:
-                found.run()
-            finally:
-                left -= len(found.followed)
-            if not found.complete or found.returned:
-                raise ConvergenceError(found.status)
-            return found
-
-        places = ATTEMPTS if begun is not None else 1  # where there is no orbit a search takes long
-        for origin in np.linspace(end, start, ATTEMPTS, endpoint=False)[:places].tolist():
-            with suppress(ConvergenceError):
-                met = reaches(origin, start, None).followed
-                last = len(met) - 1
-                there = met.orbit(last) if isinstance(met, OrbitCurve) else met.solution(last)
-                other = reaches(start, end, there)
-                other.status += ", not by the first solution found at its start"
-                return other
-        return None
+        return None if elsewhere else _again(grow, start, end, begun)
 
     try:
-        growing = _continuation(structure, omega, contact, span, options)
+        growing = grow(start, end)
     except ConvergenceError as error:
-        orbits = options.get("tolerance") is not None and not begun_elsewhere
-        other = again() if orbits else None
+        other = again() if options.get("tolerance") is not None else None
         if other is None:
             raise error from None
         growing = other
-    return _run(growing, progress, throw, None if begun_elsewhere else again)
+    return _run(growing, progress, throw, again)
+
+
+def _again(
+    grow: Callable[..., Growing], start: float, end: float, begun: Growing | None
+) -> Growing | None:
+    """Another curve from the start, with a solution met by following one from the end to it, or
+    from between, in as many points as one of them has or as are soon followed: where the first
+    solution found lies on a curve that comes back to the start, such as a closed loop of the
+    truncated equations, or where there is none."""
+    spent, known = 0, 0 if begun is None else len(begun.followed)
+    places = ATTEMPTS if begun is not None else 1  # where there is no orbit a search takes long
+    for origin in np.linspace(end, start, ATTEMPTS, endpoint=False)[:places].tolist():
+        there: PeriodicSolution | PeriodicOrbit | None = None
+        for first, last in ((origin, start), (start, end)):
+            try:
+                found = grow(first, last, initial=there)
+                left = max(known, 2 * ATTEMPTS * ON_PATH // found.size) - spent
+                found.most_points = max(1, min(left, found.most_points))
+                found.run()
+            except ConvergenceError:
+                break
+            met = found.followed
+            spent += len(met)
+            if not found.complete or found.returned:
+                break
+            at_end = len(met) - 1
+            there = met.orbit(at_end) if isinstance(met, OrbitCurve) else met.solution(at_end)
+        else:
+            found.status += ", not by the first solution found at its start"
+            return found
+    return None
 
 
 def follow_branch(
@@ -296,25 +288,17 @@ def follow_branch(
     if not min(start, end) < bifurcation.value < max(start, end):
         raise InputError("start, end", (start, end), f"on either side of {bifurcation.value:g}")
     doubled = 2 if bifurcation.kind == "period_doubling" else 1
-    structure = curve.structure
-    if curve.parameter == "speed":
-        structure = bifurcation.problem.structure
     problem = replace(
         curve.problem,
-        structure=structure,
+        structure=bifurcation.problem.structure if curve.parameter == "speed" else curve.structure,
         omega=bifurcation.omega,
-        harmonics=doubled * bifurcation.problem.harmonics,
+        harmonics=doubled * curve.problem.harmonics,
         samples=curve.problem.samples and doubled * curve.problem.samples,
         subharmonic=doubled * curve.subharmonic,
     )
-    span, given = (curve.parameter, start, end), dict[str, Any](options)
-    if isinstance(curve, OrbitCurve):
-        assert isinstance(bifurcation, ExactBifurcation)
-        given.pop("stability", None)
-        growing = OrbitContinuation(problem, *span, initial=(curve, bifurcation), **given)
-        return _run(growing, progress, throw)
-    assert isinstance(bifurcation, HarmonicBifurcation)
-    return _run(Continuation(problem, *span, initial=bifurcation, **given), progress, throw)
+    exact, span = isinstance(curve, OrbitCurve), (curve.parameter, start, end)
+    initial = (curve, bifurcation) if exact else bifurcation
+    return _run(_grown(exact, problem, span, initial, options), progress, throw)
 
 
 def _continuation(
@@ -326,40 +310,46 @@ def _continuation(
 ) -> Growing:
     """The continuation that options ask for, from the start or of an unfinished curve."""
     given: dict[str, Any] = dict(options)
-    resume, stability = given.pop("resume", None), given.pop("stability", False)
-    unset = {"harmonics": None, "samples": None, "subharmonic": 1}
-    if resume is None:
-        harmonics, samples, subharmonic = (given.pop(*item) for item in unset.items())
-        if (tolerance := given.get("tolerance")) is not None:
-            check_number("tolerance", tolerance, 0.0, above=True)
-            if harmonics is not None:
-                raise InputError("tolerance", tolerance, "left out where harmonics are given")
-            if samples is not None:
-                raise InputError("samples", samples, "left out where a tolerance is given")
-        check_count("subharmonic", subharmonic, 1)
-        harmonics = max(5, subharmonic) if harmonics is None else harmonics
-        problem = Problem(structure, omega, contact, harmonics, samples, subharmonic)
-        initial = given.pop("initial", None)
-        exact = tolerance is not None and _has_orbits(problem, *span)
-    else:
-        for key, nothing in (unset | {"initial": None}).items():
-            if (value := given.pop(key, nothing)) not in (nothing, None):
+    resume = given.pop("resume", None)
+    unset = {"harmonics": None, "samples": None, "subharmonic": 1, "initial": None}
+    harmonics, samples, subharmonic, initial = (given.pop(*item) for item in unset.items())
+    if resume is not None:
+        for (key, nothing), value in zip(
+            unset.items(), (harmonics, samples, subharmonic, initial), strict=True
+        ):
+            if value not in (nothing, None):
                 raise InputError(key, value, "left out where a curve is resumed")
-        problem, initial = same_problem(resume, structure, omega, contact), resume
-        exact = isinstance(resume, OrbitCurve)
-    if exact:
-        return OrbitContinuation(problem, *span, initial=initial, **given)
-    return Continuation(problem, *span, initial=initial, stability=stability, **given)
+        check_unfinished(resume)
+        problem = replace(resume.problem, structure=structure, omega=omega, contact=contact)
+        return _grown(isinstance(resume, OrbitCurve), problem, span, resume, given)
+    if (tolerance := given.get("tolerance")) is not None:
+        check_number("tolerance", tolerance, 0.0, above=True)
+        if harmonics is not None:
+            raise InputError("tolerance", tolerance, "left out where harmonics are given")
+        if samples is not None:
+            raise InputError("samples", samples, "left out where a tolerance is given")
+    check_count("subharmonic", subharmonic, 1)
+    harmonics = max(5, subharmonic) if harmonics is None else harmonics
+    problem = Problem(structure, omega, contact, harmonics, samples, subharmonic)
+    exact = tolerance is not None and has_orbits(problem, *span)
+    return _grown(exact, problem, span, initial, given)
 
 
-def _has_orbits(problem: Problem, parameter: str, start: float, end: float) -> bool:
-    """True if the exact orbits along a curve can be followed."""
-    check_range(problem, parameter, start, end)
-    ends = [FAMILIES[parameter].vary(problem, value).omega for value in (start, end)]
-    return has_orbits(problem, *ends)
+def _grown(
+    exact: bool,
+    problem: Problem,
+    span: tuple[str, float, float],
+    initial: Any,
+    options: Mapping[str, Any],
+) -> Growing:
+    """A curve of exact orbits, which have their stability, or of harmonic balance."""
+    if not exact:
+        return Continuation(problem, *span, initial=initial, **options)
+    given = {key: value for key, value in options.items() if key != "stability"}
+    return OrbitContinuation(problem, *span, initial=initial, **given)
 
 
-def _where(parameter: str, point: CurvePoint | OrbitCurvePoint, count: int) -> str:
+def _where(parameter: str, point: CurvePoint, count: int) -> str:
     """A point of a curve in words: load frequency or other parameter, and how many there are."""
     where = f"{point.value:.6g}"
     hertz = f"{point.omega / (2.0 * math.pi):.6g} Hz"
@@ -411,7 +401,6 @@ def _follow(growing: Growing, progress: bool) -> None:
         return
     begin("")
     with tqdm(total=100, desc="curve", unit="%", bar_format=BAR) as bar:
-        points: Iterable[CurvePoint | OrbitCurvePoint] = growing
-        for count, point in enumerate(points, 1):
+        for count, point in enumerate(growing, 1):
             bar.set_postfix_str(_where(first.parameter, point, count), refresh=False)
             bar.update(max(0, int(100.0 * growing.progress()) - bar.n))

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.compliance import ModalCompliance
-from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
+from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.curves.curve import PHASES, Bifurcation, ResponseCurve
 from fenics_crack.curves.family import FAMILIES, Family
 from fenics_crack.model.modal import all_modes
-from fenics_crack.numerics.fourier import evaluate, resized
-from fenics_crack.table import ranging
+from fenics_crack.numerics.fourier import evaluate
+
+FOLLOWED = "fold", "branch_point"
+"""Kinds of bifurcations that a curve has before it is judged."""
 
 
 def _expanded(problem: Problem, unknown: np.ndarray, *, search: bool) -> PeriodicSolution:
@@ -28,46 +30,6 @@ def _expanded(problem: Problem, unknown: np.ndarray, *, search: bool) -> Periodi
     found = solution_of(problem, at, status="point of a curve", search=search)
     compliance.destroy()
     return found
-
-
-@dataclass(frozen=True)
-class CurvePoint:
-    """A point of a curve as it comes.
-
-    Attributes
-    ----------
-    value, omega : float
-        Of the parameter, and load frequency [rad/s].
-    unknown : (2H+1, n_pairs) [m]
-        Gap coefficients, or the slow gap's (``HarmonicCurve.unknowns``).
-    iterations : int
-        Newton iterations.
-    bifurcations : tuple of (str, float)
-        Kinds and parameters of the special points since the point before.
-    """
-
-    value: float
-    omega: float
-    unknown: np.ndarray
-    iterations: int
-    bifurcations: tuple[tuple[str, float], ...] = ()
-
-
-def columns(points: Sequence[CurvePoint]) -> dict[str, np.ndarray]:
-    """What points are in a :class:`HarmonicCurve`, all with the most harmonics."""
-    counts = [len(point.unknown) // 2 for point in points]
-    most = max(counts)
-    unknowns = [
-        point.unknown if count == most else resized(point.unknown, most)
-        for point, count in zip(points, counts, strict=True)
-    ]
-    return {
-        "values": np.array([point.value for point in points]),
-        "omega": np.array([point.omega for point in points]),
-        "unknowns": np.array(unknowns),
-        "harmonics": np.array(counts),
-        "iterations": np.array([point.iterations for point in points]),
-    }
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -83,11 +45,6 @@ class HarmonicBifurcation(Bifurcation):
     """
 
     unknown: np.ndarray
-
-    @property
-    def exact(self) -> float:
-        """nan: it is one of the truncated equations."""
-        return math.nan
 
     @cached_property
     def solution(self) -> PeriodicSolution:
@@ -108,9 +65,7 @@ class HarmonicCurve(ResponseCurve):
         As of any :class:`ResponseCurve`.
     unknowns : (n, 2H+1, n_pairs) [m]
         What was followed: gap coefficients, or those of the slow gap s = g + R_inf lambda where
-        pairs are seen through R_inf; zeros above a point's own harmonics.
-    harmonics : (n,) int
-        H of each point.
+        pairs are seen through R_inf.
     bifurcations : tuple of HarmonicBifurcation
         Special points, in order along the curve.
     samples : int or None
@@ -127,61 +82,45 @@ class HarmonicCurve(ResponseCurve):
     """
 
     unknowns: np.ndarray
-    harmonics: np.ndarray
     bifurcations: tuple[HarmonicBifurcation, ...]
     samples: int | None
     static_above: float | None = None
     undecided: np.ndarray | None = None
 
     @property
+    def harmonics(self) -> int:
+        """H."""
+        return self.unknowns.shape[1] // 2
+
+    @property
     def method(self) -> str:
-        """Its harmonics: "H = 5"; of older versions' curves "H = 5 to 40"."""
-        return f"H = {ranging(self.harmonics)}"
+        """Its harmonics: "H = 5"."""
+        return f"H = {self.harmonics}"
 
     @property
     def problem(self) -> Problem:
-        """What was solved at the first point, with the harmonics of the last one."""
+        """What was solved at the first point."""
         return Problem(
-            self.structure, float(self.omega[0]), self.contact, int(self.harmonics[-1]),
+            self.structure, float(self.omega[0]), self.contact, self.harmonics,
             self.samples, self.subharmonic, self.static_above,
         )  # fmt: skip
 
-    def problem_of(self, index: int) -> Problem:
-        """What was solved at a point, of the structure as the parameter varies it."""
-        return self._problem_at(float(self.values[index]), self.unknown(index))
-
-    def _problem_at(self, value: float, unknown: np.ndarray) -> Problem:
-        """What is solved where the parameter has a value, with the harmonics of an unknown."""
-        problem = self.problem.with_harmonics(len(unknown) // 2)
-        return FAMILIES[self.parameter].vary(problem, value)
-
-    def unknown(self, index: int) -> np.ndarray:
-        """What was followed at a point, with its own harmonics: (2H+1, n_pairs) [m]."""
-        return self.unknowns[index, : 2 * self.harmonics[index] + 1]
-
     @cached_property
     def gap_coefficients(self) -> np.ndarray:
-        """Closing of the pairs: (n, 2H+1, n_pairs) [m]; zeros above a point's own harmonics."""
+        """Closing of the pairs: (n, 2H+1, n_pairs) [m]."""
         if self.static_above is None:
             return self.unknowns
-        found = np.zeros_like(self.unknowns)
-        for index, at in self._linearised():
-            found[index, : len(at.gap)] = at.gap
-        return found
-
-    def gap(self, index: int) -> np.ndarray:
-        """Gap coefficients of a point with its own harmonics: (2H+1, n_pairs) [m]."""
-        return self.gap_coefficients[index, : 2 * self.harmonics[index] + 1]
+        return np.array([at.gap for at in self._linearised()])
 
     def solution(self, index: int, *, search: bool = True) -> PeriodicSolution:
         """The solution at a point, with its displacement and error report; without ``search`` for
         its exact orbit the report is what one Newton step predicts."""
-        return _expanded(self.problem_of(index), self.unknown(index), search=search)
+        return _expanded(self.problem_of(index), self.unknowns[index], search=search)
 
     def assessment(self, index: int) -> Assessment:
         """What the exact flow says of a point; no error is estimated."""
         problem = self.problem_of(index)
-        at = problem.system(problem.compliance()).linearise(self.unknown(index))
+        at = problem.system(problem.compliance()).linearise(self.unknowns[index])
         return Assessment(problem.wave(at))
 
     def reason(self, index: int) -> str:
@@ -193,56 +132,36 @@ class HarmonicCurve(ResponseCurve):
             return "no point of the curve has an exact orbit of its own"
         return self.assessment(index).reason or "its largest multiplier is 1 to rounding"
 
-    def point(self, index: int) -> CurvePoint:
-        """A point as :class:`Continuation` yields it, without the bifurcations before it."""
-        return CurvePoint(
-            float(self.values[index]), float(self.omega[index]), self.unknown(index),
-            int(self.iterations[index]),
-        )  # fmt: skip
-
-    @cached_property
-    def at_bifurcations(self) -> HarmonicCurve:
-        """The first point, the bifurcations and the last point, to be measured: a curve of their
-        own, for which no error is estimated."""
-        met: list[CurvePoint | HarmonicBifurcation]
-        met = [self.point(0), *self.bifurcations, self.point(-1)]
-        points = columns([CurvePoint(one.value, one.omega, one.unknown, 0) for one in met])
-        return replace(self, **points, bifurcations=(), multipliers=None, undecided=None)
+    def unjudged(self) -> HarmonicCurve:
+        """As it was followed: without verdicts, and without what was found with them."""
+        special = tuple(one for one in self.bifurcations if one.kind in FOLLOWED)
+        return replace(self, bifurcations=special, multipliers=None, undecided=None)
 
     def bifurcation(self, kind: str, value: float, unknown: np.ndarray) -> HarmonicBifurcation:
         """A special point of this curve, where the parameter has a value."""
-        problem = self._problem_at(value, unknown)
+        problem = self.problem_at(value)
         return HarmonicBifurcation(kind=kind, value=value, problem=problem, unknown=unknown)
 
-    # --- the equations at its points --------------------------------------------------------------
-
-    def equations(self, harmonics: int) -> Family:
-        """The truncated equations with so many harmonics, along the parameter: from its value at
-        the first point to the one farthest from there."""
-        if harmonics not in self._families:
-            farthest = int(np.argmax(np.abs(self.values - self.values[0])))
-            ends = float(self.values[0]), float(self.values[farthest])
-            problem = self.problem.with_harmonics(harmonics)
-            self._families[harmonics] = FAMILIES[self.parameter](problem, *ends)
-        return self._families[harmonics]
-
     @cached_property
-    def _families(self) -> dict[int, Family]:
-        """The equations with each number of harmonics, once they are known."""
-        return {}
+    def equations(self) -> Family:
+        """The truncated equations along the parameter: from its value at the first point to the one
+        farthest from there."""
+        farthest = int(np.argmax(np.abs(self.values - self.values[0])))
+        ends = float(self.values[0]), float(self.values[farthest])
+        return FAMILIES[self.parameter](self.problem, *ends)
 
-    def _systems(self, places: np.ndarray | None = None) -> Iterator[tuple[int, ContactSystem]]:
-        """The equations for all points, or some, with their numbers; not in order."""
-        wanted = np.arange(len(self)) if places is None else places
-        for count in np.unique(self.harmonics[wanted]):
-            family = self.equations(int(count))
-            for index in wanted[self.harmonics[wanted] == count]:
-                yield int(index), family.system(float(self.values[index]))
+    def _linearised(self) -> Iterator[ContactPoint]:
+        """The equations at all points."""
+        for value, unknown in zip(self.values.tolist(), self.unknowns, strict=True):
+            yield self.equations.system(value).linearise(unknown)
 
-    def _linearised(self, places: np.ndarray | None = None) -> Iterator[tuple[int, ContactPoint]]:
-        """The equations at all points, or some, likewise."""
-        for index, system in self._systems(places):
-            yield index, system.linearise(self.unknown(index))
+    def _found(self, bifurcation: Bifurcation) -> tuple[np.ndarray, np.ndarray]:
+        assert isinstance(bifurcation, HarmonicBifurcation)
+        return self.unknowns, bifurcation.unknown
+
+    @property
+    def _at_bifurcations(self) -> dict[str, list[Any]]:
+        return {"unknowns": [one.unknown for one in self.bifurcations]}
 
     @property
     def _rows(self) -> int:
@@ -255,7 +174,7 @@ class HarmonicCurve(ResponseCurve):
         moved = None
         if self.static_above is not None:
             moved = rows @ all_modes(self.structure).moved_at_once(self.static_above)
-        for index, at in self._linearised():
+        for index, at in enumerate(self._linearised()):
             assert isinstance(at.system.compliance, ModalCompliance)
             waves = at.system.compliance.seen_through(rows, at.force)
             motion = evaluate(waves, 1.0, PHASES)
@@ -264,6 +183,3 @@ class HarmonicCurve(ResponseCurve):
                 # What answers at once follows the forces as they are, with their kinks.
                 motion -= (force - evaluate(at.force, 1.0, PHASES)) @ moved.T
             yield index, waves, motion, gap, force
-
-    def _columns(self) -> dict[str, np.ndarray]:
-        return {name: getattr(self, name) for name in ("omega", "harmonics", "iterations")}

@@ -7,7 +7,7 @@ parameter varies it; the motion over its period is followed anew wherever more i
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -17,11 +17,12 @@ from fenics_crack.balance.harmonic_balance import solution_of_orbit, wave_of
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import PHASES, Bifurcation, ResponseCurve
-from fenics_crack.curves.family import FAMILIES
 from fenics_crack.motion.flow import ContactFlow, exact_flow
 from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit
 from fenics_crack.numerics.fourier import balanced
 
+FEWEST = 5
+"""Harmonics of the load's frequency that a solution has."""
 HARMONICS = 40
 """Of the period, that :meth:`ResponseCurve.coefficients_at` has of exact orbits. By 256 instants
 the one of order k is off by that of order 256 - k, of motions with kinks (k / 216)^2 of it."""
@@ -110,16 +111,8 @@ class OrbitCurve(ResponseCurve):
     @property
     def problem(self) -> Problem:
         """What was solved at the first point; its harmonics are the fewest of a solution."""
-        omega, least = float(self.omega[0]), 5 * self.subharmonic
+        omega, least = float(self.omega[0]), FEWEST * self.subharmonic
         return Problem(self.structure, omega, self.contact, least, subharmonic=self.subharmonic)
-
-    def problem_at(self, value: float) -> Problem:
-        """What is solved where the parameter has a value."""
-        return FAMILIES[self.parameter].vary(self.problem, value)
-
-    def problem_of(self, index: int) -> Problem:
-        """What was solved at a point, of the structure as the parameter varies it."""
-        return self.problem_at(float(self.values[index]))
 
     @cached_property
     def _flow(self) -> ContactFlow:
@@ -165,22 +158,6 @@ class OrbitCurve(ResponseCurve):
         orbits = (self.orbit(index) for index in range(len(self)))
         return np.array([one.coefficients(HARMONICS).gap for one in orbits])
 
-    @cached_property
-    def at_bifurcations(self) -> OrbitCurve:
-        """The first point, the bifurcations and the last point, to be measured: a curve of their
-        own."""
-        met = self.bifurcations
-        between: dict[str, list[Any]] = {
-            "values": [one.value for one in met],
-            "omega": [one.omega for one in met],
-            "iterations": [0] * len(met),
-            "states": [one.state for one in met],
-            "multipliers": [leading(one.multipliers) for one in met],
-        }
-        ends = {name: getattr(self, name)[[0, -1]] for name in between}
-        points = {name: np.array([x[0], *between[name], x[1]]) for name, x in ends.items()}
-        return replace(self, **points, bifurcations=())
-
     def bifurcation(
         self, kind: str, value: float, state: np.ndarray, multipliers: np.ndarray
     ) -> ExactBifurcation:
@@ -190,23 +167,17 @@ class OrbitCurve(ResponseCurve):
             multipliers=multipliers, tolerance=self.tolerance,
         )  # fmt: skip
 
-    def around(self, bifurcation: ExactBifurcation) -> np.ndarray:
-        """Numbers of the points before and behind the one nearest to a bifurcation: (2,)."""
-        flow = self.flow(bifurcation.value)
-        weights = flow.weights(bifurcation.omega / self.subharmonic)
-        off = np.linalg.norm(weights * (self.states - bifurcation.state), axis=1)
-        off /= float(np.linalg.norm(weights * bifurcation.state)) or 1.0
-        wide = float(np.ptp(self.values)) or 1.0
-        nearest = int(np.argmin(np.hypot(off, (self.values - bifurcation.value) / wide)))
-        return np.clip([nearest - 1, nearest + 1], 0, len(self) - 1)
+    def _found(self, bifurcation: Bifurcation) -> tuple[np.ndarray, np.ndarray]:
+        assert isinstance(bifurcation, ExactBifurcation)
+        return self.states, bifurcation.state
 
-    def followed_by(self, other: OrbitCurve) -> OrbitCurve:
-        """The points and bifurcations of both, and how the other one ended."""
-        names = "values", "omega", "iterations", "states", "multipliers"
-        both = {name: [getattr(one, name) for one in (self, other)] for name in names}
-        points = {name: np.concatenate(columns) for name, columns in both.items()}
-        special = self.bifurcations + other.bifurcations
-        return replace(other, **points, bifurcations=special, structure=self.structure)
+    @property
+    def _at_bifurcations(self) -> dict[str, list[Any]]:
+        states = [one.state for one in self.bifurcations]
+        return {
+            "states": states,
+            "multipliers": [leading(one.multipliers) for one in self.bifurcations],
+        }
 
     @property
     def _rows(self) -> int:

@@ -25,6 +25,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy.linalg
 
 from fenics_crack.balance.problem import Problem
 from fenics_crack.curves.family import FAMILIES
@@ -33,8 +34,7 @@ from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, exact_flow
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.motion.shooting import OrbitPoint, ShootingEquations
-from fenics_crack.numerics.equations import EPSILON
-from fenics_crack.numerics.newton import Tangent, norm_at
+from fenics_crack.numerics.equations import EPSILON, ROUNDING
 
 DIFFERENCE = math.sqrt(EPSILON)
 """Of p, for a forward difference: what it leaves out is then as small as its rounding."""
@@ -171,13 +171,15 @@ class OrbitFamily:
             flow, omega, self.subharmonic, motion, state, off / size, iterations + 1
         )  # fmt: skip
 
-    def direction(
-        self, before: tuple[float, np.ndarray], after: tuple[float, np.ndarray]
-    ) -> Tangent:
-        """From one point, its value and state, to another one."""
-        ends = [self.unknown(state, value) for value, state in (before, after)]
-        rise = self.parameter(after[0]) - self.parameter(before[0])
-        return Tangent(ends[1] - ends[0], rise, *norm_at(self, ends[1]))
+    def doubling(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
+        """The eigenvector of -1 over half the period, of unit size."""
+        monodromy = self.monodromy(unknown, parameter, 0.5)
+        return np.asarray(scipy.linalg.svd(np.eye(len(unknown)) + monodromy)[2][-1])
+
+    def half_off(self, unknown: np.ndarray, parameter: float) -> float:
+        """Change of an orbit over half its period, relative to its size."""
+        change = self.moved(unknown, parameter, 0.5) - unknown
+        return float(np.linalg.norm(change) / (np.linalg.norm(unknown) or 1.0))
 
     # --- what paths ask for -----------------------------------------------------------------------
 
@@ -206,6 +208,10 @@ class OrbitFamily:
                 *given, (omega[0], 0.0), self.subharmonic, self.budget, damping=damping, **changed
             )
         return None
+
+    def rounding(self, parameter: float) -> float:
+        """What rounding leaves of |F| / |x|."""
+        return ROUNDING
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
         """The equations at a point.

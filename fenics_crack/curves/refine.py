@@ -17,10 +17,10 @@ from scipy.interpolate import CubicSpline
 from fenics_crack.curves.curve import SPREAD, ResponseCurve
 from fenics_crack.curves.exact import judge_curve
 from fenics_crack.curves.family import Family
-from fenics_crack.curves.harmonic_curve import CurvePoint, HarmonicCurve, columns
+from fenics_crack.curves.harmonic_curve import HarmonicCurve
 from fenics_crack.curves.orbit_curve import OrbitCurve
 from fenics_crack.errors import ConvergenceError, InputError, check_count, check_kind
-from fenics_crack.numerics.newton import Tangent, norm_at, solve_in_plane
+from fenics_crack.numerics.newton import PathPoint, Tangent, norm_at, solve_in_plane
 from fenics_crack.numerics.path import PathOptions
 
 
@@ -74,10 +74,10 @@ def refine_curve(curve: HarmonicCurve, between: int | None = None) -> HarmonicCu
             raise InputError("between", between, f"at most {most}")
     if len(curve) < 4:
         raise InputError("curve", f"{len(curve)} points", "at least 4")
-    whole = curve.equations(int(curve.harmonics[0]))
-    parameters = np.array([whole.parameter(value) for value in curve.values])
+    family = curve.equations
+    parameters = np.array([family.parameter(value) for value in curve.values])
     flat = curve.unknowns.reshape(len(curve), -1)
-    norms = [Tangent(row, 0.0, *norm_at(whole, row)) for row in flat]
+    norms = [Tangent(row, 0.0, *norm_at(family, row)) for row in flat]
     size = float(np.mean([one.weight**-0.5 for one in norms]))
     place = np.hstack([flat / size, parameters[:, None]])
     # Equal neighbours would have no distance.
@@ -85,34 +85,26 @@ def refine_curve(curve: HarmonicCurve, between: int | None = None) -> HarmonicCu
     along = np.concatenate([[0.0], np.cumsum(distance)])
     added = np.full(len(distance), between or 0)
     if between is None:
-        added = _for_a_picture(whole, norms, parameters)
-    spline, points = CubicSpline(along, place), list[CurvePoint]()
-    for index, more in enumerate(added):
-        points.append(curve.point(index))
-        if not more:
-            continue
-        family = curve.equations(int(curve.harmonics[index : index + 2].max()))
-        sharp = max(PathOptions.rtol, family.rounding(parameters[index]))
+        added = _for_a_picture(family, norms, parameters)
+    spline, found = CubicSpline(along, place), list[tuple[int, PathPoint]]()
+    for index in np.flatnonzero(added):
+        sharp, more = max(PathOptions.rtol, family.rounding(parameters[index])), added[index]
         for at in along[index] + np.arange(1, more + 1) / (more + 1) * distance[index]:
-            (unknown, parameter), (x, p) = (_split(spline(at, order), family) for order in (0, 1))
-            found = solve_in_plane(
-                family, size * unknown, parameter, Tangent(size * x, p, size**-2),
-                tolerance=sharp,
-            )  # fmt: skip
-            if found is not None:
-                value = family.value(found.parameter)
-                points.append(
-                    CurvePoint(value, family.omega(value), found.unknown, found.iterations)
-                )
-    points.append(curve.point(len(curve) - 1))
-    merged = replace(curve, **columns(points), multipliers=None, undecided=None)
-    return merged if curve.multipliers is None else judge_curve(merged)
-
-
-def _split(place: np.ndarray, family: Family) -> tuple[np.ndarray, float]:
-    """Unknowns, of their size, and parameter of a place along the spline."""
-    rows, pairs = family.shape
-    return place[:-1].reshape(-1, pairs)[:rows], float(place[-1])
+            (*unknown, parameter), (*x, p) = spline(at), spline(at, 1)
+            guess, way = (size * np.reshape(one, family.shape) for one in (unknown, x))
+            near = solve_in_plane(
+                family, guess, parameter, Tangent(way, p, size**-2), tolerance=sharp
+            )
+            found += [] if near is None else [(int(index) + 1, near)]
+    values = [family.value(point.parameter) for _, point in found]
+    finer = replace(curve, multipliers=None, undecided=None).with_points(
+        [index for index, _ in found],
+        values=values,
+        omega=[family.omega(value) for value in values],
+        unknowns=[point.unknown for _, point in found],
+        iterations=[point.iterations for _, point in found],
+    )
+    return finer if curve.multipliers is None else judge_curve(finer)
 
 
 def _for_a_picture(system: Family, norms: list[Tangent], parameter: np.ndarray) -> np.ndarray:

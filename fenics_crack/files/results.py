@@ -25,6 +25,7 @@ from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import NEGLIGIBLE, Modes
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.fourier import resized
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.fields import LARGEST
 from fenics_crack.scene.scene import Scene
@@ -357,23 +358,21 @@ def _taken_curve(parts: Parts, structure: Structure, contact: Law) -> tuple[Stru
 
 def _unpack_harmonic_curve(parts: Parts, structure: Structure, contact: Law) -> HarmonicCurve:
     structure, shapes = _taken_curve(parts, structure, contact)
-    unknowns, harmonics, kinds = parts["unknowns"], parts["harmonics"], parts["kinds"]
+    unknowns, kinds = parts["unknowns"], parts["kinds"]
     _check_pairs(structure, unknowns)
     shapes["unknowns"] = parts["values"].size, unknowns.shape[1] | 1, structure.n_pairs
     for number in range(len(kinds)):
         name = f"bifurcation_{number}"
         shapes[name] = len(parts[name]) | 1, structure.n_pairs
     check_shapes(parts, shapes)
-    if not 0 <= harmonics.min() <= harmonics.max() <= unknowns.shape[1] // 2:
-        raise ValueError("its parts do not fit")
     del parts["kinds"]
     values = parts.pop("bifurcation_values").tolist()
     special = [
-        (kind, value, parts.pop(f"bifurcation_{number}"))
+        (kind, value, resized(parts.pop(f"bifurcation_{number}"), unknowns.shape[1] // 2))
         for number, (kind, value) in enumerate(zip(kinds, values, strict=True))
     ]
     known: Parts = {"structure": structure, "contact": contact, "bifurcations": (), "samples": None}
-    for name in ("exact_values", "truncation"):  # of older versions
+    for name in ("exact_values", "harmonics", "truncation"):  # of older versions
         parts.pop(name, None)
     curve = HarmonicCurve(**(known | parts))
     first = curve.solution(0)

@@ -29,7 +29,7 @@ def odd(branch: fc.ResponseCurve) -> np.ndarray:
 def test_begins_and_ends_where_the_curve_doubles() -> None:
     """At the exact doublings, where the added harmonics vanish."""
     curve, branch = found()
-    ends = [one.exact for one in curve.bifurcations]
+    ends = [one.value for one in curve.bifurcations]
     assert branch.complete and branch.status == "joined the branch that it left"
     assert [branch.omega.min(), branch.omega.max()] == pytest.approx(ends, abs=1e-4)
     sizes = odd(branch)

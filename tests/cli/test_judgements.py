@@ -122,16 +122,16 @@ def test_verdict_that_hangs_on_modes_left_out() -> None:
         assert all(text.startswith(f"with 20 modes the orbit is {other} (largest") for text in said)
 
 
-def curve_of(kinds: list[tuple[str, bool]], verdicts: list[str]) -> Any:
+def curve_of(kinds: list[str], verdicts: list[str]) -> Any:
     """What is read of a curve over the load frequency."""
-    points = [SimpleNamespace(kind=kind, confirmed=known) for kind, known in kinds]
+    points = [SimpleNamespace(kind=kind) for kind in kinds]
     found = SimpleNamespace(bifurcations=points, verdicts=np.array(verdicts), multipliers=1)
     return SimpleNamespace(result=found)
 
 
 def test_five_bifurcations_at_most() -> None:
     """Those with the larger response, in order along the curve."""
-    kinds = [("fold", number % 2 == 0) for number in range(14)]
+    kinds = ["fold"] * 14
     rows = [(name, 0.0, 1.0) for name in ("start", "end", "largest")]
     rows += [(f"fold {number}", 0.0, float(number)) for number in range(14)]
     rows += [("stability lost after", 0.0, 99.0)] * 4

@@ -13,14 +13,11 @@ from mpi4py import MPI
 from rotating import cracked
 
 import fenics_crack as fc
+from fenics_crack.curves.growing import branch_start
+from fenics_crack.curves.orbit_continuation import OrbitContinuation
+from fenics_crack.curves.orbit_curve import ExactBifurcation
 from fenics_crack.curves.orbit_events import FLOOR, MultiplierControl, changes, observe
 from fenics_crack.curves.orbit_family import OrbitFamily
-from fenics_crack.curves.orbit_path import (
-    OrbitBifurcation,
-    OrbitCurvePoint,
-    OrbitPath,
-    doubled_start,
-)
 from fenics_crack.motion.flow import exact_flow
 from fenics_crack.motion.orbit import PeriodicOrbit, find_orbit
 from fenics_crack.motion.search import wave_states
@@ -61,24 +58,36 @@ def orbit_at(problem: fc.Problem) -> PeriodicOrbit:
     raise AssertionError("no orbit")
 
 
-def followed(family: OrbitFamily, longest_step: float = 0.05, **options: Any) -> OrbitPath:
-    """The curve of a family from its start on."""
-    start = orbit_at(family.at(family.start))
-    options = {"most_points": 3000, "turning_back": 0.1} | options
-    path = OrbitPath(family, start.state, longest_step=longest_step, **options)
+def followed(
+    problem: fc.Problem, parameter: str, start: float, end: float, step: float = 0.05
+) -> OrbitContinuation:
+    """The curve from its start on."""
+    first = orbit_at(OrbitFamily(problem, parameter, start, end).at(start))
+    path = OrbitContinuation(
+        problem, parameter, start, end, initial=first, longest_step=step, most_points=3000
+    )
     path.run()
     return path
 
 
-def special(points: list[OrbitCurvePoint]) -> list[OrbitBifurcation]:
+def special(points: list[fc.CurvePoint]) -> list[ExactBifurcation]:
     """All bifurcations."""
-    return [one for point in points for one in point.bifurcations]
+    found = [one for point in points for one in point.bifurcations]
+    assert all(isinstance(one, ExactBifurcation) for one in found)
+    return found  # type: ignore[return-value]
+
+
+def states(path: OrbitContinuation) -> np.ndarray:
+    """Of all points."""
+    curve = path.curve
+    assert isinstance(curve, fc.OrbitCurve)
+    return curve.states
 
 
 @pytest.fixture(scope="module")
-def stop() -> OrbitPath:
+def stop() -> OrbitContinuation:
     """Two masses and a stop."""
-    return followed(OrbitFamily(fc.Problem(two_masses(), 0.6, LAW), "omega", 0.6, 0.9))
+    return followed(fc.Problem(two_masses(), 0.6, LAW), "omega", 0.6, 0.9)
 
 
 # --- the equations --------------------------------------------------------------------------------
@@ -112,13 +121,14 @@ def test_derivatives(parameter: str, damping: str) -> None:
 def test_end_is_the_orbit_found_there(parameter: str) -> None:
     """By the problem varied as a whole, and Newton's method on its own flow."""
     problem = fc.Problem(chain(), 1.3, fc.UnilateralPenalty(5.0))
-    path = followed(OrbitFamily(problem, parameter, *RANGES[parameter]), 0.1)
+    path = followed(problem, parameter, *RANGES[parameter], 0.1)
     assert path.complete and path.progress() == 1.0
-    last, there = path.points[-1], path.family.at(RANGES[parameter][1])
+    family = OrbitFamily(problem, parameter, *RANGES[parameter])
+    last, there, state = path.points[-1], family.at(RANGES[parameter][1]), states(path)[-1]
     assert last.value == pytest.approx(RANGES[parameter][1]) and last.omega == there.omega
-    orbit = find_orbit(exact_flow(there.structure, there.contact), there.omega, 1.001 * last.state)
+    orbit = find_orbit(exact_flow(there.structure, there.contact), there.omega, 1.001 * state)
     assert orbit is not None
-    assert last.state == pytest.approx(orbit.state, abs=1e-7 * np.abs(orbit.state).max())
+    assert state == pytest.approx(orbit.state, abs=1e-7 * np.abs(orbit.state).max())
     assert np.abs(last.multipliers) == pytest.approx(np.abs(orbit.multipliers[:8]), abs=1e-7)
 
 
@@ -143,21 +153,24 @@ def test_over_the_speed_of_a_rotor() -> None:
 def test_twice_the_load_and_clearance_is_twice_the_motion() -> None:
     """A clearance that grows from c to 2 c is a load that falls from 1 to 1/2, times two."""
     problem = fc.Problem(oscillator(clearance=0.5), 1.2, fc.UnilateralPenalty(1.0))
-    closer = followed(OrbitFamily(problem, "load", 1.0, 0.5)).points[-1]
-    wider = followed(OrbitFamily(problem, "clearance", 0.0, 0.5)).points[-1]
-    assert wider.state == pytest.approx(2.0 * closer.state, abs=1e-8)
-    assert wider.multipliers == pytest.approx(closer.multipliers, abs=1e-8)
+    closer, wider = (
+        followed(problem, *along) for along in (("load", 1.0, 0.5), ("clearance", 0.0, 0.5))
+    )
+    assert states(wider)[-1] == pytest.approx(2.0 * states(closer)[-1], abs=1e-8)
+    last = [path.points[-1].multipliers for path in (closer, wider)]
+    assert last[1] == pytest.approx(last[0], abs=1e-8)
 
 
 def test_without_contact() -> None:
     """A stop too far away: linear response and multipliers exp(-c T / 2 +- i w T) all along."""
     problem = fc.Problem(oscillator(clearance=50.0), 0.5, fc.UnilateralPenalty(1.0))
-    path = followed(OrbitFamily(problem, "omega", 0.5, 2.0))
+    path = followed(problem, "omega", 0.5, 2.0)
     assert path.complete and not special(path.points)
-    for point in path.points:
+    for point, state in zip(path.points, states(path), strict=True):
+        assert point.multipliers is not None
         omega, period = point.omega, 2.0 * np.pi / point.omega
         wave = 1.0 / (1.0 - omega**2 + 0.1j * omega)
-        assert np.abs(point.state) == pytest.approx(
+        assert np.abs(state) == pytest.approx(
             np.abs([wave.real, -omega * wave.imag]), rel=1e-7, abs=1e-8
         )
         turn = np.exp((-0.05 + 1j * np.sqrt(1.0 - 0.05**2)) * period)
@@ -166,10 +179,10 @@ def test_without_contact() -> None:
         )
 
 
-def test_paths_keep_what_the_kernel_records(stop: OrbitPath) -> None:
+def test_paths_keep_what_the_kernel_records(stop: OrbitContinuation) -> None:
     """M of each point is that of the equations there."""
-    family = stop.family
-    start = point_on_path(family, family.unknown(stop.points[0].state, 0.6), 0.0)
+    family = OrbitFamily(fc.Problem(two_masses(), 0.6, LAW), "omega", 0.6, 0.9)
+    start = point_on_path(family, stop.points[0].unknown, 0.0)
     seen: list[np.ndarray] = []
 
     class Watched(MultiplierControl):
@@ -187,7 +200,7 @@ def test_paths_keep_what_the_kernel_records(stop: OrbitPath) -> None:
 # --- bifurcations ---------------------------------------------------------------------------------
 
 
-def test_bifurcations_of_two_masses_and_a_stop(stop: OrbitPath) -> None:
+def test_bifurcations_of_two_masses_and_a_stop(stop: OrbitContinuation) -> None:
     """Where many harmonics lead to, each on the unit circle."""
     found = special(stop.points)
     assert stop.complete and stop.status == "reached the end"
@@ -197,13 +210,13 @@ def test_bifurcations_of_two_masses_and_a_stop(stop: OrbitPath) -> None:
         assert len(mine) == len(values)
 
 
-def test_bifurcations_by_the_reference_flow(stop: OrbitPath) -> None:
+def test_bifurcations_by_the_reference_flow(stop: OrbitContinuation) -> None:
     """States are orbits of another integration, with a multiplier where it must be; but for the
     fold where the stop is only just touched: there multipliers jump."""
     found = special(stop.points)
     assert found[-1].kind == "fold" and np.abs(found[-1].multipliers - 1.0).min() > 1e-4
     for one in found[:-1]:
-        reference = ReferenceFlow(stop.family.flow(one.value), one.value)
+        reference = ReferenceFlow(one.orbit.flow, one.value)
         period = 2.0 * np.pi / one.value
         moved, _, tangent, _ = reference.advance(one.state, period, np.zeros(0))
         assert moved == pytest.approx(one.state, abs=1e-8)
@@ -217,43 +230,41 @@ def test_bifurcations_by_the_reference_flow(stop: OrbitPath) -> None:
         assert off[one.kind] < 1e-5
 
 
-def test_one_by_one_is_the_same(stop: OrbitPath) -> None:
+def test_one_by_one_is_the_same(stop: OrbitContinuation) -> None:
     """Iterating yields what a run records."""
-    first = stop.points[0]
-    path = OrbitPath(
-        stop.family, first.state, longest_step=0.05, most_points=3000, turning_back=0.1
-    )
+    first = stop.curve.orbit(0)  # type: ignore[attr-defined]
+    problem = fc.Problem(two_masses(), 0.6, LAW)
+    path = OrbitContinuation(problem, "omega", 0.6, 0.9, initial=first, most_points=3000)
     points = list(path)
     assert len(points) == len(stop.points) and path.status == stop.status
     assert [one.value for one in points] == [one.value for one in stop.points]
     assert [one.value for one in special(points)] == [one.value for one in special(stop.points)]
 
 
-def test_goes_on_where_it_was_stopped(stop: OrbitPath) -> None:
-    """From a point and the direction from the one before; too few points say so."""
-    family, half = stop.family, stop.points[: len(stop.points) // 2]
-    short = OrbitPath(
-        family, half[0].state, longest_step=0.05, most_points=len(half) - 1, turning_back=0.1
-    )
+def test_goes_on_where_it_was_stopped(stop: OrbitContinuation) -> None:
+    """From a curve with too few points, which says so."""
+    problem, half = fc.Problem(two_masses(), 0.6, LAW), len(stop.points) // 2
+    first = stop.curve.orbit(0)  # type: ignore[attr-defined]
+    short = OrbitContinuation(problem, "omega", 0.6, 0.9, initial=first, most_points=half)
     short.run()
-    assert not short.complete and short.status == f"{len(half) - 1} points were not enough"
-    before, last = short.points[-2:]
-    path = OrbitPath(
-        family, last.state, longest_step=0.05, most_points=3000, turning_back=0.1,
-        value=last.value,
-        towards=family.direction((before.value, before.state), (last.value, last.state)),
-    )  # fmt: skip
+    assert not short.complete and short.status == f"{half} points were not enough"
+    part: Any = short.curve
+    path = OrbitContinuation(problem, "omega", 0.6, 0.9, initial=part, most_points=3000)
     path.run()
-    found = [one.value for one in special([*short.points, *path.points])]
+    found = [one.value for one in path.curve.bifurcations]
     expected = [one.value for one in special(stop.points)]
     assert path.complete and found == pytest.approx(expected, rel=1e-8)
+    assert path.curve.values[: half + 1] == pytest.approx(part.values, rel=1e-12)
 
 
-def test_turns_back_past_its_start(stop: OrbitPath) -> None:
+def test_turns_back_past_its_start(stop: OrbitContinuation) -> None:
     """Behind the first fold, where it may not turn back."""
-    first = next(one for one in stop.points if one.value > 0.7)
-    family = OrbitFamily(fc.Problem(two_masses(), 0.7, LAW), "omega", first.value, 0.9)
-    path = OrbitPath(family, first.state, longest_step=0.05, most_points=500, turning_back=0.0)
+    place = next(k for k, one in enumerate(stop.points) if one.value > 0.7)
+    first = stop.curve.orbit(place)  # type: ignore[attr-defined]
+    path = OrbitContinuation(
+        fc.Problem(two_masses(), 0.7, LAW), "omega", first.omega, 0.9, initial=first,
+        most_points=500, turning_back=0.0,
+    )  # fmt: skip
     path.run()
     assert not path.complete and path.returned
     assert path.status == "turned back past its start"
@@ -262,39 +273,35 @@ def test_turns_back_past_its_start(stop: OrbitPath) -> None:
 # --- branches of twice the period -----------------------------------------------------------------
 
 
-def test_branch_of_twice_the_period(stop: OrbitPath) -> None:
+def test_branch_of_twice_the_period(stop: OrbitContinuation) -> None:
     """From one doubling of the oscillator to the other, through orbits of period two."""
     problem = fc.Problem(oscillator(), 1.5, fc.UnilateralPenalty(1.0))
-    single = followed(OrbitFamily(problem, "omega", 1.5, 3.0))
+    single = followed(problem, "omega", 1.5, 3.0)
     first, second = special(single.points)
     assert {first.kind, second.kind} == {"period_doubling"}
     assert first.value < 2.0 * OMEGA_0 < second.value
-    doubled = OrbitFamily(
-        fc.Problem(oscillator(), 1.5, fc.UnilateralPenalty(1.0), subharmonic=2), "omega", 1.5, 3.0
+    twofold = fc.Problem(oscillator(), 1.5, fc.UnilateralPenalty(1.0), 10, subharmonic=2)
+    path = OrbitContinuation(
+        twofold, "omega", 1.5, 3.0, initial=(single.curve, first), most_points=500, turning_back=0.0
     )
-    start = doubled_start(doubled, first, 0.05)
-    path = OrbitPath(
-        doubled, start.state, longest_step=0.05, most_points=500, turning_back=0.0,
-        value=start.value, towards=start.towards, branch=True,
-    )  # fmt: skip
     path.run()
     assert path.complete and path.status == "joined the branch that it left"
     assert path.points[-1].value == pytest.approx(second.value, rel=1e-6)
-    middle = path.points[len(path.points) // 2]
-    flow, period = doubled.flow(middle.value), 2.0 * np.pi / middle.value
-    once = flow.advance(middle.state, middle.omega, period).state
-    twice = flow.advance(once, middle.omega, period, start=period).state
-    assert twice == pytest.approx(middle.state, abs=1e-8)
-    assert np.abs(once - middle.state).max() > 0.1 * np.abs(middle.state).max()
+    curve: Any = path.curve
+    orbit = curve.orbit(len(curve) // 2)
+    period = 2.0 * np.pi / orbit.omega
+    once = orbit.flow.advance(orbit.state, orbit.omega, period).state
+    twice = orbit.flow.advance(once, orbit.omega, period, start=period).state
+    assert twice == pytest.approx(orbit.state, abs=1e-8)
+    assert np.abs(once - orbit.state).max() > 0.1 * np.abs(orbit.state).max()
 
 
-def test_no_branch_of_twice_the_period_from_a_fold(stop: OrbitPath) -> None:
+def test_no_branch_of_twice_the_period_from_a_fold(stop: OrbitContinuation) -> None:
     """Where no multiplier is -1 there is none."""
-    doubled = OrbitFamily(fc.Problem(two_masses(), 0.6, LAW, subharmonic=2), "omega", 0.6, 0.9)
-    quiet = stop.points[0]
-    one = OrbitBifurcation("period_doubling", quiet.value, quiet.state, quiet.multipliers)
-    with pytest.raises(fc.ConvergenceError, match="no orbit of twice the period"):
-        doubled_start(doubled, one, 0.05)
+    problem = fc.Problem(two_masses(), 0.6, LAW, 10, subharmonic=2)
+    doubled = OrbitFamily(problem, "omega", 0.6, 0.9)
+    with pytest.raises(fc.ConvergenceError, match="no point of another branch"):
+        branch_start(doubled, "period_doubling", stop.points[0].unknown, 0.0, 0.05)
 
 
 # --- steps and events -----------------------------------------------------------------------------

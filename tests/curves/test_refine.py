@@ -1,7 +1,5 @@
 """Points put between those of a curve."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from helpers import Cubic, chain, oscillator
@@ -115,18 +113,6 @@ def test_verdicts_come_along(
         if alone.verdict != "undecided":
             assert abs(fine.multipliers[index]) == pytest.approx(abs(alone.multipliers[0]))
     assert_solutions(fine, 11)
-
-
-def test_a_bifurcation_between_points_of_different_harmonics() -> None:
-    """Whichever of the two has more: where that was the first, judging ended with an error of
-    NumPy's."""
-    structure, law = oscillator(0.05, 1.0), fc.SmoothedPenalty(60.0, 20.0)
-    curve = fc.continue_frequency(structure, 2.8, 3.0, law, harmonics=12, stability=True)
-    [one] = curve.bifurcations
-    for counts in ((12, 10), (10, 12)):
-        harmonics = np.where(curve.values < one.value, *counts)
-        [other] = fc.judge_curve(replace(curve, harmonics=harmonics)).bifurcations
-        assert other.kind == one.kind and other.value == pytest.approx(one.value, rel=1e-4)
 
 
 def test_bad_arguments() -> None:
