@@ -5,8 +5,8 @@ over tongues, or by arc-length.
 
 The path from a linear mode in the contact stiffness crosses internal resonances, the more of them
 the more harmonics there are, and with stiff contact one of them may end it. Then the path is gone
-with fewer harmonics, and the others are added at the whole stiffness: some at a time by Newton's
-method, or all that are left together, by a path in the share with which they see the pairs.
+with fewer harmonics, and the others are added at the whole stiffness, one after the other by
+Newton's method.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 
@@ -29,10 +30,10 @@ from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import ContactLaw, gauss
 from fenics_crack.model.modal import AllModes, all_modes
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.equations import DIFFERENCE, Linearisation, determinant_sign
+from fenics_crack.numerics.equations import Linearisation, determinant_sign
 from fenics_crack.numerics.fourier import resized, to_complex
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_at
-from fenics_crack.numerics.path import ARRIVED, NARROW, STRAIGHT, Ended, Path, PathOptions, Target
+from fenics_crack.numerics.path import ARRIVED, STRAIGHT, Ended, Path, PathOptions, Target
 
 NEAR = 0.05
 """Entries relatively that close to resonance are not predicted."""
@@ -162,30 +163,6 @@ class StiffnessMotion(FreeMotion):
         return StiffnessMotion(self.rest, integrals, self.reference, self.energy)
 
 
-class FadedMotion(FreeMotion):
-    """Free motions with the whole contact stiffness, of the energy of others; the parameter is the
-    share with which harmonics above some see the pairs: where it is 0 they are at rest."""
-
-    least_fundamental = 0.25
-
-    def __init__(self, motion: StiffnessMotion, harmonics: int) -> None:
-        super().__init__(motion.rest, motion.integrals, motion.reference)
-        self.energy, self._above = motion.energy, np.arange(self.harmonics + 1) > harmonics
-
-    def linearise(self, unknown: np.ndarray, parameter: float) -> MotionPoint:
-        """The equations at x and a share."""
-        weights = np.where(self._above, parameter, 1.0)
-        return MotionPoint(self, unknown, self.energy, 1.0, weights)
-
-    def derivative(self, at: MotionPoint) -> np.ndarray:
-        """dF / d share, by central differences."""
-        parameter = float(at.weights[-1])
-        ends = (
-            self.linearise(at.unknown, parameter + h).residual for h in (DIFFERENCE, -DIFFERENCE)
-        )
-        return np.asarray((next(ends) - next(ends)) / (2.0 * DIFFERENCE))
-
-
 class EnergyMotion(FreeMotion):
     """Free motions; the parameter is ln E."""
 
@@ -215,8 +192,6 @@ class MotionPoint(Linearisation):
         E.
     share : float
         Multiplies the contact force.
-    weights : (H+1,), optional
-        Share with which each harmonic sees the pairs; default: 1.
 
     Attributes
     ----------
@@ -232,27 +207,20 @@ class MotionPoint(Linearisation):
     """
 
     def __init__(
-        self,
-        motion: FreeMotion,
-        unknown: np.ndarray,
-        energy: float,
-        share: float,
-        weights: np.ndarray | None = None,
+        self, motion: FreeMotion, unknown: np.ndarray, energy: float, share: float
     ) -> None:
         rest, rows, scale = motion.rest, motion.rows, math.sqrt(2.0 * energy)
         self._motion, self.unknown = motion, unknown
-        self.weights = np.ones(len(rows)) if weights is None else weights
         self._z = unknown[:-1].reshape(len(rows), -1)
         moved = scale * (self._z @ motion.gap_rows)
         gap = np.zeros((2 * len(rows) - 1, moved.shape[1]))
-        gap[rows] = self.weights[:, None] * moved
+        gap[rows] = moved
         gap[0] += rest.gap
         found = motion.integrals.linearise(gap)
         self.force = found.force[rows]
         self.force[0] -= rest.force
-        self.force *= (share / scale) * self.weights[:, None]
+        self.force *= share / scale
         self.tangent = share * found.tangent[:, rows[:, None], rows]
-        self.tangent *= np.outer(self.weights, self.weights)
         first, law = moved.sum(axis=0), rest.contact
         self.push = (share / scale) * (law.force(rest.gap + first) - rest.force)
         self.work = share * _work(law, rest.gap, first, rest.force) / energy
@@ -350,8 +318,6 @@ class MotionPoint(Linearisation):
 
 FAST = 0.5
 """Rate of the parameter along a path at which arc-length is left again."""
-MORE = 1.25
-"""How many harmonics there are after a step, relative to those before; one more at least."""
 ELSEWHERE = "the path ended in the motion of another mode"
 HELPS = (
     "fewer harmonics have fewer internal resonances, and another energy, or a solution given as "
@@ -561,57 +527,30 @@ def _from_linear_mode(family: StiffnessMotion, mode: int) -> PathPoint:
 def _from_fewer_harmonics(family: StiffnessMotion, mode: int) -> tuple[PathPoint, str] | None:
     """The motion to which the path with fewer harmonics leads, and with how many; None where none
     of these does."""
-    begun: list[tuple[int, np.ndarray]] = []
     for fewer in halved(family.harmonics, 1)[:-1]:
-        try:
-            begun.append((fewer, _from_linear_mode(family.with_harmonics(fewer), mode).unknown))
-        except ConvergenceError:
-            continue
-    for way in (_some_at_a_time, _all_together):
-        for fewer, unknown in begun:
-            found = way(family, unknown, fewer)
+        with suppress(ConvergenceError):
+            begun = _from_linear_mode(family.with_harmonics(fewer), mode).unknown
+            found = _with_the_others(family, begun, fewer)
             if found is not None:
                 return found, f", from the linear mode with {fewer} of its harmonics"
     return None
 
 
-def _some_at_a_time(
+def _with_the_others(
     family: StiffnessMotion, unknown: np.ndarray, harmonics: int
 ) -> PathPoint | None:
     """A motion with all of its harmonics, from one with fewer, by Newton's method; numbers of
     harmonics with which there is none like it are left out."""
-    count = harmonics
-    while count < family.harmonics:
-        count = min(max(count + 1, int(MORE * count)), family.harmonics)
+    found = None
+    for count in range(harmonics + 1, family.harmonics + 1):
         larger = family.with_harmonics(count)
-        guess = _padded(unknown, larger)
+        guess = np.zeros(larger.scale.size + 1)
+        guess[: len(unknown) - 1], guess[-1] = unknown[:-1], unknown[-1]
         found = solve_motion(larger, guess, 0.0)
-        if found is not None and _is_it(larger, found, guess):
-            unknown = found.unknown
-            if count == family.harmonics:
-                return found
-    return None
-
-
-def _all_together(family: StiffnessMotion, unknown: np.ndarray, harmonics: int) -> PathPoint | None:
-    """The same along a path in the share with which those that are added see the pairs."""
-    faded = FadedMotion(family, harmonics)
-    last = solve_motion(faded, _padded(unknown, faded), 0.0)
-    if last is None:
-        return None
-    path = MotionPath(
-        faded, last, 1.0, lowest=-0.5, max_step=NARROW.max_step, max_steps=NARROW.max_steps
-    )
-    landed = path.run()
-    seen = landed and solve_motion(family, landed.unknown, 0.0)
-    return seen if seen and _is_it(family, seen, seen.unknown) else None
-
-
-def _padded(unknown: np.ndarray, family: FreeMotion) -> np.ndarray:
-    """Unknowns with as many harmonics as a family has."""
-    padded = np.zeros(family.scale.size + 1)
-    padded[: len(unknown) - 1], padded[-1] = unknown[:-1], unknown[-1]
-    return padded
+        if found is not None and not _is_it(larger, found, guess):
+            found = None
+        unknown = unknown if found is None else found.unknown
+    return found
 
 
 def _is_it(family: FreeMotion, found: PathPoint, guess: np.ndarray) -> bool:
