@@ -9,14 +9,13 @@ by the sign of det J, so only where J is formed
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.harmonic_balance import check_initial
+from fenics_crack.balance.harmonic_balance import check_initial, solve_beside
 from fenics_crack.balance.problem import ON_PATH, Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.curves.curve import ResponseCurve
@@ -24,7 +23,7 @@ from fenics_crack.curves.exact import judge_curve
 from fenics_crack.curves.family import FAMILIES, Family
 from fenics_crack.curves.growing import LONGEST_STEP, MOST_POINTS, TURNING_BACK, Growing, Joined
 from fenics_crack.curves.harmonic_curve import HarmonicBifurcation, HarmonicCurve
-from fenics_crack.errors import MOST_HARMONICS, InputError, check_count, check_number
+from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.motion.flow import exact_flow
 from fenics_crack.numerics.fourier import stretched
@@ -114,20 +113,25 @@ class Continuation(Growing):
         if stability and is_rigid(problem.contact):
             exact_flow(problem.structure, problem.contact)
 
-        def family_of(problem: Problem) -> Family:
-            return FAMILIES[parameter](problem, start, end)
-
         if isinstance(initial, HarmonicCurve | HarmonicBifurcation):
-            self._family = family_of(problem)
+            self._family = FAMILIES[parameter](problem, start, end)
             if isinstance(initial, HarmonicCurve):
                 self._resume(initial.unjudged())
             else:
                 factor = problem.harmonics // initial.problem.harmonics
                 unknown = stretched(initial.unknown, factor)
                 self._begin_on_branch(initial.kind, initial.value, unknown)
-        else:
-            self._family, unknown, count = _first_solution(problem, family_of, initial, tolerance)
-            self._begin(start, unknown, count)
+            return
+        if initial is not None:
+            check_initial(problem, initial)
+        if tolerance is not None:
+            at_start = FAMILIES[parameter].vary(problem, start)
+            initial = solve_beside(at_start, initial, tolerance)
+            problem = problem.with_harmonics(initial.harmonics)
+        check_memory(problem.structure, problem.harmonics)
+        self._family = FAMILIES[parameter](problem, start, end)
+        found = Solver(self._family.at(start)).solve(initial, reported=False)
+        self._begin(start, found.slow_gap_coefficients, found.iterations)
 
     _family: Family
 
@@ -168,33 +172,3 @@ class Continuation(Growing):
     def _unknown_at(self, curve: ResponseCurve, index: int) -> np.ndarray:
         assert isinstance(curve, HarmonicCurve)
         return np.asarray(curve.unknowns[index])
-
-
-def _first_solution(
-    problem: Problem,
-    family_of: Callable[[Problem], Family],
-    initial: PeriodicSolution | None,
-    tolerance: float | None,
-) -> tuple[Family, np.ndarray, int]:
-    """The family, with as many harmonics as a tolerance asks for at its start, the unknowns there
-    and the iterations that they took."""
-    while True:
-        family = family_of(problem)
-        first, count = family.at(family.start), problem.harmonics
-        check_memory(first.structure, count)
-        if initial is not None:
-            check_initial(first, initial)
-        initial = Solver(first).solve(initial, reported=tolerance is not None)
-        more = more_harmonics(count, initial.report.truncation, tolerance)
-        if more is None:
-            return family, initial.slow_gap_coefficients, initial.iterations
-        problem = problem.with_harmonics(more)
-
-
-def more_harmonics(count: int, truncation: float, tolerance: float | None) -> int | None:
-    """As many harmonics as an error that falls like H^-3 asks for; None where these are enough, or
-    the most."""
-    if tolerance is None or truncation <= tolerance or count >= MOST_HARMONICS:
-        return None
-    factor = min(2.0, 1.1 * (truncation / tolerance) ** (1.0 / 3.0))
-    return min(MOST_HARMONICS, math.ceil(factor * count))

@@ -32,7 +32,6 @@ from fenics_crack.curves.family import FAMILIES
 from fenics_crack.curves.orbit_events import observe
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, exact_flow
-from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.motion.shooting import OrbitPoint, ShootingEquations
 from fenics_crack.numerics.equations import EPSILON, ROUNDING
 
@@ -159,17 +158,6 @@ class OrbitFamily:
             modes = self._modes(value)
             tangent = np.linalg.solve(modes, tangent @ modes)
         return np.asarray(self.scale[:, None] * tangent / self.scale)
-
-    def orbit(self, unknown: np.ndarray, parameter: float, iterations: int = 0) -> PeriodicOrbit:
-        """The orbit of a solution of the equations."""
-        value, motion = self.value(parameter), self._motion(unknown, parameter)
-        flow, omega, state = motion.track.flow, self.omega(value), self.state(unknown, value)
-        weights = flow.weights(omega / self.subharmonic)
-        off = float(np.linalg.norm(weights * (motion.state - state)))
-        size = float(np.linalg.norm(weights * state)) or 1.0
-        return PeriodicOrbit(
-            flow, omega, self.subharmonic, motion, state, off / size, iterations + 1
-        )  # fmt: skip
 
     def doubling(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
         """The eigenvector of -1 over half the period, of unit size."""
