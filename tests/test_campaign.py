@@ -34,8 +34,6 @@ BACKBONES = [
     pytest.param(3, 9, 2.0, id="not one step", marks=pytest.mark.slow),
     # Ten masses, H = 5: with 20 harmonics the estimate was a quarter of the error.
     pytest.param(4, 1, 2.0, id="modes that harmonics do not reach"),
-    # No path with all harmonics; from fewer, all others together, to free motions.
-    pytest.param(1, 974, 3.0, id="past internal resonances"),
 ]
 OF_NO_ORBIT = {
     406: "called stable; the exact motion that begins there goes away at once",

@@ -49,7 +49,7 @@ import numpy as np
 from tqdm import tqdm
 
 from fenics_crack.balance.contact_integrals import contact_integrals
-from fenics_crack.balance.error_report import ErrorReport, mean_square, moving_mean_square
+from fenics_crack.balance.error_report import SLIGHT, ErrorReport, mean_square, moving_mean_square
 from fenics_crack.balance.more_modes import UNKNOWN
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.free_motion import (
@@ -58,6 +58,7 @@ from fenics_crack.curves.free_motion import (
     EnergyMotion,
     Equilibrium,
     MotionPath,
+    MotionPoint,
     cosine_rows,
     first_motion,
 )
@@ -67,7 +68,7 @@ from fenics_crack.model.contact import ContactLaw, check_law
 from fenics_crack.model.modal import SMALL, all_modes, is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.newton import PathPoint
+from fenics_crack.numerics.newton import PathPoint, solve_at
 from fenics_crack.numerics.path import Ended
 from fenics_crack.table import Tabular, counted, with_frequency
 
@@ -159,7 +160,7 @@ class Backbone(Tabular):
         )
 
     def _report(self, index: int) -> ErrorReport:
-        """How far one step of Newton's method goes with more harmonics, at the same energy."""
+        """How far Newton's method goes with more harmonics, at the same energy."""
         rest = Equilibrium(self.structure, self.contact)
         kept, harmonics = self.harmonics + 1, self._more_harmonics(float(self.omega[index]))
         integrals = contact_integrals(self.contact, self.harmonics, self.samples)
@@ -170,15 +171,22 @@ class Backbone(Tabular):
         start = np.append(np.zeros((harmonics + 1) * len(rest.modes.squares)), 1.0)
         z = start[:-1].reshape(harmonics + 1, -1)
         z[:kept] = modal * rest.frequencies / math.sqrt(2.0 * energy)
-        at = motion.linearise(start, math.log(energy))
-        known = at.residual.copy()
+        known = motion.linearise(start, math.log(energy)).residual.copy()
         known[:-1].reshape(z.shape)[kept:] = 0.0
-        change = at.solve(known - at.residual)[:-1].reshape(z.shape)
+        added = _Added(motion, known)
+        left = added.linearise(start, math.log(energy)).residual
+        sharp = SLIGHT * float(np.linalg.norm(left) / np.linalg.norm(start))
+        found = solve_at(
+            added, start, math.log(energy),
+            tolerance=max(sharp, motion.rounding(math.log(energy))),
+        )  # fmt: skip
         wave = np.zeros((2 * harmonics + 1, self.structure.n_pairs))
         wave[motion.rows] = z @ motion.gap_rows
-        size = moving_mean_square(wave)
-        wave[motion.rows] = change @ motion.gap_rows
-        truncation = min(math.sqrt(mean_square(wave) / size), UNKNOWN)
+        size, truncation = moving_mean_square(wave), UNKNOWN
+        if found is not None:
+            change = found.unknown - start
+            wave[motion.rows] = change[:-1].reshape(z.shape) @ motion.gap_rows
+            truncation = min(math.sqrt(mean_square(wave) / size), UNKNOWN)
         residual = float(np.linalg.norm(known) / np.linalg.norm(start))
         return ErrorReport(residual, truncation, math.nan, math.nan, math.nan)
 
@@ -381,3 +389,16 @@ def _collected(path: MotionPath, shown: bool) -> tuple[list[PathPoint], str]:
     finally:
         bar.close()
     return found, ended
+
+
+class _Added:
+    """The equations of a motion with more harmonics, less what they leave of those that it has."""
+
+    def __init__(self, motion: EnergyMotion, known: np.ndarray) -> None:
+        self._motion, self._known = motion, known
+
+    def linearise(self, unknown: np.ndarray, parameter: float) -> MotionPoint:
+        """At a point."""
+        at = self._motion.linearise(unknown, parameter)
+        at.residual = at.residual - self._known
+        return at

@@ -9,25 +9,21 @@ by the sign of det J, so only where J is formed
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
-
-import numpy as np
 
 from fenics_crack.balance.harmonic_balance import check_initial, solve_beside
 from fenics_crack.balance.problem import ON_PATH, Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver
-from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.exact import judge_curve
 from fenics_crack.curves.family import FAMILIES, Family
-from fenics_crack.curves.growing import LONGEST_STEP, MOST_POINTS, TURNING_BACK, Growing, Joined
+from fenics_crack.curves.growing import LONGEST_STEP, MOST_POINTS, TURNING_BACK, Growing
 from fenics_crack.curves.harmonic_curve import HarmonicBifurcation, HarmonicCurve
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.motion.flow import exact_flow
 from fenics_crack.numerics.fourier import stretched
-from fenics_crack.numerics.path import BranchPoint, Event, Fold
+from fenics_crack.numerics.path import BranchPoint, Fold
 
 
 class Continuation(Growing):
@@ -134,6 +130,7 @@ class Continuation(Growing):
         self._begin(start, found.slow_gap_coefficients, found.iterations)
 
     _family: Family
+    _kind, _events = HarmonicCurve, (Fold, BranchPoint)
 
     @property
     def curve(self) -> HarmonicCurve:
@@ -147,28 +144,11 @@ class Continuation(Growing):
         assert isinstance(found, HarmonicCurve)
         return found
 
-    def _curve(self, **known: Any) -> HarmonicCurve:
-        unknowns = np.array([point.unknown for point in self.points])
+    @property
+    def _own(self) -> dict[str, Any]:
         problem = self._family.problem
-        return HarmonicCurve(
-            **known, unknowns=unknowns, samples=problem.samples, static_above=problem.static_cutoff
-        )
+        return {"samples": problem.samples, "static_above": problem.static_cutoff}
 
     @property
     def _at_once(self) -> int:
         return ON_PATH // self.size
-
-    @property
-    def _events(self) -> Sequence[Event]:
-        doubled = self._branch and self._problem.subharmonic % 2 == 0
-        return [*([Joined(self._family)] if doubled else []), Fold(), BranchPoint()]
-
-    def _bifurcation(
-        self, kind: str, value: float, unknown: np.ndarray, multipliers: np.ndarray | None
-    ) -> HarmonicBifurcation:
-        problem = self._family.at(value)
-        return HarmonicBifurcation(kind=kind, value=value, problem=problem, unknown=unknown)
-
-    def _unknown_at(self, curve: ResponseCurve, index: int) -> np.ndarray:
-        assert isinstance(curve, HarmonicCurve)
-        return np.asarray(curve.unknowns[index])

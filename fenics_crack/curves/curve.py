@@ -64,6 +64,12 @@ def parameter_axis(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
     return 1.0, name, unit
 
 
+def leading(multipliers: np.ndarray) -> complex:
+    """Of multipliers, largest modulus first, the one that a curve keeps."""
+    first = complex(multipliers[0])
+    return complex(first.real, abs(first.imag))
+
+
 def kind_in_words(kind: str) -> str:
     """The kind of a bifurcation as it is printed."""
     return "Neimark-Sacker" if kind == "neimark_sacker" else kind.replace("_", " ")
@@ -128,8 +134,8 @@ class CurvePoint:
         Newton iterations.
     multipliers : (8,) complex or None
         The leading ones of exact orbits, largest modulus first.
-    bifurcations : tuple of Bifurcation
-        The special points since the point before.
+    bifurcations : tuple of (str, float)
+        Kinds and parameters of the special points since the point before.
     """
 
     value: float
@@ -137,7 +143,7 @@ class CurvePoint:
     unknown: np.ndarray
     iterations: int
     multipliers: np.ndarray | None = None
-    bifurcations: tuple[Bifurcation, ...] = ()
+    bifurcations: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -190,6 +196,8 @@ class ResponseCurve(Tabular):
     branch: bool = False
 
     KIND: ClassVar[str] = "response curve"
+    FOUND: ClassVar[tuple[str, str]]
+    """What was found: the attributes of a curve, (n, ...), and of a bifurcation."""
 
     def __len__(self) -> int:
         return len(self.omega)
@@ -216,20 +224,6 @@ class ResponseCurve(Tabular):
         """Closing of the pairs: (n, 2H+1, n_pairs) [m]."""
         raise NotImplementedError
 
-    def _found(self, bifurcation: Bifurcation) -> tuple[np.ndarray, np.ndarray]:
-        """What was found at every point, (n, ...), and at a bifurcation."""
-        raise NotImplementedError
-
-    @property
-    def _at_bifurcations(self) -> dict[str, list[Any]]:
-        """Columns of the bifurcations by which its own kind is more than any curve."""
-        raise NotImplementedError
-
-    @property
-    def _rows(self) -> int:
-        """Coefficients of a displacement at most."""
-        raise NotImplementedError
-
     def reason(self, index: int) -> str:
         """Why the stability is undecided at a point, and what to do; "" where it is decided."""
         raise NotImplementedError
@@ -247,12 +241,18 @@ class ResponseCurve(Tabular):
         its exact orbit the report is what one Newton step predicts."""
         raise NotImplementedError
 
+    def bifurcation(
+        self, kind: str, value: float, found: np.ndarray, multipliers: np.ndarray | None = None
+    ) -> Bifurcation:
+        """A special point of this curve, where the parameter has a value."""
+        raise NotImplementedError
+
     def seen_through(
         self, rows: np.ndarray
-    ) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-        """Products of rows (m, n_dofs) with the motion at every point, not in order: its number,
-        their coefficients (2H+1, m), and over 256 instants the products (256, m), the gaps [m] and
-        the contact forces [N] (256, n_pairs)."""
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+        """Products of rows (m, n_dofs) with the motion at every point: their coefficients
+        (2H+1, m), and over 256 instants the products (256, m), the gaps [m] and the contact forces
+        [N] (256, n_pairs)."""
         raise NotImplementedError
 
     # --- stability --------------------------------------------------------------------------------
@@ -302,22 +302,21 @@ class ResponseCurve(Tabular):
     def at_bifurcations(self) -> Self:
         """The first point, the bifurcations and the last point, to be measured: a curve of their
         own."""
-        met = self.bifurcations
-        return (
-            self.unjudged()
-            .part(np.array([0, -1]))
-            .with_points(
-                [1] * len(met),
-                values=[one.value for one in met],
-                omega=[one.omega for one in met],
-                iterations=[0] * len(met),
-                **self._at_bifurcations,
-            )
-        )
+        ends, met = self.unjudged().part(np.array([0, -1])), self.bifurcations
+        columns: dict[str, list[Any]] = {
+            "values": [one.value for one in met],
+            "omega": [one.omega for one in met],
+            "iterations": [0] * len(met),
+            self.FOUND[0]: [getattr(one, self.FOUND[1]) for one in met],
+        }
+        if ends.multipliers is not None:
+            found = [one.multipliers for one in met]  # type: ignore[attr-defined]
+            columns["multipliers"] = [leading(one) for one in found]
+        return ends.with_points([1] * len(met), **columns)
 
     def nearest(self, bifurcation: Bifurcation) -> int:
         """The number of the point nearest to a bifurcation."""
-        points, there = self._found(bifurcation)
+        points, there = getattr(self, self.FOUND[0]), getattr(bifurcation, self.FOUND[1])
         off = np.linalg.norm((points - there).reshape(len(self), -1), axis=1)
         off /= float(np.linalg.norm(there)) or 1.0
         wide = float(np.ptp(self.values)) or 1.0
@@ -369,7 +368,7 @@ class ResponseCurve(Tabular):
     @cached_property
     def _lips(self) -> list[dict[str, float]]:
         """What :func:`contact_extremes` finds at every point, once it is known."""
-        return [{} for _ in range(len(self.omega))]
+        return []
 
     def _seen_at(self, dofs: Sequence[int | None]) -> list[tuple[np.ndarray, np.ndarray]]:
         """Coefficients (n, 2H+1) and half peak-to-peak values (n,) [m] of some dofs."""
@@ -378,13 +377,12 @@ class ResponseCurve(Tabular):
         new = [dof for dof in dict.fromkeys(asked) if dof not in self._seen]
         if new:
             rows = structure.values_at(np.eye(structure.n_dofs), new).T  # u = T q
-            seen = np.zeros((len(new), len(self), self._rows))
-            sizes = np.zeros((len(new), len(self)))
-            for index, waves, motion, gap, force in self.seen_through(rows):
-                seen[:, index, : len(waves)] = waves.T
-                self._lips[index] = contact_extremes(gap, force, structure.pairs.cracks)
-                sizes[:, index] = np.ptp(motion, axis=0) / 2.0
-            self._seen.update(zip(new, zip(seen, sizes, strict=True), strict=True))
+            found = list(self.seen_through(rows))
+            seen = np.array([waves.T for waves, _, _, _ in found])
+            sizes = np.array([np.ptp(motion, axis=0) / 2.0 for _, motion, _, _ in found])
+            cracks = structure.pairs.cracks
+            self._lips[:] = [contact_extremes(gap, force, cracks) for _, _, gap, force in found]
+            self._seen.update(zip(new, zip(seen.swapaxes(0, 1), sizes.T, strict=True), strict=True))
         return [self._seen[dof] for dof in asked]
 
     @property

@@ -25,8 +25,9 @@ import numpy as np
 
 from fenics_crack.balance.assessment import MAX_ERROR
 from fenics_crack.balance.solution import Stability
+from fenics_crack.curves.curve import leading
 from fenics_crack.curves.family import Family
-from fenics_crack.curves.growing import chord
+from fenics_crack.curves.growing import chord, points_of
 from fenics_crack.curves.harmonic_curve import HarmonicCurve
 from fenics_crack.curves.stability import floquet, monodromy, stability_of
 from fenics_crack.errors import check_kind
@@ -89,8 +90,7 @@ def _decides(curve: HarmonicCurve, place: int, multipliers: np.ndarray) -> bool:
     found = stability_of(known)
     if found.verdict == "undecided":
         return False
-    leading = complex(found.multipliers[0])
-    multipliers[place] = leading.real + 1j * abs(leading.imag)
+    multipliers[place] = leading(found.multipliers)
     return True
 
 
@@ -106,11 +106,10 @@ def judged_by_waves(curve: HarmonicCurve) -> HarmonicCurve:
         if kind is not None:
             special.append(curve.bifurcation(kind, *_located(curve, place, kind)))
     special.sort(key=curve.nearest)
-    multipliers = np.array([one.multipliers[0] for one in found])
     return replace(
         curve,
         bifurcations=tuple(special),
-        multipliers=multipliers.real + 1j * np.abs(multipliers.imag),
+        multipliers=np.array([leading(one.multipliers) for one in found]),
         undecided=np.array([one.verdict == "undecided" for one in found]),
     )
 
@@ -133,8 +132,8 @@ def _crossed(before: Stability, after: Stability) -> str | None:
 
 def _located(curve: HarmonicCurve, place: int, kind: str) -> tuple[float, np.ndarray]:
     """Value of the parameter and unknown of a bifurcation behind a point."""
-    family, both = curve.equations, slice(place, place + 2)
-    ends = list(zip(curve.values[both].tolist(), curve.unknowns[both], strict=True))
+    family = curve.equations
+    ends = points_of(family, curve, [place, place + 1])
     way = chord(family, *ends)
     first, last = (
         point_on_path(family, unknown, family.parameter(value), way) for value, unknown in ends

@@ -59,10 +59,6 @@ class Family(ABC):
         """Raise InputError unless the parameter can have a value."""
         check_number(key, value, 0.0, above=True)
 
-    def with_harmonics(self, harmonics: int) -> Family:
-        """The same family with other harmonics; what answers at once stays."""
-        return type(self)(self.problem.with_harmonics(harmonics), self.start, self.end)
-
     def _cutoff(self, problem: Problem, start: float, end: float) -> float:
         """Frequency above which modes answer at once, the same for all of the family [rad/s]."""
         return problem.cutoff
@@ -124,6 +120,14 @@ class Family(ABC):
     def omega(self, value: float) -> float:
         """Load frequency where the parameter has a value [rad/s]."""
         return self.problem.omega
+
+    def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
+        """What a curve keeps of unknowns where the parameter has a value: they themselves."""
+        return unknown
+
+    def unknown(self, state: np.ndarray, value: float) -> np.ndarray:
+        """The unknowns of what a curve keeps."""
+        return state
 
     # --- what paths ask for -----------------------------------------------------------------------
 

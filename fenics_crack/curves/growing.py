@@ -18,13 +18,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.linalg
 
 from fenics_crack.balance.problem import Problem
-from fenics_crack.curves.curve import Bifurcation, CurvePoint, ResponseCurve, parameter_axis
+from fenics_crack.curves.curve import CurvePoint, ResponseCurve, parameter_axis
 from fenics_crack.curves.family import FAMILIES, Family
 from fenics_crack.curves.orbit_family import OrbitFamily
 from fenics_crack.errors import (
@@ -112,7 +112,7 @@ class Growing(ABC):
         self._problem = problem
         self._longest, self.most_points, self._back = longest_step, most_points, turning_back
         self.points: list[CurvePoint] = []
-        self._special: list[Bifurcation] = []
+        self._special: list[tuple[str, float, np.ndarray, np.ndarray | None]] = []
         self._known: ResponseCurve | None = None
         self._branch = False
         self._towards: Tangent | None = None
@@ -129,24 +129,14 @@ class Growing(ABC):
     def _at_once(self) -> int:
         """Points that are followed in one call."""
 
+    _events: ClassVar[Sequence[type[Event]]]
+    """What may lie between two points, but for the ends of the curve."""
+    _kind: ClassVar[type[ResponseCurve]]
+
     @property
     @abstractmethod
-    def _events(self) -> Sequence[Event]:
-        """What may lie between two points, but for the ends of the curve."""
-
-    @abstractmethod
-    def _bifurcation(
-        self, kind: str, value: float, unknown: np.ndarray, multipliers: np.ndarray | None
-    ) -> Bifurcation:
-        """A special point, where the parameter has a value."""
-
-    @abstractmethod
-    def _curve(self, **known: Any) -> ResponseCurve:
-        """All points from where this one begins, of what both kinds have."""
-
-    @abstractmethod
-    def _unknown_at(self, curve: ResponseCurve, index: int) -> np.ndarray:
-        """The unknowns at a point of a curve."""
+    def _own(self) -> dict[str, Any]:
+        """What a curve of its kind has more than any."""
 
     # --- where it begins --------------------------------------------------------------------------
 
@@ -154,8 +144,7 @@ class Growing(ABC):
         """At a solution."""
         family = self._family
         at = family.linearise(unknown, family.parameter(value))
-        seen = observed(family, at)
-        multipliers = None if seen is None else seen[:-3]
+        multipliers = _multipliers(observed(family, at))
         self.points = [CurvePoint(value, family.omega(value), unknown, iterations, multipliers)]
 
     def _begin_on_branch(
@@ -186,7 +175,7 @@ class Growing(ABC):
             raise InputError("start, end", span, f"on either side of {last:g}")
         if not curve.branch and not math.isclose(span[0], first, rel_tol=1e-9):
             raise InputError("start", span[0], f"where the resumed curve starts, {first:g}")
-        unknown, parameter = self._unknown_at(curve, -1), family.parameter(last)
+        [(_, unknown)], parameter = points_of(family, curve, [-1]), family.parameter(last)
         residual = math.inf
         if unknown.shape == family.shape:
             residual = float(np.linalg.norm(family.linearise(unknown, parameter).residual))
@@ -195,7 +184,7 @@ class Growing(ABC):
         self._known, self._branch = curve, curve.branch
         self._begin(last, unknown, int(curve.iterations[-1]))
         if len(curve) > 1:
-            there = [(float(curve.values[k]), self._unknown_at(curve, k)) for k in (0, 1, -2, -1)]
+            there = points_of(family, curve, [0, 1, -2, -1])
             self._towards = chord(family, *there[2:])
             away = chord(family, *there[:2])
             self._origin = point_on_path(family, there[0][1], family.parameter(first), away)
@@ -205,20 +194,27 @@ class Growing(ABC):
     @property
     def followed(self) -> ResponseCurve:
         """All points so far, without verdicts that are asked for."""
-        problem, points = self._problem, self.points
-        found = self._curve(
+        problem, points, state = self._problem, self.points, self._family.state
+        found = self._kind(
             structure=problem.structure,
             contact=problem.contact,
             parameter=self._family.name,
             values=np.array([point.value for point in points]),
             omega=np.array([point.omega for point in points]),
             iterations=np.array([point.iterations for point in points]),
-            bifurcations=tuple(self._special),
+            bifurcations=(),
             complete=self.complete,
             status=self.status,
             subharmonic=problem.subharmonic,
             branch=self._branch,
+            **{self._kind.FOUND[0]: np.array([state(one.unknown, one.value) for one in points])},
+            **self._own,
         )
+        special = tuple(
+            found.bifurcation(kind, value, state(unknown, value), multipliers)
+            for kind, value, unknown, multipliers in self._special
+        )
+        found = replace(found, bifurcations=special)
         return found if self._known is None else self._known.followed_by(found)
 
     @property
@@ -269,8 +265,11 @@ class Growing(ABC):
         here = point_on_path(family, last.unknown, family.parameter(last.value), self._towards)
         self._origin, self.status = self._origin or here, "under way"
         ends: list[Event] = [Target(1.0), Closed(self._origin, family)]
+        events = [kind() for kind in self._events]
         if self._branch:
             ends.append(Target(0.0))
+            if self._problem.subharmonic % 2 == 0:
+                events.insert(0, Joined(family))
         options = PathOptions(
             initial_step=0.2 * self._longest,
             max_step=self._longest,
@@ -279,7 +278,7 @@ class Growing(ABC):
             at_once=max(1, min(PathOptions.at_once, self._at_once)),
             span=(-self._back, np.inf),
         )
-        path = Path(family, here, options, [*self._events, *ends], self._control)
+        path = Path(family, here, options, [*events, *ends], self._control)
         yield from path
         assert path.ended is not None
         self.complete = path.event is not None
@@ -289,25 +288,29 @@ class Growing(ABC):
     def _record(self, points: Stretch) -> CurvePoint:
         """Take up points, and what lies before the last of them; return that one."""
         family, many = self._family, len(points)
-        seen = points.observed[:, :-3] if "observed" in vars(points) else [None] * many
+        seen = points.observed if "observed" in vars(points) else [None] * many
         values = map(family.value, points.parameters.tolist())
         self.points += [
-            CurvePoint(value, family.omega(value), unknown, count, multipliers)
-            for value, unknown, count, multipliers in zip(
+            CurvePoint(value, family.omega(value), unknown, count, _multipliers(one))
+            for value, unknown, count, one in zip(
                 values, points.unknowns, points.iterations.tolist(), seen, strict=True
             )
         ]
-        met = tuple(
-            self._bifurcation(
-                event.kind, family.value(at.parameter), at.unknown,
-                None if at.observed is None else at.observed[:-3],
-            )
-            for event, at in points.met if event.kind
-        )  # fmt: skip
-        self._special += met
+        special = [
+            (event.kind, family.value(at.parameter), at.unknown, _multipliers(at.observed))
+            for event, at in points.met
+            if event.kind
+        ]
+        self._special += special
+        met = tuple((kind, value) for kind, value, _, _ in special)
         self._towards = points[-1].tangent
         self.points[-1] = replace(self.points[-1], bifurcations=met)
         return self.points[-1]
+
+
+def _multipliers(seen: np.ndarray | None) -> np.ndarray | None:
+    """Of what is observed of exact orbits (:mod:`orbit_events`)."""
+    return None if seen is None else seen[:-3]
 
 
 class Joined(Event):
@@ -330,6 +333,14 @@ class Joined(Event):
                 if off <= math.sqrt(ARRIVED):
                     return found
         return None
+
+
+def points_of(
+    family: Family | OrbitFamily, curve: ResponseCurve, places: Sequence[int]
+) -> list[tuple[float, np.ndarray]]:
+    """Values of the parameter, and unknowns, at some points of a curve."""
+    values, found = curve.values[places].tolist(), getattr(curve, curve.FOUND[0])[places]
+    return [(value, family.unknown(x, value)) for value, x in zip(values, found, strict=True)]
 
 
 def chord(

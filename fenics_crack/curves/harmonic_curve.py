@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -87,6 +86,8 @@ class HarmonicCurve(ResponseCurve):
     static_above: float | None = None
     undecided: np.ndarray | None = None
 
+    FOUND = "unknowns", "unknown"
+
     @property
     def harmonics(self) -> int:
         """H."""
@@ -137,10 +138,13 @@ class HarmonicCurve(ResponseCurve):
         special = tuple(one for one in self.bifurcations if one.kind in FOLLOWED)
         return replace(self, bifurcations=special, multipliers=None, undecided=None)
 
-    def bifurcation(self, kind: str, value: float, unknown: np.ndarray) -> HarmonicBifurcation:
+    def bifurcation(
+        self, kind: str, value: float, found: np.ndarray, multipliers: np.ndarray | None = None
+    ) -> HarmonicBifurcation:
         """A special point of this curve, where the parameter has a value."""
-        problem = self.problem_at(value)
-        return HarmonicBifurcation(kind=kind, value=value, problem=problem, unknown=unknown)
+        return HarmonicBifurcation(
+            kind=kind, value=value, problem=self.problem_at(value), unknown=found
+        )
 
     @cached_property
     def equations(self) -> Family:
@@ -155,26 +159,14 @@ class HarmonicCurve(ResponseCurve):
         for value, unknown in zip(self.values.tolist(), self.unknowns, strict=True):
             yield self.equations.system(value).linearise(unknown)
 
-    def _found(self, bifurcation: Bifurcation) -> tuple[np.ndarray, np.ndarray]:
-        assert isinstance(bifurcation, HarmonicBifurcation)
-        return self.unknowns, bifurcation.unknown
-
-    @property
-    def _at_bifurcations(self) -> dict[str, list[Any]]:
-        return {"unknowns": [one.unknown for one in self.bifurcations]}
-
-    @property
-    def _rows(self) -> int:
-        return int(self.unknowns.shape[1])
-
     def seen_through(
         self, rows: np.ndarray
-    ) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
         """As of any curve, by the unknowns alone."""
         moved = None
         if self.static_above is not None:
             moved = rows @ all_modes(self.structure).moved_at_once(self.static_above)
-        for index, at in enumerate(self._linearised()):
+        for at in self._linearised():
             assert isinstance(at.system.compliance, ModalCompliance)
             waves = at.system.compliance.seen_through(rows, at.force)
             motion = evaluate(waves, 1.0, PHASES)
@@ -182,4 +174,4 @@ class HarmonicCurve(ResponseCurve):
             if moved is not None:
                 # What answers at once follows the forces as they are, with their kinks.
                 motion -= (force - evaluate(at.force, 1.0, PHASES)) @ moved.T
-            yield index, waves, motion, gap, force
+            yield waves, motion, gap, force

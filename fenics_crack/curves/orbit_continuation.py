@@ -9,7 +9,6 @@ curve that has not reached its end, or on a branch that leaves another curve.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,24 +16,24 @@ import numpy as np
 from fenics_crack.balance.harmonic_balance import check_initial, initial_orbit
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.curves.curve import leading
 from fenics_crack.curves.family import FAMILIES
 from fenics_crack.curves.growing import (
     LONGEST_STEP,
     MOST_POINTS,
     TURNING_BACK,
     Growing,
-    Joined,
     check_range,
     chord,
+    points_of,
 )
-from fenics_crack.curves.orbit_curve import FEWEST, ExactBifurcation, OrbitCurve, leading
+from fenics_crack.curves.orbit_curve import FEWEST, ExactBifurcation, OrbitCurve
 from fenics_crack.curves.orbit_events import MultiplierControl, NeimarkSacker, PeriodDoubling
 from fenics_crack.curves.orbit_family import OrbitFamily
 from fenics_crack.errors import TOLERANCE, ConvergenceError, check_number
 from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import FORMED, PeriodicOrbit, too_slow
-from fenics_crack.numerics.path import BranchPoint, Event, Fold
+from fenics_crack.numerics.path import BranchPoint, Fold
 
 Beginning = (
     PeriodicSolution | PeriodicOrbit | OrbitCurve | tuple[OrbitCurve, ExactBifurcation] | None
@@ -112,7 +111,7 @@ class OrbitContinuation(Growing):
             curve, at = initial
             # J is singular: the old branch goes on as its points on both sides do.
             around = np.clip(curve.nearest(at) + np.array([-1, 1]), 0, len(curve) - 1).tolist()
-            ends = [(float(curve.values[k]), self._unknown_at(curve, k)) for k in around]
+            ends = points_of(family, curve, around)
             old = chord(family, *ends) if at.kind == "branch_point" else None
             self._begin_on_branch(at.kind, at.value, family.unknown(at.state, at.value), old)
         else:
@@ -120,39 +119,16 @@ class OrbitContinuation(Growing):
             self._begin(start, family.unknown(orbit.state, start), orbit.iterations)
 
     _family: OrbitFamily
+    _kind, _events = OrbitCurve, (Fold, BranchPoint, PeriodDoubling, NeimarkSacker)
 
-    def _curve(self, **known: Any) -> OrbitCurve:
-        points, state = self.points, self._family.state
-        return OrbitCurve(
-            **known,
-            states=np.array([state(point.unknown, point.value) for point in points]),
-            multipliers=np.array([leading(point.multipliers) for point in points]),
-            tolerance=self._tolerance,
-        )
+    @property
+    def _own(self) -> dict[str, Any]:
+        multipliers = np.array([leading(point.multipliers) for point in self.points])
+        return {"multipliers": multipliers, "tolerance": self._tolerance}
 
     @property
     def _at_once(self) -> int:
         return AT_ONCE // self._family.records
-
-    @property
-    def _events(self) -> Sequence[Event]:
-        doubled = self._branch and self._problem.subharmonic % 2 == 0
-        joined = [Joined(self._family)] if doubled else []
-        return [*joined, Fold(), BranchPoint(), PeriodDoubling(), NeimarkSacker()]
-
-    def _bifurcation(
-        self, kind: str, value: float, unknown: np.ndarray, multipliers: np.ndarray | None
-    ) -> ExactBifurcation:
-        assert multipliers is not None
-        return ExactBifurcation(
-            kind=kind, value=value, problem=self._family.at(value),
-            state=self._family.state(unknown, value), multipliers=multipliers,
-            tolerance=self._tolerance,
-        )  # fmt: skip
-
-    def _unknown_at(self, curve: ResponseCurve, index: int) -> np.ndarray:
-        assert isinstance(curve, OrbitCurve)
-        return self._family.unknown(curve.states[index], float(curve.values[index]))
 
 
 def _first_orbit(

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -37,12 +36,6 @@ def orbit_from(
     size = float(np.linalg.norm(weights * state)) or 1.0
     residual = float(np.linalg.norm(weights * (motion.state - state))) / size
     return PeriodicOrbit(flow, omega, subharmonic, motion, state, residual, iterations + 1)
-
-
-def leading(multipliers: np.ndarray) -> complex:
-    """Of multipliers, largest modulus first, the one that a curve keeps."""
-    first = complex(multipliers[0])
-    return complex(first.real, abs(first.imag))
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -103,6 +96,8 @@ class OrbitCurve(ResponseCurve):
     bifurcations: tuple[ExactBifurcation, ...]
     tolerance: float
 
+    FOUND = "states", "state"
+
     @property
     def method(self) -> str:
         """Exact orbits."""
@@ -159,38 +154,23 @@ class OrbitCurve(ResponseCurve):
         return np.array([one.coefficients(HARMONICS).gap for one in orbits])
 
     def bifurcation(
-        self, kind: str, value: float, state: np.ndarray, multipliers: np.ndarray
+        self, kind: str, value: float, found: np.ndarray, multipliers: np.ndarray | None = None
     ) -> ExactBifurcation:
         """A special point of this curve, where the parameter has a value."""
+        assert multipliers is not None
         return ExactBifurcation(
-            kind=kind, value=value, problem=self.problem_at(value), state=state,
+            kind=kind, value=value, problem=self.problem_at(value), state=found,
             multipliers=multipliers, tolerance=self.tolerance,
         )  # fmt: skip
 
-    def _found(self, bifurcation: Bifurcation) -> tuple[np.ndarray, np.ndarray]:
-        assert isinstance(bifurcation, ExactBifurcation)
-        return self.states, bifurcation.state
-
-    @property
-    def _at_bifurcations(self) -> dict[str, list[Any]]:
-        states = [one.state for one in self.bifurcations]
-        return {
-            "states": states,
-            "multipliers": [leading(one.multipliers) for one in self.bifurcations],
-        }
-
-    @property
-    def _rows(self) -> int:
-        return 2 * HARMONICS + 1
-
     def seen_through(
         self, rows: np.ndarray
-    ) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
         """As of any curve, by the exact motions at 256 instants."""
-        for index, state in enumerate(self.states):
-            value, omega = float(self.values[index]), float(self.omega[index])
+        along = zip(self.states, self.values.tolist(), self.omega.tolist(), strict=True)
+        for state, value, omega in along:
             base = omega / self.subharmonic
             period, instants = 2.0 * np.pi / base, PHASES / base
             samples = self.flow(value).advance(state, omega, period, instants=instants).samples
             motion = samples.displacement @ rows.T
-            yield index, balanced(motion, HARMONICS), motion, samples.gap, samples.force
+            yield balanced(motion, HARMONICS), motion, samples.gap, samples.force

@@ -174,28 +174,24 @@ class OrbitFamily:
     @cached_property
     def compiled(self) -> ShootingEquations | None:
         """The same equations in the kernel; None where it does not have them."""
+        if self.name in ("stiffness", "speed"):
+            return None
         omega = self.omega(self.start), self.omega(self.end) - self.omega(self.start)
-        given: tuple[ContactFlow, np.ndarray] = self._first, self.scale
-        changed: dict[str, Any] = {"rest": self._rest} if self._rest.any() else {}
-        if self.name == "omega":
-            return ShootingEquations(*given, omega, self.subharmonic, self.budget, **changed)
-        if self.name in ("load", "clearance"):
-            last = self.flow(self.end)
-            load = last.force - self._first.force, last.gap - self._first.gap
-            problem = self.at(self.start)  # its own flow: its load changes
-            given = exact_flow(problem.structure, problem.contact), self.scale
-            return ShootingEquations(
-                *given, (omega[0], 0.0), self.subharmonic, self.budget, load, **changed
-            )
-        if self.name == "damping":
-            first, last = (self.flow(one).modes.damping for one in (self.start, self.end))
-            problem = self.at(max(self.start, self.end))
-            given = exact_flow(problem.structure, problem.contact), self.scale
-            damping = first, last - first
-            return ShootingEquations(
-                *given, (omega[0], 0.0), self.subharmonic, self.budget, damping=damping, **changed
-            )
-        return None
+        flow, changed = (
+            self._first,
+            dict[str, Any]({"rest": self._rest} if self._rest.any() else {}),
+        )
+        if self.name != "omega":
+            first, last = self.flow(self.start), self.flow(self.end)
+            if self.name == "damping":
+                damping = first.modes.damping
+                changed["damping"] = damping, last.modes.damping - damping
+            else:
+                changed["load"] = last.force - first.force, last.gap - first.gap
+            origin = max(self.start, self.end) if self.name == "damping" else self.start
+            problem = self.at(origin)  # its own flow: it changes
+            flow = exact_flow(problem.structure, problem.contact)
+        return ShootingEquations(flow, self.scale, omega, self.subharmonic, self.budget, **changed)
 
     def rounding(self, parameter: float) -> float:
         """What rounding leaves of |F| / |x|."""

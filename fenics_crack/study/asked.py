@@ -59,11 +59,11 @@ def asked_along_curve(study: Study, curve: ResponseCurve) -> dict[str, np.ndarra
     found: list[dict[str, float]] = [{} for _ in range(len(curve))]
     if _AT_TIPS & set(names):
         tips, law = tip_rows(study), study.scene.growth
-        for index, _, seen, _, force in curve.seen_through(tips.of_coordinates):
+        for index, (_, seen, _, force) in enumerate(curve.seen_through(tips.of_coordinates)):
             found[index] |= _of_leading(tips.in_time(seen, force), law, curve.subharmonic)
     if OF_CLAMP.keys() & names:
         rows = curve.structure.once(_inertia_rows)
-        for index, waves, *_ in curve.seen_through(rows):
+        for index, (waves, *_) in enumerate(curve.seen_through(rows)):
             whole = curve.problem_of(index).structure.whole
             omega = float(curve.omega[index]) / curve.subharmonic
             clamp, drag = _clamp(whole)

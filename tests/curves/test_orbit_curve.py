@@ -11,8 +11,8 @@ from helpers import oscillator, two_masses
 
 import fenics_crack as fc
 from fenics_crack.curves import orbit_continuation
+from fenics_crack.curves.curve import leading
 from fenics_crack.curves.orbit_continuation import OrbitContinuation
-from fenics_crack.curves.orbit_curve import leading
 from fenics_crack.errors import INTERRUPTED
 
 LAW = fc.UnilateralPenalty(5.0)

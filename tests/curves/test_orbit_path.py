@@ -70,11 +70,11 @@ def followed(
     return path
 
 
-def special(points: list[fc.CurvePoint]) -> list[ExactBifurcation]:
+def special(path: OrbitContinuation) -> list[ExactBifurcation]:
     """All bifurcations."""
-    found = [one for point in points for one in point.bifurcations]
-    assert all(isinstance(one, ExactBifurcation) for one in found)
-    return found  # type: ignore[return-value]
+    curve = path.curve
+    assert isinstance(curve, fc.OrbitCurve)
+    return list(curve.bifurcations)
 
 
 def states(path: OrbitContinuation) -> np.ndarray:
@@ -165,7 +165,7 @@ def test_without_contact() -> None:
     """A stop too far away: linear response and multipliers exp(-c T / 2 +- i w T) all along."""
     problem = fc.Problem(oscillator(clearance=50.0), 0.5, fc.UnilateralPenalty(1.0))
     path = followed(problem, "omega", 0.5, 2.0)
-    assert path.complete and not special(path.points)
+    assert path.complete and not special(path)
     for point, state in zip(path.points, states(path), strict=True):
         assert point.multipliers is not None
         omega, period = point.omega, 2.0 * np.pi / point.omega
@@ -202,7 +202,7 @@ def test_paths_keep_what_the_kernel_records(stop: OrbitContinuation) -> None:
 
 def test_bifurcations_of_two_masses_and_a_stop(stop: OrbitContinuation) -> None:
     """Where many harmonics lead to, each on the unit circle."""
-    found = special(stop.points)
+    found = special(stop)
     assert stop.complete and stop.status == "reached the end"
     for kind, values in EXACT.items():
         mine = [one for one in found if one.kind == kind]
@@ -213,7 +213,7 @@ def test_bifurcations_of_two_masses_and_a_stop(stop: OrbitContinuation) -> None:
 def test_bifurcations_by_the_reference_flow(stop: OrbitContinuation) -> None:
     """States are orbits of another integration, with a multiplier where it must be; but for the
     fold where the stop is only just touched: there multipliers jump."""
-    found = special(stop.points)
+    found = special(stop)
     assert found[-1].kind == "fold" and np.abs(found[-1].multipliers - 1.0).min() > 1e-4
     for one in found[:-1]:
         reference = ReferenceFlow(one.orbit.flow, one.value)
@@ -238,7 +238,8 @@ def test_one_by_one_is_the_same(stop: OrbitContinuation) -> None:
     points = list(path)
     assert len(points) == len(stop.points) and path.status == stop.status
     assert [one.value for one in points] == [one.value for one in stop.points]
-    assert [one.value for one in special(points)] == [one.value for one in special(stop.points)]
+    met = [one for point in points for one in point.bifurcations]
+    assert met == [(one.kind, one.value) for one in special(stop)]
 
 
 def test_goes_on_where_it_was_stopped(stop: OrbitContinuation) -> None:
@@ -252,7 +253,7 @@ def test_goes_on_where_it_was_stopped(stop: OrbitContinuation) -> None:
     path = OrbitContinuation(problem, "omega", 0.6, 0.9, initial=part, most_points=3000)
     path.run()
     found = [one.value for one in path.curve.bifurcations]
-    expected = [one.value for one in special(stop.points)]
+    expected = [one.value for one in special(stop)]
     assert path.complete and found == pytest.approx(expected, rel=1e-8)
     assert path.curve.values[: half + 1] == pytest.approx(part.values, rel=1e-12)
 
@@ -277,7 +278,7 @@ def test_branch_of_twice_the_period(stop: OrbitContinuation) -> None:
     """From one doubling of the oscillator to the other, through orbits of period two."""
     problem = fc.Problem(oscillator(), 1.5, fc.UnilateralPenalty(1.0))
     single = followed(problem, "omega", 1.5, 3.0)
-    first, second = special(single.points)
+    first, second = special(single)
     assert {first.kind, second.kind} == {"period_doubling"}
     assert first.value < 2.0 * OMEGA_0 < second.value
     twofold = fc.Problem(oscillator(), 1.5, fc.UnilateralPenalty(1.0), 10, subharmonic=2)
