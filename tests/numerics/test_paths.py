@@ -358,7 +358,7 @@ def test_without_a_sign_no_way_back(number: int) -> None:
     [fc.UnilateralPenalty(3.0), Cubic(0.5), fc.SmoothedPenalty(3.0, 20.0)],
     ids=["penalty", "cubic", "smoothed"],
 )
-@pytest.mark.parametrize("parameter", ["stiffness", "energy", "share"])
+@pytest.mark.parametrize("parameter", ["stiffness", "energy"])
 def test_jacobian_of_free_motions(law: fc.UnilateralPenalty, parameter: str) -> None:
     """Its inverse, the sign of its determinant and dF/dp against finite differences."""
     rest = free_motion.Equilibrium(chain("none"), law)
@@ -366,8 +366,6 @@ def test_jacobian_of_free_motions(law: fc.UnilateralPenalty, parameter: str) -> 
     system: System = free_motion.EnergyMotion(*given)
     if parameter == "stiffness":
         system = free_motion.StiffnessMotion(*given, energy=2.0)
-    if parameter == "share":
-        system = free_motion.FadedMotion(free_motion.StiffnessMotion(*given, energy=2.0), 2)
     rng = np.random.default_rng(0)
     unknown = 0.3 * rng.normal(size=51)
     unknown[-1] = 0.5 * rest.frequencies[4] / rest.frequencies[1] * (1.0 + 1e-6)  # in resonance
