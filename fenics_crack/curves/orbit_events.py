@@ -29,7 +29,7 @@ LEADING = 8
 """Multipliers of largest modulus that points keep."""
 RESOLVED, LEAST = 0.5, 0.01
 """Maximum change of ln |mu| in a step: part of its distance to zero, and what is always allowed."""
-FLOOR = 0.02
+FLOOR = 0.01
 """Shortest step to resolve changes of ln |mu|, relative to the longest step."""
 
 
