@@ -133,16 +133,14 @@ class Assessment:
         what is predicted, without ``search``; else the distances to the nearest orbit, or what is
         predicted where it is not the solution's own and that is more. At most :data:`UNKNOWN`,
         which they are where no orbit is found though a small error was predicted."""
-        expected = self.predicted_error, self._predicted_at_load
-        if self.own is None and not search:
-            found = expected
-        elif self.orbit is None:
-            contradicted = self.predicted_error <= MAX_ERROR
-            found = (UNKNOWN, UNKNOWN) if contradicted else expected
-        elif self.accepted:
+        if self.own is not None or (search and self.accepted):
             found = self.distance, self._away_at_load
+        elif search and self.orbit is None and self.predicted_error <= MAX_ERROR:
+            found = UNKNOWN, UNKNOWN
         else:
-            found = max(expected[0], self.distance), max(expected[1], self._away_at_load)
+            found = self.predicted_error, self._predicted_at_load
+            if search and self.orbit is not None:
+                found = max(found[0], self.distance), max(found[1], self._away_at_load)
         return min(found[0], UNKNOWN), min(found[1], UNKNOWN)
 
     @cached_property

@@ -57,7 +57,8 @@ def judge_curve(curve: HarmonicCurve) -> HarmonicCurve:
     -------
     HarmonicCurve
         The same points, with the multipliers of their orbits; "undecided" (and nan) where the
-        predicted error is above 0.1, or no orbit is nearer than three times that.
+        predicted error is above 0.1, or no orbit is nearer than that and three times what is
+        predicted.
 
     Raises
     ------

@@ -17,25 +17,15 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import PHASES, Bifurcation, ResponseCurve
 from fenics_crack.motion.flow import ContactFlow, exact_flow
-from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit
+from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit, orbit_from
+from fenics_crack.motion.search import SearchOptions
 from fenics_crack.numerics.fourier import balanced
 
-FEWEST = 5
+FEWEST = SearchOptions.harmonics[0]
 """Harmonics of the load's frequency that a solution has."""
 HARMONICS = 40
 """Of the period, that :meth:`ResponseCurve.coefficients_at` has of exact orbits. By 256 instants
 the one of order k is off by that of order 256 - k, of motions with kinks (k / 216)^2 of it."""
-
-
-def orbit_from(
-    flow: ContactFlow, omega: float, state: np.ndarray, subharmonic: int, iterations: int = 0
-) -> PeriodicOrbit:
-    """The orbit of a state at phase zero (2 n_modes,), which is followed over its period."""
-    motion = flow.advance(state, omega, 2.0 * np.pi * subharmonic / omega)
-    weights = flow.weights(omega / subharmonic)
-    size = float(np.linalg.norm(weights * state)) or 1.0
-    residual = float(np.linalg.norm(weights * (motion.state - state))) / size
-    return PeriodicOrbit(flow, omega, subharmonic, motion, state, residual, iterations + 1)
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)

@@ -177,10 +177,8 @@ class OrbitFamily:
         if self.name in ("stiffness", "speed"):
             return None
         omega = self.omega(self.start), self.omega(self.end) - self.omega(self.start)
-        flow, changed = (
-            self._first,
-            dict[str, Any]({"rest": self._rest} if self._rest.any() else {}),
-        )
+        flow = self._first
+        changed: dict[str, Any] = {"rest": self._rest} if self._rest.any() else {}
         if self.name != "omega":
             first, last = self.flow(self.start), self.flow(self.end)
             if self.name == "damping":

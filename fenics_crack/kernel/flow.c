@@ -328,16 +328,26 @@ static int advance(flow *f, flow_motion *m, const signed char *guess)
 
 int flow_advance(flow *f, flow_motion *m) { return advance(f, m, NULL); }
 
+/* The set of an interval of a track, and the length of its pieces, none longer than that; NULL without
+ * memory. */
+static const closed_set *enter(flow *f, const flow_track *track, int interval, double longest,
+                               double *length)
+{
+    const double whole = track->lengths[interval];
+    *length = whole / ceil(whole / longest);
+    f->order = order_for(*length / longest * FLOW_REACH);
+    return closed_set_of(f->known, track->sets + (long)interval * f->of.pairs);
+}
+
 int flow_column(flow *f, const flow_track *track, const double *force, const double *gap,
                 int by_time, double *state)
 {
     const double longest = FLOW_REACH / fastest(f, track->omega);
     double now = track->start;
     for (int k = 0; k < track->intervals; k++) {
-        const closed_set *a = closed_set_of(f->known, track->sets + (long)k * f->of.pairs);
+        double length;
+        const closed_set *a = enter(f, track, k, longest, &length);
         if (!a) return FLOW_MEMORY;
-        const double length = track->lengths[k] / ceil(track->lengths[k] / longest);
-        f->order = order_for(length / longest * FLOW_REACH);
         for (double left = length > 0.0 ? track->lengths[k] / length : 0.0; left > 0.0;) {
             wave(f, track->omega, now, length, by_time);
             expand(f, a, force, gap, NULL, length, state);
@@ -400,10 +410,9 @@ int flow_by_structure(flow *f, const flow_track *track, const double *start, con
     memset(state, 0, bytes(2 * m));
     memcpy(here, start, bytes(2 * m));
     for (int k = 0; k < track->intervals; k++) {
-        const closed_set *a = closed_set_of(f->known, track->sets + (long)k * f->of.pairs);
+        double length;
+        const closed_set *a = enter(f, track, k, longest, &length);
         if (!a) return FLOW_MEMORY;
-        const double length = track->lengths[k] / ceil(track->lengths[k] / longest);
-        f->order = order_for(length / longest * FLOW_REACH);
         for (double left = length > 0.0 ? track->lengths[k] / length : 0.0; left > 0.0;) {
             wave(f, track->omega, now, length, 0);
             expand(f, a, f->of.force, f->of.gap, NULL, length, here);

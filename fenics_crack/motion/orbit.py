@@ -460,6 +460,23 @@ class _Search:
         return found
 
 
+def orbit_from(
+    flow: ContactFlow,
+    omega: float,
+    state: np.ndarray,
+    subharmonic: int,
+    iterations: int = 0,
+    *,
+    budget: Budget | None = None,
+) -> PeriodicOrbit:
+    """The orbit of a state at phase zero (2 n_modes,), which is followed over its period."""
+    motion = flow.advance(state, omega, 2.0 * np.pi * subharmonic / omega, budget=budget)
+    weights = flow.weights(omega / subharmonic)
+    size = float(np.linalg.norm(weights * state)) or 1.0
+    residual = float(np.linalg.norm(weights * (motion.state - state))) / size
+    return PeriodicOrbit(flow, omega, subharmonic, motion, state, residual, iterations + 1)
+
+
 def alike(one: PeriodicOrbit, other: PeriodicOrbit) -> bool:
     """Whether two orbits of a flow are the same to 1e-6, in the norm of the energy."""
     weights = one.flow.weights(one.omega / one.subharmonic)

@@ -36,6 +36,8 @@ from fenics_crack.table import counted, percent
 
 PARTS = 32
 """Of the period, whose starts' states are a guess of the whole motion."""
+PACE = 200
+"""Pieces of the Taylor series in a period that counts as one."""
 LATER = 8
 """Periods after which a motion may be where it was."""
 
@@ -60,11 +62,11 @@ class SearchOptions:
 
     def pieces(self, flow: ContactFlow) -> int:
         """Pieces of the Taylor series for them."""
-        return int(200 * self.evaluations * min(1.0, (24.0 / flow.size) ** 2))
+        return int(PACE * self.evaluations * min(1.0, (24.0 / flow.size) ** 2))
 
     def periods(self, flow: ContactFlow) -> int:
         """Of the motion that is followed, at most."""
-        return max(self.pieces(flow) // 800, 60)
+        return max(self.pieces(flow) // (4 * PACE), 60)
 
 
 @dataclass(frozen=True)
@@ -244,7 +246,7 @@ def recurrences(passed: Sequence[np.ndarray] | np.ndarray) -> list[int]:
 def followed(orbits: FlowOrbits, state: np.ndarray, periods: int) -> Iterator[np.ndarray]:
     """States x a period apart of the motion from a state, after the first period and later ones; as
     far as it can be followed, and in no more than 200 pieces for each of so many periods."""
-    left = 200 * periods
+    left = PACE * periods
     with suppress(ConvergenceError):  # pairs that chatter without end
         for _ in range(periods):
             if left <= 0:

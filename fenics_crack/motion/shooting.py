@@ -19,8 +19,8 @@ import numpy as np
 
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import Struct, kernel, owned, pointer
-from fenics_crack.motion.flow import Budget, ContactFlow, Motion
-from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit
+from fenics_crack.motion.flow import Budget, ContactFlow
+from fenics_crack.motion.orbit import PeriodicOrbit, orbit_from
 from fenics_crack.numerics.equations import DenseLinearisation, Equations
 from fenics_crack.numerics.newton import PathPoint
 
@@ -224,10 +224,6 @@ class FlowOrbits(ShootingEquations):
         """dx(T)/dx of M = dz(T)/dz: (2n, 2n)."""
         return np.asarray(self.scale[:, None] * monodromy / self.scale)
 
-    def unknown_of(self, displacement: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """x of other motions at phase zero, (..., n_dofs) each."""
-        return self.unknown(self.flow.state(displacement, velocity))
-
     def followed(self, periods: int) -> np.ndarray:
         """The start after some periods of the response, nearer to what attracts it: (2n,)."""
         state = self.start
@@ -235,24 +231,9 @@ class FlowOrbits(ShootingEquations):
             state = self.moved(state, 1.0)
         return state
 
-    def gap(self, unknown: np.ndarray, parameter: float, count: int = INSTANTS) -> np.ndarray:
-        """g at equally spaced instants of a period: (count, n_pairs) [m]."""
-        return self._motion(unknown, parameter, np.arange(count) / count).samples.gap
-
     def orbit(self, found: PathPoint) -> PeriodicOrbit:
         """The orbit of a solution of the equations."""
-        motion = self._motion(found.unknown, found.parameter, np.zeros(0))
-        size = float(np.linalg.norm(found.unknown))
-        off = float(np.linalg.norm(self.unknown(motion.state) - found.unknown))
-        return PeriodicOrbit(
-            self.flow, found.parameter * self.omega, self.subharmonic, motion,
-            self.state(found.unknown), off / size if size > 0.0 else 0.0, found.iterations + 1,
-        )  # fmt: skip
-
-    def _motion(self, unknown: np.ndarray, parameter: float, instants: np.ndarray) -> Motion:
-        """Over a period, sampled at parts of it."""
-        omega = parameter * self.omega
-        period = 2.0 * np.pi * self.subharmonic / omega
-        return self.flow.advance(
-            self.state(unknown), omega, period, instants=instants * period, budget=self.budget
+        omega, state = found.parameter * self.omega, self.state(found.unknown)
+        return orbit_from(
+            self.flow, omega, state, self.subharmonic, found.iterations, budget=self.budget
         )
