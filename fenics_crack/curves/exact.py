@@ -3,7 +3,7 @@
 The multipliers of the truncated equations' waves cross the unit circle where those of the motion
 need not, above all where contact is stiff and modes beyond the harmonics are lightly damped. So
 each point is judged as a single solution is (:mod:`fenics_crack.balance.assessment`); its folds and
-branch points are those of its own equations. Where none of some points spread along the curve has
+branch points are those of its own equations. Where none of its first, middle and last point has
 an orbit of its own, none is sought at the others: the curve costs what its harmonic balance
 costs.
 
@@ -37,8 +37,9 @@ from fenics_crack.numerics.newton import PathPoint, point_on_path
 from fenics_crack.numerics.path import Crossing
 from fenics_crack.stages import begin
 
-FIRST_ASKED = 6
-"""Points, spread along a curve, of which one has to have an orbit that the others are asked."""
+FIRST_ASKED = 3
+"""The first, the middle and the last point of a curve: one has to have an orbit that the others are
+asked."""
 
 
 def judge_curve(curve: HarmonicCurve) -> HarmonicCurve:

@@ -34,7 +34,6 @@ Geometric Numerical Integration, 2006, section II.4; Lazarus and Thomas, Comptes
 from __future__ import annotations
 
 from dataclasses import replace
-from time import perf_counter
 
 import numpy as np
 
@@ -56,9 +55,6 @@ from fenics_crack.numerics.fourier import resized, sampled, to_complex
 from fenics_crack.numerics.newton import moving_size
 from fenics_crack.table import percent
 from fenics_crack.time.march import initial_state
-
-LONGEST = 100_000
-"""Periods of the load for which a motion from rest is followed at most; each state is kept."""
 
 HILL_STEPS, HILL_REACH = 2**13, 0.1
 """In a period; and how far a root of the determinant may be from where it is looked for, in base
@@ -433,30 +429,23 @@ def _same(one: PeriodicOrbit | None, other: PeriodicOrbit | None) -> bool:
     return one is not None and other is not None and alike(one, other)
 
 
-def from_rest(solution: PeriodicSolution, seconds: float) -> Attractor | None:
-    """Follow the exact motion from rest, to see whether it settles to another motion than a
-    solution (collective).
+def from_rest(solution: PeriodicSolution) -> Attractor | None:
+    """Follow the exact motion from rest, for as long as the search of an orbit follows one, to see
+    whether it settles to another motion than a solution (collective).
 
     Parameters
     ----------
     solution : PeriodicSolution
         Whose structure, law and load are taken.
-    seconds : float
-        For as many periods as take about this time on the first rank [s].
 
     Returns
     -------
     Attractor or None
         Where the motion goes; None where there is no exact flow, or more than 120 modes.
 
-    Raises
-    ------
-    ConvergenceError
-        The motion cannot be followed for a period.
-
     Examples
     --------
-    >>> motion = from_rest(solution, 1.0)
+    >>> motion = from_rest(solution)
     >>> settled = motion is not None and motion.orbit is not None
     """
     flow = solution.assessment.flow
@@ -464,10 +453,7 @@ def from_rest(solution: PeriodicSolution, seconds: float) -> Attractor | None:
         return None
     rest = np.zeros(flow.size)
     orbits = FlowOrbits(flow, solution.omega, solution.assessment.states[0])
-    started = perf_counter()
-    orbits.moved(rest, 1.0)
-    periods = int(min(seconds / (perf_counter() - started), LONGEST))
-    return in_the_long_run(orbits, rest, solution.structure.whole.comm.bcast(periods))
+    return in_the_long_run(orbits, rest, SearchOptions().periods(flow))
 
 
 def stability_of(known: Assessment) -> Stability:

@@ -10,7 +10,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from time import perf_counter
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -27,7 +26,7 @@ from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.peak import Peak
 from fenics_crack.curves.stability import floquet, from_rest
-from fenics_crack.errors import RECORDED_PERIODS, ConvergenceError, InputError
+from fenics_crack.errors import RECORDED_PERIODS, InputError
 from fenics_crack.files.results import Result, save, type_of, unpack
 from fenics_crack.files.store import Stored, read
 from fenics_crack.hints import no_attribute
@@ -241,24 +240,22 @@ def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution
     >>> run = fc.solve(scene)
     >>> run.result.report.total, run.result.stability.verdict, run.motion()
     """
-    started = perf_counter()
-    run = solve_prepared(prepare(scene, comm, whole=True))
-    return _with_motion_from_rest(run, perf_counter() - started)
+    return _with_motion_from_rest(solve_prepared(prepare(scene, comm, whole=True)))
 
 
-def _with_motion_from_rest(run: Run[PeriodicSolution], seconds: float) -> Run[PeriodicSolution]:
-    """A run with what the motion from rest does, followed for about so long, where the verdict is
-    undecided or no pair opens and closes: the multipliers of such a solution know nothing of the
-    contact that another motion meets (collective)."""
+def _with_motion_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
+    """A run with what the motion from rest does where the verdict is undecided or no pair opens and
+    closes: the multipliers of such a solution know nothing of the contact that another motion meets
+    (collective)."""
     found = run.result
     judged, dof = found.stability, run.watched_dof
     if judged is None or found.still or (judged.verdict != "undecided" and found.breathes):
         return run
     begin("the motion from rest")
     motion = None
-    with suppress(ConvergenceError, KeyboardInterrupt):  # the solution stays what it is
-        motion = from_rest(found, seconds)
-    if motion is None:
+    with suppress(KeyboardInterrupt):  # the solution stays what it is
+        motion = from_rest(found)
+    if motion is None or not motion.periods:
         return run
     amplitude = math.nan
     told = f"has not settled after {counted(motion.periods, 'period')} of the load"
