@@ -440,6 +440,8 @@ def few_systems(count: int) -> Iterator[tuple[int, fc.Structure, Any]]:
 
 
 SEED = 66
+POINTS = 20_000
+"""At most, of a curve."""
 ALIKE = 1e-4
 """Of the frequency: up to which two bifurcations of one kind are the same."""
 
@@ -450,7 +452,7 @@ def few_pairs(quick: bool) -> Iterator[Row]:
         flow = ReferenceFlow(structure, law)
         for natural in np.sqrt(_modes(structure)[0][:2]):
             span = 0.9 * float(natural), 1.1 * float(natural)
-            row, curve = followed(str(number), structure, span, law, most_points=2000)
+            row, curve = followed(str(number), structure, span, law, most_points=POINTS)
             row |= {"_curve": True, "kind": "-", "omega": span[0], "off": np.nan}
             yield row
             for one in [] if curve is None else stated(curve):
@@ -463,7 +465,11 @@ def few_pairs(quick: bool) -> Iterator[Row]:
 def off_reference(flow: ReferenceFlow, one: Any) -> float:
     """Distance from the unit circle, or from -1, of the multiplier that a bifurcation has there, on
     the reference's orbit; inf where it has none."""
-    state = flow.states_of(one.solution, np.zeros(1))[0]
+    if BRANCHES:  # the exact state: Newton's method may lead elsewhere from a solution to 1e-2
+        parts = np.split(one.state, 2)
+        state = flow.state(*(one.orbit.flow.modes.shapes @ part for part in parts))
+    else:
+        state = flow.states_of(one.solution, np.zeros(1))[0]
     try:
         orbit = flow.orbit(state, value_of(one), 2.0 * np.pi / value_of(one))
     except (NoOrbit, np.linalg.LinAlgError):

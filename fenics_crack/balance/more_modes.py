@@ -148,7 +148,7 @@ class MoreModes:
         flow, omega, periods = self.flow, wave.omega, wave.subharmonic
         few = self.nearest if self.accepted else self.step
         lips = massless(wave.structure)
-        if few is None or lips is None or len(states[0]) <= FORMED // 2:
+        if few is None or lips is None:
             return predicted(flow, omega, states, periods)
         return predicted_with_more_modes(flow, omega, states, few.inverse, lips.n_modes, periods)
 
