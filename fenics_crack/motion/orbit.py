@@ -57,14 +57,10 @@ FORMED = 240
 """Numbers of a state up to which M is formed."""
 PRODUCTS, BLUNT = 60, 0.25
 """With M that a solution may take, and the relative residual of a step which is only compared."""
-ROUNDED = 1e3
-"""Times that, below which steps are rounding."""
 KNOWN = 1e-6
 """How well multipliers are known: what is nearer to 1 does not judge."""
 INSTANTS = 512
 """At which the gaps of an orbit are kept."""
-GAUSS_NODES = 20
-"""Of Gauss's rule on an interval in which nothing turns by more than in a piece of the flow."""
 
 
 Inverse = Callable[[np.ndarray, float], np.ndarray]
@@ -203,7 +199,7 @@ class PeriodicOrbit(Described):
         parts = np.maximum(np.ceil(turn / kernel.FLOW_REACH), 1).astype(int)
         length = np.repeat(self.motion.track.lengths / parts, parts)
         start = np.concatenate([[0.0], np.cumsum(length)[:-1]])
-        nodes, weights = np.polynomial.legendre.leggauss(GAUSS_NODES)
+        nodes, weights = np.polynomial.legendre.leggauss(2 * kernel.FLOW_REACH)
         time = (start[:, None] + 0.5 * length[:, None] * (1.0 + nodes)).ravel()
         share = (0.5 * length[:, None] * weights).ravel() / self.period
         samples = self.samples(time)
@@ -429,7 +425,7 @@ class _Search:
             bent = self.size(simplified - (1.0 - share) * step) + sys.float_info.min
             goal = closed * self.size(trial)
             if not after <= (1.0 - 0.25 * share) * before:
-                if before <= ROUNDED * goal:
+                if before <= KNOWN * self.size(trial):  # what is left of steps is rounding
                     return True
                 if not own:
                     steps = []

@@ -25,7 +25,7 @@ import numpy as np
 
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.flow import Budget, ContactFlow
-from fenics_crack.motion.orbit import FORMED, PeriodicOrbit, alike, find_orbit, predicted
+from fenics_crack.motion.orbit import FLOWS, FORMED, PeriodicOrbit, alike, find_orbit, predicted
 from fenics_crack.motion.shooting import FlowOrbits, OrbitPoint
 from fenics_crack.numerics.equations import LOCATED, DenseLinearisation
 from fenics_crack.numerics.fourier import derivative, evaluate
@@ -84,8 +84,8 @@ class OrbitSearch:
     """
 
     orbit: PeriodicOrbit | None
-    others: tuple[PeriodicOrbit, ...] = ()
-    reason: str = ""
+    others: tuple[PeriodicOrbit, ...]
+    reason: str
 
 
 def search_orbit(
@@ -228,12 +228,8 @@ def _by_recurrence(orbits: FlowOrbits, options: SearchOptions) -> OrbitSearch:
         orbit = find_orbit(flow, omega, state, subharmonic=subharmonic)
         if orbit is not None:
             return OrbitSearch(orbit, (), "exact orbit, by following the motion")
-        left -= FAILED * max(1, orbits.pieces)
+        left -= FLOWS // 2 * max(1, orbits.pieces)  # of a search that fails, about
     return OrbitSearch(None, (), comes_back(passed, subharmonic))
-
-
-FAILED = 10
-"""Periods that a search by Newton's method which fails follows, about."""
 
 
 def recurrences(passed: Sequence[np.ndarray] | np.ndarray) -> list[int]:
