@@ -93,7 +93,7 @@ def refine_curve(curve: HarmonicCurve, between: int | None = None) -> HarmonicCu
             (*unknown, parameter), (*x, p) = spline(at), spline(at, 1)
             guess, way = (size * np.reshape(one, family.shape) for one in (unknown, x))
             near = solve_in_plane(
-                family, guess, parameter, Tangent(way, p, size**-2), tolerance=sharp
+                family, guess, parameter, Tangent(way, p, size**-2, 1.0), tolerance=sharp
             )
             found += [] if near is None else [(int(index) + 1, near)]
     values = [family.value(point.parameter) for _, point in found]
