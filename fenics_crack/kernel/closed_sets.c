@@ -162,7 +162,7 @@ const closed_set *closed_set_of(closed_sets *s, const signed char *closed)
 const closed_set *set_at(closed_sets *s, const double *gap, signed char *closed, double *answers)
 {
     const int p = s->pairs;
-    for (long turn = 0; turn < TOGETHER + 20L * p; turn++) {
+    for (long turn = 0; turn < PIVOTS + 20L * p; turn++) {
         const closed_set *a = closed_set_of(s, closed);
         if (!a) return NULL;
         answer_gaps(s, a, 1, gap, answers);
@@ -170,7 +170,7 @@ const closed_set *set_at(closed_sets *s, const double *gap, signed char *closed,
         for (int i = 0; i < p; i++) {
             /* Without force a pair is open. */
             if (closed[i] ? answers[i] > 0.0 : answers[i] >= 0.0) continue;
-            if (!wrong || turn < TOGETHER) closed[i] = !closed[i];
+            if (!wrong || turn < PIVOTS) closed[i] = !closed[i];
             wrong = 1;
         }
         if (!wrong) return a;

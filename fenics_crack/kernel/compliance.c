@@ -7,8 +7,7 @@
 
 #include "lapack.h"
 
-/* SINGULAR: the roundings of s, w and k w. */
-const double NUDGE = 1e-10, SINGULAR = DBL_EPSILON * 4.0;
+const double SINGULAR = DBL_EPSILON * 4.0; /* the roundings of s, w and k w */
 
 struct compliance {
     seen_structure of;
@@ -27,6 +26,7 @@ static int set_receptance(compliance *at, double parameter)
     const seen_structure *of = &at->of;
     const double omega = of->omega + parameter * of->omega_rate;
     const double damping = of->damping + parameter * of->damping_rate;
+    const double nudge = sqrt(DBL_EPSILON); /* as much as rounding of what it then answers */
     double *h = at->receptance;
     const double *load = of->load;
     for (int k = 0; k <= of->harmonics; k++) {
@@ -35,9 +35,9 @@ static int set_receptance(compliance *at, double parameter)
             double re = of->squares[j] - w * w, im = w * damping * of->rates[j];
             const double scale = fabs(of->squares[j]) + w * w;
             double square = re * re + im * im;
-            if (square <= NUDGE * NUDGE * scale * scale) {
+            if (square <= nudge * nudge * scale * scale) {
                 if (load[0] == 0.0 && load[1] == 0.0 && w != 0.0) {
-                    re = NUDGE * scale, im = 0.0;
+                    re = nudge * scale, im = 0.0;
                     square = re * re;
                 } else if (square <= SINGULAR * SINGULAR * scale * scale) {
                     return 1;

@@ -20,9 +20,9 @@ typedef struct {
     const double *at_once;              /* (pairs, pairs), or NULL */
 } seen_structure;
 
-/* Of s + (k w)^2: how far an undamped resonance without load is moved away, and below what another
- * one has no answer (fenics_crack/model/modal.py, AllModes.receptance). */
-extern const double NUDGE, SINGULAR;
+/* Of s + (k w)^2: below what an undamped resonance has no answer; without load it is moved away by the
+ * root of rounding (fenics_crack/model/modal.py, AllModes.receptance). */
+extern const double SINGULAR;
 
 typedef struct compliance compliance;
 

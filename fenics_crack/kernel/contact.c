@@ -8,9 +8,8 @@
 #include "dense.h"
 #include "krylov.h"
 #include "lapack.h"
+#include "rounding.h"
 #include "switching.h"
-
-#define STIFF 1e6 /* k R from which a small residual of a solution with J tells little of its error */
 
 struct contact_point {
     dense common;
@@ -236,7 +235,7 @@ static int make_forces(contact_point *at)
         at->forces = new_coupled_forces(of->seen.harmonics, of->seen.pairs);
     } else {
         switching_waves(of->seen.harmonics, at->waves);
-        own->products = own->products && largest_product(at) < STIFF;
+        own->products = own->products && REGULAR * largest_product(at) < 1.0;
     }
     if (own->products) at->inverse = new_krylov(own->unknowns);
     return (of->coupled && !at->forces) || (own->products && !at->inverse);

@@ -120,7 +120,7 @@ int find_forces(coupled_forces *at, const double *compliance, const double *gap,
         if (!(sum <= largest)) largest = sum;
     }
     if (!isfinite(largest)) return NOT_FOUND;
-    m->contact.d = compliance, m->gaps = gap, m->allowed = ROUNDING * largest;
+    m->contact.d = compliance, m->gaps = gap, m->allowed = AS_ZERO * largest;
     while ((at->events = intervals(m)) == -1)
         if (make_room(at, 2 * m->most)) return NO_MEMORY;
     if (at->events < 0) return NOT_FOUND;

@@ -8,9 +8,6 @@
 #include "lapack.h"
 #include "series.h"
 
-/* How far what is fastest turns in the time of a series. */
-static const double SHORT = 3.0;
-
 /* All in units of the frequency. exp = I + F with
  *
  *     F = [ D + b C   b ]        b'' + C b' + K b = 0,   b(0) = 0,   b'(0) = I,   D = b' - I,
@@ -220,7 +217,7 @@ static void exponential_of(exponentials *e, const closed_set *a, double length)
     const double rate = e->rate + fmin(1.0, sqrt(stiffness_of(e, a)));
     double time = e->unit * length;
     int halved = 0;
-    for (; time * rate > SHORT; halved++) time *= 0.5;
+    for (; time * rate > 3.0; halved++) time *= 0.5; /* in that of a series it turns by 3 at most */
     short_series(e, time, time * rate);
     complete(e);
     for (; halved; halved--) {

@@ -10,15 +10,8 @@
 #include "rounding.h"
 #include "series.h"
 
-/* Rows of a load: its mean, cosine and sine. */
-enum { LOAD = 3 };
-
-/* GRID: steps of the search for events while what is fastest turns by 1; STEPS: so many in a piece at
- * most; LEAST: and as many as show how answers bend. */
-enum { GRID = 2, STEPS = GRID * FLOW_REACH, LEAST = 3 };
-_Static_assert((int)STEPS < (int)TIMES, "values at the ends of all steps are found together");
-/* When pairs that should have changed with the one before do so, as a part of a piece. */
-static const double BEHIND = 1e-12;
+/* Steps of the search for events in a piece, at most. */
+enum { STEPS = GRID * FLOW_REACH };
 
 struct flow {
     flow_parts of;
@@ -66,9 +59,9 @@ static void wave(flow *f, double omega, double now, double length, int by_time)
     double *w = f->weights, size = 1.0;
     for (int n = 0; n <= f->order; n++, w += LOAD) {
         const double sign = n & 2 ? -size : size;
-        w[0] = n == 0;
-        w[1] = n & 1 ? -sign * s : sign * c;
-        w[2] = n & 1 ? sign * c : sign * s;
+        w[MEAN] = n == 0;
+        w[COSINE] = n & 1 ? -sign * s : sign * c;
+        w[SINE] = n & 1 ? sign * c : sign * s;
         size *= omega * length / (n + 1);
     }
     if (!by_time) return;
@@ -107,7 +100,7 @@ WIDE static void expand(flow *f, const closed_set *a, const double *force, const
 {
     const int m = f->of.modes, size = a->size;
     const double *restrict squares = f->of.squares;
-    const double *restrict cosine = f->pulled + m, *restrict sine = cosine + m;
+    const double *restrict cosine = f->pulled + COSINE * m, *restrict sine = f->pulled + SINE * m;
     double *restrict seen = f->seen, *restrict drag = f->drag;
     pull(f, a, force, gap);
     memcpy(f->series, state, bytes(m));
@@ -116,7 +109,8 @@ WIDE static void expand(flow *f, const closed_set *a, const double *force, const
         const double *restrict now = f->series + (long)n * m, *restrict rate = now + m;
         double *restrict next = f->series + (long)(n + 2) * m;
         const double gain = length * length / ((n + 1) * (n + 2)), loss = length / (n + 2);
-        const double *w = f->weights + n * LOAD, mean = gain * w[0], c = gain * w[1], s = gain * w[2];
+        const double *w = f->weights + n * LOAD;
+        const double mean = gain * w[MEAN], c = gain * w[COSINE], s = gain * w[SINE];
         damp(f, f->of.damping, rate, drag);
         for (int j = 0; j < m; j++)
             next[j] = c * cosine[j] + s * sine[j] - gain * squares[j] * now[j] - loss * drag[j];
@@ -146,7 +140,7 @@ static void answer(flow *f, const closed_set *a, const double *gap)
 static void round_off(flow *f, const closed_set *a, double length)
 {
     const double largest = series_size(f->of.pairs, f->order, f->gaps, length);
-    for (int i = 0; i < f->of.pairs; i++) f->allowed[i] = ROUNDING * largest * a->scale[i];
+    for (int i = 0; i < f->of.pairs; i++) f->allowed[i] = AS_ZERO * largest * a->scale[i];
 }
 
 static void state_at(const flow *f, double length, double time, double *state)
@@ -177,7 +171,7 @@ static double falls(const flow *f, int pair, double low, double high, double bef
         if (bottom >= -f->allowed[pair]) return NAN;
     }
     if (first <= f->allowed[pair]) {
-        low = fmax(low, BEHIND);
+        low = fmax(low, ROUNDING); /* the time of pairs that should have changed with the one before */
         if (low >= high || column_at(p, f->order, f->answers, pair, 0, low, &other) <= 0.0) return low;
     }
     if (before < high) {
@@ -211,7 +205,7 @@ WIDE static int may_fall(int p, const double *restrict low, const double *restri
 static int next_event(flow *f, double step, double end, double *when)
 {
     const int p = f->of.pairs;
-    const int steps = (int)fmin(fmax(ceil(end / step), LEAST), STEPS);
+    const int steps = (int)fmin(fmax(ceil(end / step), 3), STEPS); /* three show how answers bend */
     double at[TIMES];
     for (int k = 0; k <= steps; k++) at[k] = k < steps ? k * end / steps : end;
     values_at(p, f->order, f->answers, steps + 1, at, f->value);

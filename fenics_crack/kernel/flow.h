@@ -28,8 +28,8 @@ typedef struct {
 
 typedef struct flow flow;
 
-/* Length of a piece of the series, at most, times the largest frequency. */
-enum { FLOW_REACH = 10 };
+/* Rows of a load, and how many. */
+enum { MEAN, COSINE, SINE, LOAD };
 
 /* All but the load is copied, which must stay. NULL without memory. */
 flow *new_flow(const flow_parts *given);

@@ -1,9 +1,11 @@
 #include "implicit.h"
 
+#include <float.h>
 #include <math.h>
 #include <string.h>
 
 #include "lapack.h"
+#include "rounding.h"
 
 /* y = a x, by mode. */
 static void by_mode(const vibration *v, const double *a, const double *restrict x,
@@ -99,17 +101,18 @@ static int find_mean_forces(generalised_alpha *s, const double *start, const dou
             if (!isfinite(force[i] += change[i])) return 1;
             largest = fmax(largest, fabs(moved[i]));
         }
-        if (largest <= s->rounding * size) return 0;
-        const double slope = along(p, moved, before, now.answer);
+        if (largest <= ROUNDING * size) return 0;
+        const double flat = -0.1 * along(p, moved, before, now.answer);
         respond_to(&now, force);
-        if (!(slope < 0.0 && along(p, moved, force, now.answer) > -0.1 * slope)) continue;
+        double slope = along(p, moved, force, now.answer), share = 1.0, part = 1.0;
+        if (!(flat > 0.0 && slope > flat)) continue;
         /* The convex function is lowest between both. */
-        double share = 0.5, part = 0.5;
-        for (int half = 0; half <= s->halvings; half++) {
+        for (int half = 0; half < DBL_MANT_DIG && fabs(slope) > flat; half++) {
+            part *= 0.5;
+            share -= copysign(part, slope);
             for (int i = 0; i < p; i++) force[i] = before[i] + share * change[i];
             respond_to(&now, force);
-            part *= 0.5;
-            share -= copysign(part, along(p, moved, force, now.answer));
+            slope = along(p, moved, force, now.answer);
         }
     }
     return 1;
@@ -152,7 +155,7 @@ static int stop(const generalised_alpha *s, double *faster, double *rates, doubl
         if (!among[i]) rates[i] = 0.0;
         s->closed[i] = rates[i] > 0.0;
     }
-    if (forces_at(s->stops, rates, s->rounding, among, s->closed, impulse)) return 1;
+    if (forces_at(s->stops, rates, among, s->closed, impulse)) return 1;
     add(&s->body, -1.0, s->kick, impulse, faster);
     return 0;
 }
@@ -177,7 +180,7 @@ int march_implicit(generalised_alpha *s, int first, int steps, double *gap, doub
         for (int j = 0; j < n; j++) x[j] = moved[j] + end * found[j];
         seen(v, x, 0, free);
         if (rigid) {
-            if (forces_at(s->contact, free, s->rounding, NULL, s->closed, s->held)) return step;
+            if (forces_at(s->contact, free, NULL, s->closed, s->held)) return step;
             add(v, -1.0, s->kick, s->held, s->velocity);
             add(v, -1.0, s->kick, s->held, faster);
             add(v, -dt, s->kick, s->held, moved);

@@ -15,8 +15,7 @@ typedef struct {
     const double *pull, *kick;       /* (p, n) columns; kick of rigid contact only */
     const double *compliance;        /* (p, p) of the penalty law; else NULL */
     sets *contact, *stops;           /* of the compliance, and of P^T kick; rigid only */
-    double rounding;                 /* of the largest gap: what is below is none */
-    int most, halvings;              /* turns of Newton's method, and of a step that goes too far */
+    int most;                        /* turns of Newton's method */
     double *shape, *velocity, *change; /* (n) q, q', q'' */
     double *held;                    /* (p) h, or the impulses of the last step */
     double lost;                     /* energy lost in c so far */

@@ -330,12 +330,12 @@ static int settle(walk *now, int cell, int recorded)
 {
     breathing *m = now->of;
     const long pairs = m->contact.pairs;
-    for (long turn = 0; turn < TOGETHER + 20L * pairs * pairs; turn++) {
+    for (long turn = 0; turn < PIVOTS + 20L * pairs * pairs; turn++) {
         int wrong = 0;
         keep_sharp(now);
         const double *answers = look(now, cell);
         for (int i = 0; i < pairs; i++) {
-            if (right(m, i, answers[i]) || (wrong && turn >= TOGETHER)) continue;
+            if (right(m, i, answers[i]) || (wrong && turn >= PIVOTS)) continue;
             const int failed = recorded ? record(now, i, cell * (TWO_PI / m->cells), 0)
                                         : turn_and_carry(now, i, 0, NULL, NULL);
             if (failed < 0) return -1;

@@ -3,7 +3,6 @@
 #include <string.h>
 
 #include "lapack.h"
-#include "rounding.h"
 
 /* y -= sum_i weight_i row_i with rows (p, n). */
 static void take(int p, int n, const double *rows, const double *weight, double *restrict y)
@@ -59,7 +58,7 @@ int march_central(const central_differences *s, int first, int steps, double *ga
         if (!v->springs) {
             for (int i = 0; i < p; i++)
                 reached[i] = gap[i] + dot(n, v->rows + (size_t)i * n, d);
-            if (forces_at(s->contact, reached, ROUNDING, NULL, s->closed, force)) return step;
+            if (forces_at(s->contact, reached, NULL, s->closed, force)) return step;
             take(p, n, s->push, force, d);
         }
         for (int j = 0; j < n; j++) q[j] += d[j];
@@ -106,7 +105,7 @@ int march_exponential(const exponential *s, int steps, double *states, double *f
                      - dot(p, s->gaps + (size_t)i * p, before);
             closed[i] = guess[i];
         }
-        if (forces_at(s->contact, gap, ROUNDING, NULL, closed, forces)) return step - 1;
+        if (forces_at(s->contact, gap, NULL, closed, forces)) return step - 1;
         for (int i = 0; i < p; i++) both[i] = before[i] + forces[i];
         take(p, 2 * n, s->pushed, both, reached);
         for (int j = 0; j < 2 * n; j++) {

@@ -29,7 +29,7 @@ int turn_pair(pivot_table *s, int k, int count, double *answers, double *v, doub
     double *u = s->room, *own = s->table + (long)k * n;
     memcpy(u, own, n * sizeof(double));
     const double d = u[k];
-    if (!(s->closed[k] ? d < 0.0 : d > ACCURATE * s->d[(long)k * n + k])) return 1;
+    if (!(s->closed[k] ? d < 0.0 : d > ROUNDING * s->d[(long)k * n + k])) return 1;
     if (v) {
         for (int i = 0; i < n; i++) v[i] = s->closed[i] ? u[i] : 0.0;
         if (!s->closed[k]) v[k] = -1.0;
@@ -60,7 +60,7 @@ int refresh(pivot_table *s)
     int good = 1;
     for (int i = 0; i < n && good; i++) {
         const double expected = s->closed[i] ? 1.0 : said[i];
-        good = fabs(found[i] - expected) <= ACCURATE * (1.0 + fabs(expected));
+        good = fabs(found[i] - expected) <= ROUNDING * (1.0 + fabs(expected));
     }
     if (good) return 0;
     signed char *wanted = (signed char *)(s->room + 3 * n);

@@ -2,9 +2,9 @@
 #ifndef PIVOTS_H
 #define PIVOTS_H
 
-/* TOGETHER: turns of all wrong pairs at once, behind which the first one goes alone. PIVOTS: after so
- * many rounding is not trusted. */
-enum { TOGETHER = 30, PIVOTS = 32 };
+/* Changes of a set, one after the other, that are trusted: behind as many pivots rounding is looked
+ * for, and behind as many turns of all wrong pairs at once the first one goes alone. */
+enum { PIVOTS = 32 };
 
 /* With the pairs of A closed, B the others, and S = (D_AA)^-1, gaps s have the answer X = S s_A, the
  * forces, in the rows of A, and X = s_B - D_BA f, less than nothing where a pair is open, in the

@@ -1,11 +1,17 @@
-/* What is taken for rounding. */
+/* What rounding is taken for, and what makes it large. */
 #ifndef ROUNDING_H
 #define ROUNDING_H
 
-/* Of the largest gap: excursions below are none. */
-#define ROUNDING 1e-14
-/* Error of gaps with which an answer is computed anew; a diagonal so small relative to that of the
- * compliance is 0. */
-#define ACCURATE 1e-12
+/* Relative to what it is the rest of: what counts as zero of sums. Of the largest gap: excursions
+ * below are none. */
+static const double AS_ZERO = 1e-14;
+/* What solutions leave of zero, relative to the largest: an answer to gaps with a larger error is
+ * computed anew, and a diagonal so small beside that of the compliance is 0; of a piece of the flow:
+ * the least time. */
+static const double ROUNDING = 1e-12;
+
+/* Smallest of a positive definite matrix's eigenvalues, relative to the largest, with which a small
+ * residual tells that the error is small; of a compliance: what is softer by as much is rigid. */
+static const double REGULAR = 1e-6;
 
 #endif

@@ -10,8 +10,10 @@
 #endif
 
 /* ORDER: of the polynomials, at most. BLOCK: numbers that a processor works on together.
- * TIMES: at which values are found together, at most. */
-enum { ORDER = 38, TERMS = ORDER + 1, BLOCK = 8, TIMES = 3 * BLOCK };
+ * FLOW_REACH: how far what is fastest turns in a piece of the flow, at most; GRID: steps of a piece
+ * while it turns by 1. TIMES: as many numbers as those at the ends of all steps, in whole blocks. */
+enum { ORDER = 38, TERMS = ORDER + 1, BLOCK = 8, FLOW_REACH = 10, GRID = 2 };
+enum { TIMES = (GRID * FLOW_REACH + BLOCK) / BLOCK * BLOCK };
 
 /* sum (n) += weights (count) times rows (count, n). */
 void add_rows(int count, int n, const double *rows, const double *weights, double *sum);

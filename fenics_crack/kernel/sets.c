@@ -133,7 +133,7 @@ static int turn(sets *s, signed char *closed, int k, double *a)
         multiply(n, n, s->d, own, p);
         for (int i = 0; i < n; i++) p[i] = closed[i] ? -own[i] : -p[i];
     }
-    const double pivot = p[k], least = closed[k] ? 0.0 : ACCURATE * s->d[(long)k * n + k];
+    const double pivot = p[k], least = closed[k] ? 0.0 : ROUNDING * s->d[(long)k * n + k];
     if (!(pivot > least)) return 1;
     for (int j = 0; j < n; j++) row[j] = -own[j] / pivot;
     for (int i = 0; i < n; i++) {
@@ -158,7 +158,7 @@ static int spoilt(sets *s, const signed char *closed, const double *answer)
     multiply(n, n, s->d, ones, found);
     for (int i = 0; i < n; i++) {
         const double expected = closed[i] ? 1.0 : 1.0 + said[i];
-        if (!(fabs(found[i] - expected) <= ACCURATE * (1.0 + fabs(expected)))) return 1;
+        if (!(fabs(found[i] - expected) <= ROUNDING * (1.0 + fabs(expected)))) return 1;
     }
     return 0;
 }
@@ -221,14 +221,14 @@ const double *answer_of(sets *s, const signed char *closed)
     return made->answer;
 }
 
-int forces_at(sets *s, const double *gap, double allowed, const signed char *among,
-              signed char *closed, double *force)
+int forces_at(sets *s, const double *gap, const signed char *among, signed char *closed,
+              double *force)
 {
     const int n = s->n;
     double largest = 0.0;
     for (int i = 0; i < n; i++) largest = fmax(largest, fabs(gap[i]));
-    allowed *= -largest;
-    for (long turn = 0; turn < TOGETHER + 20L * n * n; turn++) {
+    const double allowed = -AS_ZERO * largest;
+    for (long turn = 0; turn < PIVOTS + 20L * n * n; turn++) {
         const double *answer = answer_of(s, closed);
         if (!answer) return 1;
         multiply(n, n, answer, gap, s->reached);
@@ -236,7 +236,7 @@ int forces_at(sets *s, const double *gap, double allowed, const signed char *amo
         for (int i = 0; i < n; i++) {
             if (among && !among[i]) continue;
             if (closed[i] ? s->reached[i] > 0.0 : !(s->reached[i] < allowed)) continue;
-            if (!wrong || turn < TOGETHER) closed[i] = !closed[i];
+            if (!wrong || turn < PIVOTS) closed[i] = !closed[i];
             wrong = 1;
         }
         if (wrong) continue;
@@ -246,11 +246,11 @@ int forces_at(sets *s, const double *gap, double allowed, const signed char *amo
     return 1;
 }
 
-void forces_of(sets *s, int count, const double *gap, double allowed, signed char *closed,
-               double *force, signed char *failed)
+void forces_of(sets *s, int count, const double *gap, signed char *closed, double *force,
+               signed char *failed)
 {
     for (int t = 0; t < count; t++, gap += s->n, closed += s->n, force += s->n)
-        failed[t] = forces_at(s, gap, allowed, NULL, closed, force);
+        failed[t] = forces_at(s, gap, NULL, closed, force);
 }
 
 int inverses_of(sets *s, int count, const signed char *closed, double *inverse)

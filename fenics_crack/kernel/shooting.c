@@ -6,8 +6,6 @@
 
 #include "dense.h"
 
-enum { LOAD = 3 }; /* rows of a load: its mean, cosine and sine */
-
 struct shooting_point {
     dense common;
     shooting_equations of;

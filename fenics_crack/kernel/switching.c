@@ -98,7 +98,7 @@ static void begin(search *s, const double *gap, const double *waves)
     }
     for (int i = 0; i <= s->cells; i++)
         if (fabs(g[i]) > largest) largest = fabs(g[i]);
-    s->resolution = ROUNDING * largest;
+    s->resolution = AS_ZERO * largest;
     if (!isfinite(s->curvature + gap[0])) { /* a diverged iterate: no roots, but the search ends */
         s->next = s->cells;
         g[0] = 0.0;

@@ -49,6 +49,7 @@ import numpy as np
 
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.kernel import kernel, owned, pointer, shaped
+from fenics_crack.machine import machine_memory
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import DIFFERENCE, EPSILON, ROUNDING
@@ -264,10 +265,6 @@ def _check_values(law: ContactLaw, pairs: int) -> None:
         raise InputError("contact", law, allowed)
 
 
-WRONG_SLOPE = 0.01
-"""Relative; by differences the slope of a smooth force is known to 1e-5."""
-
-
 def check_slope(law: ContactLaw, gap: np.ndarray) -> None:
     """Raise InputError unless the tangent of a law is the slope of its force along gaps (n,
     n_pairs), at kinks one between those on both sides."""
@@ -276,9 +273,10 @@ def check_slope(law: ContactLaw, gap: np.ndarray) -> None:
     rises, stated = np.diff(values, axis=0), step * law.tangent(gap)
     sizes = np.maximum(np.abs(rises).max(axis=0), np.abs(stated))
     off = np.maximum(rises[1:3].min(axis=0) - stated, stated - rises[1:3].max(axis=0))
-    # Rises beside these differ from them by rounding, and where the slope bends within a step.
+    # Rises beside these differ from them by rounding, and where the slope bends within a step. Half
+    # of the digits that differences leave may be wrong.
     unsure = float(np.abs(rises[[0, 3]] - rises[[1, 2]]).max(initial=0.0))
-    if np.any(off > WRONG_SLOPE * sizes + unsure):
+    if np.any(off > np.sqrt(DIFFERENCE) * sizes + unsure):
         raise InputError("contact", law, "one whose tangent(gap) is the slope of its force(gap)")
 
 
@@ -292,13 +290,13 @@ def _positive(key: str, value: object, *, each_pair: bool = False) -> float | np
     return found.copy() if found.ndim else float(found)
 
 
-KEPT = 2**27
-"""Bytes of what is kept of sets of closed pairs."""
+KEPT = 1 / 32
+"""Part of the machine's memory for the sets of closed pairs of one compliance, or of one flow: some
+of them may be in each of several processes. A set that is found anew takes the time of five pieces
+of a motion."""
 MAX_NEWTON = 200
 """Iterations for forces that are not piecewise linear in the gaps."""
-BISECTIONS = 20
-"""Of a step of theirs that goes too far: to a millionth of it."""
-REGULAR = 1e-6
+REGULAR: float = kernel.REGULAR
 """Smallest eigenvalue of R_inf, relative to the largest, with which a constraint is solved; the
 softness of a penalty that stands for one."""
 
@@ -320,7 +318,7 @@ class ActiveSets:
 
     def __init__(self, compliance: np.ndarray) -> None:
         self.compliance = compliance = shaped(compliance, len(compliance), len(compliance))
-        most = KEPT // max(compliance.nbytes, 8)
+        most = int(KEPT * machine_memory()) // max(compliance.nbytes, 8)
         count = len(compliance)
         self.handle = owned(kernel.new_sets(count, pointer(compliance), most), kernel.free_sets)
         """The kernel's own object."""
@@ -342,9 +340,8 @@ class ActiveSets:
         closed = shaped(guess, *gap.shape, kind=bool)
         force, failed = np.zeros_like(gap), np.empty(len(gap), dtype=bool)
         kernel.forces_of(
-            self.handle, len(gap), pointer(gap), ROUNDING, pointer(closed), pointer(force),
-            pointer(failed),
-        )  # fmt: skip
+            self.handle, len(gap), pointer(gap), pointer(closed), pointer(force), pointer(failed)
+        )
         for row in np.flatnonzero(failed):
             force[row] = by_least_squares(self.compliance, gap[row])
             closed[row] = force[row] > 0.0
@@ -441,14 +438,15 @@ def solve_forces(
         if not np.any(more):
             return found
         left, force, moved, given = left[more], force[more], moved[more], given[more]
-        slope = np.sum(moved * excess[more], axis=1)
+        flat = -0.1 * np.sum(moved * excess[more], axis=1)
         reached, answer, tangent = evaluate(found[left], given)
-        ends = np.sum(moved * (found[left] - answer), axis=1)
-        too_far = (slope < 0.0) & (ends > -0.1 * slope)
+        slope = np.sum(moved * (found[left] - answer), axis=1)
+        too_far = (flat > 0.0) & (slope > flat)
         if np.any(too_far):
             rows, start = left[too_far], force[too_far]
             step = found[rows] - start
-            found[rows] = start + _lowest(evaluate, start, step, given[too_far])[:, None] * step
+            share = _lowest(evaluate, start, step, given[too_far], flat[too_far])
+            found[rows] = start + share[:, None] * step
             reached, answer, tangent = evaluate(found[left], given)
     raise ConvergenceError("contact: Newton's method for the forces of a step does not converge")
 
@@ -458,14 +456,18 @@ def _lowest(
     force: np.ndarray,
     step: np.ndarray,
     gap: np.ndarray,
+    flat: np.ndarray,
 ) -> np.ndarray:
     """Shares of steps (n, n_pairs) where the convex functions are lowest along them, by bisection
-    of their slopes: (n,)."""
+    of their slopes until these are flat (n,): (n,)."""
     moved = evaluate(force, gap)[0] - evaluate(force + step, gap)[0]  # D times the step
     share, size = np.full(len(force), 0.5), 0.5
-    for _ in range(BISECTIONS):
+    while size > EPSILON:
         trial = force + share[:, None] * step
         slope = np.sum(moved * (trial - evaluate(trial, gap)[1]), axis=1)
+        steep = np.abs(slope) > flat
+        if not np.any(steep):
+            break
         size *= 0.5
-        share -= np.copysign(size, slope)
+        share -= np.where(steep, np.copysign(size, slope), 0.0)
     return share

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -14,6 +15,7 @@ from fenics_crack.kernel import kernel
 from fenics_crack.model.modes import AS_ZERO, NEGLIGIBLE, damped_modes, damping_in, solve_modes
 from fenics_crack.model.reduced import MasslessInterface
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.equations import EPSILON
 
 SMALL = 600
 """Up to so many dofs a structure is decomposed into all of its modes, and with so many unknowns
@@ -89,8 +91,9 @@ class AllModes:
             impedance = stiffness + (1j * factor * omega)[:, None] * self.damping
             size = np.abs(self.squares) + square
             if loaded is not None:
-                moved = (np.abs(impedance) <= kernel.NUDGE * size) & ~loaded & (square > 0.0)
-                impedance = np.where(moved, kernel.NUDGE * size, impedance)
+                nudge = math.sqrt(EPSILON) * size
+                moved = (np.abs(impedance) <= nudge) & ~loaded & (square > 0.0)
+                impedance = np.where(moved, nudge, impedance)
             singular |= (np.abs(impedance) <= kernel.SINGULAR * size).any(axis=1)
         else:
             impedance = 1j * factor * omega[:, None, None] * self.damping

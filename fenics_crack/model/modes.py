@@ -22,9 +22,10 @@ from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 from slepc4py import SLEPc
 
 from fenics_crack.errors import FEW_MODES, ConvergenceError, InputError, check_choice
+from fenics_crack.kernel import kernel
 from fenics_crack.model.factor import AT_A_TIME, TOLERATED, Factor, factored_sum
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
-from fenics_crack.numerics.equations import EPSILON
+from fenics_crack.numerics.equations import EPSILON, ROUNDING
 from fenics_crack.parallel import gather_rows
 from fenics_crack.stages import begin
 from fenics_crack.table import Tabular, counted
@@ -34,10 +35,10 @@ LOST = (
     "what is too slender, or held by too little, has frequencies below the rounding of its "
     "stiffness; make it thicker, or what is left beside a crack wider"
 )
-AS_ZERO = 1e-14
+AS_ZERO: float = kernel.AS_ZERO
 """Relative to what it is the rest of: what counts as zero of squares of frequencies (to sum K_ii
 phi_i^2), static responses and gaps."""
-NEGLIGIBLE = 1e-12
+NEGLIGIBLE = ROUNDING
 """What solutions with K leave of zero, relative to the largest: eigenvalues of static compliances,
 weights of directions in a Gram matrix, gaps of lips that the load presses together."""
 MULTIPLE = math.sqrt(NEGLIGIBLE)

@@ -350,9 +350,6 @@ class Coordinates(Hinted):
 
 # --- the clamp ------------------------------------------------------------------------------------
 
-SPLINE_DEGREE = 5
-"""Of the spline through a record: its second derivative is known to the fourth order."""
-
 
 @dataclass(frozen=True)
 class Clamp:
@@ -407,7 +404,8 @@ class Clamp:
         under a load of angular frequency omega."""
         from scipy.interpolate import make_interp_spline  # takes a while, for marches alone
 
-        record = make_interp_spline(time, seen, k=SPLINE_DEGREE)
+        # Of degree 5: the second derivative is known to the fourth order.
+        record = make_interp_spline(time, seen, k=5)
         moved = record.derivative(2)(time) + drag * record.derivative(1)(time)
         return self._split(moved - evaluate(self.load, omega, time))
 

@@ -51,6 +51,7 @@ from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.kernel import NULL, Struct, kernel, owned, pointer, shaped
 from fenics_crack.machine import machine_memory
 from fenics_crack.model.contact import (
+    KEPT,
     ActiveSets,
     ContactLaw,
     check_law,
@@ -61,10 +62,6 @@ from fenics_crack.model.contact import (
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import waves
-
-KEPT = 1 / 32
-"""Part of the machine's memory for the sets of closed pairs of one flow, of which there may be some
-in each of several processes. A set that is found anew takes the time of five pieces of a motion."""
 
 
 @dataclass(frozen=True)

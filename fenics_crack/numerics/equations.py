@@ -11,6 +11,7 @@ Compiled ones bring theirs; for a system in Python the table holds functions tha
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import cached_property, wraps
@@ -22,14 +23,16 @@ from scipy.linalg.lapack import dgetrf, dgetrs
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import Struct, ffi, kernel
 
-EPSILON, ROUNDING = float(np.finfo(float).eps), 1e-13
+EPSILON = float(np.finfo(float).eps)
+ROUNDING: float = kernel.ROUNDING
+"""What solutions leave of zero, relative to the largest."""
 DIFFERENCE = float(np.cbrt(EPSILON))
 """Of a parameter, for a derivative by central differences: what they leave out is then as small as
 their rounding."""
-LOCATED, CLOSE = 1e-11, 1e-8
+LOCATED, CLOSE = 1e-11, math.sqrt(EPSILON)
 """|F| / |x| of what lies between two points of a path, and relative length of a step behind which
 an orbit is found; and of orbits that many are sought, or that are found by products."""
-NEARLY_SOLVED = 1e-5
+NEARLY_SOLVED = DIFFERENCE
 """|F| / |x| of a solution with which another one begins, or by which it is judged; and the most
 that rounding may leave: equations that ask for more are refused."""
 

@@ -62,7 +62,6 @@ import numpy as np
 from fenics_crack.errors import InputError, check_number
 from fenics_crack.kernel import Struct, kernel
 from fenics_crack.model.contact import (
-    BISECTIONS,
     MAX_NEWTON,
     ActiveSets,
     ContactLaw,
@@ -77,7 +76,6 @@ from fenics_crack.model.factor import factored_sum
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.time.march import EnergyBalance, LoopedSteps, March, TimeHistory, Window, march
 from fenics_crack.time.modal_march import ModalSteps, times_by_mode
 
@@ -171,8 +169,8 @@ class _ModalAlpha(ModalSteps):
         self._known = Struct(
             "generalised_alpha", body=self._body(), instants=asked.steps_per_period,
             dt=asked.step_size, am=am, af=af, gamma=gamma, beta=beta,
-            damping=np.ascontiguousarray(modes.damping), rounding=ROUNDING, most=MAX_NEWTON,
-            halvings=BISECTIONS, shape=self._shape, velocity=self._velocity, held=held, lost=0.0,
+            damping=np.ascontiguousarray(modes.damping), most=MAX_NEWTON,
+            shape=self._shape, velocity=self._velocity, held=held, lost=0.0,
             change=self._acceleration(self._velocity), closed=np.zeros(2 * pairs, bool),
             room=np.empty(5 * count + (7 + pairs) * pairs), pivots=np.empty(pairs, np.intc),
             **self._answers(1.0 - am, 1.0 - af, gamma, beta),
