@@ -5,9 +5,9 @@
 
 #include "lapack.h"
 
-/* Degree of the Taylor polynomials: 0.2^9 / 9! is 1e-12. BLOCK: cells whose answers are found
- * together. */
-enum { DEGREE = 8, TERMS = DEGREE + 1, BLOCK = 16 };
+/* Degree of the Taylor polynomials: 0.2^9 / 9! is 1e-12. Rows are answered as many at a time as a
+ * polynomial has terms, those at the ends of as many cells as its degree. */
+enum { DEGREE = 8, TERMS = DEGREE + 1 };
 
 static double value_at(const double *c, int degree, double x)
 {
@@ -132,14 +132,14 @@ typedef struct {
     int count, since;         /* events; changes since rounding was looked for */
     int begin, end, next;     /* cells whose answers are known; none: end 0; how many come next */
     double *gaps, *answers;   /* s at the beginnings of all cells and at the last one's end, (cells +
-                                 1, p), and X from `begin` on, (BLOCK + 1, p) */
+                                 1, p), and X from `begin` on, (TERMS, p) */
     double *bends;            /* (p) and (p): bounds of s'' and X'', per cell squared */
     double *basis, *slopes;   /* (TERMS, 2H+1); (2, p) rates of X per cell at both ends of one */
     double *taylor, *candidates; /* (TERMS, p), (p, TERMS) */
-    double *values, *room;    /* (TERMS, p) s; (BLOCK + 1, p) */
+    double *values, *room;    /* (TERMS, p) s; (TERMS, p) */
     double *answered;         /* (2H+1, p) X of the waves' gaps s_j where waves are fewer than pairs,
                                  behind `taylor`; else NULL */
-    double *circle, *rows;    /* (cells) cosines and sines; (BLOCK + 1, 2H+1) waves */
+    double *circle, *rows;    /* (cells) cosines and sines; (TERMS, 2H+1) waves */
     int *some;                /* (p) */
 } walk;
 
@@ -148,8 +148,8 @@ static void answer_waves(walk *now)
 {
     const breathing *m = now->of;
     if (now->answered) /* as many rows at a time as there is room for */
-        for (int row = 0; row < m->columns; row += BLOCK) {
-            const int count = m->columns - row < BLOCK ? m->columns - row : BLOCK;
+        for (int row = 0; row < m->columns; row += TERMS) {
+            const int count = m->columns - row < TERMS ? m->columns - row : TERMS;
             const size_t first = (size_t)row * m->contact.pairs;
             answers_to(&m->contact, count, m->gaps + first, now->room, now->answered + first);
         }
@@ -221,7 +221,7 @@ static const double *look(walk *now, int cell)
         const int changed = !now->end;
         now->begin = cell;
         now->end = cell + now->next < m->cells ? cell + now->next : m->cells;
-        if (now->next < BLOCK) now->next *= 2;
+        if (2 * now->next <= DEGREE) now->next *= 2;
         const int count = now->end - cell + 1;
         if (now->answered) {
             if (changed) bend(m, now->answered, now->bends + pairs);
@@ -383,8 +383,8 @@ int interval_cells(int harmonics, int pairs)
 long intervals_room(int pairs, int harmonics, int cells)
 {
     const long columns = 2L * harmonics + 1;
-    return pairs * (cells + 2L * BLOCK + 3L * TERMS + 8L + columns) + 2L * cells +
-           columns * (TERMS + BLOCK + 1L);
+    return pairs * (cells + 5L * TERMS + 6L + columns) + 2L * cells +
+           columns * 2L * TERMS;
 }
 
 int intervals(breathing *m)
@@ -392,8 +392,8 @@ int intervals(breathing *m)
     const long pairs = m->contact.pairs;
     walk now = {.of = m, .next = 1, .gaps = m->work};
     now.answers = now.gaps + (m->cells + 1) * pairs;
-    now.room = now.answers + (BLOCK + 1) * pairs;
-    now.bends = now.room + (BLOCK + 1) * pairs;
+    now.room = now.answers + TERMS * pairs;
+    now.bends = now.room + TERMS * pairs;
     now.slopes = now.bends + 2 * pairs;
     now.taylor = now.slopes + 2 * pairs;
     now.answered = now.taylor + TERMS * pairs;
@@ -401,7 +401,7 @@ int intervals(breathing *m)
     now.candidates = now.values + TERMS * pairs;
     now.basis = now.candidates + TERMS * pairs;
     now.rows = now.basis + TERMS * m->columns;
-    now.circle = now.rows + (BLOCK + 1) * m->columns;
+    now.circle = now.rows + TERMS * m->columns;
     now.some = (int *)(now.circle + 2 * m->cells);
     if (m->columns >= pairs) now.answered = NULL;
     open_all(&m->contact);

@@ -5,7 +5,7 @@
  *
  * - equal signs and min(|g(a)|, |g(a + w)|) > M w^2 / 8: no root, g lies that close to its chord;
  * - opposite signs and |g(a + w) - g(a)| > M w^2 / 2: one root, g' keeps its sign;
- * - else the cell is divided, until all that could be missed is an excursion below 1e-14 times the
+ * - else the cell is halved, until all that could be missed is an excursion below 1e-14 times the
  *   largest |g|. */
 #include "switching.h"
 
@@ -17,8 +17,7 @@
 #include "rounding.h"
 #include "waves.h"
 
-#define PARTS 4              /* into which a cell that is not settled is divided, */
-#define DEEPEST DBL_MANT_DIG /* as often at most: long before, it is shorter than rounding */
+#define DEEPEST DBL_MANT_DIG /* halvings of a cell: long before, it is shorter than rounding */
 
 typedef struct {
     double left, width, low, high; /* [left, left + width], g at both ends */
@@ -32,7 +31,7 @@ typedef struct {
     double curvature;      /* M = sum_k k^2 (|a_k| + |b_k|) >= |g''| */
     double resolution;
     int open; /* cells still to be looked at, the leftmost one last */
-    cell waiting[(PARTS - 1) * DEEPEST + PARTS];
+    cell waiting[DEEPEST + 2];
 } search;
 
 int switching_cells(int harmonics)
@@ -125,23 +124,18 @@ static void derivatives(const search *s, double theta, double *found)
     found[2] = bend;
 }
 
-/* g at the three inner points of a cell that is divided. */
-static void inner_values(const search *s, double first, double width, double *values)
+/* g at a phase. */
+static double value_at(const search *s, double theta)
 {
-    double c1[PARTS - 1], s1[PARTS - 1], c[PARTS - 1], d[PARTS - 1];
-    for (int i = 0; i < PARTS - 1; i++) {
-        c[i] = c1[i] = cos(first + i * width);
-        d[i] = s1[i] = sin(first + i * width);
-        values[i] = s->gap[0];
+    const double c1 = cos(theta), s1 = sin(theta), *at = s->gap + s->stride;
+    double c = c1, d = s1, value = s->gap[0];
+    for (int k = 1; k <= s->harmonics; k++, at += 2 * s->stride) {
+        value += at[0] * c + at[s->stride] * d;
+        const double turned = c * c1 - d * s1;
+        d = d * c1 + c * s1;
+        c = turned;
     }
-    const double *at = s->gap + s->stride;
-    for (int k = 1; k <= s->harmonics; k++, at += 2 * s->stride)
-        for (int i = 0; i < PARTS - 1; i++) {
-            values[i] += at[0] * c[i] + at[s->stride] * d[i];
-            const double turned = c[i] * c1[i] - d[i] * s1[i];
-            d[i] = d[i] * c1[i] + c[i] * s1[i];
-            c[i] = turned;
-        }
+    return value;
 }
 
 /* Newton's method kept inside a bracket, from its middle. */
@@ -197,17 +191,14 @@ static int next_change(search *s, double *theta)
         /* One sign change or none is certain: g' keeps its sign, or g lies close to its chord. */
         const int certain = change ? fabs(at.high - at.low) > 0.5 * bound
                                    : fmin(fabs(at.low), fabs(at.high)) > 0.125 * bound;
-        if (certain || bound <= 8.0 * s->resolution || s->open > (PARTS - 1) * DEEPEST) {
+        if (certain || bound <= 8.0 * s->resolution || s->open > DEEPEST) {
             if (!change) continue;
             *theta = polished(s, &at);
             return at.high > at.low ? 1 : -1;
         }
-        double g[PARTS + 1];
-        const double width = at.width / PARTS;
-        g[0] = at.low, g[PARTS] = at.high;
-        inner_values(s, at.left + width, width, g + 1);
-        for (int i = PARTS - 1; i >= 0; i--)
-            s->waiting[s->open++] = (cell){at.left + i * width, width, g[i], g[i + 1]};
+        const double width = 0.5 * at.width, middle = at.left + width, g = value_at(s, middle);
+        s->waiting[s->open++] = (cell){middle, width, g, at.high};
+        s->waiting[s->open++] = (cell){at.left, width, at.low, g};
     }
 }
 
