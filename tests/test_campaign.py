@@ -381,7 +381,7 @@ def test_large_error_is_stated_as_predicted() -> None:
 
 @pytest.mark.parametrize(("family", "number"), [("smooth", 1), ("whole", 2), ("rigid", 6)])
 def test_answers_without_an_exact_flow(family: str, number: int) -> None:
-    """A smoothed law against SciPy's integrator, Hill's verdict with it; all dofs of a plate
+    """A smoothed law against SciPy's integrator, its verdict with it; all dofs of a plate
     against 100 modes, and a rigid stop, of which no error is known: no verdict, but what to do."""
     case = campaign.draw(5, number, family=family)
     (row,) = campaign.findings(5, case)

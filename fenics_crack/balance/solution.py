@@ -177,7 +177,7 @@ class Stability(Described):
     multipliers : (2n,) complex
         Largest modulus first.
     verdict : "stable", "unstable" or "undecided"
-        That of the exact orbit next to the solution; of a smooth law, of Hill's determinant.
+        That of the exact orbit next to the solution; of a smooth law, of the linear flow along it.
     uncertainty : float
         Of the largest modulus; nan where the multipliers are those of the wave: they judge nothing.
     refined : bool

@@ -8,38 +8,33 @@ an orbit of its own, none is sought at the others: the curve costs what its harm
 costs.
 
 Laws without an exact flow are judged by their waves. Between two points lies
-
-- a period doubling where another number of multipliers lies beyond -1: det(I + M) changes its sign;
-- a Neimark-Sacker point where the leading pair leaves the unit circle otherwise.
-
-It is located on the path between them (:class:`fenics_crack.numerics.path.Crossing`).
+a period doubling or a Neimark-Sacker point where the numbers of multipliers outside the unit circle
+say so (:mod:`orbit_events`); it is located on the path between them
+(:class:`fenics_crack.numerics.path.Crossing`).
 
 Source: Seydel, Practical Bifurcation and Stability Analysis, chapters 4 and 7.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from fenics_crack.balance.assessment import MAX_ERROR
-from fenics_crack.balance.solution import Stability
 from fenics_crack.curves.curve import leading
-from fenics_crack.curves.family import Family
 from fenics_crack.curves.growing import chord, points_of
 from fenics_crack.curves.harmonic_curve import HarmonicCurve
+from fenics_crack.curves.orbit_events import about_minus_one, beyond_circle, changes, counted
 from fenics_crack.curves.stability import floquet, monodromy, stability_of
 from fenics_crack.errors import check_kind
 from fenics_crack.model.contact import is_unilateral
-from fenics_crack.motion.orbit import doubling_test, eigenvalues
+from fenics_crack.motion.orbit import eigenvalues
 from fenics_crack.numerics.newton import PathPoint, point_on_path
 from fenics_crack.numerics.path import Crossing
 from fenics_crack.stages import begin
-
-FIRST_ASKED = 3
-"""The first, the middle and the last point of a curve: one has to have an orbit that the others are
-asked."""
 
 
 def judge_curve(curve: HarmonicCurve) -> HarmonicCurve:
@@ -76,11 +71,10 @@ def judge_curve(curve: HarmonicCurve) -> HarmonicCurve:
         return judged_by_waves(curve)
     begin("stability by exact orbits")
     multipliers = np.full(len(curve), np.nan + 0j)
-    first = np.unique(np.linspace(0, len(curve) - 1, FIRST_ASKED).astype(int))
-    decided = [_decides(curve, int(place), multipliers) for place in first]
-    if any(decided):
-        for place in np.setdiff1d(np.arange(len(curve)), first):
-            _decides(curve, int(place), multipliers)
+    first = {0, len(curve) // 2, len(curve) - 1}
+    if any([_decides(curve, place, multipliers) for place in first]):
+        for place in {*range(len(curve))} - first:
+            _decides(curve, place, multipliers)
     return replace(curve, multipliers=multipliers, undecided=np.isnan(multipliers))
 
 
@@ -103,10 +97,16 @@ def judged_by_waves(curve: HarmonicCurve) -> HarmonicCurve:
     solutions = (curve.solution(place, search=False) for place in range(len(curve)))
     found = [floquet(one.structure, one) for one in solutions]
     special = [*curve.unjudged().bifurcations]
-    for place in range(len(curve) - 1):
-        kind = _crossed(*found[place : place + 2])
-        if kind is not None:
-            special.append(curve.bifurcation(kind, *_located(curve, place, kind)))
+    values = np.array([one.multipliers for one in found])
+    rows = counted(values)
+    crossed = changes(rows)[:, 1:] != 0.0
+    crossed &= np.isfinite(values[1:] + values[:-1]).all(axis=1)[:, None]
+    for place, which in np.argwhere(crossed).tolist():
+        kind, pairs = ("period_doubling", "neimark_sacker")[which], rows[place : place + 2, -1]
+        test = (
+            partial(beyond_circle, number=int(pairs.real.max()) - 1) if which else about_minus_one
+        )
+        special.append(curve.bifurcation(kind, *_located(curve, place, test)))
     special.sort(key=curve.nearest)
     return replace(
         curve,
@@ -116,24 +116,10 @@ def judged_by_waves(curve: HarmonicCurve) -> HarmonicCurve:
     )
 
 
-def _crossed(before: Stability, after: Stability) -> str | None:
-    """The kind of what lies between two points."""
-    sides = [one.multipliers for one in (before, after)]
-    beyond, outside = (
-        [int(np.count_nonzero(among(values))) for values in sides]
-        for among in (lambda mu: (mu.imag == 0.0) & (mu.real < -1.0), lambda mu: np.abs(mu) > 1.0)
-    )
-    if not np.all(np.isfinite([values[0] for values in sides])):
-        return None
-    if beyond[0] % 2 != beyond[1] % 2:
-        return "period_doubling"
-    leaving = sides[0] if outside[0] else sides[1]
-    pair = bool(outside[0]) != bool(outside[1]) and leaving[0].imag != 0.0
-    return "neimark_sacker" if pair else None
-
-
-def _located(curve: HarmonicCurve, place: int, kind: str) -> tuple[float, np.ndarray]:
-    """Value of the parameter and unknown of a bifurcation behind a point."""
+def _located(
+    curve: HarmonicCurve, place: int, test: Callable[[np.ndarray], float]
+) -> tuple[float, np.ndarray]:
+    """Value of the parameter and unknown behind a point where a function of multipliers is zero."""
     family = curve.equations
     ends = points_of(family, curve, [place, place + 1])
     way = chord(family, *ends)
@@ -141,19 +127,12 @@ def _located(curve: HarmonicCurve, place: int, kind: str) -> tuple[float, np.nda
         point_on_path(family, unknown, family.parameter(value), way) for value, unknown in ends
     )
 
-    def test(at: PathPoint) -> float:
-        matrix = _monodromy(family, at)
-        if kind == "period_doubling":
-            return doubling_test(matrix)
-        return float(np.abs(eigenvalues(matrix)[0])) - 1.0
+    def value(at: PathPoint) -> float:
+        problem = family.at(family.value(at.parameter))
+        above, omega = problem.static_cutoff, problem.base_omega
+        matrix = monodromy(problem.structure, problem.contact, at.unknown, omega, above)
+        return test(eigenvalues(matrix))
 
-    found = Crossing(test).locate(family, (first, last), family.rounding(last.parameter))
+    found = Crossing(value).locate(family, (first, last), family.rounding(last.parameter))
     assert found is not None
     return family.value(found.parameter), found.unknown
-
-
-def _monodromy(family: Family, at: PathPoint) -> np.ndarray:
-    """M of the wave at a point."""
-    problem = family.at(family.value(at.parameter))
-    above = problem.static_cutoff
-    return monodromy(problem.structure, problem.contact, at.unknown, problem.base_omega, above)

@@ -34,10 +34,14 @@ FLOOR = 0.01
 
 
 def observe(monodromy: np.ndarray) -> np.ndarray:
-    """Leading multipliers of monodromy matrices (n, N, N), largest modulus first, and their r, d
-    and c: (n, k + 3) complex, k = 8, or N where that is less. Those within 1e-6 of the circle are
-    not outside."""
-    values = np.linalg.eigvals(monodromy)
+    """Leading multipliers of monodromy matrices (n, N, N) as :func:`counted` gives them."""
+    return counted(np.linalg.eigvals(monodromy))
+
+
+def counted(values: np.ndarray) -> np.ndarray:
+    """The leading ones of multipliers (n, N), largest modulus first, and their r, d and c:
+    (n, k + 3) complex, k = 8, or N where that is less. Those within 1e-6 of the circle are not
+    outside."""
     size = np.abs(values)
     order = np.argsort(-size, axis=1, kind="stable")[:, :LEADING]
     rows = np.arange(len(order))[:, None]
@@ -98,7 +102,7 @@ class PeriodDoubling(Event):
         return np.asarray(changes(points.observed)[:, 1] != 0.0)
 
     def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
-        found = zero_between(system, ends, lambda one: _about_minus_one(multipliers(one)), rtol)[0]
+        found = zero_between(system, ends, lambda one: about_minus_one(multipliers(one)), rtol)[0]
         return found if np.abs(1.0 + multipliers(found)).min() <= KNOWN else None
 
 
@@ -111,17 +115,14 @@ class NeimarkSacker(Event):
         return np.asarray(changes(points.observed)[:, 2] != 0.0)
 
     def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
-        sides = [_pairs(one) for one in ends]
-        number = max(int(np.count_nonzero(sizes > 1.0 + KNOWN)) for sizes in sides) - 1
-
-        def beyond(sizes: np.ndarray) -> float:
-            return float(sizes[number] - 1.0) if len(sizes) > number else -1.0
-
+        assert ends[0].observed is not None and ends[1].observed is not None
+        number = int(max(ends[0].observed[-1].real, ends[1].observed[-1].real)) - 1
+        sides = [beyond_circle(multipliers(one), number) for one in ends]
         # What was within 1e-6 of the circle may have been beyond it all the time.
-        shift = 0.0 if beyond(sides[0]) * beyond(sides[1]) < 0.0 else KNOWN
+        shift = 0.0 if sides[0] * sides[1] < 0.0 else KNOWN
 
         def value(point: PathPoint) -> float:
-            found = beyond(_pairs(point)) - shift
+            found = beyond_circle(multipliers(point), number) - shift
             return found if abs(found) > CLOSE else 0.0
 
         found, left = zero_between(system, ends, value, rtol)
@@ -134,7 +135,7 @@ def multipliers(point: PathPoint) -> np.ndarray:
     return point.observed[:-3]
 
 
-def _about_minus_one(values: np.ndarray) -> float:
+def about_minus_one(values: np.ndarray) -> float:
     """A function of multipliers with the sign and the zeros of the product of all 1 + mu, at most
     1; 0 where it is small enough."""
     factors = np.where(values.imag == 0.0, 1.0 + values.real, np.abs(1.0 + values))
@@ -142,7 +143,7 @@ def _about_minus_one(values: np.ndarray) -> float:
     return found if np.abs(factors).min() > CLOSE else 0.0
 
 
-def _pairs(point: PathPoint) -> np.ndarray:
-    """Moduli of its pairs of multipliers, largest first."""
-    values = multipliers(point)
-    return np.abs(values[values.imag > 0.0])
+def beyond_circle(values: np.ndarray, number: int) -> float:
+    """|mu| - 1 of one of the pairs of multipliers, 0 the largest; -1 where there are fewer."""
+    sizes = np.sort(np.abs(values[values.imag > 0.0]))[::-1]
+    return float(sizes[number] - 1.0) if len(sizes) > number else -1.0

@@ -4,9 +4,9 @@ The multipliers mu are those of the exact orbit next to a solution, which is sta
 within the unit circle (:mod:`fenics_crack.motion.orbit`); :func:`shoot` finds that orbit by itself.
 Whether it is the solution's own :mod:`fenics_crack.balance.assessment` says.
 
-Laws that are not linear in contact have no exact flow. Their verdict is that of the root of Hill's
-determinant next to the leading multiplier of the linear flow
-along the wave, if the wave's error is small.
+Laws that are not linear in contact have no exact flow. Their multipliers are those of the linear
+flow along the wave, which judge if the wave's error is small; they are as uncertain as they differ
+along the wave with twice the harmonics.
 
 **The linear flow.** Small disturbances z = (q, q') of a wave with gap s(t) follow, in modal
 coordinates,
@@ -18,17 +18,9 @@ contact, which is exact, and half a kick with the stiffness there. The error of 
 steps in a period has even powers of h alone, so that that of (4 M_2N - M_N) / 3 is of fourth order.
 N is doubled until this hardly changes, or is large.
 
-**Hill's determinant**, condensed onto the pairs:
-
-    det( I + R(s) kappa ) = 0,       mu = exp(s T),
-
-with the compliance R at s + i k w, k = -H..H, and the harmonics kappa of the contact stiffness;
-where pairs are seen through a static compliance, R is that of the modes that move.
-
 Sources: Leine and Nijmeijer, Dynamics and Bifurcations of Non-Smooth Mechanical Systems, 2004,
 chapter 7; Strang, SIAM Journal on Numerical Analysis 5 (1968) 506; Hairer, Lubich and Wanner,
-Geometric Numerical Integration, 2006, section II.4; Lazarus and Thomas, Comptes Rendus Mecanique
-338, 2010, 510-517.
+Geometric Numerical Integration, 2006, section II.4.
 """
 
 from __future__ import annotations
@@ -38,9 +30,9 @@ from dataclasses import replace
 import numpy as np
 
 from fenics_crack.balance.assessment import Assessment
-from fenics_crack.balance.contact_integrals import CoupledIntegrals
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.more_modes import UNKNOWN
+from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.errors import ConvergenceError, InputError, check_count, check_kind
 from fenics_crack.model.contact import ContactLaw, check_law, check_slope, is_rigid, smooth_forces
@@ -51,14 +43,14 @@ from fenics_crack.motion.flow import exact_flow
 from fenics_crack.motion.orbit import FORMED, KNOWN, PeriodicOrbit, alike, eigenvalues, find_orbit
 from fenics_crack.motion.search import SearchOptions, by_homotopy
 from fenics_crack.motion.shooting import FlowOrbits
-from fenics_crack.numerics.fourier import resized, sampled, to_complex
-from fenics_crack.numerics.newton import moving_size
+from fenics_crack.numerics.equations import NEARLY_SOLVED
+from fenics_crack.numerics.fourier import resized, sampled
+from fenics_crack.numerics.newton import moving_size, solve_at
 from fenics_crack.table import percent
 from fenics_crack.time.march import initial_state
 
-HILL_STEPS, HILL_REACH = 2**13, 0.1
-"""In a period; and how far a root of the determinant may be from where it is looked for, in base
-frequencies."""
+MOST_STEPS = 2**13
+"""Of the linear flow in a period."""
 DISTURBANCE = 0.01
 """Of what moves, by which motions leave an unstable orbit."""
 
@@ -92,7 +84,7 @@ def monodromy(
     count = 1 << (4 * len(gap)).bit_length()
     coarse = found = _product(modes, contact, gap, base_omega, count)
     change = whole = np.inf
-    while count < HILL_STEPS and not change <= KNOWN * whole < np.inf:
+    while count < MOST_STEPS and not change <= KNOWN * whole < np.inf:
         count *= 2
         fine = _product(modes, contact, gap, base_omega, count)
         before, found, coarse = found, fine + (fine - coarse) / 3.0, fine
@@ -146,91 +138,6 @@ def _drifted(modes: AllModes, moved: np.ndarray, state: np.ndarray) -> np.ndarra
     n, e = moved.shape[1], moved[:, :, None]
     q, rate = state[:, :n], state[:, n:]
     return np.concatenate([e[0] * q + e[1] * rate, e[2] * q + e[3] * rate], axis=1)
-
-
-def hill_root(
-    structure: Structure, solution: PeriodicSolution, contact: ContactLaw, multiplier: complex
-) -> complex:
-    """The root of Hill's condensed determinant next to a multiplier, as a multiplier; nan if none.
-
-    D(s) = I + R(s) kappa is singular where f(s) vanishes in
-
-        [ D(s)  b ] [x]   [0]
-        [ a^T   0 ] [f] = [1],
-
-    with a, b from a step of inverse iteration at the multiplier. Found by SciPy's secants.
-    """
-    means = _stiffness_means(solution, contact)
-    modes = all_modes(structure).below(solution.static_above)
-    if not np.any(means):
-        return multiplier  # no contact: the monodromy matrix is that of the linear structure
-    omega = solution.base_omega
-    start = complex(np.log(complex(multiplier)) / solution.period)
-
-    def matrix(exponent: complex) -> np.ndarray:
-        return _hill_matrix(modes, means, exponent, omega)
-
-    try:
-        first = matrix(start)
-        size = len(first)
-        bordered, last = np.zeros((size + 1, size + 1), complex), np.eye(size + 1)[-1]
-        random = np.random.default_rng(0).normal(size=size)
-        for vector, side in ((bordered[:size, -1], first.T), (bordered[-1, :size], first)):
-            found = np.linalg.solve(side, random)
-            vector[:] = found.conj() / np.linalg.norm(found)
-
-        def bordering(exponent: complex) -> complex:
-            if not abs(exponent - start) < HILL_REACH * omega:
-                return complex(np.nan)
-            bordered[:size, :size] = matrix(exponent)
-            return complex(np.linalg.solve(bordered, last)[-1])
-
-        import scipy.optimize  # takes a while, and smooth laws alone are judged here
-
-        with np.errstate(invalid="ignore", divide="ignore"):  # NaN: too far from the start
-            root, report = scipy.optimize.newton(
-                bordering, start, x1=start + 1e-7 * omega, tol=1e-10 * omega, full_output=True,
-                disp=False,
-            )  # fmt: skip
-    except (np.linalg.LinAlgError, OverflowError):  # the latter of Python's complex numbers
-        return complex(np.nan)
-    return complex(np.exp(root * solution.period)) if report.converged else complex(np.nan)
-
-
-def _hill_matrix(modes: AllModes, means: np.ndarray, exponent: complex, omega: float) -> np.ndarray:
-    """I + R(s) kappa for rows (harmonic -H..H, pair), from the harmonics of the stiffness: of each
-    pair, or between the pairs."""
-    harmonics, pairs = means.shape[-1] // 2, len(means)
-    order = np.arange(-harmonics, harmonics + 1)
-    lag = order[:, None] - order
-    coupling = np.where(lag >= 0, means[..., np.abs(lag)].conj(), means[..., np.abs(lag)])
-    points = exponent + 1j * order * omega
-    if modes.damping.ndim == 1:
-        receptance = 1.0 / (modes.squares + points[:, None] ** 2 + points[:, None] * modes.damping)
-        compliance = np.einsum("jp,kj,jq->kpq", modes.pairs, receptance, modes.pairs)
-    else:
-        impedance = points[:, None, None] * modes.damping + np.zeros((1, 1, 1), complex)
-        diagonal = np.arange(len(modes.squares))
-        impedance[:, diagonal, diagonal] += modes.squares + points[:, None] ** 2
-        compliance = modes.pairs.T @ np.linalg.inv(impedance) @ modes.pairs
-    if means.ndim == 2:
-        product = np.einsum("kpq,qkl->kplq", compliance, coupling)
-    else:
-        product = np.einsum("kpq,qrkl->kplr", compliance, coupling, optimize=True)
-    size = len(order) * pairs
-    return np.eye(size) + product.reshape(size, size)
-
-
-def _stiffness_means(solution: PeriodicSolution, contact: ContactLaw) -> np.ndarray:
-    """Means of the contact stiffness times exp(i m theta), m = 0 to 2H: (n_pairs, 2H+1), or between
-    coupled pairs (n_pairs, n_pairs, 2H+1)."""
-    gap, highest = solution.slow_gap_coefficients, 2 * solution.harmonics
-    if solution.residual is not None:
-        integrals = CoupledIntegrals(contact, solution.harmonics, residual=solution.residual)
-        return np.moveaxis(to_complex(integrals.linearise(gap).means()).conj(), 0, -1)
-    samples = max(1024, 8 * highest)
-    slopes = contact.tangent(sampled(resized(gap, highest), samples))
-    return np.fft.rfft(slopes, axis=0)[: highest + 1].T.conj() / samples
 
 
 def orbits_near(
@@ -307,11 +214,7 @@ def shoot(
 
 
 def floquet(
-    structure: Structure,
-    solution: PeriodicSolution,
-    contact: ContactLaw | None = None,
-    *,
-    refine: bool = True,
+    structure: Structure, solution: PeriodicSolution, contact: ContactLaw | None = None
 ) -> Stability:
     """Floquet multipliers of a solution, and whether it is stable.
 
@@ -327,9 +230,6 @@ def floquet(
         The orbit.
     contact : ContactLaw, optional
         Its law; default: the solution's own.
-    refine : bool
-        Judge by the multipliers of the exact orbit next to the solution. Else those of the linear
-        flow along its wave are returned, which judge nothing: "undecided".
 
     Returns
     -------
@@ -344,8 +244,8 @@ def floquet(
 
     Notes
     -----
-    Sources: Leine and Nijmeijer, Dynamics and Bifurcations of Non-Smooth Mechanical Systems, 2004,
-    chapter 7; Lazarus and Thomas, Comptes Rendus Mecanique 338 (2010) 510-517.
+    Source: Leine and Nijmeijer, Dynamics and Bifurcations of Non-Smooth Mechanical Systems, 2004,
+    chapter 7.
 
     Examples
     --------
@@ -362,9 +262,7 @@ def floquet(
     if known.flow is None:
         if is_rigid(contact) or not is_small(structure):
             exact_flow(structure, contact)  # says what is missing
-        return _by_hill(structure, solution, contact)
-    if not refine:
-        return _along_the_wave(known, "the multipliers of a solution, without its orbit")
+        return _by_waves(structure, solution, contact)
     return stability_of(known)
 
 
@@ -477,27 +375,41 @@ def _along_the_wave(known: Assessment, reason: str) -> Stability:
     return Stability(values, "undecided", np.nan, reason=reason)
 
 
-def _by_hill(structure: Structure, solution: PeriodicSolution, contact: ContactLaw) -> Stability:
-    """By the root of Hill's determinant next to the leading multiplier of the flow along the wave;
-    how far these are apart is the uncertainty."""
-    gap, above = solution.slow_gap_coefficients, solution.static_above
+def _by_waves(structure: Structure, solution: PeriodicSolution, contact: ContactLaw) -> Stability:
+    """By the multipliers of the flow along the wave; by how much those along the wave with twice
+    the harmonics are larger or smaller is the uncertainty."""
+    gap, above, off = solution.slow_gap_coefficients, solution.static_above, np.inf
     try:
         values = eigenvalues(monodromy(structure, contact, gap, solution.base_omega, above))
+        finer = _with_twice_the_harmonics(structure, solution, contact)
+        if finer is not None:
+            along = monodromy(structure, contact, finer, solution.base_omega, above)
+            off = float(abs(abs(eigenvalues(along)[0]) - abs(values[0])))
     except ConvergenceError as error:
         unknown = np.full(2 * len(all_modes(structure).squares), np.nan + 0j)
         return Stability(unknown, "undecided", np.nan, reason=str(error))
-    root = np.abs(hill_root(structure, solution, contact, values[0]))
-    off = float(abs(root - abs(values[0])))
-    verdict, reason = "stable" if root < 1.0 else "unstable", ""
-    if not np.isfinite(off):
-        reason = "Hill's determinant has no root next to the wave's multiplier"
-    elif abs(root - 1.0) <= max(KNOWN, off):
-        reason = "its largest multiplier is 1 within its uncertainty"
-    elif solution.report.truncation >= UNKNOWN:
+    largest, left_out, reason = abs(values[0]), solution.report.truncation, ""
+    if left_out >= UNKNOWN or not np.isfinite(off):
         reason = "the solution's error is not known"
-    elif solution.report.truncation > LARGE_ERROR:
-        left_out = solution.report.truncation
+    elif left_out > LARGE_ERROR:
         reason = f"the harmonics left out change it by {percent(left_out)}; take more"
-    if reason:
-        verdict = "undecided"
+    elif abs(largest - 1.0) <= max(KNOWN, off):
+        reason = "its largest multiplier is 1 within its uncertainty"
+    verdict = "undecided" if reason else "stable" if largest < 1.0 else "unstable"
     return Stability(values, verdict, off, reason=reason)
+
+
+def _with_twice_the_harmonics(
+    structure: Structure, solution: PeriodicSolution, contact: ContactLaw
+) -> np.ndarray | None:
+    """Slow gap to which Newton's method leads from a solution; None where it leads nowhere."""
+    harmonics, gap = 2 * solution.harmonics, solution.slow_gap_coefficients
+    if not gap.size:
+        return gap
+    problem = Problem(
+        structure, solution.omega, contact, harmonics,
+        subharmonic=solution.subharmonic, static_above=solution.static_above,
+    )  # fmt: skip
+    system, start = problem.system(problem.compliance()), resized(gap, harmonics)
+    found = solve_at(system, start, 1.0, tolerance=NEARLY_SOLVED)
+    return found and found.unknown

@@ -490,9 +490,3 @@ def eigenvalues(matrix: np.ndarray) -> np.ndarray:
         raise np.linalg.LinAlgError("eigenvalues of the monodromy matrix do not converge")
     found: np.ndarray = real + 1j * imaginary
     return found[np.argsort(-np.abs(found), kind="stable")]
-
-
-def doubling_test(monodromy: np.ndarray) -> float:
-    """det(I + M): changes its sign where a multiplier passes through -1."""
-    sign, logarithm = np.linalg.slogdet(np.eye(len(monodromy)) + monodromy)
-    return float(sign * np.exp(min(logarithm, 500.0)))
