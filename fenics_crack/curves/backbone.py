@@ -20,20 +20,13 @@ entries are eliminated but those with k w close to omega_j; what is left is a de
 gaps, these entries and w, whose size does not depend on the number of dofs.
 
 Where a multiple of w meets another mode's frequency (an internal resonance), two pieces of the
-family end in that mode's motion, from either side: a tongue. Without damping there are many of
-them, most of them narrow. Newton's method at the next energy passes over a narrow one, for the
-motion found there has the same shape but for the entry in resonance, whose sign is the opposite;
-det J changes its sign. Where no motion of the same shape is found beyond, the tongue is followed.
-Broad ones, with stiff contact, many modes and many harmonics, can end the path: fewer harmonics, or
-a structure reduced to fewer modes, have fewer of them. So where the path from the linear mode ends,
-it is gone with fewer harmonics, and the others are added at its end
-(:mod:`fenics_crack.curves.free_motion`). At the start, a motion whose first harmonic
-is small is taken for another mode's, and refused; on the way, :attr:`Backbone.fundamental` tells
-it. Next to a tongue, and where one was passed over, another motion of the same energy may exist.
-
-Where all clearances are zero, the penalty law makes the equations homogeneous: a motion times any
-positive factor is a motion, and the frequency does not depend on the energy. The backbone is then a
-straight line, one motion at growing energies.
+family end in that mode's motion, from either side: a tongue. Newton's method at the next energy
+passes over a narrow one, for the motion found there has the same shape but for the entry in
+resonance, whose sign is the opposite; det J changes its sign. Where no motion of the same shape is
+found beyond, the tongue is followed. Broad ones, with stiff contact, many modes and many harmonics,
+can end the path; where the path from the linear mode ends, it is gone with fewer harmonics, and the
+others are added at its end. At the start, a motion whose first harmonic is small is another mode's,
+and refused; on the way, :attr:`Backbone.fundamental` tells it.
 
 Source: Kerschen, Peeters, Golinval, Vakakis, Mechanical Systems and Signal Processing 23 (2009)
 170-194; Krack, Gross, Harmonic Balance for Nonlinear Vibration Problems, 2019, section 2.6.
@@ -53,12 +46,10 @@ from fenics_crack.balance.error_report import SLIGHT, ErrorReport, mean_square, 
 from fenics_crack.balance.more_modes import UNKNOWN
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.free_motion import (
-    ELSEWHERE,
     HELPS,
     EnergyMotion,
     Equilibrium,
     MotionPath,
-    MotionPoint,
     cosine_rows,
     first_motion,
 )
@@ -69,7 +60,6 @@ from fenics_crack.model.modal import SMALL, all_modes, is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.newton import PathPoint, solve_at
-from fenics_crack.numerics.path import Ended
 from fenics_crack.table import Tabular, counted, with_frequency
 
 
@@ -161,34 +151,29 @@ class Backbone(Tabular):
 
     def _report(self, index: int) -> ErrorReport:
         """How far Newton's method goes with more harmonics, at the same energy."""
-        rest = Equilibrium(self.structure, self.contact)
-        kept, harmonics = self.harmonics + 1, self._more_harmonics(float(self.omega[index]))
+        rest, omega = Equilibrium(self.structure, self.contact), float(self.omega[index])
+        kept, harmonics = self.harmonics + 1, self._more_harmonics(omega)
         integrals = contact_integrals(self.contact, self.harmonics, self.samples)
-        motion = EnergyMotion(rest, integrals.widened(harmonics), float(self.omega[index]))
         energy = float(self.energy[index]) - self.rest_energy
         modal = np.linalg.solve(rest.modes.shapes, self.cosines[index].T).T
         modal[0] -= rest.modal
-        start = np.append(np.zeros((harmonics + 1) * len(rest.modes.squares)), 1.0)
-        z = start[:-1].reshape(harmonics + 1, -1)
+        z = np.zeros((harmonics + 1, len(rest.frequencies)))
         z[:kept] = modal * rest.frequencies / math.sqrt(2.0 * energy)
-        known = motion.linearise(start, math.log(energy)).residual.copy()
-        known[:-1].reshape(z.shape)[kept:] = 0.0
-        added = _Added(motion, known)
-        left = added.linearise(start, math.log(energy)).residual
-        sharp = SLIGHT * float(np.linalg.norm(left) / np.linalg.norm(start))
-        found = solve_at(
-            added, start, math.log(energy),
-            tolerance=max(sharp, motion.rounding(math.log(energy))),
-        )  # fmt: skip
-        wave = np.zeros((2 * harmonics + 1, self.structure.n_pairs))
-        wave[motion.rows] = z @ motion.gap_rows
-        size, truncation = moving_mean_square(wave), UNKNOWN
+        start, known = np.append(z, 1.0), np.append(z[:kept], 1.0)
+        motion = EnergyMotion(rest, integrals, omega)
+        left = motion.linearise(known, math.log(energy)).residual
+        wider = EnergyMotion(rest, integrals.widened(harmonics), omega)
+        change = wider.linearise(start, math.log(energy)).residual
+        sharp = SLIGHT * float(np.linalg.norm(change) / np.linalg.norm(start))
+        sharp = max(sharp, wider.rounding(math.log(energy)))
+        found = solve_at(wider, start, math.log(energy), tolerance=sharp)
+        truncation, waves = UNKNOWN, np.zeros((2, 2 * harmonics + 1, self.structure.n_pairs))
         if found is not None:
-            change = found.unknown - start
-            wave[motion.rows] = change[:-1].reshape(z.shape) @ motion.gap_rows
-            truncation = min(math.sqrt(mean_square(wave) / size), UNKNOWN)
-        residual = float(np.linalg.norm(known) / np.linalg.norm(start))
-        return ErrorReport(residual, truncation, math.nan, math.nan, math.nan)
+            change = (found.unknown - start)[:-1].reshape(z.shape)
+            waves[:, wider.rows] = z @ wider.gap_rows, change @ wider.gap_rows
+            truncation = math.sqrt(mean_square(waves[1]) / moving_mean_square(waves[0]))
+        residual = float(np.linalg.norm(left) / np.linalg.norm(known))
+        return ErrorReport(residual, min(truncation, UNKNOWN), *[math.nan] * 3)
 
     def _more_harmonics(self, omega: float) -> int:
         """With how many the truncation is judged: four times as many, and enough for modes that
@@ -262,10 +247,8 @@ def follow_backbone(
     """Follow a nonlinear normal mode over its energy: the backbone of its resonance.
 
     The linear mode of the structure without contact is followed in ln k, the contact stiffness, at
-    ``energy_start``, and from there in ln E: by steps in the parameter, and by arc-length, through
-    folds, where there is no motion of the same shape a step further. Where internal resonances end
-    the path in ln k it is gone with fewer harmonics, to which the others are added (the status says
-    so): ``docs/theory.md``, "Backbones". Source: Kerschen and others, MSSP 23 (2009) 170-194.
+    ``energy_start``, and from there in ln E (``docs/theory.md``, "Backbones"). Source: Kerschen and
+    others, MSSP 23 (2009) 170-194.
 
     Parameters
     ----------
@@ -327,12 +310,9 @@ def follow_backbone(
         pass_over=not given["internal_resonances"],
     )  # fmt: skip
     found, ended = _collected(path, progress and structure.whole.comm.rank == 0)
-    complete = path.ended is Ended.MET and family.is_fundamental(path.last.unknown)
-    if path.ended is not None:
-        ended = path.ended.told(given["most_points"])
-        ended = ELSEWHERE if path.ended is Ended.MET and not complete else ended
+    ended = ended or path.told(given["most_points"])
     energy = np.exp([point.parameter for point in found])
-    if throw and not complete and ended != INTERRUPTED:
+    if throw and not path.complete and ended != INTERRUPTED:
         raise ConvergenceError(
             f"backbone of mode {mode} from {energy_start:g} to {energy_end:g} J: {ended}{note} "
             f"at {energy[-1]:g} J after {len(found)} points; {HELPS}"
@@ -350,7 +330,7 @@ def follow_backbone(
         rest.energy,
         modal @ rest.modes.shapes.T,
         np.array([point.iterations for point in found]),
-        complete,
+        path.complete,
         ended + note,
         np.array([point.crosses_branch for point in found]),
         samples,
@@ -389,16 +369,3 @@ def _collected(path: MotionPath, shown: bool) -> tuple[list[PathPoint], str]:
     finally:
         bar.close()
     return found, ended
-
-
-class _Added:
-    """The equations of a motion with more harmonics, less what they leave of those that it has."""
-
-    def __init__(self, motion: EnergyMotion, known: np.ndarray) -> None:
-        self._motion, self._known = motion, known
-
-    def linearise(self, unknown: np.ndarray, parameter: float) -> MotionPoint:
-        """At a point."""
-        at = self._motion.linearise(unknown, parameter)
-        at.residual = at.residual - self._known
-        return at

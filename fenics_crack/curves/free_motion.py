@@ -1,13 +1,4 @@
-"""Free motions: their equations, paths of them, and where a backbone starts (:mod:`backbone`).
-
-It starts from a linear mode, or next to a solution. A path takes steps in the parameter, which pass
-over tongues, or by arc-length.
-
-The path from a linear mode in the contact stiffness crosses internal resonances, the more of them
-the more harmonics there are, and with stiff contact one of them may end it. Then the path is gone
-with fewer harmonics, and the others are added at the whole stiffness, one after the other by
-Newton's method.
-"""
+"""Free motions: their equations, paths of them, and where a backbone starts (:mod:`backbone`)."""
 
 from __future__ import annotations
 
@@ -316,8 +307,6 @@ class MotionPoint(Linearisation):
         return determinant_sign(self._factors) * (-1.0 if flips % 2 else 1.0)
 
 
-FAST = 0.5
-"""Rate of the parameter along a path at which arc-length is left again."""
 ELSEWHERE = "the path ended in the motion of another mode"
 HELPS = (
     "fewer harmonics have fewer internal resonances, and another energy, or a solution given as "
@@ -336,17 +325,8 @@ class MotionPath:
 
     Steps in the parameter itself pass over tongues, unless these are to be followed; where there is
     none to a motion of the same shape, arc-length leads on. ``crosses_branch`` tells where a tongue
-    was passed over.
-
-    Attributes
-    ----------
-    family : FreeMotion
-    end : float
-        The parameter.
-    last : PathPoint
-        The last one so far.
-    ended : Ended or None
-        How it has ended, if it has.
+    was passed over. ``ended`` is as of a :class:`Path`, and ``complete`` whether it met the end and
+    not another mode's motion.
     """
 
     def __init__(
@@ -365,11 +345,16 @@ class MotionPath:
         self._pass_over = pass_over
         self.ended: Ended | None = None
 
-    def run(self) -> PathPoint | None:
-        """The motion at the end; None where the path does not lead there."""
-        for _ in self:
-            pass
-        return self.last if self.ended is Ended.MET else None
+    @property
+    def complete(self) -> bool:
+        """Whether it has led to the motion of the mode at the end."""
+        return self.ended is Ended.MET and self.family.is_fundamental(self.last.unknown)
+
+    def told(self, most: int) -> str:
+        """How it has ended in words, of so many points at most."""
+        assert self.ended is not None
+        other = self.ended is Ended.MET and not self.complete
+        return ELSEWHERE if other else self.ended.told(most)
 
     def __iter__(self) -> Iterator[PathPoint]:
         step = 0.2 * self._max_step
@@ -403,7 +388,7 @@ class MotionPath:
         for point in path.points():
             self.last, self._left = point, self._left - 1
             yield point
-            outside = point.tangent.p > FAST and point.parameter > here.parameter
+            outside = point.tangent.p > 0.0 and point.parameter > here.parameter
             whole = family.is_fundamental(point.unknown)
             if self._pass_over and outside and whole and path.ended is None:
                 return
@@ -514,13 +499,11 @@ def _from_linear_mode(family: StiffnessMotion, mode: int) -> PathPoint:
         return first
     path = MotionPath(family, first, 0.0, lowest=soft - 5.0, max_step=1.0, max_steps=400)
     furthest = max((motion.parameter for motion in path), default=soft)
-    if path.ended is Ended.MET:
-        if not family.is_fundamental(path.last.unknown):
-            raise ConvergenceError(f"backbone of mode {mode}: {ELSEWHERE}; {HELPS}")
+    if path.complete:
         return path.last
+    far = f"the path in the contact stiffness came as far as {math.exp(furthest):.2g} of it"
     raise ConvergenceError(
-        f"backbone of mode {mode}: the path in the contact stiffness came as far as "
-        f"{math.exp(furthest):.2g} of it; {HELPS}"
+        f"backbone of mode {mode}: {ELSEWHERE if path.ended is Ended.MET else far}; {HELPS}"
     )
 
 
@@ -547,12 +530,9 @@ def _with_the_others(
         guess = np.zeros(larger.scale.size + 1)
         guess[: len(unknown) - 1], guess[-1] = unknown[:-1], unknown[-1]
         found = solve_motion(larger, guess, 0.0)
-        if found is not None and not _is_it(larger, found, guess):
+        if found and not (
+            larger.is_fundamental(found.unknown) and alike(found.unknown, guess, STRAIGHT)
+        ):
             found = None
         unknown = unknown if found is None else found.unknown
     return found
-
-
-def _is_it(family: FreeMotion, found: PathPoint, guess: np.ndarray) -> bool:
-    """Whether a motion is that of a guess, and not another mode's."""
-    return family.is_fundamental(found.unknown) and alike(found.unknown, guess, STRAIGHT)
