@@ -29,9 +29,7 @@ from fenics_crack.curves.exact import judge_curve as judge_curve
 from fenics_crack.curves.follow import continue_frequency as continue_frequency
 from fenics_crack.curves.follow import continue_parameter as continue_parameter
 from fenics_crack.curves.follow import follow_branch as follow_branch
-from fenics_crack.curves.harmonic_curve import HarmonicBifurcation as HarmonicBifurcation
 from fenics_crack.curves.harmonic_curve import HarmonicCurve as HarmonicCurve
-from fenics_crack.curves.orbit_curve import ExactBifurcation as ExactBifurcation
 from fenics_crack.curves.orbit_curve import OrbitCurve as OrbitCurve
 from fenics_crack.curves.peak import Peak as Peak
 from fenics_crack.curves.refine import refine_curve as refine_curve

@@ -147,7 +147,9 @@ def test_points_of_a_curve_have_the_verdict_of_their_own_orbits(seed: int, numbe
     """Which each of them has by itself, and the reference confirms for each sixth."""
     case = campaign.draw(seed, number, None, campaign.family_of(seed, number))
     curve = campaign.followed(case, 0.1 if case.family == "few" else 0.03)
-    alone = [fc.floquet(case.structure, one).verdict for one in curve.solutions]
+    alone = [
+        fc.floquet(case.structure, one).verdict for one in map(curve.solution, range(len(curve)))
+    ]
     both = [
         place
         for place, verdicts in enumerate(zip(curve.verdicts, alone, strict=True))

@@ -15,10 +15,11 @@ from typing import Any
 from fenics_crack.balance.harmonic_balance import check_initial, solve_beside
 from fenics_crack.balance.problem import ON_PATH, Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver
+from fenics_crack.curves.curve import Bifurcation
 from fenics_crack.curves.exact import judge_curve
 from fenics_crack.curves.family import FAMILIES, Family
 from fenics_crack.curves.growing import LONGEST_STEP, MOST_POINTS, TURNING_BACK, Growing
-from fenics_crack.curves.harmonic_curve import HarmonicBifurcation, HarmonicCurve
+from fenics_crack.curves.harmonic_curve import HarmonicCurve
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.motion.flow import exact_flow
@@ -45,7 +46,7 @@ class Continuation(Growing):
         added to that of every pair [m]; "speed": of the rotor [rad/s], which ``omega`` follows.
     start, end : float
         Its values; the end may be below the start.
-    initial : PeriodicSolution, HarmonicCurve or HarmonicBifurcation, optional
+    initial : PeriodicSolution, HarmonicCurve or Bifurcation, optional
         Where to start. A solution: near the first point. A curve that did not reach its end: from
         its last point; ``start`` is then its own, or for a branch ``start`` and ``end`` bound the
         parameter. A bifurcation: on the branch that begins there; ``start`` and ``end`` bound the
@@ -88,7 +89,7 @@ class Continuation(Growing):
         start: float,
         end: float,
         *,
-        initial: PeriodicSolution | HarmonicCurve | HarmonicBifurcation | None = None,
+        initial: PeriodicSolution | HarmonicCurve | Bifurcation | None = None,
         tolerance: float | None = None,
         stability: bool = False,
         longest_step: float = LONGEST_STEP,
@@ -109,13 +110,15 @@ class Continuation(Growing):
         if stability and is_rigid(problem.contact):
             exact_flow(problem.structure, problem.contact)
 
-        if isinstance(initial, HarmonicCurve | HarmonicBifurcation):
+        if isinstance(initial, HarmonicCurve | Bifurcation):
             self._family = FAMILIES[parameter](problem, start, end)
             if isinstance(initial, HarmonicCurve):
                 self._resume(initial.unjudged())
             else:
+                point = initial.point
+                assert isinstance(point, HarmonicCurve)
                 factor = problem.harmonics // initial.problem.harmonics
-                unknown = stretched(initial.unknown, factor)
+                unknown = stretched(point.unknowns[0], factor)
                 self._begin_on_branch(initial.kind, initial.value, unknown)
             return
         if initial is not None:

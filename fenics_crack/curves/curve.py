@@ -30,6 +30,7 @@ from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
+from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.table import (
     Described,
     Tabular,
@@ -75,7 +76,7 @@ def kind_in_words(kind: str) -> str:
     return "Neimark-Sacker" if kind == "neimark_sacker" else kind.replace("_", " ")
 
 
-@dataclass(frozen=True, repr=False, kw_only=True)
+@dataclass(frozen=True, repr=False)
 class Bifurcation(Described):
     """A special point of a curve.
 
@@ -86,38 +87,52 @@ class Bifurcation(Described):
         multiplier leaves the unit circle through -1; "neimark_sacker": a pair of them leaves it
         anywhere else. Of harmonic balance the last two are found with ``stability=True``, and only
         under laws without exact orbits.
-    value : float
-        Of the curve's parameter.
-    problem : Problem
-        What is solved there.
+    point : HarmonicCurve or OrbitCurve
+        The curve that has no other point.
+    multipliers : (m,) complex or None
+        Leading Floquet multipliers of an exact orbit, largest modulus first; else None.
     """
 
     kind: str
-    value: float
-    problem: Problem
+    point: ResponseCurve
+    multipliers: np.ndarray | None
 
     @property
+    def value(self) -> float:
+        """Of the curve's parameter."""
+        return float(self.point.values[0])
+
+    @property
+    def omega(self) -> float:
+        """Load frequency [rad/s]."""
+        return float(self.point.omega[0])
+
+    @cached_property
+    def problem(self) -> Problem:
+        """What is solved there."""
+        return self.point.problem_of(0)
+
+    @cached_property
     def solution(self) -> PeriodicSolution:
         """The solution there, with its displacement and error report."""
-        raise NotImplementedError
+        return self.point.solution(0, search=False)
+
+    @cached_property
+    def orbit(self) -> PeriodicOrbit:
+        """The exact orbit there; InputError on a curve of harmonic balance."""
+        return self.point.orbit(0)
 
     @property
     def gap_coefficients(self) -> np.ndarray:
         """Closing of the pairs there: (2H+1, n_pairs) [m]."""
         return self.solution.gap_coefficients
 
-    @property
-    def omega(self) -> float:
-        """Load frequency [rad/s]."""
-        return self.problem.omega
-
     def to_dict(self) -> dict[str, Any]:
         """Kind, value of the curve's parameter, and load frequency."""
-        found = {"kind": self.kind, "value": float(self.value), "omega": float(self.omega)}
-        return with_frequency(found)
+        return with_frequency({"kind": self.kind, "value": self.value, "omega": self.omega})
 
     def _title(self) -> str:
-        return f"{kind_in_words(self.kind)} at {self.value:.6g}"
+        return f"{kind_in_words(self.kind)} at {self.value:.6g}, {self.point.method}"
 
 
 @dataclass(frozen=True)
@@ -196,8 +211,8 @@ class ResponseCurve(Tabular):
     branch: bool = False
 
     KIND: ClassVar[str] = "response curve"
-    FOUND: ClassVar[tuple[str, str]]
-    """What was found: the attributes of a curve, (n, ...), and of a bifurcation."""
+    FOUND: ClassVar[str]
+    """What was found, (n, ...): the name of the attribute."""
 
     def __len__(self) -> int:
         return len(self.omega)
@@ -213,6 +228,13 @@ class ResponseCurve(Tabular):
     def problem(self) -> Problem:
         """What was solved at the first point."""
         raise NotImplementedError
+
+    @cached_property
+    def _structure(self) -> Structure:
+        """Of the first point."""
+        if self.parameter == "speed" and isinstance(self.structure, RunUpStructure):
+            return self.structure.at_speed(float(self.values[0]))
+        return self.structure
 
     @property
     def undecided(self) -> np.ndarray | None:
@@ -241,11 +263,9 @@ class ResponseCurve(Tabular):
         its exact orbit the report is what one Newton step predicts."""
         raise NotImplementedError
 
-    def bifurcation(
-        self, kind: str, value: float, found: np.ndarray, multipliers: np.ndarray | None = None
-    ) -> Bifurcation:
-        """A special point of this curve, where the parameter has a value."""
-        raise NotImplementedError
+    def orbit(self, index: int) -> PeriodicOrbit:
+        """The exact orbit at a point; InputError on a curve of harmonic balance."""
+        raise InputError("curve", self.method, "one of exact orbits")
 
     def seen_through(
         self, rows: np.ndarray
@@ -282,41 +302,37 @@ class ResponseCurve(Tabular):
 
     # --- its points -------------------------------------------------------------------------------
 
-    def part(self, places: np.ndarray | slice) -> Self:
+    def part(self, places: Sequence[int] | slice) -> Self:
         """The points at some places, without the bifurcations."""
-        columns = {name: column[places] for name, column in self._arrays.items()}
+        columns = {name: column[places] for name, column in _arrays_of(self).items()}
         return replace(self, **columns, bifurcations=())
 
     def unjudged(self) -> Self:
         """As it was followed, without what has been asked for since."""
         return self
 
-    def with_points(self, places: Sequence[int], **columns: Sequence[Any]) -> Self:
-        """With other points before those at some places, of which these are the columns."""
-        if not places:
-            return self
-        known = ((name, getattr(self, name), np.array(new)) for name, new in columns.items())
-        return replace(self, **{name: np.insert(x, places, new, axis=0) for name, x, new in known})
+    def bifurcation(
+        self, kind: str, value: float, found: np.ndarray, multipliers: np.ndarray | None = None
+    ) -> Bifurcation:
+        """A special point of this curve, where the parameter has a value."""
+        omega = self.problem_at(value).omega
+        columns: dict[str, Any] = {"values": value, "omega": omega, "iterations": 0}
+        columns |= {self.FOUND: found}
+        columns |= {} if multipliers is None else {"multipliers": leading(multipliers)}
+        rows = {name: np.array([entry]) for name, entry in columns.items()}
+        return Bifurcation(kind, replace(self.unjudged().part([0]), **rows), multipliers)
 
     @cached_property
     def at_bifurcations(self) -> Self:
         """The first point, the bifurcations and the last point, to be measured: a curve of their
         own."""
-        ends, met = self.unjudged().part(np.array([0, -1])), self.bifurcations
-        columns: dict[str, list[Any]] = {
-            "values": [one.value for one in met],
-            "omega": [one.omega for one in met],
-            "iterations": [0] * len(met),
-            self.FOUND[0]: [getattr(one, self.FOUND[1]) for one in met],
-        }
-        if ends.multipliers is not None:
-            found = [one.multipliers for one in met]  # type: ignore[attr-defined]
-            columns["multipliers"] = [leading(one) for one in found]
-        return ends.with_points([1] * len(met), **columns)
+        plain = self.unjudged()
+        met = (one.point for one in self.bifurcations)
+        return replace(plain, **_joined(plain.part([0]), *met, plain.part([-1])), bifurcations=())
 
     def nearest(self, bifurcation: Bifurcation) -> int:
         """The number of the point nearest to a bifurcation."""
-        points, there = getattr(self, self.FOUND[0]), getattr(bifurcation, self.FOUND[1])
+        points, there = getattr(self, self.FOUND), getattr(bifurcation.point, self.FOUND)
         off = np.linalg.norm((points - there).reshape(len(self), -1), axis=1)
         off /= float(np.linalg.norm(there)) or 1.0
         wide = float(np.ptp(self.values)) or 1.0
@@ -325,16 +341,9 @@ class ResponseCurve(Tabular):
     def followed_by(self, other: Self) -> Self:
         """The points and bifurcations of both, whose last and first point are the same one, and how
         the other one ended."""
-        both = {name: (x[:-1], getattr(other, name)) for name, x in self._arrays.items()}
-        columns = {name: np.concatenate(columns) for name, columns in both.items()}
+        columns = _joined(self.part(slice(-1)), other)
         special = self.bifurcations + other.bifurcations
         return replace(other, **columns, bifurcations=special, structure=self.structure)
-
-    @property
-    def _arrays(self) -> dict[str, np.ndarray]:
-        """Its columns by the names of its fields."""
-        known = {one.name: getattr(self, one.name) for one in fields(self)}
-        return {name: column for name, column in known.items() if isinstance(column, np.ndarray)}
 
     def indicators(self, dof: int | None = None) -> Indicators:
         """What a dof, or the watched one, and the lips show of a breathing crack at every point, of
@@ -384,11 +393,6 @@ class ResponseCurve(Tabular):
             self._lips[:] = [contact_extremes(gap, force, cracks) for _, _, gap, force in found]
             self._seen.update(zip(new, zip(seen.swapaxes(0, 1), sizes.T, strict=True), strict=True))
         return [self._seen[dof] for dof in asked]
-
-    @property
-    def solutions(self) -> list[PeriodicSolution]:
-        """The solutions at all points."""
-        return [self.solution(index) for index in range(len(self))]
 
     def top(self, dof: int | None = None) -> Top:
         """Find where the largest response of a dof, or of the watched one, is and how large;
@@ -461,6 +465,18 @@ class ResponseCurve(Tabular):
         if self.multipliers is not None:
             parts.append(f"{np.mean(self.stable):.0%} stable")
         return ", ".join([*parts, "complete" if self.complete else "NOT COMPLETE"])
+
+
+def _arrays_of(curve: ResponseCurve) -> dict[str, np.ndarray]:
+    """The columns of a curve by the names of its fields."""
+    known = {one.name: getattr(curve, one.name) for one in fields(curve)}
+    return {name: column for name, column in known.items() if isinstance(column, np.ndarray)}
+
+
+def _joined(*curves: ResponseCurve) -> dict[str, np.ndarray]:
+    """Columns of curves of one kind, one after the other."""
+    columns = [_arrays_of(one) for one in curves]
+    return {name: np.concatenate([one[name] for one in columns]) for name in columns[0]}
 
 
 def _damping(curve: ResponseCurve, index: int, dof: int | None) -> float:

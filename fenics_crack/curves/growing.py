@@ -207,7 +207,7 @@ class Growing(ABC):
             status=self.status,
             subharmonic=problem.subharmonic,
             branch=self._branch,
-            **{self._kind.FOUND[0]: np.array([state(one.unknown, one.value) for one in points])},
+            **{self._kind.FOUND: np.array([state(one.unknown, one.value) for one in points])},
             **self._own,
         )
         special = tuple(
@@ -339,7 +339,7 @@ def points_of(
     family: Family | OrbitFamily, curve: ResponseCurve, places: Sequence[int]
 ) -> list[tuple[float, np.ndarray]]:
     """Values of the parameter, and unknowns, at some points of a curve."""
-    values, found = curve.values[places].tolist(), getattr(curve, curve.FOUND[0])[places]
+    values, found = curve.values[places].tolist(), getattr(curve, curve.FOUND)[places]
     return [(value, family.unknown(x, value)) for value, x in zip(values, found, strict=True)]
 
 

@@ -13,45 +13,13 @@ from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
-from fenics_crack.curves.curve import PHASES, Bifurcation, ResponseCurve
+from fenics_crack.curves.curve import PHASES, ResponseCurve
 from fenics_crack.curves.family import FAMILIES, Family
 from fenics_crack.model.modal import all_modes
 from fenics_crack.numerics.fourier import evaluate
 
 FOLLOWED = "fold", "branch_point"
 """Kinds of bifurcations that a curve has before it is judged."""
-
-
-def _expanded(problem: Problem, unknown: np.ndarray, *, search: bool) -> PeriodicSolution:
-    """The solution that belongs to an unknown; its error by its exact orbit, or as predicted."""
-    compliance = problem.compliance()
-    at = problem.system(compliance).linearise(unknown)
-    found = solution_of(problem, at, status="point of a curve", search=search)
-    compliance.destroy()
-    return found
-
-
-@dataclass(frozen=True, repr=False, kw_only=True)
-class HarmonicBifurcation(Bifurcation):
-    """A special point of a :class:`HarmonicCurve`.
-
-    Attributes
-    ----------
-    kind, value, problem
-        As of any :class:`Bifurcation`.
-    unknown : (2H+1, n_pairs) [m]
-        The solution there, as the curve's unknowns.
-    """
-
-    unknown: np.ndarray
-
-    @cached_property
-    def solution(self) -> PeriodicSolution:
-        """The same, with its displacement and error report."""
-        return _expanded(self.problem, self.unknown, search=False)
-
-    def _title(self) -> str:
-        return f"{super()._title()}, H = {self.problem.harmonics}"
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -65,8 +33,6 @@ class HarmonicCurve(ResponseCurve):
     unknowns : (n, 2H+1, n_pairs) [m]
         What was followed: gap coefficients, or those of the slow gap s = g + R_inf lambda where
         pairs are seen through R_inf.
-    bifurcations : tuple of HarmonicBifurcation
-        Special points, in order along the curve.
     samples : int or None
         As given when it was followed.
     multipliers : (n,) complex or None
@@ -81,12 +47,11 @@ class HarmonicCurve(ResponseCurve):
     """
 
     unknowns: np.ndarray
-    bifurcations: tuple[HarmonicBifurcation, ...]
     samples: int | None
     static_above: float | None = None
     undecided: np.ndarray | None = None
 
-    FOUND = "unknowns", "unknown"
+    FOUND = "unknowns"
 
     @property
     def harmonics(self) -> int:
@@ -95,28 +60,25 @@ class HarmonicCurve(ResponseCurve):
 
     @property
     def method(self) -> str:
-        """Its harmonics: "H = 5"."""
         return f"H = {self.harmonics}"
 
-    @property
+    @cached_property
     def problem(self) -> Problem:
-        """What was solved at the first point."""
         return Problem(
-            self.structure, float(self.omega[0]), self.contact, self.harmonics,
+            self._structure, float(self.omega[0]), self.contact, self.harmonics,
             self.samples, self.subharmonic, self.static_above,
         )  # fmt: skip
 
     @cached_property
     def gap_coefficients(self) -> np.ndarray:
-        """Closing of the pairs: (n, 2H+1, n_pairs) [m]."""
         if self.static_above is None:
             return self.unknowns
         return np.array([at.gap for at in self._linearised()])
 
     def solution(self, index: int, *, search: bool = True) -> PeriodicSolution:
-        """The solution at a point, with its displacement and error report; without ``search`` for
-        its exact orbit the report is what one Newton step predicts."""
-        return _expanded(self.problem_of(index), self.unknowns[index], search=search)
+        problem = self.problem_of(index)
+        at = problem.system(problem.compliance()).linearise(self.unknowns[index])
+        return solution_of(problem, at, status="point of a curve", search=search)
 
     def assessment(self, index: int) -> Assessment:
         """What the exact flow says of a point; no error is estimated."""
@@ -138,14 +100,6 @@ class HarmonicCurve(ResponseCurve):
         special = tuple(one for one in self.bifurcations if one.kind in FOLLOWED)
         return replace(self, bifurcations=special, multipliers=None, undecided=None)
 
-    def bifurcation(
-        self, kind: str, value: float, found: np.ndarray, multipliers: np.ndarray | None = None
-    ) -> HarmonicBifurcation:
-        """A special point of this curve, where the parameter has a value."""
-        return HarmonicBifurcation(
-            kind=kind, value=value, problem=self.problem_at(value), unknown=found
-        )
-
     @cached_property
     def equations(self) -> Family:
         """The truncated equations along the parameter: from its value at the first point to the one
@@ -162,7 +116,6 @@ class HarmonicCurve(ResponseCurve):
     def seen_through(
         self, rows: np.ndarray
     ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-        """As of any curve, by the unknowns alone."""
         moved = None
         if self.static_above is not None:
             moved = rows @ all_modes(self.structure).moved_at_once(self.static_above)

@@ -16,7 +16,7 @@ import numpy as np
 from fenics_crack.balance.harmonic_balance import check_initial, initial_orbit
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.curves.curve import leading
+from fenics_crack.curves.curve import Bifurcation, leading
 from fenics_crack.curves.family import FAMILIES
 from fenics_crack.curves.growing import (
     LONGEST_STEP,
@@ -27,7 +27,7 @@ from fenics_crack.curves.growing import (
     chord,
     points_of,
 )
-from fenics_crack.curves.orbit_curve import FEWEST, ExactBifurcation, OrbitCurve
+from fenics_crack.curves.orbit_curve import FEWEST, OrbitCurve
 from fenics_crack.curves.orbit_events import MultiplierControl, NeimarkSacker, PeriodDoubling
 from fenics_crack.curves.orbit_family import OrbitFamily
 from fenics_crack.errors import TOLERANCE, ConvergenceError, check_number
@@ -35,9 +35,7 @@ from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import FORMED, PeriodicOrbit, too_slow
 from fenics_crack.numerics.path import BranchPoint, Fold
 
-Beginning = (
-    PeriodicSolution | PeriodicOrbit | OrbitCurve | tuple[OrbitCurve, ExactBifurcation] | None
-)
+Beginning = PeriodicSolution | PeriodicOrbit | OrbitCurve | tuple[OrbitCurve, Bifurcation] | None
 """Where a curve of exact orbits may begin."""
 AT_ONCE = 2**13
 """Numbers of monodromy matrices that are found at a time: those behind a rejected step are lost,
@@ -62,7 +60,7 @@ class OrbitContinuation(Growing):
     ----------
     problem, parameter, start, end, longest_step, most_points, turning_back
         As of :class:`fenics_crack.Continuation`; the problem's harmonics play no part.
-    initial : PeriodicSolution, PeriodicOrbit, OrbitCurve, (OrbitCurve, ExactBifurcation), optional
+    initial : PeriodicSolution, PeriodicOrbit, OrbitCurve, (OrbitCurve, Bifurcation), optional
         Where to start: next to a solution; at an orbit at ``start``; at the last point of a curve
         that did not reach its end, whose ``start`` is then this one's, or for a branch ``start``
         and ``end`` bound the parameter; or on the branch that begins at a bifurcation of a curve,
@@ -112,8 +110,9 @@ class OrbitContinuation(Growing):
             # J is singular: the old branch goes on as its points on both sides do.
             around = np.clip(curve.nearest(at) + np.array([-1, 1]), 0, len(curve) - 1).tolist()
             ends = points_of(family, curve, around)
+            [(_, unknown)] = points_of(family, at.point, [0])
             old = chord(family, *ends) if at.kind == "branch_point" else None
-            self._begin_on_branch(at.kind, at.value, family.unknown(at.state, at.value), old)
+            self._begin_on_branch(at.kind, at.value, unknown, old)
         else:
             orbit = _first_orbit(family.at(start), initial)
             self._begin(start, family.unknown(orbit.state, start), orbit.iterations)

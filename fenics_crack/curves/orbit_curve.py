@@ -15,7 +15,7 @@ import numpy as np
 from fenics_crack.balance.harmonic_balance import solution_of_orbit, wave_of
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.curves.curve import PHASES, Bifurcation, ResponseCurve
+from fenics_crack.curves.curve import PHASES, ResponseCurve
 from fenics_crack.motion.flow import ContactFlow, exact_flow
 from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit, orbit_from
 from fenics_crack.motion.search import SearchOptions
@@ -29,75 +29,36 @@ the one of order k is off by that of order 256 - k, of motions with kinks (k / 2
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
-class ExactBifurcation(Bifurcation):
-    """A special point of an :class:`OrbitCurve`: a bifurcation of exact orbits.
-
-    Attributes
-    ----------
-    kind, value, problem
-        As of any :class:`Bifurcation`.
-    state : (2 n_modes,)
-        Of the orbit there, at phase zero.
-    multipliers : (m,) complex
-        Its leading Floquet multipliers, largest modulus first.
-    tolerance : float
-        As of the curve.
-    """
-
-    state: np.ndarray
-    multipliers: np.ndarray
-    tolerance: float
-
-    @cached_property
-    def orbit(self) -> PeriodicOrbit:
-        """The orbit there."""
-        problem = self.problem
-        flow = exact_flow(problem.structure, problem.contact)
-        return orbit_from(flow, problem.omega, self.state, problem.subharmonic)
-
-    @cached_property
-    def solution(self) -> PeriodicSolution:
-        """Its Fourier series, with displacement and error report."""
-        return solution_of_orbit(self.problem, self.orbit, self.tolerance)
-
-
-@dataclass(frozen=True, repr=False, kw_only=True)
 class OrbitCurve(ResponseCurve):
     """Exact orbits along a curve.
 
     Attributes
     ----------
-    structure, contact, parameter, values, omega, iterations, complete, status, subharmonic, branch
+    structure, contact, parameter, values, omega, iterations, bifurcations, complete, status,
+    subharmonic, multipliers, branch
         As of any :class:`ResponseCurve`.
     states : (n, 2 n_modes)
         Modal displacements and velocities at phase zero, in the modes of the structure as the
         parameter varies it.
-    multipliers : (n,) complex
-        Floquet multiplier of largest modulus at each point, of a pair the one with positive
-        imaginary part.
-    bifurcations : tuple of ExactBifurcation
-        Special points, in order along the curve.
     tolerance : float
         Error to which :meth:`solution` keeps an orbit's Fourier coefficients.
     """
 
     states: np.ndarray
     multipliers: np.ndarray
-    bifurcations: tuple[ExactBifurcation, ...]
     tolerance: float
 
-    FOUND = "states", "state"
+    FOUND = "states"
 
     @property
     def method(self) -> str:
-        """Exact orbits."""
         return "exact orbits"
 
-    @property
+    @cached_property
     def problem(self) -> Problem:
         """What was solved at the first point; its harmonics are the fewest of a solution."""
         omega, least = float(self.omega[0]), FEWEST * self.subharmonic
-        return Problem(self.structure, omega, self.contact, least, subharmonic=self.subharmonic)
+        return Problem(self._structure, omega, self.contact, least, subharmonic=self.subharmonic)
 
     @cached_property
     def _flow(self) -> ContactFlow:
@@ -111,7 +72,6 @@ class OrbitCurve(ResponseCurve):
         return exact_flow(problem.structure, problem.contact)
 
     def orbit(self, index: int) -> PeriodicOrbit:
-        """The orbit at a point."""
         flow, omega = self.flow(float(self.values[index])), float(self.omega[index])
         iterations = int(self.iterations[index])
         return orbit_from(flow, omega, self.states[index], self.subharmonic, iterations)
@@ -133,7 +93,6 @@ class OrbitCurve(ResponseCurve):
         return np.asarray(np.abs(np.abs(self.multipliers) - 1.0) <= KNOWN)
 
     def reason(self, index: int) -> str:
-        """Why the stability is undecided at a point; "" where it is decided."""
         return "its largest multiplier is 1 to its accuracy" if self.undecided[index] else ""
 
     @cached_property
@@ -143,20 +102,9 @@ class OrbitCurve(ResponseCurve):
         orbits = (self.orbit(index) for index in range(len(self)))
         return np.array([one.coefficients(HARMONICS).gap for one in orbits])
 
-    def bifurcation(
-        self, kind: str, value: float, found: np.ndarray, multipliers: np.ndarray | None = None
-    ) -> ExactBifurcation:
-        """A special point of this curve, where the parameter has a value."""
-        assert multipliers is not None
-        return ExactBifurcation(
-            kind=kind, value=value, problem=self.problem_at(value), state=found,
-            multipliers=multipliers, tolerance=self.tolerance,
-        )  # fmt: skip
-
     def seen_through(
         self, rows: np.ndarray
     ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-        """As of any curve, by the exact motions at 256 instants."""
         along = zip(self.states, self.values.tolist(), self.omega.tolist(), strict=True)
         for state, value, omega in along:
             base = omega / self.subharmonic

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -97,14 +98,18 @@ def refine_curve(curve: HarmonicCurve, between: int | None = None) -> HarmonicCu
             )
             found += [] if near is None else [(int(index) + 1, near)]
     values = [family.value(point.parameter) for _, point in found]
-    finer = replace(curve, multipliers=None, undecided=None).with_points(
-        [index for index, _ in found],
-        values=values,
-        omega=[family.omega(value) for value in values],
-        unknowns=[point.unknown for _, point in found],
-        iterations=[point.iterations for _, point in found],
-    )
-    return finer if curve.multipliers is None else judge_curve(finer)
+    columns: dict[str, Any] = {
+        "values": values,
+        "omega": [family.omega(value) for value in values],
+        "unknowns": [point.unknown for _, point in found],
+        "iterations": [point.iterations for _, point in found],
+    }
+    places = [index for index, _ in found]
+    if places:
+        columns = {n: np.insert(getattr(curve, n), places, new, 0) for n, new in columns.items()}
+        curve = replace(curve, **columns)
+    plain = replace(curve, multipliers=None, undecided=None)
+    return plain if curve.multipliers is None else judge_curve(plain)
 
 
 def _for_a_picture(system: Family, norms: list[Tangent], parameter: np.ndarray) -> np.ndarray:

@@ -318,8 +318,8 @@ def _pack_curve(curve: ResponseCurve) -> Parts:
 
 def _pack_harmonic_curve(curve: HarmonicCurve) -> Parts:
     parts = _pack_curve(curve)
-    for number, bifurcation in enumerate(curve.bifurcations):
-        parts[f"bifurcation_{number}"] = bifurcation.unknown
+    for number, unknown in enumerate(curve.at_bifurcations.unknowns[1:-1]):
+        parts[f"bifurcation_{number}"] = unknown
     return parts
 
 

@@ -182,7 +182,9 @@ def test_eight_pairs_over_a_resonance(curve: fc.ResponseCurve) -> None:
     fold = curve.bifurcations[0]
     np.testing.assert_array_equal(fold.gap_coefficients, fold.solution.gap_coefficients)
     assert fold.solution.static_above == curve.static_above
-    np.testing.assert_allclose(fold.unknown, fold.solution.slow_gap_coefficients, atol=1e-18)
+    np.testing.assert_allclose(
+        fold.point.unknowns[0], fold.solution.slow_gap_coefficients, atol=1e-18
+    )
 
 
 def test_without_a_matrix_the_same_curve(
@@ -249,7 +251,7 @@ def test_stopped_saved_and_resumed(curve: fc.ResponseCurve, tmp_path: Path) -> N
     assert isinstance(loaded, fc.ResponseCurve) and loaded.static_above == part.static_above
     assert np.array_equal(loaded.unknowns, part.unknowns)
     np.testing.assert_array_equal(loaded.gap_coefficients, part.gap_coefficients)
-    assert np.array_equal(loaded.bifurcations[0].unknown, part.bifurcations[0].unknown)
+    assert np.array_equal(loaded.at_bifurcations.unknowns, part.at_bifurcations.unknowns)
     resumed = fc.continue_frequency(plate, *SPAN, RIGID, resume=loaded)
     assert resumed.complete and folds(resumed) == pytest.approx(folds(curve), rel=1e-8)
     with pytest.raises(fc.InputError, match="another problem"):

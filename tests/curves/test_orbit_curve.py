@@ -113,7 +113,7 @@ def test_saved_and_read(parameter: str, values: np.ndarray, tmp_path: Path) -> N
     assert isinstance(again, fc.OrbitCurve) and again.parameter == parameter
     for name in ("values", "omega", "states", "multipliers", "iterations"):
         assert getattr(again, name) == pytest.approx(getattr(curve, name), rel=1e-12), name
-    assert again.bifurcations[0].state == pytest.approx(curve.bifurcations[0].state)
+    assert again.at_bifurcations.states == pytest.approx(curve.at_bifurcations.states)
     assert again.amplitude() == pytest.approx(curve.amplitude())
     with pytest.raises(fc.InputError, match=r"^structure"):
         fc.load(tmp_path / "curve.h5", oscillator(force=1.1, clearance=0.2), LAW)

@@ -15,7 +15,6 @@ from rotating import cracked
 import fenics_crack as fc
 from fenics_crack.curves.growing import branch_start
 from fenics_crack.curves.orbit_continuation import OrbitContinuation
-from fenics_crack.curves.orbit_curve import ExactBifurcation
 from fenics_crack.curves.orbit_events import FLOOR, MultiplierControl, changes, observe
 from fenics_crack.curves.orbit_family import OrbitFamily
 from fenics_crack.motion.flow import exact_flow
@@ -70,7 +69,7 @@ def followed(
     return path
 
 
-def special(path: OrbitContinuation) -> list[ExactBifurcation]:
+def special(path: OrbitContinuation) -> list[fc.Bifurcation]:
     """All bifurcations."""
     curve = path.curve
     assert isinstance(curve, fc.OrbitCurve)
@@ -218,8 +217,8 @@ def test_bifurcations_by_the_reference_flow(stop: OrbitContinuation) -> None:
     for one in found[:-1]:
         reference = ReferenceFlow(one.orbit.flow, one.value)
         period = 2.0 * np.pi / one.value
-        moved, _, tangent, _ = reference.advance(one.state, period, np.zeros(0))
-        assert moved == pytest.approx(one.state, abs=1e-8)
+        moved, _, tangent, _ = reference.advance(one.orbit.state, period, np.zeros(0))
+        assert moved == pytest.approx(one.orbit.state, abs=1e-8)
         mu = np.linalg.eigvals(tangent)
         pair = np.abs(mu[mu.imag > 0.0])
         off = {
