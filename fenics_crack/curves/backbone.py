@@ -45,10 +45,11 @@ from fenics_crack.balance.contact_integrals import contact_integrals
 from fenics_crack.balance.error_report import SLIGHT, ErrorReport, mean_square, moving_mean_square
 from fenics_crack.balance.more_modes import UNKNOWN
 from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.curves.curve import PHASES
 from fenics_crack.curves.free_motion import (
     HELPS,
-    EnergyMotion,
     Equilibrium,
+    FreeMotion,
     MotionPath,
     cosine_rows,
     first_motion,
@@ -160,9 +161,9 @@ class Backbone(Tabular):
         z = np.zeros((harmonics + 1, len(rest.frequencies)))
         z[:kept] = modal * rest.frequencies / math.sqrt(2.0 * energy)
         start, known = np.append(z, 1.0), np.append(z[:kept], 1.0)
-        motion = EnergyMotion(rest, integrals, omega)
+        motion = FreeMotion(rest, integrals, omega)
         left = motion.linearise(known, math.log(energy)).residual
-        wider = EnergyMotion(rest, integrals.widened(harmonics), omega)
+        wider = FreeMotion(rest, integrals.widened(harmonics), omega)
         change = wider.linearise(start, math.log(energy)).residual
         sharp = SLIGHT * float(np.linalg.norm(change) / np.linalg.norm(start))
         sharp = max(sharp, wider.rounding(math.log(energy)))
@@ -187,8 +188,7 @@ class Backbone(Tabular):
         [m], of 256 instants."""
         points, terms, dofs = self.cosines.shape
         values = self.structure.values_at(self.cosines.reshape(-1, dofs), [dof])
-        phase = 2.0 * np.pi * np.arange(256) / 256
-        waves = values.reshape(points, terms) @ np.cos(np.outer(np.arange(terms), phase))
+        waves = values.reshape(points, terms) @ np.cos(np.outer(np.arange(terms), PHASES))
         return np.ptp(waves, axis=1) / 2.0
 
     # --- shown ------------------------------------------------------------------------------------
@@ -288,7 +288,10 @@ def follow_backbone(
     --------
     >>> backbone = fc.follow_backbone(mass, fc.UnilateralPenalty(1.0), 1, 0.1, 1.0)
     """
-    given = _complete(options)
+    check_options("follow_backbone", options, BackboneOptions.__annotations__)
+    longest, most = options.get("longest_step", 0.2), options.get("most_points", 2000)
+    check_number("longest_step", longest, 0.0, above=True)
+    check_count("most_points", most, 1)
     check_number("energy_start", energy_start, 0.0, above=True)
     check_number("energy_end", energy_end, energy_start, above=True)
     check_count("harmonics", harmonics, 1)
@@ -302,15 +305,15 @@ def follow_backbone(
         raise InputError("mode", mode, f"at most {structure.n_dofs}, the number of dofs")
     rest = Equilibrium(structure, contact)
     integrals = contact_integrals(contact, harmonics, samples)
-    family = EnergyMotion(rest, integrals, float(rest.frequencies[mode - 1]))
-    first, note = first_motion(family, mode, energy_start, given["initial"])
+    family = FreeMotion(rest, integrals, float(rest.frequencies[mode - 1]))
+    first, note = first_motion(family, mode, energy_start, options.get("initial"))
     path = MotionPath(
-        family, first, math.log(energy_end), lowest=first.parameter - given["longest_step"],
-        max_step=given["longest_step"], max_steps=given["most_points"],
-        pass_over=not given["internal_resonances"],
+        family, first, math.log(energy_end), lowest=first.parameter - longest,
+        max_step=longest, max_steps=most,
+        pass_over=not options.get("internal_resonances", False),
     )  # fmt: skip
     found, ended = _collected(path, progress and structure.whole.comm.rank == 0)
-    ended = ended or path.told(given["most_points"])
+    ended = ended or path.told(most)
     energy = np.exp([point.parameter for point in found])
     if throw and not path.complete and ended != INTERRUPTED:
         raise ConvergenceError(
@@ -335,21 +338,6 @@ def follow_backbone(
         np.array([point.crosses_branch for point in found]),
         samples,
     )
-
-
-def _complete(options: BackboneOptions) -> BackboneOptions:
-    """Options with those left out at their defaults; raise InputError for what cannot be used."""
-    check_options("follow_backbone", options, BackboneOptions.__annotations__)
-    given: BackboneOptions = {
-        "initial": None,
-        "internal_resonances": False,
-        "longest_step": 0.2,
-        "most_points": 2000,
-        **options,
-    }
-    check_number("longest_step", given["longest_step"], 0.0, above=True)
-    check_count("most_points", given["most_points"], 1)
-    return given
 
 
 def _collected(path: MotionPath, shown: bool) -> tuple[list[PathPoint], str]:

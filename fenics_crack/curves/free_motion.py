@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -81,18 +80,22 @@ def cosine_rows(harmonics: int) -> np.ndarray:
     return np.maximum(2 * np.arange(harmonics + 1) - 1, 0)
 
 
-class FreeMotion(ABC):
-    """F(x, p) = 0 for x = (z_00, ..., z_0n, z_10, ..., z_Hn, w / reference), a system for paths.
+class FreeMotion:
+    """F(x, p) = 0 for x = (z_00, ..., z_0n, z_10, ..., z_Hn, w / reference), a system for paths: p
+    is ln E, or, where an energy is given, ln of the share of the contact stiffness.
 
     Row (k, j) is divided by (omega_j^2 + (k reference)^2) a / omega_j, the last one by E: they are
-    numbers. Motions with less than ``least_fundamental`` of the first harmonic are a tongue's:
-    another mode's.
+    numbers. Motions with less than a share of the first harmonic are a tongue's: another mode's.
     """
 
-    least_fundamental: float
-
-    def __init__(self, rest: Equilibrium, integrals: PairIntegrals, reference: float) -> None:
-        self.rest, self.integrals, self.reference = rest, integrals, reference
+    def __init__(
+        self,
+        rest: Equilibrium,
+        integrals: PairIntegrals,
+        reference: float,
+        energy: float | None = None,
+    ) -> None:
+        self.rest, self.integrals, self.reference, self.energy = rest, integrals, reference, energy
         self.harmonics = integrals.harmonics
         self.rows = cosine_rows(integrals.harmonics)
         self.order = (np.arange(integrals.harmonics + 1.0) * reference)[:, None] ** 2
@@ -101,13 +104,16 @@ class FreeMotion(ABC):
         self.gap_rows = rest.modes.pairs / rest.frequencies[:, None]
         """d (gap / a) / dz: (n_modes, n_pairs)."""
 
-    @abstractmethod
     def linearise(self, unknown: np.ndarray, parameter: float) -> MotionPoint:
         """The equations at (x, p)."""
+        if self.energy is None:
+            return MotionPoint(self, unknown, math.exp(parameter), 1.0)
+        return MotionPoint(self, unknown, self.energy, math.exp(parameter))
 
-    @abstractmethod
-    def derivative(self, at: MotionPoint) -> np.ndarray:
-        """dF/dp."""
+    def with_harmonics(self, harmonics: int) -> FreeMotion:
+        """The same with other harmonics."""
+        integrals = self.integrals.widened(harmonics)
+        return FreeMotion(self.rest, integrals, self.reference, self.energy)
 
     def stiffness(self, unknown: np.ndarray) -> np.ndarray:
         """Scaled omega_j^2 - (k w)^2: (H+1, n_modes)."""
@@ -122,67 +128,18 @@ class FreeMotion(ABC):
     def is_fundamental(self, unknown: np.ndarray) -> bool:
         """Whether the first harmonic has its share in the square of z, the mean left out."""
         squares = np.sum(unknown[:-1].reshape(self.scale.shape) ** 2, axis=1)
-        return bool(squares[1] >= self.least_fundamental * np.sum(squares[1:]))
+        share = 0.02 if self.energy is None else 0.25
+        return bool(squares[1] >= share * np.sum(squares[1:]))
 
     def rounding(self, parameter: float) -> float:
         """What rounding leaves of |F| / |x|."""
         return self.rest.rounding
 
 
-class StiffnessMotion(FreeMotion):
-    """Free motions of one energy; the parameter is ln of the share of the contact stiffness."""
-
-    least_fundamental = 0.25
-
-    def __init__(
-        self, rest: Equilibrium, integrals: PairIntegrals, reference: float, energy: float
-    ) -> None:
-        super().__init__(rest, integrals, reference)
-        self.energy = energy
-
-    def linearise(self, unknown: np.ndarray, parameter: float) -> MotionPoint:
-        """The equations at x and ln share."""
-        return MotionPoint(self, unknown, self.energy, math.exp(parameter))
-
-    def derivative(self, at: MotionPoint) -> np.ndarray:
-        """dF / d ln share."""
-        return at.joined(self.left * (at.force @ self.rest.modes.pairs.T), at.work)
-
-    def with_harmonics(self, harmonics: int) -> StiffnessMotion:
-        """The same with other harmonics."""
-        integrals = self.integrals.widened(harmonics)
-        return StiffnessMotion(self.rest, integrals, self.reference, self.energy)
-
-
-class EnergyMotion(FreeMotion):
-    """Free motions; the parameter is ln E."""
-
-    least_fundamental = 0.02
-
-    def linearise(self, unknown: np.ndarray, parameter: float) -> MotionPoint:
-        """The equations at x and ln E."""
-        return MotionPoint(self, unknown, math.exp(parameter), 1.0)
-
-    def derivative(self, at: MotionPoint) -> np.ndarray:
-        """dF / d ln E: of b(g_e + a c) / a, with da = a / 2, and of the work over E."""
-        change = 0.5 * (apply_to_pairs(at.tangent, at.change) - at.force)
-        blocks = self.left * (change @ self.rest.modes.pairs.T)
-        return at.joined(blocks, float(at.push @ at.change.sum(axis=0)) - at.work)
-
-
 class MotionPoint(Linearisation):
     """The equations of free motions at a point.
 
-    Parameters
-    ----------
-    motion : FreeMotion
-        Whose point it is.
-    unknown : ((H+1) n_modes + 1,)
-        x.
-    energy : float [J]
-        E.
-    share : float
-        Multiplies the contact force.
+    ``share`` multiplies the contact force.
 
     Attributes
     ----------
@@ -227,8 +184,12 @@ class MotionPoint(Linearisation):
 
     @cached_property
     def by_parameter(self) -> np.ndarray:
-        """dF/dp."""
-        return self._motion.derivative(self)
+        """dF/dp: over ln E of b(g_e + a c) / a, with da = a / 2, and of the work over E."""
+        force, work = self.force, self.work
+        if self._motion.energy is None:
+            force = 0.5 * (apply_to_pairs(self.tangent, self.change) - force)
+            work = float(self.push @ self.change.sum(axis=0)) - work
+        return self.joined(self._motion.left * (force @ self._motion.rest.modes.pairs.T), work)
 
     @cached_property
     def _resonant(self) -> np.ndarray:
@@ -435,14 +396,14 @@ def alike(unknown: np.ndarray, other: np.ndarray, cosine: float) -> bool:
 
 
 def first_motion(
-    family: EnergyMotion, mode: int, energy: float, initial: PeriodicSolution | None
+    family: FreeMotion, mode: int, energy: float, initial: PeriodicSolution | None
 ) -> tuple[PathPoint, str]:
     """Where a backbone starts: next to a solution, or where the linear mode leads; and what is to
     be said about it."""
     note = ""
     if initial is None:
         rest, integrals = family.rest, family.integrals
-        stiff = StiffnessMotion(rest, integrals, family.reference, energy)
+        stiff = FreeMotion(rest, integrals, family.reference, energy)
         try:
             found = _from_linear_mode(stiff, mode)
         except ConvergenceError:
@@ -456,9 +417,7 @@ def first_motion(
     return start, note
 
 
-def _next_to(
-    family: EnergyMotion, initial: PeriodicSolution, mode: int, energy: float
-) -> PathPoint:
+def _next_to(family: FreeMotion, initial: PeriodicSolution, mode: int, energy: float) -> PathPoint:
     """The motion next to a solution, whose mode is made a cosine in the first harmonic."""
     rest, order = family.rest, np.arange(family.harmonics + 1)
     if not isinstance(initial, PeriodicSolution):
@@ -486,7 +445,7 @@ def _opens(rest: Equilibrium, mode: int) -> bool:
     return bool(rest.modes.pairs[mode - 1].sum() <= 0.0)
 
 
-def _from_linear_mode(family: StiffnessMotion, mode: int) -> PathPoint:
+def _from_linear_mode(family: FreeMotion, mode: int) -> PathPoint:
     """From the linear mode without contact to the whole contact stiffness at one energy."""
     rest, count = family.rest, len(family.rest.frequencies)
     unknown = np.zeros((family.harmonics + 1) * count + 1)
@@ -507,7 +466,7 @@ def _from_linear_mode(family: StiffnessMotion, mode: int) -> PathPoint:
     )
 
 
-def _from_fewer_harmonics(family: StiffnessMotion, mode: int) -> tuple[PathPoint, str] | None:
+def _from_fewer_harmonics(family: FreeMotion, mode: int) -> tuple[PathPoint, str] | None:
     """The motion to which the path with fewer harmonics leads, and with how many; None where none
     of these does."""
     for fewer in halved(family.harmonics, 1)[:-1]:
@@ -519,9 +478,7 @@ def _from_fewer_harmonics(family: StiffnessMotion, mode: int) -> tuple[PathPoint
     return None
 
 
-def _with_the_others(
-    family: StiffnessMotion, unknown: np.ndarray, harmonics: int
-) -> PathPoint | None:
+def _with_the_others(family: FreeMotion, unknown: np.ndarray, harmonics: int) -> PathPoint | None:
     """A motion with all of its harmonics, from one with fewer, by Newton's method; numbers of
     harmonics with which there is none like it are left out."""
     found = None

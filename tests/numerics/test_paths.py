@@ -363,9 +363,7 @@ def test_jacobian_of_free_motions(law: fc.UnilateralPenalty, parameter: str) -> 
     """Its inverse, the sign of its determinant and dF/dp against finite differences."""
     rest = free_motion.Equilibrium(chain("none"), law)
     given = rest, contact_integrals(law, 4), float(rest.frequencies[1])
-    system: System = free_motion.EnergyMotion(*given)
-    if parameter == "stiffness":
-        system = free_motion.StiffnessMotion(*given, energy=2.0)
+    system: System = free_motion.FreeMotion(*given, 2.0 if parameter == "stiffness" else None)
     rng = np.random.default_rng(0)
     unknown = 0.3 * rng.normal(size=51)
     unknown[-1] = 0.5 * rest.frequencies[4] / rest.frequencies[1] * (1.0 + 1e-6)  # in resonance
