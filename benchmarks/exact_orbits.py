@@ -51,7 +51,6 @@ from verdicts import random_chain
 
 import fenics_crack as fc
 from fenics_crack.cli.given import new_scene
-from fenics_crack.curves.continuation import LONGEST_STEP
 from fenics_crack.curves.follow import CurveOptions
 
 Row = dict[str, Any]
@@ -233,7 +232,7 @@ def lobes(quick: bool) -> Iterator[Row]:
     """A row for each step."""
     _, structure, law = new()
     options = {} if BRANCHES else {"tolerance": TOLERANCE}
-    for step in (LONGEST_STEP,) if quick else (LONGEST_STEP, LONGEST_STEP / 2.0):
+    for step in (0.05,) if quick else (0.05, 0.025):
         name = f"step {step:g}"
         row, curve = followed(name, structure, (2340.0, 3140.0), law, longest_step=step, **options)
         found = (

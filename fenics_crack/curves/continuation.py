@@ -10,15 +10,15 @@ by the sign of det J, so only where J is formed
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, Unpack
 
 from fenics_crack.balance.harmonic_balance import check_initial, solve_beside
 from fenics_crack.balance.problem import ON_PATH, Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver
-from fenics_crack.curves.curve import Bifurcation
+from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.exact import judge_curve
 from fenics_crack.curves.family import FAMILIES, Family
-from fenics_crack.curves.growing import LONGEST_STEP, MOST_POINTS, TURNING_BACK, Growing
+from fenics_crack.curves.growing import Growing, Steps
 from fenics_crack.curves.harmonic_curve import HarmonicCurve
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.model.contact import is_rigid
@@ -58,12 +58,13 @@ class Continuation(Growing):
         Judge ``curve`` each time that it is taken (:func:`judge_curve`).
     longest_step : float
         Longest step, relative to the range of the parameter and to the size of the solution; at
-        most 1.
+        most 1; default: 0.05.
     most_points : int
-        Give up after so many.
+        Give up after so many; default: 50,000.
     turning_back : float
         How far the curve may turn back past its start, relative to the range of the parameter, but
         not to a frequency or a damping of zero; a closed curve can only be recognised where it may.
+        Default: 0.1.
 
     Attributes
     ----------
@@ -92,9 +93,7 @@ class Continuation(Growing):
         initial: PeriodicSolution | HarmonicCurve | Bifurcation | None = None,
         tolerance: float | None = None,
         stability: bool = False,
-        longest_step: float = LONGEST_STEP,
-        most_points: int = MOST_POINTS,
-        turning_back: float = TURNING_BACK,
+        **steps: Unpack[Steps],
     ) -> None:
         if problem.samples is not None:
             check_count("samples", problem.samples, 4 * problem.harmonics + 1)
@@ -102,7 +101,7 @@ class Continuation(Growing):
             check_number("tolerance", tolerance, 0.0, above=True)
             if problem.samples is not None:
                 raise InputError("samples", problem.samples, "left out where a tolerance is given")
-        super().__init__(problem, parameter, start, end, longest_step, most_points, turning_back)
+        super().__init__(problem, parameter, start, end, **steps)
         reduced = self._problem.structure is not problem.structure
         problem, self._judged = self._problem, stability
         if reduced and isinstance(initial, PeriodicSolution):  # its gaps are all that is used
@@ -136,16 +135,10 @@ class Continuation(Growing):
     _kind, _events = HarmonicCurve, (Fold, BranchPoint)
 
     @property
-    def curve(self) -> HarmonicCurve:
+    def curve(self) -> ResponseCurve:
         """All points so far; judged with ``stability=True``."""
-        return judge_curve(self.followed) if self._judged else self.followed
-
-    @property
-    def followed(self) -> HarmonicCurve:
-        """All points so far, without verdicts."""
-        found = super().followed
-        assert isinstance(found, HarmonicCurve)
-        return found
+        found = self.followed
+        return judge_curve(found) if self._judged else found  # type: ignore[arg-type]
 
     @property
     def _own(self) -> dict[str, Any]:

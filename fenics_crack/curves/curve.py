@@ -1,14 +1,10 @@
-"""Response curves: solutions along a parameter, and where they bifurcate.
-
-Two kinds share what is asked of a curve: points of harmonic balance (:mod:`harmonic_curve`), and
-exact orbits (:mod:`orbit_curve`).
-"""
+"""Response curves: solutions along a parameter, and where they bifurcate."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, ClassVar, Self
@@ -149,7 +145,7 @@ class CurvePoint:
         Newton iterations.
     multipliers : (8,) complex or None
         The leading ones of exact orbits, largest modulus first.
-    bifurcations : tuple of (str, float)
+    bifurcations : sequence of (str, float)
         Kinds and parameters of the special points since the point before.
     """
 
@@ -158,7 +154,7 @@ class CurvePoint:
     unknown: np.ndarray
     iterations: int
     multipliers: np.ndarray | None = None
-    bifurcations: tuple[tuple[str, float], ...] = ()
+    bifurcations: Sequence[tuple[str, float]] = field(default_factory=tuple)
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -169,10 +165,9 @@ class ResponseCurve(Tabular):
 
     Attributes
     ----------
-    structure : Structure
-        Whose solutions they are: small or reduced; as given, not as the parameter varies it.
-    contact : ContactLaw
-        Law of all pairs, likewise.
+    structure, contact : Structure, ContactLaw
+        Whose solutions they are, small or reduced, and the law of all pairs: as given, not as the
+        parameter varies them.
     parameter : str
         "omega", "load", "stiffness", "damping", "clearance" or "speed".
     values : (n,)
@@ -405,17 +400,21 @@ class ResponseCurve(Tabular):
         """The largest response of a dof, or of the watched one: where, how large, how sure, whether
         stable, and the damping by its width."""
         top = self.top(dof)
-        index, value = top.index, top.value
-        omega, solution = float(self.omega[index]), self.solution(index)
+        omega, solution = float(self.omega[top.index]), self.solution(top.index)
         if self.parameter in ("omega", "speed"):
-            omega *= value / float(self.values[index])
+            omega *= top.value / float(self.values[top.index])
         if self.multipliers is None:
             verdict = floquet(solution.structure, solution).verdict
         else:
-            verdict = str(self.verdicts[index])
-        error = solution.report.displacement
-        damping = _damping(self, index, dof)
-        return Peak(index, value, omega, top.amplitude, error, verdict, damping, at_end=top.at_end)
+            verdict = str(self.verdicts[top.index])
+        damping = _damping(self, top.index, dof)
+        return Peak(
+            **vars(top),
+            omega=omega,
+            error=solution.report.displacement,
+            verdict=verdict,
+            damping=damping,
+        )
 
     @cached_property
     def displacement_errors(self) -> np.ndarray:

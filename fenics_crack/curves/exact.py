@@ -1,11 +1,8 @@
 """Verdicts of the points of a harmonic-balance curve: by their nearest exact orbits, or by waves.
 
-The multipliers of the truncated equations' waves cross the unit circle where those of the motion
-need not, above all where contact is stiff and modes beyond the harmonics are lightly damped. So
-each point is judged as a single solution is (:mod:`fenics_crack.balance.assessment`); its folds and
-branch points are those of its own equations. Where none of its first, middle and last point has
-an orbit of its own, none is sought at the others: the curve costs what its harmonic balance
-costs.
+Each point is judged as a single solution is (:mod:`fenics_crack.balance.assessment`); its folds and
+branch points are those of its own equations. Where none of its first, middle and last point has an
+orbit of its own, none is sought at the others: the curve costs what its harmonic balance costs.
 
 Laws without an exact flow are judged by their waves. Between two points lies
 a period doubling or a Neimark-Sacker point where the numbers of multipliers outside the unit circle

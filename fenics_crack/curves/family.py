@@ -21,7 +21,6 @@ from fenics_crack.balance.contact_integrals import ContactIntegrals, respond
 from fenics_crack.balance.contact_system import CompiledEquations, ContactPoint, ContactSystem
 from fenics_crack.balance.problem import Problem
 from fenics_crack.errors import InputError, check_number, check_omega
-from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import DIFFERENCE, least_residual
@@ -80,15 +79,10 @@ class Family(ABC):
         return self.problem.integrals()
 
     @cached_property
-    def stiffest(self) -> ContactLaw:
-        """The contact law where it is stiffest: at one of the ends."""
-        ends = [self.at(value).contact for value in (self.start, self.end)]
-        return max(ends, key=lambda law: float(np.max(law.stiffness)))
-
-    @cached_property
     def steepest_force(self) -> float:
-        """Largest slope of the contact forces where the law is stiffest [N/m]."""
-        return self.system(self.start).steepest_force(self.stiffest)
+        """Largest slope of the contact forces where the law is stiffest, at one end [N/m]."""
+        laws = (self.at(value).contact for value in (self.start, self.end))
+        return max(self.system(self.start).steepest_force(law) for law in laws)
 
     @classmethod
     @abstractmethod

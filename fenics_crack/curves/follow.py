@@ -14,7 +14,7 @@ from fenics_crack.balance.problem import ON_PATH, Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.continuation import Continuation
 from fenics_crack.curves.curve import Bifurcation, CurvePoint, ResponseCurve
-from fenics_crack.curves.growing import Growing, check_unfinished
+from fenics_crack.curves.growing import Growing
 from fenics_crack.curves.orbit_continuation import OrbitContinuation, has_orbits
 from fenics_crack.curves.orbit_curve import OrbitCurve
 from fenics_crack.errors import (
@@ -23,7 +23,6 @@ from fenics_crack.errors import (
     InputError,
     check_count,
     check_kind,
-    check_number,
     check_omega,
 )
 from fenics_crack.hints import check_options
@@ -310,28 +309,23 @@ def _continuation(
 ) -> Growing:
     """The continuation that options ask for, from the start or of an unfinished curve."""
     given: dict[str, Any] = dict(options)
-    resume = given.pop("resume", None)
-    unset = {"harmonics": None, "samples": None, "subharmonic": 1, "initial": None}
-    harmonics, samples, subharmonic, initial = (given.pop(*item) for item in unset.items())
+    resume, tolerance = given.pop("resume", None), given.get("tolerance")
+    keys = "harmonics", "samples", "subharmonic", "initial"
+    harmonics, samples, subharmonic, initial = asked = [given.pop(key, None) for key in keys]
     if resume is not None:
-        for (key, nothing), value in zip(
-            unset.items(), (harmonics, samples, subharmonic, initial), strict=True
-        ):
-            if value not in (nothing, None):
+        for key, value in zip(keys, asked, strict=True):
+            if value is not None and (key, value) != ("subharmonic", 1):
                 raise InputError(key, value, "left out where a curve is resumed")
-        check_unfinished(resume)
+        check_kind("resume", resume, ResponseCurve)
         problem = replace(resume.problem, structure=structure, omega=omega, contact=contact)
         return _grown(isinstance(resume, OrbitCurve), problem, span, resume, given)
-    if (tolerance := given.get("tolerance")) is not None:
-        check_number("tolerance", tolerance, 0.0, above=True)
-        if harmonics is not None:
-            raise InputError("tolerance", tolerance, "left out where harmonics are given")
-        if samples is not None:
-            raise InputError("samples", samples, "left out where a tolerance is given")
+    if tolerance is not None and harmonics is not None:
+        raise InputError("tolerance", tolerance, "left out where harmonics are given")
+    subharmonic = 1 if subharmonic is None else subharmonic
     check_count("subharmonic", subharmonic, 1)
     harmonics = max(5, subharmonic) if harmonics is None else harmonics
     problem = Problem(structure, omega, contact, harmonics, samples, subharmonic)
-    exact = tolerance is not None and has_orbits(problem, *span)
+    exact = tolerance is not None and samples is None and has_orbits(problem, *span)
     return _grown(exact, problem, span, initial, given)
 
 

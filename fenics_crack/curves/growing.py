@@ -18,7 +18,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypedDict
 
 import numpy as np
 import scipy.linalg
@@ -66,35 +66,25 @@ from fenics_crack.numerics.path import (
 )
 from fenics_crack.table import counted, in_unit
 
-LONGEST_STEP = 0.05
-"""Longest step, unless another one is asked for."""
-MOST_POINTS = 50_000
-"""Of a curve, unless other ones are asked for."""
-TURNING_BACK = 0.1
-"""How far a curve may turn back past its start, relative to its range, likewise."""
 ASIDE = 0.1, 0.03, 0.3, 0.01, 1.0
 """How far from a bifurcation its branch is entered, in longest steps, one tried after the other."""
 
 
+class Steps(TypedDict, total=False):
+    """How far and how long a curve grows, as :class:`fenics_crack.Continuation` has it."""
+
+    longest_step: float
+    most_points: int
+    turning_back: float
+
+
 class Growing(ABC):
-    """A curve that grows: iterate over it, or :meth:`run` it.
-
-    Parameters
-    ----------
-    problem, parameter, start, end, longest_step, most_points, turning_back
-        As of :class:`fenics_crack.Continuation`.
-
-    Attributes
-    ----------
-    points : list of CurvePoint
-        All so far, from the last one of a resumed curve on.
-    complete, returned, status, most_points
-        As of :class:`fenics_crack.Continuation`.
-    """
+    """A curve that grows, as :class:`fenics_crack.Continuation`: iterate over it, or :meth:`run`
+    it. ``points`` are all so far, from the last one of a resumed curve on."""
 
     def __init__(
-        self, problem: Problem, parameter: str, start: float, end: float,
-        longest_step: float, most_points: int, turning_back: float,
+        self, problem: Problem, parameter: str, start: float, end: float, *,
+        longest_step: float = 0.05, most_points: int = 50_000, turning_back: float = 0.1,
     ) -> None:  # fmt: skip
         check_range(problem, parameter, start, end)
         check_number("longest_step", longest_step, 0.0, above=True)
@@ -166,7 +156,8 @@ class Growing(ABC):
             It is complete, or one of another problem.
         """
         family, last = self._family, float(curve.values[-1])
-        check_unfinished(curve)
+        if curve.complete:
+            raise InputError("resume", "a complete curve", "one that is not complete")
         same = curve.structure.n_pairs == self._problem.structure.n_pairs
         if curve.parameter != family.name or not same:
             raise InputError("resume", f"curve in {curve.parameter}", "a curve of this problem")
@@ -349,12 +340,6 @@ def chord(
     """From one point, its value of the parameter and its unknowns, to another one."""
     rise = family.parameter(after[0]) - family.parameter(before[0])
     return Tangent(after[1] - before[1], rise, *norm_at(family, after[1]))
-
-
-def check_unfinished(curve: ResponseCurve) -> None:
-    """Raise InputError unless a curve can be resumed."""
-    if not isinstance(curve, ResponseCurve) or curve.complete:
-        raise InputError("resume", type(curve).__name__, "a ResponseCurve that is not complete")
 
 
 def check_range(problem: Problem, parameter: str, start: float, end: float) -> None:

@@ -9,7 +9,7 @@ curve that has not reached its end, or on a branch that leaves another curve.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -18,15 +18,7 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import Bifurcation, leading
 from fenics_crack.curves.family import FAMILIES
-from fenics_crack.curves.growing import (
-    LONGEST_STEP,
-    MOST_POINTS,
-    TURNING_BACK,
-    Growing,
-    check_range,
-    chord,
-    points_of,
-)
+from fenics_crack.curves.growing import Growing, Steps, check_range, chord, points_of
 from fenics_crack.curves.orbit_curve import FEWEST, OrbitCurve
 from fenics_crack.curves.orbit_events import MultiplierControl, NeimarkSacker, PeriodDoubling
 from fenics_crack.curves.orbit_family import OrbitFamily
@@ -35,7 +27,7 @@ from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import FORMED, PeriodicOrbit, too_slow
 from fenics_crack.numerics.path import BranchPoint, Fold
 
-Beginning = PeriodicSolution | PeriodicOrbit | OrbitCurve | tuple[OrbitCurve, Bifurcation] | None
+Beginning = PeriodicSolution | PeriodicOrbit | OrbitCurve | tuple[OrbitCurve, Bifurcation]
 """Where a curve of exact orbits may begin."""
 AT_ONCE = 2**13
 """Numbers of monodromy matrices that are found at a time: those behind a rejected step are lost,
@@ -61,17 +53,9 @@ class OrbitContinuation(Growing):
     problem, parameter, start, end, longest_step, most_points, turning_back
         As of :class:`fenics_crack.Continuation`; the problem's harmonics play no part.
     initial : PeriodicSolution, PeriodicOrbit, OrbitCurve, (OrbitCurve, Bifurcation), optional
-        Where to start: next to a solution; at an orbit at ``start``; at the last point of a curve
-        that did not reach its end, whose ``start`` is then this one's, or for a branch ``start``
-        and ``end`` bound the parameter; or on the branch that begins at a bifurcation of a curve,
-        likewise.
+        Where to start, likewise; or at an orbit at ``start``.
     tolerance : float, optional
         As of :class:`OrbitCurve`; default: that of ``initial``, or 0.01.
-
-    Attributes
-    ----------
-    complete, returned, status
-        As of :class:`fenics_crack.Continuation`.
 
     Raises
     ------
@@ -88,30 +72,27 @@ class OrbitContinuation(Growing):
         start: float,
         end: float,
         *,
-        initial: Beginning = None,
+        initial: Beginning | None = None,
         tolerance: float | None = None,
-        longest_step: float = LONGEST_STEP,
-        most_points: int = MOST_POINTS,
-        turning_back: float = TURNING_BACK,
+        **steps: Unpack[Steps],
     ) -> None:
         if tolerance is None:
             known = initial[0] if isinstance(initial, tuple) else initial
             tolerance = known.tolerance if isinstance(known, OrbitCurve) else TOLERANCE
         check_number("tolerance", tolerance, 0.0, above=True)
         problem = problem.with_harmonics(FEWEST * problem.subharmonic)
-        super().__init__(problem, parameter, start, end, longest_step, most_points, turning_back)
+        super().__init__(problem, parameter, start, end, **steps)
         self._tolerance = tolerance
         self._family = family = OrbitFamily(self._problem, parameter, start, end)
-        self._control = MultiplierControl(longest_step)
+        self._control = MultiplierControl(self._longest)
         if isinstance(initial, OrbitCurve):
             self._resume(initial)
         elif isinstance(initial, tuple):
             curve, at = initial
             # J is singular: the old branch goes on as its points on both sides do.
             around = np.clip(curve.nearest(at) + np.array([-1, 1]), 0, len(curve) - 1).tolist()
-            ends = points_of(family, curve, around)
+            old = chord(family, *points_of(family, curve, around))
             [(_, unknown)] = points_of(family, at.point, [0])
-            old = chord(family, *ends) if at.kind == "branch_point" else None
             self._begin_on_branch(at.kind, at.value, unknown, old)
         else:
             orbit = _first_orbit(family.at(start), initial)

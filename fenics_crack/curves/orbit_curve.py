@@ -21,11 +21,10 @@ from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit, orbit_from
 from fenics_crack.motion.search import SearchOptions
 from fenics_crack.numerics.fourier import balanced
 
-FEWEST = SearchOptions.harmonics[0]
-"""Harmonics of the load's frequency that a solution has."""
-HARMONICS = 40
-"""Of the period, that :meth:`ResponseCurve.coefficients_at` has of exact orbits. By 256 instants
-the one of order k is off by that of order 256 - k, of motions with kinks (k / 216)^2 of it."""
+FEWEST, HARMONICS = SearchOptions.harmonics[0], SearchOptions.harmonics[-1]
+"""Harmonics that a solution has of the load's frequency at least, and those that
+:meth:`ResponseCurve.coefficients_at` has of the period of exact orbits. By 256 instants the one of
+order k is off by that of order 256 - k, of motions with kinks (k / 216)^2 of it."""
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)

@@ -27,10 +27,11 @@ from fenics_crack.numerics.path import Ends, Event, StepControl, Stretch, zero_b
 
 LEADING = 8
 """Multipliers of largest modulus that points keep."""
-RESOLVED, LEAST = 0.5, 0.01
-"""Maximum change of ln |mu| in a step: part of its distance to zero, and what is always allowed."""
-FLOOR = 0.01
-"""Shortest step to resolve changes of ln |mu|, relative to the longest step."""
+RESOLVED = 0.5
+"""Maximum change of ln |mu| in a step, relative to its distance to zero."""
+LEAST = 0.01
+"""Change of ln |mu| that is always allowed, and shortest step to resolve it, relative to the
+longest."""
 
 
 def observe(monodromy: np.ndarray) -> np.ndarray:
@@ -69,16 +70,10 @@ def changes(observed: np.ndarray) -> np.ndarray:
 class MultiplierControl(StepControl):
     """Reject a step over which a leading multiplier moves more than half its distance to the unit
     circle, or is mispredicted by as much (linear extrapolation of sorted ln |mu|), down to a floor;
-    and one over which more than one of r, d and c changes, or one by more than 1.
-
-    Parameters
-    ----------
-    longest_step : float
-        Of the path.
-    """
+    and one over which more than one of r, d and c changes, or one by more than 1."""
 
     def __init__(self, longest_step: float) -> None:
-        self._floor = FLOOR * longest_step
+        self._floor = LEAST * longest_step
 
     def too_long(self, points: Stretch) -> np.ndarray:
         logs = np.log(np.maximum(np.abs(points.observed[:, :-3]), KNOWN))

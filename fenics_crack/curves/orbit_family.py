@@ -43,30 +43,10 @@ class OrbitFamily:
     """The equations of periodic orbits along a parameter, from its value ``start`` at p = 0 to
     ``end`` at p = 1.
 
-    Parameters
-    ----------
-    problem : Problem
-        Of a small or reduced structure whose law has an exact flow; its ``subharmonic`` is m.
-    parameter : str
-        As of :class:`fenics_crack.Continuation`.
-    start, end : float
-        Its values.
-    budget : Budget, optional
-        Of each motion.
-
-    Attributes
-    ----------
-    scale : (2 n_modes,)
-        dx/dz: 1 of modal displacements, 1 / w of velocities, w the modes' frequencies, at least
-        that of the response.
-    shape : (2 n_modes,)
-    records : int
-        Numbers of M.
-
-    Raises
-    ------
-    InputError
-        There is no exact flow.
+    ``scale`` is dx/dz: 1 of modal displacements, 1 / w of velocities, w the modes' frequencies, at
+    least that of the response; ``records`` how many numbers M has. The problem's structure is small
+    or reduced, its ``subharmonic`` is m, and ``budget`` is that of each motion. Raises InputError
+    where there is no exact flow.
     """
 
     def __init__(

@@ -35,16 +35,7 @@ AT_END = "still rising at the end of the range"
 class Top:
     """The largest response of a curve at one dof, between its points.
 
-    Attributes
-    ----------
-    index : int
-        Number of the nearest point of the curve.
-    value : float
-        Of the curve's parameter.
-    amplitude : float
-        Half the peak-to-peak displacement [m].
-    at_end : bool
-        True if it is the first or the last point: beyond, the response is still rising.
+    Its attributes are those of :class:`Peak`.
     """
 
     index: int
@@ -54,19 +45,18 @@ class Top:
 
 
 @dataclass(frozen=True, repr=False)
-class Peak(Described):
+class Peak(Described, Top):
     """The largest response of a curve at one dof.
 
     Attributes
     ----------
     index : int
         Number of the nearest point of the curve, for ``curve.solution(index)``.
-    value : float
-        Of the curve's parameter.
+    value, amplitude, at_end
+        Of the curve's parameter; half the peak-to-peak displacement [m]; True at an end of the
+        curve: no peak, as the response is still rising there.
     omega : float
         Load frequency [rad/s].
-    amplitude : float
-        Half the peak-to-peak displacement [m].
     error : float
         Estimated error of the amplitude, relative to it.
     verdict : str
@@ -81,21 +71,14 @@ class Peak(Described):
     without : str
         What the errors do not have: "without the mesh", of a curve alone (:class:`ErrorReport`);
         empty where the scene is known, by which :func:`fenics_crack.curve` has them all.
-    at_end : bool
-        True if it is the first or the last point of the curve: no peak, as the response is still
-        rising there.
     """
 
-    index: int
-    value: float
     omega: float
-    amplitude: float
     error: float
     verdict: str
     damping: float
     omega_error: float = math.nan
     without: str = "without the mesh"
-    at_end: bool = False
 
     @property
     def frequency(self) -> float:

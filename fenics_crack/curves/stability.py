@@ -65,15 +65,8 @@ def monodromy(
     """M over one period of a wave, from phase zero: (2 n_modes, 2 n_modes); of a small structure.
 
     ``gap`` are the coefficients of the wave, (2H+1, n_pairs) [m], of the slow gap where pairs are
-    seen through what modes beyond ``static_above`` [rad/s] answer; ``base_omega`` [rad/s] is its
-    frequency.
-
-    Raises
-    ------
-    ConvergenceError
-        It is not found.
-    InputError
-        The law's tangent is not the slope of its force along the wave.
+    seen through what modes beyond ``static_above`` [rad/s] answer. Raises ConvergenceError where M
+    is not found, InputError where the law's tangent is not the slope of its force along the wave.
     """
     modes = all_modes(structure).below(static_above)
     seen = sampled(gap, 4 * len(gap))
@@ -329,23 +322,8 @@ def _same(one: PeriodicOrbit | None, other: PeriodicOrbit | None) -> bool:
 
 def from_rest(solution: PeriodicSolution) -> Attractor | None:
     """Follow the exact motion from rest, for as long as the search of an orbit follows one, to see
-    whether it settles to another motion than a solution (collective).
-
-    Parameters
-    ----------
-    solution : PeriodicSolution
-        Whose structure, law and load are taken.
-
-    Returns
-    -------
-    Attractor or None
-        Where the motion goes; None where there is no exact flow, or more than 120 modes.
-
-    Examples
-    --------
-    >>> motion = from_rest(solution)
-    >>> settled = motion is not None and motion.orbit is not None
-    """
+    whether it settles to another motion than a solution (collective); None where there is no exact
+    flow, or more than 120 modes."""
     flow = solution.assessment.flow
     if flow is None or flow.size > FORMED:
         return None

@@ -323,9 +323,9 @@ def test_folds_of_a_stiff_curve() -> None:
     folds = growing.curve.bifurcations
     assert len(folds) == 16
     for fold in folds:
-        parameter = family.parameter(fold.value)
-        tangent = tangent_of(family, fold.unknown, family.linearise(fold.unknown, parameter))
-        start = PathPoint(fold.unknown, parameter, 0, tangent)
+        parameter, unknown = family.parameter(fold.value), fold.point.unknowns[0]
+        tangent = tangent_of(family, unknown, family.linearise(unknown, parameter))
+        start = PathPoint(unknown, parameter, 0, tangent)
         sides = [must(step_along(family, start, step, 1e-11)) for step in (1e-5, 2e-5)]
         assert abs(tangent.p) < 1e-5
         # p leaves the fold with the square of the distance.

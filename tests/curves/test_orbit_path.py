@@ -15,7 +15,7 @@ from rotating import cracked
 import fenics_crack as fc
 from fenics_crack.curves.growing import branch_start
 from fenics_crack.curves.orbit_continuation import OrbitContinuation
-from fenics_crack.curves.orbit_events import FLOOR, MultiplierControl, changes, observe
+from fenics_crack.curves.orbit_events import LEAST, MultiplierControl, changes, observe
 from fenics_crack.curves.orbit_family import OrbitFamily
 from fenics_crack.motion.flow import exact_flow
 from fenics_crack.motion.orbit import PeriodicOrbit, find_orbit
@@ -344,8 +344,8 @@ def test_what_counts_as_a_change(before: Any, after: Any, expected: tuple[int, .
     [
         ((-0.5, -0.45, -0.4), (0.0, 1.0, 1.0), (False, False)),
         ((-0.5, -0.1, 0.3), (0.0, 1.0, 1.0), (True, True)),  # more than half of its distance
-        ((-0.5, -0.5, -0.52), (0.0, FLOOR / 2, FLOOR / 2), (False, False)),
-        ((-0.5, -0.1, 0.3), (0.0, FLOOR / 2, FLOOR / 2), (False, False)),  # not below the floor
+        ((-0.5, -0.5, -0.52), (0.0, LEAST / 2, LEAST / 2), (False, False)),
+        ((-0.5, -0.1, 0.3), (0.0, LEAST / 2, LEAST / 2), (False, False)),  # not below the floor
         ((-0.06, -0.08, -0.06), (0.0, 1.0, 1.0), (False, True)),  # not as it came
         ((-0.06, -0.08, -0.16), (0.0, 1.0, 2.0), (False, True)),  # by as much
     ],
