@@ -31,9 +31,9 @@ With a given damping matrix, or that of Rayleigh damping, the real form of twice
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 import scipy.linalg
@@ -137,40 +137,6 @@ class DynamicStiffness:
         self.destroy()
 
 
-class Compliance(Protocol):
-    """Compliance of a structure at the multiples 0 to H of a base frequency.
-
-    Attributes
-    ----------
-    shape : tuple of int
-        (2H+1, n_pairs)
-    matrices : (H+1, n_pairs, n_pairs) complex [m/N]
-        R_k, symmetric.
-    linear_gap : (2H+1, n_pairs) [m]
-        Gap without contact, less the clearance.
-    basis : (n_pairs, n) or None
-        Orthonormal basis of the gaps that the modes can make; None where these are all gaps.
-    """
-
-    shape: tuple[int, ...]
-    basis: np.ndarray | None
-
-    @property
-    def matrices(self) -> np.ndarray: ...
-
-    @property
-    def linear_gap(self) -> np.ndarray: ...
-
-    def beyond(self, highest: int) -> np.ndarray:
-        """R_k for k = H+1 to a higher harmonic, to the accuracy of an error estimate."""
-
-    def displacement(self, force: np.ndarray) -> np.ndarray:
-        """u = A^-1 (c - B lambda) of contact forces (2H+1, n_pairs): (2H+1, n_local)."""
-
-    def destroy(self) -> None:
-        """Free what is held (collective)."""
-
-
 def dynamic_compliance(
     structure: Structure, base_omega: float, harmonics: int, subharmonic: int = 1
 ) -> Compliance:
@@ -226,6 +192,14 @@ class ModalCompliance:
 
     Attributes
     ----------
+    shape : tuple of int
+        (2H+1, n_pairs)
+    matrices : (H+1, n_pairs, n_pairs) complex [m/N]
+        R_k, symmetric.
+    linear_gap : (2H+1, n_pairs) [m]
+        Gap without contact, less the clearance.
+    basis : (n_pairs, n) or None
+        Orthonormal basis of the gaps that the modes can make; None where these are all gaps.
     still_gap : (2H+1, n_pairs) [m]
         The part of the linear gap that no mode makes.
     """
@@ -259,12 +233,10 @@ class ModalCompliance:
 
     @cached_property
     def matrices(self) -> np.ndarray:
-        """R_k: (H+1, n_pairs, n_pairs) complex [m/N]."""
         return self._seen(self._receptance)
 
     @cached_property
     def linear_gap(self) -> np.ndarray:
-        """Gap without contact, less the clearance: (2H+1, n_pairs) [m]."""
         return self._gap(self._modal_load) + self.still_gap
 
     def at(
@@ -279,7 +251,7 @@ class ModalCompliance:
         return other
 
     def beyond(self, highest: int) -> np.ndarray:
-        """R_k for k = H+1 to ``highest``."""
+        """R_k for k = H+1 to a higher harmonic."""
         order = np.arange(len(self.matrices), highest + 1)
         nowhere: np.ndarray = np.zeros((len(order), len(self._modes.squares)), dtype=bool)
         found = self._modes.receptance(self._base * order, self._damping, nowhere)
@@ -291,7 +263,7 @@ class ModalCompliance:
         return found if self._modes.residual is None else found + self._modes.residual
 
     def displacement(self, force: np.ndarray) -> np.ndarray:
-        """u = A^-1 (c - B lambda)."""
+        """u = A^-1 (c - B lambda) of contact forces (2H+1, n_pairs): (2H+1, n_local)."""
         found = from_complex(-self._moved(force) @ self._modes.shapes.T)
         return found if self._unit_static is None else found + self._at_once(force)
 
@@ -355,6 +327,8 @@ class ModalCompliance:
 class FactoredCompliance:
     """Exact, from one sparse factorisation per harmonic; the factors are kept.
 
+    Attributes are those of :class:`ModalCompliance`, and
+
     Attributes
     ----------
     structure : Structure
@@ -407,19 +381,20 @@ class FactoredCompliance:
         collect_garbage(self.structure.comm)
 
 
-class ResizedCompliance:
-    """A compliance with fewer harmonics, or with more, the new ones to the accuracy of an error
-    estimate."""
+Compliance = ModalCompliance | FactoredCompliance
+"""At the multiples 0 to H of a base frequency."""
 
-    def __init__(self, compliance: Compliance, harmonics: int) -> None:
-        self.matrices = compliance.matrices[: harmonics + 1]
-        if len(self.matrices) <= harmonics:
-            self.matrices = np.concatenate([self.matrices, compliance.beyond(harmonics)])
-        self.linear_gap = resized(compliance.linear_gap, harmonics)
-        self.shape = self.linear_gap.shape
-        self.basis = compliance.basis
-        self.beyond = compliance.beyond
-        self.displacement, self.destroy = compliance.displacement, compliance.destroy
+
+def resized_compliance(compliance: Compliance, harmonics: int) -> Compliance:
+    """The same with fewer harmonics, or with more, the new ones to the accuracy of an error
+    estimate; displacements stay those of the harmonics that it had."""
+    other = copy(compliance)
+    matrices = compliance.matrices[: harmonics + 1]
+    if len(matrices) <= harmonics:
+        matrices = np.concatenate([matrices, compliance.beyond(harmonics)])
+    other.matrices, other.linear_gap = matrices, resized(compliance.linear_gap, harmonics)
+    other.shape = other.linear_gap.shape
+    return other
 
 
 def _basis(structure: Structure) -> np.ndarray:

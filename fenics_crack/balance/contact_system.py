@@ -45,7 +45,7 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.compliance import Compliance, ModalPart, ResizedCompliance
+from fenics_crack.balance.compliance import Compliance, ModalPart, resized_compliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, CoupledIntegrals, respond
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.kernel import Struct, kernel, owned, pointer, shaped
@@ -191,7 +191,7 @@ class ContactSystem:
 
     def widened(self, harmonics: int) -> ContactSystem:
         """The same equations with more harmonics, to the accuracy of an error estimate."""
-        compliance = ResizedCompliance(self.compliance, harmonics)
+        compliance = resized_compliance(self.compliance, harmonics)
         return ContactSystem(compliance, self.integrals.widened(harmonics))
 
 
@@ -281,7 +281,7 @@ class Wave:
     displacement_coefficients: np.ndarray
     gap_coefficients: np.ndarray
     force_coefficients: np.ndarray
-    subharmonic: int = 1
+    subharmonic: int
     static_above: float | None = None
 
     @property

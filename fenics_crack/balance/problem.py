@@ -5,13 +5,10 @@ start gives guesses, and from each of them full Newton steps are taken, and then
 shortened steps lead from there:
 
 near       a given solution
-marched    a motion after 40, 160 and 520 periods of exponential steps in time: of pairs that are
-           seen through a static compliance (:mod:`contact_system`), where their law is piecewise
-           linear. Many harmonics come from a solution with few: twice as many from itself, more
-           from the exact orbit next to it, which is near whatever their number, or step by step
 fewer      the linear solution; with many unknowns or pairs that are seen through a static
-           compliance the solution with half the harmonics, which comes from that with half of
-           those, and so on
+           compliance (:mod:`contact_system`) the solution with half the harmonics, which comes
+           from that with half of those, and so on; many from the exact orbit next to a solution
+           with fewer, which is near whatever their number
 path       where the path of solutions in the softness in series with every pair has its end,
            followed by arc-length through its folds, from where the solution is unique and close to
            the linear one
@@ -36,9 +33,9 @@ import numpy as np
 
 from fenics_crack.balance.compliance import (
     Compliance,
-    ResizedCompliance,
     dynamic_compliance,
     load_coefficients,
+    resized_compliance,
 )
 from fenics_crack.balance.contact_integrals import (
     ContactIntegrals,
@@ -47,22 +44,15 @@ from fenics_crack.balance.contact_integrals import (
     contact_integrals,
 )
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, Wave, default_weight
-from fenics_crack.errors import (
-    MAX_SAMPLES,
-    ConvergenceError,
-    InputError,
-    check_count,
-    check_number,
-    check_omega,
-)
+from fenics_crack.errors import MAX_SAMPLES, InputError, check_count, check_number, check_omega
 from fenics_crack.kernel import kernel
 from fenics_crack.machine import machine_memory
 from fenics_crack.model.contact import ContactLaw, check_law, is_regular, is_rigid
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.flow import ExponentialFlow, flow_of
-from fenics_crack.motion.orbit import PeriodicOrbit, affordable, find_orbit
-from fenics_crack.motion.search import wave_states
+from fenics_crack.motion.flow import flow_of
+from fenics_crack.motion.orbit import affordable
+from fenics_crack.motion.search import SearchOptions, search_orbit, wave_states
 from fenics_crack.numerics.equations import (
     EPSILON,
     NEARLY_SOLVED,
@@ -70,7 +60,7 @@ from fenics_crack.numerics.equations import (
     Linearisation,
     least_residual,
 )
-from fenics_crack.numerics.fourier import balanced
+from fenics_crack.numerics.fourier import resized
 from fenics_crack.numerics.newton import (
     FULL_STEPS,
     STALL,
@@ -100,10 +90,6 @@ MATRICES = 4
 pairs at all instants."""
 COMPILED, INTERPRETED = 5000, 1000
 """Iterations of all starts together, with 300 unknowns in the kernel, and in Python: 5 to 8 s."""
-MARCHED, BALANCED = (40, 120, 360), 20
-"""Periods of a response that are marched for one guess after the other, and harmonics of the load
-that are balanced from there: with fewer, 10 and 5, 6 of 36 solutions were not found, and with more
-the steps are dear that fail."""
 
 
 @dataclass(frozen=True)
@@ -395,8 +381,6 @@ class Search:
         for start in starts:
             yield "full Newton steps", self._near(system, start)
         if problem is not None:
-            if system.integrals.coupled and system.integrals.exact:
-                yield "from a marched motion", self._marched(problem)
             many = system.residual is not None or system.size > kernel.MANY
             enough = problem.subharmonic if many else problem.harmonics
             counts = halved(problem.harmonics, enough)
@@ -414,77 +398,44 @@ class Search:
         if point is not None:
             yield point.unknown
 
-    def _climb(
-        self, problem: Problem, counts: list[int], at: ContactPoint | None = None
-    ) -> Iterator[np.ndarray]:
-        """Guesses for the last of some numbers of harmonics: with each of them the solution of the
-        one before, the first from a given one, or the linear one; where one is not found it is left
-        out."""
+    def _climb(self, problem: Problem, counts: list[int]) -> Iterator[np.ndarray]:
+        """Guesses for the last of some numbers of harmonics: the solution with the number before,
+        for the first the linear one; where one is not found it is left out."""
+        many = SearchOptions.harmonics[-1] * problem.subharmonic
+        at: ContactPoint | None = None
         for count in counts:
-            system = self.system
+            if count > many:
+                yield from self._next_to_orbit(problem, at)
+            system, before = self.system, self.iterations
             if count != counts[-1]:
-                few = ResizedCompliance(system.compliance, count)
+                few = resized_compliance(system.compliance, count)
                 system = problem.with_harmonics(count).system(few)
             start = system.linear if at is None else system.slow(at.gap, at.force)
-            guesses = self._near(system, start)
-            if count == counts[-1]:
-                yield from guesses
-            else:
-                at = self._nearly(system, guesses) or at
+            for guess in self._near(system, start):
+                if system is self.system:
+                    yield guess
+                elif (found := self._steps(system, guess, NEARLY_SOLVED)) is not None:
+                    at = system.linearise(found.unknown)
+                    break
+            if system is not self.system:  # these cost little
+                self._most += self.iterations - before
+        if self.system.integrals.coupled and counts[-1] <= many:
+            yield from self._next_to_orbit(problem, at)
 
-    def _nearly(self, system: ContactSystem, guesses: Iterator[np.ndarray]) -> ContactPoint | None:
-        """Where full steps lead from one of some guesses; None where they do not arrive."""
-        for guess in guesses:
-            found = self._steps(system, guess, NEARLY_SOLVED)
-            if found is not None:
-                return system.linearise(found.unknown)
-        return None
-
-    def _marched(self, problem: Problem) -> Iterator[np.ndarray]:
-        """The slow gap of a motion after more and more periods; or of the exact orbit next to the
-        solution with few harmonics that it leads to."""
-        few, *more = halved(problem.harmonics, BALANCED * problem.subharmonic)
-        lowest = problem.with_harmonics(few)
-        if not more:
-            yield from self._slow_gaps(self.system, lowest)
+    def _next_to_orbit(self, problem: Problem, at: ContactPoint | None) -> Iterator[np.ndarray]:
+        """The slow gap of the exact orbit next to a solution with fewer harmonics, or from rest;
+        where it does not take long to find."""
+        flow = flow_of(problem.structure, problem.contact)
+        omega, periods, guesses = problem.omega, problem.subharmonic, list[np.ndarray]()
+        if flow is None or not affordable(flow, omega, periods):
             return
-        system = lowest.system(lowest.compliance())
-        at = self._nearly(system, self._slow_gaps(system, lowest))
-        if at is None:
-            return
-        climb = self._climb(problem, more, at)
-        orbit = self._next_to_orbit(lowest, at)
-        for way in (orbit, climb) if len(more) > 1 else (climb, orbit):
-            yield from way
-
-    def _next_to_orbit(self, lowest: Problem, at: ContactPoint) -> Iterator[np.ndarray]:
-        """The slow gap of the exact orbit next to a solution with few harmonics."""
-        orbit = _orbit_next_to(lowest, at)
+        if at is not None:
+            moved = self.system.compliance.displacement(resized(at.force, problem.harmonics))
+            guesses.append(wave_states(flow, moved, problem.base_omega))
+        orbit = search_orbit(flow, omega, guesses, periods, any_other=False).orbit
         if orbit is not None:
-            known = orbit.coefficients(self.system.integrals.harmonics)
+            known = orbit.coefficients(problem.harmonics)
             yield from self._near(self.system, self.system.slow(known.gap, known.force))
-
-    def _slow_gaps(self, system: ContactSystem, problem: Problem) -> Iterator[np.ndarray]:
-        """Of a motion that is marched."""
-        harmonics, periods = problem.harmonics, problem.subharmonic
-        steps = 1 << max(8, (4 * harmonics // periods).bit_length())
-        try:
-            flow = ExponentialFlow(
-                problem.structure, problem.omega, problem.contact, steps,
-                static_above=problem.cutoff,
-            )  # fmt: skip
-            state = flow.steady[0]
-            for more in MARCHED:
-                with np.errstate(all="ignore"):  # of motions that run away
-                    state = flow.advance(state, more * periods).states[-1]
-                    last = flow.advance(state, periods)
-                    assert system.residual is not None
-                    slow = last.gap + last.forces[:-1] @ system.residual
-                if not np.all(np.isfinite(slow)):
-                    return
-                yield from self._near(system, balanced(slow, harmonics))
-        except ConvergenceError:
-            return
 
     def _path(self) -> Iterator[np.ndarray]:
         """The end of the path in the softness; one that goes as far beyond is left."""
@@ -510,16 +461,6 @@ def halved(harmonics: int, enough: int) -> list[int]:
     while counts[0] > enough:
         counts.insert(0, max((counts[0] + 1) // 2, enough))
     return counts
-
-
-def _orbit_next_to(problem: Problem, at: ContactPoint) -> PeriodicOrbit | None:
-    """The exact orbit next to a solution, where it does not take long to find."""
-    flow = flow_of(problem.structure, problem.contact)
-    omega, periods = problem.omega, problem.subharmonic
-    if flow is None or not affordable(flow, omega, periods):
-        return None
-    states = wave_states(flow, problem.wave(at).displacement_coefficients, problem.base_omega)
-    return find_orbit(flow, omega, states[0], subharmonic=periods)
 
 
 def rounding_left(compliance: Compliance, law: ContactLaw) -> float:

@@ -145,6 +145,7 @@ class Backbone(Tabular):
             rows,
             gap,
             integrals.force(gap),
+            subharmonic=1,
             status="point of a backbone",
             iterations=int(self.iterations[index]),
             report=self._report(index),

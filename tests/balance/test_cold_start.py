@@ -1,11 +1,10 @@
 """Solutions from a cold start, and the paths that lead to them."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers import oscillator, true_error, wrap
+from helpers import oscillator
 
 import fenics_crack as fc
 
@@ -39,7 +38,7 @@ def test_bilinear_oscillator(stiffness: float, harmonics: int) -> None:
 
 def test_breathing_plate(breathing_plate: fc.Structure, monkeypatch: pytest.MonkeyPatch) -> None:
     """18 pairs on the reduced structure, soft and stiff, H = 5 and 10, at and above resonance: from
-    fewer harmonics, a marched motion, and by the path in the softness. Errors are not estimated."""
+    fewer harmonics, and by the path in the softness. Errors are not estimated."""
     unknown = "fenics_crack.balance.solution.estimate_errors"
     monkeypatch.setattr(unknown, lambda *_, **__: fc.ErrorReport())
     reduced = fc.reduce_structure(breathing_plate)
@@ -180,22 +179,6 @@ def test_each_start_is_needed(
     assert not without.converged or without.iterations > 2 * found.iterations, without.status
 
 
-def test_a_motion_that_runs_away_is_no_guess() -> None:
-    """Five masses in a row, two with stops a thousand times stiffer than a spring: the march ends
-    where numbers do, and the next start finds the solution."""
-    stiffness = 2.0 * np.eye(5) - np.eye(5, k=1) - np.eye(5, k=-1)
-    stiffness[-1, -1] = 1.0
-    damping = fc.RayleighDamping(0.006, 0.0)
-    ends = np.eye(5)[:, :2:-1]
-    structure = fc.Structure.from_matrices(
-        np.eye(5), stiffness, ends, force_sin=0.1 * ends[:, 0], damping=damping
-    )
-    law = fc.UnilateralPenalty(1000.0)
-    solution = fc.solve_harmonic_balance(structure, 0.15, law, harmonics=5)
-    assert solution.status.startswith("from a marched motion: failed")
-    assert solution.converged and solution.report.residual < 1e-9
-
-
 def test_a_search_ends_and_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     """294 unknowns, hardly damped, by a quarter of the iterations: what was tried, what to do."""
     monkeypatch.setattr("fenics_crack.balance.problem.COMPILED", 1250)
@@ -212,25 +195,3 @@ def test_a_search_ends_and_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> N
         "more damping, or a solution nearby as initial"
     )
     assert solution.iterations < 1250 * (300 / 294) ** 2 + 20
-
-
-def test_many_harmonics_come_from_the_orbit(
-    soft_plate: fc.Structure, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """H = 80: near the exact orbit that is next to the solution with 20, which is the solution's
-    own; without it from 20, 40, and so on to the same solution."""
-    plate = fc.reduce_structure(soft_plate, modes=10, method="massless")
-    tried: list[object] = []
-
-    def searched(search: Callable[..., object], *given: Any) -> object:
-        tried.append(search(*given))
-        return tried[-1]
-
-    wrap(monkeypatch, "fenics_crack.balance.problem._orbit_next_to", searched)
-    law = fc.UnilateralConstraint()
-    solution = fc.solve_harmonic_balance(plate, 2000.0, law, harmonics=80)
-    assert solution.converged and solution.assessment.orbit is not None
-    monkeypatch.setattr("fenics_crack.balance.problem.affordable", lambda *_: False)
-    other = fc.solve_harmonic_balance(plate, 2000.0, law, harmonics=80)
-    assert tried.pop() is None and "from a marched motion: converged" in other.status
-    assert true_error(other, solution) < 1e-8

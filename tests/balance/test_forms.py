@@ -201,8 +201,9 @@ def test_the_report_reveals_spurious_solutions() -> None:
     reported, strayed = [], []
     for gap in newton_roots(duffing_system(1, 3)):
         there = fc.PeriodicSolution(
-            structure, 2.0, law, start.displacement_coefficients, gap, start.force_coefficients
-        )
+            structure, 2.0, law, start.displacement_coefficients, gap, start.force_coefficients,
+            subharmonic=1,
+        )  # fmt: skip
         spurious = solve_form(problem, balance="collocation", initial=there)
         assert spurious.converged and spurious.iterations == 0
         reported.append(spurious.report.sampling)
