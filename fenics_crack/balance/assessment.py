@@ -28,6 +28,7 @@ from fenics_crack.motion.orbit import (
     too_slow,
 )
 from fenics_crack.motion.search import wave_states
+from fenics_crack.numerics.equations import NEARLY_SOLVED
 from fenics_crack.numerics.newton import relative_to_motion
 from fenics_crack.table import percent
 
@@ -35,8 +36,6 @@ MAX_ERROR, MAX_RATIO = 0.1, 3.0
 """Of the nearest orbit that is the solution's own: largest predicted error and distance, and
 largest ratio of these. On 680 solutions of 170 systems 99 % of chains, 83 % of plates and 79 % of
 stiff chains have a prediction within half to twice the distance."""
-UNSOLVED = 1e-4
-"""A distance that is none: equations are solved to a part of all the motion, means with it."""
 
 
 class Assessment:
@@ -125,7 +124,7 @@ class Assessment:
         """Whether the orbit is the solution's own."""
         if self.own is not None:
             return True
-        near = self.distance <= max(MAX_RATIO * self.predicted_error, UNSOLVED)
+        near = self.distance <= max(MAX_RATIO * self.predicted_error, NEARLY_SOLVED)
         return bool(near and max(self.predicted_error, self.distance) <= MAX_ERROR)
 
     def errors(self, *, search: bool = True) -> tuple[float, float]:

@@ -23,7 +23,6 @@ harmonics as bring the estimated error down.
 from __future__ import annotations
 
 import contextlib
-import math
 from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -33,7 +32,7 @@ import numpy as np
 
 from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
-from fenics_crack.balance.error_report import SLIGHT, ErrorReport, beside
+from fenics_crack.balance.error_report import ErrorReport, beside
 from fenics_crack.balance.more_modes import UNKNOWN
 from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver
@@ -54,7 +53,7 @@ from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ContactFlow, exact_flow, flow_of
-from fenics_crack.motion.orbit import INSTANTS, OrbitCoefficients, PeriodicOrbit, affordable
+from fenics_crack.motion.orbit import FORMED, INSTANTS, OrbitCoefficients, PeriodicOrbit, affordable
 from fenics_crack.motion.search import PARTS, OrbitSearch, SearchOptions, search_orbit
 from fenics_crack.numerics.fourier import from_complex, resized, to_complex
 from fenics_crack.numerics.newton import relative_to_motion
@@ -106,7 +105,7 @@ def _without_contact(structure: Structure, omega: float, harmonics: int) -> Peri
     displacement = from_complex(amplitude)
     gap = structure.apply_bt(displacement)
     gap[0] -= structure.clearance
-    return PeriodicSolution(structure, omega, None, displacement, gap, np.zeros_like(gap))
+    return PeriodicSolution(structure, omega, None, displacement, gap, np.zeros_like(gap), 1)
 
 
 def linear_response(
@@ -201,9 +200,8 @@ def solve_harmonic_balance(
     harmonics : int, optional
         H; default: 5, or what ``tolerance`` asks for.
     initial : PeriodicSolution, optional
-        Where Newton starts; default: the linear solution, or a marched motion where pairs are seen
-        through a static compliance. May have other harmonics, and a subharmonic that divides that
-        of the response.
+        Where Newton starts; default: the linear solution. May have other harmonics,
+        and a subharmonic that divides that of the response.
     tolerance : float, optional
         Choose H, 5 times ``subharmonic`` or more, and for a structure with many dofs the modes of a
         reduction, so that the error (:class:`ErrorReport`) is below this; the solution's status
@@ -284,11 +282,8 @@ def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
         )
 
 
-FIRST_MODES, MAX_MODES = 10, 100
-"""Modes with which a large structure is tried first, and at most."""
-SAFETY = 0.7
-"""Part of what modes leave of a tolerance that harmonics may take: forces and K are known less well
-than gaps. A part SLIGHT of the modes' error is not worth any."""
+FIRST_MODES = 10
+"""Modes with which a large structure is tried first; at most as many as exact orbits may have."""
 MAX_HARMONICS = 500
 """That are solved for, or kept of an orbit, for each period of the load."""
 
@@ -301,8 +296,8 @@ def solve_to_tolerance(
     reduced_to: Callable[[int], Structure] | None = None,
     modes: int = FIRST_MODES,
 ) -> PeriodicSolution:
-    """The solution with the fewest modes and harmonics that meet a tolerance, no fewer harmonics
-    than the problem has; else the best one, or the error that says how far it is from what was
+    """The solution with few modes and harmonics that meet a tolerance, no fewer harmonics than the
+    problem has; else the best one, or the error that says how far it is from what was
     asked for.
 
     ``reduced_to`` gives the structure with so many modes (collective), which are as many as
@@ -311,7 +306,7 @@ def solve_to_tolerance(
     whole = solver.problem.structure
     if reduced_to is None and not (is_small(whole) or isinstance(whole, ReducedStructure)):
         reduced_to = partial(_without_mass, whole)
-    most = min(max(modes, MAX_MODES), whole.n_dofs)
+    most = min(max(modes, FORMED // 2), whole.n_dofs)
     best = last = None
     while True:
         if reduced_to is not None:
@@ -365,8 +360,9 @@ def _without_mass(whole: Structure, modes: int) -> Structure:
 
 
 def _goal(tolerance: float, reduction: float) -> float:
-    """What harmonics and samples may leave out."""
-    return min(max(SAFETY * (tolerance - reduction), SLIGHT * reduction), tolerance)
+    """What harmonics and samples may leave out: half the tolerance, or what modes leave of it."""
+    left = tolerance - reduction
+    return min(left, tolerance / 2.0) if left > 0.0 else tolerance / 2.0
 
 
 def _told(solver: Solver, found: PeriodicSolution, tolerance: float) -> PeriodicSolution:
@@ -412,11 +408,9 @@ def _solved(solver: Solver, tolerance: float, initial: PeriodicSolution | None) 
         way = f"{found.reason}, from H = {balanced[-1].harmonics}" if balanced else found.reason
         return replace(kept, status=way + _told_of_others(found), others=found.others)
     if balanced:
-        few = replace(solver, problem=problem.with_harmonics(balanced[-1].harmonics))
-        near = few.reported(balanced[-1])
-    else:
-        few, near = solver, _begun(solver, problem).solve(initial)
-    near = _by_harmonics(few, tolerance, near)
+        initial = balanced[-1]
+        problem = problem.with_harmonics(initial.harmonics)
+    near = _by_harmonics(solver, tolerance, _begun(solver, problem).solve(initial))
     tried = ", ".join(str(count * problem.subharmonic) for count in SearchOptions.harmonics)
     return replace(
         near, status=f"no exact orbit found from H = {tried}; {found.reason}; {near.status}"
@@ -545,28 +539,18 @@ def _lost(problem: Problem, found: PeriodicSolution) -> tuple[float, float]:
 def _by_harmonics(solver: Solver, tolerance: float, found: PeriodicSolution) -> PeriodicSolution:
     """The best solution, with as many harmonics as bring the estimated error of one down."""
     best = found
-    while found.converged and (finer := _finer(solver.problem, found.report, tolerance)):
-        solver = _begun(solver, finer)
-        found = solver.attempt(found, wholly=False)[1]
+    while found.converged and not _enough(found, tolerance):
+        harmonics = min(2 * found.harmonics, MAX_HARMONICS)
+        finer = _begun(solver, solver.problem.with_harmonics(harmonics))
+        found = finer.attempt(found, wholly=False)[1]
         if found.converged and found.report.total < best.report.total:
             best = found
     return best
 
 
-def _finer(problem: Problem, report: ErrorReport, tolerance: float) -> Problem | None:
-    """The problem with more harmonics, and the samples that go with them; None where no more are
-    needed, or allowed."""
-    harmonics, goal = problem.harmonics, _goal(tolerance, report.reduction)
-    left = report.truncation + report.sampling
-    unknown = left >= UNKNOWN and harmonics >= SearchOptions.harmonics[-1] * problem.subharmonic
-    more = None if unknown else more_harmonics(harmonics, left, goal)
-    return None if more is None else problem.with_harmonics(more)
-
-
-def more_harmonics(count: int, truncation: float, tolerance: float) -> int | None:
-    """As many harmonics as an error that falls like H^-3 asks for; None where these are enough, or
-    the most."""
-    if truncation <= tolerance or count >= MAX_HARMONICS:
-        return None
-    factor = min(2.0, 1.1 * (truncation / tolerance) ** (1.0 / 3.0))
-    return min(MAX_HARMONICS, math.ceil(factor * count))
+def _enough(found: PeriodicSolution, tolerance: float) -> bool:
+    """Whether no more harmonics are needed, or allowed; samples go with them."""
+    left = found.report.truncation + found.report.sampling
+    unknown = left >= UNKNOWN and found.harmonics >= SearchOptions.harmonics[-1] * found.subharmonic
+    enough = left <= _goal(tolerance, found.report.reduction)
+    return enough or unknown or found.harmonics >= MAX_HARMONICS

@@ -37,6 +37,7 @@ from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import check_slope, is_unilateral
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.motion.orbit import PeriodicOrbit
+from fenics_crack.motion.search import SearchOptions
 from fenics_crack.numerics.fourier import evaluate, resized, sampled
 from fenics_crack.table import Described, Tabular, counted, quantity, with_frequency
 
@@ -164,10 +165,6 @@ def contact_extremes(
     }
 
 
-IN_PART = 0.25
-"""Of a search's iterations, where other ways are left."""
-
-
 @dataclass(frozen=True, repr=False)
 class Stability(Described):
     """Floquet multipliers and what follows from them.
@@ -207,18 +204,9 @@ class Stability(Described):
     def to_dict(self) -> dict[str, Any]:
         """The verdict, and the multiplier of largest modulus."""
         largest = complex(self.multipliers[0])
-        return {
-            "verdict": self.verdict,
-            "modulus": abs(largest),
-            "real": largest.real,
-            "imaginary": largest.imag,
-            "uncertainty": float(self.uncertainty),
-            "refined": self.refined,
-            "distance": float(self.distance),
-            "reason": self.reason,
-            "from_rest": self.from_rest,
-            "rest_amplitude": float(self.rest_amplitude),
-        }
+        found = {"verdict": self.verdict, "modulus": abs(largest)}
+        found |= {"real": largest.real, "imaginary": largest.imag}
+        return found | {one.name: getattr(self, one.name) for one in fields(self)[2:]}
 
     def _title(self) -> str:
         because = f" ({self.reason})" if self.reason else ""
@@ -298,14 +286,7 @@ class PeriodicSolution(Wave, Described):
         """Half the peak-to-peak displacement of a dof, or of the watched one [m] (collective)."""
         if self.still:
             return 0.0
-        if self.residual is None:
-            return float(np.ptp(self.displacement(self.instants(), [dof])) / 2.0)
-        return float(np.ptp(self.structure.values_at(self._coordinates, [dof])) / 2.0)
-
-    @cached_property
-    def _coordinates(self) -> np.ndarray:
-        """Those of the structure over the period, by which all dofs move."""
-        return self.coordinates(self.instants())
+        return float(np.ptp(self.displacement(self.instants(), [dof]))) / 2.0
 
     def indicators(self, dof: int | None = None) -> Indicators:
         """What a dof, or the watched one, and the lips show of a breathing crack (collective)."""
@@ -350,10 +331,7 @@ class PeriodicSolution(Wave, Described):
     def displacement_field(self, time: np.ndarray) -> np.ndarray:
         """Displacement of the whole structure's dofs on this rank: (len(time), n_local) [m]
         (collective)."""
-        if self.residual is not None:
-            return self.structure.expand(self.coordinates(time))
-        rows = self.structure.expand(self.displacement_coefficients)
-        return evaluate(rows, self.base_omega, time)
+        return self.structure.expand(self.coordinates(time))
 
     def instants(self) -> np.ndarray:
         """Equally spaced times [s] over the period, at which extremes are looked for: 1024, or 8 H
@@ -464,21 +442,12 @@ class Solver:
         estimated unless they are not asked for."""
         with self.compliance() as compliance:
             problem = self.problem.weighted(compliance)
-            share = 1.0 if wholly else IN_PART
+            share = 1.0 if wholly else 1.0 / len(SearchOptions.harmonics)
             search, at = replace(self, problem=problem).find(compliance, initial, share)
             found = solution_of(
                 problem, at, status=search.status, converged=search.converged, reported=reported
             )
             return search, replace(found, iterations=search.iterations)
-
-    def reported(self, found: PeriodicSolution) -> PeriodicSolution:
-        """A solution with its estimated errors, which were not asked for (collective)."""
-        with self.compliance() as compliance:
-            problem = self.problem.weighted(compliance)
-            system = problem.system(compliance)
-            start = system.slow(found.gap_coefficients, found.force_coefficients)
-            at = system.linearise(start)
-            return replace(found, report=estimate_errors(at, found.assessment, problem))
 
     @contextmanager
     def compliance(self) -> Iterator[Compliance]:
