@@ -94,15 +94,10 @@ def solve_form(
 class _FullSolver(Solver):
     """All degrees of freedom."""
 
-    @contextmanager
-    def compliance(self) -> Iterator[FactoredCompliance]:
+    def compliance(self) -> FactoredCompliance:
         """From factorisations, which the full form needs."""
         problem = self.problem
-        found = FactoredCompliance(problem.structure, problem.base_omega, problem.load)
-        try:
-            yield found
-        finally:
-            found.destroy()
+        return FactoredCompliance(problem.structure, problem.base_omega, problem.load)
 
     def find(
         self, compliance: Compliance, initial: fc.PeriodicSolution | None, share: float = 1.0

@@ -7,12 +7,10 @@ opens them by the linear gap,
 
 so that the gap's harmonics solve g + R lambda(g) = g_lin exactly, whatever lies behind R. Small
 structures, reduced ones among them, answer in closed form from all of their modes; large ones by
-one sparse factorisation for each harmonic. Both give the displacement anywhere once lambda is
-known.
+one sparse factorisation for each harmonic.
 
-With modal damping C is dense and never formed: Z = K - omega^2 M + i omega C is inverted as it is.
-One real symmetric sparse factorisation, of D = K - omega^2 M, serves: with mass-normalised modes
-phi_j of natural frequency omega_j,
+With modal damping C is dense and never formed. One real symmetric sparse factorisation, of D = K -
+omega^2 M, serves: with mass-normalised modes phi_j of natural frequency omega_j,
 
     Z^-1 = D^-1 + Phi diag(1/(d_j + 2 i xi_j omega_j omega) - 1/d_j) Phi^T
 

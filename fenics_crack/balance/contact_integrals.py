@@ -3,12 +3,9 @@
     b_0 = 1/T int lambda dt,   b_k = 2/T int lambda cos(k w t) dt  or  sin(k w t)          (eq. 7)
 
 Two ways. *Sampled*: the trapezoidal rule on N instants; any law; the error falls like N^-2 because
-of the kinks, and the coefficients have corners where a sample changes its state. *Exact*: a law
-that is linear in contact is integrated in closed form between the switching instants; the
-coefficients are then continuously differentiable, and nothing is left to choose.
-
-In both the force is locally kappa(t) g(t), so that both tangents (eq. 14) consist of the same
-numbers, c_m and s_m, the means of kappa cos(m theta) and kappa sin(m theta): for rows and columns
+of the kinks. *Exact*: a law that is linear in contact is integrated in closed form between the
+switching instants. In both the force is locally kappa(t) g(t), so that both tangents (eq. 14)
+consist of c_m and s_m, the means of kappa cos(m theta) and kappa sin(m theta): for rows and columns
 i, j
 
     d a_i/d a_j:  c_{i-j} + c_{i+j}      d a_i/d b_j:  s_{i+j} - s_{i-j}
@@ -17,19 +14,15 @@ i, j
 a Toeplitz plus a Hankel matrix for each pair, with c_0, c_j, s_j in the row of the mean and 2 c_i,
 2 s_i in its column.
 
-Forces of pairs that a static compliance couples follow from the gaps of all, lambda(s). With S_A
-the stiffness of the set A of closed pairs (:mod:`fenics_crack.model.contact`), lambda = S_A(t)
-s(t): S is a matrix in time, and the coefficients of its product with a wave s of H harmonics need
-no more of it than its means
+Forces of pairs that a static compliance couples follow from the gaps of all: with S_A the stiffness
+of the set A of closed pairs (:mod:`fenics_crack.model.contact`), lambda = S_A(t) s(t). The
+coefficients of its product with a wave s of H harmonics need no more of S than its means
 
     S_m = 1/(2 pi) int S(theta) exp(i m theta) d theta,        m = 0 .. 2H.
 
-*Exact*: between two events the set A stays; at each of them one pair opens or closes, and S changes
-by a part of rank one. The kernel finds them in order, and the means are sums over them
-(``kernel/intervals.h``, ``coupled_forces.h``). *Sampled*, for a law that is not piecewise linear:
-S is the tangent at every sample. In both, T v is found on N > 4H instants, with S cut off after 2H
-harmonics, where products are exact: v to the instants, times S, and back. T as a matrix is needed
-for few unknowns only.
+*Exact*: the kernel finds the events at which a pair opens or closes, and the means are sums over
+them (``kernel/intervals.h``, ``coupled_forces.h``). *Sampled*: S is the tangent at every sample. In
+both, T v is found on N > 4H instants, with S cut off after 2H harmonics, where products are exact.
 """
 
 from __future__ import annotations
@@ -169,9 +162,8 @@ def default_samples(harmonics: int) -> int:
 class SampledIntegrals(ContactIntegrals):
     """Trapezoidal rule on N equally spaced instants, by the fast Fourier transform.
 
-    Forces are proportional to k, and a softness in series divides it by 1 + softness. N > 4 H is
-    the usual choice. N = 2H+1, as many instants as coefficients, is the least: the
-    equation of motion then holds at just these instants (collocation).
+    Forces are proportional to k, and a softness in series divides it by 1 + softness. N > 4 H;
+    N = 2H+1, as many instants as coefficients, is collocation.
     """
 
     samples: int

@@ -4,14 +4,12 @@
 
 with the compliance R of :mod:`compliance`, block diagonal in the harmonics, the static compliance
 R_inf through which contact is seen, and the coefficients b of the contact forces lambda(s), T their
-derivative. The gap is g = s - R_inf lambda(s). The same equation as the full block system's,
-multiplied by B^T A^-1: both have the same solutions. How the forces follow from s is a strategy:
+derivative. The gap is g = s - R_inf lambda(s). How the forces follow from s is a strategy:
 
 pair by pair   R_inf = 0, s = g: the penalty law of pairs by themselves (:mod:`contact_integrals`);
 coupled        R_inf couples the pairs. R_k - R_inf falls like k^-2: s is smooth, and only s is
-               truncated; g keeps its kinks. The slope of lambda(s) is bounded
-               by the inverse of R_inf, however stiff the contact: the penalty law and the
-               constraint are one law, with a stiffness or without;
+               truncated; g keeps its kinks. The penalty law and the constraint are one law, with a
+               stiffness or without;
 projected      without penetration at all, of pairs with mass: R_inf = I / eps in frequency, s = g +
                lambda / eps, lambda = eps max(s, 0) pair by pair, the dynamic Lagrangian. Truncated
                solutions depend a little on eps, less the more harmonics there are;
@@ -22,13 +20,10 @@ the gaps that modes can make, and steps are found in its coordinates:
 
     J^-1 r = r - U (I + R' U^T T U)^-1 R' U^T T r,       det J = det(I + R' U^T T U).
 
-With many coupled unknowns J is not formed: J v takes v to instants of the period and back, and
-GMRES needs some dozens of such products.
-
-With exact integrals paths are followed by the kernel (``kernel/contact.h``, ``compliance.h``):
-along p the contact stiffness grows like e^(growth p), g_lin linearly, the softness falls, or the
-base frequency and the damping of modes change, R and g_lin following from them. From 100 unknowns
-on solutions with J are found by products with it (``kernel/krylov.h``).
+With many coupled unknowns J is not formed: GMRES takes products J v. With exact integrals paths are
+followed by the kernel (``kernel/contact.h``, ``compliance.h``, ``krylov.h``): along p the contact
+stiffness grows like e^(growth p), g_lin linearly, the softness falls, or the base frequency and the
+damping of modes change, R and g_lin following from them.
 
 Sources: Nacivet, Pierre, Thouverez, Jezequel, Journal of Sound and Vibration 265 (2003) 201-219
 (projected); Monjaraz-Tec, Gross and Krack, arXiv 2111.07693 and 2207.00795 (coupled, in time),
@@ -183,10 +178,7 @@ class ContactSystem:
     def softened(self) -> ContactSystem:
         """The same equations, whose parameter starts where pairs hardly touch each other."""
         largest = float(np.abs(self.moving).sum(axis=2).max())
-        return self.with_softness(largest / (SOFT * self.integrals.unit))
-
-    def with_softness(self, softness: float) -> ContactSystem:
-        """The same equations, whose parameter starts at a softness."""
+        softness = largest / (SOFT * self.integrals.unit)
         return ContactSystem(self.compliance, self.integrals, softness)
 
     def widened(self, harmonics: int) -> ContactSystem:
@@ -357,30 +349,13 @@ class Wave:
 
 
 class CompiledEquations(Equations):
-    """F(s, p) = 0 of contact pairs.
+    """F(s, p) = 0 of contact pairs, from R_inf, 1/k (n_pairs,), g_lin (2H+1, n_pairs) without the
+    part of modes and R_k - R_inf, or what it follows from, at p = 0.
 
-    Parameters
-    ----------
-    residual : (n_pairs, n_pairs) [m/N] or None
-        R_inf.
-    springs : (n_pairs,) [m/N]
-        1 / k at p = 0.
-    linear : (2H+1, n_pairs) [m]
-        g_lin at p = 0, without the part of modes.
-    compliance : (H+1, n_pairs, n_pairs) complex or ModalPart
-        R_k - R_inf, or what it follows from.
-    coupled : bool
-        Whether R_inf has more than a diagonal.
-    basis : (n_pairs, n), optional
-        U where modes are fewer than coupled pairs.
-    formed : bool
-        Whether J is formed; else solutions take products with it, and its sign is nan.
-    linear_rate : (2H+1, n_pairs) [m], optional
-        d g_lin / dp, without the part of modes.
-    growth : float
-        d ln k / dp.
-    softness : float [m/N]
-        That in series with each pair is ``softness`` |1 - p|^3.
+    Along p grow g_lin by ``linear_rate`` and ln k by ``growth``; ``softness`` |1 - p|^3 [m/N] is in
+    series with each pair. ``coupled``: R_inf has more than a diagonal; ``basis``: U where modes are
+    fewer than coupled pairs; ``formed``: J is formed, else solutions take products with it, and its
+    sign is nan.
     """
 
     def __init__(
@@ -401,11 +376,15 @@ class CompiledEquations(Equations):
         pairs = self.shape[1]
         gaps = pairs if basis is None else basis.shape[1]
         at_once = np.zeros((pairs, pairs)) if residual is None else residual
+        rate = np.zeros_like(linear) if linear_rate is None else linear_rate
+        seen = Struct(
+            "seen_structure", linear=shaped(linear, *self.shape),
+            linear_rate=shaped(rate, *self.shape), **_given_compliance(self.shape, compliance),
+        )  # fmt: skip
         self._given = Struct(
-            "contact_pairs", seen=_seen_structure(linear, compliance, linear_rate), growth=growth,
-            softness=softness, coupled=coupled, residual=shaped(at_once, pairs, pairs),
-            springs=shaped(springs, pairs), seen_gaps=gaps, formed=formed,
-            basis=None if basis is None else shaped(basis, pairs, gaps),
+            "contact_pairs", seen=seen, growth=growth, softness=softness, coupled=coupled,
+            residual=shaped(at_once, pairs, pairs), springs=shaped(springs, pairs), seen_gaps=gaps,
+            formed=formed, basis=None if basis is None else shaped(basis, pairs, gaps),
         )  # fmt: skip
         self._point = owned(kernel.new_contact_point(self._given.at), kernel.free_contact_point)
         self.table = kernel.equations_of_contact(self._point)
@@ -473,29 +452,20 @@ class CompiledPoint(Linearisation):
         return float(at.sign(at))
 
 
-def _seen_structure(
-    linear: np.ndarray, compliance: np.ndarray | ModalPart, linear_rate: np.ndarray | None = None
-) -> Struct:
-    """What the kernel's equations share: g_lin and R along a parameter, of the arguments of
-    :class:`CompiledEquations`."""
-    rows, pairs = linear.shape
-    rate = np.zeros_like(linear) if linear_rate is None else linear_rate
+def _given_compliance(shape: tuple[int, ...], compliance: np.ndarray | ModalPart) -> dict[str, Any]:
+    """R_k - R_inf as the kernel takes it, of the arguments of :class:`CompiledEquations`."""
+    rows, pairs = shape
     known: dict[str, Any] = {"harmonics": rows // 2, "pairs": pairs}
-    if isinstance(compliance, ModalPart):
-        modes, of_each = len(compliance.squares), rows // 2 + 1
-        known["modes"] = modes
-        known["omega"], known["omega_rate"] = compliance.omega
-        known["damping"], known["damping_rate"] = compliance.damping
-        known["squares"] = shaped(compliance.squares, modes)
-        known["rates"] = shaped(compliance.rates, modes)
-        known["shapes"] = shaped(compliance.shapes, modes, pairs)
-        known["load"] = shaped(compliance.load, of_each, modes, kind=complex)
-        at_once = compliance.at_once
-        known["at_once"] = None if at_once is None else shaped(at_once, pairs, pairs)
-    else:
-        of_each = rows // 2 + 1
-        known["compliance"] = shaped(compliance, of_each, pairs, pairs, kind=complex)
-    return Struct(
-        "seen_structure", linear=shaped(linear, rows, pairs),
-        linear_rate=shaped(rate, rows, pairs), **known,
-    )  # fmt: skip
+    of_each = rows // 2 + 1
+    if not isinstance(compliance, ModalPart):
+        return known | {"compliance": shaped(compliance, of_each, pairs, pairs, kind=complex)}
+    modes, at_once = len(compliance.squares), compliance.at_once
+    known["modes"] = modes
+    known["omega"], known["omega_rate"] = compliance.omega
+    known["damping"], known["damping_rate"] = compliance.damping
+    known["squares"] = shaped(compliance.squares, modes)
+    known["rates"] = shaped(compliance.rates, modes)
+    known["shapes"] = shaped(compliance.shapes, modes, pairs)
+    known["load"] = shaped(compliance.load, of_each, modes, kind=complex)
+    known["at_once"] = None if at_once is None else shaped(at_once, pairs, pairs)
+    return known

@@ -11,13 +11,8 @@ J of F(g) = g + R b(g) - g_lin at the solution, and a disturbance d of b,
 - reduction: R lacks delta R, known from a larger basis: R d becomes delta R b - delta g_lin.
 
 Truncation is what the exact flow says of the solution (:mod:`assessment`); where that is not at
-hand it, and reduction where pairs are seen through a static compliance
-(:mod:`contact_system`), are what Newton's method changes with more harmonics, or with the modes of
-the larger basis. Where it does not settle the error is not known, which an estimate of 1 or more
-says.
-
-All are root mean squares over the period and the pairs, relative to that of B^T u, to which its
-means contribute no more than all else.
+hand it, and reduction where pairs are seen through a static compliance, are what Newton's method
+changes with more harmonics, or with the modes of the larger basis.
 
 Source of the test of the second step: Deuflhard, Newton Methods for Nonlinear Problems, 2004,
 section 2.1.1, with the monitor |simplified step| / |step|.
@@ -54,8 +49,7 @@ PARTS = ("truncation", "reduction", "sampling", "residual")
 """Of a total error; of those that are as large the first is told."""
 
 SLIGHT = 0.05
-"""Part of an error or of a tolerance that does not count: how well an error is estimated, and what
-of a tolerance is left to it where fewer harmonics may do."""
+"""How well an error is estimated: relative size of the second step."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -130,8 +124,8 @@ def estimate_errors(
 ) -> ErrorReport:
     """Estimate the errors of a solution, given as the equations there and by what the exact flow
     says of it; with ``search`` its orbit is looked for (collective)."""
-    structure, displacement = problem.structure, known.wave.displacement_coefficients
-    expanded = structure.apply_bt(displacement)
+    structure, wave = problem.structure, known.wave
+    expanded = structure.apply_bt(wave.displacement_coefficients)
     expanded[0] -= structure.clearance
 
     def relative(change: np.ndarray) -> float:
@@ -140,31 +134,26 @@ def estimate_errors(
     finer, sampling = at.system.integrals.finer(), 0.0
     if finer is not None:
         sampling = relative(at.gap_by_force(finer.force(at.unknown) - at.force))
-    changes, at_load = [], 0.0
     if known.affordable:
         # The distance of the orbit is what harmonics and samples leave out together.
         error, at_load = known.errors(search=search)
         truncation = UNKNOWN if error >= UNKNOWN else max(error - sampling, 0.0)
     else:
-        changes.append(beyond_truncation(at))
-        truncation = changes[0].relative_to(at, structure.clearance)
-    exactly = known.affordable and search and structure.light_lips
-    if exactly and truncation >= UNKNOWN:  # nor is what more modes make of the motion
-        reduction = UNKNOWN if isinstance(structure, ReducedStructure) else 0.0
-    elif exactly and known.more_modes is not None:
-        reduction, more_at_load = known.more_modes.changes
-        at_load += more_at_load
-    else:
-        changes.append(_lost_in_reduction(at, problem))
-        reduction = changes[-1].relative_to(at, structure.clearance)
-    at_load += _of_displacement(at, displacement, problem, changes)
+        truncation, at_load = beyond_truncation(at, wave)
+    exactly, lost = known.affordable and search and structure.light_lips, (0.0, 0.0)
+    if exactly and truncation < UNKNOWN and known.more_modes is not None:
+        lost = known.more_modes.changes
+    elif isinstance(structure, ReducedStructure):
+        # Nor is it known what more modes make of a motion that is not.
+        unknown = exactly and truncation >= UNKNOWN
+        lost = (UNKNOWN, UNKNOWN) if unknown else _lost_in_reduction(at, wave, problem)
     return ErrorReport(
         residual=max(relative(at.residual), relative(expanded - at.gap)),
         truncation=truncation,
         sampling=sampling,
-        reduction=reduction,
+        reduction=lost[0],
         penetration=relative(_penetration(at)),
-        displacement=min(at_load, UNKNOWN),
+        displacement=min(at_load + lost[1], UNKNOWN),
     )
 
 
@@ -184,70 +173,43 @@ def of_no_solution(at: ContactPoint, problem: Problem) -> ErrorReport:
 def beside(found: Wave, better: Wave) -> ErrorReport:
     """The report of a wave without contact force: what another one, of the reference of its
     structure, changes (collective)."""
-    clearance, seen = found.structure.clearance, seen_parts(found.structure)
-    closing, moved = better.gap_coefficients.copy(), []
-    closing[0] += clearance
-    for wave in (found, better):
-        at_load = wave.displacement_coefficients @ wave.structure.force[seen].T
-        moved.append(wave.structure.sum_over_ranks(at_load))
-    known = closing, moved[1]
-    changes = better.gap_coefficients - found.gap_coefficients, moved[1] - moved[0]
-    gap, displacement = (
-        math.sqrt(mean_square(change) / moving_mean_square(whole))
-        for change, whole in zip(changes, known, strict=True)
-    )
-    return ErrorReport(reduction=min(gap, UNKNOWN), displacement=min(displacement, UNKNOWN))
+    closing = better.gap_coefficients.copy()
+    closing[0] += found.structure.clearance
+    size = mean_square(better.gap_coefficients - found.gap_coefficients)
+    gap = math.sqrt(size / moving_mean_square(closing))
+    at_load = _at_load(found, better.structure, better.displacement_coefficients)
+    return ErrorReport(reduction=min(gap, UNKNOWN), displacement=min(at_load, UNKNOWN))
 
 
-@dataclass(frozen=True)
-class _Change:
-    """What better equations change.
-
-    Attributes
-    ----------
-    gap : (2K+1, n_pairs) [m]
-    force : (2H+1, n_pairs) [N]
-    better : Structure and its Compliance, or None
-        Where the structure is another one.
-    settled : bool
-        Whether the better equations have been solved; else the change may be any.
-    """
-
-    gap: np.ndarray
-    force: np.ndarray
-    better: tuple[Structure, Compliance] | None = None
-    settled: bool = True
-
-    def relative_to(self, at: ContactPoint, clearance: np.ndarray) -> float:
-        """Of the gap; :data:`UNKNOWN` where that is not known."""
-        return min(relative_size(self.gap, at, clearance), UNKNOWN) if self.settled else UNKNOWN
-
-
-def _of_displacement(
-    at: ContactPoint, displacement: np.ndarray, problem: Problem, changes: list[_Change]
-) -> float:
+def _at_load(wave: Wave, structure: Structure, displacement: np.ndarray) -> float:
     """Change of the displacement at the load, in the direction of each of its parts that vibrates,
-    relative to its root mean square, to which its mean contributes no more than all else: the sum
-    of all causes."""
-    structure, seen = problem.structure, seen_parts(problem.structure)
-    known = structure.sum_over_ranks(displacement @ structure.force[seen].T)
-    size, total = moving_mean_square(known), 0.0
-    if not known.any():
-        return 0.0
-    if not all(change.settled for change in changes):
-        return UNKNOWN
-    for change in changes:
-        if change.better is None:
-            if not np.any(change.force):
-                continue
-            compliance = at.system.compliance
-            moved = compliance.displacement(at.force + change.force) - displacement
-            moved = structure.sum_over_ranks(moved @ structure.force[seen].T)
-        else:
-            other, compliance = change.better
-            moved = compliance.displacement(at.force + change.force) @ other.force[seen].T - known
-        total += float(np.sqrt(mean_square(moved) / size))
-    return total
+    to that of a structure, relative to its root mean square, to which its mean contributes no more
+    than all else (collective)."""
+    seen = seen_parts(wave.structure)
+    known, better = (
+        one.sum_over_ranks(rows @ one.force[seen].T)
+        for one, rows in (
+            (wave.structure, wave.displacement_coefficients), (structure, displacement)
+        )
+    )  # fmt: skip
+    square = mean_square(better - known) / moving_mean_square(known)
+    return math.sqrt(square) if known.any() else 0.0
+
+
+Errors = tuple[float, float]
+"""Of the gap, and of the displacement at the load; at most :data:`UNKNOWN`."""
+
+
+def _errors(
+    at: ContactPoint, wave: Wave, changes: Changes | None, structure: Structure, better: Compliance
+) -> Errors:
+    """Of changes of the gap and of the force, by the compliance of the better equations; not known
+    where these were not solved."""
+    if changes is None:
+        return UNKNOWN, UNKNOWN
+    gap = relative_size(changes[0], at, wave.structure.clearance)
+    at_load = _at_load(wave, structure, better.displacement(at.force + changes[1]))
+    return min(gap, UNKNOWN), min(at_load, UNKNOWN)
 
 
 def relative_size(change: np.ndarray, at: ContactPoint, clearance: np.ndarray) -> float:
@@ -261,7 +223,7 @@ def relative_size(change: np.ndarray, at: ContactPoint, clearance: np.ndarray) -
     return 0.0 if still else math.sqrt(mean_square(change) / moving_mean_square(closing))
 
 
-def beyond_truncation(at: ContactPoint) -> _Change:
+def beyond_truncation(at: ContactPoint, wave: Wave) -> Errors:
     """What K > H harmonics change, K = :func:`_more_harmonics`, by Newton's method: for laws and
     structures whose exact flow is not at hand.
 
@@ -271,7 +233,8 @@ def beyond_truncation(at: ContactPoint) -> _Change:
     rows, harmonics = len(at.unknown), _more_harmonics(at)
     wide = at.system.widened(harmonics)
     # The first H are solved; what samples leave there is another error.
-    return _improvement(wide, resized(at.unknown, harmonics), rows, solved=rows)
+    changes = _improvement(wide, resized(at.unknown, harmonics), rows, solved=rows)
+    return _errors(at, wave, changes, wave.structure, at.system.compliance)
 
 
 def _more_harmonics(at: ContactPoint) -> int:
@@ -281,19 +244,17 @@ def _more_harmonics(at: ContactPoint) -> int:
     return max(2 * kept, kept + 4, min(4 * kept, (SMALL // pairs - 1) // 2))
 
 
+Changes = tuple[np.ndarray, np.ndarray]
+"""Of the gap (2K+1, n_pairs) [m] and of the force (2H+1, n_pairs) [N]."""
+
+
 def _improvement(
-    system: ContactSystem,
-    start: np.ndarray,
-    rows: int,
-    better: tuple[Structure, Compliance] | None = None,
-    *,
-    solved: int = 0,
-) -> _Change:
+    system: ContactSystem, start: np.ndarray, rows: int, *, solved: int = 0
+) -> Changes | None:
     """What better equations change. Where those of the first ``solved`` rows are solved: two steps
     of Newton's method with the first Jacobian, where the second is much shorter, or rounding, and
     these rows of the residual stay as they are. Else, and from the same start, all steps to the
-    solution, shortened where the residual would grow. Where these do not arrive, the change is not
-    known.
+    solution, shortened where the residual would grow; None where these do not arrive.
     """
     first = system.linearise(start)
     known = first.residual.copy()
@@ -304,22 +265,25 @@ def _improvement(
         settled = SLIGHT * np.linalg.norm(step)
         if np.linalg.norm(again) < max(settled, KNOWN * np.linalg.norm(start)):
             step = step + again
-            return _Change(first.gap_of(step), first.force_of(step)[:rows], better)
+            return first.gap_of(step), first.force_of(step)[:rows]
     size = max(float(np.linalg.norm(start)), 1e-300)
     sharp = NEARLY_SOLVED * float(np.linalg.norm(known - first.residual)) / size
     found = solve_near(system, start, 1.0, tolerance=sharp)
-    point = first if found is None else system.linearise(found.unknown)
-    gap, force = point.gap - first.gap, (point.force - first.force)[:rows]
-    return _Change(gap, force, better, settled=found is not None)
+    if found is None:
+        return None
+    point = system.linearise(found.unknown)
+    return point.gap - first.gap, (point.force - first.force)[:rows]
 
 
-def _lost_in_reduction(at: ContactPoint, problem: Problem) -> _Change:
+def _lost_in_reduction(at: ContactPoint, wave: Wave, problem: Problem) -> Errors:
     """What the compliance of the reduced structure's reference changes."""
-    structure, rows = problem.structure, len(at.gap)
-    reference = structure.reference if isinstance(structure, ReducedStructure) else None
+    structure, used = problem.structure, at.system.compliance
+    assert isinstance(structure, ReducedStructure)
+    reference = structure.reference
     if reference is None:
-        return _Change(np.zeros_like(at.gap), np.zeros_like(at.gap))
+        return 0.0, 0.0
     other = replace(problem, structure=reference)
+    changes: Changes | None
     if at.system.integrals.coupled:
         other = replace(other, static_above=problem.cutoff)
         residual = at.system.residual
@@ -329,15 +293,16 @@ def _lost_in_reduction(at: ContactPoint, problem: Problem) -> _Change:
             assert residual is not None
             nearly = len(residual) / (REGULAR * np.trace(residual))  # a constraint to rounding
             other = replace(other, contact=UnilateralPenalty(float(nearly)))
-        compliance = other.compliance()
-        system = other.system(compliance)
+        better = other.compliance()
+        system = other.system(better)
         assert system.residual is not None
-        start = at.gap + at.force @ system.residual
-        return _improvement(system, start, rows, (reference, compliance))
-    better, used = other.compliance(), at.system.compliance
-    free = better.linear_gap - used.linear_gap
-    moved = at.solve(free - respond(better.matrices - used.matrices, at.force))
-    return _Change(at.gap_of(moved), at.force_of(moved), (reference, better))
+        changes = _improvement(system, at.gap + at.force @ system.residual, len(at.gap))
+    else:
+        better = other.compliance()
+        free = better.linear_gap - used.linear_gap
+        moved = at.solve(free - respond(better.matrices - used.matrices, at.force))
+        changes = at.gap_of(moved), at.force_of(moved)
+    return _errors(at, wave, changes, reference, better)
 
 
 def _penetration(at: ContactPoint) -> np.ndarray:

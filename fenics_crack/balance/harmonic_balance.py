@@ -32,6 +32,7 @@ import numpy as np
 
 from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
+from fenics_crack.balance.contact_system import Wave
 from fenics_crack.balance.error_report import ErrorReport, beside
 from fenics_crack.balance.more_modes import UNKNOWN
 from fenics_crack.balance.problem import Problem, check_memory
@@ -55,7 +56,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ContactFlow, exact_flow, flow_of
 from fenics_crack.motion.orbit import FORMED, INSTANTS, OrbitCoefficients, PeriodicOrbit, affordable
 from fenics_crack.motion.search import PARTS, OrbitSearch, SearchOptions, search_orbit
-from fenics_crack.numerics.fourier import from_complex, resized, to_complex
+from fenics_crack.numerics.fourier import from_complex, to_complex
 from fenics_crack.numerics.newton import relative_to_motion
 from fenics_crack.stages import begin
 from fenics_crack.table import percent, quantity
@@ -247,9 +248,8 @@ def solve_harmonic_balance(
             raise InputError("samples", samples, "left out where a tolerance is given")
     if harmonics is None:
         check_count("subharmonic", subharmonic, 1)
-        harmonics = (
-            max(5, subharmonic) if tolerance is None else SearchOptions.harmonics[0] * subharmonic
-        )
+        few = Problem.harmonics
+        harmonics = max(few, subharmonic) if tolerance is None else few * subharmonic
     problem = Problem(structure, omega, contact, harmonics, samples, subharmonic)
     if samples is not None:
         check_count("samples", samples, 4 * harmonics + 1)
@@ -489,10 +489,9 @@ def solution_of_orbit(problem: Problem, orbit: PeriodicOrbit, tolerance: float) 
     fewer, found = 0, wave_with(problem.harmonics)
     while not found.assessment.distance <= goal and found.harmonics < most:
         fewer, found = found.harmonics, wave_with(min(2 * found.harmonics, most))
-    between = range(fewer + 1, found.harmonics) if fewer else range(0)
-    kept = bisect_left(between, True, key=lambda n: wave_with(n).assessment.distance <= goal)
-    if kept < len(between):
-        found = wave_with(between[kept])
+    if fewer:
+        counts, near = range(found.harmonics), lambda n: wave_with(n).assessment.distance <= goal
+        found = wave_with(bisect_left(counts, True, fewer + 1, key=near))
     gap, known_errors = orbit.gap, found.assessment.errors()
     closing = gap + problem.structure.clearance
     report = ErrorReport(
@@ -509,16 +508,11 @@ def solution_of_orbit(problem: Problem, orbit: PeriodicOrbit, tolerance: float) 
 def wave_of(problem: Problem, orbit: PeriodicOrbit, known: OrbitCoefficients) -> PeriodicSolution:
     """An orbit's motion with the harmonics of a problem."""
     rows = slice(2 * problem.harmonics + 1)
-    found = PeriodicSolution(
+    wave = Wave(
         problem.structure, problem.omega, problem.contact, known.displacement[rows],
-        known.gap[rows], known.force[rows], problem.subharmonic,
-        static_above=problem.static_cutoff,
+        known.gap[rows], known.force[rows], problem.subharmonic, problem.static_cutoff,
     )  # fmt: skip
-    if found.still:  # what its harmonics are is rounding
-        names = "displacement_coefficients", "gap_coefficients", "force_coefficients"
-        means = {name: resized(getattr(found, name)[:1], problem.harmonics) for name in names}
-        found = replace(found, **means)
-    return replace(found, assessment=Assessment(found.assessment.wave, orbit))
+    return PeriodicSolution(**vars(wave), assessment=Assessment(wave, orbit))
 
 
 def _lost(problem: Problem, found: PeriodicSolution) -> tuple[float, float]:

@@ -1,13 +1,9 @@
 """What the modes that a reduction leaves out change of an exact motion.
 
-The reference of a reduced structure has more modes (:mod:`fenics_crack.model.reduction`). The
-motion is one of the reference, too; modes that lips without mass leave out begin as their statics
-have them,
-
-    Lambda q = f - P lambda,
-
-where the gaps are those known. One step of Newton's method of the whole motion on the reference's
-flow tells by how much these change; its orbit from there, exactly.
+The reference of a reduced structure has more modes (:mod:`fenics_crack.model.reduction`). Those
+that lips without mass leave out begin as their statics have them, Lambda q = f - P lambda. One step
+of Newton's method of the whole motion on the reference's flow estimates the change of the gaps; the
+orbit that is found from there gives it exactly.
 """
 
 from __future__ import annotations
@@ -60,30 +56,20 @@ def reference_flow(
 
 @dataclass(frozen=True)
 class MoreModes:
-    """The motion of a solution on the flow of more modes.
-
-    Attributes
-    ----------
-    flow : ContactFlow
-        With more modes.
-    wave : Wave
-        The solution.
-    fewer : ContactFlow
-        That of its own structure.
-    step : Prediction or None
-        Newton's step of it on that flow; not needed where the orbit is its own.
-    nearest : PeriodicOrbit or None
-        The orbit of that flow next to it.
-    accepted : bool
-        Whether that is the solution's own.
-    """
+    """The motion of a solution on the flow of more modes."""
 
     flow: ContactFlow
+    """With more modes."""
     wave: Wave
+    """The solution."""
     fewer: ContactFlow
+    """That of its own structure."""
     step: Prediction | None
+    """Newton's step of it on that flow; not needed where the orbit is its own."""
     nearest: PeriodicOrbit | None
+    """The orbit of that flow next to it."""
     accepted: bool
+    """Whether that is the solution's own."""
 
     @cached_property
     def _states(self) -> np.ndarray | None:

@@ -13,13 +13,10 @@ path       where the path of solutions in the softness in series with every pair
            followed by arc-length through its folds, from where the solution is unique and close to
            the linear one
 
-The path cannot return to soft contact: with enough steps it comes to its end, unless solutions grow
-without bound. Several stiff pairs with little damping have thousands of folds on their way. So all
-starts together take a certain number of iterations and no more, the same on every machine: a search
-that finds nothing ends within seconds, and says what was tried.
-
-No search can undo what rounding does: a gap rounded to eps |g| makes a contact force rounded to
-eps k |g|, which moves the gap by eps k R |g|, and no residual can be smaller than that.
+The path cannot return to soft contact, but several stiff pairs with little damping have thousands
+of folds on their way: all starts together take a certain number of iterations and no more. A gap
+rounded to eps |g| makes a contact force rounded to eps k |g|, which moves the gap by eps k R |g|:
+no residual can be smaller than that.
 """
 
 from __future__ import annotations
@@ -126,7 +123,7 @@ class Problem:
     structure: Structure
     omega: float
     contact: ContactLaw
-    harmonics: int = 5
+    harmonics: int = SearchOptions.harmonics[0]
     samples: int | None = None
     subharmonic: int = 1
     static_above: float | None = None

@@ -15,8 +15,7 @@ there is no clearance (Dimarogonas, Engineering Fracture Mechanics 55, 1996, 831
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -440,23 +439,20 @@ class Solver:
     ) -> tuple[Search, PeriodicSolution]:
         """The same, whether or not it converged, and the record of the search; its errors are
         estimated unless they are not asked for."""
-        with self.compliance() as compliance:
+        compliance, share = self.compliance(), 1.0 if wholly else 1.0 / len(SearchOptions.harmonics)
+        try:
             problem = self.problem.weighted(compliance)
-            share = 1.0 if wholly else 1.0 / len(SearchOptions.harmonics)
             search, at = replace(self, problem=problem).find(compliance, initial, share)
             found = solution_of(
                 problem, at, status=search.status, converged=search.converged, reported=reported
             )
-            return search, replace(found, iterations=search.iterations)
-
-    @contextmanager
-    def compliance(self) -> Iterator[Compliance]:
-        """Compliance of the structure, freed afterwards (collective)."""
-        found = self.problem.compliance()
-        try:
-            yield found
         finally:
-            found.destroy()
+            compliance.destroy()
+        return search, replace(found, iterations=search.iterations)
+
+    def compliance(self) -> Compliance:
+        """Compliance of the structure, to be destroyed (collective)."""
+        return self.problem.compliance()
 
     def find(
         self, compliance: Compliance, initial: PeriodicSolution | None, share: float = 1.0

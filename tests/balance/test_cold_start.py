@@ -180,7 +180,8 @@ def test_each_start_is_needed(
 
 
 def test_a_search_ends_and_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    """294 unknowns, hardly damped, by a quarter of the iterations: what was tried, what to do."""
+    """294 unknowns, hardly damped, by a quarter of the iterations, besides those of five smaller
+    numbers of harmonics: what was tried, what to do."""
     monkeypatch.setattr("fenics_crack.balance.problem.COMPILED", 1250)
     structure, law = stopped_chain(6, 2e-4), fc.UnilateralPenalty(1e3)
     solution = fc.solve_harmonic_balance(structure, 0.3, law, harmonics=24, throw=False)
@@ -194,4 +195,4 @@ def test_a_search_ends_and_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> N
         f"none found in {solution.iterations} iterations: try other harmonics, a softer contact, "
         "more damping, or a solution nearby as initial"
     )
-    assert solution.iterations < 1250 * (300 / 294) ** 2 + 20
+    assert solution.iterations < 1250 * (300 / 294) ** 2 + 20 + 5 * 28
