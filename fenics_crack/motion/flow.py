@@ -1,4 +1,4 @@
-"""Flows of a small structure with contact: exact from event to event, and by exponential steps.
+"""The flow of a small structure with contact, exact from event to event.
 
 In modal coordinates, with R_inf what answers at once (:mod:`fenics_crack.model.contact`) and kappa
 the stiffness of the pairs,
@@ -6,37 +6,15 @@ the stiffness of the pairs,
     q'' + C q' + Lambda q + P lambda = f(t),      s = P^T q + l(t),
     0 <= lambda,   (R_inf + I/kappa) lambda - s >= 0,   complementary.
 
-**Exact.** While the set A of closed pairs stays, lambda_A = S s_A, S = ((R_inf + I/kappa)_AA)^-1,
+While the set A of closed pairs stays, lambda_A = S s_A, S = ((R_inf + I/kappa)_AA)^-1,
 and the motion is linear. Its Taylor series gives the motion, the forces of the closed pairs and the
 openings of the others, and where one of these falls through zero: an event, behind which another
 set holds (``kernel/flow.c``). Nothing is truncated: the error is that of rounding. The forces are
 continuous, so that the flow's derivative is the product of the exponentials of the sets passed.
 
-**By exponential steps.** Of z = (q, q') less the steady response to the load, which is known in
-closed form, z' = A z - [0, P]^T lambda(t). A step of length h is exact for a force that is held
-over it, here the mean of those at its ends,
-
-    z_{n+1} = E z_n - Gamma (lambda_n + lambda_{n+1}),        E = exp(A h),
-
-2 Gamma being the response to unit forces that are held. The gap at its end is linear in the forces
-there, with Q z the gap of a state,
-
-    g_{n+1} = s_free - (R_inf + Q Gamma) lambda_{n+1},
-
-so that 0 <= lambda, (R_inf + I/kappa + Q Gamma) lambda - s_free >= 0, complementary. Where the set
-of closed pairs stays, this is one product with a matrix that is kept; modes that the damping leaves
-uncoupled move by themselves, so that a step costs little more than 2 n_modes n_pairs products
-(``kernel/march.c``). The scheme is of second order in h, and without contact exact. The work of a
-held force is known exactly, so that in a step between equal sets of closed pairs no energy is
-created, however long it is. A step in which a pair opens creates 1/2 lambda_n times its opening,
-one in which it closes loses as much: with hardly any R_inf, which softens contact, and long steps
-motions can grow, and the march says so. (With forces linear over the step energy would be created
-everywhere: with mass at the lips that is the method of linear acceleration.)
-
 Sources: Barrio, Applied Mathematics and Computation 163 (2005) 525 (Taylor series as integrator);
-Khan and Barton, Systems & Control Letters 2015 (no end of events); Hochbruck and Ostermann, Acta
-Numerica 19 (2010) 209 (exponential integrators); Monjaraz-Tec, Gross and Krack, Computers &
-Structures 267 (2022) 106810.
+Khan and Barton, Systems & Control Letters 2015 (no end of events); Monjaraz-Tec, Gross and Krack,
+Computers & Structures 267 (2022) 106810.
 """
 
 from __future__ import annotations
@@ -52,7 +30,6 @@ from fenics_crack.kernel import NULL, Struct, kernel, owned, pointer, shaped
 from fenics_crack.machine import machine_memory
 from fenics_crack.model.contact import (
     KEPT,
-    ActiveSets,
     ContactLaw,
     check_law,
     is_regular,
@@ -94,22 +71,25 @@ def exact_flow(structure: Structure, contact: ContactLaw) -> ContactFlow:
     InputError
         There is none.
     """
-    refused = _refused(structure, contact)
-    if refused is not None:
-        raise refused
+    check_exact(structure, contact)
     return ContactFlow(structure, contact)
 
 
-def _refused(
-    structure: Structure, contact: ContactLaw, static_above: float | None = None
-) -> InputError | None:
+def check_exact(structure: Structure, contact: ContactLaw) -> None:
+    """Raise InputError where a structure and a law have no flow."""
+    refused = _refused(structure, contact)
+    if refused is not None:
+        raise refused
+
+
+def _refused(structure: Structure, contact: ContactLaw) -> InputError | None:
     """Why a structure and a law have no flow; None where they have one."""
     check_law(structure, contact, rigid=True)
     if not is_unilateral(contact):
         return InputError("contact", contact, "UnilateralPenalty or UnilateralConstraint")
     if not is_small(structure):
         return InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
-    if is_rigid(contact) and not is_regular(all_modes(structure).below(static_above).static_part()):
+    if is_rigid(contact) and not is_regular(all_modes(structure).below(None).static_part()):
         allowed = "one whose lips have no mass: reduce_structure(structure, method='massless')"
         return InputError("structure", repr(structure), allowed)
     return None
@@ -125,7 +105,7 @@ class Flow:
     structure : Structure
     contact : ContactLaw
     modes : AllModes
-        Those that move; beyond ``static_above`` [rad/s], if it is given, modes answer at once.
+        Those that move.
     residual : (n_pairs, n_pairs) [m/N]
         R_inf.
     softness : (n_pairs,) [m/N]
@@ -138,11 +118,9 @@ class Flow:
         l, likewise.
     """
 
-    def __init__(
-        self, structure: Structure, contact: ContactLaw, static_above: float | None = None
-    ) -> None:
+    def __init__(self, structure: Structure, contact: ContactLaw) -> None:
         self.structure, self.contact = structure, contact
-        self.modes = modes = all_modes(structure).below(static_above)
+        self.modes = modes = all_modes(structure).below(None)
         pairs = structure.n_pairs
         self.residual = modes.static_part()
         self.softness = np.ones(pairs) / np.asarray(contact.stiffness, dtype=float)
@@ -196,8 +174,8 @@ class ContactFlow(Flow):
         """No set of closed pairs turns or decays faster [1/s]."""
         parts = Struct(
             "flow_parts", modes=count, pairs=pairs, coupled=modes.damping.ndim == 2,
-            squares=_doubles(modes.squares), damping=_doubles(modes.damping),
-            rows=_doubles(modes.pairs.T), compliance=_doubles(self.compliance), force=self.force,
+            squares=doubles(modes.squares), damping=doubles(modes.damping),
+            rows=doubles(modes.pairs.T), compliance=doubles(self.compliance), force=self.force,
             gap=self.gap, fastest=self.fastest, most=int(KEPT * machine_memory()) // 8,
         )  # fmt: skip
         self.handle = owned(kernel.new_flow(parts.at), kernel.free_flow)
@@ -251,7 +229,7 @@ class ContactFlow(Flow):
         """
         pairs = len(self.softness)
         end_state = np.array(state, dtype=float).reshape(self.size)
-        instants = np.zeros(0) if instants is None else _doubles(instants)
+        instants = np.zeros(0) if instants is None else doubles(instants)
         states, answers = np.empty((len(instants), self.size)), np.empty((len(instants), pairs))
         closed = np.empty((len(instants), pairs), dtype=bool)
         given, sets, lengths = self._motion(
@@ -273,7 +251,7 @@ class ContactFlow(Flow):
 
         Raises as :meth:`advance`.
         """
-        states = _doubles(states)
+        states = doubles(states)
         moved, ends = np.empty_like(states), np.empty(len(states), dtype=np.intc)
         given, sets, lengths = self._motion(None, omega=omega)
         outcome = kernel.flow_wave(
@@ -346,7 +324,7 @@ class Track:
         outcome = kernel.flow_by_structure(
             self.flow.handle,
             known,
-            pointer(_doubles(start)),
+            pointer(doubles(start)),
             NULL,
             pointer(shaped(softness, *self.flow.softness.shape)),
             pointer(found),
@@ -367,7 +345,7 @@ class Track:
         changes = np.empty((len(ends) + 1, self.flow.size))
         changes[0] = start
         outcome = kernel.flow_carry(
-            self.flow.handle, self._known.at, len(ends), pointer(ends), pointer(_doubles(excess)),
+            self.flow.handle, self._known.at, len(ends), pointer(ends), pointer(doubles(excess)),
             pointer(changes),
         )  # fmt: skip
         _check(outcome, len(self.lengths) - 1)
@@ -430,117 +408,6 @@ class Motion:
     samples: Samples
 
 
-# --- by exponential steps -------------------------------------------------------------------------
-
-
-class ExponentialFlow(Flow):
-    """The flow at one frequency of the load, in steps of a part of its period.
-
-    Attributes
-    ----------
-    omega : float [rad/s]
-    steps : int
-        In one period of the load.
-    step_size : float [s]
-        h.
-    gap_rows : (n_pairs, 2 n_modes)
-        Q.
-    steady : (N, 2 n_modes)
-        Steady response to the load without contact at all instants of its period.
-    linear_gap : (N, n_pairs) [m]
-        Its gap.
-    """
-
-    def __init__(
-        self,
-        structure: Structure,
-        omega: float,
-        contact: ContactLaw,
-        steps: int,
-        *,
-        static_above: float | None = None,
-    ) -> None:
-        refused = _refused(structure, contact, static_above)
-        if refused is not None:
-            raise refused
-        super().__init__(structure, contact, static_above)
-        self.omega, self.steps, self.step_size = omega, steps, 2.0 * np.pi / omega / steps
-        modes, (count, pairs) = self.modes, self.modes.pairs.shape
-        moved, held = modes.transition(self.step_size)
-        pushed = 0.5 * held  # Gamma
-        moved_gap = modes.pairs.T @ pushed[:count]
-        self.gap_rows = np.hstack([modes.pairs.T, np.zeros((pairs, count))])
-        mean = modes.steady_response(0.0, self.force[0] + 0j).real
-        first = modes.steady_response(omega, self.force[1] - 1j * self.force[2])
-        shape = np.vstack([mean, first.real, -first.imag])
-        rate = np.vstack([0.0 * mean, -omega * first.imag, -omega * first.real])
-        instants = waves(2.0 * np.pi * np.arange(steps) / steps)
-        self.steady = instants @ np.hstack([shape, rate])
-        self.linear_gap = instants @ (shape @ modes.pairs + self.gap)
-        self._static = ActiveSets(self.compliance)
-        self._known = Struct(
-            "exponential", modes=count, pairs=pairs, instants=steps,
-            coupled=modes.damping.ndim == 2, moved=moved, rows=_doubles(modes.pairs.T),
-            pushed=_doubles(pushed.T), gaps=_doubles(moved_gap), linear=self.linear_gap,
-            steady=self.steady, contact=ActiveSets(self.compliance + moved_gap).handle,
-            room=np.empty(4 * count + 2 * pairs),
-        )  # fmt: skip
-
-    def coordinates(
-        self, states: np.ndarray, force: np.ndarray, dofs: np.ndarray | slice = slice(None)
-    ) -> np.ndarray:
-        """:meth:`displacement` of states at instants from phase 0 on."""
-        phase = 2.0 * np.pi * np.arange(len(states)) / self.steps
-        return self.displacement(states, force, phase, dofs)
-
-    def advance(self, state: np.ndarray, periods: int = 1) -> Steps:
-        """March whole periods of the load from phase 0.
-
-        Raises ConvergenceError where the contact forces of a step are not found.
-        """
-        state, pairs = shaped(state, self.size), self.structure.n_pairs
-        count = len(state)
-        total = periods * self.steps
-        states, forces = np.empty((total + 1, count)), np.empty((total + 1, pairs))
-        closed = np.empty((total + 1, pairs), dtype=bool)
-        states[0] = state
-        gap = self.gap_rows @ (state - self.steady[0]) + self.linear_gap[0]
-        forces[:1], closed[:1] = self._static.solve(gap[None])
-        done = kernel.march_exponential(
-            self._known.at, total, pointer(states), pointer(forces), pointer(closed)
-        )
-        if done < total:
-            raise ConvergenceError(
-                f"exponential: the contact forces of step {done + 1} were not found"
-            )
-        return Steps(self, states, forces, closed)
-
-
-class Steps:
-    """Marched periods of the load.
-
-    Attributes
-    ----------
-    states : (N + 1, 2 n_modes)
-        At all instants, both ends included.
-    forces : (N + 1, n_pairs) [N]
-    closed : (N + 1, n_pairs) bool
-    """
-
-    def __init__(
-        self, flow: ExponentialFlow, states: np.ndarray, forces: np.ndarray, closed: np.ndarray
-    ) -> None:
-        self._flow, self.states, self.forces, self.closed = flow, states, forces, closed
-
-    @property
-    def gap(self) -> np.ndarray:
-        """Gap at all instants but the last: (N, n_pairs) [m]."""
-        flow, count = self._flow, len(self.states) - 1
-        instants = np.arange(count) % flow.steps
-        moved = (self.states[:-1] - flow.steady[instants]) @ flow.gap_rows.T
-        return moved + flow.linear_gap[instants] - self.forces[:-1] @ flow.residual
-
-
 def _fastest(square: float, damping: np.ndarray) -> float:
     """At least the size of each root s of s^2 + c s + k = 0 where k <= square and c is a Rayleigh
     quotient of the damping [1/s]."""
@@ -563,5 +430,6 @@ def _check(outcome: int, events: int) -> None:
     raise ConvergenceError(f"events: {words[outcome]} (after {events} events)")
 
 
-def _doubles(array: np.ndarray) -> np.ndarray:
+def doubles(array: np.ndarray) -> np.ndarray:
+    """An array as the kernel reads it."""
     return np.ascontiguousarray(array, dtype=float)

@@ -1,7 +1,7 @@
 """Direct integration in time along the flows of small structures.
 
-Exact from one switching instant to the next, or by exact exponential steps
-(:mod:`fenics_crack.motion.flow`).
+Exact from one switching instant to the next (:mod:`fenics_crack.motion.flow`), or by exponential
+steps (:mod:`fenics_crack.time.exponential`).
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ import numpy as np
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modes import times
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.flow import ExponentialFlow, Steps, exact_flow
+from fenics_crack.motion.flow import exact_flow
+from fenics_crack.time.exponential import ExponentialFlow, Steps
 from fenics_crack.time.march import EnergyBalance, March, Scheme, TimeHistory, Window, march
 
 

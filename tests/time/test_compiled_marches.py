@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 import fenics_crack as fc
 from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.modal import all_modes
-from fenics_crack.motion.flow import ExponentialFlow
 from fenics_crack.time import central_differences, implicit
+from fenics_crack.time.exponential import ExponentialFlow
 from fenics_crack.time.march import March, march
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -136,13 +136,12 @@ def by_exponentials(flow: ExponentialFlow, start: np.ndarray, steps: int) -> tup
 @settings(max_examples=40, deadline=None)
 @given(st.integers(1, 9), st.integers(0, 4), KINDS, st.sampled_from([7, 60]), SEEDS)
 def test_exponential_steps(dofs: int, pairs: int, damping: str, steps: int, seed: int) -> None:
-    """States and forces of two periods, mass at the lips and a residual compliance."""
+    """States and forces of two periods, mass at the lips."""
     rng = np.random.default_rng(seed)
     structure = random_structure(
         rng, dofs, min(pairs, dofs), damping if damping != "none" else "modal"
     )
-    above = 2.0 if seed % 2 else None
-    flow = ExponentialFlow(structure, 1.1, fc.UnilateralPenalty(20.0), steps, static_above=above)
+    flow = ExponentialFlow(structure, 1.1, fc.UnilateralPenalty(20.0), steps)
     start = 0.3 * rng.normal(size=2 * len(flow.modes.squares))
     found = flow.advance(start, 2)
     states, forces = by_exponentials(flow, start, 2 * steps)
@@ -248,16 +247,6 @@ def test_gap_is_that_of_the_coordinates() -> None:
     assert np.array_equal(steps.forces > 0.0, steps.closed)
     assert np.abs(steps.gap[steps.closed[:-1]]).max() < 1e-12 * size
     assert 0.05 < steps.closed.mean() < 0.95
-
-
-def test_fewer_modes() -> None:
-    """Modes above a frequency answer at once, as they do in a smaller basis."""
-    structure = massless(modes=6)
-    above = float(all_modes(structure).squares[4] ** 0.5) * 0.999
-    fewer = ExponentialFlow(structure, 0.5, RIGID, 40, static_above=above)
-    small = ExponentialFlow(massless(modes=4), 0.5, RIGID, 40)
-    found, expected = (flow.advance(flow.steady[0], 2).gap for flow in (fewer, small))
-    assert relative(found, expected) < 1e-9
 
 
 # --- arguments ------------------------------------------------------------------------------------
