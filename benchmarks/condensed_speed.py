@@ -53,9 +53,6 @@ from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.draw.figure import COLOURS
 
 CONTINUED = "this, continued, exact"
-REFINED = "this, continued and refined"
-CURVES = {CONTINUED: (0.05, 0), REFINED: (0.2, 4)}
-"""Longest step, and points put between each two."""
 PYHARM, FINER = "pyHarm", "pyHarm, 1024 samples"
 WORKER = Path(__file__).absolute().with_name("pyharm_worker.py")
 OTHERS_WORKER = WORKER.with_name("others_worker.py")
@@ -430,8 +427,8 @@ def run_pyharm(arguments: common.Arguments) -> None:
                 lw=0.8,
                 fillstyle=marks[case],
             )
-            for row in chosen if who in (PYHARM, REFINED) else []:
-                left = who == REFINED
+            for row in chosen if who in (PYHARM, CONTINUED) else []:
+                left = who == CONTINUED
                 axes.annotate(
                     f"H = {row[1]}",
                     (row[5], row[8]),
@@ -503,7 +500,7 @@ def race(python: str, case: dict[str, Any], harmonics: int, turns: int) -> list[
     times: dict[str, list[float]] = {}
     converged = dict.fromkeys(ways, 0)
     theirs: dict[str, dict[str, Any]] = {}
-    follow, refine = fc.continue_frequency, fc.refine_curve  # imported here, not while timed
+    follow = fc.continue_frequency  # imported here, not while timed
     for _ in range(turns):
         for who, samples in {PYHARM: 128, FINER: finer}.items():
             if samples is not None:
@@ -515,17 +512,11 @@ def race(python: str, case: dict[str, Any], harmonics: int, turns: int) -> list[
                 structure, law, harmonics, samples, theirs[PYHARM]["omega"]
             )
             times.setdefault(who, []).append(seconds / max(converged[who], 1))
-        for who, (longest, between) in CURVES.items():
-            started = time.process_time()
-            curve = follow(
-                structure, case["start"], case["end"], law, harmonics=harmonics,
-                longest_step=longest,
-            )  # fmt: skip
-            if between:
-                curve = refine(curve, between)
-            seconds = time.process_time() - started
-            converged[who] = len(curve)
-            times.setdefault(who, []).append(seconds / len(curve))
+        started = time.process_time()
+        curve = follow(structure, case["start"], case["end"], law, harmonics=harmonics)
+        seconds = time.process_time() - started
+        converged[CONTINUED] = len(curve)
+        times.setdefault(CONTINUED, []).append(seconds / len(curve))
     arrays = {who: np.array(values) for who, values in times.items()}
     if finer is None:
         arrays[FINER] = np.full(turns, np.nan)
@@ -542,7 +533,7 @@ def race(python: str, case: dict[str, Any], harmonics: int, turns: int) -> list[
         row(who, len(run["omega"]), run["tried"], np.array(run["coefficients"])[:, -stops:])
         for who, run in theirs.items()
     ]
-    for who, samples in (ways | dict.fromkeys(CURVES)).items():
+    for who, samples in (ways | {CONTINUED: None}).items():
         solution = fc.solve_harmonic_balance(
             structure, 1.2, law, harmonics=harmonics, samples=samples
         )

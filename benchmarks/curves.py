@@ -11,8 +11,7 @@ newton : PETSc's SNES and the bordered Newton's method of curves at the points o
 
 Times are the process's own, of the oscillator medians of seven turns. "LAPACK" is one factorisation
 and solution of a dense real matrix as large as the condensed equations (dgetrf, dgetrs), measured
-between the curves. "refined" is the cost of a point that :func:`refine_curve` puts between two
-others.
+between the curves.
 
     OMP_NUM_THREADS=1 python benchmarks/curves.py [--quick] [--only PART] [folder]
 """
@@ -36,7 +35,7 @@ TOLERANCE, MAX_ITERATIONS = 1e-9, 8
 
 COLUMNS = (
     "case", "k", "xi", "H", "unknowns", "complete", "points", "folds", "iterations",
-    "ms a point", "LAPACK", "refined / point", "stability / point",
+    "ms a point", "LAPACK", "stability / point",
 )  # fmt: skip
 
 
@@ -60,8 +59,7 @@ def oscillator(arguments: common.Arguments) -> None:
     common.save_table(arguments.folder / "curves_oscillator.csv", "Oscillator", COLUMNS, rows)
     figure, (axes,) = common.figure(1)
     for (label, curve), colour in zip(curves.items(), COLOURS.values(), strict=False):
-        fine = fc.refine_curve(curve, 3)
-        axes.semilogy(fine.omega, fine.amplitude(0), color=colour, lw=1.1, label=label)
+        axes.semilogy(curve.omega, curve.amplitude(0), color=colour, lw=1.1, label=label)
     axes.set_xlabel("load frequency [rad/s]")
     axes.set_ylabel("half peak-to-peak displacement [m]")
     axes.set_title("Bilinear oscillator, the most harmonics run")
@@ -113,20 +111,17 @@ def measure(
         started = time.process_time()
         curve = follow()
         followed = time.process_time()
-        refined = fc.refine_curve(curve, 3)
-        more = time.process_time()
         known = follow(stability=True) if stability else None
         ended = time.process_time()
         point = (followed - started) / len(curve)
-        ratio = ((ended - more) / len(known) - point) / point if known else float("nan")
-        between = (more - followed) / (len(refined) - len(curve))
-        times.append((point, between / point, ratio))
-    point, between, ratio = np.median(times, axis=0).tolist()
+        ratio = ((ended - followed) / len(known) - point) / point if known else float("nan")
+        times.append((point, ratio))
+    point, ratio = np.median(times, axis=0).tolist()
     lapack = 0.5 * (lapack + solve_once(unknowns))
     folds = sum(b.kind == "fold" for b in curve.bifurcations)
     row = (
         *names, harmonics, unknowns, curve.complete, len(curve), folds,
-        float(curve.iterations.mean()), 1e3 * point, point / lapack, between, ratio,
+        float(curve.iterations.mean()), 1e3 * point, point / lapack, ratio,
     )  # fmt: skip
     return row, curve
 

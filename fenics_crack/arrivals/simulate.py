@@ -61,10 +61,9 @@ def tip_timing(
 
     A curve is a run-up, or a run-down if it was followed downwards: the speed rises at constant
     acceleration from that of its first point to that of its last one, and the vibration is taken
-    to be the steady one at each speed, interpolated between the points (of a curve over the load
-    frequency :func:`refine_curve` makes more of them). So it is for slow sweeps alone. Where the
-    curve turns back at a fold, the motion jumps to the part that it reaches beyond the fold, from
-    the last point next to it that is stable.
+    to be the steady one at each speed, interpolated between the points. So it is for slow sweeps
+    alone. Where the curve turns back at a fold, the motion jumps to the part that it reaches beyond
+    the fold, from the last point next to it that is stable.
 
     Parameters
     ----------

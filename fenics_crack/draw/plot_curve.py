@@ -44,10 +44,9 @@ def draw_curve(
 
     Stable parts are solid, unstable ones dashed and undecided ones dotted, if the curve has
     multipliers. Parts whose displacement has a large estimated error are faint. A ring marks the
-    largest response, whose place and size the legend has. A curve in frequency without multipliers
-    is drawn with more solutions between those followed (:func:`refine_curve`) where these lie far
-    apart. Bifurcations are marked, of many in one place only some, and the legend has their
-    number. The order of the largest harmonic stands at superharmonic peaks.
+    largest response, whose place and size the legend has. Bifurcations are marked, of many in one
+    place only some, and the legend has their number. The order of the largest harmonic stands at
+    superharmonic peaks.
 
     Parameters
     ----------
@@ -75,10 +74,7 @@ def draw_curve(
     --------
     >>> figure = fc.draw_curve(curve, tip, in_hertz=True, path="curve.png")
     """
-    from fenics_crack.curves.refine import filled  # SciPy's interpolation
-
     [panel] = picture = Picture(**where)
-    followed, curve = curve, filled(curve)
     if curve.parameter == "omega":
         panel.set_yscale("log")
     amplitude, factor = curve.amplitude(dof), _factor(curve, in_hertz)
@@ -86,7 +82,7 @@ def draw_curve(
         panel.plot(factor * values, others, color=grey, lw=0.9, label=name)
     ink = COLOURS.get(colour, colour)
     _draw_parts(panel, curve, factor * curve.values, amplitude, ink, label)
-    _mark_peak(panel, followed, dof, in_hertz, ink if label else "")
+    _mark_peak(panel, curve, dof, in_hertz, ink if label else "")
     _mark_bifurcations(panel, curve, dof, factor, ink if label else "")
     for (name, (values, others)), marker in zip((points or {}).items(), cycle("^v"), strict=False):
         look = {"color": COLOURS["green"], "ms": 4.5, "mfc": "none", "label": name}
@@ -252,12 +248,9 @@ def draw_content(
     --------
     >>> figure = fc.draw_content(curve, tip, highest=3, path="content.png")
     """
-    from fenics_crack.curves.refine import filled  # SciPy's interpolation
-
     check_count("highest", highest, 1)
     [panel] = picture = Picture(**where)
     panel.set_yscale("log")
-    curve = filled(curve)
     harmonics = _harmonic_amplitudes(curve, dof)[:, curve.subharmonic - 1 :: curve.subharmonic]
     shown = harmonics[:, :highest].T
     x = _factor(curve, in_hertz) * curve.values

@@ -174,20 +174,6 @@ def test_curve_over_another_parameter(parameter: str, start: float, stop: float)
     assert moved < 1e-8 * np.linalg.norm(end.gap_coefficients)
 
 
-def test_refined_curve_holds_the_old_points() -> None:
-    """Four more between each two, which are solutions of the same equations."""
-    curve = bilinear()
-    fine = fc.refine_curve(curve, 4)
-    assert len(fine) == 5 * (len(curve) - 1) + 1
-    assert fine.omega[::5] == pytest.approx(curve.omega, rel=1e-12)
-    place = len(fine) // 2 + 1
-    found = fine.solution(place)
-    again = fc.solve_harmonic_balance(
-        found.structure, found.omega, SOFT, harmonics=20, initial=found
-    )
-    assert np.abs(again.gap_coefficients - found.gap_coefficients).max() < 1e-5
-
-
 def test_curve_that_is_stopped_goes_on() -> None:
     """Point by point, stopped and taken up: what was found stays, and the end is reached."""
     growing = fc.Continuation(fc.Problem(judged.oscillator(), 1.5, SOFT, 10), "omega", 1.5, 3.0)

@@ -78,9 +78,7 @@ BAD: dict[str, tuple[str, Callable[[], Any]]] = {
     "no law": ("contact", lambda: fc.shoot(ONE, fc.solve_linear(ONE, 1.0))),
     "no solution": ("solution", lambda: fc.floquet(ONE, None)),  # type: ignore[arg-type]
     "no curve": ("curve", lambda: fc.judge_curve(found())),  # type: ignore[arg-type]
-    "no curve to refine": ("curve", lambda: fc.refine_curve(found())),  # type: ignore[arg-type]
     "no bifurcation": ("bifurcation", lambda: fc.follow_branch(orbits(), found())),  # type: ignore[arg-type]
-    "exact orbits to refine": ("curve", lambda: fc.refine_curve(orbits())),
     "forces of another shape": (
         "contact",
         lambda: fc.continue_frequency(ONE, 1.0, 2.0, Law(lambda gap: np.zeros(3))),

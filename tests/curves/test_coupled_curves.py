@@ -258,16 +258,6 @@ def test_stopped_saved_and_resumed(curve: fc.ResponseCurve, tmp_path: Path) -> N
         fc.continue_frequency(plate.varied(load=2.0), *SPAN, RIGID, resume=loaded)
 
 
-def test_refined_curve(plate: fc.Structure) -> None:
-    """Points between, over the folds, all solutions."""
-    coarse = fc.continue_frequency(plate, *SPAN, RIGID, harmonics=5, longest_step=0.1)
-    fine = fc.refine_curve(coarse, 2)
-    assert len(fine) > 2.8 * len(coarse) and fine.static_above == coarse.static_above
-    assert np.mean(fine.iterations) < 3.0
-    assert np.sum(np.diff(np.sign(np.diff(fine.omega))) != 0) == 2
-    assert_solutions(fine, 37)
-
-
 # --- structures with many dofs, and what is refused -----------------------------------------------
 
 
