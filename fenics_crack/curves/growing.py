@@ -415,4 +415,4 @@ def _across(
     vector = mix[1] * null[0] - mix[0] * null[1]
     slope = float(vector[-1]) * size
     length = math.sqrt(old.weight * float(vector[:-1] @ vector[:-1]) + slope**2)
-    return Tangent(vector[:-1].reshape(old.x.shape) / length, slope / length, old.weight, 1.0)
+    return Tangent(vector[:-1].reshape(old.x.shape) / length, slope / length, old.weight)

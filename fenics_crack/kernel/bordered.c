@@ -4,6 +4,7 @@
 #include <math.h>
 #include <stdlib.h>
 
+enum { LONGEST_STALL = 32 };
 #define STEP 1e-4 /* residual of a step of Newton's method that is found with products */
 const double SHARP = 1e-9;
 
@@ -69,8 +70,7 @@ int correct_in_plane(equations *at, const plane *in, const correction *how, doub
     double *F = room, *change = room + n, *rate = change + n;
     const double guess = *p;
     double shift = 0.0, damping = 1.0, before = INFINITY;
-    double halved = INFINITY; /* the last size that is half of the one before, */
-    int since = 0;            /* and the steps up to there */
+    double sizes[LONGEST_STALL], smallest = INFINITY; /* of the steps before the last `stall` */
     *taken = 0;
     for (int i = 0; i < 4 * how->iterations; i++) {
         const int outcome = at->evaluate(at, x, *p);
@@ -87,8 +87,11 @@ int correct_in_plane(equations *at, const plane *in, const correction *how, doub
             add_to(n, x, -damping, change), *p -= damping * shift;
             continue;
         }
-        if (size <= 0.5 * halved) halved = size, since = *taken;
-        if (*taken == how->iterations || (stall && *taken - since >= stall)) return NOT_FOUND;
+        if (stall) {
+            sizes[*taken % LONGEST_STALL] = size;
+            if (*taken >= stall) smallest = fmin(smallest, sizes[(*taken - stall) % LONGEST_STALL]);
+        }
+        if (*taken == how->iterations || 0.5 * smallest < size) return NOT_FOUND;
         const int former = *taken && at->solve_nearly && size <= how->lasting * before;
         /* (dx, dp) = (a + dp b, dp), J a = -F, J b = -F_p, dp = -w <t_x, a> / (w <t_x, b> + t_p) */
         for (int j = 0; j < n; j++) change[j] = -F[j];

@@ -10,8 +10,9 @@ enum {
     UNSURE = 8            /* points without a sign in a row: a branch that crosses twice is missed */
 };
 /* Of the longest step: within as little a path that changes its sign straight on crosses a branch, and
- * a corner is passed. */
+ * a corner is passed. CORNER: the shortest step around one. */
 #define LOCAL 1e-2
+#define CORNER 1e-7
 
 /* The norm of a point's tangent. */
 static norm norm_of(const path *points, int place)
@@ -142,7 +143,8 @@ static int round_corner(equations *at, int n, const stepping *how, path *points,
     const double *old = points->tangents + (size_t)last * n, old_slope = points->slopes[last];
     double *x = points->unknowns + (size_t)points->known * n;
     double *tangent = points->tangents + (size_t)points->known * n, *way = room + 3 * (n + 1);
-    for (double step = how->shortest; step <= LOCAL * how->longest; step *= sqrt(10.0)) {
+    double step = fmax(CORNER * how->longest, how->shortest);
+    for (; step <= LOCAL * how->longest; step *= sqrt(10.0)) {
         double p = points->parameters[last] + step * old_slope;
         norm of_way, own;
         memcpy(x, here, n * sizeof(double)), add_to(n, x, step, old);

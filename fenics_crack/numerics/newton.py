@@ -214,10 +214,13 @@ class Newton:
             item.destroy()
 
 
-STALL = 8
-"""Steps of one correction, and those from a guess that may together fail to halve the residual."""
-FULL_STEPS, LEAST_STEP = 20, 0.05
-"""From a guess at a given parameter, and how short a Newton step may become."""
+MAX_ITERATIONS = 8
+"""Of one correction."""
+MIN_DAMPING = 0.05
+"""Of a Newton step."""
+FULL_STEPS, LEAST_STEP, STALL = 20, 0.01, 8
+"""From a guess at a given parameter, how short these may become, and those of them that may
+together fail to halve the residual."""
 STRAY = 3.0
 """How far from its prediction the parameter may go, in steps."""
 
@@ -230,7 +233,7 @@ class Tangent:
     x: np.ndarray
     p: float
     weight: float
-    of_means: float
+    of_means: float = 1.0
 
     def reversed(self) -> Tangent:
         """The opposite direction."""
@@ -337,9 +340,9 @@ def solve_in_plane(
     plane: Tangent | None,
     *,
     tolerance: float,
-    iterations: int = STALL,
+    iterations: int = MAX_ITERATIONS,
     reach: float = np.inf,
-    least_damping: float | None = LEAST_STEP,
+    least_damping: float | None = MIN_DAMPING,
     stall: int | None = None,
     lasting: float = 0.0,
 ) -> PathPoint | None:
@@ -347,12 +350,12 @@ def solve_in_plane(
 
     ``tolerance`` is |F| / |x| of the solution, |x| that of the tangent's point; ``reach``: how far
     from the guess the parameter may go; ``least_damping``: how much a step may be shortened where
-    the residual would grow, None for full steps whatever it does; ``stall``: steps that may
-    together fail to halve |F| / |x|; ``lasting``: to what part of it a step has to shrink
+    the residual would grow, None for full steps whatever it does; ``stall``: steps, at most 30,
+    that may together fail to halve |F| / |x|; ``lasting``: to what part of it a step has to shrink
     it that the next one may have the same Jacobian.
     """
     equations = equations_of(system, unknown.shape)
-    flat = plane or Tangent(np.zeros_like(unknown), 1.0, 0.0, 1.0)
+    flat = plane or Tangent(np.zeros_like(unknown), 1.0, 0.0)
     found, place = np.array(unknown, float, order="C"), np.array([parameter], float)
     taken, border = np.zeros(1, np.intc), NULL
     if plane is not None:
@@ -375,8 +378,8 @@ def solve_in_plane(
 def correction(
     tolerance: float,
     reach: float,
-    iterations: int = STALL,
-    least_damping: float = LEAST_STEP,
+    iterations: int = MAX_ITERATIONS,
+    least_damping: float = MIN_DAMPING,
     stall: int = 0,
     lasting: float = 0.0,
 ) -> Struct:
@@ -436,7 +439,7 @@ def solve_near(
     found = solve_at(system, unknown, parameter, tolerance=tolerance) if full else None
     return found or solve_in_plane(
         system, unknown, parameter, None,
-        tolerance=tolerance, iterations=FULL_STEPS, stall=STALL
+        tolerance=tolerance, iterations=FULL_STEPS, least_damping=LEAST_STEP, stall=STALL,
     )  # fmt: skip
 
 

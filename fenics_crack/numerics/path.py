@@ -57,8 +57,10 @@ from fenics_crack.numerics.newton import (
     tangent_of,
 )
 
-STRAIGHT = 0.85
+STRAIGHT = 0.9
 """Cosine of an angle up to which two directions are taken for one."""
+FEW = 3
+"""Points that are followed at once where steps were halved."""
 ARRIVED = math.sqrt(EPSILON)
 """Distance to a point of a path at which it counts as found, and the shortest step: where the
 parameter turns, it is then known to the square of that."""
@@ -73,9 +75,9 @@ class PathOptions:
     min_step: float = ARRIVED
     """The path ends where steps would be shorter."""
     max_steps: int = 1000
-    rtol: float = kernel.SHARP
+    rtol: float = 1e-9
     """|F| / |x| of the points; where steps are short, they are solved for more sharply."""
-    min_cosine: float = STRAIGHT
+    min_cosine: float = 0.85
     """Of the angle between neighbouring tangents."""
     rounding: float = ROUNDING
     """Below which |F| / |x| does not fall, if the system does not tell (``rounding``)."""
@@ -449,7 +451,7 @@ class Path:
         self._system, self._options, self._events = system, options, events
         self._equations, self._control = equations_of(system, start.unknown.shape), control
         self._longest = options.max_step
-        self._at_once = options.at_once if control is None else 1
+        self._at_once = options.at_once if control is None else min(FEW, options.at_once)
         self.last = start = self._observed(start)
         self.ended: Ended | None = None
         self.event: Event | None = None
@@ -571,7 +573,7 @@ class Path:
         if found.crossings[last + 1 :].sum() % 2:
             self._orientation = -self._orientation
         self._step = self._longest = 0.5 * float(lengths[halved[0]])
-        self._at_once = 1
+        self._at_once = min(FEW, self._options.at_once)
         return found[known - 1 : last + 1] if last >= known else None
 
     def _follow(self, left: int) -> Stretch | None:
