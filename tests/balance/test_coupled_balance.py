@@ -11,6 +11,7 @@ from test_contact_integrals import random_gaps
 
 import fenics_crack as fc
 from fenics_crack import integrate_exponential
+from fenics_crack.balance.contact_system import ContactSystem
 
 RIGID = fc.UnilateralConstraint()
 LAWS = {
@@ -62,7 +63,8 @@ def test_jacobian_against_finite_differences(
     law: str, softness: float, short_chain: fc.Structure
 ) -> None:
     """By every unknown and by the parameter of the softness."""
-    system = system_of(short_chain, LAWS[law], 2).with_softness(softness)
+    hard = system_of(short_chain, LAWS[law], 2)
+    system = ContactSystem(hard.compliance, hard.integrals, softness)
     unknown = random_gaps(2, 3)
     point = system.linearise(unknown, 0.4)
     matrix, step = point.jacobian, 1e-7
@@ -102,7 +104,8 @@ def test_matrix_free_is_dense(short_chain: fc.Structure, monkeypatch: pytest.Mon
     points, solutions = [], []
     for limit in (10_000, 0):
         monkeypatch.setattr("fenics_crack.balance.contact_system.MATRIX_FREE", limit)
-        system = system_of(short_chain, RIGID, 6).with_softness(0.5)
+        hard = system_of(short_chain, RIGID, 6)
+        system = ContactSystem(hard.compliance, hard.integrals, 0.5)
         assert system.matrix_free == (limit == 0)
         points.append(system.linearise(unknown, 0.4))
         solutions.append(fc.solve_harmonic_balance(short_chain, 0.8, RIGID, harmonics=6))

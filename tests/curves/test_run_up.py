@@ -123,7 +123,7 @@ def test_run_up_meets_structures_of_each_speed(run_up: Run[fc.ResponseCurve]) ->
         at = float(curve.omega[index])
         found = fc.solve_harmonic_balance(there, at, run_up.contact, harmonics=40, initial=mine)
         expected = found.amplitude(run_up.watched_dof)
-        assert amplitude[index] == pytest.approx(expected, rel=1e-4)
+        assert amplitude[index] == pytest.approx(expected, rel=1e-3)
 
 
 def test_natural_frequencies_are_those_of_each_speed(run_up: Run[fc.ResponseCurve]) -> None:
@@ -153,7 +153,7 @@ def test_verdicts_are_those_of_single_solutions(run_up: Run[fc.ResponseCurve]) -
         one = fc.solve(blade().replace({"rotation.speed": speed}), MPI.COMM_SELF)
         assert one.result.stability is not None
         expected = one.result.amplitude(one.watched_dof)
-        assert curve.amplitude(run_up.watched_dof)[index] == pytest.approx(expected, rel=1e-4)
+        assert curve.amplitude(run_up.watched_dof)[index] == pytest.approx(expected, rel=1e-3)
         assert curve.verdicts[index] == one.result.stability.verdict == "stable"
         largest = abs(one.result.stability.multipliers[0])
         # Interpolated between orbits; at the peak a pair becomes real, which is a square root.

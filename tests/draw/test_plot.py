@@ -203,21 +203,6 @@ def test_many_lines_are_all_drawn(results: dict[str, Any]) -> None:
         fc.draw_content(many_harmonics, 1, highest=0)
 
 
-def test_a_curve_by_long_steps_is_drawn_smoothly() -> None:
-    """With solutions between those that were followed, over any parameter."""
-    structure, law = oscillator(0.05, 1.0), fc.UnilateralPenalty(1.0)
-    long = fc.continue_frequency(structure, 0.9, 2.0, law, longest_step=0.4)
-    load = fc.continue_parameter(structure, 0.9, law, "load", 1.0, 3.0, longest_step=0.4)
-    counts = []
-    for curve in (long, load):
-        axes = Figure().subplots()
-        fc.draw_curve(curve, 0, axes=axes)
-        drawn = axes.lines[0].get_xdata()
-        assert np.all(np.isin(curve.values, drawn))
-        counts.append(len(drawn) / len(curve))
-    assert min(counts) > 2.0
-
-
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_curves_without_values_and_lists() -> None:
     """Curves that are nan everywhere warn of nothing; lists are drawn; no curve is refused."""

@@ -264,7 +264,7 @@ def test_parts_are_what_their_runs_say(scene: fc.Scene, run: fc.Run) -> None:
 def test_modes_that_few_harmonics_do_not_reach(
     frequency: float, force: float, ratio: float
 ) -> None:
-    """A blade that bends has modes far above the 6 to 10 harmonics that a tolerance takes, to which
+    """A blade that bends has modes far above the 6 to 25 harmonics that a tolerance takes, to which
     twice the modes make no difference, where the exact motion changes by up to 18 times as much.
     Four times the modes with 200 harmonics are the truth."""
 
@@ -279,7 +279,7 @@ def test_modes_that_few_harmonics_do_not_reach(
         }
     )
     run = fc.solve(scene, MPI.COMM_SELF)
-    assert run.errors is not None and run.result.harmonics <= 10
+    assert run.errors is not None and run.result.harmonics <= 25
     exact = {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 200}
     limit = amplitude(scene.replace(exact | {"reduction.modes": 48}))
     stated = run.errors.stated("amplitude")[0] * run.errors.values["amplitude"]
