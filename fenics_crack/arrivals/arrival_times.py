@@ -131,13 +131,13 @@ class ArrivalTimes(Tabular):
     def angle(self) -> np.ndarray:
         """Rotor angle alpha at the arrivals: (revolutions, probes) [rad]."""
         turns = self.first + np.arange(len(self.marks))
-        return _between(self.marks, TURN * turns, self.time)
+        return between(self.marks, TURN * turns, self.time)
 
     @cached_property
     def expected(self) -> np.ndarray:
         """Times at the nominal angles, seen or not: (revolutions, probes) [s]."""
         turns = self.first + np.arange(len(self.marks))
-        return _between(TURN * turns, self.marks, self.nominal_angle)
+        return between(TURN * turns, self.marks, self.nominal_angle)
 
     @cached_property
     def displacement(self) -> np.ndarray:
@@ -224,7 +224,7 @@ class ArrivalTimes(Tabular):
         return ", ".join(parts + [f"{missing} missing"] * (missing > 0))
 
 
-def _between(places: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
+def between(places: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Values (n,) at rising places (n,), at others between these by cubic splines."""
     from scipy.interpolate import CubicSpline  # takes longer than to read the arrivals
 
@@ -473,7 +473,7 @@ def _angles(
             raise InputError("path", f"{path}: {name} = {np.nanmedian(column):g}", allowed)
         return angles
     every = np.arange(turns[0], turns[0] + len(marks))
-    return TURN * (_between(marks, every, column) - turns)
+    return TURN * (between(marks, every, column) - turns)
 
 
 def _arrivals(
@@ -500,5 +500,5 @@ def _arrivals(
         seen[kept, probe] = angles
     seen = seen[:, order]
     turns = first + np.arange(len(marks))
-    time = _between(TURN * turns, marks, TURN * turns[:-1, None] + seen)
+    time = between(TURN * turns, marks, TURN * turns[:-1, None] + seen)
     return ArrivalTimes(time, marks, places[order], tip_radius, first)

@@ -15,7 +15,8 @@ revolutions, as far as it is seen in the residuals.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +35,7 @@ SEEN = 3.0
 """A correlation counts from so many of its standard deviations on."""
 
 
+Pair = tuple[float, float]
 Places = tuple[np.ndarray, np.ndarray]
 """Revolutions and probes of arrivals: two (n,)."""
 
@@ -86,9 +88,25 @@ class Noise:
         each += np.log(nu * np.pi)
         return float(len(square) * each + (nu + 1.0) * np.log1p(square / nu).sum())
 
-    def whiteness(self, places: Places) -> float:
-        """Probability that white errors are as correlated from revolution to revolution."""
-        chance = trend(self.psi, places)
+    def whiteness(self, places: Places, shares: np.ndarray) -> float:
+        """Probability that errors of the arrivals and of the marks alone are as correlated at a
+        probe from each revolution to the next.
+
+        An error e_n of a mark turns all arrivals around it: probe i in revolution n has the sum of
+        shares_ki e_(n+k), ``shares`` (marks, probes). The variance of e is that which products of
+        two probes in a revolution have; a probe's with its next ones then have the same times
+        shares_ki shares_(k+1)i. What probes have in common scatters their products likewise.
+        """
+        (own, common), (later, others) = _products(self.psi, [0, 1], places)
+        square, (total, count) = own[0] / own[1], later
+        if not count or not square:
+            return np.nan
+        alike = max(common[0] / common[1], 0.0) if common[1] else 0.0
+        now, after = shares.T @ shares, (shares[1:] * shares[:-1]).sum(axis=0)
+        apart = now[~np.eye(len(now), dtype=bool)]
+        by_marks = alike / apart.mean() * after.mean() if alike else 0.0
+        scatter = square * np.sqrt(count + (alike / square) ** 2 * others[1])
+        chance = float(ndtr((total - count * by_marks) / scatter))
         return 2.0 * min(chance, 1.0 - chance)
 
     def covariance(self, columns: np.ndarray, places: Places) -> np.ndarray:
@@ -119,9 +137,9 @@ class Noise:
         """Covariances of psi at a probe (of revolution 0 beyond its variance), and at two, of
         revolutions 0, 1, ... apart, up to the first that are not seen."""
         found: list[tuple[float, float]] = []
-        for lag in range(len(self.psi)):
+        for lag, products in enumerate(_products(self.psi, itertools.count(), places)):
             seen = []
-            for total, count in _products(self.psi, lag, places):
+            for total, count in products:
                 deviation = variance * np.sqrt(count if lag else 2.0 * count)
                 seen.append(total / count if count and abs(total) > SEEN * deviation else 0.0)
             if lag == 0:
@@ -141,21 +159,22 @@ def student(freedom: float) -> float:
 def trend(values: np.ndarray, places: Places) -> float:
     """Probability that white values (n,) of revolutions and probes are as alike as these from each
     revolution to the next, or more; nan where there is one revolution."""
-    (total, count), _ = _products(values, 1, places)
+    [[(total, count), _]] = _products(values, [1], places)
     square = float(values @ values) / len(values)
     return float(ndtr(-total / (square * np.sqrt(count)))) if count and square else np.nan
 
 
-def _products(values: np.ndarray, lag: int, places: Places) -> list[tuple[float, float]]:
+def _products(values: np.ndarray, lags: Iterable[int], places: Places) -> Iterator[list[Pair]]:
     """Sums of products of values (n,) in revolutions that are some apart, and how many they are: at
-    the same probe, and at two."""
-    found = []
-    for part in (values, np.ones(len(values))):
-        dense = _dense(part, places)
-        rows, end = dense.sum(axis=1), max(len(dense) - lag, 0)
-        own = float((dense[lag:] * dense[:end]).sum())
-        found.append((own, float(rows[lag:] @ rows[:end]) - own))
-    return list(zip(*found, strict=True))
+    the same probe, and at two; of each lag."""
+    parts = [_dense(part, places) for part in (values, np.ones(len(values)))]
+    totals = [dense.sum(axis=1) for dense in parts]
+    for lag in lags:
+        end, found = max(len(parts[0]) - lag, 0), []
+        for dense, rows in zip(parts, totals, strict=True):
+            own = float((dense[lag:] * dense[:end]).sum())
+            found.append((own, float(rows[lag:] @ rows[:end]) - own))
+        yield list(zip(*found, strict=True))
 
 
 def _dense(values: np.ndarray, places: Places) -> np.ndarray:

@@ -1,0 +1,388 @@
+"""Modes that a rotor sweeps through: the transient under an engine order, and its fit to arrivals.
+
+A mode of natural frequency w_n and damping zeta under engine order p, on a rotor whose angle is
+alpha(t) and whose speed is W = alpha', moves the tip by
+
+    u = Re a(t) exp(i p alpha),     a' = (lambda - i p W) a + zeta w_n F,
+
+where lambda = w_n (i sqrt(1 - zeta^2) - zeta) is the mode's root, a the envelope and F the
+amplitude that it would have in a resonance that lasts. Where the speed changes by the resonance's
+width in less time than the decay takes, 1 / (zeta w_n), the largest amplitude comes later, is
+lower, and rings; a fit of steady vibrations then shifts the frequency, up in a run-up and down in a
+run-down. With the speed W_j constant from each arrival to the next, as the marks tell it,
+
+    a_k = exp(lambda t_k - i p alpha_k) (b + zeta w_n F sum_j<k D_j / (i p W_j - lambda)),
+
+D_j the change of exp(i p alpha - lambda t) from arrival j to j + 1 and b of the steady vibration
+where the passage begins.
+
+Where w_n itself follows the speed, as a blade's that rotation stiffens, with s = d ln w_n / d ln W
+where the order meets it, lambda - i p W is (1 - s) times that of a constant w_n whose damping is
+zeta / (1 - s): alpha and t in the exponents are, and zeta is (1 - s) times what is fitted.
+
+The displacement is linear in the F of each mode and in a constant and a slope over the speed for
+each probe, which are its place and the blade's drift. The envelope is the averaged one of Lewis
+(Transactions of the ASME 54, 1932, 253), who swept the first resonance.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from fenics_crack.arrivals.arrival_times import FEWEST_REVOLUTIONS, ArrivalTimes, between
+from fenics_crack.arrivals.harmonics import rounding
+from fenics_crack.arrivals.robust import ROBUST_ROUNDS, ROBUST_SETTLED, reweighted
+from fenics_crack.table import TURN
+
+WIDTH = 0.035
+"""Of the speed, on both sides of a resonance, that is fitted."""
+STRIDE = 2e-3, 0.5
+"""Longest steps of Gauss-Newton, relative."""
+DAMPED = 1e-5, WIDTH / 2.0
+"""Ends of the damping ratios; a wider resonance is not told from drift."""
+PASSAGE_STEP = 1e-6
+"""Relative differences by frequency and damping."""
+MARKS_AROUND = 4
+"""Marks on each side of a revolution that the spline of the rotor's angle is seen from."""
+BLIND, DISTINCT = 0.5, 5.0
+"""Of the median vibration of all probes, less than this at one; and how much farther from it that
+is than at any other probe. A mode of another order within the same width may cancel at a probe: of
+200 such records with 4 to 8 probes one had a channel taken for blind, of 60 with 3 probes three."""
+
+Follows = Callable[[float, float], float]
+"""s of a speed and a natural frequency [rad/s], as ``Campbell.stiffening``."""
+
+
+class Run:
+    """A stretch of a record in which the speed is near a resonance: arrays (revolutions, probes).
+
+    Parameters
+    ----------
+    arrivals : ArrivalTimes
+        The record.
+    values : (revolutions, probes) [m]
+        Its displacements, without what has been found in them.
+    begin, end : int
+        First revolution, and the one after the last.
+    stiffening : function
+        s of a speed and a frequency.
+    """
+
+    def __init__(
+        self, arrivals: ArrivalTimes, values: np.ndarray, begin: int, end: int, stiffening: Follows
+    ) -> None:
+        self.begin, self.end, self._stiffening = begin, end, stiffening
+        rows = slice(begin, end)
+        self.seen = np.isfinite(values[rows])
+        self.values = np.where(self.seen, values[rows], 0.0)
+        self.path, self.time = arrivals.nominal_angle[rows], arrivals.expected[rows]
+        self.angle = np.where(self.seen, arrivals.angle[rows], self.path)
+        self.speed = arrivals.speed[rows]
+        self.along = (self.speed - self.speed.mean()) / np.ptp(self.speed)
+        self.least = rounding(arrivals)
+
+    @property
+    def probes(self) -> int:
+        """How many probes see it."""
+        return int(self.seen.any(axis=0).sum())
+
+    def waves(self, order: float, roots: np.ndarray, *, steady: bool = False) -> np.ndarray:
+        """a(t) exp(i p alpha) at the arrivals, of F = 1 and roots lambda (m,): (m, R, P)."""
+        time, path = (self.time - self.time[0, 0]).ravel(), order * self.path.ravel()
+        turning, omega = np.diff(path) / np.diff(time), float(np.abs(roots).mean())
+        slower, roots = 1.0 - self._stiffening(omega / order, omega), roots[:, None]
+        if steady:
+            speed = np.interp(time, 0.5 * (time[1:] + time[:-1]), turning)
+            envelope = 1.0 / (1j * speed - roots)
+        else:
+            envelope = np.empty((len(roots), len(time)), dtype=complex)
+            envelope[:, :1] = 1.0 / (1j * turning[0] - roots)
+            # In parts, over which exp does not overflow.
+            parts = int(-roots.real.min() * slower * time[-1] // 300.0) + 1
+            edges = np.linspace(0, len(turning), parts + 1).astype(int)
+            for begin, end in itertools.pairwise(edges):
+                here = slice(begin, end + 1)
+                passed = slower * (time[here] - time[begin])
+                phase = slower * (path[here] - path[begin]) - roots.imag * passed
+                grown, turned = np.exp(-roots.real * passed), np.cos(phase) + 1j * np.sin(phase)
+                pushed = np.diff(grown * turned) / (1j * turning[begin:end] - roots)
+                pushed = envelope[:, [begin]] + np.cumsum(pushed, axis=1)
+                back = turned[:, 1:].conj() / grown[:, 1:]
+                envelope[:, begin + 1 : end + 1] = pushed * back
+        found = -roots.real * envelope * np.exp(1j * order * self.angle.ravel())
+        return np.asarray(found.reshape(-1, *self.path.shape))
+
+    def _drifts(self, weights: np.ndarray) -> np.ndarray:
+        """A constant and a slope over the speed at each probe, orthonormal under weights (R, P):
+        (2, R, P)."""
+        tiny = np.finfo(float).tiny
+        total = np.maximum(weights.sum(axis=0), tiny)
+        along = self.along[:, None] - (weights * self.along[:, None]).sum(axis=0) / total
+        size = np.maximum((weights * along**2).sum(axis=0), tiny)
+        return np.stack([np.ones_like(weights) / np.sqrt(total), along / np.sqrt(size)])
+
+    def without_drifts(self, waves: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Waves (m, R, P) times the roots of weights (R, P), and without what a constant and a
+        slope over the speed explain of them at each probe."""
+        root = np.sqrt(weights)
+        found = root * waves
+        for column in root * self._drifts(weights):
+            found = found - column * (column * found).sum(axis=-2, keepdims=True)
+        return np.asarray(found)
+
+    def gains(self, order: float, roots: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """What the vibration of each root lambda (m,), with any F, takes off the sum of squares
+        with weights (R, P): (m,) [m^2]."""
+        waves, columns = self.waves(order, roots), self._drifts(weights)
+        weighted = weights * waves
+        drifts = np.einsum("krp,mrp->mkp", columns, weighted)
+        left = np.sqrt(weights) * self.without_drifts(self.values, weights)
+        seen = np.einsum("mrp,rp->m", waves, left)
+        both = np.einsum("mrp,mrp->m", weighted, waves) - (drifts**2).sum(axis=(1, 2))
+        size = np.einsum("mrp,mrp->m", weighted, waves.conj()).real
+        size -= (np.abs(drifts) ** 2).sum(axis=(1, 2))
+        gain = size * np.abs(seen) ** 2 - (both.conj() * seen**2).real
+        return np.asarray(2.0 * gain / (size**2 - np.abs(both) ** 2))
+
+
+@dataclass(frozen=True)
+class Record:
+    """Arrivals, and how natural frequencies follow the speed in them."""
+
+    arrivals: ArrivalTimes
+    stiffening: Follows
+
+    def run(self, values: np.ndarray, begin: int, end: int) -> Run:
+        """Revolutions of displacements (revolutions, probes)."""
+        return Run(self.arrivals, values, begin, end, self.stiffening)
+
+    def runs(self, values: np.ndarray, speed: float) -> list[Run]:
+        """Stretches in which the speed is near one, and on both sides of it."""
+        apart = self.arrivals.speed / speed - 1.0
+        near = np.flatnonzero(np.abs(apart) < WIDTH)
+        found = []
+        for rows in np.split(near, np.flatnonzero(np.diff(near) > FEWEST_REVOLUTIONS) + 1):
+            if len(rows) >= FEWEST_REVOLUTIONS and apart[rows].min() < 0.0 < apart[rows].max():
+                run = self.run(values, int(rows[0]), int(rows[-1]) + 1)
+                # A probe that has dropped out leaves the others.
+                run.seen &= run.seen.sum(axis=0) >= FEWEST_REVOLUTIONS
+                found += [run] * bool(np.any(run.seen))
+        return found
+
+
+def pole(omega: np.ndarray, damping: float) -> np.ndarray:
+    """lambda [1/s] of natural frequencies [rad/s] and a ratio of damping."""
+    return omega * (1j * np.sqrt(1.0 - damping**2) - damping)
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A mode under an engine order: p, and lambda [1/s]."""
+
+    order: float
+    root: complex
+
+    @property
+    def omega(self) -> float:
+        """Natural frequency [rad/s]."""
+        return abs(self.root)
+
+    @property
+    def damping(self) -> float:
+        """Ratio of critical damping."""
+        return -self.root.real / abs(self.root)
+
+    @property
+    def speed(self) -> float:
+        """At which the order meets the frequency [rad/s]."""
+        return self.omega / self.order
+
+    @property
+    def shifts(self) -> np.ndarray:
+        """Changes of lambda by none, by ln w_n and by ln zeta: (3,)."""
+        return np.array([0.0, self.root, self.root.real])
+
+    def moved(self, step: np.ndarray, ends: np.ndarray) -> Mode:
+        """The mode after a step of ln w_n and ln zeta, its frequency within ends [rad/s]."""
+        omega = self.omega * (1.0 + float(np.clip(step[0], -STRIDE[0], STRIDE[0])))
+        damping = self.damping * np.exp(float(np.clip(step[1], -STRIDE[1], STRIDE[1])))
+        root = pole(np.clip(omega, *ends), np.clip(damping, *DAMPED))
+        return Mode(self.order, complex(root))
+
+
+class Fit:
+    """Gauss-Newton of frequencies, dampings and what is linear, by turns with weights.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Fitted together, with forces and drifts of their own.
+    modes : sequence of Mode
+        To begin from, one or two neighbours.
+    weights : sequence of (R, P)
+        Of the arrivals of each run, to begin with.
+    steady : bool
+        Whether the vibration is taken to be steady at each speed, with these weights.
+
+    Attributes
+    ----------
+    modes : tuple of Mode
+        Those of the fit.
+    forces : (modes, runs) complex [m]
+        F.
+    noise : Noise
+        What is left.
+    """
+
+    def __init__(
+        self,
+        runs: Sequence[Run],
+        modes: Sequence[Mode],
+        weights: Sequence[np.ndarray],
+        *,
+        steady: bool = False,
+    ) -> None:
+        self._runs, self._next, self._steady = runs, tuple(modes), steady
+        self._around = [mode.root.imag * np.array([1.0 - WIDTH, 1.0 + WIDTH]) for mode in modes]
+        pairs = zip(runs, weights, strict=True)
+        begin = np.concatenate([weight[run.seen] for run, weight in pairs])
+        unknowns = 2 * len(modes) + sum(2 * len(modes) + 2 * run.probes for run in runs)
+        if not steady:
+            self.noise = reweighted(self._solve, begin, unknowns, runs[0].least)
+            return
+        for _ in range(ROBUST_ROUNDS):
+            self._solve(begin)
+            changed = abs(self._next[0].root - self.modes[0].root)
+            if changed < ROBUST_SETTLED * abs(self.modes[0].root.real):
+                break
+
+    def _solve(self, weights: np.ndarray) -> np.ndarray:
+        """Residuals (n,) of the linear fit, after a step of frequencies and dampings."""
+        self.modes = self._next
+        forces, left, columns = [], [], []
+        for run, weight in zip(self._runs, self._spread(weights), strict=True):
+            moved = [
+                run.waves(mode.order, mode.root + PASSAGE_STEP * mode.shifts, steady=self._steady)
+                for mode in self.modes
+            ]
+            *wave, values = run.without_drifts(np.concatenate([*moved, run.values[None]]), weight)
+            waves = np.array(wave)[:, run.seen].reshape(len(self.modes), 3, -1)
+            values = values[run.seen].real
+            parts = np.stack([waves[:, 0].real, -waves[:, 0].imag], axis=1)
+            parts = parts.reshape(-1, len(values)).T
+            found = np.linalg.lstsq(parts.T @ parts, parts.T @ values, rcond=None)[0]
+            forces.append(found[0::2] + 1j * found[1::2])
+            left.append(values - parts @ found)
+            changes = forces[-1][:, None, None] * (waves[:, 1:] - waves[:, :1]) / PASSAGE_STEP
+            columns.append((changes.real.reshape(-1, len(values)).T, parts))
+        self.forces, total = np.array(forces).T, np.concatenate(left)
+        changed, linear = (list(kind) for kind in zip(*columns, strict=True))
+        self._columns = np.column_stack([np.concatenate(changed), block_diag(*linear)])
+        steps = np.linalg.lstsq(self._columns, total, rcond=None)[0]
+        pairs = steps[: 2 * len(self.modes)].reshape(-1, 2)
+        self._next = tuple(
+            mode.moved(step, ends)
+            for mode, step, ends in zip(self.modes, pairs, self._around, strict=True)
+        )
+        return np.asarray(total / np.sqrt(weights))
+
+    def _spread(self, values: np.ndarray) -> list[np.ndarray]:
+        """Values (n,) of the arrivals in each run, 0 where there is none: (R, P)."""
+        counts = np.cumsum([int(run.seen.sum()) for run in self._runs])[:-1]
+        found = [np.zeros(run.path.shape) for run in self._runs]
+        for one, run, part in zip(found, self._runs, np.split(values, counts), strict=True):
+            one[run.seen] = part
+        return found
+
+    @property
+    def mode(self) -> Mode:
+        """The first mode, or the only one."""
+        return self.modes[0]
+
+    @property
+    def places(self) -> tuple[np.ndarray, np.ndarray]:
+        """Revolutions and probes of the arrivals: two (n,)."""
+        rows = [np.nonzero(run.seen) for run in self._runs]
+        turns = [run.begin + row for run, (row, _) in zip(self._runs, rows, strict=True)]
+        return np.concatenate(turns), np.concatenate([probe for _, probe in rows])
+
+    @cached_property
+    def errors(self) -> np.ndarray:
+        """Standard errors of frequency [rad/s] and damping of the first mode."""
+        columns = self._columns / np.sqrt(self.noise.weights)[:, None]
+        spread = self.noise.covariance(columns, self.places)
+        return np.sqrt(np.diag(spread)[:2]) * [self.mode.omega, self.mode.damping]
+
+    @cached_property
+    def amplitude(self) -> float:
+        """Largest amplitude of the first mode in the runs [m]."""
+        root, order = np.array([self.mode.root]), self.mode.order
+        pairs = zip(self.forces[0], self._runs, strict=True)
+        return float(max(np.abs(force * run.waves(order, root)).max() for force, run in pairs))
+
+    def motion(self, record: Record, revolutions: int, place: int = 0) -> np.ndarray:
+        """Displacements by one of the modes (revolutions, probes): that of each passage up to
+        halfway to the next."""
+        mode, found = self.modes[place], []
+        root = np.array([mode.root])
+        halfway = [(one.end + after.begin) // 2 for one, after in itertools.pairwise(self._runs)]
+        ends = itertools.pairwise([0, *halfway, revolutions])
+        nothing = np.zeros(record.arrivals.time.shape)
+        for (begin, end), force in zip(ends, self.forces[place], strict=True):
+            wave = record.run(nothing, begin, end).waves(mode.order, root)[0]
+            found.append((force * wave).real)
+        return np.concatenate(found)
+
+    @property
+    def whiteness(self) -> float:
+        """Probability that errors of arrivals and marks alone are left."""
+        turns = np.arange(-MARKS_AROUND, MARKS_AROUND + 2.0)
+        shares = between(turns, np.eye(len(turns)), self._runs[0].path[0] / TURN % 1.0).T
+        return self.noise.whiteness(self.places, shares)
+
+    @property
+    def weights(self) -> list[np.ndarray]:
+        """Of the arrivals of each run: (R, P)."""
+        return self._spread(self.noise.weights)
+
+    @property
+    def blind(self) -> np.ndarray:
+        """Probes (n,) that see none, or little, of what the others see alike: a channel whose
+        pulses are not those of the blade. Fitted is a vibration of any phase at each probe."""
+        root, count = np.array([self.mode.root]), self._runs[0].path.shape[1]
+        square, seen = np.zeros((count, 2, 2)), np.zeros((count, 2))
+        for run, force, weight in zip(self._runs, self.forces[0], self.weights, strict=True):
+            wave = force * run.waves(self.mode.order, root)[0]
+            given = np.stack([wave.real, -wave.imag, run.values])
+            *parts, values = run.without_drifts(given, weight).real
+            square = square + np.einsum("arp,brp->pab", parts, parts)
+            seen = seen + np.einsum("arp,rp->pa", parts, values)
+        there = square.any(axis=(1, 2))
+        found, size = np.linalg.solve(square[there], seen[there, :, None])[..., 0], np.ones(count)
+        size[there] = np.hypot(*found.T) / np.median(found[:, 0])
+        off, apart = size < BLIND, np.abs(size - 1.0)
+        if not 0 < np.count_nonzero(off) < np.count_nonzero(there & ~off):
+            return np.array([], dtype=int)
+        distinct = apart[off].min() > DISTINCT * apart[~off].max()
+        return np.flatnonzero(off & distinct)
+
+    @cached_property
+    def gain(self) -> float:
+        """Difference of -2 log likelihood from no vibration."""
+
+        def solve(weights: np.ndarray) -> np.ndarray:
+            parts = zip(self._runs, self._spread(weights), strict=True)
+            left = [run.without_drifts(run.values, weight)[run.seen] for run, weight in parts]
+            return np.asarray(np.concatenate(left) / np.sqrt(weights))
+
+        unknowns, weights = (
+            self.noise.unknowns - 2 * len(self.modes) * (1 + len(self._runs)),
+            self.noise.weights,
+        )
+        return reweighted(solve, weights, unknowns, self._runs[0].least).cost - self.noise.cost
