@@ -86,8 +86,8 @@ class PassageFit(Tabular):
         Standard deviation of a displacement about the fit.
     whiteness : float
         Probability that errors of arrivals and of the shaft's marks, none of which is like the
-        next one, leave what is left. The standard errors hold with the correlation that is seen, not with what a vibration
-        beside it shifts (:attr:`in_doubt`).
+        next one, leave what is left. The standard errors hold with the correlation that is seen,
+        not with what a vibration beside it shifts (:attr:`in_doubt`).
     asynchronous : tuple of TipFit
         Vibrations of constant frequency, which follow no order, found in the record.
     blind : tuple of float [rad]
@@ -149,10 +149,18 @@ class PassageFit(Tabular):
     @property
     def disagree(self) -> bool:
         """Tell whether frequencies or dampings of passages by themselves differ by more than three
-        of their errors. Amplitudes may: loads are not the same up and down."""
-        return _differ(self.omegas, self.omega_errors) or _differ(
-            self.dampings, self.damping_errors
-        )
+        of their errors. Amplitudes may: the load need not be the same."""
+        return bool(self.disagreement)
+
+    @property
+    def disagreement(self) -> str:
+        """By what passages by themselves :attr:`disagree`, in words; "" if they do not."""
+        parts = []
+        if _differ(self.omegas, self.omega_errors):
+            parts.append(f"by {self.apart:.2%} in frequency")
+        if _differ(self.dampings, self.damping_errors):
+            parts.append(f"in damping, {self.dampings.min():.2g} to {self.dampings.max():.2g}")
+        return f"passages differ more than errors do: {', '.join(parts)}" if parts else ""
 
     @property
     def in_doubt(self) -> bool:
@@ -586,7 +594,9 @@ class _Compared:
         runs = record.runs(values, self.speed)
         if not runs:
             return False
-        weights = [run.seen.astype(float) for run in runs]
+        weights = self.best.weights
+        if [one.seen.tobytes() for one in runs] != [one.seen.tobytes() for one in self._runs]:
+            weights = [run.seen.astype(float) for run in runs]
         self._runs, self.best = runs, Fit(runs, [mode or self.best.mode], weights)
         return self.clear
 

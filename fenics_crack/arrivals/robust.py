@@ -186,7 +186,11 @@ def _dense(values: np.ndarray, places: Places) -> np.ndarray:
 
 
 def reweighted(
-    solve: Callable[[np.ndarray], np.ndarray], weights: np.ndarray, unknowns: int, least: float
+    solve: Callable[[np.ndarray], np.ndarray],
+    weights: np.ndarray,
+    unknowns: int,
+    least: float,
+    settled: float = ROBUST_SETTLED,
 ) -> Noise:
     """Weights of arrivals, by turns with what a fit with these weights leaves.
 
@@ -200,13 +204,15 @@ def reweighted(
         Coefficients of the fit.
     least : float
         The scale is no smaller: rounding.
+    settled : float
+        Change of the weights, and of the residuals over their scale, below which they are final.
     """
     before, scale = np.inf, 0.0
     for _ in range(ROBUST_ROUNDS):
         noise = _noise(solve(weights), unknowns, scale, least)
         change = np.abs(noise.weights - weights).max(), np.abs(noise.left - before).max()
         weights, before, scale = noise.weights, noise.left, noise.scale
-        if change[0] < ROBUST_SETTLED and change[1] < ROBUST_SETTLED * scale:
+        if change[0] < settled and change[1] < settled * scale:
             break
     return noise
 

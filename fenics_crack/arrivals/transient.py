@@ -48,6 +48,9 @@ DAMPED = 1e-5, WIDTH / 2.0
 """Ends of the damping ratios; a wider resonance is not told from drift."""
 PASSAGE_STEP = 1e-6
 """Relative differences by frequency and damping."""
+SETTLED = 1e-2
+"""Change of the weights, and of the residuals over their scale, below which a fit is final: some
+hundredths of its standard errors."""
 MARKS_AROUND = 4
 """Marks on each side of a revolution that the spline of the rotor's angle is seen from."""
 BLIND, DISTINCT = 0.5, 5.0
@@ -203,10 +206,11 @@ class Mode:
         """At which the order meets the frequency [rad/s]."""
         return self.omega / self.order
 
-    @property
-    def shifts(self) -> np.ndarray:
-        """Changes of lambda by none, by ln w_n and by ln zeta: (3,)."""
-        return np.array([0.0, self.root, self.root.real])
+    def changes(self, wave: np.ndarray, shifted: np.ndarray) -> np.ndarray:
+        """Changes by ln w_n and ln zeta of zeta w_n times an analytic function of lambda, from its
+        values (n,) at lambda and at lambda (1 + PASSAGE_STEP): (2, n)."""
+        by_root = (shifted / (1.0 + PASSAGE_STEP) - wave) / PASSAGE_STEP
+        return np.stack([wave + by_root, wave + self.root.real / self.root * by_root])
 
     def moved(self, step: np.ndarray, ends: np.ndarray) -> Mode:
         """The mode after a step of ln w_n and ln zeta, its frequency within ends [rad/s]."""
@@ -254,7 +258,7 @@ class Fit:
         begin = np.concatenate([weight[run.seen] for run, weight in pairs])
         unknowns = 2 * len(modes) + sum(2 * len(modes) + 2 * run.probes for run in runs)
         if not steady:
-            self.noise = reweighted(self._solve, begin, unknowns, runs[0].least)
+            self.noise = reweighted(self._solve, begin, unknowns, runs[0].least, SETTLED)
             return
         for _ in range(ROBUST_ROUNDS):
             self._solve(begin)
@@ -267,20 +271,21 @@ class Fit:
         self.modes = self._next
         forces, left, columns = [], [], []
         for run, weight in zip(self._runs, self._spread(weights), strict=True):
-            moved = [
-                run.waves(mode.order, mode.root + PASSAGE_STEP * mode.shifts, steady=self._steady)
-                for mode in self.modes
-            ]
-            *wave, values = run.without_drifts(np.concatenate([*moved, run.values[None]]), weight)
-            waves = np.array(wave)[:, run.seen].reshape(len(self.modes), 3, -1)
+            given = [run.values[None]]
+            for mode in self.modes:
+                roots = mode.root * np.array([1.0, 1.0 + PASSAGE_STEP])
+                given.append(run.waves(mode.order, roots, steady=self._steady))
+            values, *wave = run.without_drifts(np.concatenate(given), weight)
+            waves = np.array(wave)[:, run.seen].reshape(len(self.modes), 2, -1)
             values = values[run.seen].real
             parts = np.stack([waves[:, 0].real, -waves[:, 0].imag], axis=1)
             parts = parts.reshape(-1, len(values)).T
             found = np.linalg.lstsq(parts.T @ parts, parts.T @ values, rcond=None)[0]
             forces.append(found[0::2] + 1j * found[1::2])
             left.append(values - parts @ found)
-            changes = forces[-1][:, None, None] * (waves[:, 1:] - waves[:, :1]) / PASSAGE_STEP
-            columns.append((changes.real.reshape(-1, len(values)).T, parts))
+            changes = [mode.changes(*pair) for mode, pair in zip(self.modes, waves, strict=True)]
+            changed = (forces[-1][:, None, None] * changes).real.reshape(-1, len(values))
+            columns.append((changed.T, parts))
         self.forces, total = np.array(forces).T, np.concatenate(left)
         changed, linear = (list(kind) for kind in zip(*columns, strict=True))
         self._columns = np.column_stack([np.concatenate(changed), block_diag(*linear)])

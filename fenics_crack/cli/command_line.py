@@ -277,11 +277,11 @@ COMMANDS = {
     ),
     "timing": (
         "arrival times of the tip at the probes of [tip_timing], and the vibration found in them",
-        "scene arrivals --set --output --pictures",
+        "scene arrivals --blade=N --set --output --pictures",
     ),
     "identify": (
         "a crack from measured frequencies, harmonics and arrivals, by the table [identify]",
-        "scene measurements --arrivals --before --modes --set --output --pictures",
+        "scene measurements --arrivals --before --blade=N --modes --set --output --pictures",
     ),
     "plot": (
         "pictures of a result, of several in one, or of a scene's mesh; files for ParaView",
@@ -327,6 +327,10 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
         "arrivals (docs/tip_timing.md) or the .h5 file of a solution or a curve; [tip_timing] says "
         "how the tip moves past them",
         {"type": path, "metavar": "FILE"},
+    ),
+    "--blade=N": (
+        "number of the blade whose arrivals are taken from a file of several",
+        {"type": int, "metavar": "N"},
     ),
     "arrivals": (
         "what makes the arrivals: the .h5 file of a solution or a curve; or a CSV file of them, "

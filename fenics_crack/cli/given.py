@@ -76,11 +76,11 @@ def read_inputs(given: Namespace) -> Inputs | None:
     if (count := vars(given).get("count")) is not None:
         check_count("--count", count, 1)
     folder = vars(given).get("output") or Path("output") / given.scene.stem
-    arrivals = _arrivals(scene, vars(given).get("arrivals"))
+    arrivals = _arrivals(scene, given, vars(given).get("arrivals"))
     if given.command != "identify":
         return Inputs(scene, folder, arrivals=arrivals)
     seen = given.before is not None and given.before.suffix.lower() in RECORDS
-    before = _arrivals(scene, given.before) if seen else None
+    before = _arrivals(scene, given, given.before) if seen else None
     rows = _measurements(given, scene, None if seen else given.before)
     return Inputs(scene, folder, rows, arrivals, before)
 
@@ -107,17 +107,33 @@ def _measurements(given: Namespace, scene: Scene, before: Path | None) -> Measur
     return rows
 
 
-def _arrivals(scene: Scene, source: Path | None) -> ArrivalTimes | Path | None:
-    """Arrivals as they are measured; a result as it is."""
+def _arrivals(scene: Scene, given: Namespace, source: Path | None) -> ArrivalTimes | Path | None:
+    """Arrivals as they are measured, of the blade that is given if the file has several; a result
+    as it is."""
     if source is None or source.suffix.lower() == ".h5":
         return source
     table = scene.given("tip_timing")
     from fenics_crack.arrivals.arrival_times import read_record
 
     blades = read_record(source, tip_radius=table.tip_radius, probes=np.radians(table.probes))
-    if len(blades) > 1:
-        raise InputError("arrivals", f"{source} of {len(blades)} blades", "those of one blade")
-    return next(iter(blades.values()))
+    [(_, arrivals), *others] = one_of(blades, given.blade, source).items()
+    if others:
+        raise InputError(
+            "--blade", None, f"given: one of {', '.join(map(str, blades))} in {source}"
+        )
+    return arrivals
+
+
+def one_of(
+    blades: dict[int, ArrivalTimes], blade: int | None, source: Path
+) -> dict[int, ArrivalTimes]:
+    """All blades of a record, or the one whose number is given."""
+    if blade is None:
+        return blades
+    if blade not in blades:
+        allowed = f"one of {', '.join(map(str, blades))} in {source}"
+        raise InputError("--blade", blade, allowed)
+    return {blade: blades[blade]}
 
 
 def _is_record(given: Namespace) -> bool:

@@ -18,7 +18,7 @@ from fenics_crack.arrivals.passages import PassageFit, find_passages
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import Account, in_one_unit, of_error, of_stability
 from fenics_crack.cli.commands import tell
-from fenics_crack.cli.given import Console, Inputs, changes, keep_before, make_writable
+from fenics_crack.cli.given import Console, Inputs, changes, keep_before, make_writable, one_of
 from fenics_crack.draw.plot_study import draw_arrivals, draw_passages, draw_tip_fit, draw_tip_track
 from fenics_crack.errors import Exit, InputError
 from fenics_crack.parallel import on_root
@@ -45,6 +45,10 @@ ONCE = (
 BESIDE = (
     "what is left is alike from revolution to revolution: another vibration, or drift, is beside "
     "it, and frequency, damping and order may be off by more than their errors"
+)
+UNTESTED_ORDER = (
+    "cannot test an order: frequency and damping are those of order {:g}, and others may be right "
+    "(three probes, or tip_timing.orders = one that is known)"
 )
 BLIND = (
     "it sees nothing of the vibration that the others see alike, so it is left out: are its pulses "
@@ -142,6 +146,7 @@ def _record(given: Namespace, console: Console) -> Exit:
             tip_radius=words.get("tip_radius"),
             probes=None if probes is None else np.radians(probes),
         )
+        blades = one_of(blades, given.blade, given.scene)
     folder = given.output or Path("output") / given.scene.stem
     make_writable(folder, console.comm)
     orders, stiffening = words.get("orders") or ORDERS, words.get("stiffening", 0.0)
@@ -179,11 +184,14 @@ def _account_of_passages(found: Mapping[int, Sequence[PassageFit]]) -> Account:
         warnings += [f"blade {blade}, probe at {angle} degrees: {BLIND}" for angle in angles]
     for blade, fit in every:
         name = f"blade {blade}, {fit.speed / RPM:.5g} rpm"
-        if fit.ambiguous:
+        if fit.untested:
+            seen = counted(fit.probes, "probe")
+            warnings.append(f"{name}: {seen} {UNTESTED_ORDER.format(fit.order)}")
+        elif fit.ambiguous:
             told = ", ".join(f"{order:g}" for order in fit.ambiguous)
             warnings.append(f"{name}: orders that explain the arrivals as well: {told}")
         if fit.disagree:
-            warnings.append(f"{name}: passages differ by {fit.apart:.2%}, more than errors")
+            warnings.append(f"{name}: {fit.disagreement}")
         if fit.in_doubt:
             warnings.append(f"{name}: {BESIDE}")
     biases, notes = [fit.steady_bias for _, fit in every], []

@@ -191,11 +191,9 @@ def passed_in_words(fit: PassageFit, mode: int, why: str) -> str:
     """Which mode passes where and why it is known no better, or why a resonance is not used."""
     hertz = f"{fit.omega / TURN:.6g} ± {fit.deviation / TURN:.2g} Hz"
     where = f"{hertz}, engine order {fit.order:g} at {fit.speed / RPM:.6g} rpm"
-    doubts = {
-        "something is beside it": fit.in_doubt,
-        "its passages by themselves differ": fit.disagree,
-    }
-    told = "; ".join([why] * bool(why) + [doubt for doubt, yes in doubts.items() if yes])
+    doubts = ["something is beside it"] * fit.in_doubt
+    doubts += [f"its {fit.disagreement}"] * fit.disagree
+    told = "; ".join([why] * bool(why) + doubts)
     return (f"mode {mode}: " if mode else "not used: ") + where + f" ({told})" * bool(told)
 
 
@@ -218,7 +216,8 @@ def mode_of(fit: PassageFit, diagram: Campbell) -> tuple[int, str]:
         return 0, "; ".join(told)
     also = [f"{order:g}" for order in fit.ambiguous if min(apart(order * fit.speed)) <= FARTHEST]
     if also:
-        return 0, f"order {', '.join(also)} explains it as well, and meets a mode there, too"
+        why = "may be right, too: two probes test none" if fit.untested else "explains it as well"
+        return 0, f"order {', '.join(also)} {why}, and meets a mode there, too"
     return int(nearest[0]) + 1, ""
 
 

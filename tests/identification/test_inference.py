@@ -353,8 +353,9 @@ def test_units_at_other_speeds() -> None:
 PASSED = fc.PassageFit(
     order=5.0, omega=1500.0, omega_error=0.03, damping=2e-3, damping_error=1e-5, amplitude=6e-5,
     forces=np.ones(1), ends=np.array([[0, 300]]), omegas=np.array([1500.0]),
-    omega_errors=np.array([0.03]), steady_omegas=np.array([1500.0]), orders=np.array([5.0, 6.0]),
-    margins=np.array([0.0, 50.0]), scatter=2e-6, whiteness=0.4,
+    omega_errors=np.array([0.03]), dampings=np.array([2e-3]), damping_errors=np.array([1e-5]),
+    steady_omegas=np.array([1500.0]), orders=np.array([5.0, 6.0]), margins=np.array([0.0, 50.0]),
+    probes=4, scatter=2e-6, whiteness=0.4,
 )  # fmt: skip
 
 
@@ -367,6 +368,8 @@ PASSED = fc.PassageFit(
         ({}, (0.9, 1.03), (1.02, 1.1), "mode 1 has 214.859 to 243.507 Hz there; mode 2 has 245.8"),
         ({"margins": np.zeros(2)}, (0.9, 2.0), (1.02, 2.1), ""),
         ({"margins": np.zeros(2)}, (0.9, 1.19), (1.02, 1.25), "order 6 explains it as well, and"),
+        ({"probes": 2}, (0.9, 2.0), (1.02, 2.1), ""),
+        ({"probes": 2}, (0.9, 1.19), (1.02, 1.25), "order 6 may be right, too: two probes test none"),
     ],
 )  # fmt: skip
 def test_modes_of_resonances(
@@ -390,7 +393,11 @@ def test_modes_of_resonances(
         ({"whiteness": 0.0}, 3.0, "something is beside it"),
         (
             {"omegas": np.array([1500.0, 1501.0]), "omega_errors": np.full(2, 0.05)},
-            0.5, "its passages by themselves differ",
+            0.5, "its passages differ more than errors do: by 0.07% in frequency",
+        ),
+        (
+            {"dampings": np.array([2e-3, 3e-3]), "damping_errors": np.full(2, 1e-4)},
+            0.03, "its passages differ more than errors do: in damping, 0.002 to 0.003",
         ),
     ],
 )  # fmt: skip
