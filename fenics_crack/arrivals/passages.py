@@ -28,9 +28,9 @@ from fenics_crack.stages import begin as begin_stage
 from fenics_crack.table import RPM, TURN, Tabular, counted, quantity
 
 SHIFTS = np.linspace(-0.01, 0.01, 11)
-"""Relative shifts of the frequency with which the fit begins."""
+"""Relative shifts of the frequency with which the fit begins, by :data:`TYPICAL` damping."""
 REFINED = 4
-"""Orders whose fits are refined."""
+"""Orders whose fits are refined; of each of two neighbours half as many."""
 SPACING, TYPICAL = 0.003, 0.004
 """Relative distance of the speeds at which resonances are sought, and their damping there and where
 the fit begins."""
@@ -347,8 +347,12 @@ def find_passages(
     # A line looks like a resonance everywhere, and a resonance like a line: beside the clearest of
     # them lines are found, then the others, by turns until they are the same.
     for turn in range(PASSAGE_ROUNDS):
-        before, few = found, 1 if asynchronous and not turn else most
-        found, left = _search(record, values - steady, tried, few)
+        before = [(one.best.mode.order, one.speed) for one in found]
+        if turn < 2:
+            few = 1 if asynchronous and not turn else most
+            found, left = _search(record, values - steady, tried, few)
+        else:
+            left = _again(record, values - steady, found)
         if found and not turn and len(blind := found[0].best.blind):
             fits = find_passages(
                 arrivals.without(blind), tried, most=most, asynchronous=asynchronous,
@@ -356,7 +360,7 @@ def find_passages(
             )  # fmt: skip
             angles = arrivals.probes[blind].tolist()
             return tuple(replace(fit, blind=(*angles, *fit.blind)) for fit in fits)
-        if not asynchronous or (turn and _alike(found, before)):
+        if not asynchronous or turn > 1 or (turn and _alike(found, before)):
             break
         begin_stage("vibrations of constant frequency")
         lines, rest = find_lines(arrivals, left + steady, constants, tried.max(), most=asynchronous)
@@ -467,10 +471,25 @@ def _settle(record: Record, left: np.ndarray, found: list[_Compared]) -> None:
             break
 
 
-def _alike(found: Sequence[_Compared], before: Sequence[_Compared]) -> bool:
-    """Tell whether two searches have found the same resonances."""
-    places = ([(one.best.mode.order, one.speed) for one in some] for some in (found, before))
-    pairs = itertools.zip_longest(*map(sorted, places), fillvalue=(0.0, 0.0))
+def _again(record: Record, values: np.ndarray, found: list[_Compared]) -> np.ndarray:
+    """Fit resonances to other displacements (revolutions, probes), and return what they leave."""
+    left = np.array(values)
+    for one in found:
+        one.add(record, left, -1.0)
+    for one in [*found]:
+        one.add(record, left, 1.0)
+        if one.again(record, left):
+            one.add(record, left, -1.0)
+        else:
+            found.remove(one)
+    _settle(record, left, found)
+    return left
+
+
+def _alike(found: Sequence[_Compared], before: Sequence[tuple[float, float]]) -> bool:
+    """Tell whether a search has found the resonances of these orders and speeds."""
+    places = sorted((one.best.mode.order, one.speed) for one in found)
+    pairs = itertools.zip_longest(places, sorted(before), fillvalue=(0.0, 0.0))
     return all(np.allclose(one, other, rtol=SPACING) for one, other in pairs)
 
 
@@ -679,9 +698,9 @@ class _Compared:
 def _begun(
     runs: Sequence[Run], weights: Sequence[np.ndarray], order: float, speed: float, damping: float
 ) -> tuple[float, Mode]:
-    """What a mode near a speed takes off the sum of squares at most, over a grid of frequencies,
-    and this mode."""
-    roots = pole(order * speed * (1.0 + SHIFTS), damping)
+    """What a mode near a speed takes off the sum of squares at most, over a grid of frequencies as
+    fine as its width, and this mode."""
+    roots = pole(order * speed * (1.0 + SHIFTS * damping / TYPICAL), damping)
     gains = sum(run.gains(order, roots, own) for run, own in zip(runs, weights, strict=True))
     best = int(np.argmax(gains))
     return float(np.asarray(gains)[best]), Mode(order, complex(roots[best]))
@@ -711,7 +730,7 @@ def _highest(gains: np.ndarray) -> set[tuple[int, int]]:
     """Pairs (n, m) that are refined: the best with each of the first orders, and of the second."""
     found = set()
     for table, turned in ((gains, False), (gains.T, True)):
-        for place in np.argsort(-table.max(axis=1))[:REFINED].tolist():
+        for place in np.argsort(-table.max(axis=1))[: REFINED // 2].tolist():
             other = int(table[place].argmax())
             if table[place, other] > LOWEST * gains.max():
                 found.add((other, place) if turned else (place, other))

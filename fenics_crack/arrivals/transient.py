@@ -390,4 +390,5 @@ class Fit:
             self.noise.unknowns - 2 * len(self.modes) * (1 + len(self._runs)),
             self.noise.weights,
         )
-        return reweighted(solve, weights, unknowns, self._runs[0].least).cost - self.noise.cost
+        empty = reweighted(solve, weights, unknowns, self._runs[0].least, SETTLED)
+        return empty.cost - self.noise.cost
