@@ -3,8 +3,8 @@
 Generated records of 2, 3 and 4 probes at random angles, in which a run-up and a run-down pass two
 modes 1.6 % apart: of one engine order, as the modes of a blisk, or of two. Each mode is a mass of
 damping 0.001 to 0.004, integrated in time (a filter with a force linear within a step, which shares
-nothing with the envelope that is fitted); the larger one reaches 0.3 to 1 mm, the smaller one 0.3 to
-1 times that. Errors are those of `tip_records.py`, but arrivals scatter by 5 to 100 micrometres.
+nothing with the envelope that is fitted); the larger one reaches 0.3 to 1 mm, the smaller one 0.3
+to 1 times that. Errors are those of `tip_records.py`, but arrivals scatter by 5 to 100 micrometres.
 
 A resonance found is of the mode whose speed is nearest. Columns, by probes: `records`; `found`:
 resonances; `alone`: orders stated alone, which are right (neither another one listed, nor untested,

@@ -369,7 +369,7 @@ PASSED = fc.PassageFit(
         ({"margins": np.zeros(2)}, (0.9, 2.0), (1.02, 2.1), ""),
         ({"margins": np.zeros(2)}, (0.9, 1.19), (1.02, 1.25), "order 6 explains it as well, and"),
         ({"probes": 2}, (0.9, 2.0), (1.02, 2.1), ""),
-        ({"probes": 2}, (0.9, 1.19), (1.02, 1.25), "order 6 may be right, too: two probes test none"),
+        ({"probes": 2}, (0.9, 1.19), (1.02, 1.25), "order 6 may be right, too: two probes"),
     ],
 )  # fmt: skip
 def test_modes_of_resonances(
