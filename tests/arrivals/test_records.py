@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import re
+from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack import stages
+from fenics_crack.cli.given import read_inputs
 
 pytestmark = pytest.mark.usefixtures("not_laid_out")
 
@@ -428,6 +430,34 @@ def test_a_record_from_the_shell(
     ):
         assert main([*words, *more]) == 2
         assert error in capsys.readouterr().err
+
+
+def test_one_blade_of_several(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A record of two blades: all of them without a scene, or the one that is given; with a scene
+    the one that is given, and an error that says which there are."""
+    rng = np.random.default_rng(1)
+    places = np.radians([0.0, 90.0])
+    angles = places + np.array([[0.0], [1e-3]]) + 1e-6 * rng.standard_normal((200, 2, 2))
+    rows = [[2.0 * n, 955.0 + 0.5 * n, *turn.ravel()] for n, turn in enumerate(angles)]
+    heads = [f"blade {blade} probe {probe} [rad]" for blade in (3, 4) for probe in (1, 2)]
+    path = written(tmp_path / "record.csv", ",".join(["revolution", "speed [rpm]", *heads]), rows)
+    table = {"probes": tuple(np.degrees(places)), "tip_radius": 0.5, "orders": [4, 5]}
+    scene = tmp_path / "strip.toml"
+    scene.write_text(strip(2.0, 100.0 / UNIT, tip_timing=table).as_toml())
+    for command in (["timing", str(scene), str(path)], ["identify", str(scene), "--arrivals"]):
+        words = [*command, *[str(path)] * (command[0] == "identify"), "--output", str(tmp_path)]
+        assert main(words) == 2
+        assert f"--blade = None: must be given: one of 3, 4 in {path}" in capsys.readouterr().err
+        assert main([*words, "--blade", "2"]) == 2
+        assert f"--blade = 2: must be one of 3, 4 in {path}" in capsys.readouterr().err
+    given = Namespace(command="timing", scene=scene, set=[], output=None, arrivals=path, blade=4)
+    inputs = read_inputs(given)
+    assert inputs is not None and isinstance(inputs.arrivals, fc.ArrivalTimes)
+    assert np.nanmedian(inputs.arrivals.displacement) == pytest.approx(-0.5e-3, rel=0.01)
+    words = ["timing", str(path), "--output", str(tmp_path), "--set", "tip_timing.tip_radius=0.5"]
+    for more, told in (([], "2 blades, 399 revolutions"), (["--blade", "4"], "1 blade, 399 rev")):
+        assert main([*words, *more]) == 0
+        assert told in capsys.readouterr().err
 
 
 def test_units_of_a_record_without_a_resonance(
