@@ -48,9 +48,15 @@ IN_WORDS = {
 open, held closed, breathing, by the formula and measured as a resonance, and of the plate before it
 had a crack; then what is of a point under a harmonic load, displacements as probes see them."""
 NEEDED = ("quantity", "value", "deviation")
-OPTIONAL = ("mode", "frequency", "point", "phase", "rpm")
+OPTIONAL = ("mode", "frequency", "point", "phase", "rpm", "temperature")
 SI = "Hz", "m", "-"
-UNITS = {"frequency": SI[:1], "phase": ("rad",), "value": SI, "deviation": SI}
+UNITS = {
+    "frequency": SI[:1],
+    "phase": ("rad",),
+    "value": SI,
+    "deviation": SI,
+    "temperature": ("K", "°C", "C"),
+}
 """That headings may name, in brackets."""
 UNIVERSAL = (".uff", ".unv")
 """Endings of universal files."""
@@ -92,6 +98,9 @@ class Measurement:
         Of the load's period, 0 where it begins, 2 pi where it ends; nan where there is none.
     rpm : float [1/min]
         Of the rotor, where a natural frequency was measured, 0 at rest; nan: the scene's own.
+    temperature : float [K or °C]
+        Of the structure when a natural frequency was measured, in one unit in all of them: their
+        differences are what tells; nan where it is not known.
 
     Raises
     ------
@@ -107,6 +116,7 @@ class Measurement:
     point: str = ""
     phase: float = math.nan
     rpm: float = math.nan
+    temperature: float = math.nan
 
     def __post_init__(self) -> None:
         check_choice("measurements.quantity", self.quantity, IN_WORDS)
@@ -126,12 +136,15 @@ class Measurement:
                 raise InputError("measurements.phase", self.phase, allowed)
         if not math.isnan(self.rpm):
             check_number("measurements.rpm", self.rpm, 0.0)
-        needed = ("mode", "rpm") if self.natural else ("frequency", "point", *["phase"] * at_probe)
+        if not math.isnan(self.temperature):
+            check_number("measurements.temperature", self.temperature)
+        of_mode = ("mode", "rpm", "temperature")
+        needed = of_mode if self.natural else ("frequency", "point", *["phase"] * at_probe)
         for key in OPTIONAL:
             given = getattr(self, key)
             if key not in needed and given and not (isinstance(given, float) and math.isnan(given)):
                 raise InputError(f"measurements.{key}", given, f"left out with {self.quantity}")
-        for key in ("value", "deviation", "frequency", "phase", "rpm"):
+        for key in ("value", "deviation", "frequency", "phase", "rpm", "temperature"):
             number = getattr(self, key)
             if not (math.isnan(number) or number == 0.0 or SMALLEST <= abs(number) <= LARGEST):
                 raise InputError(f"measurements.{key}", number, f"a number {OR_ZERO}")
@@ -379,8 +392,8 @@ class Measurements(Tabular):
     @classmethod
     def from_csv(cls, path: str | Path) -> Measurements:
         """Read a table with the columns quantity, value, deviation, mode, frequency [Hz], point,
-        phase [rad] and rpm, in any order; cells that do not apply are empty, and lines that begin
-        with # are left out.
+        phase [rad], rpm and temperature [°C], in any order; cells that do not apply are empty, and
+        lines that begin with # are left out.
 
         Raises
         ------
@@ -452,7 +465,7 @@ class Measurements(Tabular):
         names = [item.name for item in fields(Measurement)]
         found = {name: [getattr(row, name) for row in self.rows] for name in names}
         found["mode"] = [mode or "" for mode in found["mode"]]
-        for name in ("frequency", "phase", "rpm"):
+        for name in ("frequency", "phase", "rpm", "temperature"):
             found[name] = ["" if math.isnan(one) else one for one in found[name]]
         return found
 

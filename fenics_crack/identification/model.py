@@ -28,7 +28,7 @@ from fenics_crack.identification.interpolation import (
     scales,
 )
 from fenics_crack.identification.measurements import Measurement
-from fenics_crack.identification.nuisance import OF_SIZE, Whole, act_as, relative_changes
+from fenics_crack.identification.nuisance import OF_SIZE, Since, Whole, act_as, relative_changes
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.key_figures import is_proportional
 from fenics_crack.sweep.file import NUMBERED
@@ -317,6 +317,33 @@ class Prediction:
         return np.where(self.known, np.sqrt(squares), np.inf)
 
 
+class Place(NamedTuple):
+    """Features at m values of the unknowns.
+
+    Attributes
+    ----------
+    damping : (m, 1)
+        Ratios.
+    basis : (m, f, 1 + 2 modes)
+        What :attr:`Part.basis` has there at the load of each feature.
+    scale : (m, f)
+        Factors that have made features smooth.
+    waves : (m, f)
+        The features.
+    unsure : (m, f)
+        Mean squares of their errors by the interpolation.
+    covariance : (m, 2f, 2f)
+        Of their smooth forms, real and imaginary parts, one beside the other.
+    """
+
+    damping: np.ndarray
+    basis: np.ndarray
+    scale: np.ndarray
+    waves: np.ndarray
+    unsure: np.ndarray
+    covariance: np.ndarray
+
+
 class Quantities:
     """Predictions of some measurements, and of some ``more`` that were not made, by a model.
 
@@ -324,29 +351,33 @@ class Quantities:
     ----------
     known : (q,) bool
         Whether the model tells anything of a measurement.
+    changed : Since
+        What may have changed since there was no crack.
     """
 
     def __init__(
         self, model: Model, rows: Sequence[Measurement], more: Sequence[Measurement] = ()
     ) -> None:
         self.model, self.rows = model, (*rows, *more)
-        of_rows = [Feature.of(row, model.scene) for row in self.rows]
-        every = [one for found in of_rows for one in found]
+        features = [Feature.of(row, model.scene) for row in self.rows]
+        every = [one for found in features for one in found]
         every += [one.uncracked for one in every if one.of_crack]
         self._features = tuple(dict.fromkeys(every))
         at = {feature: place for place, feature in enumerate(self._features)}
-        self._places = [[at[feature] for feature in found] for found in of_rows]
+        self._places = [[at[feature] for feature in found] for found in features]
         plain = [(at[one], at[one.uncracked]) for one in at if one.of_crack]
         self._own, self._plain = map(list, zip(*plain, strict=True)) if plain else ([], [])
         self._passages = Passages.among(rows, more)
         self._alike = _alike(self._features)
         self._is_plain = np.array([one.lips == "uncracked" for one in self._features])
-        self._since = _since(self.rows, model.whole.between)
         basis = model.coarse.basis
         self._basis = Interpolation(model.cube, basis.reshape(len(basis), -1))
         self._highest = float(np.nanmax(basis[..., NUMBERED], initial=0.0))
         self._loads = [model.coarse.load(feature.frequency) for feature in self._features]
-        self._changes = model.whole.changes_at(model.coarse.loads.faster)[self._loads]
+        faster = model.coarse.loads.faster
+        self._changes = np.stack([model.whole.changes_at(one) for one in faster])[self._loads]
+        of_rows = [faster[self._loads[places[0]]] for places in self._places]
+        self.changed = Since.of(self.rows, of_rows, model.whole)
         self._higher, still = _stillness(model.coarse, self._features, self._loads)
         self._still = RegularGridInterpolator(model.cube.axes, still) if len(still) else None
         self._lips = _lips(model) if any(row.resonance for row in self.rows) else (BREATHE,)
@@ -369,10 +400,11 @@ class Quantities:
         of_features[self._own] &= of_features[self._plain]
         self.known = np.array([bool(of_features[places].all()) for places in self._places])
 
-    def since(self, factor: float) -> Quantities:
-        """The same where a factor more may have changed since there was no crack."""
+    def since(self, *, clamp: float, warmer: float) -> Quantities:
+        """The same where the clamp may have changed so many times as much since there was no crack,
+        and an unknown temperature."""
         found = copy(self)
-        found._since = factor * self._since
+        found.changed = self.changed.scaled(clamp, warmer)
         return found
 
     def states(self, x: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, Prediction]]:
@@ -392,8 +424,10 @@ class Quantities:
             at = np.flatnonzero(share > 0.0)
             higher = list(itertools.compress(self._higher, chosen))
             still = np.any(higher, axis=0) if higher else None
-            for lips in self._lips if len(at) else ():
-                yield at, lips.share * share[at], self(x[at], still, lips)
+            if len(at):
+                place = self._place(x[at])
+                for lips in self._lips:
+                    yield at, lips.share * share[at], self._predicted(place, still, lips)
 
     def _smooth(self, part: Part) -> np.ndarray:
         """The smooth forms of all features at the nodes of a sweep: (n, 2f), real and imaginary
@@ -427,11 +461,13 @@ class Quantities:
         found = np.where(self._basis.known, self._basis.at(x), np.nan)
         return found.reshape(len(x), *self.model.coarse.basis.shape[1:])[:, self._loads]
 
-    def __call__(
-        self, x: np.ndarray, still: np.ndarray | None = None, lips: Lips | None = None
-    ) -> Prediction:
-        """Predictions at some values (m, d) of the unknowns, with features that vanish, (f,), and
-        what lips do at resonances, the least that is known of it by default."""
+    def __call__(self, x: np.ndarray) -> Prediction:
+        """Predictions at some values (m, d) of the unknowns, with lips of which the least is known
+        at resonances."""
+        return self._predicted(self._place(x), None, self._lips[0])
+
+    def _place(self, x: np.ndarray) -> Place:
+        """Features at some values (m, d) of the unknowns."""
         smooth, left, scatter = self._of_features(x)
         damping, basis = self.model.damping(x), self._basis_at(x)
         scale = self._scales(x, basis)
@@ -441,24 +477,30 @@ class Quantities:
         )
         changes = changes * np.where(self._is_plain, 1.0, waves * scale)[..., None]
         waves[:, self._own] += waves[:, self._plain]
-        if still is not None:
-            waves[:, still] = 0.0
-        values, turns, alike, rest = self._of_numbers(damping, waves, scale, lips or self._lips[0])
-        free = [np.zeros((*values.shape, 0))]
-        left_out = np.zeros((len(x), len(self.rows), len(self.rows)))
         unsure = sum(np.sum(errors**2, axis=1) for errors in scatter)
         unsure = (unsure[:, ::2] + unsure[:, 1::2]) / np.abs(scale) ** 2
+        unknown = _pairs(changes.transpose(0, 2, 1)).transpose(0, 2, 1)
+        errors = np.concatenate([self._errors(smooth, left, scatter), unknown], axis=2)
+        return Place(damping, basis, scale, waves, unsure, errors @ errors.transpose(0, 2, 1))
+
+    def _predicted(self, place: Place, still: np.ndarray | None, lips: Lips) -> Prediction:
+        """Predictions by features, some of which vanish, (f,), and what lips do at resonances."""
+        damping, scale, waves, unsure = place.damping, place.scale, place.waves, place.unsure
         if still is not None:
-            unsure[:, still] = 0.0
+            waves, unsure = (np.where(still, 0.0, one) for one in (waves, unsure))
+        values, turns, alike, rest = self._of_numbers(damping, waves, scale, lips)
+        values *= self.changed.factors
+        free = [np.zeros((*values.shape, 0))]
+        left_out = np.zeros((len(waves), len(self.rows), len(self.rows)))
         for passages in self._passages:
             at = self._places[passages.rows[0]]
             found = passages.aligned(waves[:, at])
             values[:, passages.rows] = found.values
             squares = np.abs(waves[:, at]) ** 2 + unsure[:, at]
             above, square = self._left_out(
-                self._features[at[0]], squares, damping, basis[:, at[:1]]
+                self._features[at[0]], squares, damping, place.basis[:, at[:1]]
             )
-            both = np.ix_(range(len(x)), passages.rows, passages.rows)
+            both = np.ix_(range(len(waves)), passages.rows, passages.rows)
             size = found.size[:, None, None] ** 2
             left_out[both] = size * np.tensordot(square, passages.together(above), axes=1)
             turns[:, np.array(passages.rows)[:, None], at] = found.turns / scale[:, None, at]
@@ -469,12 +511,9 @@ class Quantities:
         if still is not None:
             turns[..., still] = 0.0
         slopes = _pairs(turns.conj())
-        errors = self._errors(smooth, left, scatter, slopes)
-        unknown = slopes @ _pairs(changes.transpose(0, 2, 1)).transpose(0, 2, 1)
-        since = values[..., None] * self._since
-        errors = np.concatenate([errors, unknown, since, alike], axis=2)
-        total = errors @ errors.transpose(0, 2, 1) + left_out
-        total += rest[:, :, None] * np.eye(len(self.rows))
+        total = slopes @ place.covariance @ slopes.transpose(0, 2, 1) + left_out
+        errors = np.concatenate([values[..., None] * self.changed.columns, alike], axis=2)
+        total += errors @ errors.transpose(0, 2, 1) + rest[:, :, None] * np.eye(len(self.rows))
         values = np.where(self.known, values, np.nan)
         return Prediction(values, total, np.concatenate(free, axis=2), self.known)
 
@@ -546,16 +585,16 @@ class Quantities:
         return smooth, left, scatter
 
     def _errors(
-        self, smooth: np.ndarray, left: np.ndarray, scatter: list[np.ndarray], slopes: np.ndarray
+        self, smooth: np.ndarray, left: np.ndarray, scatter: list[np.ndarray]
     ) -> np.ndarray:
-        """Errors of the rows, each independent of the others: (m, q, r)."""
+        """Errors of the smooth forms, each independent of the others: (m, 2f, r)."""
         together, apart = np.sqrt(TOGETHER), np.sqrt(1.0 - TOGETHER)
-        every, of_mesh = np.concatenate(scatter, axis=1), slopes * left[:, None, :]
+        every, eye = np.concatenate(scatter, axis=1), np.eye(smooth.shape[1])
         found = [
-            together * slopes @ every.transpose(0, 2, 1),
-            apart * slopes * np.sqrt(np.sum(every**2, axis=1))[:, None, :],
-            together * of_mesh.sum(axis=2, keepdims=True),
-            apart * of_mesh @ self._alike,
+            together * every.transpose(0, 2, 1),
+            apart * np.sqrt(np.sum(every**2, axis=1))[:, None, :] * eye,
+            together * left[..., None],
+            apart * left[..., None] * self._alike,
         ]
         uneven = self.model.table.harmonic_deviation
         if uneven:
@@ -563,8 +602,8 @@ class Quantities:
             turned = np.stack([-smooth[:, 1::2], smooth[:, ::2]], axis=2).reshape(smooth.shape)
             each = np.kron(np.eye(len(self._features)), np.ones((2, 1)))
             for part in (smooth, turned):
-                of_contact = uneven * slopes * (part * upper)[:, None, :]
-                found += [together * of_contact @ self._alike, apart * of_contact @ each]
+                of_contact = uneven * (part * upper)[..., None]
+                found += [together * of_contact * self._alike, apart * of_contact * each]
         return np.concatenate(found, axis=2)
 
 
@@ -585,14 +624,6 @@ def _stillness(
             groups.append(own)
             still.append(rests.reshape(part.cube.shape))
     return groups, np.moveaxis(np.array(still, dtype=float), 0, -1) if groups else np.zeros(0)
-
-
-def _since(rows: Sequence[Measurement], between: np.ndarray) -> np.ndarray:
-    """How far frequencies before there was a crack may be from those of the same plate now, of each
-    measurement: (q, s); 0 of others, and of modes that are not known."""
-    before = [row.mode if row.quantity == "frequency_uncracked" else 0 for row in rows]
-    every = np.vstack([np.zeros(between.shape[1]), between])
-    return np.asarray(every[[mode if mode < len(every) else 0 for mode in before]])
 
 
 def _alike(features: Sequence[Feature]) -> np.ndarray:

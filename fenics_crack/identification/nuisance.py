@@ -16,35 +16,45 @@ ten edge cracks inclined by 10 degrees); a wider or softer one like a sharp one 
 shorter: it is this that measurements tell of. What is stated of the real one is less sure by that
 (:func:`act_as`).
 
-Young's modulus and density change the part e of w_j^2 that is elastic, not what rotation adds. A
-soft clamp takes from w_j^2
+Young's modulus E and density change the part e_j of w_j^2 that is elastic, not what rotation adds:
 
-    w_j^4 m^2 times its softness to turning and w_j^4 (m_x^2 + m_y^2) times that to pushing,
+    d ln w_j / d ln E = e_j / 2,      e_j = phi_j^T K_0 phi_j / w_j^2,
 
-with m = R^T M phi_j (Rayleigh's quotient, from the moment w_j^2 m and the forces of the clamp,
-which are those of the mode's inertia in rigid motions R about its middle). The two are independent:
-a bolt that is loose lets it turn, jaws that slip let it move. How large they are, one beside the
-other, is that of a clamp that is as soft everywhere, with a radius of gyration q about its middle,
-q^2; together, by what they take from the first mode.
+with the stiffness K_0 at rest and the mode at its speed. A soft clamp takes from w_j^2
+
+    m_j^2 times its softness to turning and (m_x^2 + m_y^2) times that to pushing,
+
+with m = R^T K_0 phi_j, the moment and the forces that hold the mode in rigid motions R about the
+clamp's middle (at rest w_j^2 R^T M phi_j, Rayleigh's quotient). The two are independent: a bolt
+that is loose lets it turn, jaws that slip let it move. How large they are, one beside the other, is
+that of a clamp that is as soft everywhere, with a radius of gyration q about its middle, q^2;
+together, by what they take from the first mode.
+
+Modes at other speeds, and of another modulus, are those of a K_0 + s (K - K_0), s the square of the
+speed over the scene's, in the space of the modes at rest and at the scene's speed. That is how what
+changes between the record before there was a crack and the one since, temperature and clamp, moves
+each mode at each speed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from scipy.linalg import eigh
 
 from fenics_crack.errors import FEW_MODES, InputError
 from fenics_crack.fem.loads import rigid_motions
 from fenics_crack.identification.interpolation import Feature, poles
-from fenics_crack.identification.measurements import Measurements
+from fenics_crack.identification.measurements import Measurement, Measurements
 from fenics_crack.model.modes import Modes, solve_modes, times
 from fenics_crack.parallel import MPI
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Identify
 from fenics_crack.study.prepare import prepare
-from fenics_crack.table import RPM
+from fenics_crack.table import RPM, TURN
 
 STIFFENING = 0.05
 """Relative standard deviation of what rotation adds to the square of a natural frequency: beams and
@@ -57,6 +67,11 @@ itself. Of plates clamped deeper, let go at an end of the clamp or on an elastic
 moving and a common change leave so much of the largest change of four to six modes: 0.00 to 0.04 if
 15 times as tall as wide, to 0.08 if five times, to 0.12 if three, to 0.19 if two and to 0.32 if
 square; of cracks of 5 and 10 % of the width in the plate of three 0.11 to 0.51."""
+AT_REST, OF_A_ROTOR = 10.0, 25.0
+"""Standard deviation of the temperature between two records [K], where none is stated: of a room;
+and of blades, which their gas or their drag warms (engineering judgement)."""
+SAME = 1e-8
+"""Of the square of a motion at another speed, what is left of it beside the others: rounding."""
 POWER = 2.0
 """Of a crack's length, like which it changes natural frequencies."""
 OF_SIZE = ("crack.length", "crack.depth")
@@ -75,43 +90,120 @@ class Whole:
     ----------
     speed : float [rad/s]
         Of the rotor.
-    frequencies : (n,) [Hz]
-        With lips tied where a crack cannot be taken out.
-    elastic : (n,)
-        Part of their squares that rotation does not add.
-    by_elastic, by_rotation : (n, s)
-        Relative changes by a standard deviation of each, were it all or none.
-    sizes : (s,)
-        Likewise of the size of harmonics.
-    between : (n, 3 + n)
-        Relative changes between the plate before it had a crack and now, by temperature, by its
-        clamp, that turns and that moves, and of each mode by itself.
+    stiffness : (2, r, r) [1/s^2]
+        At rest, and what rotation adds at that speed, by mass-normalised motions.
+    reactions : (r, d)
+        Moments and forces at the clamp by these, each over what a clamp that is as soft everywhere
+        would give; none where it is not known what is clamped.
+    turning : int
+        How many of these are forces; the others are moments.
+    table : Identify
+        With the widths of the priors.
     """
 
     speed: float
-    frequencies: np.ndarray
-    elastic: np.ndarray
-    by_elastic: np.ndarray
-    by_rotation: np.ndarray
-    sizes: np.ndarray
-    between: np.ndarray
+    stiffness: np.ndarray
+    reactions: np.ndarray
+    turning: int
+    table: Identify
 
-    def changes_at(self, faster: np.ndarray) -> np.ndarray:
-        """Relative changes by a standard deviation of each at speeds (k,), over the rotor's, with
-        whose square grows what it adds to that of a frequency (Southwell): (k, n, s)."""
-        elastic = (self.elastic / self._squares_at(faster[:, None]))[..., None]
-        return np.asarray(elastic * self.by_elastic + (1.0 - elastic) * self.by_rotation)
+    @cached_property
+    def frequencies(self) -> np.ndarray:
+        """Natural frequencies, with lips tied where a crack cannot be taken out: (n,) [Hz]."""
+        return self.modes_at(1.0)[0] / TURN
+
+    def modes_at(self, faster: float, stiffer: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+        """Natural frequencies (n,) [rad/s] and modes (r, n) at a speed over the rotor's, with a
+        Young's modulus over the scene's."""
+        squares, modes = eigh(stiffer * self.stiffness[0] + faster**2 * self.stiffness[1])
+        count = min(FEW_MODES, len(squares))
+        return np.sqrt(np.maximum(squares[:count], 0.0)), modes[:, :count]
+
+    def elastic_at(self, faster: float) -> np.ndarray:
+        """Elastic part of the squares of frequencies at a speed over the rotor's: (n,)."""
+        omega, modes = self.modes_at(faster)
+        return np.asarray(np.sum(modes * (self.stiffness[0] @ modes), axis=0) / omega**2)
+
+    def stiffened(self, faster: float, stiffer: float) -> np.ndarray:
+        """Factors of frequencies at a speed over the rotor's by a factor of Young's modulus:
+        (n,)."""
+        return self.modes_at(faster, stiffer)[0] / self.modes_at(faster)[0]
+
+    def by_clamp(self, faster: float) -> np.ndarray:
+        """Relative changes of natural frequencies at a speed over the rotor's by a clamp that turns
+        and one that moves, over that of the first at the rotor's by both: (n, 2); all alike by
+        turning, as of a slender beam, where nothing is known of the clamp."""
+        if not self.reactions.shape[1]:
+            return np.outer(self.elastic_at(faster), [1.0, 0.0])
+
+        def taken(faster: float) -> np.ndarray:
+            omega, modes = self.modes_at(faster)
+            squares = (self.reactions.T @ modes) ** 2 / omega**2
+            return np.stack(
+                [squares[self.turning :].sum(axis=0), squares[: self.turning].sum(axis=0)]
+            )
+
+        return np.asarray((taken(faster) / np.hypot(*taken(1.0)[:, 0])).T)
+
+    def changes_at(self, faster: float) -> np.ndarray:
+        """Relative changes by a standard deviation of each prior at a speed over the rotor's:
+        (n, s)."""
+        young, density, _ = self._widths
+        elastic = self.elastic_at(faster)
+        every = np.eye(len(elastic))
+        return np.column_stack(
+            [
+                np.outer(elastic, [0.5 * young, -0.5 * density, 0.0]),
+                -self.table.clamp_deviation * self.by_clamp(faster),
+                self.table.model_deviation * elastic * every,
+                0.5 * STIFFENING * (1.0 - elastic) * every,
+            ]
+        )
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """Likewise of the size of harmonics: (s,)."""
+        young, _, thickness = self._widths
+        found = np.zeros(self.changes_at(1.0).shape[1])
+        found[[0, 2]] = -young, -thickness
+        return found
+
+    @property
+    def _widths(self) -> tuple[float, float, float]:
+        """Standard deviations of Young's modulus, density and thickness, 0 of what is unknown."""
+        table, unknown = self.table, {axis.key for axis in self.table.unknown}
+        young, density, thickness = (
+            0.0 if key in unknown else width
+            for key, width in (
+                ("material.young", table.young_deviation),
+                ("material.density", table.density_deviation),
+                ("geometry.thickness", table.thickness_deviation),
+            )
+        )
+        return young, density, thickness
+
+    @property
+    def warmer(self) -> float:
+        """Standard deviation of the temperature since there was no crack against before [K]."""
+        stated = self.table.temperature_deviation
+        return (OF_A_ROTOR if self.speed else AT_REST) if stated is None else stated
+
+    def since_at(self, faster: float) -> tuple[np.ndarray, np.ndarray]:
+        """Relative changes at a speed over the rotor's between the plate before it had a crack and
+        now: (n, 2 + n) by its clamp, that turns and that moves, and of each mode by itself, a
+        standard deviation each; and (n, 1 + n) by a kelvin, and what is not known of that as far as
+        rotation is not known."""
+        table, elastic = self.table, self.elastic_at(faster)
+        every = np.eye(len(elastic))
+        clamp = np.column_stack([self.by_clamp(faster), OF_ONE_MODE * elastic * every])
+        kelvin = 0.5 * table.temperature_coefficient * elastic
+        unsure = STIFFENING * (1.0 - elastic) * kelvin * every
+        return table.before_deviation * clamp, np.column_stack([kelvin, unsure])
 
     def _frequencies_at(self, rpm: float) -> np.ndarray:
         """Those at another speed, nan for the rotor's own: (n,) [Hz]."""
-        if np.isnan(rpm):
-            return self.frequencies
-        return self.frequencies * np.sqrt(self._squares_at(RPM * rpm / self.speed))
-
-    def _squares_at(self, faster: np.ndarray | float) -> np.ndarray:
-        """Squares of frequencies at speeds (k, 1), over the rotor's, over those at its own:
-        (k, n)."""
-        return np.asarray(self.elastic + (1.0 - self.elastic) * faster**2)
+        faster = 1.0 if np.isnan(rpm) else RPM * rpm / self.speed
+        return self.modes_at(faster)[0] / TURN
 
     def check(self, measurements: Measurements, loads: Sequence[float], *, other: bool) -> None:
         """Raise InputError for frequencies of loads, of which the scene has these [Hz], and natural
@@ -151,45 +243,81 @@ def _unit(ratio: float) -> str:
     return next(near, "")
 
 
+@dataclass(frozen=True)
+class Since:
+    """What has changed between the record before there was a crack and the one since, of q
+    measurements: 0 of what is no natural frequency, and of modes that are not known.
+
+    Attributes
+    ----------
+    factors : (q,)
+        Of predictions, by temperatures that are known.
+    clamp : (q, s)
+        Relative changes by the clamp, a standard deviation each.
+    warmer : (q, s)
+        Likewise by a temperature that is not known, the first, and what is unsure of that.
+    known : (q, s)
+        Likewise of temperatures that are known: by the coefficient, the thermometer and rotation.
+    """
+
+    factors: np.ndarray
+    clamp: np.ndarray
+    warmer: np.ndarray
+    known: np.ndarray
+
+    @classmethod
+    def of(cls, rows: Sequence[Measurement], faster: Sequence[float], whole: Whole) -> Since:
+        """Changes of measurements, each at a speed over the rotor's.
+
+        Those since are at the mean of the temperatures that are stated of them, if any is; those
+        before at what is stated of each, or at one that is not known.
+        """
+        table, count = whole.table, len(whole.frequencies)
+        before = np.array([row.quantity == "frequency_uncracked" for row in rows])
+        stated = np.array([row.temperature for row in rows])
+        now = stated[~before & np.isfinite(stated)]
+        off = np.nan_to_num(stated - (now.mean() if len(now) else np.nan))
+        measured = before & np.isfinite(stated) & (len(now) > 0)
+        factors = np.ones(len(rows))
+        clamp, heat = np.zeros((len(rows), 2 + count)), np.zeros((len(rows), 1 + count))
+        for place, (row, speed) in enumerate(zip(rows, faster, strict=True)):
+            if row.natural and row.mode <= count:
+                by_clamp, by_kelvin = whole.since_at(speed)
+                clamp[place] = before[place] * by_clamp[row.mode - 1]
+                heat[place] = by_kelvin[row.mode - 1]
+                stiffer = 1.0 + table.temperature_coefficient * off[place]
+                factors[place] = whole.stiffened(speed, stiffer)[row.mode - 1]
+        unknown = (before & ~measured)[:, None]
+        of_known = [
+            table.coefficient_deviation * off[:, None] * heat[:, :1],
+            table.thermometer_deviation * measured[:, None] * heat[:, :1],
+            off[:, None] * heat[:, 1:],
+        ]
+        return cls(factors, clamp, -whole.warmer * unknown * heat, np.hstack(of_known))
+
+    @property
+    def columns(self) -> np.ndarray:
+        """All changes: (q, s)."""
+        return np.hstack([self.warmer, self.clamp, self.known])
+
+    def scaled(self, clamp: float, warmer: float) -> Since:
+        """The same with so many times as large ones by the clamp, and by an unknown temperature."""
+        return replace(self, clamp=clamp * self.clamp, warmer=warmer * self.warmer)
+
+
 def whole_plate(scene: Scene, table: Identify) -> Whole:
     """Find the modes of a plate without a crack, lips tied if it has some, on this rank alone."""
     modes = _modes(scene)
-    count = len(modes.omega)
-    elastic = np.ones(count)
-    if scene.speed > 0.0:
-        still = _modes(scene.at_rest()).omega[:count]
-        elastic = np.clip(still / modes.omega, 0.0, 1.0) ** 2
-    unknown = {axis.key for axis in table.unknown}
-    widths = {
-        "material.young": table.young_deviation,
-        "material.density": table.density_deviation,
-        "geometry.thickness": table.thickness_deviation,
-    }
-    young, density, thickness = (0.0 if k in unknown else w for k, w in widths.items())
-    by_clamp, every = _by_clamp(modes), np.eye(count)
-    by_elastic, by_rotation = (
-        np.column_stack(
-            [
-                np.tile([0.5 * young * part, -0.5 * density * part, 0.0], (count, 1)),
-                -table.clamp_deviation * by_clamp,
-                table.model_deviation * every,
-                0.5 * STIFFENING * (1.0 - part) * every,
-            ]
-        )
-        for part in (1.0, 0.0)
-    )
-    sizes = np.zeros(by_elastic.shape[1])
-    sizes[[0, 2]] = -young, -thickness
-    between = np.column_stack([np.ones(count), by_clamp, OF_ONE_MODE * every])
-    return Whole(
-        scene.speed,
-        modes.omega / (2.0 * np.pi),
-        elastic,
-        by_elastic,
-        by_rotation,
-        sizes,
-        table.before_deviation * between,
-    )
+    still = _modes(scene.at_rest()) if scene.speed > 0.0 else modes
+    every = np.hstack([still.shapes, modes.shapes]) if scene.speed > 0.0 else modes.shapes
+    squares, vectors = eigh(every.T @ times(modes.structure.mass, every))
+    kept = squares > SAME * squares[-1]
+    basis = every @ (vectors[:, kept] / np.sqrt(squares[kept]))
+    at_rest = times(still.structure.stiffness, basis)
+    elastic = basis.T @ at_rest
+    rotating = basis.T @ times(modes.structure.stiffness, basis) - elastic
+    rigid, forces = _held(modes)
+    return Whole(scene.speed, np.stack([elastic, rotating]), at_rest.T @ rigid, forces, table)
 
 
 def _modes(scene: Scene) -> Modes:
@@ -198,26 +326,21 @@ def _modes(scene: Scene) -> Modes:
     return solve_modes(structure, few, lips="tied" if structure.n_pairs else "open")
 
 
-def _by_clamp(modes: Modes) -> np.ndarray:
-    """Relative changes of natural frequencies by a clamp that turns and one that moves, over that
-    of the first by both: (n, 2); all alike by turning, as of a slender beam, where no node is
-    clamped or it is not known which are."""
+def _held(modes: Modes) -> tuple[np.ndarray, int]:
+    """Rigid motions about the clamp's middle, (n, d), those in straight lines first, times its
+    radius of gyration, and how many these are; none where no node is clamped or it is not known
+    which are."""
     nodes = modes.structure.nodes
-    slender = np.outer(np.ones(len(modes.omega)), [1.0, 0.0])
-    if nodes is None:
-        return slender
-    clamped = nodes.points[(nodes.dofs < 0).all(axis=1)]
-    if len(clamped) < 2:
-        return slender
+    clamped = np.zeros((0, 0)) if nodes is None else nodes.points[(nodes.dofs < 0).all(axis=1)]
+    if nodes is None or len(clamped) < 2:
+        return np.zeros((modes.structure.n_local, 0)), 0
     moved = rigid_motions(nodes.points - clamped.mean(axis=0))
-    rigid = np.zeros((len(moved), modes.structure.n_local))
+    rigid = np.zeros((modes.structure.n_local, len(moved)))
     dofs = nodes.dofs.ravel()
-    rigid[:, dofs[dofs >= 0]] = moved[:, dofs >= 0]
-    squares = (rigid @ times(modes.structure.mass, modes.shapes)) ** 2
-    gyration, d = np.sum(np.var(clamped, axis=0)), nodes.points.shape[1]
-    pushed, turned = squares[:d].sum(axis=0), squares[d:].sum(axis=0)
-    taken = modes.omega[:, None] ** 2 * np.column_stack([turned, gyration * pushed])
-    return np.asarray(taken / np.hypot(*taken[0]))
+    rigid[dofs[dofs >= 0]] = moved[:, dofs >= 0].T
+    straight = nodes.points.shape[1]
+    rigid[:, :straight] *= np.sqrt(np.sum(np.var(clamped, axis=0)))
+    return rigid, straight
 
 
 def relative_changes(

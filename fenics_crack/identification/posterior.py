@@ -106,6 +106,15 @@ class Likelihood:
             rows = np.linalg.solve(factor, differences[..., None])[..., 0]
             yield at, np.column_stack([rows, root]), predicted
 
+    def warmer(self, x: np.ndarray) -> float:
+        """Mean of what is not known of the temperature since there was no crack, at values (d,) of
+        the unknowns, in standard deviations of its prior."""
+        predicted = self.likeliest(x)
+        column = predicted.values[0] * self.quantities.changed.warmer[:, 0] / self.deviations
+        left = (self.values - predicted.values[0]) / self.deviations
+        covariance = scaled_covariance(predicted, self.values, self.deviations)[0]
+        return float(column @ np.linalg.solve(covariance, left))
+
     def misfit(self, x: np.ndarray) -> tuple[float, float]:
         """chi^2 at values (d,) of the unknowns that fit best, and the probability of more by chance
         with as many measurements less the unknowns and what else is fitted."""
@@ -345,12 +354,20 @@ class Posterior:
         likelihood = self.branches[name].likelihood
         return [likelihood.without(at).misfit(x) for at in range(len(likelihood.values))]
 
-    def misfit_since(self, factor: float) -> tuple[float, float]:
-        """The same, at the same place, where a factor more may have changed since there was no
-        crack."""
+    def misfit_since(self, *, clamp: float = 1.0, warmer: float = 1.0) -> tuple[float, float]:
+        """The same, at the same place, where the clamp may have changed so many times as much since
+        there was no crack, and an unknown temperature."""
         name, x = self.best
         likelihood = self.branches[name].likelihood
-        return replace(likelihood, quantities=likelihood.quantities.since(factor)).misfit(x)
+        quantities = likelihood.quantities.since(clamp=clamp, warmer=warmer)
+        return replace(likelihood, quantities=quantities).misfit(x)
+
+    @cached_property
+    def warmer(self) -> float:
+        """How much warmer the structure likeliest is since there was no crack, where L is largest,
+        in standard deviations of the prior."""
+        name, x = self.best
+        return self.branches[name].likelihood.warmer(x)
 
     @cached_property
     def unresolved(self) -> float:

@@ -28,7 +28,7 @@ from fenics_crack.errors import InputError, check_number
 from fenics_crack.files.store import IDENTIFICATION, write
 from fenics_crack.identification.measurements import Measurement, Measurements
 from fenics_crack.identification.model import Model, Quantities
-from fenics_crack.identification.nuisance import OF_SIZE
+from fenics_crack.identification.nuisance import OF_SIZE, Whole
 from fenics_crack.identification.posterior import (
     PRIOR,
     Branch,
@@ -37,6 +37,7 @@ from fenics_crack.identification.posterior import (
     scaled_covariance,
 )
 from fenics_crack.scene.scene import Scene, unit_of
+from fenics_crack.scene.tables import Identify
 from fenics_crack.scene.words import key_in_words, value_in_words
 from fenics_crack.table import Table, Tabular, counted
 from fenics_crack.whole import write_whole
@@ -245,6 +246,14 @@ EXPLAINS = 0.05
 """Probability of more misfit by chance from which a crack, or a plate without one, explains what is
 measured."""
 NO_CRACK = "no crack"
+SINCE = (
+    "before_deviation",
+    "temperature_deviation",
+    "temperature_coefficient",
+    "coefficient_deviation",
+    "thermometer_deviation",
+)
+"""Keys of what may have changed since there was no crack."""
 KNOWN_TO = 1e-5
 """Relative standard deviation of a natural frequency that a warning says to be too small: a tenth
 of a degree changes that of steel by more."""
@@ -332,6 +341,19 @@ class Identification(Tabular):
     @cached_property
     def _judged(self) -> tuple[str, str]:
         return _verdict_of(self)
+
+    @property
+    def since_before(self) -> dict[str, float]:
+        """Standard deviations of what may have changed since there was no crack, by their keys of
+        ``[identify]``, and the likeliest difference of temperature without a crack and with one
+        [K]."""
+        table, whole = self.scene.given("identify"), _whole_of(self)
+        found = {name: getattr(table, name) for name in SINCE}
+        found["temperature_deviation"] = whole.warmer
+        for name, one in (("without", self.plain), ("with", self.posterior)):
+            if one is not None:
+                found[f"warmer_{name}_a_crack"] = whole.warmer * one.warmer
+        return found
 
     @property
     def misfit(self) -> tuple[float, float]:
@@ -433,6 +455,7 @@ class Identification(Tabular):
             "estimate": self.estimate,
             "mesh": self.mesh,
             "intervals": {key: list(ends) for key, ends in self.intervals.items()},
+            "since_before": self.since_before,
             "alternatives": [
                 {"values": values, "probability": mass} for values, mass in self.alternatives
             ],
@@ -562,7 +585,7 @@ def _verdict_of(found: Identification) -> tuple[str, str]:
         return NO_CRACK, unseen + _if_as_before(found)
     conditions = _if_alone(found) + _if_as_before(found)
     if ratio > STRONG:
-        return "crack", told + conditions
+        return "crack", told + _if_warmer(found) + conditions
     return open_question, f"{told}; if there is one it is at {_where(found)}{conditions}"
 
 
@@ -591,20 +614,59 @@ def _if_as_before(found: Identification) -> str:
     measured, but would if as much has changed since before as a clamp may take at all; or where it
     does, but only by what is said to have changed; else empty."""
     table, rows = found.scene.given("identify"), found.measurements.rows
-    stated, most = table.before_deviation, table.clamp_deviation
-    known = any(row.quantity == "frequency_uncracked" for row in rows)
-    if found.plain is None or not known or stated == 0.0:
+    plain, known = found.plain, any(row.quantity == "frequency_uncracked" for row in rows)
+    heat = _by_temperature(table, _whole_of(found).warmer)
+    stated, most = max(table.before_deviation, heat), table.clamp_deviation
+    if plain is None or not known or stated == 0.0:
         return ""
-    healthy = found.plain.misfit[1] >= EXPLAINS
-    factor = 0.0 if healthy else max(1.0, most / stated)
-    if (found.plain.misfit_since(factor)[1] >= EXPLAINS) == healthy:
+    healthy = plain.misfit[1] >= EXPLAINS
+    if healthy and plain.misfit_since(warmer=0.0)[1] < EXPLAINS:
+        return (
+            f"; {_modulus(found, plain)}, explains the measurements without a crack: measure the "
+            "temperature, too, before and since (temperature)"
+        )
+    factors = [
+        0.0 if healthy else max(1.0, most / one) if one else 1.0
+        for one in (table.before_deviation, heat)
+    ]
+    other = plain.misfit_since(clamp=factors[0], warmer=factors[1])
+    if (other[1] >= EXPLAINS) == healthy:
         return ""
     return (
         "; a clamp, a temperature or a sensor that has changed frequencies by "
         f"{stated if healthy else most:.2g} since before explains the measurements without a crack "
-        f"(identify.before_deviation = {stated:.2g}): open the clamp, close it, measure again and "
-        "state there by what they change"
+        f"(identify.before_deviation = {table.before_deviation:.2g}): open the clamp, close it, "
+        "measure again and state there by what they change"
     )
+
+
+def _if_warmer(found: Identification) -> str:
+    """The change of Young's modulus without which a crack does not explain what is measured, in
+    words; else empty."""
+    if found.posterior.misfit_since(warmer=0.0)[1] >= EXPLAINS:
+        return ""
+    return f"; with {_modulus(found, found.posterior)}"
+
+
+def _by_temperature(table: Identify, kelvin: float) -> float:
+    """Relative change of all natural frequencies at rest by so many kelvin."""
+    return abs(0.5 * table.temperature_coefficient * kelvin)
+
+
+def _whole_of(found: Identification) -> Whole:
+    """The plate without its crack."""
+    return next(iter(found.posterior.branches.values())).likelihood.quantities.model.whole
+
+
+def _modulus(found: Identification, posterior: Posterior) -> str:
+    """How Young's modulus likeliest differs from before, in words, "a modulus 1 % lower than
+    before, as about 25 K make it"."""
+    whole = _whole_of(found)
+    kelvin = whole.warmer * posterior.warmer
+    change = whole.table.temperature_coefficient * kelvin
+    way = "lower" if change < 0.0 else "higher"
+    how = f"as about {abs(kelvin):.2g} K {'more' if kelvin > 0.0 else 'less'} make it"
+    return f"a Young's modulus {abs(change):.2%} {way} than before, {how}"
 
 
 def _where(found: Identification) -> str:

@@ -849,9 +849,23 @@ class Identify(Table):
     Journal of Applied Mechanics 27, 1960, 461), and loses 6 % if 15 times as long as deep: jaws
     are some times stiffer."""
     before_deviation: float = between("0", "1", 0.002)
-    """All natural frequencies before there was a crack against those with it, and what the clamp
-    takes from the first: ten degrees take 0.13 % from steel and 0.3 % from aluminium and titanium,
-    and a clamp that was opened holds otherwise."""
+    """What the clamp takes from the first natural frequency before there was a crack against what
+    it takes since: one that was opened holds otherwise. Temperatures have keys of their own."""
+    temperature_deviation: float | None = holds(
+        "a number from 0 to 1000", lambda value: 0.0 <= value <= 1000.0, None, unit="K"
+    )
+    """Temperature since there was a crack against before, where measurements do not state it.
+    Default: 10 K at rest, which takes 0.2 % from all natural frequencies, and 25 K of a rotor,
+    whose blades their gas or their drag warms (engineering judgement); 0: the same."""
+    temperature_coefficient: float = between("-0.01", "0.01", -4e-4, unit="1/K")
+    """Relative change of Young's modulus by a kelvin: of steel -2.6e-4 to -3e-4, of aluminium and
+    titanium -5e-4 to -6e-4 at room temperature, of all more where they are hot."""
+    coefficient_deviation: float = between("0", "1", 0.3)
+    """Standard deviation of that, over its value, where temperatures are stated; of a metal whose
+    coefficient is known 0.1."""
+    thermometer_deviation: float = between("0", "100", 1.0, unit="K")
+    """Standard deviation of the difference of the temperatures that are stated, before and since:
+    of a thermocouple of class 1 (IEC 60584-1: 1.5 K) at the blade or its root."""
     damping_deviation: float = between("0", "10", 0.3)
     """Ratio of damping: of joints and air, it differs by so much between assemblies."""
     angle_deviation: float = between("0", "45", 5.0, unit="degrees")
