@@ -16,13 +16,17 @@ What is interpolated is made smooth. Smooth in the unknowns are the logarithms o
 frequencies without the crack, what it adds to them, over its size where that is unknown, and
 harmonics as complex numbers, a - i b of a cos + b sin. The amplitudes alone have kinks where they
 vanish, and both have poles, which move with the crack, where k times the load's frequency W meets a
-natural frequency w_j of the breathing crack with a damping ratio z. So of the k-th harmonic it is
+natural frequency w_j of the breathing crack with a damping ratio z. The first harmonic moves the
+lips that make the others: these have its poles, too, of the size p once and of the phase k times,
+as where all of a motion is as much larger and later. So of the k-th harmonic it is
 
-    U_k prod_j (1 - r^2 + 2 i z r) / s^n,      r = k W / w_j,
+    U_k p_k |p_1| exp(i k arg p_1) / s^n,      p_k = prod_j (1 - r^2 + 2 i z r),      r = k W / w_j,
 
-with the bilinear frequencies w_j of the same nodes and the sum s over the modes of the relative
-differences between frequencies with lips tied and open. It is small for a short crack, whose lips
-close in half of each period: that makes even harmonics, n = 1, and odd ones of second order, n = 2.
+without p_1 of the first, with the bilinear frequencies w_j of the same nodes and the sum s over the
+modes of the relative differences between frequencies with lips tied and open, each times its static
+compliance over that of the first, 1 / w_j^2: as much as the load bends the plate at the crack, and
+the crack the plate. It is small for a short crack, whose lips close in half of each period: that
+makes even harmonics, n = 1, and odd ones of second order, n = 2.
 """
 
 from __future__ import annotations
@@ -358,7 +362,8 @@ class Part:
             for lips in ("tied", "open", "bilinear", "uncracked")
         )
         with np.errstate(invalid="ignore", divide="ignore"):
-            split = np.nan_to_num((tied - opened) / tied, posinf=0.0, neginf=0.0).sum(axis=2)
+            parts = (tied - opened) / tied * (tied[..., :1] / tied) ** 2
+            split = np.nan_to_num(parts, posinf=0.0, neginf=0.0).sum(axis=2)
         scale = np.where(split > 1e-9, np.sqrt(np.abs(split)), 1.0)
         return np.concatenate([scale[..., None], breathing, bare], axis=2)
 
@@ -433,6 +438,19 @@ def poles(
     return r, 1.0 - r**2 + 2j * damping[..., None] * r
 
 
+def turned(values: np.ndarray, features: Sequence[Feature]) -> np.ndarray:
+    """What harmonics (m, f, ...) have of logarithms of a first one that drives them: of its size
+    once, of its phase as often as their order; 0 of others."""
+    orders = np.array([feature.order if feature.order > 1 else 0 for feature in features])
+    orders = orders.reshape(-1, *np.ones(values.ndim - 2, dtype=int))
+    return np.where(orders > 0, values.real, 0.0) + 1j * orders * values.imag
+
+
+def driving(features: Sequence[Feature]) -> list[Feature]:
+    """The first harmonics that drive some features."""
+    return [replace(feature, order=int(feature.order > 1)) for feature in features]
+
+
 def scales(
     features: Sequence[Feature], damping: np.ndarray, basis: np.ndarray, size: np.ndarray
 ) -> np.ndarray:
@@ -440,4 +458,6 @@ def scales(
     powers = np.array([feature.power for feature in features])
     changed = np.array([feature.of_crack for feature in features])
     found = poles(features, damping, basis)[1].prod(axis=2) / basis[..., 0] ** (2 * powers)
+    first = poles(driving(features), damping, basis)[1].prod(axis=2)
+    found = found * np.exp(turned(np.log(first), features))
     return np.where(changed, 1.0 / size[:, None], found)

@@ -5,11 +5,12 @@ with its source. To first order a standard deviation of it changes the natural f
 by a relative a_j, the size of harmonics by a relative b, and through their poles
 (:mod:`fenics_crack.identification.interpolation`) the harmonics by
 
-    d ln U_k = b - sum_j (2 r^2 - 2 i z r) / (1 - r^2 + 2 i z r) a_j,      r = k W / w_j.
+    d ln U_k = b - sum_j (2 r^2 - 2 i z r) / (1 - r^2 + 2 i z r) a_j,      r = k W / w_j,
 
-Nothing is solved again for it. These changes are directions in which predictions may be wrong
-together: of the plate with its crack, of the same plate without it, and of its frequencies before
-it had one, which is how these take away what is not known of the plate.
+and by those of the first harmonic, which drives the k-th. Nothing is solved again for it. These
+changes are directions in which predictions may be wrong together: of the plate with its crack, of
+the same plate without it, and of its frequencies before it had one, which is how these take away
+what is not known of the plate.
 
 A crack that is inclined acts like a straight one at the height of its tip (0.87 to 1.11 of that, of
 ten edge cracks inclined by 10 degrees); a wider or softer one like a sharp one that is longer or
@@ -47,7 +48,7 @@ from scipy.linalg import eigh
 
 from fenics_crack.errors import FEW_MODES, InputError
 from fenics_crack.fem.loads import rigid_motions
-from fenics_crack.identification.interpolation import Feature, poles
+from fenics_crack.identification.interpolation import Feature, driving, poles, turned
 from fenics_crack.identification.measurements import Measurement, Measurements
 from fenics_crack.model.modes import Modes, solve_modes, times
 from fenics_crack.parallel import MPI
@@ -381,12 +382,12 @@ def relative_changes(
         with np.errstate(invalid="ignore"):
             bilinear, plain = np.split(np.log(basis[..., 1:]), 2, axis=2)
         shifts = np.nan_to_num(bilinear - plain)[..., :count]
-        r, pole = poles(features, damping, basis)
-        turned = 2j * damping[..., None] * r / pole
-        slopes = (turned - 2.0 * r**2 / pole)[..., :count]
+        slopes, by_ratio = _of_poles(features, damping, basis)
+        first, ratio = _of_poles(driving(features), damping, basis)
+        slopes = (slopes + turned(first, features))[..., :count]
         by_mode = np.where(natural, by_mode, slopes)
         by_crack = np.where(natural, by_crack, slopes * shifts)
-        by_damping = -turned.sum(axis=2)[..., None]
+        by_damping = (by_ratio + turned(ratio, features)).sum(axis=2)[..., None]
     own = table.crack_deviation * np.sqrt(1.0 - OF_ALL_MODES)
     known = any(axis.key == "damping.ratio" for axis in table.unknown)
     columns = [
@@ -395,6 +396,16 @@ def relative_changes(
         (0.0 if known else table.damping_deviation) * by_damping,
     ]
     return np.concatenate(columns, axis=2)
+
+
+def _of_poles(
+    features: Sequence[Feature], damping: np.ndarray, basis: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Slopes of logarithms of harmonics by those of natural frequencies and of the ratio of
+    damping, as their poles have them: (m, f, modes)."""
+    r, pole = poles(features, damping, basis)
+    found = 2j * damping[..., None] * r / pole
+    return found - 2.0 * r**2 / pole, -found
 
 
 def act_as(x: np.ndarray, keys: Sequence[str], scene: Scene) -> np.ndarray:
