@@ -632,11 +632,12 @@ def _if_as_before(found: Identification) -> str:
     other = plain.misfit_since(clamp=factors[0], warmer=factors[1])
     if (other[1] >= EXPLAINS) == healthy:
         return ""
+    such = f", or {_modulus(found, plain)}," if healthy else ""
     return (
         "; a clamp, a temperature or a sensor that has changed frequencies by "
-        f"{stated if healthy else most:.2g} since before explains the measurements without a crack "
-        f"(identify.before_deviation = {table.before_deviation:.2g}): open the clamp, close it, "
-        "measure again and state there by what they change"
+        f"{stated if healthy else most:.2g} since before{such} explains the measurements without a "
+        f"crack (identify.before_deviation = {table.before_deviation:.2g}): open the clamp, close "
+        "it, measure again and state there by what they change"
     )
 
 

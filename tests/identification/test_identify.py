@@ -155,7 +155,9 @@ def test_warmer_than_before(scene: fc.Scene, folder: Path) -> None:
     plain = natural_of(measured(scene, {"crack": None, "contact": None}, 4))
     warmer = fc.Measurements(tuple(replace(row, value=0.997 * row.value) for row in plain.rows))
     for allowed, claimed in ((0.002, False), (0.0, True)):
-        known = scene.replace({"identify.before_deviation": allowed})
+        known = scene.replace(
+            {"identify.before_deviation": allowed, "identify.temperature_deviation": 5e3 * allowed}
+        )
         found = fc.identify(known, warmer + before(plain), folder=folder)
         assert (found.verdict == "crack") == claimed
 
