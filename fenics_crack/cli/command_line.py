@@ -309,8 +309,8 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "measurements": (
         "a CSV file with the columns quantity, value, deviation, mode, frequency [Hz], point, "
-        "phase [rad], rpm, temperature; or frequency responses (.uff, .unv: dataset 58), whose peaks "
-        "are modes 1, 2, ... or --modes; or both; may be left out with --arrivals",
+        "phase [rad], rpm, temperature; or frequency responses (.uff, .unv: dataset 58), whose "
+        "peaks are modes 1, 2, ... or --modes; or both; may be left out with --arrivals",
         {"type": path, "nargs": "*"},
     ),
     "--before": (
