@@ -623,7 +623,8 @@ def _if_as_before(found: Identification) -> str:
     if healthy and plain.misfit_since(warmer=0.0)[1] < EXPLAINS:
         return (
             f"; {_modulus(found, plain)}, explains the measurements without a crack: measure the "
-            "temperature, too, before and since (temperature)"
+            "temperature, too, before and since (temperature), or open the clamp, close it, "
+            "measure again and state by what they change (identify.before_deviation)"
         )
     factors = [
         0.0 if healthy else max(1.0, most / one) if one else 1.0

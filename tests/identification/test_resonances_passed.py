@@ -66,8 +66,8 @@ def test_each_at_its_own_speed(scene: fc.Scene, folder: Path) -> None:
 
 def test_a_softer_blade_than_before(scene: fc.Scene, folder: Path) -> None:
     """A modulus 1 % lower since, to 2e-5, which takes more from a slow blade than from a fast one:
-    no crack; the reason says what it is. Of a crack, too, and
-    more surely with the temperatures."""
+    no crack, and the reason says what it is. A crack is found, too, and more surely with the
+    temperatures."""
     speeds = (1500.0, 3000.0, 4000.0)
 
     def record(quantity: str, young: float, kelvin: float, kind: str = "") -> fc.Measurements:
@@ -81,15 +81,16 @@ def test_a_softer_blade_than_before(scene: fc.Scene, folder: Path) -> None:
             )
         )
 
-    before = record("frequency_uncracked", 1.0, np.nan)
-    found = fc.identify(scene, record("frequency_open", 0.99, np.nan) + before, folder=folder)
+    before = record("frequency_uncracked", 1.0 / 0.99, np.nan)
+    found = fc.identify(scene, record("frequency_open", 1.0, np.nan) + before, folder=folder)
     assert found.verdict != "crack" and "Young's modulus" in found.reason
-    assert found.since_before["warmer_without_a_crack"] == pytest.approx(25.0, rel=0.15)
+    assert found.since_before["warmer_without_a_crack"] == pytest.approx(25.0, rel=0.3)
     assert found.summary()["since_before"]["temperature_deviation"] == 25.0
     blind, sure = (
         fc.identify(
             scene,
-            record("frequency_open", 0.99, now, "open") + record("frequency_uncracked", 1.0, then),
+            record("frequency_open", 1.0, now, "open")
+            + record("frequency_uncracked", 1.0 / 0.99, then),
             folder=folder,
         )
         for now, then in ((np.nan, np.nan), (45.0, 20.0))
