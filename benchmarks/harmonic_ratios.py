@@ -94,7 +94,11 @@ def main() -> None:
                 density *= 1.0 + 0.005 * rng.normal()
                 more = {"taper": rng.uniform(-0.02, 0.02), "clamp": rng.uniform(1e-4, 1e-3)}
             plate = Plate(size, young, POISSON, density, length, place, longest=0.012, **more)
-            rows = ratios(plate, LOADS, ("tip.ux",), rng)
+            try:
+                rows = ratios(plate, LOADS, ("tip.ux",), rng)
+            except ArithmeticError:
+                print("  left out: the generator's own Newton method ends nowhere", flush=True)
+                continue
             found = fc.identify(scene, rows, folder=given.folder)
             score.add(found, np.array([length, place]))
             truth = dict(zip(SIZES, (length, place), strict=True))
