@@ -303,16 +303,12 @@ class Prediction:
         deviation of each.
     known : (q,) bool
         Whether the model tells anything of a measurement.
-    solved : (m, q, q), optional
-        The covariance that would be left if all were solved there, nothing interpolated; None: the
-        same.
     """
 
     values: np.ndarray
     covariance: np.ndarray
     free: np.ndarray
     known: np.ndarray
-    solved: np.ndarray | None = None
 
     @property
     def deviations(self) -> np.ndarray:
@@ -336,9 +332,8 @@ class Place(NamedTuple):
         The features.
     unsure : (m, f)
         Mean squares of their errors by the interpolation.
-    covariance, solved : (m, 2f, 2f)
-        Of their smooth forms, real and imaginary parts, one beside the other; and without the
-        interpolation's.
+    covariance : (m, 2f, 2f)
+        Of their smooth forms, real and imaginary parts, one beside the other.
     """
 
     damping: np.ndarray
@@ -347,7 +342,6 @@ class Place(NamedTuple):
     waves: np.ndarray
     unsure: np.ndarray
     covariance: np.ndarray
-    solved: np.ndarray
 
 
 class Quantities:
@@ -486,9 +480,8 @@ class Quantities:
         unsure = sum(np.sum(errors**2, axis=1) for errors in scatter)
         unsure = (unsure[:, ::2] + unsure[:, 1::2]) / np.abs(scale) ** 2
         unknown = _pairs(changes.transpose(0, 2, 1)).transpose(0, 2, 1)
-        errors = np.concatenate([self._errors(smooth, left), unknown], axis=2)
-        solved = errors @ errors.transpose(0, 2, 1)
-        return Place(damping, basis, scale, waves, unsure, solved + _of_nodes(scatter), solved)
+        errors = np.concatenate([self._errors(smooth, left, scatter), unknown], axis=2)
+        return Place(damping, basis, scale, waves, unsure, errors @ errors.transpose(0, 2, 1))
 
     def _predicted(self, place: Place, still: np.ndarray | None, lips: Lips) -> Prediction:
         """Predictions by features, some of which vanish, (f,), and what lips do at resonances."""
@@ -518,14 +511,11 @@ class Quantities:
         if still is not None:
             turns[..., still] = 0.0
         slopes = _pairs(turns.conj())
+        total = slopes @ place.covariance @ slopes.transpose(0, 2, 1) + left_out
         errors = np.concatenate([values[..., None] * self.changed.columns, alike], axis=2)
-        others = errors @ errors.transpose(0, 2, 1) + rest[:, :, None] * np.eye(len(self.rows))
-        total, solved = (
-            slopes @ one @ slopes.transpose(0, 2, 1) + others + left_out
-            for one in (place.covariance, place.solved)
-        )
+        total += errors @ errors.transpose(0, 2, 1) + rest[:, :, None] * np.eye(len(self.rows))
         values = np.where(self.known, values, np.nan)
-        return Prediction(values, total, np.concatenate(free, axis=2), self.known, solved)
+        return Prediction(values, total, np.concatenate(free, axis=2), self.known)
 
     def _left_out(
         self, first: Feature, squares: np.ndarray, damping: np.ndarray, basis: np.ndarray
@@ -594,11 +584,18 @@ class Quantities:
             scatter.append(self._correction.scatter(x))
         return smooth, left, scatter
 
-    def _errors(self, smooth: np.ndarray, left: np.ndarray) -> np.ndarray:
-        """Errors of the smooth forms by the mesh and contact on it, each independent of the others:
-        (m, 2f, r)."""
+    def _errors(
+        self, smooth: np.ndarray, left: np.ndarray, scatter: list[np.ndarray]
+    ) -> np.ndarray:
+        """Errors of the smooth forms, each independent of the others: (m, 2f, r)."""
         together, apart = np.sqrt(TOGETHER), np.sqrt(1.0 - TOGETHER)
-        found = [together * left[..., None], apart * left[..., None] * self._alike]
+        every, eye = np.concatenate(scatter, axis=1), np.eye(smooth.shape[1])
+        found = [
+            together * every.transpose(0, 2, 1),
+            apart * np.sqrt(np.sum(every**2, axis=1))[:, None, :] * eye,
+            together * left[..., None],
+            apart * left[..., None] * self._alike,
+        ]
         uneven = self.model.table.harmonic_deviation
         if uneven:
             upper = np.repeat([max(feature.order - 1, 0) for feature in self._features], 2)
@@ -608,14 +605,6 @@ class Quantities:
                 of_contact = uneven * (part * upper)[..., None]
                 found += [together * of_contact * self._alike, apart * of_contact * each]
         return np.concatenate(found, axis=2)
-
-
-def _of_nodes(scatter: list[np.ndarray]) -> np.ndarray:
-    """Covariance of smooth forms by errors (m, k, 2f) at the nodes around, half of it alike in all
-    of them: (m, 2f, 2f)."""
-    every = np.concatenate(scatter, axis=1)
-    alone = np.sum(every**2, axis=1)[:, None, :] * np.eye(every.shape[2])
-    return np.asarray(TOGETHER * every.transpose(0, 2, 1) @ every + (1.0 - TOGETHER) * alone)
 
 
 def _stillness(

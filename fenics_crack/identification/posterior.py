@@ -3,13 +3,10 @@
 Measured numbers m with standard deviations e are compared with predictions s(x), whose own errors
 have a covariance T(x):
 
-    log L(x) = - (m - s)^T V^-1 (m - s) / 2 - log(det S) / 2,    V(x) = diag(e^2) + T(x)
+    log L(x) = - (m - s)^T V^-1 (m - s) / 2 - log(det V) / 2,    V(x) = diag(e^2) + T(x)
 
-with V in place of S where it is the evidence of a hypothesis. Of a region S is V without the errors
-of the interpolation: these are those of the cases that were solved, not of the crack, and det V
-would draw regions to where cases are near, away from others that fit as well. As det S is no less
-than that of diag(e^2), both terms are squares, and least squares find its maxima. Where a crack may
-breathe or not, L is the sum over both, each with its probability
+As det V is no less than that of diag(e^2), both terms are squares, and least squares find its
+maxima. Where a crack may breathe or not, L is the sum over both, each with its probability
 (:meth:`fenics_crack.identification.model.Quantities.states`).
 
 The prior is uniform between the bounds. A crack differs from the straight and sharp one that acts
@@ -78,46 +75,36 @@ class Likelihood:
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
         """At values (m, d) of the unknowns: (m, q + 1). L^-1 (m - s) / e, of which the squares are
-        chi^2, V = diag(e) L L^T diag(e); and the root of log(det S / (det diag(e^2) p^2)), of the
-        state of the lips that is likeliest, with its probability p."""
+        chi^2, V = diag(e) L L^T diag(e); and the root of log(det L L^T / p^2), of the state of the
+        lips that is likeliest, with its probability p."""
         found = np.full((len(x), len(self.values) + 1), np.inf)
-        for at, rows, *_ in self._of_states(x):
+        for at, rows, _ in self._of_states(x):
             nearer = np.sum(rows**2, axis=1) < np.sum(found[at] ** 2, axis=1)
             found[at[nearer]] = rows[nearer]
         return found
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        """log L at values (m, d) of the unknowns, that of regions and that of evidences: (m, 2), up
-        to a constant."""
-        found = np.full((len(x), 2), -np.inf)
-        for at, rows, vague, _ in self._of_states(x):
-            both = -0.5 * np.sum(rows**2, axis=1)[:, None] - np.outer(vague, [0.0, 1.0])
-            found[at] = np.logaddexp(found[at], both)
+        """log L at values (m, d) of the unknowns: (m,), up to a constant."""
+        found = np.full(len(x), -np.inf)
+        for at, rows, _ in self._of_states(x):
+            found[at] = np.logaddexp(found[at], -0.5 * np.sum(rows**2, axis=1))
         return found
 
     def likeliest(self, x: np.ndarray) -> Prediction:
         """Predictions at values (d,) of the unknowns, in the likeliest state of the lips."""
-        found = ((np.sum(rows**2), told) for _, rows, _, told in self._of_states(x[None]))
+        found = ((np.sum(rows**2), told) for _, rows, told in self._of_states(x[None]))
         return min(found, key=lambda one: one[0])[1]
 
-    def _of_states(
-        self, x: np.ndarray
-    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, Prediction]]:
-        """Residuals of each state of the lips, where it may be: places among x, rows, log(det V /
-        det S) / 2, and what is predicted there."""
+    def _of_states(self, x: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, Prediction]]:
+        """Residuals of each state of the lips, where it may be: places among x, rows, and what is
+        predicted there."""
         for at, share, predicted in self.quantities.states(x):
             factor = np.linalg.cholesky(scaled_covariance(predicted, self.values, self.deviations))
             differences = (self.values - predicted.values) / self.deviations
-            logs = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
-            solved = logs
-            if predicted.solved is not None:
-                other = replace(predicted, covariance=predicted.solved)
-                scaled = scaled_covariance(other, self.values, self.deviations)
-                solved = 0.5 * np.linalg.slogdet(scaled)[1]
-            # Below 0 by rounding alone.
-            root = np.sqrt(2.0 * np.maximum(solved - np.log(share), 0.0))
+            logs = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1) - np.log(share)
+            root = np.sqrt(2.0 * np.maximum(logs, 0.0))  # below 0 by rounding alone
             rows = np.linalg.solve(factor, differences[..., None])[..., 0]
-            yield at, np.column_stack([rows, root]), logs - solved, predicted
+            yield at, np.column_stack([rows, root]), predicted
 
     def warmer(self, x: np.ndarray) -> float:
         """Mean of what is not known of the temperature since there was no crack, at values (d,) of
@@ -179,8 +166,6 @@ class Branch:
         log L on the grid, spread.
     weight : array
         Parts of the prior that the points of the grid stand for; their sum is 1.
-    log_evidence : float
-        log of the integral of L over the prior.
     """
 
     likelihood: Likelihood
@@ -188,11 +173,10 @@ class Branch:
     axes: tuple[np.ndarray, ...]
     height: np.ndarray
     weight: np.ndarray
-    log_evidence: float
 
     @property
-    def log_mass(self) -> float:
-        """log of the integral of what regions are of, over the prior."""
+    def log_evidence(self) -> float:
+        """log of the integral of L over the prior."""
         return float(logsumexp(self.height, b=self.weight))
 
     def values(self, x: np.ndarray) -> dict[str, Any]:
@@ -213,12 +197,11 @@ def explore(likelihood: Likelihood) -> Branch:
     cube = likelihood.quantities.model.cube
     d = len(cube.axes)
     if d == 0:
-        height, evidence = likelihood(np.zeros((1, 0)))[0]
-        only = Optimum(np.zeros(0), float(height), np.zeros((0, 0)))
-        return Branch(likelihood, [only], (), np.array(height), np.ones(()), float(evidence))
+        height = likelihood(np.zeros((1, 0)))
+        only = Optimum(np.zeros(0), float(height[0]), np.zeros((0, 0)))
+        return Branch(likelihood, [only], (), height.reshape(()), np.ones(()))
     first = _even(cube)
-    both = _heights(likelihood, _points(first)).reshape(*(len(axis) for axis in first), 2)
-    height = both[..., 0]
+    height = _heights(likelihood, _points(first)).reshape([len(axis) for axis in first])
     optima = _optima(likelihood, first, height)
     act_as = likelihood.quantities.model.act_as
     few = optima[:3]
@@ -242,11 +225,10 @@ def explore(likelihood: Likelihood) -> Branch:
     near = RegularGridInterpolator(first, around)(points) > optima[0].height - DEEP
     for optimum, reach in zip(few, reaches, strict=True):
         near |= np.all(np.abs(points - optimum.x) < reach, axis=1)
-    closer = RegularGridInterpolator(first, both)(points)
+    closer = RegularGridInterpolator(first, height)(points)
     closer[near] = _heights(likelihood, points[near])
-    evidence = float(logsumexp(closer[:, 1], b=weight.ravel()))
-    spread = _spread(closer[:, 0].reshape(weight.shape), axes, weights, act_as(points))
-    return Branch(likelihood, optima, tuple(axes), spread, weight, evidence)
+    closer = _spread(closer.reshape(weight.shape), axes, weights, act_as(points))
+    return Branch(likelihood, optima, tuple(axes), closer, weight)
 
 
 def _spread(
@@ -285,7 +267,7 @@ def _points(axes: list[np.ndarray]) -> np.ndarray:
 
 
 def _heights(likelihood: Likelihood, points: np.ndarray) -> np.ndarray:
-    """log L of regions and of evidences at many places (n, d): (n, 2)."""
+    """log L at many places (n, d): (n,)."""
     pieces = np.array_split(points, -(-len(points) // AT_ONCE))
     return np.concatenate([likelihood(piece) for piece in pieces])
 
@@ -344,7 +326,7 @@ class Posterior:
         self.branches = dict(branches)
         logs = [branch.log_evidence for branch in self.branches.values()]
         self.log_evidence = float(logsumexp(logs) - np.log(len(logs)))
-        total = logsumexp([branch.log_mass for branch in self.branches.values()])
+        total = logsumexp(logs)
         self.mass = {
             name: np.exp(branch.height - total) * branch.weight
             for name, branch in self.branches.items()

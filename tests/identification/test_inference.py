@@ -156,7 +156,7 @@ def test_ridge_that_is_narrower_than_the_grid() -> None:
         y = rng.uniform(0.0, 20.0, 4000)
         x = 9.13 + deviation * rng.standard_normal(4000) - 0.37 * y
         inside = (x > 0.0) & (x < 10.0)
-        heights = likelihood(np.column_stack([x, y])[inside])[:, 0]
+        heights = likelihood(np.column_stack([x, y])[inside])
         held = np.mean(heights >= posterior.level(0.95))
         assert (abs(held - 0.95) < 0.03) == resolved
 
