@@ -509,7 +509,8 @@ def bifurcation(case: Case, curve: fc.ResponseCurve, one: fc.Bifurcation) -> Fin
         return row
     near = np.abs(curve.values - one.value) / size
     seen = set()
-    kind = KINDS_OF_BIFURCATION.index(one.kind)
+    # At a branch point, as at a fold, a multiplier passes 1.
+    kind = KINDS_OF_BIFURCATION.index("fold" if one.kind == "branch_point" else one.kind)
     for count, place in enumerate(np.argsort(near, kind="stable")[:24]):
         if len(seen) > 1 or (near[place] > NEXT_TO and count >= 4):
             break
