@@ -304,30 +304,6 @@ def test_two_that_cannot_be_told_apart() -> None:
     assert all(mass == pytest.approx(0.475, abs=0.02) for *_, mass in parts)
 
 
-class Vague(Even):
-    """The same, with an interpolation that knows little of what is above 5."""
-
-    def __call__(self, x: np.ndarray) -> Prediction:
-        found = super().__call__(x)
-        vague = np.where(x[:, 0] > 5.0, 100.0, 0.0)[:, None, None] * np.eye(2)
-        return replace(found, covariance=found.covariance + vague, solved=found.covariance)
-
-
-def test_what_the_interpolation_does_not_tell_is_in_the_region() -> None:
-    """Of two places that fit alike neither is left out because cases are far from it; it weighs
-    less in the evidence."""
-    cube = Cube((np.linspace(0.0, 10.0, 4), np.linspace(0.0, 20.0, 4)))
-    found = {}
-    for kind in (Even, Vague):
-        model = kind(np.zeros((2, 2)), np.zeros(2), cube)
-        likelihood = Likelihood(np.array([9.0, 4.0]), np.array([0.3, 0.2]), model)  # type: ignore[arg-type]
-        found[kind] = Posterior({"": explore(likelihood)})
-    branch = found[Vague].branches[""]
-    for place in (2.0, 8.0):
-        assert branch.at(np.array([place, 4.0])) >= found[Vague].level(0.95)
-    assert found[Vague].log_evidence < found[Even].log_evidence
-
-
 def test_soft_clamps() -> None:
     """Of a slender beam one that turns takes as much from all natural frequencies, one that moves
     (s b)^2: of the modes cosh bx - cos bx - s (sinh bx - sin bx) the moments and shear forces at
