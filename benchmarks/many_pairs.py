@@ -47,8 +47,8 @@ import scipy.sparse as sparse
 import fenics_crack as fc
 from fenics_crack.curves.family import Family
 from fenics_crack.model.factor import Factor
-from fenics_crack.motion.flow import ExponentialFlow
 from fenics_crack.numerics.fourier import evaluate
+from fenics_crack.time.exponential import ExponentialFlow
 
 REFERENCE = 120
 NEW = Path(__file__).with_name("plate.toml")
