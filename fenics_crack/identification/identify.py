@@ -43,9 +43,11 @@ FEW_NODES = 4
 more unknowns one less."""
 RESOLVED = 2.0
 """How many times larger a vibration may be between cases than at any of them."""
+MOST = 0.5
+"""Of the variance of a measurement: what interpolation between cases may have of it."""
 ADDED = 8
-"""How many times more cracks are solved where one is larger, at most: with damping of 0.5 % five
-lengths become 9 to 37."""
+"""How many times more cracks are solved where that matters, or where one vibrates more, at most:
+with damping of 0.5 % five lengths become 9 to 37."""
 ASKED = ("sweep", "curve", "integration", "identify", "tip_timing")
 """Tables that do not matter to a sweep of the forward model."""
 Sweeps = tuple[SweepResult, SweepResult | None, SweepResult | None]
@@ -129,11 +131,23 @@ def identify(
     others = any(not axis.key.startswith(("crack.", "contact.")) for axis in scene.identify.unknown)
     known = (scene.excitation.omega / TURN, *scene.identify.frequencies)
     whole.check(measurements, [load for load in known if load > 0.0], other=others)
-    forward = solve_forward(
-        scene, shaken, Path(folder), comm, further=further, whole=whole, progress=progress
-    )
-    begin("inference")
-    return infer(forward, measurements)
+    closer: list[Axis] = []
+    while True:
+        forward = solve_forward(
+            scene,
+            shaken,
+            Path(folder),
+            comm,
+            further=further,
+            whole=whole,
+            closer=closer,
+            progress=progress,
+        )
+        begin("inference")
+        found = infer(forward, measurements)
+        if (axis := _closer(forward, found)) is None:
+            return found
+        closer.append(axis)
 
 
 def infer(forward: Forward, measurements: Measurements) -> Identification:
@@ -271,6 +285,8 @@ class Forward:
     ----------
     scene : Scene
         With its table ``[identify]``.
+    axes : sequence of Axis
+        The unknowns, with the values at which it was solved.
     cracked : dict of str to Model
         A model for each combination of the unknowns that are words: "" or "right".
     uncracked : dict of str to Model
@@ -278,6 +294,7 @@ class Forward:
     """
 
     scene: Scene
+    axes: Sequence[Axis]
     cracked: dict[str, Model]
     uncracked: dict[str, Model]
 
@@ -298,6 +315,7 @@ def solve_forward(
     *,
     further: Sequence[float] = (),
     whole: Whole | None = None,
+    closer: Sequence[Axis] = (),
     progress: bool = False,
 ) -> Forward:
     """Solve, or read, what the forward model is interpolated from (collective).
@@ -316,6 +334,8 @@ def solve_forward(
         Loads [Hz] at whose speeds of the rotor natural frequencies are known, and nothing else.
     whole : Whole, optional
         The plate without its crack, if it is known already.
+    closer : sequence of Axis
+        Unknowns with further values, one after another.
     progress : bool
         Show bars.
 
@@ -350,39 +370,66 @@ def solve_forward(
     numbers = sum(not isinstance(axis.values[0], str) for axis in table.unknown)
     count = FEW_NODES - (numbers > 2)
 
+    meshes = [Axis(MESH, table.mesh_files)] if table.meshes else []
+
     def others(
         name: str, changes: dict[str, Any], axes: Sequence[Axis], every: SweepResult
     ) -> Sweeps:
-        own, few = coarse.replace(changes), _thinned(axes, count)
+        own, keys = coarse.replace(changes), [axis.key for axis in axes]
+        first = [axis for axis in (*meshes, *table.unknown) if axis.key in keys]
+        few = _thinned(first, count)
         finer = None if fine is None else run(f"{name}_finer", fine.replace(changes), few)
         between = None if table.meshes else run(name, own, _thinned(_halfway(axes), count))
         return every, finer, between
 
-    meshes = [Axis(MESH, table.mesh_files)] if table.meshes else []
-    most = ADDED * math.prod(len(axis.values) for axis in table.unknown)
-    denser: Sequence[Axis] | None = table.unknown
-    while denser is not None:
-        axes = denser
-        every = run("forward", coarse, [*meshes, *axes])
+    axes, left = list(table.unknown), [*closer]
+    every = run("forward", coarse, [*meshes, *axes])
+    while True:
         models = _models(scene, whole, loads, (every, None, None))
-        denser = _denser(scene, models.values(), frequencies, axes, most)
+        axis = _denser(scene, models.values(), frequencies, axes)
+        if axis is None and not left:
+            break
+        axis = axis or left.pop(0)
+        place = [one.key for one in axes].index(axis.key)
+        added = tuple(value for value in axis.values if value not in axes[place].values)
+        new = [*meshes, *axes[:place], Axis(axis.key, added), *axes[place + 1 :]]
+        every = _joined(every, run("forward", coarse, new), len(meshes) + place)
+        axes[place] = axis
     cracked = others("forward", {}, [*meshes, *axes], every)
     changes = without_crack(scene)
     if changes is None:
-        return Forward(scene, _models(scene, whole, loads, cracked), {})
-    axes = [axis for axis in axes if not axis.key.startswith(("crack.", "contact."))]
+        return Forward(scene, axes, _models(scene, whole, loads, cracked), {})
+    kept = [axis for axis in axes if not axis.key.startswith(("crack.", "contact."))]
     plain = coarse.replace(changes)
-    bare = others("uncracked", changes, axes, run("uncracked", plain, axes))
+    bare = others("uncracked", changes, kept, run("uncracked", plain, kept))
     found = _models(scene, whole, loads, cracked, bare), _models(scene, whole, loads, bare)
-    return Forward(scene, *found)
+    return Forward(scene, axes, *found)
+
+
+def _joined(one: SweepResult, other: SweepResult, place: int) -> SweepResult:
+    """The cases of two sweeps whose values on the axis at a place differ."""
+    values = [*one.axes[place].values, *other.axes[place].values]
+    order = np.argsort(values)
+    columns = {
+        name: np.concatenate([values, other[name]], axis=place).take(order, axis=place)
+        for name, values in one.columns.items()
+    }
+    axes = list(one.axes)
+    axes[place] = Axis(axes[place].key, tuple(values[at] for at in order))
+    return replace(one, scene=replace(one.scene, sweep=Sweep(over=tuple(axes))), columns=columns)
+
+
+def _most(scene: Scene) -> int:
+    """How many cases are solved at most."""
+    return ADDED * math.prod(len(axis.values) for axis in scene.given("identify").unknown)
 
 
 def _denser(
-    scene: Scene, models: Iterable[Model], loads: Sequence[float], axes: Sequence[Axis], most: int
-) -> list[Axis] | None:
-    """Axes with further values between those of the number along which the vibration changes most;
+    scene: Scene, models: Iterable[Model], loads: Sequence[float], axes: Sequence[Axis]
+) -> Axis | None:
+    """The number with further values between those along which the vibration changes most;
     None where none between vibrates much more than any that was solved, where that does not matter,
-    and where it would be more than ``most`` cases."""
+    and where it would be too many cases."""
     seen = itertools.product(models, loads, scene.point_names or ("",))
     places = [] if is_free(scene) else [(_larger_between(*one)[0], *one) for one in seen]
     if not places or max(place[0] for place in places) <= RESOLVED:
@@ -397,13 +444,45 @@ def _denser(
     numbers = [axis for axis in axes if axis.key in steps and _is_divisible(axis)]
     for axis in sorted(numbers, key=lambda axis: -steps[axis.key]):
         count = len(axis.values)
-        parts = min(math.ceil(larger / RESOLVED), (most * count // cases - 1) // (count - 1))
+        parts = min(
+            math.ceil(larger / RESOLVED), (_most(scene) * count // cases - 1) // (count - 1)
+        )
         if parts > 1:
             at = np.arange((count - 1) * parts + 1) / parts
             between = np.interp(at, np.arange(count), axis.values).tolist()
-            denser = Axis(axis.key, tuple(between))
-            return [denser if one is axis else one for one in axes]
+            return Axis(axis.key, tuple(between))
     return None
+
+
+def _closer(forward: Forward, found: Identification) -> Axis | None:
+    """The unknown with further values halfway between those around the cracks that explain what is
+    measured along which interpolation adds most to the errors of a measurement; None where it adds
+    less there to each than everything else does, and where it would be too many cases.
+
+    The posterior falls as such errors grow, and leaves those cracks out.
+    """
+    seen = [branch.interpolated() for branch in found.posterior.branches.values()]
+    x, shares = (np.vstack(one) for one in zip(*seen, strict=True))
+    if not shares.size:
+        return None
+    share = shares.mean(axis=0)
+    share = share[:, share.sum(axis=0).argmax()]
+    if share.sum() <= MOST:
+        return None
+    axes = {axis.key: axis for axis in forward.axes}
+    for place in np.argsort(-share):
+        axis = axes.get(found.unknown[place])
+        if axis is not None and _is_divisible(axis):
+            halved = _halved(axis, x[:, place].min(), x[:, place].max())
+            cases = math.prod(len(one.values) for one in (axes | {axis.key: halved}).values())
+            return halved if cases <= _most(forward.scene) else None
+    return None
+
+
+def _halved(axis: Axis, low: float, high: float) -> Axis:
+    """An axis with values halfway between those around some numbers."""
+    around = (pair for pair in itertools.pairwise(axis.values) if pair[0] < high and pair[1] > low)
+    return Axis(axis.key, tuple(sorted({*axis.values, *(0.5 * (a + b) for a, b in around)})))
 
 
 def _meshes(scene: Scene, factor: float) -> tuple[Scene, Scene | None]:

@@ -165,8 +165,13 @@ class Interpolation:
         """Errors of all quantities together at the nodes around values x (m, d), along each axis,
         and where cases failed, weighted so that their covariance is the sum of the squares:
         (m, k, q)."""
+        found = self.along(x)
+        return np.concatenate(found, axis=1) if found else np.zeros((len(x), 0, len(self.known)))
+
+    def along(self, x: np.ndarray) -> list[np.ndarray]:
+        """The same of each axis, and of failed cases where there are some, apart."""
         if not self.cube.axes:
-            return np.zeros((len(x), 0, len(self.known)))
+            return []
         nodes = self.cube.places(self.cube.nodes)
         exponent = -0.5 / AVERAGED_OVER**2 * cdist(self.cube.places(x), nodes, "sqeuclidean")
         count = min(AROUND, len(nodes))
@@ -174,8 +179,7 @@ class Interpolation:
         exponent = np.take_along_axis(exponent, near, axis=1)
         weights = np.exp(exponent - exponent.max(axis=1, keepdims=True))
         weights /= weights.sum(axis=1, keepdims=True)
-        errors = [np.sqrt(weights)[..., None] * own[near] for own in self._errors]
-        return np.concatenate(errors, axis=1)
+        return [np.sqrt(weights)[..., None] * own[near] for own in self._errors]
 
 
 def _between(cube: Cube, known: np.ndarray) -> np.ndarray:

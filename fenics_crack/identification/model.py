@@ -466,6 +466,21 @@ class Quantities:
         at resonances."""
         return self._predicted(self._place(x), None, self._lips[0])
 
+    def by_interpolation(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Variances of predictions at values (m, d) of the unknowns by what is interpolated between
+        the nodes along each unknown, (m, d, q), and by everything, (m, q)."""
+        place, none = self._place(x), np.zeros((len(x), 2 * len(self._features)))
+
+        def variances(covariance: np.ndarray) -> np.ndarray:
+            told = self._predicted(place._replace(covariance=covariance), None, self._lips[0])
+            return np.diagonal(told.covariance, axis1=1, axis2=2)
+
+        rest, found = variances(np.zeros_like(place.covariance)), []
+        for scatter in self._coarse.along(x)[: x.shape[1]]:
+            errors = self._errors(none, none, [self._understated * scatter])
+            found.append(variances(errors @ errors.transpose(0, 2, 1)) - rest)
+        return np.stack(found, axis=1), variances(place.covariance)
+
     def _place(self, x: np.ndarray) -> Place:
         """Features at some values (m, d) of the unknowns."""
         smooth, left, scatter = self._of_features(x)

@@ -281,9 +281,10 @@ class Since:
         measured = before & np.isfinite(stated) & (len(now) > 0)
         factors = np.ones(len(rows))
         clamp, heat = np.zeros((len(rows), 2 + count)), np.zeros((len(rows), 1 + count))
+        since = {speed: whole.since_at(speed) for speed in set(faster)}
         for place, (row, speed) in enumerate(zip(rows, faster, strict=True)):
             if row.natural and row.mode <= count:
-                by_clamp, by_kelvin = whole.since_at(speed)
+                by_clamp, by_kelvin = since[speed]
                 clamp[place] = before[place] * by_clamp[row.mode - 1]
                 heat[place] = by_kelvin[row.mode - 1]
                 stiffer = 1.0 + table.temperature_coefficient * off[place]

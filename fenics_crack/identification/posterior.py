@@ -61,6 +61,9 @@ STEEP = 2.0
 than two standard deviations: sums over such points are no integrals."""
 IMPOSSIBLE = -1e4
 """Difference of log L, where there is nothing."""
+EXPLAINS = 0.05
+"""Probability of more misfit by chance from which a crack, or a plate without one, explains what is
+measured."""
 VAGUE = 10.0
 """Standard deviation, over the measured value, where the model knows nothing."""
 
@@ -114,6 +117,13 @@ class Likelihood:
         left = (self.values - predicted.values[0]) / self.deviations
         covariance = scaled_covariance(predicted, self.values, self.deviations)[0]
         return float(column @ np.linalg.solve(covariance, left))
+
+    def explains(self, x: np.ndarray) -> np.ndarray:
+        """Whether values (m, d) of the unknowns, given before anything was measured, would explain
+        it: (m,) bool."""
+        spare = len(self.values) - self.quantities(x[:1]).free.shape[2]
+        squares = np.sum(self.residuals(x)[:, :-1] ** 2, axis=1)
+        return np.asarray(chdtrc(max(spare, 1), squares) >= EXPLAINS)
 
     def misfit(self, x: np.ndarray) -> tuple[float, float]:
         """chi^2 at values (d,) of the unknowns that fit best, and the probability of more by chance
@@ -190,6 +200,20 @@ class Branch:
             return float(self.height)
         within = np.clip(x, [axis[0] for axis in self.axes], [axis[-1] for axis in self.axes])
         return float(RegularGridInterpolator(self.axes, self.height)(within)[0])
+
+    def interpolated(self) -> tuple[np.ndarray, np.ndarray]:
+        """Values (m, d) of the unknowns, of the first grid and the optima, that would explain what
+        is measured, and the share that interpolation along each unknown has in the variance of each
+        measurement there: (m, d, q)."""
+        likelihood, every = self.likelihood, [np.zeros((0, len(self.axes)))]
+        shares = [np.zeros((0, len(self.axes), len(likelihood.values)))]
+        points = np.vstack([grid_of(likelihood.quantities.model.cube), *(o.x for o in self.optima)])
+        for piece in _pieces(points):
+            if len(x := piece[likelihood.explains(piece)]):
+                parts, total = likelihood.quantities.by_interpolation(x)
+                every.append(x)
+                shares.append(parts / (total + likelihood.deviations**2)[:, None])
+        return np.vstack(every), np.vstack(shares)
 
 
 def explore(likelihood: Likelihood) -> Branch:
@@ -268,8 +292,12 @@ def _points(axes: list[np.ndarray]) -> np.ndarray:
 
 def _heights(likelihood: Likelihood, points: np.ndarray) -> np.ndarray:
     """log L at many places (n, d): (n,)."""
-    pieces = np.array_split(points, -(-len(points) // AT_ONCE))
-    return np.concatenate([likelihood(piece) for piece in pieces])
+    return np.concatenate([likelihood(piece) for piece in _pieces(points)])
+
+
+def _pieces(points: np.ndarray) -> list[np.ndarray]:
+    """Points (n, d) in pieces that take little memory."""
+    return np.array_split(points, -(-len(points) // AT_ONCE))
 
 
 def _trapezoid(axis: np.ndarray) -> np.ndarray:

@@ -30,6 +30,7 @@ from fenics_crack.identification.measurements import Measurement, Measurements
 from fenics_crack.identification.model import Model, Quantities
 from fenics_crack.identification.nuisance import OF_SIZE, Whole
 from fenics_crack.identification.posterior import (
+    EXPLAINS,
     PRIOR,
     Branch,
     Likelihood,
@@ -242,9 +243,6 @@ SHARE = 0.95
 """Probability of the regions and intervals that are stated."""
 LEAST_PART = 0.03
 """Probability of a part of the region that is mentioned."""
-EXPLAINS = 0.05
-"""Probability of more misfit by chance from which a crack, or a plate without one, explains what is
-measured."""
 NO_CRACK = "no crack"
 SINCE = (
     "before_deviation",
