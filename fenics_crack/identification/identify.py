@@ -68,11 +68,12 @@ def identify(
     The scene is solved on a grid of the unknowns once, spread over the ranks, and on a finer mesh
     at a few places; files in ``folder`` keep both, and a killed run goes on from them. Natural
     frequencies of a rotor may be of several speeds, at each of which it is solved. Under a
-    steady load or a clearance the grid gets denser where cracks between meet a resonance. Smooth
-    interpolation between has an error of its own, by cross-validation and a few cases halfway
-    between the others, which is added to that of the measurements. So is what may be left of the
-    mesh's error: where a mesh finer by f changes a quantity by d, d / (2 f - 2), which is added to
-    the correction d, too (of an error of first order d / (f - 1) is left, of one of high order
+    steady load or a clearance the grid gets denser where cracks between meet a resonance, and
+    around cracks that explain what is measured where interpolation is the larger part of an error.
+    It is smooth, and has an error of its own, by cross-validation and a few cases halfway between
+    the others, which is added to that of the measurements. So is what may be left of the mesh's
+    error: where a mesh finer by f changes a quantity by d, d / (2 f - 2), which is added to the
+    correction d, too (of an error of first order d / (f - 1) is left, of one of high order
     nothing). Least squares from several starts find the estimate, a posterior on a grid its
     regions, and its integral over the prior says whether there is a crack at all.
 
@@ -145,9 +146,12 @@ def identify(
         )
         begin("inference")
         found = infer(forward, measurements)
-        if (axis := _closer(forward, found)) is None:
-            return found
+        worst = Interpolated.of(found)
+        axis = None if worst is None else _closer(forward, found, worst)
+        if axis is None:
+            break
         closer.append(axis)
+    return found if worst is None else replace(found, remarks=(*found.remarks, worst.remark))
 
 
 def infer(forward: Forward, measurements: Measurements) -> Identification:
@@ -454,26 +458,56 @@ def _denser(
     return None
 
 
-def _closer(forward: Forward, found: Identification) -> Axis | None:
-    """The unknown with further values halfway between those around the cracks that explain what is
-    measured along which interpolation adds most to the errors of a measurement; None where it adds
-    less there to each than everything else does, and where it would be too many cases.
+@dataclass(frozen=True)
+class Interpolated:
+    """A measurement of whose variance interpolation between cases has more than everything else, on
+    average over the cracks that explain what is measured: the posterior falls as such an error
+    grows, and leaves some of them out.
 
-    The posterior falls as such errors grow, and leaves those cracks out.
+    Attributes
+    ----------
+    name : str
+        Of the measurement.
+    share : (d,)
+        Shares of its variance by the interpolation along each unknown.
+    x : (m, d)
+        Those cracks.
     """
-    seen = [branch.interpolated() for branch in found.posterior.branches.values()]
-    x, shares = (np.vstack(one) for one in zip(*seen, strict=True))
-    if not shares.size:
-        return None
-    share = shares.mean(axis=0)
-    share = share[:, share.sum(axis=0).argmax()]
-    if share.sum() <= MOST:
-        return None
+
+    name: str
+    share: np.ndarray
+    x: np.ndarray
+
+    @classmethod
+    def of(cls, found: Identification) -> Interpolated | None:
+        """The one of which it has most; None where there is none such."""
+        seen = [branch.interpolated() for branch in found.posterior.branches.values()]
+        x, shares = (np.vstack(one) for one in zip(*seen, strict=True))
+        if not shares.size:
+            return None
+        mean = shares.mean(axis=0)
+        at = int(mean.sum(axis=0).argmax())
+        own = cls(found.measurements.rows[at].name, mean[:, at], x)
+        return own if own.share.sum() > MOST else None
+
+    @property
+    def remark(self) -> str:
+        """What is left of it, in words."""
+        return (
+            f"interpolation between the cases that were solved makes {self.share.sum():.0%} of the "
+            f"variance of {self.name}: more values in identify.unknown make regions narrower"
+        )
+
+
+def _closer(forward: Forward, found: Identification, worst: Interpolated) -> Axis | None:
+    """The unknown along which interpolation adds most to the error of a measurement, with further
+    values halfway between those around the cracks that explain what is measured; None where it
+    would be too many cases, or has none between."""
     axes = {axis.key: axis for axis in forward.axes}
-    for place in np.argsort(-share):
+    for place in np.argsort(-worst.share):
         axis = axes.get(found.unknown[place])
         if axis is not None and _is_divisible(axis):
-            halved = _halved(axis, x[:, place].min(), x[:, place].max())
+            halved = _halved(axis, worst.x[:, place].min(), worst.x[:, place].max())
             cases = math.prod(len(one.values) for one in (axes | {axis.key: halved}).values())
             return halved if cases <= _most(forward.scene) else None
     return None

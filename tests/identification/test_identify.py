@@ -29,6 +29,8 @@ from test_responses import file_of as universal_file
 
 import fenics_crack as fc
 from fenics_crack import SweepResult
+from fenics_crack.identification.identify import solve_forward
+from fenics_crack.scene.fields import Axis
 
 pytestmark = pytest.mark.usefixtures("not_laid_out")
 
@@ -316,6 +318,22 @@ def test_cases_are_added_next_to_resonance(tmp_path: Path) -> None:
     assert len(lengths) > 5 + 4 and len(set(lengths)) == len(lengths)  # 4 halfway between
 
 
+def test_added_cases_are_those_of_one_sweep(scene: fc.Scene, tmp_path: Path) -> None:
+    """Lengths that are added later have the places, the numbers and the states that they have
+    where all are asked for at once."""
+    heights, lengths = [0.08, 0.09, 0.1, 0.11], [0.01, 0.015, 0.02, 0.025, 0.03]
+    few, every = (
+        scene.replace({"identify.unknown": {"crack.height": heights, "crack.length": some}})
+        for some in (lengths[:1] + lengths[2:], lengths)
+    )
+    added = [Axis("crack.length", tuple(lengths))]
+    one = solve_forward(few, [700.0], tmp_path, closer=added).cracked[""].coarse
+    other = solve_forward(every, [700.0], tmp_path).cracked[""].coarse
+    assert np.array_equal(one.cube.nodes, other.cube.nodes)
+    for name in ("state", "omega_open_1", "omega_tied_2", "tip.ux.cosine_2"):
+        np.testing.assert_allclose(one.column(name), other.column(name), rtol=1e-6, atol=1e-15)
+
+
 def test_a_crack_that_stays_open_is_not_excluded(tmp_path: Path) -> None:
     """The pull of the rotor holds it open: no harmonics, as without a crack. Of those that were
     solved one breathes, where its resonance is; splines through its harmonics and the zeros of the
@@ -360,18 +378,18 @@ def test_resonances_of_cracks_that_a_load_holds(folder: Path, lips: str, verdict
 
 def test_harmonics_above_those_of_the_model(scene: fc.Scene, folder: Path) -> None:
     """The tenth is near a natural frequency, and larger than the fifth, the model's last one: chi^2
-    of ten records of the model's own plate is as large as chance has it. It was twice as large, and
-    all cracks were found at half of their height."""
+    of three records of the model's own plate is no larger than by chance. It was twice as large,
+    and all cracks were found at half of their height."""
     truth, chi2, heights = {"crack.length": 0.026, "crack.height": 0.07}, 0.0, []
     exact, own = scene.replace(EXACT), {"mesh.size": 0.03, "mesh.lip_elements": 2}
     few = fc.Measurements(measured(scene, own | truth, 8).rows[:1])
-    for seed in range(10):
+    for seed in range(3):
         arrivals = arrivals_of(scene.replace({"identify": None} | truth), 5, 0.01, seed)
         both = few + fc.Measurements.from_arrivals(arrivals, 5, "tip.ux")
         found = fc.identify(exact, both, folder=folder)
         chi2 += found.misfit[0]
         heights.append(found.estimate["crack.height"])
-    assert chi2 < chdtri(10 * 5, 0.05)
+    assert chi2 < chdtri(3 * 5, 0.05)
     assert np.mean(heights) == pytest.approx(0.07, rel=0.2)
 
 
