@@ -43,7 +43,7 @@ FEW_NODES = 4
 more unknowns one less."""
 RESOLVED = 2.0
 """How many times larger a vibration may be between cases than at any of them."""
-MOST = 0.5
+MOST = 0.2
 """Of the variance of a measurement: what interpolation between cases may have of it."""
 ADDED = 8
 """How many times more cracks are solved where that matters, or where one vibrates more, at most:

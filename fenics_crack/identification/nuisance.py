@@ -34,7 +34,8 @@ together, by what they take from the first mode.
 Modes at other speeds, and of another modulus, are those of a K_0 + s (K - K_0), s the square of the
 speed over the scene's, in the space of the modes at rest and at the scene's speed. That is how what
 changes between the record before there was a crack and the one since, temperature and clamp, moves
-each mode at each speed.
+each mode at each speed. What rotation adds may change, too, by the blade's seat or the measured
+speed: with a temperature that makes a change of all frequencies alike.
 """
 
 from __future__ import annotations
@@ -191,12 +192,14 @@ class Whole:
 
     def since_at(self, faster: float) -> tuple[np.ndarray, np.ndarray]:
         """Relative changes at a speed over the rotor's between the plate before it had a crack and
-        now: (n, 2 + n) by its clamp, that turns and that moves, and of each mode by itself, a
-        standard deviation each; and (n, 1 + n) by a kelvin, and what is not known of that as far as
-        rotation is not known."""
+        now: (n, 3 + n) by its clamp, that turns and that moves, by what rotation adds to all modes,
+        and of each mode by itself, a standard deviation each; and (n, 1 + n) by a kelvin, and what
+        is not known of that as far as rotation is not known."""
         table, elastic = self.table, self.elastic_at(faster)
         every = np.eye(len(elastic))
-        clamp = np.column_stack([self.by_clamp(faster), OF_ONE_MODE * elastic * every])
+        clamp = np.column_stack(
+            [self.by_clamp(faster), 1.0 - elastic, OF_ONE_MODE * elastic * every]
+        )
         kelvin = 0.5 * table.temperature_coefficient * elastic
         unsure = STIFFENING * (1.0 - elastic) * kelvin * every
         return table.before_deviation * clamp, np.column_stack([kelvin, unsure])
@@ -280,7 +283,7 @@ class Since:
         off = np.nan_to_num(stated - (now.mean() if len(now) else np.nan))
         measured = before & np.isfinite(stated) & (len(now) > 0)
         factors = np.ones(len(rows))
-        clamp, heat = np.zeros((len(rows), 2 + count)), np.zeros((len(rows), 1 + count))
+        clamp, heat = np.zeros((len(rows), 3 + count)), np.zeros((len(rows), 1 + count))
         since = {speed: whole.since_at(speed) for speed in set(faster)}
         for place, (row, speed) in enumerate(zip(rows, faster, strict=True)):
             if row.natural and row.mode <= count:
