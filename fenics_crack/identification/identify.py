@@ -44,7 +44,8 @@ more unknowns one less."""
 RESOLVED = 2.0
 """How many times larger a vibration may be between cases than at any of them."""
 MOST = 0.2
-"""Of the variance of a measurement: what interpolation between cases may have of it."""
+"""Of the variance of a measurement: what interpolation between cases may have of it, so that its
+standard deviation is at most 1.12 times as large."""
 ADDED = 8
 """How many times more cracks are solved where that matters, or where one vibrates more, at most:
 with damping of 0.5 % five lengths become 9 to 37."""
@@ -69,7 +70,7 @@ def identify(
     at a few places; files in ``folder`` keep both, and a killed run goes on from them. Natural
     frequencies of a rotor may be of several speeds, at each of which it is solved. Under a
     steady load or a clearance the grid gets denser where cracks between meet a resonance, and
-    around cracks that explain what is measured where interpolation is the larger part of an error.
+    around cracks that explain what is measured where interpolation is a large part of an error.
     It is smooth, and has an error of its own, by cross-validation and a few cases halfway between
     the others, which is added to that of the measurements. So is what may be left of the mesh's
     error: where a mesh finer by f changes a quantity by d, d / (2 f - 2), which is added to the
@@ -460,9 +461,9 @@ def _denser(
 
 @dataclass(frozen=True)
 class Interpolated:
-    """A measurement of whose variance interpolation between cases has more than everything else, on
-    average over the cracks that explain what is measured: the posterior falls as such an error
-    grows, and leaves some of them out.
+    """A measurement in whose variance interpolation between cases has a large share, on average
+    over the cracks that explain what is measured: the posterior falls as such an error grows, and
+    leaves some of them out.
 
     Attributes
     ----------
@@ -480,7 +481,7 @@ class Interpolated:
 
     @classmethod
     def of(cls, found: Identification) -> Interpolated | None:
-        """The one of which it has most; None where there is none such."""
+        """The one in which it has most; None where that is no more than MOST."""
         seen = [branch.interpolated() for branch in found.posterior.branches.values()]
         x, shares = (np.vstack(one) for one in zip(*seen, strict=True))
         if not shares.size:

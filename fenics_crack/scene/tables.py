@@ -850,7 +850,8 @@ class Identify(Table):
     are some times stiffer."""
     before_deviation: float = between("0", "1", 0.002)
     """What the clamp takes from the first natural frequency before there was a crack against what
-    it takes since: one that was opened holds otherwise. Temperatures have keys of their own."""
+    it takes since: one that was opened holds otherwise. Likewise what rotation adds, by the seat of
+    a blade or the measured speed. Temperatures have keys of their own."""
     temperature_deviation: float | None = holds(
         "a number from 0 to 1000", lambda value: 0.0 <= value <= 1000.0, None, unit="K"
     )
