@@ -21,8 +21,8 @@ import numpy as np
 from fenics_crack.arrivals.arrival_times import FEWEST_REVOLUTIONS, ArrivalTimes
 from fenics_crack.arrivals.fit_frequency import LOWEST, find_lines
 from fenics_crack.arrivals.harmonics import AS_GOOD, MISFIT, ORDERS, TipFit, wanted
-from fenics_crack.arrivals.robust import FREEDOMS, SEEN
-from fenics_crack.arrivals.transient import DAMPED, WIDTH, Fit, Follows, Mode, Record, Run, pole
+from fenics_crack.arrivals.robust import EPSILON, FREEDOMS, SEEN
+from fenics_crack.arrivals.transient import DAMPED, TINY, WIDTH, Fit, Follows, Mode, Record, Run, pole
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.stages import begin as begin_stage
 from fenics_crack.table import RPM, TURN, Tabular, counted, quantity
@@ -502,21 +502,25 @@ def _clearness(
     arrivals have in Student's t by what is left of them."""
     total = energy = 0.0
     for run in record.runs(values, speed):
-        pairs = zip(run.values.T, run.seen.T, strict=True)
-        changes = np.concatenate([np.abs(np.diff(column[seen])) for column, seen in pairs])
-        scale = max(float(np.median(changes)) / MEDIAN, run.least)
+        columns = [column[seen] for column, seen in zip(run.values.T, run.seen.T, strict=True)]
+        changes = np.concatenate([column[1:] - column[:-1] for column in columns])
+        scale = max(float(np.median(np.abs(changes))) / MEDIAN, run.least)
         wave = 1.0 / (TYPICAL + 1j * (run.speed / speed - 1.0))
-        given = [part[:, None] * run.seen for part in (wave.real, wave.imag)]
+        given = np.empty((3, *run.values.shape))
+        given[0], given[1], given[2] = wave.real[:, None], wave.imag[:, None], run.values
         weights = run.seen.astype(float)
         for _ in range(turns):
-            *parts, left = run.without_drifts(np.stack([*given, run.values]), weights)
-            square = np.einsum("arp,brp->pab", parts, parts)
-            seen = np.einsum("arp,rp->pa", parts, left)
-            found = (np.linalg.pinv(square) @ seen[..., None])[..., 0]
-            gain = float((seen * found).sum())
-            left = left - np.einsum("arp,pa->rp", parts, found)
-            square = left[run.seen] ** 2 / weights[run.seen]
-            weights[run.seen] = (FREEDOMS[0] + 1.0) / (FREEDOMS[0] + square / scale**2)
+            first, second, left = run.without_drifts(given, weights)
+            one, both, other = (first**2).sum(0), (first * second).sum(0), (second**2).sum(0)
+            seen, also = (first * left).sum(0), (second * left).sum(0)
+            size = np.maximum(one * other - both**2, EPSILON * one * other + TINY)
+            found, beside = other * seen - both * also, one * also - both * seen
+            found, beside = found / size, beside / size
+            gain = float((seen * found + also * beside).sum())
+            if turns > 1:
+                square = (left - first * found - second * beside)[run.seen] ** 2
+                square /= weights[run.seen]
+                weights[run.seen] = (FREEDOMS[0] + 1.0) / (FREEDOMS[0] + square / scale**2)
         total += gain / scale**2 - 2.0 * (run.probes - 1)
         energy += gain
     return total, energy
@@ -559,7 +563,7 @@ class _Compared:
         # First without weights, where single wrong arrivals may hide the order; then with those of
         # the best fit, until it is the one that they make the best.
         for last in (False, False, True):
-            tried = [_begun(runs, weights, float(order), speed, TYPICAL) for order in orders]
+            tried = _begun(runs, weights, orders, speed, TYPICAL)
             tried.sort(key=lambda one: -one[0])
             last = last or (len(fits) > 0 and tried[0][1].order == self.best.mode.order)
             for gain, mode in tried[: REFINED if last else 1]:
@@ -637,14 +641,8 @@ class _Compared:
             alone = np.array(values)
             beside.add(record, alone, -1.0)
             parts, mode = record.runs(alone, self.speed), one.best.mode
-            begun.append(
-                [
-                    mode
-                    if order == mode.order
-                    else _begun(parts, best.weights, float(order), one.speed, mode.damping)[1]
-                    for order in orders
-                ]
-            )
+            tried = _begun(parts, best.weights, orders, one.speed, mode.damping)
+            begun.append([mode if other.order == mode.order else other for _, other in tried])
         fits = {best.modes: best}
         for _ in range(PASSAGE_ROUNDS):
             weights, before = best.weights, best
@@ -696,14 +694,20 @@ class _Compared:
 
 
 def _begun(
-    runs: Sequence[Run], weights: Sequence[np.ndarray], order: float, speed: float, damping: float
-) -> tuple[float, Mode]:
-    """What a mode near a speed takes off the sum of squares at most, over a grid of frequencies as
-    fine as its width, and this mode."""
-    roots = pole(order * speed * (1.0 + SHIFTS * damping / TYPICAL), damping)
-    gains = sum(run.gains(order, roots, own) for run, own in zip(runs, weights, strict=True))
-    best = int(np.argmax(gains))
-    return float(np.asarray(gains)[best]), Mode(order, complex(roots[best]))
+    runs: Sequence[Run],
+    weights: Sequence[np.ndarray],
+    orders: np.ndarray,
+    speed: float,
+    damping: float,
+) -> list[tuple[float, Mode]]:
+    """What a mode of each order near a speed takes off the sum of squares at most, over a grid of
+    frequencies as fine as its width, and this mode."""
+    omegas = orders[:, None] * speed * (1.0 + SHIFTS * damping / TYPICAL)
+    roots = pole(omegas, damping)
+    gains = sum(run.gains(orders, roots, own) for run, own in zip(runs, weights, strict=True))
+    best, rows = np.argmax(gains, axis=1), np.arange(len(orders))
+    modes = map(Mode, orders.tolist(), roots[rows, best].tolist())
+    return list(zip(np.asarray(gains)[rows, best].tolist(), modes, strict=True))
 
 
 def _together(

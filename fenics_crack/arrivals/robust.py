@@ -83,10 +83,8 @@ class Noise:
     @property
     def cost(self) -> float:
         """-2 log likelihood."""
-        nu, square = self.freedom, (self.left / self.scale) ** 2
-        each = 2.0 * (gammaln(0.5 * nu) - gammaln(0.5 * nu + 0.5) + np.log(self.scale))
-        each += np.log(nu * np.pi)
-        return float(len(square) * each + (nu + 1.0) * np.log1p(square / nu).sum())
+        square = (self.left / self.scale) ** 2
+        return float(_cost(square[None], np.array([self.scale]), np.array([self.freedom]))[0])
 
     def whiteness(self, places: Places, shares: np.ndarray) -> float:
         """Probability that errors of the arrivals and of the marks alone are as correlated at a
@@ -217,6 +215,15 @@ def reweighted(
     return noise
 
 
+def _cost(square: np.ndarray, scale: np.ndarray, freedom: np.ndarray) -> np.ndarray:
+    """-2 log likelihood of squares of residuals over scales, (k, n), by scales and degrees of
+    freedom (k,)."""
+    each = 2.0 * (gammaln(0.5 * freedom) - gammaln(0.5 * freedom + 0.5) + np.log(scale))
+    each += np.log(freedom * np.pi)
+    tails = np.log1p(square / freedom[:, None]).sum(axis=1)
+    return np.asarray(square.shape[1] * each + (freedom + 1.0) * tails)
+
+
 def _noise(left: np.ndarray, unknowns: int, scale: float, least: float) -> Noise:
     """Scale and degrees of freedom of residuals, by maximum likelihood.
 
@@ -227,17 +234,18 @@ def _noise(left: np.ndarray, unknowns: int, scale: float, least: float) -> Noise
     square, spare = left**2, max(len(left) - unknowns, 1)
     # As many arrivals as unknowns may be met exactly: no tails are seen where few are to spare.
     freedoms = FREEDOMS if spare > unknowns else FREEDOMS[-1:]
-    found = []
     begin = scale or 1.5 * float(np.median(np.abs(left))) * np.sqrt(len(left) / spare)
-    for freedom in freedoms:
-        value = max(begin, least)
-        for _ in range(ROBUST_ROUNDS):
-            weights = (freedom + 1.0) / (freedom + square / value**2)
-            ratio = float(weights @ square) / (spare * value**2)
-            before, value = value, max(value * ratio ** (0.5 + 1.5 / freedom), least)
-            if abs(value - before) < ROBUST_SETTLED * value:
-                break
-        weights = (freedom + 1.0) / (freedom + square / value**2)
-        found.append(Noise(left, weights, value, float(freedom), unknowns))
+    value, nu = np.full(len(freedoms), max(begin, least)), freedoms[:, None]
+    for _ in range(ROBUST_ROUNDS):
+        scaled = square / value[:, None] ** 2
+        ratio = (nu + 1.0) / (nu + scaled) @ square / (spare * value**2)
+        before, value = value, np.maximum(value * ratio ** (0.5 + 1.5 / freedoms), least)
+        if np.all(np.abs(value - before) < ROBUST_SETTLED * value):
+            break
+    scaled = square / value[:, None] ** 2
     # Tails are one unknown more, by which the likelihood has to gain (Akaike's criterion).
-    return min(found, key=lambda noise: noise.cost + 2.0 * (noise.freedom < FREEDOMS[-1]))
+    costs = _cost(scaled, value, freedoms) + 2.0 * (freedoms < FREEDOMS[-1])
+    best = int(np.argmin(costs))
+    freedom = float(freedoms[best])
+    weights = (freedom + 1.0) / (freedom + scaled[best])
+    return Noise(left, weights, float(value[best]), freedom, unknowns)

@@ -33,7 +33,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from fenics_crack.arrivals.arrival_times import FEWEST_REVOLUTIONS, ArrivalTimes, between
 from fenics_crack.arrivals.harmonics import rounding
@@ -46,13 +45,13 @@ STRIDE = 2e-3, 0.5
 """Longest steps of Gauss-Newton, relative."""
 DAMPED = 1e-5, WIDTH / 2.0
 """Ends of the damping ratios; a wider resonance is not told from drift."""
-PASSAGE_STEP = 1e-6
-"""Relative differences by frequency and damping."""
 SETTLED = 1e-2
 """Change of the weights, and of the residuals over their scale, below which a fit is final: some
 hundredths of its standard errors."""
 MARKS_AROUND = 4
 """Marks on each side of a revolution that the spline of the rotor's angle is seen from."""
+TINY = np.finfo(float).tiny
+"""Least square of a column, which there is none of."""
 BLIND, DISTINCT = 0.5, 5.0
 """Of the median vibration of all probes, less than this at one; and how much farther from it that
 is than at any other probe. A mode of another order within the same width may cancel at a probe: of
@@ -67,91 +66,142 @@ class Run:
 
     Parameters
     ----------
-    arrivals : ArrivalTimes
+    record : Record
         The record.
     values : (revolutions, probes) [m]
         Its displacements, without what has been found in them.
     begin, end : int
         First revolution, and the one after the last.
-    stiffening : function
-        s of a speed and a frequency.
     """
 
-    def __init__(
-        self, arrivals: ArrivalTimes, values: np.ndarray, begin: int, end: int, stiffening: Follows
-    ) -> None:
-        self.begin, self.end, self._stiffening = begin, end, stiffening
-        rows = slice(begin, end)
+    def __init__(self, record: Record, values: np.ndarray, begin: int, end: int) -> None:
+        arrivals, rows = record.arrivals, slice(begin, end)
+        self.begin, self.end, self._stiffening = begin, end, record.stiffening
         self.seen = np.isfinite(values[rows])
         self.values = np.where(self.seen, values[rows], 0.0)
         self.path, self.time = arrivals.nominal_angle[rows], arrivals.expected[rows]
         self.angle = np.where(self.seen, arrivals.angle[rows], self.path)
-        self.speed = arrivals.speed[rows]
-        self.along = (self.speed - self.speed.mean()) / np.ptp(self.speed)
-        self.least = rounding(arrivals)
+        self.speed, self.least = record.speed[rows], record.least
+        self.along = (self.speed - self.speed.mean()) / (self.speed.max() - self.speed.min())
 
     @property
     def probes(self) -> int:
         """How many probes see it."""
         return int(self.seen.any(axis=0).sum())
 
-    def waves(self, order: float, roots: np.ndarray, *, steady: bool = False) -> np.ndarray:
-        """a(t) exp(i p alpha) at the arrivals, of F = 1 and roots lambda (m,): (m, R, P)."""
-        time, path = (self.time - self.time[0, 0]).ravel(), order * self.path.ravel()
-        turning, omega = np.diff(path) / np.diff(time), float(np.abs(roots).mean())
-        slower, roots = 1.0 - self._stiffening(omega / order, omega), roots[:, None]
+    def waves(self, order: float, roots: np.ndarray) -> np.ndarray:
+        """a(t) exp(i p alpha) at the arrivals, of F = 1 and roots lambda (m,) that are equally far
+        apart: (m, R, P)."""
+        time, path, turning, turned = self._turned(order)
+        slower, roots = self._slower(order, roots), roots[:, None]
+        envelope = np.empty((len(roots), len(time)), dtype=complex)
+        envelope[:, :1] = 1.0 / (1j * turning[0] - roots)
+        push = 1.0 / (1j * turning - roots)
+        for part in self._parts(slower * roots.real.min()):
+            passed = slower * (time[part] - time[part.start])
+            grown = np.exp(1j * slower * (path[part] - path[part.start]) - roots[0] * passed)
+            growths = [grown]
+            if len(roots) > 1:
+                factor = np.exp((roots[0] - roots[1]) * passed)
+                growths += [grown := grown * factor for _ in roots[1:]]
+            growth = np.array(growths)
+            pushed = (growth[:, 1:] - growth[:, :-1]) * push[:, part.start : part.stop - 1]
+            np.cumsum(pushed, axis=1, out=pushed)
+            pushed += envelope[:, [part.start]]
+            envelope[:, part.start + 1 : part.stop] = pushed / growth[:, 1:]
+        envelope *= -roots.real * turned
+        return envelope.reshape(-1, *self.path.shape)
+
+    def sloped(self, order: float, root: complex, *, steady: bool = False) -> np.ndarray:
+        """a(t) exp(i p alpha) at the arrivals, of F = 1 and a root lambda, and zeta w_n times the
+        derivative of the rest of it by ln lambda: (2, R, P)."""
+        time, path, turning, turned = self._turned(order)
         if steady:
             speed = np.interp(time, 0.5 * (time[1:] + time[:-1]), turning)
-            envelope = 1.0 / (1j * speed - roots)
+            envelope = 1.0 / (1j * speed - root)
+            found = np.stack([envelope, envelope**2])
         else:
-            envelope = np.empty((len(roots), len(time)), dtype=complex)
-            envelope[:, :1] = 1.0 / (1j * turning[0] - roots)
-            # In parts, over which exp does not overflow.
-            parts = int(-roots.real.min() * slower * time[-1] // 300.0) + 1
-            edges = np.linspace(0, len(turning), parts + 1).astype(int)
-            for begin, end in itertools.pairwise(edges):
-                here = slice(begin, end + 1)
-                passed = slower * (time[here] - time[begin])
-                phase = slower * (path[here] - path[begin]) - roots.imag * passed
-                grown, turned = np.exp(-roots.real * passed), np.cos(phase) + 1j * np.sin(phase)
-                pushed = np.diff(grown * turned) / (1j * turning[begin:end] - roots)
-                pushed = envelope[:, [begin]] + np.cumsum(pushed, axis=1)
-                back = turned[:, 1:].conj() / grown[:, 1:]
-                envelope[:, begin + 1 : end + 1] = pushed * back
-        found = -roots.real * envelope * np.exp(1j * order * self.angle.ravel())
-        return np.asarray(found.reshape(-1, *self.path.shape))
+            slower = self._slower(order, np.array([root]))
+            found, push = np.empty((2, len(time)), dtype=complex), 1.0 / (1j * turning - root)
+            found[0, 0], found[1, 0] = push[0], push[0] ** 2
+            for part in self._parts(slower * root.real):
+                passed = slower * (time[part] - time[part.start])
+                growth = np.exp(1j * slower * (path[part] - path[part.start]) - root * passed)
+                both, between = np.stack([growth, -passed * growth]), slice(part.start, part.stop - 1)
+                pushed = (both[:, 1:] - both[:, :-1]) * push[between]
+                pushed[1] += pushed[0] * push[between]
+                now = (found[:, [part.start]] + np.cumsum(pushed, axis=1)) / growth[1:]
+                now[1] += passed[1:] * now[0]
+                found[:, part.start + 1 : part.stop] = now
+        found *= -root.real * turned
+        found[1] *= root
+        return found.reshape(2, *self.path.shape)
 
-    def _drifts(self, weights: np.ndarray) -> np.ndarray:
-        """A constant and a slope over the speed at each probe, orthonormal under weights (R, P):
-        (2, R, P)."""
-        tiny = np.finfo(float).tiny
-        total = np.maximum(weights.sum(axis=0), tiny)
-        along = self.along[:, None] - (weights * self.along[:, None]).sum(axis=0) / total
-        size = np.maximum((weights * along**2).sum(axis=0), tiny)
-        return np.stack([np.ones_like(weights) / np.sqrt(total), along / np.sqrt(size)])
+    def _turned(self, order: float) -> tuple[np.ndarray, ...]:
+        """Times and p alpha of a tip that does not vibrate, p W between them, and exp(i p alpha) of
+        the arrivals: (n,) or (n - 1,), n = R P."""
+        path, turned = order * self._path, np.exp(1j * order * self.angle.ravel())
+        return self._time, path, (path[1:] - path[:-1]) / self._steps, turned
+
+    @cached_property
+    def _time(self) -> np.ndarray:
+        return np.asarray((self.time - self.time[0, 0]).ravel())
+
+    @cached_property
+    def _steps(self) -> np.ndarray:
+        return np.diff(self._time)
+
+    @cached_property
+    def _path(self) -> np.ndarray:
+        return self.path.ravel()
+
+    def _slower(self, order: float, roots: np.ndarray) -> float:
+        """1 - s."""
+        omega = float(np.abs(roots).mean())
+        return 1.0 - self._stiffening(omega / order, omega)
+
+    def _parts(self, rate: float) -> list[slice]:
+        """Arrivals in parts, each of which begins with the last of the one before, over which exp
+        does not overflow as the decay [1/s] is undone."""
+        count = int(-rate * self._time[-1] // 300.0) + 1
+        edges = [len(self._steps) * part // count for part in range(count + 1)]
+        return [slice(begin, end + 1) for begin, end in itertools.pairwise(edges)]
+
+    def _drifts(self, root: np.ndarray) -> np.ndarray:
+        """A constant and a slope over the speed at each probe, times roots of weights (R, P), and
+        orthonormal: (2, R, P)."""
+        found = np.stack([root, root * self.along[:, None]])
+        first, second = found
+        first /= np.sqrt(np.maximum((first * first).sum(axis=0), TINY))
+        second -= first * (first * second).sum(axis=0)
+        second /= np.sqrt(np.maximum((second * second).sum(axis=0), TINY))
+        return found
 
     def without_drifts(self, waves: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Waves (m, R, P) times the roots of weights (R, P), and without what a constant and a
         slope over the speed explain of them at each probe."""
         root = np.sqrt(weights)
         found = root * waves
-        for column in root * self._drifts(weights):
-            found = found - column * (column * found).sum(axis=-2, keepdims=True)
+        for column in self._drifts(root):
+            found -= column * (column * found).sum(axis=-2, keepdims=True)
         return np.asarray(found)
 
-    def gains(self, order: float, roots: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """What the vibration of each root lambda (m,), with any F, takes off the sum of squares
-        with weights (R, P): (m,) [m^2]."""
-        waves, columns = self.waves(order, roots), self._drifts(weights)
-        weighted = weights * waves
-        drifts = np.einsum("krp,mrp->mkp", columns, weighted)
-        left = np.sqrt(weights) * self.without_drifts(self.values, weights)
-        seen = np.einsum("mrp,rp->m", waves, left)
-        both = np.einsum("mrp,mrp->m", weighted, waves) - (drifts**2).sum(axis=(1, 2))
-        size = np.einsum("mrp,mrp->m", weighted, waves.conj()).real
-        size -= (np.abs(drifts) ** 2).sum(axis=(1, 2))
-        gain = size * np.abs(seen) ** 2 - (both.conj() * seen**2).real
-        return np.asarray(2.0 * gain / (size**2 - np.abs(both) ** 2))
+    def gains(self, orders: np.ndarray, roots: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """What the vibration of each order (n,) and root lambda (n, m), those of an order equally
+        far apart, with any F, takes off the sum of squares with weights (R, P): (n, m) [m^2]."""
+        root, weight, found = np.sqrt(weights), weights.ravel(), []
+        columns = root * self._drifts(root)
+        left = (root * self.without_drifts(self.values, weights)).ravel()
+        for order, every in zip(orders.tolist(), roots, strict=True):
+            waves = self.waves(order, every)
+            drifts = np.einsum("krp,mrp->mkp", columns, waves)
+            waves = waves.reshape(len(every), -1)
+            seen, both = waves @ left, waves**2 @ weight - (drifts**2).sum(axis=(1, 2))
+            size = (waves.real**2 + waves.imag**2) @ weight
+            size -= (drifts.real**2 + drifts.imag**2).sum(axis=(1, 2))
+            gain = size * np.abs(seen) ** 2 - (both.conj() * seen**2).real
+            found.append(2.0 * gain / (size**2 - np.abs(both) ** 2))
+        return np.array(found)
 
 
 @dataclass(frozen=True)
@@ -161,13 +211,23 @@ class Record:
     arrivals: ArrivalTimes
     stiffening: Follows
 
+    @cached_property
+    def speed(self) -> np.ndarray:
+        """Mean speed of each revolution [rad/s]."""
+        return self.arrivals.speed
+
+    @cached_property
+    def least(self) -> float:
+        """Displacement below which nothing is told [m]."""
+        return rounding(self.arrivals)
+
     def run(self, values: np.ndarray, begin: int, end: int) -> Run:
         """Revolutions of displacements (revolutions, probes)."""
-        return Run(self.arrivals, values, begin, end, self.stiffening)
+        return Run(self, values, begin, end)
 
     def runs(self, values: np.ndarray, speed: float) -> list[Run]:
         """Stretches in which the speed is near one, and on both sides of it."""
-        apart = self.arrivals.speed / speed - 1.0
+        apart = self.speed / speed - 1.0
         near = np.flatnonzero(np.abs(apart) < WIDTH)
         found = []
         for rows in np.split(near, np.flatnonzero(np.diff(near) > FEWEST_REVOLUTIONS) + 1):
@@ -206,10 +266,9 @@ class Mode:
         """At which the order meets the frequency [rad/s]."""
         return self.omega / self.order
 
-    def changes(self, wave: np.ndarray, shifted: np.ndarray) -> np.ndarray:
-        """Changes by ln w_n and ln zeta of zeta w_n times an analytic function of lambda, from its
-        values (n,) at lambda and at lambda (1 + PASSAGE_STEP): (2, n)."""
-        by_root = (shifted / (1.0 + PASSAGE_STEP) - wave) / PASSAGE_STEP
+    def changes(self, wave: np.ndarray, by_root: np.ndarray) -> np.ndarray:
+        """Changes by ln w_n and ln zeta of zeta w_n times an analytic function of lambda, (n,), of
+        which zeta w_n times the change by ln lambda is (n,): (2, n)."""
         return np.stack([wave + by_root, wave + self.root.real / self.root * by_root])
 
     def moved(self, step: np.ndarray, ends: np.ndarray) -> Mode:
@@ -269,28 +328,31 @@ class Fit:
     def _solve(self, weights: np.ndarray) -> np.ndarray:
         """Residuals (n,) of the linear fit, after a step of frequencies and dampings."""
         self.modes = self._next
-        forces, left, columns = [], [], []
-        for run, weight in zip(self._runs, self._spread(weights), strict=True):
-            given = [run.values[None]]
-            for mode in self.modes:
-                roots = mode.root * np.array([1.0, 1.0 + PASSAGE_STEP])
-                given.append(run.waves(mode.order, roots, steady=self._steady))
-            values, *wave = run.without_drifts(np.concatenate(given), weight)
-            waves = np.array(wave)[:, run.seen].reshape(len(self.modes), 2, -1)
-            values = values[run.seen].real
-            parts = np.stack([waves[:, 0].real, -waves[:, 0].imag], axis=1)
-            parts = parts.reshape(-1, len(values)).T
+        count, first = 2 * len(self.modes), 0
+        columns = np.zeros((len(weights), count * (1 + len(self._runs))))
+        forces, total = [], np.empty(len(weights))
+        for place, (run, weight) in enumerate(
+            zip(self._runs, self._spread(weights), strict=True), 1
+        ):
+            given = [run.sloped(one.order, one.root, steady=self._steady) for one in self.modes]
+            waves = run.without_drifts(np.concatenate([run.values[None], *given]), weight)
+            values, *waves = waves[:, run.seen]
+            rows, values = slice(first, first := first + len(values)), values.real
+            parts = columns[rows, count * place : count * (place + 1)]
+            for wave, pair in zip(waves[::2], itertools.count(step=2)):
+                parts[:, pair], parts[:, pair + 1] = wave.real, -wave.imag
             found = np.linalg.lstsq(parts.T @ parts, parts.T @ values, rcond=None)[0]
             forces.append(found[0::2] + 1j * found[1::2])
-            left.append(values - parts @ found)
-            changes = [mode.changes(*pair) for mode, pair in zip(self.modes, waves, strict=True)]
-            changed = (forces[-1][:, None, None] * changes).real.reshape(-1, len(values))
-            columns.append((changed.T, parts))
-        self.forces, total = np.array(forces).T, np.concatenate(left)
-        changed, linear = (list(kind) for kind in zip(*columns, strict=True))
-        self._columns = np.column_stack([np.concatenate(changed), block_diag(*linear)])
-        steps = np.linalg.lstsq(self._columns, total, rcond=None)[0]
-        pairs = steps[: 2 * len(self.modes)].reshape(-1, 2)
+            total[rows] = values - parts @ found
+            changes = zip(self.modes, forces[-1], waves[::2], waves[1::2], strict=True)
+            columns[rows, :count] = np.concatenate(
+                [(force * mode.changes(*wave)).real for mode, force, *wave in changes]
+            ).T
+        self.forces, self._columns = np.array(forces).T, columns
+        square, seen = columns.T @ columns, columns.T @ total
+        sizes = np.sqrt(np.maximum(np.diag(square), TINY))
+        steps = np.linalg.lstsq(square / np.outer(sizes, sizes), seen / sizes, rcond=None)[0]
+        pairs = (steps / sizes)[:count].reshape(-1, 2)
         self._next = tuple(
             mode.moved(step, ends)
             for mode, step, ends in zip(self.modes, pairs, self._around, strict=True)
