@@ -276,8 +276,8 @@ class _Sought:
 
     def _held(self, columns: np.ndarray) -> bool:
         """Whether the constants hold half of some vibration or more: to them it is none."""
-        values = np.linalg.svd(columns[:, :-1], compute_uv=False)
-        return bool(values[-1] ** 2 < 0.25 * len(columns))
+        given = columns[:, :-1]
+        return bool(np.linalg.eigvalsh(given.T @ given)[0] < 0.25 * len(columns))
 
     def _peaks(self) -> np.ndarray:
         """Frequencies at which a periodogram is highest [rad/s]."""

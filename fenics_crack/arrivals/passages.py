@@ -22,7 +22,17 @@ from fenics_crack.arrivals.arrival_times import FEWEST_REVOLUTIONS, ArrivalTimes
 from fenics_crack.arrivals.fit_frequency import LOWEST, find_lines
 from fenics_crack.arrivals.harmonics import AS_GOOD, MISFIT, ORDERS, TipFit, wanted
 from fenics_crack.arrivals.robust import EPSILON, FREEDOMS, SEEN
-from fenics_crack.arrivals.transient import DAMPED, TINY, WIDTH, Fit, Follows, Mode, Record, Run, pole
+from fenics_crack.arrivals.transient import (
+    DAMPED,
+    TINY,
+    WIDTH,
+    Fit,
+    Follows,
+    Mode,
+    Record,
+    Run,
+    pole,
+)
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.stages import begin as begin_stage
 from fenics_crack.table import RPM, TURN, Tabular, counted, quantity
@@ -288,7 +298,7 @@ def fit_passage(
         others = arrivals.without(blind)
         fit = fit_passage(others, speed, tried, stiffening=stiffening)
         return replace(fit, blind=(*arrivals.probes[blind].tolist(), *fit.blind))
-    return found.described(record)
+    return found.described(record, arrivals.displacement)
 
 
 def find_passages(
@@ -367,7 +377,7 @@ def find_passages(
         steady += left - rest
         if turn and not lines:
             break
-    return tuple(one.described(record, lines) for one in found)
+    return tuple(one.described(record, left, found, lines) for one in found)
 
 
 def _checked(stiffening: float | Follows) -> Follows:
@@ -617,11 +627,16 @@ class _Compared:
         runs = record.runs(values, self.speed)
         if not runs:
             return False
-        weights = self.best.weights
-        if [one.seen.tobytes() for one in runs] != [one.seen.tobytes() for one in self._runs]:
-            weights = [run.seen.astype(float) for run in runs]
-        self._runs, self.best = runs, Fit(runs, [mode or self.best.mode], weights)
+        self.best = Fit(runs, [mode or self.best.mode], self._weights(runs))
+        self._runs = runs
         return self.clear
+
+    def _weights(self, runs: Sequence[Run]) -> list[np.ndarray]:
+        """Weights (R, P) of arrivals that a fit to runs begins with: those of the best fit, if
+        these are its arrivals."""
+        if [one.seen.tobytes() for one in runs] == [one.seen.tobytes() for one in self._runs]:
+            return self.best.weights
+        return [run.seen.astype(float) for run in runs]
 
     def add(self, record: Record, values: np.ndarray, factor: float) -> None:
         """Add the vibration, times a factor, to displacements (revolutions, probes)."""
@@ -661,13 +676,28 @@ class _Compared:
                 record, values - best.motion(record, len(values), 1 - place), best.modes[place]
             )
 
-    def described(self, record: Record, lines: tuple[TipFit, ...] = ()) -> PassageFit:
-        """The best fit in numbers, beside those of each run by itself."""
-        best, runs, mode = self.best, self._runs, self.best.mode
-        stiffening = record.stiffening(self.speed, mode.omega)
-        each = [([run], [mode], [own]) for run, own in zip(runs, best.weights, strict=True)]
-        alone = [Fit(*one) for one in each] if len(runs) > 1 else [best]
-        steady = [Fit(*one, steady=True) for one in each]
+    def described(
+        self,
+        record: Record,
+        left: np.ndarray,
+        found: Sequence[_Compared] = (),
+        lines: tuple[TipFit, ...] = (),
+    ) -> PassageFit:
+        """The best fit in numbers, beside those of each run by itself, of what all that are found
+        leave (revolutions, probes): together with neighbours, whose errors are in its own."""
+        beside = [other for other in found if self.near(other, WIDTH)]
+        best, runs, modes = self.best, self._runs, [one.best.mode for one in (self, *beside)]
+        if beside:
+            values = np.array(left)
+            for one in (self, *beside):
+                one.add(record, values, 1.0)
+            runs = record.runs(values, self.speed)
+            best = Fit(runs, modes, self._weights(runs))
+        mode, stiffening = best.mode, record.stiffening(self.speed, best.mode.omega)
+        pairs = list(zip(runs, best.weights, strict=True))
+        alone = [Fit([run], best.modes, [own]) for run, own in pairs] if len(runs) > 1 else [best]
+        each = zip(self._runs, self.best.weights, strict=True)
+        steady = [Fit([run], [mode], [own], steady=True) for run, own in each]
         errors, orders = best.errors, np.array(sorted(self.margins))
         return PassageFit(
             order=mode.order,

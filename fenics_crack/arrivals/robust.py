@@ -205,12 +205,12 @@ def reweighted(
     settled : float
         Change of the weights, and of the residuals over their scale, below which they are final.
     """
-    before, scale = np.inf, 0.0
+    before, scales = np.inf, None
     for _ in range(ROBUST_ROUNDS):
-        noise = _noise(solve(weights), unknowns, scale, least)
+        noise, scales = _noise(solve(weights), unknowns, scales, least)
         change = np.abs(noise.weights - weights).max(), np.abs(noise.left - before).max()
-        weights, before, scale = noise.weights, noise.left, noise.scale
-        if change[0] < settled and change[1] < settled * scale:
+        weights, before = noise.weights, noise.left
+        if change[0] < settled and change[1] < settled * noise.scale:
             break
     return noise
 
@@ -224,8 +224,11 @@ def _cost(square: np.ndarray, scale: np.ndarray, freedom: np.ndarray) -> np.ndar
     return np.asarray(square.shape[1] * each + (freedom + 1.0) * tails)
 
 
-def _noise(left: np.ndarray, unknowns: int, scale: float, least: float) -> Noise:
-    """Scale and degrees of freedom of residuals, by maximum likelihood.
+def _noise(
+    left: np.ndarray, unknowns: int, scales: np.ndarray | None, least: float
+) -> tuple[Noise, np.ndarray]:
+    """Scale and degrees of freedom of residuals, by maximum likelihood; and the scales by all that
+    are tried, from which those of the next residuals begin.
 
     What the scale was too small by in the weighted squares is 1 + 3 / nu times less than in its own
     square where residuals follow Student's t (its information is 2 nu / (nu + 3)); where they do
@@ -234,8 +237,10 @@ def _noise(left: np.ndarray, unknowns: int, scale: float, least: float) -> Noise
     square, spare = left**2, max(len(left) - unknowns, 1)
     # As many arrivals as unknowns may be met exactly: no tails are seen where few are to spare.
     freedoms = FREEDOMS if spare > unknowns else FREEDOMS[-1:]
-    begin = scale or 1.5 * float(np.median(np.abs(left))) * np.sqrt(len(left) / spare)
-    value, nu = np.full(len(freedoms), max(begin, least)), freedoms[:, None]
+    if scales is None:
+        scale = 1.5 * float(np.median(np.abs(left))) * np.sqrt(len(left) / spare)
+        scales = np.full(len(freedoms), scale)
+    value, nu = np.maximum(scales, least), freedoms[:, None]
     for _ in range(ROBUST_ROUNDS):
         scaled = square / value[:, None] ** 2
         ratio = (nu + 1.0) / (nu + scaled) @ square / (spare * value**2)
@@ -248,4 +253,4 @@ def _noise(left: np.ndarray, unknowns: int, scale: float, least: float) -> Noise
     best = int(np.argmin(costs))
     freedom = float(freedoms[best])
     weights = (freedom + 1.0) / (freedom + scaled[best])
-    return Noise(left, weights, float(value[best]), freedom, unknowns)
+    return Noise(left, weights, float(value[best]), freedom, unknowns), value

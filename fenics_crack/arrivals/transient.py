@@ -127,7 +127,10 @@ class Run:
             for part in self._parts(slower * root.real):
                 passed = slower * (time[part] - time[part.start])
                 growth = np.exp(1j * slower * (path[part] - path[part.start]) - root * passed)
-                both, between = np.stack([growth, -passed * growth]), slice(part.start, part.stop - 1)
+                both, between = (
+                    np.stack([growth, -passed * growth]),
+                    slice(part.start, part.stop - 1),
+                )
                 pushed = (both[:, 1:] - both[:, :-1]) * push[between]
                 pushed[1] += pushed[0] * push[between]
                 now = (found[:, [part.start]] + np.cumsum(pushed, axis=1)) / growth[1:]
