@@ -583,16 +583,16 @@ class _Compared:
             if last:
                 break
             weights = self.best.weights
-        if self.clear:
-            gains = {mode.order: gain for gain, mode in tried}
-            self.margins = _margins(gains, fits.values(), self.best)
+        gains = {mode.order: gain for gain, mode in tried}
+        self.margins = _margins(gains, fits.values(), self.best)
 
     @property
     def clear(self) -> bool:
-        """Whether it is a resonance: no chance, and neither a line, of no damping within its
+        """Whether it is a resonance: passed, no chance, and neither a line, of no damping within its
         errors, nor as wide as drift."""
         best = self.best
-        if not best.gain > CLEAR:
+        passed = any(run.speed.min() < self.speed < run.speed.max() for run in self._runs)
+        if not (passed and best.gain > CLEAR):
             return False
         return SEEN * float(best.errors[1]) < best.mode.damping < 0.5 * DAMPED[1]
 
