@@ -588,8 +588,8 @@ class _Compared:
 
     @property
     def clear(self) -> bool:
-        """Whether it is a resonance: passed, no chance, and neither a line, of no damping within its
-        errors, nor as wide as drift."""
+        """Whether it is a resonance: it is passed, no chance, and neither a line, of no damping
+        within its errors, nor as wide as drift."""
         best = self.best
         passed = any(run.speed.min() < self.speed < run.speed.max() for run in self._runs)
         if not (passed and best.gain > CLEAR):

@@ -28,6 +28,7 @@ each probe, which are its place and the blade's drift. The envelope is the avera
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -276,10 +277,12 @@ class Mode:
 
     def moved(self, step: np.ndarray, ends: np.ndarray) -> Mode:
         """The mode after a step of ln w_n and ln zeta, its frequency within ends [rad/s]."""
-        omega = self.omega * (1.0 + float(np.clip(step[0], -STRIDE[0], STRIDE[0])))
-        damping = self.damping * np.exp(float(np.clip(step[1], -STRIDE[1], STRIDE[1])))
-        root = pole(np.clip(omega, *ends), np.clip(damping, *DAMPED))
-        return Mode(self.order, complex(root))
+        moves = [
+            min(max(one, -most), most) for one, most in zip(step.tolist(), STRIDE, strict=True)
+        ]
+        omega = min(max(self.omega * (1.0 + moves[0]), ends[0]), ends[1])
+        damping = min(max(self.damping * math.exp(moves[1]), DAMPED[0]), DAMPED[1])
+        return Mode(self.order, complex(pole(omega, damping)))
 
 
 class Fit:
