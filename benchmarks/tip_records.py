@@ -249,7 +249,7 @@ def judge_passage(row: Row, record: Record, count: Count) -> None:
     count.declared += fit.order != record.order and record.order in fit.ambiguous
     count.covered += abs(fit.omega - record.omega) < 1.96 * fit.omega_error
     count.also += abs(fit.damping - record.damping) < 1.96 * fit.damping_error
-    count.doubt += fit.in_doubt or fit.disagree
+    count.doubt += fit.in_doubt
     for line in fit.asynchronous:
         error = line.order_error * line.speed
         count.found += abs(line.omega - record.asynchronous) < 5.0 * error
