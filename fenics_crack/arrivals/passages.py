@@ -360,7 +360,11 @@ def find_passages(
         before = [(one.best.mode.order, one.speed) for one in found]
         if turn < 2:
             few = 1 if asynchronous and not turn else most
-            found, left = _search(record, values - steady, tried, few)
+            if lines or not turn:  # without lines it goes on
+                found, left = [], values - steady
+                centres = _centres(record)
+                gains = np.full((len(centres), 2), np.nan)
+            _search(record, left, tried, few, found, centres, gains)
         else:
             left = _again(record, values - steady, found)
         if found and not turn and len(blind := found[0].best.blind):
@@ -396,17 +400,30 @@ def _checked(stiffening: float | Follows) -> Follows:
     return lambda speed, omega: value
 
 
+def _centres(record: Record) -> np.ndarray:
+    """Speeds [rad/s] about which resonances are sought."""
+    low, high = record.speed.min(), record.speed.max()
+    return low * np.exp(SPACING * (0.5 + np.arange(int(np.log(high / low) / SPACING))))
+
+
 def _search(
-    record: Record, values: np.ndarray, orders: np.ndarray, most: int
-) -> tuple[list[_Compared], np.ndarray]:
-    """Resonances in displacements (revolutions, probes), and what they leave."""
-    left, speeds = np.array(values), record.arrivals.speed
-    count = int(np.log(speeds.max() / speeds.min()) / SPACING)
-    centres = speeds.min() * np.exp(SPACING * (0.5 + np.arange(count)))
-    begin_stage("scan of the speeds")
-    gains = np.array([_clearness(record, left, centre) for centre in centres]).reshape(-1, 2)
-    found: list[_Compared] = []
-    while len(found) < most and np.any(gains[:, 0] > CLEAR):
+    record: Record,
+    left: np.ndarray,
+    orders: np.ndarray,
+    most: int,
+    found: list[_Compared],
+    centres: np.ndarray,
+    gains: np.ndarray,
+) -> None:
+    """Find resonances beyond those found in displacements (revolutions, probes), and leave what
+    they leave of them; gains (n, 2) are what :func:`_clearness` tells at the centres (n,), nan
+    where that is not known yet."""
+    while len(found) < most:
+        begin_stage("scan of the speeds")
+        for place in np.flatnonzero(np.isnan(gains[:, 0])):
+            gains[place] = _clearness(record, left, centres[place])
+        if not np.any(gains[:, 0] > CLEAR):
+            break
         begin_stage(f"resonance {len(found) + 1}")
         centre = centres[int(np.where(gains[:, 0] > CLEAR, gains[:, 1], 0.0).argmax())]
         gains[np.abs(centres / centre - 1.0) < 1.5 * SPACING] = 0.0
@@ -419,9 +436,7 @@ def _search(
         new.add(record, left, -1.0)
         _pair(record, left, found, new, orders)
         _settle(record, left, found)
-        near = (np.abs(centres / centre - 1.0) < 2.0 * WIDTH) & (gains[:, 1] > 0.0)
-        for place in np.flatnonzero(near)[: len(near) * (len(found) < most)]:
-            gains[place] = _clearness(record, left, centres[place])
+        gains[(np.abs(centres / centre - 1.0) < 2.0 * WIDTH) & (gains[:, 1] > 0.0)] = np.nan
     for one in [*found]:  # of all orders, beside the others
         if one not in found or one.beside == one.neighbours(found):
             continue
@@ -432,7 +447,6 @@ def _search(
             one.add(record, left, -1.0)
         one.beside = one.neighbours(found)
     _settle(record, left, found)
-    return found, left
 
 
 def _pair(
