@@ -270,7 +270,7 @@ def inclined(forward: Forward, scene: fc.Scene, seed: int, folder: Path) -> None
         print(f"inclined cracks, frequencies{', and before' if known else ''}: {score}", flush=True)
 
 
-def whole(forward: Forward, scene: fc.Scene, seed: int, kinds: list[str]) -> None:
+def whole(forward: Forward, scene: fc.Scene, seed: int, kinds: list[str], draws: int) -> None:
     """Print how often a crack is claimed in plates without one."""
     rows = {name: exact(another(scene, name)) for name in PLATES}
     for kind in kinds:
@@ -278,13 +278,14 @@ def whole(forward: Forward, scene: fc.Scene, seed: int, kinds: list[str]) -> Non
             rng, told = np.random.default_rng(2000 + seed), []
             for plate in rows.values():
                 claimed = 0
-                for _ in range(DRAWS):
+                for _ in range(draws):
                     more = before(plate) if known else []
                     some = noisy([*plate, *more], (*KINDS[kind], BEFORE), rng)
                     claimed += infer(forward, some).verdict == "crack"
                 told.append(claimed)
             counts = ", ".join(map(str, told))
-            print(f"none, {kind}{', and before' if known else ''}: claimed {counts} of {DRAWS}")
+            name = f"none, {kind}{', and before' if known else ''}"
+            print(f"{name}: claimed {counts} of {draws}", flush=True)
 
 
 def main() -> None:
@@ -293,6 +294,7 @@ def main() -> None:
     parser.add_argument("folder", nargs="?", type=Path, default=Path("output/identification"))
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--only", choices=[*KINDS, "inclined"], action="append")
+    parser.add_argument("--draws", type=int, default=DRAWS, help="of each plate without a crack")
     given = parser.parse_args()
     scene = fc.Scene.from_text(SCENE)
     forward = solve_forward(scene, LOADS, given.folder, progress=True)
@@ -302,9 +304,11 @@ def main() -> None:
     if "inclined" in kinds:
         kinds.remove("inclined")
         inclined(forward, scene, given.seed, given.folder)
+    if not kinds:
+        return
     print("plates:", "; ".join(PLATES))
     cracked(forward, scene, given.seed, kinds)
-    whole(forward, scene, given.seed, kinds)
+    whole(forward, scene, given.seed, kinds, given.draws)
 
 
 if __name__ == "__main__":
