@@ -69,12 +69,12 @@ nitpick_ignore_regex = [("py:class", ".*")]
 
 
 def lead_outside(app: Sphinx, *place_and_text: object) -> None:
-    """Links to the benchmarks, which lie outside of this folder, lead to their page here; those of
-    the first page, which lies there, to what lies beside it."""
+    """Lead links to the benchmarks, outside of this folder, to their page in the notebook;
+    those of the first page, which lies there, to what lies beside it."""
     text = place_and_text[-1]
     assert isinstance(text, list)
-    for link in ("(../benchmarks/README.md", "(benchmarks/README.md"):
-        text[0] = text[0].replace(link, "(benchmarks.md")
+    text[0] = text[0].replace("(../../benchmarks/README.md", "(benchmarks.md")
+    text[0] = text[0].replace("(benchmarks/README.md", "(notebook/benchmarks.md")
     for link in ("demos/first_notebook.ipynb", "CITATION.cff"):
         text[0] = text[0].replace(f"({link}", f"(../{link}")
 

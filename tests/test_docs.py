@@ -30,26 +30,31 @@ COARSE: dict[str, object] = {
 }  # fmt: skip
 """Of the plates that those lines are about; as written they are solved in test_whole_path.py."""
 COARSE_SOLID = {"mesh.size": 0.015, "mesh.lip_elements": 1, "reduction.modes": 6}
+FOLDERS = [ROOT / "docs" / folder for folder in ("", "notebook", "verification", "decisions")]
 PAGES = [
-    ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")),
-    *sorted((ROOT / "docs" / "verification").glob("*.md")),
-    *sorted((ROOT / "docs" / "decisions").glob("*.md")), ROOT / "benchmarks" / "README.md",
+    ROOT / "README.md", *[page for folder in FOLDERS for page in sorted(folder.glob("*.md"))],
+    ROOT / "benchmarks" / "README.md",
 ]  # fmt: skip
-NOTEBOOKS = (
-    "cracked_blade.md", "find_the_crack.md", "gallery.md", "matrices.md", "measured_beams.md",
-)  # fmt: skip
-"""Pages whose blocks are one program."""
-BY_PAGE = {
-    page: re.findall(r"```python\n(.*?)```", page.read_text(), re.S)
-    for page in PAGES
-    if page.name != "short_answers.md"  # in the folder of its scene: tests/test_whole_path.py
-}
+
+
+def programs(page: Path) -> list[str]:
+    """Return the programs of a page: a block that imports the package begins one, and those behind
+    it that do not go on with it, as in a notebook."""
+    found: list[str] = []
+    for block in re.findall(r"```python\n(.*?)```", page.read_text(), re.S):
+        if "import fenics_crack" in block:
+            found.append(block)
+        else:
+            found[-1] += "\n" + block
+    return found
+
+
 BLOCKS = [
     pytest.param(code, id=f"{page.name} {number}")
-    for page, blocks in BY_PAGE.items()
-    for number, code in enumerate(blocks if page.name not in NOTEBOOKS else ["\n".join(blocks)])
+    for page in PAGES
+    if page.name != "short_answers.md"  # in the folder of its scene: tests/test_whole_path.py
+    for number, code in enumerate(programs(page))
 ]
-
 
 COARSER = {
     "size = 0.005, lip_elements = 4 }\n[identify]\nfiner = 1.5": (
@@ -77,8 +82,8 @@ TABLES: dict[str, Any] = {
 
 @pytest.mark.parametrize("code", BLOCKS)
 def test_python_block_runs(code: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each block, or page that is one program, is a whole program, run in the project's folder;
-    those of measured beams and of the gallery with fewer and coarser ones."""
+    """Each program of a page is whole, run in the project's folder; those of measured beams and of
+    the gallery with fewer and coarser ones."""
     monkeypatch.chdir(ROOT)
     for written, coarse in COARSER.items():
         code = code.replace(written, coarse)
