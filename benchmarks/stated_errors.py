@@ -412,7 +412,7 @@ def random_plate(rng: np.random.Generator) -> tuple[dict[str, Any], int, float, 
         changes |= {"loads.1.edge": "top", "loads.1.traction_sin": traction}
     else:
         side = width * rng.choice([0.0, 1.0])
-        rng.random()  # was a place; the scenes of docs/error_report.md are those with it
+        rng.random()  # was a place; scenes of docs/notebook/stated_errors.md have it
         changes |= {"excitation.point": [side, height]}
         changes["excitation.force_sin"] = [10.0 * rng.normal(), 0.0]
     changes["output.points"] = {"far": [width - side, height]}

@@ -34,7 +34,7 @@ Its error is that beside the switching instants of the exact orbit; elsewhere on
 added to what harmonics leave out.
 
 The root of the sum of the squares of all causes is stated. These are errors that are expected, not
-bounds: scenes beside a mesh four times finer are in docs/error_report.md.
+bounds: scenes beside a mesh four times finer are in docs/notebook/stated_errors.md.
 """
 
 from __future__ import annotations
