@@ -21,7 +21,7 @@ import fenics_crack as fc
 
 pytestmark = pytest.mark.usefixtures("not_laid_out")
 
-NEWCOMER = ("first_hour", "program", "cluster", "solids")
+NEWCOMER = ("first_hour", "program", "security", "solids")
 """Pages whose lines for the shell are run one after the other."""
 SHELL = re.compile(r"```sh\n(.*?)```", re.S)
 COARSE: dict[str, object] = {
@@ -101,7 +101,7 @@ def test_gallery_draws_its_pictures() -> None:
 @pytest.mark.mpi
 def test_job_script_runs(tmp_path: Path) -> None:
     """That of a cluster: a sweep, and again, where it finds nothing left."""
-    [script] = re.findall(r"```bash\n(.*?)```", (ROOT / "docs" / "cluster.md").read_text(), re.S)
+    [script] = re.findall(r"```bash\n(.*?)```", (ROOT / "docs" / "security.md").read_text(), re.S)
     (tmp_path / "job.sh").write_text(script)
     over = {"sweep.over": {"excitation.frequency": [700.0, 710.0, 720.0]}}
     scene = fc.Scene.load(ROOT / "demos" / "blade.toml").replace(over)

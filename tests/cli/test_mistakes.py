@@ -1,4 +1,4 @@
-"""Slips of units and keys: the table in docs/mistakes.md, line by line."""
+"""Slips of units and keys: the table in docs/short_answers.md, line by line."""
 
 import re
 from pathlib import Path
@@ -8,7 +8,9 @@ from helpers import ROOT
 from surroundings import main
 
 LINES = re.findall(
-    r"^\| ([^|]+?) \| (`[^|]+`) \| ([^|]+?) \|$", (ROOT / "docs" / "mistakes.md").read_text(), re.M
+    r"^\| ([^|]+?) \| (`[^|]+`) \| ([^|]+?) \|$",
+    (ROOT / "docs" / "short_answers.md").read_text(),
+    re.M,
 )[1:]
 KEYS = "mesh.size=0.05", "mesh.lip_elements=6", "mesh.error=false"
 COARSE = [word for key in KEYS for word in ("--set", key)]

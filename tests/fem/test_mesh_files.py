@@ -256,8 +256,8 @@ def test_example_of_the_plugin(tmp_path: Path) -> None:
 
 
 def test_text_of_the_documentation(tmp_path: Path) -> None:
-    """The .geo file in docs/extend.md, as it stands there, is a plate with an edge crack."""
-    [text] = re.findall(r"```geo\n(.*?)```", (ROOT / "docs" / "extend.md").read_text(), re.S)
+    """The .geo file in docs/matrices.md, as it stands there, is a plate with an edge crack."""
+    [text] = re.findall(r"```geo\n(.*?)```", (ROOT / "docs" / "matrices.md").read_text(), re.S)
     source, path = tmp_path / "plate.geo", tmp_path / "plate.msh"
     source.write_text(text)
     with gmsh_model():
