@@ -197,7 +197,7 @@ def stress_intensity_along_a_front() -> list[Row]:
 
     Only the cells at the front change, and their energies are integrated here without DOLFINx. To
     move all nodes gives the root mean square of K over the front; to move those around a place by a
-    hat function of the angle, that at the place, of which the other tells 30 degrees and more.
+    hat function of the angle, which is 0 from 30 degrees on, that at the place.
 
     Reference: the edge crack in tension by Tada (0.5 %); the ellipse by Newman and Raju
     (Engineering Fracture Mechanics 15, 1981, 185-192), a fit within 5 % of their finite elements
