@@ -277,12 +277,12 @@ ERRORS = {
         (-2.4, -2.2),
     ),
 }
-"""The table of docs/theory.md: errors of the classical form and of collocation, fitted slopes."""
+"""Errors of the classical form and of collocation, with fitted slopes: docs/notebook/algorithms.md."""
 
 
 @pytest.mark.parametrize("scene", ERRORS)
 def test_error_of_collocation_on_contact(scene: str, soft_plate: fc.Structure) -> None:
-    """The table of docs/theory.md; the report tells the aliasing within a factor of 1.8."""
+    """They are those of the notebook; the report has the aliasing within a factor of 1.8."""
     structure, omega, stiffness = {
         "half": (oscillator(), 0.5 * OMEGA_0, 1.0),
         "one": (oscillator(), 1.0, 1.0),
