@@ -277,7 +277,7 @@ ERRORS = {
         (-2.4, -2.2),
     ),
 }
-"""Errors of the classical form and of collocation, with fitted slopes: docs/notebook/algorithms.md."""
+"""Errors of the classical form and of collocation, fitted slopes: docs/notebook/algorithms.md."""
 
 
 @pytest.mark.parametrize("scene", ERRORS)
