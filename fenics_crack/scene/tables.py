@@ -874,7 +874,7 @@ class Identify(Table):
     model_deviation: float = between("0", "1", 0.01)
     """Each natural frequency, the same with the crack and without it: models of spacecraft are to
     meet measured ones to 5 % (NASA-STD-5002), and the ratio of the first two of a plain beam is
-    2 % off (docs/measured_beams.md)."""
+    2 % off (docs/notebook/measured_beams.md)."""
     crack_deviation: float = between("0", "1", 0.15)
     """What a crack changes: two compliances in wide use, of the same crack from 0.1 to 0.3 of the
     depth, differ by 25 to 29 % (W. M. Ostachowicz and M. Krawczuk, Journal of Sound and Vibration
