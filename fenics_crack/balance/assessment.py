@@ -33,14 +33,14 @@ from fenics_crack.numerics.newton import relative_to_motion
 from fenics_crack.table import percent
 
 MAX_ERROR, MAX_RATIO = 0.1, 3.0
-"""Of the nearest orbit that is the solution's own: largest predicted error and distance, and
-largest ratio of these. On 680 solutions of 170 systems 99 % of chains, 83 % of plates and 79 % of
-stiff chains have a prediction within half to twice the distance."""
+"""Acceptance of the nearest orbit: maximum predicted error and distance, relative, and maximum
+distance over predicted error. On 680 solutions of 170 systems 99 % of chains, 83 % of plates and 79
+% of stiff chains have a prediction within half to twice the distance."""
 
 
 class Assessment:
-    """What the exact flow says of a harmonic-balance solution; each part is found when it is first
-    asked for, from the solution alone.
+    """Assessment of a harmonic-balance solution by the exact flow; each part is computed when it is
+    first asked for, from the solution alone.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class Assessment:
         self.wave, self.own = wave, own
 
     def is_of(self, other: Wave) -> bool:
-        """Whether another wave is the same one, so that this is what is said of it."""
+        """Return True if ``other`` is the assessed solution, for which this assessment holds."""
         pairs = [(getattr(self.wave, one.name), getattr(other, one.name)) for one in fields(Wave)]
         return all(
             mine is its or (isinstance(mine, int | float) and mine == its) for mine, its in pairs
@@ -61,7 +61,7 @@ class Assessment:
 
     @cached_property
     def flow(self) -> ContactFlow | None:
-        """Of the structure; None where there is none."""
+        """Exact flow of the structure; None where there is none."""
         if self.own is not None:
             return self.own.flow
         if self.wave.contact is None or not self.wave.structure.n_pairs:
@@ -70,19 +70,19 @@ class Assessment:
 
     @property
     def affordable(self) -> bool:
-        """Whether there is a flow whose orbits are not sought for long."""
+        """True if there is a flow on which a search for orbits does not take long."""
         flow, wave = self.flow, self.wave
         return flow is not None and affordable(flow, wave.omega, wave.subharmonic)
 
     @property
     def too_slow(self) -> bool:
-        """Whether the load is too slow for the exact motions of few modes to be followed."""
+        """True if the load is too slow for the time integration of exact motions of few modes."""
         flow, wave = self.flow, self.wave
         return flow is not None and too_slow(flow, wave.omega, wave.subharmonic)
 
     @cached_property
     def states(self) -> np.ndarray:
-        """Of the solution at equal parts of its period: (32, 2 n_modes)."""
+        """States of the solution at equal parts of its period: (32, 2 n_modes)."""
         assert self.flow is not None
         displacement = self.wave.displacement_coefficients
         return wave_states(self.flow, displacement, self.wave.base_omega)
@@ -96,7 +96,7 @@ class Assessment:
 
     @property
     def predicted_error(self) -> float:
-        """Of the gaps over the period, relative; infinite where it is not known."""
+        """Predicted error of the gaps over the period, relative; infinite where it is not known."""
         return np.inf if self.prediction is None else self.prediction.error
 
     @cached_property
@@ -115,23 +115,24 @@ class Assessment:
 
     @cached_property
     def distance(self) -> float:
-        """Of the gaps of the solution and the orbit over the period, relative to what moves of
-        B^T u; nan without an orbit."""
+        """Distance of the solution's gaps from the orbit's over the period, relative to the moving
+        part of B^T u; nan without an orbit."""
         return np.nan if self.orbit is None else distance(self.wave, self.orbit)
 
     @property
     def accepted(self) -> bool:
-        """Whether the orbit is the solution's own."""
+        """True if the nearest orbit is accepted as the exact form of this solution."""
         if self.own is not None:
             return True
         near = self.distance <= max(MAX_RATIO * self.predicted_error, NEARLY_SOLVED)
         return bool(near and max(self.predicted_error, self.distance) <= MAX_ERROR)
 
     def errors(self, *, search: bool = True) -> tuple[float, float]:
-        """Of the gap, and of the displacement at the load in the direction of each of its parts:
-        what is predicted, without ``search``; else the distances to the nearest orbit, or what is
-        predicted where it is not the solution's own and that is more. At most :data:`UNKNOWN`,
-        which they are where no orbit is found though a small error was predicted."""
+        """Return the relative errors of the gap, and of the displacement at the load in the
+        direction of each of its parts: without ``search`` the predicted ones; else the distances to
+        the nearest orbit, or the predicted ones where that orbit is not accepted and they are
+        larger. At most :data:`UNKNOWN`, the value where no orbit is found though a small error was
+        predicted."""
         if self.own is not None or (search and self.accepted):
             found = self.distance, self._away_at_load
         elif search and self.orbit is None and self.predicted_error <= MAX_ERROR:
@@ -144,7 +145,7 @@ class Assessment:
 
     @cached_property
     def more_modes(self) -> MoreModes | None:
-        """What more modes make of the motion; None where no flow with more is at hand."""
+        """The motion corrected with more modes; None where no flow with more modes is at hand."""
         wave = self.wave
         if self.flow is None or wave.contact is None:
             return None
@@ -206,8 +207,8 @@ class Assessment:
 
 
 def distance(wave: Wave, orbit: PeriodicOrbit) -> float:
-    """Of the gaps of a solution and an orbit over the period, relative to what moves of B^T u; 0
-    where that is rounding."""
+    """Return the distance of a solution's gaps from an orbit's over the period, relative to the
+    moving part of B^T u; 0 where that is rounding."""
     samples = orbit.sampled
     if is_still(samples):
         return 0.0

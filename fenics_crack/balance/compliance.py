@@ -179,7 +179,7 @@ class ModalPart:
     damping: tuple[float, float]
     """d at p = 0, and dd/dp."""
     at_once: np.ndarray | None = None
-    """What is added to each R_k: (n_pairs, n_pairs)."""
+    """Quasi-static part, added to each R_k: (n_pairs, n_pairs)."""
 
 
 class ModalCompliance:
@@ -282,8 +282,9 @@ class ModalCompliance:
         damping: tuple[float, float],
         residual: np.ndarray | None = None,
     ) -> ModalPart | None:
-        """What the kernel takes of R_k, less a static compliance, for paths in the base frequency
-        and the damping, from those at p = 0 and their rates; None where damping couples modes."""
+        """Return R_k in the kernel's form, less a static compliance, for paths in the base
+        frequency and the damping, from their values at p = 0 and their rates; None where damping
+        couples modes."""
         modes = self._modes
         if modes.damping.ndim == 2:
             return None
@@ -293,8 +294,9 @@ class ModalCompliance:
         return ModalPart(modes.squares, modes.damping, modes.pairs, load, omega, damping, at_once)
 
     def derivative(self, name: str, force: np.ndarray) -> np.ndarray:
-        """Of R lambda - g_lin for fixed forces, (2H+1, n_pairs), by one of the parameters of
-        :meth:`at`: with H = Z^-1, dH = -H dZ H, dZ_k = (-2 k^2 w + i k d c) dw + i k w c dd."""
+        """Return the derivative of R lambda - g_lin for fixed forces, (2H+1, n_pairs), by one of
+        the parameters of :meth:`at`: with H = Z^-1, dH = -H dZ H, dZ_k = (-2 k^2 w + i k d c) dw +
+        i k w c dd."""
         order = self._order[:, None]
         if name == "clearance":
             found = np.zeros_like(force)
@@ -380,7 +382,7 @@ class FactoredCompliance:
 
 
 Compliance = ModalCompliance | FactoredCompliance
-"""At the multiples 0 to H of a base frequency."""
+"""Compliance at the multiples 0 to H of a base frequency."""
 
 
 def resized_compliance(compliance: Compliance, harmonics: int) -> Compliance:

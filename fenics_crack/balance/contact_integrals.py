@@ -96,11 +96,11 @@ class ContactIntegrals(ABC):
     softness: float = field(default=0.0, kw_only=True)
 
     coupled: ClassVar[bool] = False
-    """Whether the force of a pair depends on the gaps of others."""
+    """True if the force of a pair depends on the gaps of others."""
 
     @property
     def exact(self) -> bool:
-        """Whether nothing is sampled."""
+        """True if the integrals are exact, without AFT samples."""
         return False
 
     @cached_property
@@ -167,7 +167,7 @@ class SampledIntegrals(ContactIntegrals):
     """
 
     samples: int
-    """N."""
+    """N, AFT samples of the period."""
 
     def forces(self, gap: np.ndarray) -> np.ndarray:
         return self.law.force(gap)
@@ -350,12 +350,12 @@ class CoupledIntegrals(ContactIntegrals):
 
     @property
     def piecewise(self) -> bool:
-        """Whether the forces are piecewise linear in s."""
+        """True if the forces are piecewise linear in s."""
         return is_unilateral(self.law)
 
     @property
     def exact(self) -> bool:
-        """Whether they are exact integrals."""
+        """True if the integrals are exact."""
         return self.piecewise and self.samples is None
 
     def widened(self, harmonics: int) -> Self:
@@ -387,8 +387,8 @@ class CoupledForces(ContactForces):
 
     @abstractmethod
     def means(self, basis: np.ndarray | None = None) -> np.ndarray:
-        """Of S times exp(i m theta), m = 0 to 2H, rows c_0, c_1, s_1, ...: (4H+1, n_pairs, n_pairs)
-        [N/m]; with a basis U those of U^T S U."""
+        """Return the means of S times exp(i m theta), m = 0 to 2H, rows c_0, c_1, s_1, ...: (4H+1,
+        n_pairs, n_pairs) [N/m]; with a basis U those of U^T S U."""
 
     def tangent(self, basis: np.ndarray | None = None) -> np.ndarray:
         """T as a matrix, between the pairs or the gaps of a basis: (2H+1, n, (2H+1) n)."""
@@ -462,7 +462,7 @@ class _ExactForces(CoupledForces):
         return found
 
     def _by_compliance(self, rate: np.ndarray) -> np.ndarray:
-        """Where the diagonal of D grows by a rate."""
+        """Return the derivative of the forces where the diagonal of D grows by a rate."""
         found, rate = np.empty(self._gap.shape), shaped(rate, self._gap.shape[1])
         kernel.forces_by_compliance(self._here(), pointer(rate), pointer(found))
         return found
@@ -502,7 +502,7 @@ class _SampledForces(CoupledForces):
         return found if basis is None else np.ascontiguousarray(basis.T @ found @ basis)
 
     def _by_gap(self, change: np.ndarray) -> np.ndarray:
-        """Of gaps that change by so much, (samples, n_pairs)."""
+        """Return the change of the forces due to a change of the gaps, (samples, n_pairs)."""
         return balanced(np.einsum("npq,nq->np", self._slope, change), self.harmonics)
 
     def by_softness(self) -> np.ndarray:

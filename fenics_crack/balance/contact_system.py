@@ -61,8 +61,8 @@ MATRIX_FREE = 350
 long with about 300 to 350 unknowns of 18 pairs (measured with H = 8 to 40)."""
 
 SOFT = 0.05
-"""Compliance of what moves relative to that of pairs so soft that the solution is unique and close
-to the linear one."""
+"""Compliance of moving parts over that of pairs, below which the solution is unique and close to
+the linear one."""
 
 ByParameter = Callable[["ContactPoint"], np.ndarray]
 
@@ -307,7 +307,8 @@ class Wave:
 
     @property
     def slow_gap_coefficients(self) -> np.ndarray:
-        """Of s = g + R_inf lambda, the gap without what answers at once: (2H+1, n_pairs) [m]."""
+        """Coefficients of s = g + R_inf lambda, the gap less its quasi-static part: (2H+1,
+        n_pairs)."""
         if self.residual is None:
             return self.gap_coefficients
         return self.gap_coefficients + self.force_coefficients @ self.residual

@@ -44,12 +44,12 @@ from fenics_crack.numerics.newton import moving_square, solve_near
 from fenics_crack.table import Described
 
 LARGE_ERROR = 0.05
-"""Estimated error beyond which a solution is not shown without a warning."""
+"""Estimated relative error above which a solution has a warning."""
 PARTS = ("truncation", "reduction", "sampling", "residual")
-"""Of a total error; of those that are as large the first is told."""
+"""Parts of a total error; of equal ones the first is reported."""
 
 SLIGHT = 0.05
-"""How well an error is estimated: relative size of the second step."""
+"""Relative size of the second Newton step up to which an error counts as estimated."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -158,7 +158,7 @@ def estimate_errors(
 
 
 NOT_ESTIMATED = ErrorReport(*[math.nan] * 6)
-"""Of a solution whose errors were not asked for."""
+"""Report of a solution whose errors were not requested."""
 
 
 def of_no_solution(at: ContactPoint, problem: Problem) -> ErrorReport:
@@ -197,14 +197,14 @@ def _at_load(wave: Wave, structure: Structure, displacement: np.ndarray) -> floa
 
 
 Errors = tuple[float, float]
-"""Of the gap, and of the displacement at the load; at most :data:`UNKNOWN`."""
+"""Errors of the gap, and of the displacement at the load; at most :data:`UNKNOWN`."""
 
 
 def _errors(
     at: ContactPoint, wave: Wave, changes: Changes | None, structure: Structure, better: Compliance
 ) -> Errors:
-    """Of changes of the gap and of the force, by the compliance of the better equations; not known
-    where these were not solved."""
+    """Return the errors due to changes of the gap and of the force, by the compliance of the better
+    equations; :data:`UNKNOWN` where these were not solved."""
     if changes is None:
         return UNKNOWN, UNKNOWN
     gap = relative_size(changes[0], at, wave.structure.clearance)
@@ -224,8 +224,8 @@ def relative_size(change: np.ndarray, at: ContactPoint, clearance: np.ndarray) -
 
 
 def beyond_truncation(at: ContactPoint, wave: Wave) -> Errors:
-    """What K > H harmonics change, K = :func:`_more_harmonics`, by Newton's method: for laws and
-    structures whose exact flow is not at hand.
+    """Return the change due to K > H harmonics, K = :func:`_more_harmonics`, by Newton's method:
+    for laws and structures whose exact flow is not at hand.
 
     Steps are found by elimination: iterative solutions of these equations do not converge where
     many pairs are stiff, unless these are seen through a static compliance.
@@ -245,17 +245,17 @@ def _more_harmonics(at: ContactPoint) -> int:
 
 
 Changes = tuple[np.ndarray, np.ndarray]
-"""Of the gap (2K+1, n_pairs) [m] and of the force (2H+1, n_pairs) [N]."""
+"""Changes of the gap (2K+1, n_pairs) [m] and of the force (2H+1, n_pairs) [N]."""
 
 
 def _improvement(
     system: ContactSystem, start: np.ndarray, rows: int, *, solved: int = 0
 ) -> Changes | None:
-    """What better equations change. Where those of the first ``solved`` rows are solved: two steps
-    of Newton's method with the first Jacobian, where the second is much shorter, or rounding, and
-    these rows of the residual stay as they are. Else, and from the same start, all steps to the
-    solution, shortened where the residual would grow; None where these do not arrive.
-    """
+    """Return the change from the solution to that of better equations. Where those of the first
+    ``solved`` rows are solved: two steps of Newton's method with the first Jacobian, where the
+    second is much shorter, or rounding, and these rows of the residual stay as they are. Else, and
+    from the same start, all steps to the solution, shortened where the residual would grow; None
+    where these do not converge."""
     first = system.linearise(start)
     known = first.residual.copy()
     known[solved:] = 0.0
@@ -276,7 +276,7 @@ def _improvement(
 
 
 def _lost_in_reduction(at: ContactPoint, wave: Wave, problem: Problem) -> Errors:
-    """What the compliance of the reduced structure's reference changes."""
+    """Return the change due to the compliance of the reduced structure's reference."""
     structure, used = problem.structure, at.system.compliance
     assert isinstance(structure, ReducedStructure)
     reference = structure.reference

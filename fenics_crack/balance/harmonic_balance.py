@@ -283,9 +283,9 @@ def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
 
 
 FIRST_MODES = 10
-"""Modes with which a large structure is tried first; at most as many as exact orbits may have."""
+"""Modes of the first attempt for a large structure; at most as many as exact orbits may have."""
 MAX_HARMONICS = 500
-"""That are solved for, or kept of an orbit, for each period of the load."""
+"""Maximum harmonics solved for, or kept of an orbit, for each period of the load."""
 
 
 def solve_to_tolerance(
@@ -360,7 +360,7 @@ def _without_mass(whole: Structure, modes: int) -> Structure:
 
 
 def _goal(tolerance: float, reduction: float) -> float:
-    """What harmonics and samples may leave out: half the tolerance, or what modes leave of it."""
+    """Return the error allowed for harmonics and samples: what modes leave, at most half of it."""
     left = tolerance - reduction
     return min(left, tolerance / 2.0) if left > 0.0 else tolerance / 2.0
 
@@ -463,7 +463,7 @@ def _begun(solver: Solver, problem: Problem) -> Solver:
 
 
 def _told_of_others(found: OrbitSearch) -> str:
-    """Which other orbits were met."""
+    """Describe the other orbits that were found."""
     words = []
     for one in found.others:
         values = one.flow.structure.values_at(one.sampled.displacement, [None])
@@ -516,7 +516,7 @@ def wave_of(problem: Problem, orbit: PeriodicOrbit, known: OrbitCoefficients) ->
 
 
 def _lost(problem: Problem, found: PeriodicSolution) -> tuple[float, float]:
-    """Of the gap, and of the displacement at the load, by what a reduction leaves out."""
+    """Return the modal truncation error of the gap, and of the displacement at the load."""
     structure = found.structure
     if not isinstance(structure, ReducedStructure) or structure.reference is None:
         return 0.0, 0.0
@@ -543,7 +543,7 @@ def _by_harmonics(solver: Solver, tolerance: float, found: PeriodicSolution) -> 
 
 
 def _enough(found: PeriodicSolution, tolerance: float) -> bool:
-    """Whether no more harmonics are needed, or allowed; samples go with them."""
+    """Return True if no more harmonics are needed, or allowed; samples go with them."""
     left = found.report.truncation + found.report.sampling
     unknown = left >= UNKNOWN and found.harmonics >= SearchOptions.harmonics[-1] * found.subharmonic
     enough = left <= _goal(tolerance, found.report.reduction)

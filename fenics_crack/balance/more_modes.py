@@ -1,4 +1,4 @@
-"""What the modes that a reduction leaves out change of an exact motion.
+"""Change of an exact motion due to the modes that a reduction truncates.
 
 The reference of a reduced structure has more modes (:mod:`fenics_crack.model.reduction`). Those
 that lips without mass leave out begin as their statics have them, Lambda q = f - P lambda. One step
@@ -39,7 +39,7 @@ from fenics_crack.numerics.fourier import waves
 from fenics_crack.numerics.newton import relative_to_motion
 
 UNKNOWN = 1.0
-"""An error that is not known."""
+"""Relative error returned when no estimate exists."""
 
 
 def reference_flow(
@@ -59,17 +59,17 @@ class MoreModes:
     """The motion of a solution on the flow of more modes."""
 
     flow: ContactFlow
-    """With more modes."""
+    """Flow with more modes."""
     wave: Wave
-    """The solution."""
+    """Harmonic-balance solution."""
     fewer: ContactFlow
-    """That of its own structure."""
+    """Flow of the solution's own structure."""
     step: Prediction | None
-    """Newton's step of it on that flow; not needed where the orbit is its own."""
+    """Newton step of the solution on that flow; not needed where its orbit is accepted."""
     nearest: PeriodicOrbit | None
-    """The orbit of that flow next to it."""
+    """Nearest periodic orbit of that flow."""
     accepted: bool
-    """Whether that is the solution's own."""
+    """True if that orbit is accepted for the solution."""
 
     @cached_property
     def _states(self) -> np.ndarray | None:
@@ -118,7 +118,7 @@ class MoreModes:
         return slow - integrals.forces(slow) @ flow.residual
 
     def _waves(self, time: np.ndarray) -> np.ndarray:
-        """Of the load: mean, cosine and sine."""
+        """Return the load's time functions: mean, cosine and sine."""
         return waves(self.wave.omega * time)
 
     @property
@@ -140,8 +140,8 @@ class MoreModes:
 
     @cached_property
     def changes(self) -> tuple[float, float]:
-        """Of the gap, and of the displacement at the load, by that step, at most :data:`UNKNOWN`,
-        which they are where the motion is not followed."""
+        """Changes of the gap, and of the displacement at the load, by that step, at most
+        :data:`UNKNOWN`, the value where the time integration fails."""
         if self.prediction is None:
             return UNKNOWN, UNKNOWN
         wave, states = self.wave, self._states
@@ -183,9 +183,9 @@ class MoreModes:
         return find_orbit(self.flow, wave.omega, self._states[0], subharmonic=wave.subharmonic)
 
     def contradicts(self, verdict: str, *, quick: bool = False) -> str:
-        """What the orbit with these modes says against a verdict on stability, in words; "" where
-        it says the same, or is not known. With ``quick`` it is asked where M along the motion says
-        so already."""
+        """Return in words how the orbit with these modes contradicts a verdict on stability; ""
+        where it agrees, or is not known. With ``quick`` only where M along the motion already
+        contradicts it."""
         if verdict not in ("stable", "unstable") or (quick and not self._foreseen(verdict)):
             return ""
         if self.orbit is None:
@@ -198,7 +198,7 @@ class MoreModes:
         return f"with {many} modes the orbit is {other} (largest multiplier {size:.6g})"
 
     def _foreseen(self, verdict: str) -> bool:
-        """Whether M along the motion is on the other side of a verdict."""
+        """Return True if the multipliers of M along the motion contradict a verdict."""
         step = self.prediction
         if step is None or self.flow.size > FORMED:
             return False
@@ -206,7 +206,7 @@ class MoreModes:
 
 
 def is_still(samples: Samples) -> bool:
-    """Whether lips, which the load presses together, move by rounding only."""
+    """Return True if crack faces, which the load presses together, move by rounding only."""
     slow = samples.states[:, : samples.flow.size // 2] @ samples.flow.modes.pairs
     moved = samples.gap + samples.flow.structure.clearance
     return bool(np.linalg.norm(moved) <= NEGLIGIBLE * np.linalg.norm(slow))

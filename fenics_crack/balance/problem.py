@@ -71,22 +71,25 @@ from fenics_crack.numerics.path import NARROW, Ended, Path, PathOptions, Target
 from fenics_crack.stages import begin
 
 BEYOND = 2.0
-"""Modes above so many times the highest harmonic answer at once."""
+"""Ratio to the highest harmonic above which modes are quasi-static."""
 ON_PATH = 15_000
-"""Unknowns of all points together that one call of the kernel follows of a curve: Ctrl-C waits for
+"""Unknowns of all points together that one call of the kernel computes of a curve: Ctrl-C waits for
 it, a second or two."""
 SINGULAR = (
     "'penalty', with a stiffness, as some lips hardly give beside others: they lie on a strip too "
     "thin for no penetration at all, or no modes are left out; or cracks farther apart"
 )
-"""What is allowed where R_inf, which answers a rigid contact at once, is singular to rounding."""
+"""Allowed values where R_inf, the quasi-static compliance of a rigid contact, is singular to
+rounding."""
 STIFF = 100.0
-"""k R_inf from which a penalty on lips with mass is seen through R_inf."""
+"""k R_inf above which a penalty on crack faces with mass is solved through the residual flexibility
+R_inf."""
 MATRICES = 4
 """Dense matrices of the size of the Jacobian that are held at a time, or stiffnesses of coupled
 pairs at all instants."""
 COMPILED, INTERPRETED = 5000, 1000
-"""Iterations of all starts together, with 300 unknowns in the kernel, and in Python: 5 to 8 s."""
+"""Search budget: iterations of all initial guesses together, with 300 unknowns in the kernel, and
+in Python: 5 to 8 s."""
 
 
 @dataclass(frozen=True)
@@ -199,7 +202,7 @@ class Problem:
 
     @property
     def projected(self) -> bool:
-        """Whether the constraint is balanced in frequency: that of pairs that nothing couples."""
+        """True if the constraint is balanced in frequency: that of pairs without coupling."""
         return is_rigid(self.contact) and self.residual is None
 
     def weighted(self, compliance: Compliance) -> Problem:
@@ -222,7 +225,7 @@ class Problem:
         )  # fmt: skip
 
     def integrals(self) -> ContactIntegrals:
-        """How the contact force is integrated; that of a projection by its weight."""
+        """Return the integrals of the contact force; those of a projection by its weight."""
         contact, harmonics = self.contact, self.harmonics
         if self.residual is not None:
             return CoupledIntegrals(
@@ -267,7 +270,7 @@ def check_memory(structure: Structure, harmonics: int) -> None:
 
 
 Start = tuple[str, Iterator[np.ndarray]]
-"""What a start is called, and its guesses."""
+"""Name of a starting strategy, and its initial guesses."""
 
 
 @dataclass
@@ -276,20 +279,20 @@ class Search:
 
     system: ContactSystem
     problem: Problem | None
-    """What the system balances; None: other equations, which have no motions as guesses."""
+    """Problem that the system balances; None: other equations, which have no motions as guesses."""
     tolerance: float
-    """|F| / |x| at which a solution is accepted; raised to what rounding allows."""
+    """Maximum |F| / |x| for acceptance; raised to the rounding error."""
     share: float
-    """Of the iterations that may be taken: 1.0 all of them."""
+    """Fraction of the search budget that may be used."""
     converged: bool = False
-    """Whether the last attempt met the tolerance."""
+    """True if the last attempt met the tolerance."""
     iterations: int = 0
     """Newton iterations, all attempts together."""
     history: list[float] = field(default_factory=list)
-    """|F| of every iteration by SNES: where the kernel has the equations, of a last attempt when
-    all have failed."""
+    """``|F|`` of every iteration by SNES: where the kernel has the equations, of a last attempt
+    when all have failed."""
     attempts: list[str] = field(default_factory=list)
-    """What was tried and how it ended."""
+    """Attempts and their outcomes, in words."""
     _rounding: float = ROUNDING
     _most: float = 0.0
 
@@ -343,12 +346,12 @@ class Search:
         return at
 
     def _tell(self, name: str, before: int) -> None:
-        """What a start came to."""
+        """Record the outcome of an initial guess."""
         outcome = "converged" if self.converged else "failed"
         self.attempts.append(f"{name}: {outcome} ({self.iterations - before} iterations)")
 
     def _newton(self, snes: Newton | None, guess: np.ndarray) -> Linearisation:
-        """Where full steps of SNES, or else of the kernel, lead."""
+        """Return the point reached by full steps of SNES, or else of the kernel."""
         if snes is not None:
             at, self.converged, count = snes.solve(guess, 1.0, self.tolerance, FULL_STEPS)
             self.iterations += count
@@ -360,8 +363,8 @@ class Search:
     def _steps(
         self, system: ContactSystem, guess: np.ndarray, tolerance: float = 0.0, at: float = 1.0
     ) -> Linearisation | None:
-        """Where full steps lead, to a tolerance that is larger than the search's, or at a point of
-        the path; None where they do not arrive."""
+        """Return the point reached by full steps, to a tolerance that is larger than the search's,
+        or at a point of the path; None where they do not converge."""
         found = solve_at(system, guess, at, tolerance=max(self.tolerance, tolerance))
         self.iterations += FULL_STEPS if found is None else found.iterations
         return None if found is None else found.at
@@ -373,7 +376,7 @@ class Search:
     # --- the starts -------------------------------------------------------------------------------
 
     def _starts(self, starts: Sequence[np.ndarray]) -> Iterator[Start]:
-        """Which are tried, one after the other."""
+        """Yield the initial guesses in the order in which they are tried."""
         system, problem = self.system, self.problem
         for start in starts:
             yield "full Newton steps", self._near(system, start)
@@ -461,7 +464,7 @@ def halved(harmonics: int, enough: int) -> list[int]:
 
 
 def rounding_left(compliance: Compliance, law: ContactLaw) -> float:
-    """What rounding leaves of |F| / |x| of pairs by themselves, by the largest k R.
+    """Return the rounding error of |F| / |x| of uncoupled pairs, by the largest k R.
 
     Raises InputError where that is nothing of the contact force.
     """
@@ -478,8 +481,8 @@ def rounding_left(compliance: Compliance, law: ContactLaw) -> float:
 
 
 def _iterations(system: ContactSystem) -> float:
-    """How many a search may take: they cost like the square of the unknowns where the kernel has
-    them."""
+    """Return the iterations that a search may take: they cost like the square of the unknowns where
+    the kernel has them."""
     dense = COMPILED * (300.0 / max(kernel.MANY, system.size)) ** 2
     if getattr(system, "compiled", None) is not None:
         return dense

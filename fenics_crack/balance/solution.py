@@ -43,7 +43,7 @@ from fenics_crack.table import Described, Tabular, counted, quantity, with_frequ
 
 @dataclass(frozen=True, repr=False)
 class Indicators(Tabular):
-    """What a point and the lips show of a breathing crack.
+    """Indicators of a breathing crack at a point and at the crack faces.
 
     Made by ``indicators`` of a solution, where each attribute is a number, or of a curve, where
     each is an array with a value for every point (n,).
@@ -288,7 +288,8 @@ class PeriodicSolution(Wave, Described):
         return float(np.ptp(self.displacement(self.instants(), [dof]))) / 2.0
 
     def indicators(self, dof: int | None = None) -> Indicators:
-        """What a dof, or the watched one, and the lips show of a breathing crack (collective)."""
+        """Return the indicators at a dof, or the watched one, and at the crack faces
+        (collective)."""
         return indicators_of(
             self.omega,
             self.coefficients_at([dof])[:, 0],
@@ -299,7 +300,7 @@ class PeriodicSolution(Wave, Described):
 
     @cached_property
     def _extremes(self) -> dict[str, float]:
-        """What the lips do at most in the period."""
+        """Extremes of gap and contact force in the period."""
         time = self.instants()
         cracks = self.structure.pairs.cracks
         return contact_extremes(self.gap(time), self.contact_force(time), cracks)
@@ -321,7 +322,7 @@ class PeriodicSolution(Wave, Described):
 
     @cached_property
     def still(self) -> bool:
-        """Whether nothing vibrates: the load is steady, and what moves is rounding (collective)."""
+        """True if nothing vibrates: the load is steady, and what moves is rounding (collective)."""
         rows = self.displacement_coefficients
         parts = self.structure.force[1:], rows[1:], rows[:1]
         sizes = self.structure.sum_over_ranks(np.array([np.sum(part**2) for part in parts]))
@@ -401,11 +402,11 @@ def solution_of(
 
 @dataclass(frozen=True)
 class Solver:
-    """How a problem is solved."""
+    """Solver of a problem, with its options."""
 
     problem: Problem
     residual_tolerance: float = 1e-10
-    """|F| / |x| at which a solution is accepted."""
+    """Maximum |F| / |x| for acceptance."""
     throw: bool = True
     """Raise ConvergenceError if nothing converged; else return the last iterate."""
 
