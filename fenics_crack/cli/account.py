@@ -1,4 +1,4 @@
-"""What there is to say of a result, once for all who ask: the terminal, files, a report.
+"""Account of a result, made once for all uses: the terminal, files, a report.
 
 Each kind of result has a function that makes its :class:`Account`: those of sweeps, of growth and
 of convergence studies are here, ``results.py`` has those of modes, vibrations, curves and motions
@@ -61,14 +61,14 @@ OTHERS = {
     "unknown_error": ("why the error is unknown", "-"),
     "remarks": ("remarks", "-"),
 }
-"""Words and unit of what is printed of a solution or a motion beside the indicators."""
+"""Words and unit of the printed quantities of a solution or a motion beside the indicators."""
 IN_FILES = (
     "residual_error", "truncation_error", "sampling_error", "reduction_error",
     "displacement_error", "from_rest", "unknown_error", "remarks",
 )  # fmt: skip
-"""Not printed in a table: parts of an error, and sentences, which are printed below it."""
+"""Quantities that no printed table has: parts of an error, and sentences, which are below it."""
 ALWAYS = ("omega", "frequency", "verdict", "converged", "total_error", "distance")
-"""Printed whatever the scene chooses."""
+"""Quantities printed whatever the scene chooses."""
 ON_MODES = "hangs on modes that are left out"
 IN_A_TEST = {
     "fold": "the curve turns back: in a test the vibration jumps to another size here",
@@ -77,14 +77,14 @@ IN_A_TEST = {
     "neimark_sacker": "beyond it the vibration will not repeat each period: in a test its size "
     "swells and falls slowly, and lines appear on both sides of the load's frequency",
 }
-"""What bifurcations are to somebody at a test rig, by their kinds."""
+"""Meaning of bifurcations to somebody at a test rig, by their kinds."""
 WRITTEN_AS_ZERO, MEASURED = 1e-15, ("m", "N", "Pa m^0.5")
-"""Lengths [m] and forces [N] up to this are written as 0; units of what is."""
+"""Maximum length [m] or force [N] that is written as 0, and the units to which this applies."""
 
 
 @dataclass(frozen=True)
 class Account:
-    """What there is to say of a result.
+    """Sentences, tables and verdict that are printed of a result.
 
     Attributes
     ----------
@@ -216,7 +216,7 @@ def of_more_modes(found: PeriodicSolution, verdict: str) -> Iterator[str]:
 
 
 def how_it_is_left(stability: Stability) -> str:
-    """How a motion leaves an unstable orbit, by its largest multiplier; empty of others."""
+    """Describe how a motion leaves an unstable orbit, by its largest multiplier."""
     largest = complex(stability.multipliers[0])
     if stability.verdict != "unstable":
         return ""
@@ -235,8 +235,8 @@ def frequency_in_words(scene: Scene, omega: float) -> str:
 
 
 def in_short(table: Table, scene: Scene, default: Sequence[str]) -> Table:
-    """What is printed of a table: the quantities that the scene chooses, or the default, one of the
-    frequencies in rad/s and in Hz, and one of the speeds in rad/s and in rpm.
+    """Return the printed part of a table: the quantities that the scene chooses, or the default,
+    one of the frequencies in rad/s and in Hz, and one of the speeds in rad/s and in rpm.
 
     A table with a column "name" has a quantity in each row, another one in each column. What is not
     a quantity is printed too, where quantities are columns or the scene does not choose.
@@ -287,7 +287,7 @@ def in_one_unit(table: Table, scene: Scene) -> Table:
 
 
 def _is_twin(name: str, unit: str, scene: Scene) -> bool:
-    """Whether a quantity is a frequency or a speed in the unit that the scene does not use."""
+    """Return True for a frequency or speed in the unit that the scene does not use."""
     prefix, other = ("omega", "rad/s") if scene.in_hertz else ("frequency", "Hz")
     speed = "speed" if scene.in_rpm else "rpm"
     return name == speed or (name.startswith(prefix) and unit == other)
@@ -323,9 +323,9 @@ def _readable(name: str, value: Any, unit: str) -> tuple[str, Any]:
 # --- convergence studies, growth ------------------------------------------------------------------
 
 SHOWN_LENGTHS = 9
-"""Rows that are printed; the file has all."""
+"""Printed rows; the file has all."""
 TERMINAL_WIDTH, SHOWN_CASES = 120, 12
-"""Columns and rows of a table of cases that are printed; the file has all."""
+"""Printed columns and rows of a table of cases; the file has all."""
 SHORT_OF_SWEEP = ("response", "opening", "amplitude", "ratio_2_1")
 """Columns printed where the scene does not choose; the response is the amplitude at the load."""
 SPEEDS = ("rotation.speed", "rotation.rpm")

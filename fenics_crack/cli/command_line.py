@@ -33,7 +33,7 @@ FEW_COLLECTIONS = 10_000
 """Objects between two searches for garbage, of Python's own 700: what is loaded makes more than a
 hundred thousand that stay, which would be looked through again and again."""
 OUT_OF_MEMORY = ("PetscMalloc", "failed to map segment")
-"""In what PETSc says, and the system of a library that it cannot load."""
+"""Texts by which PETSc, and the loader of a library, report too little memory."""
 TABLES = {
     "curve": ("parameter", "start"),
     "excitation": ("omega",),
@@ -165,7 +165,7 @@ def _discard_output() -> None:
 
 
 def _shortage(error: Exception) -> str:
-    """What an error says if the machine had too little of something, else an empty text."""
+    """Describe the resource that ran out if an error is due to that, else return ""."""
     said = any(words in str(error) for words in OUT_OF_MEMORY)
     if isinstance(error, MemoryError) or said or _near_limit():
         return "memory was not enough"
@@ -175,7 +175,7 @@ def _shortage(error: Exception) -> str:
 
 
 def _near_limit() -> bool:
-    """Whether nearly all the memory of ``ulimit -v`` was used; few libraries name their need."""
+    """Return True if nearly all memory of ``ulimit -v`` was used; few libraries name their need."""
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     status = Path("/proc/self/status").read_text()
     peak = 1024 * int(status.partition("VmPeak:")[2].split()[0])
@@ -292,11 +292,11 @@ COMMANDS = {
         "results --output=FILE",
     ),
 }
-"""What each command does, and its own arguments."""
+"""Description of each command, and its own arguments."""
 FILES = {
     "new": "given", "check": "scenes", "timing": "timing", "plot": "pictures", "report": "pictures",
 }  # fmt: skip
-"""Where in this folder their functions are, which have their names; the others in ``commands``."""
+"""Modules of the commands' functions, which have their names; the others are in ``commands``."""
 ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "file": ("the file to write, for example plate.toml", {"type": path, "metavar": "scene"}),
     "--blade": ("of a plate on a rotor: engine order, centrifugal load", {"action": "store_true"}),
@@ -467,8 +467,9 @@ FISH = "complete -c fenics-crack -n "
 
 
 def _script(shell: str, known: Mapping[str, Sequence[str]]) -> str:
-    """What a shell reads once, so that nothing of the program runs when a key is pressed: commands,
-    their options, and the words that are known behind some options. Zsh reads bash's."""
+    """Return the completion script that a shell reads once, so that nothing of the program runs
+    when a key is pressed: commands, their options, and the words that are known behind some
+    options. Zsh reads bash's."""
     if shell == "fish":
         return "".join(_fish(known))
     before = [f'        {name}) words="{" ".join(words)}" ;;' for name, words in known.items()]

@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from fenics_crack.scene.scene import Scene
 
 MOST_SPEEDS = 10_000
-"""Of a Campbell diagram."""
+"""Maximum speeds of a Campbell diagram."""
 RUNS: dict[str, tuple[str, Callable[..., Run]]] = {
     "modes": ("modes", runs.modes),
     "solve": ("solution", runs.solve),
     "curve": ("curve", runs.curve),
     "integrate": ("integration", runs.integrate),
 }
-"""The commands that make a run: what they compute, and the name of their files."""
+"""Commands that make a run: their result, and the name of its files."""
 
 
 def solved(given: Namespace, inputs: Inputs, console: Console) -> Exit:
@@ -170,7 +170,7 @@ def campbell(given: Namespace, inputs: Inputs, console: Console) -> Exit:
 
 
 def verify(_: Namespace, inputs: Inputs, console: Console) -> Exit:
-    """What mesh, modes, harmonics and samples contribute to the error of the steady vibration."""
+    """Contributions of mesh, modes, harmonics and samples to the error of the steady vibration."""
     from fenics_crack.draw.plot_study import draw_verification
     from fenics_crack.study import refinement
 
@@ -183,8 +183,8 @@ def verify(_: Namespace, inputs: Inputs, console: Console) -> Exit:
 def _told_by(
     source: ArrivalTimes | Path, scene: Scene, console: Console, *, before: bool = False
 ) -> Measurements:
-    """What arrivals tell of a scene: displacements, or in a run-up the natural frequencies whose
-    resonances are passed, if so of the blade before it had a crack."""
+    """Return the measurements that follow from arrivals: displacements, or in a run-up the natural
+    frequencies whose resonances are passed, with ``before`` of the blade before it had a crack."""
     from fenics_crack.arrivals.arrival_times import STEADY
     from fenics_crack.identification.measurements import Measurements, without_crack
     from fenics_crack.study import timing

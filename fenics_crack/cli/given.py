@@ -1,5 +1,5 @@
-"""What a command is given: a scene with its changes, measurements and arrivals, read from text, and
-where it prints and writes; and the scene that ``new`` writes, to be given.
+"""Inputs of a command: a scene with its changes, measurements and arrivals, read from text, and the
+folder and console for its output; and the scene that ``new`` writes.
 
 Reading it needs NumPy alone, which loads in a tenth of the time of the libraries that compute.
 
@@ -42,17 +42,17 @@ if TYPE_CHECKING:
 
 COMMENTED = "cli/new_scene.toml"
 RECORDS = (".csv", ".h5")
-"""Endings of arrivals, and of results that make them."""
+"""Endings of files of arrivals, and of results from which arrivals are computed."""
 BEFORE = "before"
 WRITTEN = (".h5", ".csv", ".json", ".png", ".pdf", ".svg")
 """Folder in which a result is kept that another one replaces, and what its files end in."""
 KINDS = ("blade", "timing", "identify")
-"""What ``new`` writes besides a plate."""
+"""Scenes that ``new`` writes besides a plate."""
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """What was read; None where the command is given no such thing beside its scene."""
+    """Inputs that were read; None where the command has no such input beside its scene."""
 
     scene: Scene
     folder: Path  # for results
@@ -86,7 +86,7 @@ def read_inputs(given: Namespace) -> Inputs | None:
 
 
 def _measurements(given: Namespace, scene: Scene, before: Path | None) -> Measurements | None:
-    """Those of all files, and of responses before the crack; None where arrivals are all."""
+    """Read the measurements of all files, and responses before the crack; None: arrivals only."""
     files, modes = given.measurements, given.modes
     if not files and given.arrivals is None:
         allowed = "given: a CSV file (fenics-crack new --identify writes one), or --arrivals"
@@ -172,7 +172,7 @@ class Console:
 
     @property
     def progress(self) -> bool:
-        """Whether to show a progress bar."""
+        """True if a progress bar is to be shown."""
         return not self.quiet and (self.verbose or sys.stderr.isatty())
 
     def table(self, table: Table) -> None:

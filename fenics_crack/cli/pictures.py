@@ -72,11 +72,11 @@ from fenics_crack.whole import write_whole
 MOST_PICTURES = 12
 """Results in one picture; pictures of a quantity of a sweep."""
 FEW_LINES, LEAST_OF_A_MAP = 6, 4
-"""Lines in a picture of a sweep, at most; values of each axis from which there is a map."""
+"""Maximum lines in a picture of a sweep; values of each axis from which there is a map."""
 STYLES = (("orange", "--"), ("green", "-."), ("pink", ":"))
 """Colour and line of the closing of one crack after the other."""
 DRAWN_INSTANTS = 801
-"""Of a wave that is drawn."""
+"""Instants of a motion that is drawn."""
 
 File = Callable[..., Path]
 """Takes the name of a picture, and its kind if it has only one; remembers and returns its path."""
@@ -102,7 +102,7 @@ IN_SHORT = (
     "geometry", "structure", "material", "damping", "crack", "cracks", "contact", "rotation",
     "excitation", "loads", "base", "growth",
 )  # fmt: skip
-"""Tables of a scene whose keys stand above its text."""
+"""Tables of a scene whose keys are listed above its text."""
 Section = tuple[str, str, list[str]]
 """Name of a part of the page, which links lead to, its heading, and its blocks of HTML."""
 
@@ -275,8 +275,8 @@ def _curve(run: Run[ResponseCurve], file: File) -> None:
 
 
 def _without_contact(run: Run[ResponseCurve]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """What the crack would do to a curve over the frequency if it stayed open or tied, and the
-    plate's response without it, if the program meshes it: frequencies [rad/s], amplitudes [m]."""
+    """Return the curves over the frequency without contact: crack always open, always bonded, and
+    the plate without the crack if the program meshes it: frequencies [rad/s], amplitudes [m]."""
     found, scene, structure = run.result, run.scene, run.structure
     if found.parameter != "omega":
         return {}
@@ -637,7 +637,7 @@ def _value(key: str, value: object) -> str:
 
 
 def _versions(files: Sequence[Stored], command: Sequence[str]) -> list[str]:
-    """What made the results, and what made the page."""
+    """List the versions that made the results, and those that made the page."""
     rows = []
     for file in files:
         made = f"fenics_crack {file.attributes['version']}, {file.attributes['versions']}"

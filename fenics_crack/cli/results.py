@@ -1,5 +1,5 @@
-"""What there is to say of modes, of a steady vibration, of a curve and of a motion in time; and the
-results of all commands: how they are read, who speaks of them, their headings in a report."""
+"""Accounts of modes, of a steady vibration, of a curve and of a motion in time; and the results of
+all commands: their readers, their accounts, their headings in a report."""
 
 from __future__ import annotations
 
@@ -76,9 +76,9 @@ from fenics_crack.time.march import TimeHistory
 PNG = b"\x89PNG\r\n\x1a\n"
 """Beginning of a PNG file."""
 ERROR = "error [%]"
-"""Of modes, harmonics and mesh, as far as it is known."""
+"""Heading of the error due to modes, harmonics and mesh, as far as it is known."""
 UNKNOWN_PARTS = ("total_error", "displacement_error")
-"""Of an error report, which mean nothing where the error is unknown."""
+"""Parts of an error report that mean nothing where the error is unknown."""
 Row = tuple[str, str, object, str]
 """Name, words, value, unit."""
 
@@ -157,8 +157,8 @@ def _account_of_solution(run: Run[PeriodicSolution]) -> Account:
 
 
 def _in_doubt(run: Run[PeriodicSolution]) -> dict[str, object]:
-    """What doubts the numbers of a solution, by the names of :data:`OTHERS`; what does not is left
-    out."""
+    """Return the values that cast doubt on a solution, by the names of :data:`OTHERS`; without
+    those that do not."""
     judged = run.result.stability
     found: dict[str, object] = {"unknown_error": unknown_error(run)}
     found["remarks"] = "; ".join(map(str, run.remarks))
@@ -215,8 +215,8 @@ def _known(run: Run[Any], name: str = "") -> str:
 
 
 def _seen_instead(found: PeriodicSolution, dof: int) -> str:
-    """How large the motions are that leave an unstable solution; empty where that is not known
-    (collective)."""
+    """Describe the size of the motions that leave an unstable solution; empty where that is not
+    known (collective)."""
     said = []
     with suppress(ConvergenceError, InputError):
         for one in attractors(found.structure, found):
@@ -230,7 +230,8 @@ def _seen_instead(found: PeriodicSolution, dof: int) -> str:
 
 
 def _verdict(found: PeriodicSolution, seen: str) -> tuple[str, str]:
-    """Whether the vibration lasts, what is seen in place of it, and the kind of this verdict."""
+    """Return a sentence on the vibration's stability, with the motion seen instead, and its
+    kind."""
     if not found.converged:
         return "Not converged: there is no orbit to be judged.", "bad"
     if found.stability is None:
@@ -339,7 +340,7 @@ def _errors(run: Run[Any], name: str) -> tuple[float, str]:
 
 
 def _of_point(watched: Watched, values: Mapping[str, object]) -> list[Row]:
-    """What is known of a watched dof; the load's is said once."""
+    """Return the rows of a watched dof; the load's has them once."""
     order = values["largest_order"]
     which = "" if np.isnan(order) else f", {order:.0f}/1"
     largest = {"ratio_largest": (f"largest harmonic ratio{which}", "1")}
@@ -355,7 +356,7 @@ def _of_point(watched: Watched, values: Mapping[str, object]) -> list[Row]:
 
 
 def _named(known: Mapping[str, tuple[str, str]], values: Mapping[str, object]) -> list[Row]:
-    """Those of some values that have words and a unit."""
+    """Return the rows of those values that have words and a unit."""
     return [
         (n, words, values[n], _shown(unit)) for n, (words, unit) in known.items() if n in values
     ]
@@ -397,7 +398,7 @@ class Waves(NamedTuple):
 
 
 def over_time(run: Run[Any], instants: int = 401) -> Waves:
-    """What a motion does over time; ``instants`` of a solution."""
+    """Return a motion over time; of a solution at ``instants`` instants."""
     found, dofs = run.result, [watched.dof for watched in run.watched]
     if isinstance(found, TimeHistory):
         time, motion, gap = found.time, found.displacement(dofs), found.gap
@@ -427,11 +428,11 @@ def _waves(run: Run, waves: Waves) -> Table:
 ENDS = 3
 """Rows of special points that are no bifurcations: start, end, largest."""
 SHOWN_POINTS = 5
-"""Special points that are printed beside these; the file has all."""
+"""Special points that are printed besides these; the file has all."""
 LOOKED_AT = 8
-"""Points along a curve whose error is reported, beside the largest response."""
+"""Points along a curve whose error is reported, besides the largest response."""
 KNOWN_SPEEDS = 9
-"""Of a run-up, at which natural frequencies are computed."""
+"""Speeds of a run-up at which natural frequencies are computed."""
 SHORT_OF_CURVE = ("amplitude", "ratio_2_1", "closed_share", "opening", "over_bilinear")
 """Indicators printed of the special points where the scene does not choose: no wider than a
 terminal."""
@@ -481,8 +482,8 @@ def _account_of_curve(run: Run[ResponseCurve]) -> Account:
 
 
 def _seen_at_largest(run: Run[ResponseCurve]) -> str:
-    """That the largest response is unstable, and what is seen in place of it; empty where it is
-    not, or where the curve ended early there (collective)."""
+    """State that the largest response is unstable, and which motion is seen in its place; empty
+    where it is not, or where the curve ended early there (collective)."""
     found = run.result
     place = int(np.argmax(found.amplitude(run.watched_dof)))
     judged = found.multipliers is not None and _passed(found, place)
@@ -514,7 +515,7 @@ def _largest(run: Run[ResponseCurve], seen: str) -> str:
 
 
 def _passed(found: ResponseCurve, place: int) -> bool:
-    """Whether the largest response is none only because the curve ended early there."""
+    """Return True if the largest response is a peak, not the point where the curve ended early."""
     return bool(found.complete) or place < len(found) - 1
 
 
@@ -712,14 +713,14 @@ def _natural_along(run: Run[ResponseCurve], omega: np.ndarray) -> BilinearFreque
 
 @dataclass(frozen=True)
 class Identified:
-    """What ``identify`` has found and written."""
+    """Result of ``identify`` and the files that it has written."""
 
     KIND: ClassVar[str] = IDENTIFICATION
     scene: Scene
     summary: Mapping[str, Any]
-    """As ``identify.json`` has it."""
+    """Contents of ``identify.json``."""
     picture: Path
-    """Of the posterior, a PNG file and no link."""
+    """Picture of the posterior, a PNG file and no link."""
 
 
 def _identified(stored: Stored) -> Identified:
@@ -774,11 +775,11 @@ RESULTS: dict[str, tuple[str, Callable[[Any], Account]]] = {
     Identified.KIND: ("Identification of the crack", _account_of_identified),
     Verification.KIND: ("Convergence study", account_of_verification),
 }
-"""Headings and who speaks of them, by kind, in the order of a report."""
+"""Heading and account of each kind of result, in the order of a report."""
 
 
 def account_of(result: Computed) -> Account:
-    """What there is to say of a result (collective)."""
+    """Return the account of a result (collective)."""
     return RESULTS[result.KIND][1](result)
 
 

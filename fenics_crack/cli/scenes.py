@@ -129,7 +129,7 @@ def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:
 
 
 def _errors_by_mesh(study: Study, figures: KeyFigures) -> Verification:
-    """How well the mesh knows these frequencies."""
+    """Return the errors of these frequencies due to the mesh."""
     natural = {"open": figures.omega_open}
     if study.structure.n_pairs:
         natural["tied"] = figures.omega_tied
@@ -209,7 +209,7 @@ def harmonics_in_words(scene: Scene) -> int | str:
 
 
 def _solved(scene: Scene, whole: Structure) -> str:
-    """How the structure is solved."""
+    """Describe the reduction by which the structure is solved."""
     reduction = reduction_of(scene, whole)
     if reduction is None:
         return "as it is"
@@ -220,7 +220,7 @@ def _solved(scene: Scene, whole: Structure) -> str:
 
 
 def _impossible(scene: Scene) -> str:
-    """How many cases of a sweep cannot be scenes, and why the first one cannot."""
+    """Return the number of cases that are not valid scenes, with the first one's reason."""
     plan = Plan(scene)
     places = itertools.islice(np.ndindex(*plan.shape), MAX_CHECKED)
     reasons = [case for case in map(plan.case, places) if isinstance(case, str)]
@@ -232,8 +232,8 @@ def _impossible(scene: Scene) -> str:
 
 
 def remark_on(structure: Structure, highest: float) -> str:
-    """What to say of harmonics up to a frequency [rad/s]; empty where all of them are damped, and
-    without contact, which excites them (collective)."""
+    """Return a remark on harmonics up to a frequency [rad/s]; empty where all of them are damped,
+    and without contact, which excites them (collective)."""
     damped = damped_range(structure) if structure.n_pairs else None
     if damped is None or highest <= damped[1]:
         return ""

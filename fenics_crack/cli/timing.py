@@ -31,7 +31,7 @@ from fenics_crack.study.run import Run
 from fenics_crack.table import RPM, TURN, UNITS, Table, counted, quantity, ranging, speed_in_words
 
 KEYS = ("tip_radius", "orders", "probes", "stiffening")
-"""Of [tip_timing], with a record in place of a scene."""
+"""Keys of [tip_timing] for a record in place of a scene."""
 MISSING = "harmonics are missing (tip_timing.fitted_harmonics), and folded onto those kept"
 UNTESTED = "as many unknowns as probes: neither the order nor the harmonics kept are tested"
 FOLDED = (
@@ -55,7 +55,7 @@ BLIND = (
     "those of the blade?"
 )
 FAR = 2.0
-"""Ratio of speeds, of arrivals and of their scene, that is remarked."""
+"""Ratio of speeds, of arrivals and of their scene, above which there is a remark."""
 CONSTANT = (
     "frequency and damping are those of natural frequencies f which do not change with the speed "
     "n: where rotation stiffens the blade the damping is 1 - d ln f / d ln n times that, and the "
@@ -68,7 +68,7 @@ UNSWEPT = (
 EMPTY = ("blade", "rpm", "order", "frequency")
 """Columns of a table without a resonance."""
 SHOWN_ORDERS = 6
-"""Of those that are as good, and of those that cannot be measured."""
+"""Printed orders that fit as well, and that cannot be measured."""
 
 
 def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
@@ -113,7 +113,7 @@ def _size(arrivals: ArrivalTimes) -> str:
 
 
 def _warnings_of(arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | None) -> Iterator[str]:
-    """What is in doubt of measured arrivals, or of the run that they are computed from."""
+    """Yield warnings about measured arrivals, or about the run that they are computed from."""
     if run is None:
         yield from remarks_on_arrivals(arrivals)
         speeds = arrivals.mean_speed, scene.speed
