@@ -152,7 +152,7 @@ class Backbone(Tabular):
         )
 
     def _report(self, index: int) -> ErrorReport:
-        """How far Newton's method goes with more harmonics, at the same energy."""
+        """Return the error as the change by Newton's method with more harmonics at this energy."""
         rest, omega = Equilibrium(self.structure, self.contact), float(self.omega[index])
         kept, harmonics = self.harmonics + 1, self._more_harmonics(omega)
         integrals = contact_integrals(self.contact, self.harmonics, self.samples)

@@ -44,17 +44,17 @@ PARAMETERS = {
     "clearance": "clearance added to the scene's [m]",
     "speed": "rotor speed [rad/s]",
 }
-"""What a curve may be followed in, by its name in :attr:`ResponseCurve.parameter`."""
+"""Parameters of a curve, by their names in :attr:`ResponseCurve.parameter`."""
 
 
 PHASES = 2.0 * np.pi * np.arange(256) / 256
-"""Of a period, at which points of a curve are looked at."""
+"""Phases of the period at which points of a curve are evaluated."""
 SPREAD = 40
-"""Places along its range that a picture of a curve tells apart: as many errors are found first."""
+"""Points along its range that a picture of a curve resolves: as many errors are found first."""
 
 
 def parameter_axis(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
-    """What multiplies a curve's parameter, its name and unit: in Hz and rpm, or in rad/s."""
+    """Return factor, name and unit of a curve's parameter: in Hz and rpm, or in rad/s."""
     if parameter in ("omega", "speed"):
         return (frequency_axis if parameter == "omega" else speed_axis)(in_hertz)
     name, _, unit = PARAMETERS[parameter].removesuffix("]").rpartition(" [")
@@ -62,7 +62,7 @@ def parameter_axis(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
 
 
 def leading(multipliers: np.ndarray) -> complex:
-    """Of multipliers, largest modulus first, the one that a curve keeps."""
+    """Return the multiplier that a curve keeps, of those with the largest modulus first."""
     first = complex(multipliers[0])
     return complex(first.real, abs(first.imag))
 
@@ -95,7 +95,7 @@ class Bifurcation(Described):
 
     @property
     def value(self) -> float:
-        """Of the curve's parameter."""
+        """Value of the curve's parameter."""
         return float(self.point.values[0])
 
     @property
@@ -105,7 +105,7 @@ class Bifurcation(Described):
 
     @cached_property
     def problem(self) -> Problem:
-        """What is solved there."""
+        """Problem solved at the bifurcation."""
         return self.point.problem_of(0)
 
     @cached_property
@@ -207,7 +207,7 @@ class ResponseCurve(Tabular):
 
     KIND: ClassVar[str] = "response curve"
     FOUND: ClassVar[str]
-    """What was found, (n, ...): the name of the attribute."""
+    """Name of the attribute that holds the points, (n, ...)."""
 
     def __len__(self) -> int:
         return len(self.omega)
@@ -216,24 +216,24 @@ class ResponseCurve(Tabular):
 
     @property
     def method(self) -> str:
-        """How its points were found, in words: "H = 5", "exact orbits"."""
+        """Method by which the points were found, in words: "H = 5", "exact orbits"."""
         raise NotImplementedError
 
     @property
     def problem(self) -> Problem:
-        """What was solved at the first point."""
+        """Problem solved at the first point."""
         raise NotImplementedError
 
     @cached_property
     def _structure(self) -> Structure:
-        """Of the first point."""
+        """Structure at the first point."""
         if self.parameter == "speed" and isinstance(self.structure, RunUpStructure):
             return self.structure.at_speed(float(self.values[0]))
         return self.structure
 
     @property
     def undecided(self) -> np.ndarray | None:
-        """Where the stability is left open: (n,) bool; None: not asked for."""
+        """Points of undecided stability: (n,) bool; None: not asked for."""
         raise NotImplementedError
 
     @property
@@ -246,11 +246,11 @@ class ResponseCurve(Tabular):
         raise NotImplementedError
 
     def problem_at(self, value: float) -> Problem:
-        """What is solved where the parameter has a value."""
+        """Return the problem at a value of the parameter."""
         return FAMILIES[self.parameter].vary(self.problem, value)
 
     def problem_of(self, index: int) -> Problem:
-        """What was solved at a point, of the structure as the parameter varies it."""
+        """Return the problem solved at a point, of the structure as the parameter varies it."""
         return self.problem_at(float(self.values[index]))
 
     def solution(self, index: int, *, search: bool = True) -> PeriodicSolution:
@@ -274,7 +274,7 @@ class ResponseCurve(Tabular):
 
     @property
     def stable(self) -> np.ndarray:
-        """Whether the largest multiplier is known to lie within the unit circle: (n,) bool.
+        """True where the largest multiplier is surely within the unit circle: (n,) bool.
 
         Raises
         ------
@@ -292,7 +292,7 @@ class ResponseCurve(Tabular):
 
     @property
     def _open(self) -> np.ndarray:
-        """Where the stability is undecided: (n,) bool."""
+        """Points of undecided stability: (n,) bool, never None."""
         return np.zeros(len(self), dtype=bool) if self.undecided is None else self.undecided
 
     # --- its points -------------------------------------------------------------------------------
@@ -341,8 +341,8 @@ class ResponseCurve(Tabular):
         return replace(other, **columns, bifurcations=special, structure=self.structure)
 
     def indicators(self, dof: int | None = None) -> Indicators:
-        """What a dof, or the watched one, and the lips show of a breathing crack at every point, of
-        256 instants."""
+        """Return the crack indicators at a dof, or the watched one, and at the crack faces at every
+        point, from 256 instants."""
         return self.measure([dof])[0]
 
     def coefficients_at(self, dof: int | None = None) -> np.ndarray:
@@ -371,7 +371,7 @@ class ResponseCurve(Tabular):
 
     @cached_property
     def _lips(self) -> list[dict[str, float]]:
-        """What :func:`contact_extremes` finds at every point, once it is known."""
+        """Extremes by :func:`contact_extremes` at every point, once they are known."""
         return []
 
     def _seen_at(self, dofs: Sequence[int | None]) -> list[tuple[np.ndarray, np.ndarray]]:

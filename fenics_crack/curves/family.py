@@ -116,7 +116,7 @@ class Family(ABC):
         return self.problem.omega
 
     def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
-        """What a curve keeps of unknowns where the parameter has a value: they themselves."""
+        """Return the unknowns as a curve keeps them at a value of the parameter: unchanged."""
         return unknown
 
     def unknown(self, state: np.ndarray, value: float) -> np.ndarray:
@@ -142,11 +142,11 @@ class Family(ABC):
 
     @property
     def means(self) -> int:
-        """Of the unknowns, the first: a mean of the gap of each pair."""
+        """Number of unknowns, the first ones, that are mean values: a mean gap of each pair."""
         return self.problem.structure.n_pairs
 
     def rounding(self, parameter: float) -> float:
-        """What rounding leaves of |F| / |x| near a point of a curve.
+        """Return the rounding error of |F| / |x| near a point of a curve.
 
         The largest slope of R lambda counts: k R, or less where pairs are seen through a static
         compliance.
@@ -159,8 +159,8 @@ class Family(ABC):
         return least_residual(4.0 * largest * self.steepest_force)
 
     def doubling(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
-        """What grows at a period doubling, of equations with twice its period: a null vector of J
-        in the odd harmonics, of unit size."""
+        """Return the direction that grows at a period doubling, of equations with twice its period:
+        a null vector of J in the odd harmonics, of unit size."""
         places = np.flatnonzero(np.repeat(self._odd, unknown.shape[1]))
         jacobian, found = self.linearise(unknown, parameter).jacobian, np.zeros(unknown.size)
         found[places] = scipy.linalg.svd(jacobian[np.ix_(places, places)])[2][-1]
@@ -230,7 +230,7 @@ class _VariedFamily(Family):
         return self._compliance.at(self.problem.base_omega, **{self.name: value})
 
     def _compile(self, first: ContactSystem) -> CompiledEquations | None:
-        """Where g_lin alone depends on the parameter, and linearly."""
+        """Compile the equations where g_lin alone depends on the parameter, and linearly."""
         by_value = self._compliance.derivative(self.name, np.zeros(first.shape))
         rate = -(self.end - self.start) * by_value
         return first.compile(first.linear, first.moving, linear_rate=rate)

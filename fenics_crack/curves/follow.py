@@ -37,7 +37,7 @@ from fenics_crack.table import RPM
 ATTEMPTS = 4
 """Places, from the end on, from which another curve is sought that leads to the start."""
 BAR = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}{postfix}"
-"""Of a curve; how long it is going to take cannot be told from how far it has come."""
+"""Progress bar of a curve; its remaining time does not follow from its progress."""
 
 
 class CurveOptions(TypedDict, total=False):

@@ -26,11 +26,11 @@ from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_at
 from fenics_crack.numerics.path import ARRIVED, STRAIGHT, Ended, Path, PathOptions, Target
 
 NEAR = 0.05
-"""Entries relatively that close to resonance are not predicted."""
+"""Relative distance to resonance below which entries are not predicted."""
 
 
 class Equilibrium:
-    """Where a structure rests without load, held or closed by its pairs alone."""
+    """Equilibrium of a structure without load, held or closed by its pairs alone."""
 
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
         if structure.light_lips:
@@ -120,19 +120,19 @@ class FreeMotion:
         return (self.rest.modes.squares - self.order * unknown[-1] ** 2) * self.scale
 
     def near(self, unknown: np.ndarray) -> np.ndarray:
-        """Which entries of x are close to resonance, the fundamental ones left out."""
+        """Return the entries of x that are close to resonance, without the fundamental ones."""
         close = np.abs(self.stiffness(unknown)) < NEAR
         close[1] = False
         return np.append(close.ravel(), False)
 
     def is_fundamental(self, unknown: np.ndarray) -> bool:
-        """Whether the first harmonic has its share in the square of z, the mean left out."""
+        """Return True if the first harmonic has its share in the square of z without the mean."""
         squares = np.sum(unknown[:-1].reshape(self.scale.shape) ** 2, axis=1)
         share = 0.02 if self.energy is None else 0.25
         return bool(squares[1] >= share * np.sum(squares[1:]))
 
     def rounding(self, parameter: float) -> float:
-        """What rounding leaves of |F| / |x|."""
+        """Return the rounding error of |F| / |x|."""
         return self.rest.rounding
 
 
@@ -308,11 +308,11 @@ class MotionPath:
 
     @property
     def complete(self) -> bool:
-        """Whether it has led to the motion of the mode at the end."""
+        """True if the path has reached the motion of the mode at the end."""
         return self.ended is Ended.MET and self.family.is_fundamental(self.last.unknown)
 
     def told(self, most: int) -> str:
-        """How it has ended in words, of so many points at most."""
+        """Describe how the path has ended, of so many points at most."""
         assert self.ended is not None
         other = self.ended is Ended.MET and not self.complete
         return ELSEWHERE if other else self.ended.told(most)
@@ -390,7 +390,7 @@ class MotionPath:
 
 
 def alike(unknown: np.ndarray, other: np.ndarray, cosine: float) -> bool:
-    """Whether two motions have the same shape."""
+    """Return True if two motions have the same shape."""
     one, two = unknown[:-1], other[:-1]
     return bool(one @ two > cosine * np.linalg.norm(one) * np.linalg.norm(two))
 
@@ -398,8 +398,8 @@ def alike(unknown: np.ndarray, other: np.ndarray, cosine: float) -> bool:
 def first_motion(
     family: FreeMotion, mode: int, energy: float, initial: PeriodicSolution | None
 ) -> tuple[PathPoint, str]:
-    """Where a backbone starts: next to a solution, or where the linear mode leads; and what is to
-    be said about it."""
+    """Return the first point of a backbone, from a solution or the linear mode, and a note about
+    it."""
     note = ""
     if initial is None:
         rest, integrals = family.rest, family.integrals
@@ -441,7 +441,7 @@ def _next_to(family: FreeMotion, initial: PeriodicSolution, mode: int, energy: f
 
 
 def _opens(rest: Equilibrium, mode: int) -> bool:
-    """Whether a mode opens the pairs where it is positive."""
+    """Return True if a mode opens the pairs where it is positive."""
     return bool(rest.modes.pairs[mode - 1].sum() <= 0.0)
 
 

@@ -67,11 +67,11 @@ from fenics_crack.numerics.path import (
 from fenics_crack.table import counted, in_unit
 
 ASIDE = 0.1, 0.03, 0.3, 0.01, 1.0
-"""How far from a bifurcation its branch is entered, in longest steps, one tried after the other."""
+"""Distances from a bifurcation at which its branch is entered, in longest steps, tried in turn."""
 
 
 class Steps(TypedDict, total=False):
-    """How far and how long a curve grows, as :class:`fenics_crack.Continuation` has it."""
+    """Length and number of steps of a curve, as in :class:`fenics_crack.Continuation`."""
 
     longest_step: float
     most_points: int
@@ -120,13 +120,13 @@ class Growing(ABC):
         """Points that are followed in one call."""
 
     _events: ClassVar[Sequence[type[Event]]]
-    """What may lie between two points, but for the ends of the curve."""
+    """Special points between two points, but for the ends of the curve."""
     _kind: ClassVar[type[ResponseCurve]]
 
     @property
     @abstractmethod
     def _own(self) -> dict[str, Any]:
-        """What a curve of its kind has more than any."""
+        """Fields of this kind of curve beyond the common ones."""
 
     # --- where it begins --------------------------------------------------------------------------
 
@@ -148,7 +148,7 @@ class Growing(ABC):
         self._begin(family.value(found.parameter), found.unknown, found.iterations)
 
     def _resume(self, curve: ResponseCurve) -> None:
-        """Where a curve ends.
+        """Resume at the end of a curve.
 
         Raises
         ------
@@ -224,7 +224,7 @@ class Growing(ABC):
         return len(self.points) + (0 if self._known is None else len(self._known) - 1)
 
     def progress(self) -> float:
-        """How much of the way from start to end has been gone, 0 to 1."""
+        """Return the fraction of the way from start to end that is done, 0 to 1."""
         return min(1.0, max(0.0, self._family.parameter(self.points[-1].value)))
 
     def how_far(self) -> str:
@@ -300,13 +300,13 @@ class Growing(ABC):
 
 
 def _multipliers(seen: np.ndarray | None) -> np.ndarray | None:
-    """Of what is observed of exact orbits (:mod:`orbit_events`)."""
+    """Return the multipliers in the observed values of exact orbits (:mod:`orbit_events`)."""
     return None if seen is None else seen[:-3]
 
 
 class Joined(Event):
-    """Where a branch of twice the period joins the one that it left: that crosses, the parameter
-    turns back, and the motion repeats itself after half its period."""
+    """Junction of a branch of twice the period with the one that it left: that crosses, the
+    parameter turns back, and the motion repeats itself after half its period."""
 
     terminal, told = True, "joined the branch that it left"
 

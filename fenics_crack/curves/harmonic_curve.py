@@ -19,7 +19,7 @@ from fenics_crack.model.modal import all_modes
 from fenics_crack.numerics.fourier import evaluate
 
 FOLLOWED = "fold", "branch_point"
-"""Kinds of bifurcations that a curve has before it is judged."""
+"""Kinds of bifurcations that a curve has before its stability is assessed."""
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -81,7 +81,7 @@ class HarmonicCurve(ResponseCurve):
         return solution_of(problem, at, status="point of a curve", search=search)
 
     def assessment(self, index: int) -> Assessment:
-        """What the exact flow says of a point; no error is estimated."""
+        """Return the assessment of a point by the exact flow; no error is estimated."""
         problem = self.problem_of(index)
         at = problem.system(problem.compliance()).linearise(self.unknowns[index])
         return Assessment(problem.wave(at))

@@ -28,7 +28,7 @@ from fenics_crack.motion.orbit import FORMED, PeriodicOrbit, too_slow
 from fenics_crack.numerics.path import BranchPoint, Fold
 
 Beginning = PeriodicSolution | PeriodicOrbit | OrbitCurve | tuple[OrbitCurve, Bifurcation]
-"""Where a curve of exact orbits may begin."""
+"""Possible beginnings of a curve of exact orbits."""
 AT_ONCE = 2**13
 """Numbers of monodromy matrices that are found at a time: those behind a rejected step are lost,
 and of large ones few pay for the time between calls."""

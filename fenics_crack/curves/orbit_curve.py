@@ -22,7 +22,7 @@ from fenics_crack.motion.search import SearchOptions
 from fenics_crack.numerics.fourier import balanced
 
 FEWEST, HARMONICS = SearchOptions.harmonics[0], SearchOptions.harmonics[-1]
-"""Harmonics that a solution has of the load's frequency at least, and those that
+"""Minimum harmonics of the load's frequency in a solution, and those that
 :meth:`ResponseCurve.coefficients_at` has of the period of exact orbits. By 256 instants the one of
 order k is off by that of order 256 - k, of motions with kinks (k / 216)^2 of it."""
 
@@ -55,7 +55,7 @@ class OrbitCurve(ResponseCurve):
 
     @cached_property
     def problem(self) -> Problem:
-        """What was solved at the first point; its harmonics are the fewest of a solution."""
+        """Problem solved at the first point; its harmonics are the fewest of a solution."""
         omega, least = float(self.omega[0]), FEWEST * self.subharmonic
         return Problem(self._structure, omega, self.contact, least, subharmonic=self.subharmonic)
 
@@ -88,7 +88,7 @@ class OrbitCurve(ResponseCurve):
 
     @property
     def undecided(self) -> np.ndarray:
-        """Where the largest multiplier is on the unit circle to its accuracy: (n,) bool."""
+        """Points whose largest multiplier is on the unit circle to its accuracy: (n,) bool."""
         return np.asarray(np.abs(np.abs(self.multipliers) - 1.0) <= KNOWN)
 
     def reason(self, index: int) -> str:

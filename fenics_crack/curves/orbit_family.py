@@ -36,7 +36,7 @@ from fenics_crack.motion.shooting import OrbitPoint, ShootingEquations
 from fenics_crack.numerics.equations import EPSILON, ROUNDING
 
 DIFFERENCE = math.sqrt(EPSILON)
-"""Of p, for a forward difference: what it leaves out is then as small as its rounding."""
+"""Step of p for a forward difference: its truncation error is then as small as its rounding."""
 
 
 class OrbitFamily:
@@ -172,7 +172,7 @@ class OrbitFamily:
         return ShootingEquations(flow, self.scale, omega, self.subharmonic, self.budget, **changed)
 
     def rounding(self, parameter: float) -> float:
-        """What rounding leaves of |F| / |x|."""
+        """Return the rounding error of |F| / |x|."""
         return ROUNDING
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:

@@ -28,7 +28,7 @@ import numpy as np
 from fenics_crack.table import Described, quantity, with_frequency
 
 AT_END = "still rising at the end of the range"
-"""A largest response that is no peak, in words."""
+"""Description of a largest response that is no peak."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ class Peak(Described, Top):
 
 
 def top_of(value: np.ndarray, amplitude: np.ndarray, peak: int) -> tuple[float, float]:
-    """Where the top of a curve is and how high, between its points in their order (n,)."""
+    """Return place and height of a curve's maximum, between its points in their order (n,)."""
     return _top_and_damping(value, amplitude, peak)[:2]
 
 

@@ -50,9 +50,9 @@ from fenics_crack.table import percent
 from fenics_crack.time.march import initial_state
 
 MOST_STEPS = 2**13
-"""Of the linear flow in a period."""
+"""Maximum steps of the linear flow in a period."""
 DISTURBANCE = 0.01
-"""Of what moves, by which motions leave an unstable orbit."""
+"""Initial distance of motions from an unstable orbit, relative to its moving part."""
 
 
 def monodromy(
@@ -260,7 +260,7 @@ def floquet(
 
 
 def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attractor, ...]:
-    """What is seen in place of an unstable solution: where motions go that leave its orbit.
+    """Find the motions that are seen in place of an unstable solution, in the long run.
 
     They begin next to the orbit, away from it by 1 % of what moves in the direction v in which
     small disturbances grow, M v = mu v, and are followed by the exact flow. Where mu > 1 they part,
