@@ -43,15 +43,15 @@ from fenics_crack.whole import write_whole
 SECONDS = 3.0
 """Duration of the animation."""
 TINT = "#f5d6c1"
-"""Background of the wave while the lips touch: light orange."""
+"""Background of the motion while the crack faces touch: light orange."""
 PAGE = (640, 740)
 """Width and height [pixels]."""
 PLATE = (6, 92, 532, 444)
 """Its place on the page: left, top, width and height [pixels]."""
 BESIDE = 10
-"""Beside the plate, for its lines and dots, at least [pixels]."""
+"""Minimum room around the plate, for its lines and dots [pixels]."""
 LABEL_LETTERS = 17
-"""Of a line of the label beside the wave, for which the page has room."""
+"""Letters in a line of the label beside the motion, for which the page has room."""
 OVERSAMPLING = 2
 """Pixels of the plate's drawing for one of the page, each way, which smooths it."""
 INK = {"lips": "#000000", "contact": COLOURS["orange"], "load": COLOURS["pink"], "rest": "#8a8a8a"}
@@ -198,7 +198,7 @@ class _Plate:
         self.move(0)
 
     def _above(self, points: np.ndarray) -> np.ndarray:
-        """Where lines are drawn: above a plate."""
+        """Lift points to where lines are drawn: above a plate."""
         return vtk.in_space(points) + (points.shape[1] == 2) * np.array([0.0, 0.0, self.height])
 
     def move(self, frame: int) -> None:
@@ -253,7 +253,7 @@ def _part(renderer: vtkRenderer, data: vtkPolyData, ink: str | vtkLookupTable) -
 
 
 def _load_arrows(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
-    """Where the load acts on the magnified plate and arrows along it, both (n, d) [m].
+    """Return points of the magnified plate with a load and the arrows there, both (n, d) [m].
 
     The longest arrow is an eighth of the plate.
     """
@@ -369,7 +369,7 @@ def _palette(colours: _Colours) -> Image.Image:
 
 
 def _image_of(window: vtkRenderWindow) -> Image.Image:
-    """What a window shows."""
+    """Return the image shown by a window."""
     (width, height), pixels = window.GetSize(), vtkUnsignedCharArray()
     window.GetPixelData(0, 0, width - 1, height - 1, 0, pixels, 0)
     from_below = ("raw", "RGB", 0, -1)

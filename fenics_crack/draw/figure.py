@@ -1,4 +1,4 @@
-"""What all pictures share: axes, labels with units, colours, and the end of every ``draw_*``.
+"""Common parts of all pictures: axes, labels with units, colours, and the end of every ``draw_*``.
 
 Every ``draw_*`` draws onto the ``axes`` it is given and saves nothing. Without them it makes a new
 figure, outside pyplot, and saves it if a ``path`` is given. It returns the figure. Lines are drawn
@@ -34,20 +34,20 @@ from fenics_crack.whole import write_whole
 
 COLOURS = {"blue": "#0072B2", "orange": "#D55E00", "green": "#009E73", "pink": "#CC79A7"}
 COLOURS["grey"] = "#5C5C5C"
-"""Okabe and Ito's palette, which colour-blind readers can tell apart, and a grey."""
+"""Okabe and Ito's palette, which colour-blind readers can distinguish, and a grey."""
 FEW_DECADES = 1e5
 """Ratio of the ends of a logarithmic axis beyond which its labels are powers of ten."""
 UNLABELLED = 1e2
 """The same beyond which only decades have labels."""
 LETTERS = 42
-"""Of a line of a label along the height of a panel, at most."""
+"""Maximum letters in a line of a label along the height of a panel."""
 NO_PREFIX = ("1", "-", "%", "Hz", "rad/s")
 """Units that are shown as they are."""
 FIRST = "first in the legend"
 """Marks (``gid``) lines that come first in a legend, before those that explain styles."""
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 ROWS = 2
-"""Of a legend below a panel for which a figure has room."""
+"""Rows of a legend below a panel for which a figure has room."""
 BELOW, BELOW_TICKS = 4.2, 0.8
 """Distance of a legend from a panel with a labelled horizontal axis, and with bare ticks [em]."""
 DPI = 150
@@ -55,7 +55,7 @@ DPI = 150
 
 
 class Where(TypedDict, total=False):
-    """Where a picture is drawn; every ``draw_*`` takes these keywords, ``ax`` for ``axes`` too."""
+    """Target of a picture; every ``draw_*`` takes these keywords, ``ax`` for ``axes`` too."""
 
     axes: Any
     ax: Any
@@ -179,7 +179,7 @@ def png_of(figure: Figure) -> bytes:
 
 
 def drawn_on(canvas: FigureCanvasAgg) -> Image.Image:
-    """What a canvas shows, without its alpha channel."""
+    """Return the image on a canvas, without its alpha channel."""
     return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 
 

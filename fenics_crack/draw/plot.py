@@ -40,7 +40,7 @@ if TYPE_CHECKING:  # which loads DOLFINx
     from fenics_crack.study.run import StressIntensity
 
 MARKED = 60
-"""Points of a line that have a dot each, at most: of more the dots would touch."""
+"""Maximum points of a line that have a dot each: of more the dots would touch."""
 DOUBTFUL = f"not stable, or estimated error above {100 * LARGE_ERROR:g} %"
 HATCHED = "#ffffff"
 TWO_PANELS = (9.0, 3.4)
@@ -54,7 +54,7 @@ DECADES = 9
 MANY_STEMS = 150
 """Harmonics beyond which a spectrum is points."""
 SHOWN_CLOSED = 0.01
-"""Part of the largest K_I below which a tip is shown as closed."""
+"""Fraction of the largest K_I below which a crack tip is shown as closed."""
 
 
 @dataclass(frozen=True)
@@ -643,7 +643,8 @@ def draw_orbits(
 
 
 Motion = Callable[[np.ndarray], np.ndarray]
-"""Displacements at times [s], a column each, with the kinks of lips, which harmonics round off."""
+"""Displacements at times [s], a column each, with the kinks of crack faces, which harmonics round
+off."""
 
 
 def _orbit(

@@ -24,7 +24,7 @@ MARKERS = {"fold": "v", "branch_point": "s", "period_doubling": "D", "neimark_sa
 PER_MARK = 0.03
 """Sides of a part of the picture that has one mark of a kind, relative to those of the picture."""
 FAINT = 0.3
-"""Opacity of what has a large estimated error."""
+"""Opacity of points with a large estimated error."""
 STYLES = {"stable": "-", "unstable": "--", "undecided": ":"}
 INEXACT = f"faint: estimated error above {100 * LARGE_ERROR:g} %"
 
@@ -158,7 +158,7 @@ def _mark_bifurcations(
 
 
 def _apart(axes: Axes, x: np.ndarray, y: np.ndarray, kinds: np.ndarray) -> np.ndarray:
-    """Which of the places in a picture are marked, so that marks of a kind do not pile up: (n,)
+    """Choose the places of a picture that are marked, so that marks of a kind do not pile up: (n,)
     bool."""
     axes.autoscale_view()  # to what is drawn so far
     places = (axes.transData - axes.transAxes).transform(np.column_stack([x, y]))
@@ -186,7 +186,7 @@ def _mark_superharmonics(
 
 
 def _factor(curve: ResponseCurve, in_hertz: bool) -> float:
-    """What multiplies a curve's parameter in a picture."""
+    """Return the factor of a curve's parameter in a picture."""
     return parameter_axis(curve.parameter, in_hertz)[0]
 
 

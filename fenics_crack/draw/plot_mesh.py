@@ -24,7 +24,7 @@ MOST_ARROWS = 40
 SOLID = (5.5, 6.5)
 """Size of the picture of a solid's mesh [inch]."""
 DRAWN_LENGTH = 0.12
-"""Of the arrows and of the displacements of modes, relative to the size of the structure."""
+"""Length of the arrows and of the displacements of modes, relative to the size of the structure."""
 ARROW = 0.2
 """Length of the arrow of a load on a solid, likewise."""
 

@@ -46,12 +46,12 @@ if TYPE_CHECKING:  # which load SciPy's interpolation, and DOLFINx
     from fenics_crack.sweep.growth import Growth
 
 SHARES = (0.5, 0.95, 0.999)
-"""Of the probability within each contour."""
+"""Probabilities within the contours."""
 MARGIN = 0.35
-"""Around the outermost contour, over its size."""
+"""Margin around the outermost contour, over its size."""
 EMPTY = 1e-300
 LEAST_DRAWN = 1e-4
-"""Contributions that are drawn, at least [%]."""
+"""Minimum contribution that is drawn [%]."""
 MARKS = "osD^v<>ph*"
 CAUSE_WORDS = {"shift": "mesh, shift of the resonance"}
 Looks = dict[str, dict[str, Any]]
@@ -236,7 +236,7 @@ def _draw_orders(panel: Axes, found: Verification, cause: str, looks: Looks) -> 
 
 
 def _looks(found: Verification, cause: str) -> Looks:
-    """Of the lines of the quantities from which something is extrapolated, by their names."""
+    """Return the looks of the lines, by the names of the quantities that are extrapolated."""
     parts = found.parts[cause]
     drawn = [
         name
@@ -481,7 +481,7 @@ def draw_arrivals(
 
 
 def _draw_displacements(panel: Axes, arrivals: ArrivalTimes, in_rpm: bool) -> None:
-    """What each probe sees over the revolutions, of a run-up over the speed."""
+    """Draw each probe's displacements over the revolutions, in a run-up over the speed."""
     pace, *over = speed_axis(in_rpm)
     steady, turns = arrivals.steady, arrivals.first + np.arange(len(arrivals))
     place = turns if steady else pace * arrivals.speed
@@ -667,7 +667,7 @@ def draw_passages(
 
 
 def _draw_passage(axes: Axes, fit: PassageFit, arrivals: ArrivalTimes) -> None:
-    """What the probe that sees most has seen of each passage, and the fit."""
+    """Draw each passage as measured by the probe with the largest motion, and the fit."""
     runs = fit.compared(arrivals)
     probe = int(np.argmax(sum(np.sum(motion**2, axis=0) for _, _, motion in runs)))
     for (speed, seen, motion), colour in zip(runs, cycle(COLOURS.values()), strict=False):

@@ -1,4 +1,4 @@
-"""What VTK draws and writes: points, cells and values from arrays, the camera that looks at them,
+"""Drawing and writing by VTK: points, cells and values from arrays, the camera that looks at them,
 stresses, and files for ParaView (VTK XML): mode shapes and one period of the breathing crack.
 
 pyvista does the same as the first parts and more, but loads in 0.2 s: it is left to the pictures of
@@ -51,9 +51,9 @@ if TYPE_CHECKING:
     from fenics_crack.study.run import Run
 
 VIEW = (-1.3, 0.55, 1.6)
-"""Where the camera stands, seen from the middle: y goes up, z where a solid is thinnest."""
+"""Place of the camera, seen from the middle: y goes up, z where a solid is thinnest."""
 PIXELS = (900, 1000)
-"""Of an image."""
+"""Width and height of an image [pixels]."""
 BENT = 25.0
 """Angle between facets at which there is an edge [degrees]."""
 
@@ -171,7 +171,7 @@ def outline(mesh: NodalMesh) -> np.ndarray:
 
 
 def image_of(plotter: Any, points: np.ndarray) -> np.ndarray:
-    """What a plotter with a solid shows, without its white margins; it is closed."""
+    """Return the image of a plotter with a solid, without white margins; closes the plotter."""
     look_from_corner(plotter.renderer, points)
     plotter.camera_set = True
     image = plotter.screenshot(None, return_img=True)
@@ -186,7 +186,7 @@ def image_of(plotter: Any, points: np.ndarray) -> np.ndarray:
 COMPONENTS = {2: ("xx", "yy", "xy"), 3: ("xx", "yy", "zz", "xy", "yz", "xz")}
 """Stresses in a plane and in space."""
 STRESS_INSTANTS = 128
-"""Of a period, at which stresses are found."""
+"""Instants of a period at which stresses are found."""
 
 
 def grid_at_rest(mesh: NodalMesh) -> vtkUnstructuredGrid:
@@ -401,12 +401,12 @@ class PeriodFields:
 
     @property
     def cracked(self) -> bool:
-        """Whether there are lips."""
+        """True if there are crack faces."""
         return len(self.mesh.lips if self.mesh.dimension == 2 else self.mesh.lip_facets) > 0
 
     @cached_property
     def moved(self) -> np.ndarray:
-        """Where the magnified displacement takes the nodes: (n, n_nodes, d) [m]."""
+        """Places of the nodes by the magnified displacement: (n, n_nodes, d) [m]."""
         return self.mesh.points + self.magnification * self.displacement
 
     @property
@@ -416,7 +416,7 @@ class PeriodFields:
 
     @cached_property
     def colour_values(self) -> np.ndarray:
-        """That field, or the length of its vectors: (n, n_nodes)."""
+        """Values of that field, or the length of its vectors: (n, n_nodes)."""
         if self.material is None:
             return np.linalg.norm(self.displacement, axis=2)
         return von_mises(self.stress)
@@ -543,7 +543,7 @@ def write_period(
 
 
 CAMERAS = {2: "view.ResetActiveCameraToNegativeZ()", 3: "view.ApplyIsometricView()"}
-"""How a plate and a solid are looked at."""
+"""ParaView's view of a plate and of a solid."""
 
 
 def _vtu(grid: vtkUnstructuredGrid) -> str:
