@@ -46,11 +46,11 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Crack
 
 SMALLEST_CELL = 1e-7
-"""Relative to the plate: gmsh and the matrices allow no smaller one."""
+"""Minimum cell size relative to the plate: gmsh and the matrices allow no smaller one."""
 GROWTH = 1.0 / 3.0
-"""Size of elements between two tips or two cracks over their distance from either, at most."""
+"""Maximum size of elements between two crack tips or two cracks over their distance from either."""
 MAX_CELLS = 5_000_000
-"""Of what is meshed here; a mesh file may have any number of cells."""
+"""Maximum cells of a generated mesh; a mesh file may have any number."""
 ASSEMBLED = 1500.0
 """Bytes of mesh and matrices for each degree of freedom."""
 
@@ -547,8 +547,8 @@ class _Grading:
         return Struct("grading", count=len(self.along), **members)
 
     def cells(self, size: float) -> float:
-        """How many are around the front, in the tube in which they are shorter than a size: its
-        length times int 2 pi d / h^3 dd."""
+        """Return the number of cells around the front, in the tube in which they are shorter than a
+        size: its length times int 2 pi d / h^3 dd."""
         ends = np.diff(self.along), np.diff(self.through)
         steps = np.hypot(*ends)
         length = steps[steps < 2.0 * np.median(steps)].sum()  # the sides of a rectangle are apart

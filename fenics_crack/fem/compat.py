@@ -56,7 +56,7 @@ with _versions_by_metadata(), away():
 
 _NEW = hasattr(dolfinx.fem, "functionspace")
 _JIT = {"jit_options" if _NEW else "jit_params": {"timeout": 300}}
-"""[s] while another process compiles the same form."""
+"""Waiting time [s] while another process compiles the same form."""
 THREAD = 150 * 2**20
 """Addresses of a thread of SCOTCH, 8 MiB of stack and 128 MiB of heap, and some more [byte].
 
@@ -65,7 +65,7 @@ Without them it ends with words of its own, or DOLFINx loops for ever.
 
 
 def gmsh_is_running() -> bool:
-    """Whether gmsh is initialised; gmsh 4.8 cannot tell, which is taken as no."""
+    """Return True if gmsh is initialised; gmsh 4.8 does not report it, which is taken as False."""
     return bool(getattr(gmsh, "isInitialized", lambda: False)())
 
 

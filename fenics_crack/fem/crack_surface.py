@@ -37,7 +37,7 @@ FACETS = {
         [[0, 1, 2, 3], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]]
     ),
 }
-"""Of a cell of a solid with so many corners, in turn."""
+"""Facets of a cell of a solid by its number of corners, in turn."""
 ROOM = 2_000_000
 """Distances that are computed at a time."""
 
@@ -62,8 +62,7 @@ class CrackSurface:
 
     @property
     def watched(self) -> tuple[str, float]:
-        """What the pair that is watched is called, and its position: the farthest from the
-        front."""
+        """Name of the watched pair, and its position: the farthest from the front."""
         return "the mouth" if self.has_mouth else "the middle", np.inf
 
     @property
@@ -120,9 +119,9 @@ def _normals(facets: np.ndarray) -> np.ndarray:
 
 
 Lips = tuple[Lip, ...] | tuple[CrackSurface, ...]
-"""Of a plate, or of a solid."""
+"""Crack faces of a plate, or of a solid."""
 Names = tuple[dict[str, tuple[int, ...]], dict[str, tuple[float, ...]]]
-"""Of a mesh: tags of the facets of each named curve or surface, and positions of the named points
+"""Named parts of a mesh: tags of the facets of each curve or surface, and positions of the points
 [m]."""
 
 
@@ -146,7 +145,7 @@ class Cells:
 
     @property
     def n_corners(self) -> int:
-        """Of a cell."""
+        """Number of corners of a cell."""
         return int(self.facets.max()) + 1
 
     @cached_property
@@ -162,13 +161,13 @@ class Cells:
 
     @cached_property
     def shared(self) -> np.ndarray:
-        """Whether each of these facets but the last one is that of the next one's cell, too."""
+        """True for each of these facets but the last if it is the next one's cell's, too."""
         facets = self.all_facets[0]
         return np.asarray(np.all(facets[1:] == facets[:-1], axis=1))
 
     @cached_property
     def alone(self) -> np.ndarray:
-        """Whether each of them belongs to one cell only."""
+        """True for each of these facets that belongs to one cell only."""
         both = np.concatenate([[False], self.shared, [False]])
         return ~(both[1:] | both[:-1])
 

@@ -20,7 +20,7 @@ SAME = 1e-6
 """Distance within which two places are one, relative to the size of the mesh or the length of the
 crack: text files have six digits and more."""
 BESIDE = 1e-3
-"""Distance of a point to choose beside the lips, in parts of the crack's length."""
+"""Distance from the crack faces of a point to choose, over the crack's length."""
 COINCIDENT = 1e-3
 """Distance of nodes in the same place, relative to the shortest edge."""
 
@@ -49,8 +49,8 @@ class Lip:
 
     @property
     def watched(self) -> tuple[str, float]:
-        """What the pair that is watched is called, and its position: at the mouth, or in the middle
-        of a crack inside."""
+        """Name of the watched pair, and its position: at the mouth, or in the middle of a crack
+        inside."""
         return ("the mouth", 0.0) if self.has_mouth else ("the middle", 0.5 * self.position[-1])
 
     def locate(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -178,8 +178,8 @@ def connected(rows: np.ndarray) -> np.ndarray:
 
 
 def each_once(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of different rows of nodes, in any order, the first places, and how often each is there; and
-    which of them each row (n,) is."""
+    """Return the first places of different rows of nodes, in any order, and their counts; and the
+    index among them of each row (n,)."""
     _, first, which, uses = np.unique(
         np.sort(rows, axis=1), axis=0, return_index=True, return_inverse=True, return_counts=True
     )
@@ -187,6 +187,6 @@ def each_once(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def rows_in(rows: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Which rows of nodes, in any order, are among others: (n,) bool."""
+    """Return True for each row of nodes, in any order, that is among others: (n,) bool."""
     _, kinds, _ = each_once(np.concatenate([others, rows]))
     return np.asarray(np.isin(kinds[len(others) :], kinds[: len(others)]))

@@ -96,7 +96,7 @@ def _unit(parts: Sequence[Vector]) -> Vector:
 
 
 def _share_at(scene: Scene, dofs: Dofs, key: str, point: Vector) -> np.ndarray:
-    """What each of this rank's nodes gets of a force at a point: (n_nodes,).
+    """Return the fraction of a force at a point that each of this rank's nodes carries: (n_nodes,).
 
     A node takes all of what acts at it, also where rounding, or a curved boundary between flat
     sides, puts it out of every cell.

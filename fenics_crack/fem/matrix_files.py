@@ -39,7 +39,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Structure as Table
 
 MATRICES = {"mass": "M", "stiffness": "K", "damping": "B"}
-"""And the letter by which a file with several of them calls each."""
+"""Matrices, and the letter by which a file with several of them calls each."""
 WEDGES = (13, 26)
 """Cells that are not drawn, by VTK's number."""
 COLUMNS = ("gap", "force_sin", "force_cos", "force_mean")
@@ -190,7 +190,7 @@ def _nodes(model: Model, dofs: np.ndarray, start: int, stop: int, comm: MPI.Comm
 
 
 def _clearance(table: Table, pairs: int) -> Any:
-    """Of all pairs, or read: of each."""
+    """Return the clearance: one number for all pairs, or read from a file one for each."""
     if not isinstance(table.clearance, str) or not pairs:
         return 0.0 if isinstance(table.clearance, str) else table.clearance
     return whole_rows("clearance", Path(table.clearance), pairs).toarray().ravel()
@@ -219,14 +219,14 @@ SIDES = {
 }  # fmt: skip
 """Facets of a cell by the number of its corners, triangles and quadrilaterals apart."""
 CORNERS = {10: 4, 24: 4, 13: 6, 26: 6, 12: 8, 25: 8}
-"""Of a cell, by VTK's number of its kind."""
+"""Number of corners of a cell, by VTK's number of its kind."""
 EDGES = {
     4: [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)],
     6: [(0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5)],
     8: [*((i, (i + 1) % 4) for i in range(4)), *((4 + i, 4 + (i + 1) % 4) for i in range(4)),
         *((i, 4 + i) for i in range(4))],
 }  # fmt: skip
-"""Between the corners of a cell, in the order of the nodes in their middles (VTK's)."""
+"""Edges between the corners of a cell, in the order of the nodes in their middles (VTK's)."""
 
 
 def coincident(points: np.ndarray) -> np.ndarray:
@@ -381,7 +381,7 @@ def _lip_facets(model: Model, lips: _Lips) -> list[Facets]:
 
 
 def _facets(points: np.ndarray, cells: np.ndarray, corners: int, facets: np.ndarray) -> Facets:
-    """Of all cells of a kind."""
+    """Return the facets of all cells of a kind."""
     k = facets.shape[1]
     middle = {frozenset(edge): corners + i for i, edge in enumerate(EDGES[corners])}
     ends = np.stack([facets, np.roll(facets, -1, axis=1)], axis=2)
@@ -395,7 +395,7 @@ def _facets(points: np.ndarray, cells: np.ndarray, corners: int, facets: np.ndar
 
 
 def _uses(rows: np.ndarray) -> np.ndarray:
-    """How often each row, in any order, is among them."""
+    """Count each row, in any order, among all rows."""
     _, which, uses = each_once(rows)
     return np.asarray(uses[which])
 

@@ -23,7 +23,7 @@ VTK = {4: 10, 6: 13, 8: 12, 10: 24, 15: 26, 20: 25}
 MAKERS = ("NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY", "SYSTEM", "TRANSFORM", "NMAP")
 """Keywords of CalculiX and Abaqus that make nodes and cells, or turn them."""
 INCLUDE = re.compile(r"\*\s*INCLUDE\b", re.IGNORECASE).match
-"""Of a line of CalculiX and Abaqus."""
+"""Include line of CalculiX and Abaqus."""
 SOLIDS = (
     5, 45, 46, 62, 64, 65, 72, 73, 92, 95, 98, 185, 186, 187, 190, 191, 215, 216, 217, 220, 221,
     226, 227, 285,
@@ -99,7 +99,7 @@ def read_with(path: Path) -> list[Path]:
 
 
 def _included(path: Path, line: str) -> Path:
-    """Of an input file and its line *INCLUDE, INPUT=..."""
+    """Return the path that a line *INCLUDE, INPUT=... of an input file names."""
     return path.parent / line.partition("=")[2].strip().strip('"')
 
 

@@ -57,7 +57,7 @@ FARTHEST_NODE = 1e6
 LONGEST_READING = 300
 """Processor time allowed for reading a file [s]."""
 _BEGINNING = re.compile(rb"\$MeshFormat[ \t]*\r?\n[ \t]*(2|2\.[0-2]|4|4\.[01])[ \t]+[01][ \t]+8\s")
-"""Of a mesh file in gmsh's format 2 or 4, as text or in binary."""
+"""First bytes of a mesh file in gmsh's format 2 or 4, as text or in binary."""
 _KINDS = {2: {2: 1, 3: 1, 9: 8, 10: 8, 21: 26, 36: 26}, 3: {4: 2, 11: 9, 5: 3, 12: 10}}
 """gmsh's kinds of cells of a plate and of a solid that DOLFINx reads, and of their facets."""
 _POINT, _SERENDIPITY = 15, (17, 29)
@@ -68,7 +68,7 @@ _GROUPS = {
     2: ("surfaces hold one kind of cells, triangles or quadrilaterals", "curve"),
     3: ("volumes hold one kind of cells, tetrahedra or hexahedra", "surface"),
 }
-"""What groups of cells hold, and what a group of facets is."""
+"""Contents of groups of cells, and the name of a group of facets."""
 _FACET = {2: "an edge", 3: "a facet"}
 
 
@@ -324,12 +324,12 @@ def _filled(positions: np.ndarray, groups: list[Group]) -> None:
 # --- is it a mesh of a structure? -----------------------------------------------------------------
 
 DEGENERATE = 1e-9
-"""Of a determinant relative to its largest value or to the square of the cell's size."""
+"""Minimum determinant relative to its largest value or to the square of the cell's size."""
 STEPS = 8
-"""Of Newton's method for where in a cell a point is."""
+"""Steps of Newton's method for the place of a point in a cell."""
 BULGE = 3.0
-"""How far a curved cell is from the straight one with its corners, at most, relative to how far its
-nodes are: Lebesgue's constant is at most 1.63^2, that of quadrilaterals of third order."""
+"""Maximum distance of a curved cell from the straight one with its corners, relative to that of its
+nodes: Lebesgue's constant is at most 1.63^2, that of quadrilaterals of third order."""
 
 
 def _refusal(found: str, place: np.ndarray, allowed: str) -> InputError:
@@ -476,7 +476,7 @@ def check_boundary(kind: int, cells: Cells, places: np.ndarray, lips: Sequence[n
 
 
 def _in_cells(kind: int, n_corners: int, cells: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Whether points (n, d) lie in or on cells, by the places of their nodes (n, n_nodes, d)."""
+    """Return True for points (n, d) in or on cells, given by their nodes (n, n_nodes, d)."""
     dimension = points.shape[1]
     linear = _functions(_LINEAR[dimension, n_corners], _places_in(kind))
     bent = cells - np.einsum("nc,icx->inx", linear, cells[:, :n_corners])
@@ -506,7 +506,7 @@ def _in_cells(kind: int, n_corners: int, cells: np.ndarray, points: np.ndarray) 
 
 
 def _places_in(kind: int) -> np.ndarray:
-    """Where the nodes of a cell of gmsh's number of the kind are in it: (n_nodes, 3)."""
+    """Return the places of the nodes in a cell of gmsh's number of the kind: (n_nodes, 3)."""
     _, dimension, _, count, local, _ = gmsh.model.mesh.getElementProperties(kind)
     at = np.zeros((count, 3))
     at[:, :dimension] = np.reshape(local, (count, dimension))

@@ -1,4 +1,4 @@
-"""What gmsh reads of a mesh file, in a program of its own (:mod:`fenics_crack.outside`)."""
+"""Reader of mesh files by gmsh, in a program of its own (:mod:`fenics_crack.outside`)."""
 
 import gmsh
 import numpy as np

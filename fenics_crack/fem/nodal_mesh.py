@@ -18,7 +18,7 @@ _TRIANGLES = {
     6: [(0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)],
     9: [(0, 4, 8), (4, 1, 8), (1, 5, 8), (5, 2, 8), (2, 6, 8), (6, 3, 8), (3, 7, 8), (7, 0, 8)],
 }
-"""Into which a cell is cut to be coloured, by its number of nodes, in VTK's order."""
+"""Triangles into which a cell is cut to be coloured, by its number of nodes, in VTK's order."""
 
 
 class NodalMesh:
@@ -85,7 +85,7 @@ class NodalMesh:
 
     @cached_property
     def lip_facets(self) -> np.ndarray:
-        """Those of them that coincide with another one: the lips, by their places."""
+        """Boundary facets that coincide with another one: the crack faces, by their places."""
         return self._coinciding(self.boundary_facets)
 
     @cached_property

@@ -37,11 +37,12 @@ from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
 
 DOMAIN = 0.8
-"""Radius of the domain over the distance from the tip to where the crack is no longer alone."""
+"""Radius of the domain over the distance from the crack tip to the nearest boundary or other
+tip."""
 INNER = 0.2
-"""Part of the radius up to which the weight is 1."""
+"""Fraction of the radius up to which the weight is 1."""
 QUADRATURE_DEGREE = 8
-"""Of the quadrature: the singular field is no polynomial."""
+"""Degree of the quadrature: the singular field is no polynomial."""
 
 
 @dataclass(frozen=True)
@@ -255,8 +256,9 @@ def _form(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray], np.ndarr
 def _of_forces(
     scene: Scene, structure: Structure, tip: Tip, kind: int, field: np.ndarray
 ) -> np.ndarray:
-    """What contact forces are multiplied by, (n_pairs,): their pressure along the lips instead of
-    forces at nodes. It has no part in K_II, and forces at the mouth alone stay at their nodes."""
+    """Return the factors of the contact forces in K, (n_pairs,): from their pressure along the
+    crack faces instead of forces at nodes. It has no part in K_II, and forces at the mouth alone
+    stay at their nodes."""
     found = np.zeros(structure.n_pairs)
     if kind == 1 or scene.contact is None or scene.contact.pairs == "mouth":
         return found
