@@ -1,4 +1,4 @@
-"""What h5py reads of an HDF5 file, in a program of its own (:mod:`fenics_crack.outside`).
+"""Reader of HDF5 files by h5py, in a program of its own (:mod:`fenics_crack.outside`).
 
 A damaged file may crash HDF5, and a made one may point to other files or announce any size. Read
 are texts as attributes, and words and numbers that are in the file itself. Of a sweep, which is
@@ -15,7 +15,7 @@ import numpy as np
 
 MOST_ITEMS, MOST_TEXT = 10_000, 2**24
 SWEEP = "sweep"
-"""The kind that is filled in."""
+"""Kind of file that is filled in while it is read."""
 FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 LAYOUTS = {h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS, h5py.h5d.CHUNKED}
 

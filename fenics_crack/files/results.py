@@ -141,7 +141,7 @@ def type_of(stored: Stored) -> type[Result]:
 
 
 def _fields(result: Result, *apart: str) -> Parts:
-    """What a result holds besides its structure, its law and the fields kept apart."""
+    """Return the fields of a result besides its structure, its law and the fields kept apart."""
     apart = ("structure", "contact", *apart)
     return {f.name: getattr(result, f.name) for f in fields(result) if f.name not in apart}
 
@@ -309,7 +309,7 @@ def _check_gap(
 
 
 def _pack_curve(curve: ResponseCurve) -> Parts:
-    """What both kinds of curves have."""
+    """Return the parts that both kinds of curves have."""
     parts = _fields(curve, "bifurcations")
     parts["kinds"] = [b.kind for b in curve.bifurcations]
     parts["bifurcation_values"] = [b.value for b in curve.bifurcations]
@@ -468,7 +468,7 @@ def _signs(structure: Structure, then: np.ndarray) -> np.ndarray:
 
 
 LAW_GAPS = np.concatenate([sign * np.logspace(-12, 1, 27) for sign in (-1.0, 1.0)])
-"""At which a law of one's own is asked for its forces [m]."""
+"""Gaps at which the forces of a user's law are evaluated [m]."""
 
 
 def _law_parts(contact: Law, structure: Structure) -> Parts:
@@ -526,7 +526,7 @@ _ARRAYS = {
     "undecided": "b",
     "jumps": "b",
 }
-"""Kinds of the types of arrays, where not every real one will do."""
+"""Kinds of the types of arrays, where not every real one is valid."""
 
 _FORMS: dict[type[Result], tuple[Pack, Unpack]] = {
     Modes: (_pack_modes, _unpack_modes),

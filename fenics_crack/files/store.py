@@ -201,7 +201,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Stored:
-    """What a file holds; its digest has been verified.
+    """Contents of a file whose digest has been verified.
 
     Attributes
     ----------
@@ -222,7 +222,7 @@ class Stored:
 
     @property
     def kind(self) -> str:
-        """What is in it, for example "response curve"."""
+        """Kind of result in the file, for example "response curve"."""
         return self.attributes["kind"]
 
     def scene(self) -> Scene | None:
@@ -329,7 +329,7 @@ def _read(path: Path) -> Stored:
 
 
 def _taken_over(path: Path, found: Mapping[str, np.ndarray]) -> Stored:
-    """What the reader hands over."""
+    """Return the file's contents from the arrays that the reader hands over."""
     head = json.loads(str(found["head"]))
     arrays = {name: found[f"arr_{number}"] for number, name in enumerate(head["arrays"])}
     numbers = {name: one if one.ndim else one.item() for name, one in arrays.items()}
