@@ -56,7 +56,7 @@ from fenics_crack.numerics.equations import DIFFERENCE, EPSILON, ROUNDING
 
 
 class ContactLaw(Protocol):
-    """What every contact law has."""
+    """Interface of every contact law."""
 
     @property
     def stiffness(self) -> float | np.ndarray:
@@ -74,7 +74,7 @@ class ContactLaw(Protocol):
 
 @dataclass(frozen=True)
 class _Penalty:
-    """What the laws with a penalty stiffness share."""
+    """Common part of the laws with a penalty stiffness."""
 
     stiffness: float | np.ndarray
 
@@ -206,18 +206,18 @@ def potential(contact: ContactLaw, gap: np.ndarray) -> np.ndarray:
 
 
 def is_rigid(contact: object) -> TypeGuard[UnilateralConstraint]:
-    """Whether no force follows from the gap: :class:`UnilateralConstraint`."""
+    """Return True if no force follows from the gap: :class:`UnilateralConstraint`."""
     return isinstance(contact, UnilateralConstraint)
 
 
 def is_piecewise_linear(contact: object) -> TypeGuard[UnilateralPenalty]:
-    """Whether lambda = k max(0, g), linear between switching instants: the penalty law."""
+    """Return True if lambda = k max(0, g), linear between switching instants: the penalty law."""
     return isinstance(contact, UnilateralPenalty)
 
 
 def is_unilateral(contact: object) -> bool:
-    """Whether a pair is open or closed and nothing between, so that exact integrals and flows know
-    its law: the penalty law, or the constraint."""
+    """Return True if a pair is open or closed and nothing between, as exact integrals and flows
+    require: the penalty law, or the constraint."""
     return is_piecewise_linear(contact) or is_rigid(contact)
 
 
@@ -291,18 +291,18 @@ def _positive(key: str, value: object, *, each_pair: bool = False) -> float | np
 
 
 KEPT = 1 / 32
-"""Part of the machine's memory for the sets of closed pairs of one compliance, or of one flow: some
-of them may be in each of several processes. A set that is found anew takes the time of five pieces
-of a motion."""
+"""Fraction of the machine's memory for the sets of closed pairs of one compliance, or of one flow:
+some of them may be in each of several processes. A set that is found anew takes the time of five
+pieces of a motion."""
 MAX_NEWTON = 200
-"""Iterations for forces that are not piecewise linear in the gaps."""
+"""Maximum iterations for forces that are not piecewise linear in the gaps."""
 REGULAR: float = kernel.REGULAR
 """Smallest eigenvalue of R_inf, relative to the largest, with which a constraint is solved; the
 softness of a penalty that stands for one."""
 
 
 def is_regular(matrix: np.ndarray) -> bool:
-    """Whether a symmetric matrix is positive definite, and not badly scaled."""
+    """Return True if a symmetric matrix is positive definite, and not badly scaled."""
     values = np.linalg.eigvalsh(matrix)
     return not len(values) or bool(values[0] > REGULAR * values[-1] > 0.0)
 

@@ -35,7 +35,7 @@ minimum fill the former are factored in 0.6 of MUMPS's own time, the latter in m
 FACTOR = 60.0
 """Bytes of a factor over n log2 n."""
 SOLID_FACTOR = 130.0
-"""Of a solid over n^(4/3)."""
+"""Bytes of a solid's factor over n^(4/3)."""
 PREFIX, ORDER, QUIET = "crack_factor_", "mat_mumps_icntl_7", "mat_cholmod_print"
 
 
@@ -148,7 +148,7 @@ class Factor:
 
     @property
     def _is_plane(self) -> bool:
-        """Whether rows have as few entries as those of a plane (collective)."""
+        """True if rows have as few entries as those of a plane (collective)."""
         entries = self._matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
         return bool(entries < PLANE * self._matrix.size[0])
 

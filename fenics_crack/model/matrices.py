@@ -46,14 +46,14 @@ from fenics_crack.scene.fields import LARGEST
 from fenics_crack.table import counted
 
 CLAMPED = 1e36
-"""What Abaqus writes on the diagonal of a dof that is held."""
+"""Diagonal entry by which Abaqus marks a dof that is held."""
 DIRECTIONS = {"UX": 1, "UY": 2, "UZ": 3, "ROTX": 4, "ROTY": 5, "ROTZ": 6}
-"""Of Ansys."""
+"""Ansys' numbers of directions."""
 SHORTEST = {"coordinate": 4, "array": 2}
 """Bytes of an entry and the end of its line."""
 LAYOUTS, FIELDS = ("coordinate", "array"), ("real", "integer")
 MIRROR = {"symmetric": 1, "skew-symmetric": -1}
-"""What an entry below the diagonal is multiplied by above it."""
+"""Factor of an entry below the diagonal to give the one above it."""
 SYMMETRIES = ("general", *MIRROR)
 _LABEL = re.compile(r"\s*(?:(\d+)\s+)?(\d+)[\s.,]+(\d|[A-Z]+)")
 """Node and direction of a row: "12.3", or with its number "7 12 UZ"."""
@@ -217,7 +217,7 @@ def _of_calculix(path: Path, labels: Path) -> LabelledMatrix:
 
 
 def _begins_as_abaqus(path: Path) -> bool:
-    """Whether the first line that says something has five numbers between commas."""
+    """Return True if the first line that is no comment has five numbers between commas."""
     return next((line for _, line in numbered_lines(path, "*")), "").count(",") == 4
 
 

@@ -18,10 +18,10 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import EPSILON
 
 SMALL = 600
-"""Up to so many dofs a structure is decomposed into all of its modes, and with so many unknowns
-better equations are tried: dense matrices of this size take a part of a second."""
+"""Maximum dofs of a structure that is decomposed into all of its modes, and maximum unknowns with
+which better equations are tried: dense matrices of this size take a part of a second."""
 CACHED = 2**16
-"""Numbers of modal coordinates that are dealt with at a time, as a cache holds them."""
+"""Modal coordinates that are computed at a time, as a cache holds them."""
 
 
 def is_small(structure: Structure) -> bool:
@@ -62,7 +62,7 @@ class AllModes:
     static_loads: np.ndarray | None = None
     """(n_dofs, n_dofs): displacement of the coordinates without mass by forces on them."""
     rows: np.ndarray | None = None
-    """Phi^T M where that is at hand."""
+    """Phi^T M where it is at hand."""
 
     @property
     def ill_conditioned(self) -> bool:

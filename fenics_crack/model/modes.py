@@ -36,17 +36,17 @@ LOST = (
     "stiffness; make it thicker, or what is left beside a crack wider"
 )
 AS_ZERO: float = kernel.AS_ZERO
-"""Relative to what it is the rest of: what counts as zero of squares of frequencies (to sum K_ii
-phi_i^2), static responses and gaps."""
+"""Relative size that counts as zero of squares of frequencies (to sum K_ii phi_i^2), static
+responses and gaps."""
 NEGLIGIBLE = ROUNDING
-"""What solutions with K leave of zero, relative to the largest: eigenvalues of static compliances,
-weights of directions in a Gram matrix, gaps of lips that the load presses together."""
+"""Rounding of solutions with K, relative to the largest: eigenvalues of static compliances, weights
+of directions in a Gram matrix, gaps of crack faces that the load presses together."""
 MULTIPLE = math.sqrt(NEGLIGIBLE)
 """Relative difference of frequencies that count as one of several modes, as that of their squares
 where missing ones are looked for; and what an order of numbers counts beside a shape."""
 SAME_SHAPE = 0.9
-"""Square of the product of two normalised shapes above which they are of one mode, as the modal
-assurance criterion is read: a tie that mixes modes leaves less, and then none is another's."""
+"""Minimum modal assurance criterion of two shapes of one mode: a bond that mixes modes leaves less,
+and then none is another's."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -495,7 +495,7 @@ def projected_damping(structure: Structure, columns: np.ndarray) -> np.ndarray:
 # --- with lips open and tied ----------------------------------------------------------------------
 
 KINDS = ("open", "tied", "bilinear")
-"""Of natural frequencies."""
+"""Kinds of natural frequencies."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -610,7 +610,7 @@ def tied_modes(structure: Structure, count: int) -> Modes:
 
 
 def partners(is_open: Modes, tied: Modes) -> np.ndarray:
-    """Which mode with lips tied has the shape of each mode with lips open: (n,) numbers from 0.
+    """Return the bonded mode of the shape of each open mode: (n,) numbers from 0.
 
     Each is taken once: as many as there are of (phi_open^T M phi_tied)^2 above
     :data:`SAME_SHAPE`, and the others in the order of their numbers; no tie makes a mode slower

@@ -77,13 +77,13 @@ class Nodes:
 
 
 def nodes_at(points: np.ndarray, point: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Which of all nodes, ``points`` (n, d), are at a point, to 1e-6 of the size of the mesh."""
+    """Return the indices of nodes, ``points`` (n, d), at a point, to 1e-6 of the mesh's size."""
     near = 1e-6 * np.ptp(points, axis=0).max()
     return np.flatnonzero(np.linalg.norm(points - point, axis=1) <= near)
 
 
 def nearest_node(points: np.ndarray, point: Sequence[float] | np.ndarray) -> str:
-    """Where of all ``points`` (n, d) the one nearest to ``point`` is, in words."""
+    """Return the place of the node nearest to ``point``, of ``points`` (n, d), in words."""
     nearest = points[np.argmin(np.linalg.norm(points - point, axis=1))]
     return f"the nearest node is at {place_in_words(nearest)}"
 

@@ -30,7 +30,7 @@ from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.numerics.equations import EPSILON
 
 INSTEAD = "reduce with method = 'free_interface', or march by integrate_exponential"
-"""What to do where a scheme needs mass at the lips."""
+"""Remedy where a scheme needs mass at the crack faces."""
 
 
 class ReducedStructure(Structure):

@@ -59,7 +59,7 @@ from fenics_crack.stages import begin
 
 METHODS = ("massless", "free_interface", "craig_bampton", "truncation")
 MODES = 50
-"""Kept of a large structure whose modes are all damped."""
+"""Modes kept of a large structure whose modes are all damped."""
 
 
 def reduce_structure(
@@ -264,7 +264,7 @@ def _without_rounding(compliance: np.ndarray, seen: np.ndarray, squares: np.ndar
 
 
 def _rounding(left: np.ndarray, seen: np.ndarray, squares: np.ndarray) -> np.ndarray:
-    """Which forces find nothing but rounding of the compliance of the modes left beside them."""
+    """Return True for forces whose residual flexibility, beyond the modes, is only rounding."""
     elastic = squares > 0.0
     carried = np.sum(seen[elastic] ** 2 / squares[elastic, None], axis=0)
     found: np.ndarray = left <= AS_ZERO * carried

@@ -233,8 +233,8 @@ class Ritz:
     def of_range(
         cls, structure: Structure, start: float, stop: float, modes: int, tied: int = 0
     ) -> Ritz:
-        """That of speeds between two [rad/s], with some of the lowest modes of a few of them, lips
-        open and tied; scaled at the structure's own speed (collective)."""
+        """Return the basis for speeds between two [rad/s], from some of the lowest modes of a few
+        of them, open crack and bonded; scaled at the structure's own speed (collective)."""
         rotation = structure.rotation
         basis: np.ndarray = np.zeros((structure.n_local, 0))
         for speed in np.linspace(start, stop, SPEEDS):

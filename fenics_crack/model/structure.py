@@ -227,7 +227,8 @@ class Structure(Coordinates):
     _DAMPED_TOO: ClassVar[tuple[str, ...]] = ("rotation",)
     """Attributes that are varied, or damped, with this one."""
     light_lips: ClassVar[bool] = False
-    """Whether lips have no mass: what the modes leave out answers forces on the pairs at once."""
+    """True if crack faces have no mass: the residual flexibility of the modes gives the
+    quasi-static response to forces on the pairs."""
 
     def __init__(
         self,
