@@ -1,4 +1,4 @@
-"""Where motions of the exact flow go in the long run."""
+"""Attractors: the motions of the exact flow in the long run."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from fenics_crack.numerics.equations import LOCATED
 from fenics_crack.stages import begin
 
 SETTLED = 1e-3
-"""How near a motion comes to where it was before, relative, that has settled."""
+"""Maximum relative change of a motion that has settled."""
 SHOWN = 100
-"""Periods of a motion that does not settle, of which amplitudes are told."""
+"""Last periods of a motion that does not settle, from which its amplitudes are."""
 
 
 @dataclass(frozen=True, repr=False)
 class Attractor:
-    """Where a motion goes in the long run.
+    """Motion of the exact flow in the long run.
 
     Attributes
     ----------
@@ -67,8 +67,8 @@ class Attractor:
 
 
 def in_the_long_run(orbits: FlowOrbits, start: np.ndarray, most: int | None = None) -> Attractor:
-    """What the exact motion from a state x does after many periods: it is followed until it has
-    settled, or for ``most``, by default a quarter of what a search may follow, for any modes."""
+    """Return the exact motion from a state x after many periods: it is integrated until it has
+    settled, or for ``most``, by default a quarter of a search's budget, for any modes."""
     most = max(LATER + 1, SearchOptions.evaluations // 4 if most is None else most)
     begin(f"the exact motion over up to {most} periods")
     passed, ahead = start[None], followed(orbits, start, most)

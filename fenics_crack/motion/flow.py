@@ -43,7 +43,7 @@ from fenics_crack.numerics.fourier import waves
 
 @dataclass(frozen=True)
 class Budget:
-    """What one motion may take before it is given up.
+    """Budget of the integration of one motion.
 
     Attributes
     ----------
@@ -171,7 +171,7 @@ class ContactFlow(Flow):
             self.compliance, modes.pairs.T
         )
         self.fastest = _fastest(float(np.linalg.eigvalsh(stiffness)[-1]), modes.damping)
-        """No set of closed pairs turns or decays faster [1/s]."""
+        """Bound of the rates at which any set of closed pairs turns or decays [1/s]."""
         parts = Struct(
             "flow_parts", modes=count, pairs=pairs, coupled=modes.damping.ndim == 2,
             squares=doubles(modes.squares), damping=doubles(modes.damping),
@@ -184,8 +184,7 @@ class ContactFlow(Flow):
 
     @cached_property
     def rest(self) -> np.ndarray:
-        """Where the load's mean alone holds it, without what moves it as a rigid body:
-        (2 n_modes,)."""
+        """State of rest under the load's mean alone, without its rigid-body part: (2 n_modes,)."""
         modes = self.modes
         soft = np.zeros_like(modes.squares)
         np.divide(1.0, modes.squares, out=soft, where=modes.squares > 0.0)
@@ -200,12 +199,12 @@ class ContactFlow(Flow):
         return np.concatenate([held, np.zeros_like(held)])
 
     def pieces(self, duration: float) -> float:
-        """Of the Taylor series of a motion so long [s] without events."""
+        """Return the number of Taylor pieces of a motion so long [s] without events."""
         return float(self.fastest * duration / kernel.FLOW_REACH)
 
     def weights(self, base_omega: float) -> np.ndarray:
-        """What makes the norm of a state that of its energy, (2 n_modes,); modes slower than a
-        frequency [rad/s] count as if they had it."""
+        """Return the weights that make the norm of a state that of its energy, (2 n_modes,); modes
+        slower than a frequency [rad/s] count as if they had it."""
         rates = np.sqrt(np.maximum(self.modes.squares, base_omega**2))
         return np.concatenate([rates, np.ones_like(rates)])
 
@@ -265,7 +264,7 @@ class ContactFlow(Flow):
     def _motion(
         self, budget: Budget | None, **members: Any
     ) -> tuple[Struct, np.ndarray, np.ndarray]:
-        """What the kernel moves, and its room for a track."""
+        """Return the kernel's motion, and its arrays for a track."""
         budget = budget or Budget()
         if len(self._lengths) < budget.intervals:
             self._sets = np.empty((budget.intervals, len(self.softness)), dtype=bool)

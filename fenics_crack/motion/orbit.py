@@ -44,23 +44,24 @@ from fenics_crack.numerics.newton import FORCING, gmres, relative_to_motion
 from fenics_crack.table import Described, counted
 
 FLOWS, SHORTEST = 20, 1e-3
-"""Periods followed before an orbit is given up, and how short a step may become."""
+"""Search budget in periods integrated, and shortest damped Newton step."""
 PIECES = 20_000
-"""Of the flow's series that a search may take: a second, with many pairs; more where M is formed
-and a period of a slow load has many by itself."""
+"""Search budget in Taylor pieces: a second, with many pairs; more where M is formed and a period of
+a slow load has many by itself."""
 HURRIED = 0.1
-"""How short a step by products may become."""
+"""Shortest damped step by products."""
 SHRINKING = 0.1
-"""By how much a Newton step has to shrink the residual that another one with the same derivative
-may follow."""
+"""Maximum ratio of residuals after and before a Newton step for another one with the same
+derivative."""
 FORMED = 240
-"""Numbers of a state up to which M is formed."""
+"""Maximum size of a state for which M is formed."""
 PRODUCTS, BLUNT = 60, 0.25
-"""With M that a solution may take, and the relative residual of a step which is only compared."""
+"""Maximum products with M in a solution, and the relative residual of a step which is only
+compared."""
 KNOWN = 1e-6
-"""How well multipliers are known: what is nearer to 1 does not judge."""
+"""Accuracy of multipliers; ||mu| - 1| below it is inconclusive."""
 INSTANTS = 512
-"""At which the gaps of an orbit are kept."""
+"""Instants at which the gaps of an orbit are kept."""
 
 
 Inverse = Callable[[np.ndarray, float], np.ndarray]
@@ -69,7 +70,7 @@ Inverse = Callable[[np.ndarray, float], np.ndarray]
 
 @dataclass(frozen=True)
 class Prediction:
-    """What one step of Newton's method makes of a wave.
+    """Result of one step of Newton's method from a harmonic-balance solution.
 
     Attributes
     ----------
@@ -171,7 +172,7 @@ class PeriodicOrbit(Described):
 
     @property
     def is_stable(self) -> bool:
-        """Whether all multipliers lie within the unit circle."""
+        """True if all multipliers lie within the unit circle."""
         return bool(abs(self.multipliers[0]) < 1.0)
 
     @property
@@ -253,9 +254,10 @@ class OrbitCoefficients:
 def affordable(
     flow: ContactFlow, omega: float, subharmonic: int = 1, periods: int = FLOWS + PRODUCTS
 ) -> bool:
-    """Whether a search does not take long at a frequency: M is formed, and the load not too slow;
-    or so many periods have no more pieces, but for events, than it may take. Large states of lips
-    with mass, which bounce, are not tried: from their waves Newton's method leads to no orbit."""
+    """Return True if a search does not take long at a frequency: M is formed, and the load not too
+    slow; or so many periods have no more pieces, but for events, than it may take. Large states of
+    crack faces with mass, which bounce, are not tried: from their harmonic-balance solutions
+    Newton's method leads to no orbit."""
     if flow.size <= FORMED:
         return not too_slow(flow, omega, subharmonic)
     pieces = flow.pieces(2.0 * np.pi * subharmonic / omega)
@@ -263,7 +265,7 @@ def affordable(
 
 
 def too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> bool:
-    """Whether two periods of a small state have more pieces, but for events, than a motion may."""
+    """Return True if two periods of a small state exceed the budget, without events."""
     pieces = flow.pieces(2.0 * np.pi * subharmonic / omega)
     return flow.size <= FORMED and 2.0 * pieces > Budget.pieces
 
@@ -403,7 +405,7 @@ class _Search:
         return float(np.linalg.norm(self._weights * change))
 
     def leads_to_orbit(self, inverse: Inverse | None) -> bool:
-        """Whether it ends with an orbit."""
+        """Return True if the search ends with an orbit."""
         formed = self._flow.size <= FORMED
         closed, shortest = (LOCATED, SHORTEST) if formed else (CLOSE, HURRIED)
         self.motion = self._follow(self.state)
@@ -445,7 +447,7 @@ class _Search:
         return False
 
     def _part(self, change: np.ndarray, step: np.ndarray) -> float:
-        """Of a step in a change, by the energy."""
+        """Return the fraction of a step in a change, by the energy."""
         weighted = self._weights**2 * step
         return float(change @ weighted / (step @ weighted))
 
@@ -474,7 +476,7 @@ def orbit_from(
 
 
 def alike(one: PeriodicOrbit, other: PeriodicOrbit) -> bool:
-    """Whether two orbits of a flow are the same to 1e-6, in the norm of the energy."""
+    """Return True if two orbits of a flow are the same to 1e-6, in the norm of the energy."""
     weights = one.flow.weights(one.omega / one.subharmonic)
     change = float(np.linalg.norm(weights * (one.state - other.state)))
     return change <= KNOWN * float(np.linalg.norm(weights * one.state))

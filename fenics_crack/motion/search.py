@@ -35,11 +35,11 @@ from fenics_crack.stages import begin
 from fenics_crack.table import counted, percent
 
 PARTS = 32
-"""Of the period, whose starts' states are a guess of the whole motion."""
+"""Multiple-shooting segments per period."""
 PACE = 200
-"""Pieces of the Taylor series in a period that counts as one."""
+"""Taylor pieces in a period that counts as one."""
 LATER = 8
-"""Periods after which a motion may be where it was."""
+"""Longest return period that is sought, in periods."""
 
 
 @dataclass(frozen=True)
@@ -65,13 +65,13 @@ class SearchOptions:
         return int(PACE * self.evaluations * min(1.0, (24.0 / flow.size) ** 2))
 
     def periods(self, flow: ContactFlow) -> int:
-        """Of the motion that is followed, at most."""
+        """Return the maximum number of periods that the motion is integrated for."""
         return max(self.pieces(flow) // (4 * PACE), 60)
 
 
 @dataclass(frozen=True)
 class OrbitSearch:
-    """What a search has found.
+    """Result of a search.
 
     Attributes
     ----------
@@ -233,8 +233,8 @@ def _by_recurrence(orbits: FlowOrbits, options: SearchOptions) -> OrbitSearch:
 
 
 def recurrences(passed: Sequence[np.ndarray] | np.ndarray) -> list[int]:
-    """Where orbits are sought in a motion, of states (n, ...) a period apart: the last of them, and
-    those from which the motion came nearest to where it had been, the nearest first."""
+    """Return the places in a motion, of states (n, ...) a period apart, from which orbits are
+    sought: the last one, then its close returns, the closest first."""
     apart = np.linalg.norm(np.diff(passed, axis=0), axis=1)
     return [-1, *map(int, np.argsort(apart, kind="stable"))]
 
@@ -253,8 +253,8 @@ def followed(orbits: FlowOrbits, state: np.ndarray, periods: int) -> Iterator[np
 
 
 def comes_back(passed: np.ndarray, subharmonic: int, motion: str = "the exact motion") -> str:
-    """How near a motion, of states so many periods of the load apart (n, 2 n_modes), came to where
-    it had been."""
+    """Describe the closest return of a motion, of states so many periods of the load apart (n, 2
+    n_modes)."""
     found = []
     for later in range(1, min(LATER, len(passed) - 1) + 1):
         sizes = np.linalg.norm(passed[later:], axis=1)

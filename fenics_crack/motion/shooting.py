@@ -136,7 +136,7 @@ class ShootingEquations(Equations):
 
     @property
     def pieces(self) -> int:
-        """Of the Taylor series in the motion last followed."""
+        """Number of Taylor pieces of the motion last integrated."""
         return int(kernel.pieces_of(self._point))
 
     def _evaluate(self, unknown: np.ndarray, parameter: float) -> None:
