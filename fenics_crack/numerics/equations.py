@@ -1,4 +1,4 @@
-"""What Newton's method and path following ask of a system of equations F(x, p) = 0.
+"""Interface of systems of equations F(x, p) = 0 for Newton's method and path following.
 
 A system is linearised at a point, and the answer is a value: residual, solutions with the Jacobian,
 derivative by the parameter and orientation belong to that point and to no other, in whatever order
@@ -25,20 +25,21 @@ from fenics_crack.kernel import Struct, ffi, kernel
 
 EPSILON = float(np.finfo(float).eps)
 ROUNDING: float = kernel.ROUNDING
-"""What solutions leave of zero, relative to the largest."""
+"""Rounding of solutions, relative to the largest."""
 DIFFERENCE = float(np.cbrt(EPSILON))
-"""Of a parameter, for a derivative by central differences: what they leave out is then as small as
-their rounding."""
+"""Step of a parameter, for a derivative by central differences: their truncation error is then as
+small as their rounding."""
 LOCATED, CLOSE = 1e-11, math.sqrt(EPSILON)
-"""|F| / |x| of what lies between two points of a path, and relative length of a step behind which
-an orbit is found; and of orbits that many are sought, or that are found by products."""
+"""Maximum |F| / |x| of a special point between two points of a path, and relative length of a step
+behind which an orbit is found; and of orbits that many are sought, or that are found by
+products."""
 NEARLY_SOLVED = DIFFERENCE
-"""|F| / |x| of a solution with which another one begins, or by which it is judged; and the most
-that rounding may leave: equations that ask for more are refused."""
+"""Maximum |F| / |x| of a solution with which another one begins, or by which it is assessed; and
+the largest rounding: equations that require more are refused."""
 
 
 def least_residual(slope: float) -> float:
-    """What rounding leaves of |F| / |x| where F changes by at most so much times |x|."""
+    """Return the rounding error of |F| / |x| where F changes by at most so much times |x|."""
     return max(ROUNDING, min(NEARLY_SOLVED, EPSILON * slope))
 
 
@@ -65,7 +66,7 @@ class Linearisation(ABC):
 
     @property
     def record(self) -> np.ndarray:
-        """What paths may keep of the point."""
+        """Record of the point that paths may keep."""
         raise NotImplementedError
 
     @property
@@ -156,7 +157,7 @@ class Equations(ABC):
     table: Any
     many = True
     _last: Linearisation | None = None
-    """Where they have been evaluated."""
+    """Last point of evaluation."""
 
     @property
     def compiled(self) -> Equations | None:
@@ -168,12 +169,12 @@ class Equations(ABC):
         """The system at a point that a loop has found, where it has just been evaluated."""
 
     def run(self, loop: Any, *given: Any) -> int:
-        """What comes of a loop of the kernel."""
+        """Run a loop of the kernel and return its outcome."""
         self._last = None
         return int(loop(self.table, *given))
 
     def check(self, outcome: int) -> bool:
-        """Whether something was found; raise what an outcome means besides."""
+        """Return True if something was found; raise the error that an outcome means otherwise."""
         if outcome == kernel.NO_MEMORY:
             raise MemoryError("equations of a path")
         if outcome == kernel.SINGULAR_STRUCTURE:
@@ -223,7 +224,7 @@ class _State:
 
     at: Linearisation
     solved: Linearisation
-    """Where J was used last."""
+    """Point at which J was used last."""
     failure: BaseException | None = None
 
     def __init__(self, system: System, shape: tuple[int, ...]) -> None:

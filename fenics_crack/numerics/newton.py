@@ -95,13 +95,13 @@ class SingleSystem(System, Protocol):
     """A system of which single solutions are sought; F in the units of x."""
 
     shape: tuple[int, ...]
-    """Of the unknowns."""
+    """Shape of the unknowns."""
     matrix_free: bool
-    """Whether it only applies its Jacobian: GMRES solves with it then."""
+    """True if the system only applies its Jacobian: GMRES solves with it then."""
 
 
 def kernel_solves(system: SingleSystem) -> bool:
-    """Whether the kernel has a system, and no option is for SNES."""
+    """Return True if the kernel has a system, and no option is for SNES."""
     has = getattr(system, "compiled", None) is not None
     return has and not PETSc.Options(OPTIONS_PREFIX).getAll()
 
@@ -215,14 +215,14 @@ class Newton:
 
 
 MAX_ITERATIONS = 8
-"""Of one correction."""
+"""Maximum iterations of one correction."""
 MIN_DAMPING = 0.05
-"""Of a Newton step."""
+"""Minimum damping factor of a Newton step."""
 FULL_STEPS, LEAST_STEP, STALL = 20, 0.01, 8
-"""From a guess at a given parameter, how short these may become, and those of them that may
-together fail to halve the residual."""
+"""Budget of full steps from a guess at a given parameter: their number, the shortest one, and those
+that may together fail to halve the residual."""
 STRAY = 3.0
-"""How far from its prediction the parameter may go, in steps."""
+"""Maximum distance of the parameter from its prediction, in steps."""
 
 
 @dataclass(frozen=True)
@@ -265,16 +265,16 @@ class PathPoint:
     tangent: Tangent
     """``tangent.p`` > 0 where the parameter grows along the path; the sign changes at folds."""
     crosses_branch: bool = False
-    """Whether another branch has been crossed since the point before."""
+    """True if another branch has been crossed since the point before."""
     at: Linearisation | None = field(default=None, repr=False, compare=False)
     length: float = float("nan")
-    """Of the chord from the point before in that one's norm, where it is known."""
+    """Length of the chord from the point before in that one's norm, where it is known."""
     observed: np.ndarray | None = field(default=None, repr=False, compare=False)
-    """What a step control sees of it."""
+    """Values that a step control uses."""
 
 
 def means_of(system: System) -> int:
-    """How many of a system's unknowns, the first, are means over time."""
+    """Return the number of a system's unknowns, the first ones, that are means over time."""
     return int(getattr(system, "means", 0))
 
 
@@ -299,7 +299,7 @@ def relative_to_motion(change: np.ndarray, whole: np.ndarray) -> float:
 
 
 def norm_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
-    """What makes the norm at a solution: 1 / |x|^2, and how much the squares of means count.
+    """Return the weights of the norm at a solution: 1 / |x|^2, and that of squares of means.
 
     To its size the means contribute no more than all else: a clearance or a steady load may make
     them as large as they like, and steps by which a resonance is seen are parts of what moves.

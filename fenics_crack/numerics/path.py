@@ -58,9 +58,9 @@ from fenics_crack.numerics.newton import (
 )
 
 STRAIGHT = 0.9
-"""Cosine of an angle up to which two directions are taken for one."""
+"""Minimum cosine of the angle between two directions that count as one."""
 FEW = 3
-"""Points that are followed at once where steps were halved."""
+"""Points that are computed at once where steps were halved."""
 ARRIVED = math.sqrt(EPSILON)
 """Distance to a point of a path at which it counts as found, and the shortest step: where the
 parameter turns, it is then known to the square of that."""
@@ -68,31 +68,31 @@ parameter turns, it is then known to the square of that."""
 
 @dataclass(frozen=True)
 class PathOptions:
-    """How a path is followed, with steps measured in the norm of the tangent."""
+    """Options of path following, with steps measured in the norm of the tangent."""
 
     initial_step: float
     max_step: float
     min_step: float = ARRIVED
-    """The path ends where steps would be shorter."""
+    """Minimum step; the path ends where steps would be shorter."""
     max_steps: int = 1000
     rtol: float = 1e-9
-    """|F| / |x| of the points; where steps are short, they are solved for more sharply."""
+    """Maximum |F| / |x| of the points; less where steps are short."""
     min_cosine: float = 0.85
-    """Of the angle between neighbouring tangents."""
+    """Minimum cosine of the angle between neighbouring tangents."""
     rounding: float = ROUNDING
-    """Below which |F| / |x| does not fall, if the system does not tell (``rounding``)."""
+    """Rounding error of |F| / |x|, for a system without ``rounding``."""
     at_once: int = 64
-    """Points that one call of the kernel follows at most."""
+    """Maximum points of one call of the kernel."""
     span: tuple[float, float] = (-np.inf, np.inf)
-    """Of the parameter: the path ends where it is left."""
+    """Range of the parameter: the path ends where it is left."""
 
 
 NARROW = PathOptions(0.3, 0.3, min_cosine=0.5, span=(0.0, 2.0))
-"""For paths whose parameter runs from 0 to 1; one that goes as far beyond is left."""
+"""Options for paths whose parameter runs from 0 to 1; one that goes as far beyond is left."""
 
 
 class Ended(Enum):
-    """How a path has ended."""
+    """Reason for the end of a path."""
 
     MET = "reached the end"
     LOST = "no solution at the very end"
@@ -106,7 +106,7 @@ class Ended(Enum):
 
 
 UNKNOWN = "met", "observed"
-"""What the kernel does not know of a stretch."""
+"""Members that the kernel does not have of a stretch."""
 
 
 class Stretch(Sequence[PathPoint]):
@@ -205,7 +205,7 @@ Ends = tuple[PathPoint, PathPoint]
 
 
 class Event(ABC):
-    """What may lie between two neighbours on a path.
+    """Special point that may lie between two neighbours on a path.
 
     Attributes
     ----------
@@ -224,15 +224,15 @@ class Event(ABC):
 
     @abstractmethod
     def between(self, points: Stretch) -> np.ndarray:
-        """Whether it may lie behind each point but the last: (n-1,) bool."""
+        """Return True where it may lie behind a point, for each but the last: (n-1,) bool."""
 
     @abstractmethod
     def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
-        """Where it is; None where it is not there, or is not found."""
+        """Locate it; None where it is not there, or is not found."""
 
 
 class BranchPoint(Event):
-    """Where another branch crosses: t_p det J changes its sign. The step is halved as long as the
+    """Crossing of another branch: t_p det J changes its sign. The step is halved as long as the
     path is found there."""
 
     kind = "branch_point"
@@ -263,7 +263,7 @@ def _orientation(system: System, point: PathPoint) -> float:
 
 
 class Crossing(Event):
-    """Where a function of points vanishes (:func:`zero_between`)."""
+    """Zero of a function of points (:func:`zero_between`)."""
 
     def __init__(self, test: Callable[[PathPoint], float]) -> None:
         self._test = test
@@ -315,7 +315,7 @@ def zero_between(
 
 
 class Fold(Crossing):
-    """Where the parameter turns back."""
+    """Turning point of the parameter."""
 
     kind = "fold"
 
@@ -337,7 +337,7 @@ class Fold(Crossing):
 
 @dataclass(frozen=True)
 class Target(Event):
-    """Where the parameter has a value."""
+    """Point where the parameter has a given value."""
 
     parameter: float
     terminal, sought, told = True, True, Ended.MET.value
@@ -356,7 +356,7 @@ class Target(Event):
 
 @dataclass(frozen=True)
 class Closed(Event):
-    """Where a path comes back to a point of it, by more than some steps."""
+    """Return of a path to a point of it, by more than some steps."""
 
     origin: PathPoint
     system: System
@@ -407,15 +407,15 @@ def _between(system: System, ends: Ends, target: float | None, rtol: float) -> P
 
 
 class StepControl(ABC):
-    """What steps must resolve besides the path itself."""
+    """Control of the step length by more than the path itself."""
 
     @abstractmethod
     def too_long(self, points: Stretch) -> np.ndarray:
-        """Whether the step behind each point but the last is to be halved: (n-1,) bool."""
+        """Return True where a step, behind each point but the last, is too long: (n-1,) bool."""
 
 
 def observed(system: System, at: Linearisation) -> np.ndarray | None:
-    """What a step control sees at a point, if the system lets it."""
+    """Return the values that a step control uses at a point, if the system has them."""
     observe = getattr(system, "observe", None)
     return None if observe is None else np.asarray(observe(at.record[None])[0])
 
@@ -544,7 +544,7 @@ class Path:
         return replace(point, observed=observed(self._system, at))
 
     def _rounding(self, point: PathPoint) -> float:
-        """What rounding leaves of |F| / |x| there."""
+        """Return the rounding error of |F| / |x| at a point."""
         of_system = getattr(self._system, "rounding", None)
         return self._options.rounding if of_system is None else float(of_system(point.parameter))
 
