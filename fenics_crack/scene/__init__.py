@@ -1,1 +1,1 @@
-"""What may be asked for; nothing that computes."""
+"""Scenes: the inputs of all computations; nothing that computes."""

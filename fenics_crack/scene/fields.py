@@ -1,4 +1,4 @@
-"""What a key of a scene may hold, and the tables that check it.
+"""Keys of a scene, their allowed values, and the tables that check them.
 
 A :class:`Table` is a frozen dataclass whose fields are made by the functions below: each states
 once what is allowed. How a value is read follows from the field's type.
@@ -201,11 +201,11 @@ _READERS: dict[str, Callable[[object], Any]] = {
     "tuple[float, ...]": _floats,
     "tuple[str, ...]": _words,
 }
-"""By the type of a field that is not None."""
+"""Function that reads a value, by the type of a field that is not None."""
 
 
 def _reader(item: Field[Any]) -> Callable[[object], Any]:
-    """How a key's value is read, by its type."""
+    """Return the function that reads a key's value, by its type."""
     return _READERS[str(item.type).removesuffix(" | None")]
 
 
@@ -257,14 +257,14 @@ def vector(letter: str, default: Any = None, unit: str = "", *, of_solid: bool =
 
 
 def components(letter: str, dimension: int) -> str:
-    """What a vector may hold, in words."""
+    """Describe the allowed components of a vector."""
     return (
         f"{_names(letter, dimension)}, {('two', 'three')[dimension - 2]} finite numbers {OR_ZERO}"
     )
 
 
 def _names(letter: str, dimension: int) -> str:
-    """Of a vector's numbers."""
+    """Return the names of a vector's numbers."""
     return f"[{', '.join(letter + axis for axis in 'xyz'[:dimension])}]"
 
 
@@ -328,8 +328,8 @@ class Table(Hinted):
     WORD: ClassVar[str | None] = None
     """The key for which a word may stand instead of the table: ``reduction = "off"``."""
     _ADVICE: ClassVar[Mapping[str, str]] = {}
-    """What to say of keys that people look for and the table does not have, "name", and of values
-    that a key does not take, "edge = top"."""
+    """Advice for keys that people look for and the table does not have, "name", and for values that
+    a key does not take, "edge = top"."""
 
     def with_vectors(self, dimension: int) -> Any:
         """The same in a plane or in space, its vectors of zeros as long as that asks for.
@@ -378,7 +378,7 @@ class Table(Hinted):
 
     @classmethod
     def _hint(cls, key: str, value: object) -> str:
-        """What to write instead of a value that a key may not hold; or nothing."""
+        """Suggest a value instead of one that a key may not hold; or ""."""
         item = cls.keys()[key]
         words: list[Any] = []
         if isinstance(value, str):
@@ -457,7 +457,7 @@ class Table(Hinted):
 
     @classmethod
     def instead_of(cls, key: str) -> str:
-        """What is allowed where the table has no such key: which may be meant, and which it has."""
+        """Return the error text for a missing key: the suggested keys, and all known ones."""
         advice = cls._ADVICE.get(key) or meant(cls.meant_by(key)).strip()
         return f"left out; {advice} known keys: {', '.join(cls.keys())}".replace(";  ", "; ")
 

@@ -46,7 +46,7 @@ from fenics_crack.scene.tables import (
 from fenics_crack.table import OF_CLAMP, OF_GROWTH, OF_TIPS, RPM, SEEN, TURN, frequency_axis
 
 LOOKED_AT = ("curve", "integration", "sweep", "growth", "identify", "tip_timing", "output")
-"""Tables that say what is looked at, and change nothing of it."""
+"""Tables that choose results, and change nothing of the structure and its load."""
 
 PLATE_TABLES = ("geometry", "material", "mesh", "crack", "cracks", "loads", "base", "rotation")
 """Tables of a plate, which matrices from elsewhere take the place of."""
@@ -77,9 +77,9 @@ class Scene(Hinted):
     contact: Contact | None = None
     crack: Crack | None = None
     cracks: tuple[Crack, ...] = ()
-    """Further ones."""
+    """Further cracks."""
     loads: tuple[Load, ...] = ()
-    """Beside the force of the excitation."""
+    """Loads beside the force of the excitation."""
     base: Base | None = None
     rotation: Rotation | None = None
     structure: Structure | None = None
@@ -208,7 +208,7 @@ class Scene(Hinted):
 
     @property
     def has_other_loads(self) -> bool:
-        """Whether there is a load beside the force at ``excitation.point``."""
+        """True if there is a load beside the force at ``excitation.point``."""
         return bool(self.loads) or self.base is not None or self.structure is not None
 
     def given(self, name: str) -> Any:
@@ -219,11 +219,11 @@ class Scene(Hinted):
 
     @property
     def speed(self) -> float:
-        """Of the rotor [rad/s]; 0 where there is none."""
+        """Rotor speed [rad/s]; 0 where there is none."""
         return 0.0 if self.rotation is None else self.rotation.speed
 
     def _asks_in(self, name: str) -> bool:
-        """Whether a key in another unit than SI is given, followed or swept."""
+        """Return True if a key in another unit than SI is given, followed or swept."""
         table, key = name.split(".")
         given = getattr(getattr(self, table), key, None) is not None
         followed = self.curve is not None and self.curve.parameter == key
@@ -231,23 +231,23 @@ class Scene(Hinted):
 
     @property
     def in_rpm(self) -> bool:
-        """Whether the rotor's speed is given, or swept, in revolutions per minute."""
+        """True if the rotor's speed is given, or swept, in revolutions per minute."""
         return self._asks_in("rotation.rpm")
 
     @property
     def in_hertz(self) -> bool:
-        """Whether the load's frequency is given, followed or swept in Hz, and so to be shown."""
+        """True if the load's frequency is given, followed or swept in Hz, and so to be shown."""
         by_order = self.excitation.order is not None and self.in_rpm
         return by_order or self._asks_in("excitation.frequency")
 
     @property
     def quantities(self) -> tuple[str, ...] | None:
-        """Those of ``[output]``; None where it does not choose."""
+        """Quantities of ``[output]``; None where it does not choose."""
         return None if self.output is None else self.output.quantities
 
     @property
     def points(self) -> tuple[Point, ...]:
-        """Those of ``[output.points]``."""
+        """Points of ``[output.points]``."""
         return () if self.output is None else self.output.points
 
     @property
@@ -316,7 +316,7 @@ class Scene(Hinted):
 
 
 def _not_needed(scene: Scene, name: str) -> bool:
-    """Whether a table that a plate needs may be missing, for there are matrices instead."""
+    """Return True if a table that a plate needs may be missing, for there are matrices instead."""
     if scene.structure is None:
         return False
     return name in PLATE_TABLES or (name == "damping" and scene.structure.damping is not None)
@@ -356,7 +356,7 @@ def check_known(without: str, key: str, value: object = None) -> None:
 
 
 def asked_quantities(scene: Scene) -> tuple[str, ...]:
-    """What ``output.quantities`` asks for of tips, their growth, the clamp, and what is seen."""
+    """Return the quantities of ``output.quantities`` at tips, clamp, and of the motion seen."""
     return tuple(
         name for name in scene.quantities or () if any(name in names for names, _ in _ASKED)
     )
@@ -368,7 +368,8 @@ _ASKED: tuple[tuple[Mapping[str, object], Callable[[Scene], str]], ...] = (
     (OF_CLAMP, without_clamp),
     (SEEN, lambda scene: ""),
 )
-"""Quantities that cost something, and why they are not known of a scene."""
+"""Quantities that cost something, and the function that returns why they are not available for a
+scene."""
 
 
 def files_of(scene: Scene) -> list[tuple[str, str]]:
@@ -409,7 +410,7 @@ def with_files(scene: Scene, change: Callable[[str], str]) -> Scene:
 
 
 def _in_short(scene: Scene) -> str:
-    """What vibrates, cracked how, and where the load's frequency is."""
+    """Describe the structure, its cracks, and the load's frequency."""
     if scene.structure is not None:
         parts = [f"matrices {scene.structure.stiffness!r}"]
     elif scene.mesh.layout == "file":
@@ -426,8 +427,8 @@ def _in_short(scene: Scene) -> str:
 
 
 def _hint_in(text: str, error: str) -> str:
-    """What to write in the line that an error of TOML names, a number in SI units or a word in
-    quotes; or nothing."""
+    """Suggest the value to write in the line that an error of TOML names, a number in SI units or a
+    word in quotes; or ""."""
     lines, place = text.splitlines(), re.search(r"at line (\d+)", error)
     if place is None or int(place[1]) > len(lines):
         return ""
@@ -562,11 +563,11 @@ def _check_file(scene: Scene) -> None:
 # --- where the cracks of a plate may be -----------------------------------------------------------
 
 LEAST_DISTANCE = 1e-4
-"""Least distance of cracks and tips from the edges and each other, relative to the side."""
+"""Minimum distance of cracks and crack tips from the edges and each other, relative to the side."""
 _OF_SHAPES = (
     "edge", "center", "height", "length", "depth", "front", "first_frequency", "first_omega",
 )  # fmt: skip
-"""Keys of a crack that a mesh file knows by itself."""
+"""Keys of a crack that a mesh file defines itself."""
 
 
 def _check_cracks(cracks: dict[str, Crack], geometry: Geometry, mesh: Mesh) -> None:
@@ -671,7 +672,7 @@ def _check_apart(cracks: dict[str, Crack], first: str, second: str, geometry: Ge
 
 
 def _inside(place: float, extent: float) -> bool:
-    """Whether a place is between 0 and an extent, and not too near to either."""
+    """Return True if a place is between 0 and an extent, and not too close to either."""
     return LEAST_DISTANCE * extent <= place <= (1.0 - LEAST_DISTANCE) * extent
 
 
@@ -822,7 +823,7 @@ def meant_keys(name: str) -> list[str]:
 
 
 def _instead_of(name: str) -> str:
-    """What is allowed where the scene has no such table."""
+    """Return the error text for a table that the scene does not have."""
     return f"left out; {meant(_meant(name))}known tables: {', '.join(_TABLES)}"
 
 

@@ -39,11 +39,11 @@ from fenics_crack.table import QUANTITIES, RPM, TURN
 FORCES = ("force_mean", "force_cos", "force_sin")
 """Parts of the excitation."""
 KINDS = ("force", "pressure", "traction")
-"""Of the loads at a point or on an edge."""
+"""Kinds of the loads at a point or on an edge."""
 MOST_POINTS = 100
 """Points of ``[output.points]``: every quantity of each is computed, printed and written."""
 LEAST_OF_AN_UNKNOWN = 4
-"""Values that its interpolation needs."""
+"""Minimum values of an unknown, as its interpolation requires."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Geometry(Table):
     kind: str = choice("plate", "solid", default="plate")
     """Plane stress, or three dimensions."""
     thickness: float | None = positive(None, unit="m")
-    """Of a plate, whatever its mesh, and of a box along z."""
+    """Thickness of a plate, whatever its mesh, and of a box along z."""
     width: float | None = between("1e-6", "1e6", None, unit="m")
     height: float | None = between("1e-6", "1e6", None, unit="m")
 
@@ -92,15 +92,15 @@ class Crack(Table):
     length: float | None = positive(None, unit="m")
     """Or let ``first_omega`` determine it."""
     depth: float | None = positive(None, unit="m")
-    """Of a crack in a solid that does not go through it."""
+    """Depth of a crack in a solid that does not go through it."""
     front: str | None = choice("straight", "elliptical", default=None)
-    """Of such a crack: a rectangle, or half of an ellipse; a quarter of one at an edge."""
+    """Shape of such a crack: a rectangle, or half of an ellipse; a quarter of one at an edge."""
     first_omega: float | None = positive(None, unit="rad/s")
     """First natural frequency with the crack open, from which the length is found."""
     first_frequency: float | None = hertz("first_omega")
     """The same in Hz."""
     clearance: float = number(0.0, unit="m")
-    """g0 >= 0: opening that closes before the lips touch; < 0: preload."""
+    """g0 >= 0: opening that closes before the crack faces touch; < 0: preload."""
 
     def span(self, width: float) -> tuple[float, float]:
         """x of its left and its right end [m] in a plate of some width."""
@@ -197,7 +197,7 @@ class Damping(Table):
 
     @property
     def of_all_modes(self) -> bool:
-        """Whether every mode is damped, whatever the structure."""
+        """True if every mode is damped, whatever the structure."""
         if self.ratio is None:
             return max(self.mass or 0.0, self.stiffness or 0.0, *(self.ratios or ())) > 0.0
         return self.modes == "all" and float(np.min(self.ratio)) > 0.0
@@ -278,7 +278,7 @@ class Load(Table):
     traction_cos: Vector | None = vector("t", unit="Pa")
     traction_mean: Vector | None = vector("t", unit="Pa")
     phase: float = number(0.0, unit="degrees")
-    """By which its cosine and sine lag."""
+    """Angle by which its cosine and sine lag."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -338,7 +338,7 @@ class Base(Table):
 
     @property
     def moves_by_displacement(self) -> bool:
-        """Whether the displacement is given, whose acceleration grows with omega^2."""
+        """True if the displacement is given, whose acceleration grows with omega^2."""
         return self.displacement_cos is not None or self.displacement_sin is not None
 
     def accelerations(self, omega: float) -> tuple[Vector, Vector]:
@@ -413,14 +413,14 @@ class Contact(Table):
     stiffness: float | None = positive(None, unit="N/m")
     """Penalty stiffness k of one pair; or give it per area."""
     stiffness_per_area: float | None = positive(None, unit="N/m^3")
-    """Penalty stiffness per area of the lip: independent of the mesh."""
+    """Penalty stiffness per area of the crack face: independent of the mesh."""
     law: str = choice("penalty", "smoothed", "unilateral", default="penalty")
     """"unilateral": no penetration."""
     sharpness: float | None = positive(None, unit="1/m")
     """s of the smoothed law."""
     pairs: str = choice("all", "mouth", default="all")
-    """Every pair of lip nodes, or of each crack only the one at the mouth, or in the middle of a
-    crack inside the plate."""
+    """Every pair of crack-face nodes, or of each crack only the one at the mouth, or in the middle
+    of a crack inside the plate."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -480,7 +480,7 @@ class HarmonicBalance(Table):
 
 @dataclass(frozen=True)
 class Mesh(Table):
-    """How the plate is meshed.
+    """Mesh of the plate.
 
     ``layout = "grid"``: columns x rows equal quadrilaterals (or twice as many triangles); the crack
     must run along grid lines. ``"graded"``: element size ``size`` away from the crack,
@@ -497,22 +497,22 @@ class Mesh(Table):
     layout: str = choice("grid", "graded", "file")
     """As above."""
     cells: str = choice("triangle", "quadrilateral", default="quadrilateral")
-    """Of a plate; a mesh file has its own."""
+    """Cells of a plate; a mesh file has its own."""
     order: int = holds("1 or 2", lambda value: value in (1, 2), default=None)
     """Polynomial order of the displacement; default: 1, of a solid 2."""
     columns: int | None = at_least_one(None)
-    """Of a grid."""
+    """Columns of a grid."""
     rows: int | None = at_least_one(None)
-    """Of a grid."""
+    """Rows of a grid."""
     size: float | None = positive(None, unit="m")
     lip_elements: int | None = at_least_one(None)
-    """Of a graded mesh, along each lip."""
+    """Elements of a graded mesh along each crack face."""
     grading: float = between("1", "1e+06", 4.0)
-    """Of a graded mesh: size at the mouth over size at the tip."""
+    """Size of elements of a graded mesh at the mouth over that at the crack tip."""
     file: str | None = path("the path of a .msh file")
     """Beside the scene's file, or with its whole path."""
     coarser: str | None = path("the path of a .msh file")
-    """The same part by fewer elements, which says what those of ``file`` contribute to errors."""
+    """The same part with fewer elements, for the errors due to those of ``file``."""
     error: bool = holds("true or false", default=True)
     """Whether a coarser mesh says what this one contributes to the error of each number."""
 
@@ -540,7 +540,7 @@ class Mesh(Table):
 
     @property
     def derived(self) -> set[str]:
-        """Of a plate the order 1, too."""
+        """Keys that are derived; of a plate the order 1, too."""
         return super().derived | ({"order"} if self.order == 1 else set())
 
 
@@ -587,7 +587,7 @@ class Structure(Table):
 
 @dataclass(frozen=True)
 class Reduction(Table):
-    """How the structure is reduced before it is solved (``reduce_structure``).
+    """Reduction of the structure before it is solved (``reduce_structure``).
 
     Without this table a structure of up to 100 dofs is solved as it is, and a larger one is reduced
     with the default basis. ``reduction = "off"`` is short for ``reduction.method = "off"``.
@@ -623,7 +623,7 @@ class Curve(Table):
         "rpm",
         default="omega",
     )
-    """What changes along the curve."""
+    """Parameter that changes along the curve."""
     stability: bool = holds("true or false", default=True)
     """Floquet multipliers and period doublings along the curve."""
 
@@ -659,7 +659,7 @@ class Integration(Table):
     """"events": exact from one switching instant to the next. Default: "exponential" where lips
     have no mass, else "central_difference"."""
     periods: int = at_least_one(600)
-    """Load periods at most."""
+    """Maximum load periods."""
     settle: float = positive(1e-4)
     """Relative change from one period to the next at which to stop, of the gaps and of the
     displacement where the load acts, relative to what moves. How far the motion then is from the
@@ -710,7 +710,7 @@ class Sweep(Table):
 
     @property
     def n_cases(self) -> int:
-        """How many cases."""
+        """Number of cases."""
         return math.prod(self.shape)
 
 
@@ -724,11 +724,11 @@ class Growth(Table):
     R = max(K_min, 0) / K_max (Paris and Erdogan 1963; Walker 1970)."""
 
     until: float = positive(unit="m")
-    """Length at which it ends, from ``crack.length`` on."""
+    """Length at which the growth ends, from ``crack.length`` on."""
     rate: float = positive(unit="m")
     """In a cycle, at an effective range of 1 MPa m^0.5 with R = 0."""
     exponent: float = between("0.1", "50", MISSING)
-    """m."""
+    """Exponent m."""
     ratio_exponent: float = between("0", "1", 1.0)
     """Walker's gamma; 1: the ratio does not matter but by closure, which is that of the lips."""
     threshold: float = not_negative(0.0, unit="Pa m^0.5")
@@ -760,7 +760,8 @@ class Growth(Table):
     exponent_deviation: float = between("0", "10", 0.0)
     """Standard deviation of the exponent, the rate at 1 MPa m^0.5 being the same."""
     life_tolerance: float = between("1e-6", "1", 0.01)
-    """Of the number of cycles, by interpolation between the lengths that are solved."""
+    """Relative error of the number of cycles, by interpolation between the lengths that are
+    solved."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -792,7 +793,7 @@ class Growth(Table):
 
 @dataclass(frozen=True)
 class Identify(Table):
-    """What is to be found from measurements, and where it is looked for.
+    """Unknowns to be found from measurements, and their ranges.
 
     For example::
 
@@ -961,8 +962,8 @@ class TipTiming(Table):
             angles and 0.0 <= angles[0] and angles[-1] < 360.0 and bool(np.all(np.diff(angles) > 0))
         ),
     )
-    """Where they stand [degrees], from the tip's place at a mark on the shaft, in the direction of
-    rotation."""
+    """Angles of the probes [degrees], from the tip's place at a mark on the shaft, in the direction
+    of rotation."""
     tip_radius: float = positive(unit="m")
     """Distance of the tip from the axis."""
     tangential: float | None = holds(
@@ -975,13 +976,13 @@ class TipTiming(Table):
     order: int | None = at_least_one(None)
     """Periods of the load in a revolution, without [rotation]."""
     revolutions: int = at_least_one(100)
-    """How many are computed; of a run-up all together."""
+    """Number of revolutions computed; of a run-up all together."""
     noise: float = not_negative(0.0, unit="s")
     """Standard deviation of normal errors of the computed arrivals."""
     clock: float = not_negative(0.0, unit="s")
     """Resolution of the computed arrivals; 0: none."""
     seed: int = holds("a whole number >= 0", lambda value: value >= 0, 0)
-    """Of the noise."""
+    """Seed of the noise."""
     angle_deviation: float = not_negative(0.0, unit="degrees")
     """Standard deviation of the probes' angles, the same in every revolution."""
     orders: tuple[float, ...] | None = holds(
@@ -1023,7 +1024,7 @@ class TipTiming(Table):
 
 @dataclass(frozen=True)
 class Output(Table):
-    """What is printed and drawn, and where the motion is watched.
+    """Printed and drawn quantities, and the points where the motion is watched.
 
     [output]
     quantities = ["amplitude", "ratio_2_1"]

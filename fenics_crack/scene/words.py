@@ -33,7 +33,7 @@ WORDS = {
     "reduction.modes": "modes kept",
     "mesh.size": "element size",
 }
-"""Of the keys whose own words are not enough."""
+"""Words of the keys whose own words are not enough."""
 WHOLE = ("rad/s", "rpm", "Hz", "kg/m^3", "N/m^3", "1/m", "1/s", "s", "degrees")
 """Units that take no prefix here."""
 
@@ -59,7 +59,7 @@ def value_in_words(key: str, value: Any) -> str:
 
 
 def differences(scenes: Sequence[Scene]) -> list[str]:
-    """What each of some scenes has that is not the same in all: "excitation.force_sin = 20 N".
+    """List for each scene the values that are not the same in all: "excitation.force_sin = 20 N".
 
     Empty where all are equal. What a curve, a motion in time or a sweep ranges over is left aside
     unless nothing else differs.
@@ -78,7 +78,7 @@ def differences(scenes: Sequence[Scene]) -> list[str]:
 
 
 def faces_in_words(scene: Scene) -> str:
-    """What closes: the lips of cracks, or the pairs of matrices from elsewhere."""
+    """Return the word for what closes: crack faces, or pairs of matrices from elsewhere."""
     return "pairs" if scene.structure is not None and scene.structure.model is None else "lips"
 
 
@@ -89,7 +89,7 @@ def check_scene(scene: Any) -> None:
 
 
 def given_values(scene: Scene) -> dict[str, Any]:
-    """What a scene gives, by whole keys, "cracks.1.length"; no defaults."""
+    """Return the values that a scene gives, by whole keys, "cracks.1.length"; no defaults."""
     return _flat(tomllib.loads(scene.as_toml()))
 
 
