@@ -1,6 +1,6 @@
-"""What a scene's ``[output] quantities`` ask for beside points, lips and frequencies: numbers of
-the tips of cracks, of the clamp and of what is seen in place of unstable vibrations, which cost
-something and are found for those who ask.
+"""Quantities of a scene's ``[output] quantities`` beside points, crack faces and frequencies: those
+of crack tips, of the clamp and of the motion seen in place of unstable vibrations, which cost
+something and are computed on request.
 
 Stress intensities are found by rows that motions are multiplied by.
 """
@@ -147,8 +147,8 @@ _AT_TIPS = {*OF_TIPS, *OF_GROWTH}
 
 @dataclass(frozen=True)
 class TipRows:
-    """What the coordinates of a structure and its contact forces are multiplied by for K_I and K_II
-    of one tip after the other.
+    """Rows that multiply the coordinates of a structure and its contact forces to give K_I and K_II
+    of one crack tip after the other.
 
     Of a reduced structure the rows are those of all that its coordinates expand to, static
     responses to load and contact among them: K converges as the load's and the pairs' statics do
@@ -287,7 +287,7 @@ def counted_cycles(values: np.ndarray) -> np.ndarray:
 
 
 def _of_leading(found: np.ndarray, law: Growth | None, periods: float) -> dict[str, float]:
-    """Those of the tip whose effective range is the largest."""
+    """Return the numbers of the crack tip whose effective range is the largest."""
     numbers = numbers_at_tips(found, law, periods)
     leading = int(np.argmax(numbers["delta_K_effective"]))
     return {name: float(values[leading]) for name, values in numbers.items()}

@@ -48,14 +48,14 @@ STATES = {
     **dict(zip(HELD, ("held open", "held shut", "held partly open"), strict=True)),
     "bilinear": "breathing",
 }
-"""What a crack does whose frequency is of a kind."""
+"""Motion of a crack whose frequency is of a kind."""
 CHANGE = 1e-4
-"""Of the speed at which it changes, or an order meets a mode, relative."""
+"""Relative accuracy of the speed at which the state changes, or an order meets a mode."""
 At = Callable[[float], tuple[np.ndarray, np.ndarray]]
-"""Frequencies of a speed, and by how much the crack is held: (3, count) each."""
+"""Frequencies at a speed, and by how much the crack is held: (3, count) each."""
 SPARE = 2
-"""Modes with lips tied beyond those asked for: that of an open mode's shape may come later, a tie
-having taken it past others."""
+"""Bonded modes beyond the requested ones: that of an open mode's shape may come later, where the
+bond has taken it past others."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -105,7 +105,7 @@ class Campbell(Tabular):
 
     @property
     def omega_real(self) -> np.ndarray:
-        """Of the kind that the crack has at each speed: (n, m) [rad/s]."""
+        """Natural frequencies in the crack's state at each speed: (n, m) [rad/s]."""
         return np.select(
             [self.kind == kind for kind in STATES],
             [getattr(self, f"omega_{kind}") for kind in STATES],
@@ -120,7 +120,7 @@ class Campbell(Tabular):
         return found if self.cracked else KINDS[:1]
 
     def crossings(self, order: int, kind: str = "bilinear") -> np.ndarray:
-        """Where w = order W meets natural frequencies: (k, 2), mode (from 1) and speed [rad/s].
+        """Find where w = order W meets natural frequencies: (k, 2), mode (from 1), speed [rad/s].
 
         They are sought between two speeds on whose sides of the order's line a mode is.
 
@@ -153,7 +153,7 @@ class Campbell(Tabular):
         return np.array(sorted(found)).reshape(-1, 2)
 
     def _real_crossings(self, order: int) -> np.ndarray:
-        """Those with each state's own line where the crack is in it, and those at its changes."""
+        """Return the crossings with each state's line where the crack is in it, or changes."""
         found = []
         for kind in self.kinds:
             for mode, speed in self.crossings(order, kind):
@@ -166,7 +166,7 @@ class Campbell(Tabular):
         return np.array(sorted(found)).reshape(-1, 2)
 
     def _states(self, mode: int, speed: float) -> tuple[str, str]:
-        """Which kind the crack is of just below a speed, and from it on."""
+        """Return the crack's state just below a speed, and from it on."""
         known = [*zip(self.speed.tolist(), self.kind[:, mode - 1].tolist(), strict=True)]
         known = sorted([*known, *((at, kind) for which, at, kind in self.changes if which == mode)])
         below = [kind for at, kind in known if at < speed] or [known[0][1]]
@@ -327,7 +327,7 @@ def campbell(
 
 
 def _kinds(holds: np.ndarray) -> np.ndarray:
-    """What a crack does in each mode, by how much it is held (3, count) in each state: (count,)."""
+    """Return the crack's state in each mode, by how it is held (3, count) in each: (count,)."""
     return np.select([*(holds > 0.0)], HELD, "bilinear")
 
 
@@ -356,7 +356,7 @@ def _in_words(speed: float) -> str:
 
 @dataclass(frozen=True)
 class _Load:
-    """What shakes a structure, f(w) = f_0 + w^2 s, and what damps it.
+    """Load of a structure, f(w) = f_0 + w^2 s, and its damping.
 
     A base whose displacement is given shakes it by M R w^2 U, where its modes resonate by that of
     their own frequencies.
@@ -375,7 +375,7 @@ class _Load:
 
     @classmethod
     def of(cls, scene: Scene, whole: Structure, small: Ritz) -> _Load:
-        """That of a scene, whose structure has the load at its own frequency (collective)."""
+        """Return the load of a scene, whose structure has it at its own frequency (collective)."""
         force, growing = small.force[1:], np.zeros_like(small.force[1:])
         if scene.base is not None and scene.base.moves_by_displacement:
             assert whole.clamp is not None  # there is a mesh

@@ -1,5 +1,5 @@
-"""What the mesh contributes to an error, by a coarser one: elements about twice as long,
-those of mesh.coarser where the mesh is a file, and
+"""Discretisation error of the mesh, by a coarser one: elements about twice as long, those of
+mesh.coarser where the mesh is a file, and
 
     e = |f - f_r| / (r - 1),
 
@@ -27,9 +27,9 @@ from fenics_crack.study.verification import GridConvergence, Verification, grid_
 from fenics_crack.table import frequency_axis
 
 COARSER = 2.0
-"""How much longer elements are made."""
+"""Ratio of the element lengths of the coarser mesh."""
 TIP, CLAMP = 1.0, 1.5
-"""Orders at the tip of a crack and at a clamp's ends."""
+"""Orders of convergence at a crack tip and at a clamp's ends."""
 
 
 def natural_name(scene: Scene, kind: str, mode: int) -> str:
@@ -107,9 +107,9 @@ def coarser(study: Study) -> tuple[Study, tuple[int, int], float] | str:
 
 
 def _ratio(scene: Scene, coarse: Scene, counts: tuple[int, int]) -> float:
-    """How much longer the elements of a coarser mesh are: by their numbers, but at the fronts of
-    the cracks of a solid, where they err the most, as they are asked for; elements that are longer
-    than it is thick become no longer across it, and leave more than these say."""
+    """Return the ratio of the element lengths of a coarser mesh: by their numbers, but at the
+    fronts of the cracks of a solid, where they err the most, by the given sizes; elements that are
+    longer than it is thick become no longer across it, and leave more than these say."""
     size = scene.mesh.size
     if scene.dimension == 3 and scene.all_cracks and size is not None:
         if size <= min(scene.geometry.sides):
@@ -118,8 +118,8 @@ def _ratio(scene: Scene, coarse: Scene, counts: tuple[int, int]) -> float:
 
 
 def _other_cracks(structure: Structure, coarse: Structure) -> str:
-    """What cracks a coarser mesh has that are not those of a structure, in words: their lips have
-    another area, or another middle, than the elements of the coarser one allow; or nothing."""
+    """Describe the cracks of a coarser mesh that are not those of a structure: their faces have
+    another area, or another middle, than the elements of the coarser one allow; or ""."""
     own, other = _lips(structure), _lips(coarse)
     if len(own) != len(other):
         return f"mesh.coarser has another number of cracks, {len(other)} instead of {len(own)}"
@@ -149,7 +149,7 @@ def _lips(structure: Structure) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def _middle(areas: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Of lips."""
+    """Return the middle of crack faces."""
     return np.asarray(areas @ points / areas.sum())
 
 
@@ -242,6 +242,6 @@ def _alike(count: int, grading: float, factor: float) -> tuple[int, float, float
 
 
 def n_elements(structure: Structure) -> int:
-    """How many there are; of matrices one (collective)."""
+    """Return the number of elements; of matrices 1 (collective)."""
     whole = structure.whole
     return max(1, 0 if whole.nodes is None else whole.comm.allreduce(len(whole.nodes.cells)))

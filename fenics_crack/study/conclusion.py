@@ -1,4 +1,4 @@
-"""What a run amounts to: how well it is known, what its numbers alone do not show, its remarks,
+"""Conclusion of a run: its accuracy, the doubts that its numbers alone do not show, its remarks,
 and the sentence with which the program, a report and Python's ``str`` end."""
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from fenics_crack.table import closing_sentence, error_in_words, in_unit, quanti
 from fenics_crack.time.march import TimeHistory
 
 LEAST_TOLD = 1e-4
-"""Error whose largest cause is reported."""
+"""Minimum relative error whose largest cause is reported."""
 
 
 class Answer(Study):
-    """What is concluded from: :class:`fenics_crack.study.run.Run` is one.
+    """Result with its study, as a conclusion needs it: a :class:`fenics_crack.study.run.Run`.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Answer(Study):
 
     @cached_property
     def remarks(self) -> tuple[Remark, ...]:
-        """What is unusual about the scene and its structure, as ``fenics-crack check`` reports it
+        """Remarks on the scene and its structure, as ``fenics-crack check`` reports them
         (collective)."""
         try:
             found = remarks_on(self.scene, find_key_figures(self))
@@ -106,7 +106,7 @@ def conclusion(run: Answer, warnings: int = 0) -> str:
 
 
 def _outcome(run: Answer) -> str:
-    """How a run ended."""
+    """Describe how a run ended."""
     found = run.result
     if isinstance(found, PeriodicSolution):
         tolerance = run.scene.harmonic_balance.tolerance

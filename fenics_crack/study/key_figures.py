@@ -1,4 +1,4 @@
-"""Whether a scene is what its author meant: key figures, and remarks on what is out of the usual.
+"""Plausibility of a scene: key figures, and remarks on unusual values.
 
 The figures follow from one factor of K and few modes; nothing is solved. With the lips open, K^-1
 and the lowest modes give displacement and gap at a frequency w,
@@ -58,7 +58,7 @@ SMALL_MOTION = 0.1
 
 @dataclass(frozen=True)
 class KeyFigures:
-    """Of a scene's structure, whole.
+    """Key figures of a scene's structure, not reduced.
 
     Attributes
     ----------
@@ -262,7 +262,7 @@ def _dynamic_part(natural: np.ndarray, ratios: np.ndarray, omega: float) -> np.n
 
 
 def _omegas(scene: Scene, natural: np.ndarray) -> list[float]:
-    """Where the response is looked at: the ends of what is asked for, and resonances between."""
+    """Return the frequencies to compute at: ends of the requested ranges, resonances between."""
     found = {scene.excitation.omega}
     for low, high in (span_of(scene, "curve"), span_of(scene, "sweep")):
         found |= {low, high, *(float(omega) for omega in natural if low <= omega <= high)}
@@ -300,7 +300,7 @@ WIDTHS = 3.0
 the peak."""
 CURVE_UNITS = {"omega": (1.0, "rad/s"), "frequency": (TURN, "Hz"), "speed": (1.0, "rad/s"),
                "rpm": (RPM, "rpm")}  # fmt: skip
-"""[rad/s] of a curve's parameter, and its unit."""
+"""Factor to [rad/s] of a curve's parameter, and its unit."""
 
 
 def proposed_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
@@ -378,36 +378,38 @@ def _holds_resonance(
 Remarks = Iterator["Remark"]
 
 YOUNG, DENSITY = (1e7, 1.5e12), (50.0, 25000.0)
-"""Of most solids: [Pa], from rubber to diamond, and [kg/m^3], from foam to tungsten and osmium."""
+"""Plausible Young's modulus [Pa], from rubber to diamond, and density [kg/m^3], from foam to
+tungsten and osmium."""
 RATE = (1e-20, 1e-9)
-"""Of growth at 1 MPa m^0.5 [m in a cycle]: metals have 1e-13 to 1e-10, the less the steeper."""
+"""Plausible Paris C [m/cycle at 1 MPa m^0.5]: metals have 1e-13 to 1e-10, smaller for larger m."""
 LARGEST_SIDE = 20.0
-"""Of plates that somebody shakes [m]."""
+"""Maximum plausible side of a plate [m]."""
 MOST_DAMPING = 0.05
 """Ratio of critical damping that structures hardly exceed; metals have 0.0001 to 0.01."""
 FASTEST = 1000.0
-"""Speed of a rotor's tip that none reaches [m/s]; the longest blades have 700."""
+"""Maximum plausible speed of a blade tip [m/s]; the longest blades have 700."""
 MOST_CORIOLIS = 0.01
-"""Change of a natural frequency by the Coriolis force up to which nothing is said: the errors of
-usual meshes are as large."""
+"""Relative change of a natural frequency by the Coriolis force above which there is a remark: the
+errors of usual meshes are as large."""
 AT_CLAMP = 0.01
 """Distance of clamped nodes from y = 0 that is remarked, relative to the size of the mesh: radii
 are then wrong by that of a blade's length."""
 LEAST_FREQUENCY = 0.02
 """Load frequency, relative to the first natural one, below which a scene is one of statics."""
 LARGEST_OF_MESH = 0.05
-"""Part of the mesh in the error of an amplitude, relative to it, up to which nothing is said."""
+"""Relative error of an amplitude due to the mesh above which there is a remark."""
 MEANT_FOR = 0.1
-"""Relative distance at which a load frequency is taken to be meant for a natural one."""
+"""Relative distance within which a load frequency is assumed to be meant for a natural one."""
 MM = {"mm": 1e-3}
-"""In metres."""
+"""Millimetres in metres."""
 MANY_MODES = 2000
 """Modes of a whole structure that take minutes."""
 SOFTEST = 1e-3
 """Contact stiffness per area over that of a crack's faces, E / length, of which a deep crack has
 1/200 at its mouth."""
 AS_SOFT, AS_RIGID = 1.0, 1e6
-"""Contact stiffness over that of the lips: as soft as these, and not to be told from rigid."""
+"""Contact stiffness over that of the crack faces: as soft as these, and indistinguishable from
+rigid."""
 
 
 @dataclass(frozen=True)
@@ -424,7 +426,7 @@ class Remark:
 
 
 def remarks_on_scene(scene: Scene) -> list[Remark]:
-    """What the scene alone shows; costs nothing."""
+    """Return the remarks on the scene alone, without any computation."""
     of_plates = (
         _material, _plate, _faces, _rotor, _damping, _load, _settling, _proportional, _growth,
     )  # fmt: skip
@@ -434,13 +436,13 @@ def remarks_on_scene(scene: Scene) -> list[Remark]:
 
 
 def remarks_on_structure(scene: Scene, structure: Structure) -> list[Remark]:
-    """What the scene's structure shows, before it is reduced (collective)."""
+    """Return the remarks on the scene's structure, before it is reduced (collective)."""
     rules = _between_nodes, _outermost, remarks_on_rotor, _bouncing
     return [remark for rule in rules for remark in rule(scene, structure)]
 
 
 def remarks_on(scene: Scene, figures: KeyFigures) -> list[Remark]:
-    """What the scene and its key figures show."""
+    """Return the remarks on the scene and its key figures."""
     rules = (_frequency, _curve, _response, _lips, _contact, _closing, _resolution, _modes)
     of_matrices = (_frequency, _curve, _contact, _modes)
     chosen = rules if scene.structure is None else of_matrices
@@ -454,8 +456,8 @@ def remarks_on(scene: Scene, figures: KeyFigures) -> list[Remark]:
 
 
 def remarks_on_mesh(scene: Scene, figures: KeyFigures, errors: np.ndarray) -> Remarks:
-    """That the mesh changes the amplitude at the load's frequency w by more than is usual, by its
-    part in the errors of the bilinear frequencies w_j (m,), relative to them.
+    """Yield a remark if the mesh changes the amplitude at the load's frequency w by more than is
+    usual, by its part in the errors of the bilinear frequencies w_j (m,), relative to them.
 
     Of the nearest mode |1 - x^2 + 2 i xi x| changes with x = w / w_j; where the crack breathes, and
     2 w meets a resonance, with x = 2 w / w_j."""
@@ -570,7 +572,7 @@ def _rotor(scene: Scene) -> Remarks:
 
 
 def _tip_speed(scene: Scene, table: Rotation, radius: float) -> Remarks:
-    """Of what is ``radius`` away from a rotor's axis, at its speed or along a run-up."""
+    """Yield remarks on the speed ``radius`` away from a rotor's axis, also along a run-up."""
     given = [(*_speed_given(table), table.speed, "rotation.rpm")]
     if scene.curve is not None and scene.curve.followed[0] == "speed":
         ends = zip(("curve.start", "curve.stop"), scene.curve.followed[1:], strict=True)
@@ -591,7 +593,7 @@ def _speed_given(table: Rotation) -> tuple[str, float]:
 
 
 def remarks_on_arrivals(arrivals: ArrivalTimes) -> list[str]:
-    """What measured arrivals may be, but rarely are: numbers in another unit."""
+    """Return remarks on measured arrivals with unusual values: numbers in another unit."""
     found, speed = [], arrivals.mean_speed * arrivals.tip_radius
     if speed > FASTEST:
         text = f"the tip moves at {speed:.3g} m/s, where the fastest have 700: are the speed, or "
@@ -660,7 +662,7 @@ def _settling(scene: Scene) -> Remarks:
 
 
 def is_proportional(scene: Scene) -> bool:
-    """Whether the response is proportional to the load: no clearance, no smoothing, no rotation.
+    """Return True if the response is proportional to the load: no clearance, smoothing, rotation.
 
     Where forces and gaps are multiplied by a positive number, the equations of lips that touch or
     not, at g = 0, are multiplied by it as a whole. The centrifugal load stays what it is.
@@ -696,7 +698,7 @@ def _proportional(scene: Scene) -> Remarks:
 
 
 def _of_one_direction(vectors: Sequence[Any]) -> bool:
-    """Whether vectors are positive multiples of one of them."""
+    """Return True if vectors are positive multiples of one of them."""
     given = np.array(vectors, dtype=float)
     sizes = np.linalg.norm(given, axis=1, keepdims=True)
     return bool(np.allclose(given / np.where(sizes > 0.0, sizes, 1.0), given[-1] / sizes[-1]))
@@ -746,7 +748,7 @@ def _outermost(scene: Scene, structure: Structure) -> Remarks:
 
 
 def remarks_on_rotor(scene: Scene, structure: Structure) -> Remarks:
-    """What the structure shows of its rotation (collective)."""
+    """Yield the remarks on the structure's rotation (collective)."""
     yield from _hub(scene, structure)
     yield from _coriolis(scene, structure)
 
@@ -777,8 +779,8 @@ def _coriolis(scene: Scene, structure: Structure) -> Remarks:
 
 
 def coriolis_in_words(shifts: np.ndarray) -> str:
-    """What the Coriolis force would change, by relative changes of the lowest natural frequencies
-    (m,); nothing where that is little."""
+    """Describe the effect of the Coriolis force, by relative changes of the lowest natural
+    frequencies (m,); "" where it is small."""
     if np.abs(shifts).max() <= MOST_CORIOLIS:
         return ""
     changes = ", ".join(f"{100.0 * shift:+.3g}" for shift in shifts)

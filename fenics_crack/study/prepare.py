@@ -39,11 +39,11 @@ from fenics_crack.scene.tables import Contact, Reduction
 REFUSALS = (InputError, ConvergenceError, np.linalg.LinAlgError)
 """Errors that fail one run while others go on."""
 FEW_DOFS = 100
-"""A structure with at most so many dofs is reduced only on request."""
+"""Maximum dofs of a structure that is reduced only on request."""
 MEMORY_SHARE = 0.8
-"""Of the machine's memory that may be used."""
+"""Fraction of the machine's memory that may be used."""
 BASES = 3
-"""Of a run-up: as it is put together, what comes in, and what is made of both."""
+"""Bases of a run-up held at a time: the old one, the addition, and the result of both."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ def prepare(
 
 
 def _watched_dofs(scene: Scene, structure: Structure) -> tuple[Watched, ...]:
-    """What a scene watches of its structure, not reduced (collective).
+    """Return the watched dofs of a scene's structure, not reduced (collective).
 
     The points of ``[output.points]``, x before y, where they are free to move; without them what
     the structure watches, or the dof that carries most of the load.
@@ -214,14 +214,14 @@ def reduced(study: Study, *, judged: bool = True) -> Study:
 
 
 class Kept(NamedTuple):
-    """How a structure is reduced, and how many modes are kept."""
+    """Method of a reduction, and the number of modes kept."""
 
     method: str
     modes: int
 
 
 def reduction_of(scene: Scene, structure: Structure) -> Kept | None:
-    """How the structure of a scene is reduced; None if it is not.
+    """Return the reduction of a scene's structure; None if it is not reduced.
 
     Without the table ``[reduction]`` a structure of up to 100 dofs on one rank is not reduced. If
     all modes are damped and no number of modes is given, 50 are kept. Lips lose their mass unless
@@ -303,7 +303,7 @@ def run_up_memory(structure: Structure, modes: int) -> float:
 
 
 def _memory_for_modes(structure: Structure, count: int) -> float:
-    """Of finding modes by a factor: vectors, or another factor, of a matrix and its copy."""
+    """Return the memory to find modes: vectors, or another factor, of a matrix and its copy."""
     krylov = 8.0 * structure.n_dofs * krylov_vectors(count)
     return max(krylov, _factor_memory(structure) + 2 * _matrix_memory(structure))
 

@@ -49,17 +49,17 @@ from fenics_crack.study.stated_errors import (
 from fenics_crack.study.verification import GridConvergence, Varied, Verification
 
 GRADED, GRID, COUNTS = (1.5, 2.0), (2.0, 3.0), (1, 2, 4)
-"""How much finer graded meshes and grids are taken, and numbers of something."""
+"""Refinement factors of graded meshes, of grids, and of counts."""
 EVEN = 1.56
-"""Elements along a lip after a refinement by 1.5, at most, relative to those before: with more, by
+"""Maximum ratio of elements along a crack face after and before a refinement by 1.5: with more, by
 rounding up, the mesh would be of another kind."""
 SHIFT_STEPS = 2
-"""In which the shift of a resonance is made."""
+"""Steps in which the shift of a resonance is made."""
 OWN = "the scene's own choice"
 
 
 def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
-    """How far a scene's steady vibration and natural frequencies are from converged (collective).
+    """Compute the convergence of a scene's steady vibration and natural frequencies (collective).
 
     Mesh, modes, harmonics and samples are made finer, one at a time and twice: a graded mesh by 1.5
     and 2, a grid by 2 and 3, numbers by 2 and 4. Of the three values of each quantity the observed
@@ -169,7 +169,7 @@ class _Runs:
 
     @cached_property
     def exact(self) -> dict[str, float] | None:
-        """Of the exact orbit that is the scene's own solution's, if one is (collective)."""
+        """Numbers of the exact orbit accepted for the scene's solution, if one is (collective)."""
         return of_own_orbit(self.own, self.own.result, self.numbers.mode)
 
     def part(
@@ -270,7 +270,7 @@ def _meshes(runs: _Runs) -> Varied:
 
 
 def _even(scene: Scene) -> bool:
-    """Whether a mesh 1.5 times finer is of the same kind."""
+    """Return True if a mesh 1.5 times finer is of the same kind."""
     if scene.mesh.layout != "graded":
         return False
     finer, lips = finer_mesh(scene, GRADED[0]), scene.mesh.lip_elements
@@ -285,7 +285,7 @@ def _modes(runs: _Runs) -> Varied:
 
 
 def _kept_modes(study: Study) -> tuple[int, int] | str:
-    """How many modes are kept, of how many; or why they cannot be varied."""
+    """Return how many modes are kept, of how many; or the reason why they cannot be varied."""
     kept = reduction_of(study.scene, study.structure)
     if kept is None:
         return "the structure is not reduced"
@@ -320,7 +320,7 @@ def _samples(runs: _Runs) -> Varied:
 
 PARTS: dict[str, Callable[[_Runs], Varied]]
 PARTS = {"mesh": _meshes, "modes": _modes, "harmonics": _harmonics, "samples": _samples}
-"""By the causes."""
+"""Functions that vary each cause."""
 
 
 # --- what follows from runs -----------------------------------------------------------------------
@@ -329,8 +329,8 @@ PARTS = {"mesh": _meshes, "modes": _modes, "harmonics": _harmonics, "samples": _
 def _carried(
     own: Run[PeriodicSolution], numbers: Numbers, by_mesh: Mapping[str, GridConvergence]
 ) -> dict[str, GridConvergence]:
-    """What the shift of the resonance changes of each number: the most at any within its
-    uncertainty, as peaks may lie there, and where it is extrapolated to (collective)."""
+    """Return the change of each number due to the shift of the resonance: the largest at any within
+    its uncertainty, as peaks may lie there, and where it is extrapolated to (collective)."""
     at, resonance = numbers.values[numbers.resonance], by_mesh[numbers.resonance]
     known, error = math.isfinite(resonance.extrapolated), resonance.uncertainty(-1) / at
     softer = -1.0 if known and resonance.extrapolated > at else 1.0

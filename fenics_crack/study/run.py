@@ -1,5 +1,5 @@
-"""What each command computes from a scene, and its results read from files; what a motion does over
-time: stress intensity at the tips of cracks, which makes these grow, and forces and moments of the
+"""Computations of each command from a scene, and its results read from files; and numbers of a
+motion over time: stress intensity at crack tips, crack growth, and forces and moments of the
 clamp."""
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ class Run(Answer, Generic[Found]):
 
     @cached_property
     def errors(self) -> Verification | None:
-        """What modes, harmonics and the mesh contribute to the error of each number, by one other
+        """Contributions of modes, harmonics and the mesh to the error of each number, by one other
         run for each; of a curve those of its largest response. Computed when first asked for, and
         None of motions in time (collective)."""
         return self.stated or errors_of(self, self.result)
@@ -119,7 +119,7 @@ class Run(Answer, Generic[Found]):
 
     @property
     def watched_name(self) -> str:
-        """That dof in words."""
+        """Name of the watched dof in words."""
         return self.watched[0].words
 
     def peak(self, dof: int | None = None) -> Peak:
@@ -527,7 +527,7 @@ def _freed(study: Study) -> Study:
 
 
 def _method(study: Study, table: Integration, law: ContactLaw) -> str:
-    """How a study is integrated: as the table says, or the default; InputError if it cannot be."""
+    """Return the integration method, the table's or the default; InputError if unusable."""
     structure, contact, allowed = study.structure, study.scene.contact, ""
     lips = structure.light_lips
     method = table.method or ("exponential" if lips else "central_difference")
@@ -684,8 +684,8 @@ class StressIntensity(Tabular):
 
     @cached_property
     def errors(self) -> Verification | None:
-        """What modes, harmonics and the mesh contribute to the error of the leading tip's numbers,
-        by one other run for each; None of motions in time. Computed when first asked for
+        """Contributions of modes, harmonics and the mesh to the error of the leading crack tip's
+        numbers, by one other run for each; None of motions in time. Computed when first asked for
         (collective)."""
         scene = self._run.scene.replace({"output.quantities": tuple(self.numbers)})
         return errors_of(replace(self._run, scene=scene, stated=None), self._run.result)

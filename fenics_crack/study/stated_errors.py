@@ -1,4 +1,4 @@
-"""What the numbers of an answer owe to its modes, harmonics and mesh, by one other run for each.
+"""Errors of a result's numbers due to its modes, harmonics and mesh, by one other run for each.
 
 Twice the modes are solved from the answer itself, and
 
@@ -74,16 +74,16 @@ ANSWER = (
     "amplitude", "ratio_2_1", "ratio_3_1", "ratio_largest", "mean_shift", "opening", "crack_force",
     "closed_share",
 )  # fmt: skip
-"""Quantities that are looked at where the scene does not choose."""
+"""Quantities whose errors are stated where the scene does not choose."""
 LOWEST_MODES = (1, 2, 3)
-"""Modes whose natural frequencies with lips open are looked at."""
+"""Modes whose natural frequencies with the crack open are included."""
 TINY = 1e-9
-"""A ratio that is none."""
+"""Ratio that counts as zero."""
 ORDERS = CLAMP, TIP
-"""Of a mesh, the one that corrects less first."""
+"""Orders of a mesh, the one that corrects less first."""
 UNSURE = 0.1
-"""Share of the smaller of two parts of one order that is not known, so that something is left where
-they cancel."""
+"""Uncertain fraction of the smaller of two parts of one order, so that something is left where they
+cancel."""
 
 
 # --- the numbers of an answer ---------------------------------------------------------------------
@@ -110,8 +110,9 @@ class Numbers:
 
 
 def numbers_of(study: Study, found: PeriodicSolution, mode: int | None = None) -> Numbers:
-    """What is asked for of the watched points and the lips, and natural frequencies: the lowest
-    ones, and those of a mode, by default of the one with the nearest resonance (collective)."""
+    """Return the requested numbers of the watched points and the crack faces, and natural
+    frequencies: the lowest ones, and those of a mode, by default of the one with the nearest
+    resonance (collective)."""
     scene, structure = study.scene, study.structure
     chosen = (scene.output.quantities if scene.output is not None else None) or ANSWER
     values: dict[str, float] = {}
@@ -274,7 +275,7 @@ def _counted(part: GridConvergence, instants: int) -> GridConvergence:
 def by_orbit(
     study: Study, found: PeriodicSolution, mode: int, exact: Mapping[str, float]
 ) -> tuple[tuple[int, int], dict[str, GridConvergence]]:
-    """What harmonics contribute to a solution's numbers, by those of its own exact orbit
+    """Return the contributions of harmonics to a solution's numbers, by those of its exact orbit
     (collective)."""
     counts = found.harmonics, _many(found)
     sizes = 1.0 / counts[1], 1.0 / counts[0]

@@ -32,18 +32,18 @@ from fenics_crack.study.run import Run, load_run, solve
 from fenics_crack.table import RPM, TURN, speed_in_words
 
 DECIDED = (*LOOKED_AT, "reduction")
-"""Tables of a scene that may differ from those of a result: what is looked at, and what a run
-decides itself."""
+"""Tables of a scene that may differ from those of a result: those that choose results, and those
+that a run decides itself."""
 DIAGRAM = 5, 10
 """Speeds and modes of a Campbell diagram by which frequencies follow the speed of a record."""
 SHORTEST = 2
-"""Points of a run-up."""
+"""Minimum points of a run-up."""
 FARTHEST = 0.1
-"""Of its frequency: by how much a resonance that is passed may be beside a mode at most."""
+"""Maximum distance of a resonance from a mode, relative to its frequency."""
 NEARER = 0.5
-"""Of that: by how much it has to be beside all other modes."""
+"""Minimum distance of a resonance from all other modes, over :data:`FARTHEST`."""
 ALONG = 0.999
-"""Share of a circumferential motion that a displacement along a coordinate has to carry, to be
+"""Minimum share of a circumferential motion that a displacement along a coordinate carries, to be
 taken for it: at 2.6 degrees, its error is a thousandth."""
 
 
@@ -91,7 +91,7 @@ def arrivals_of(
 
 
 def run_up_ends(scene: Scene, run: Run[Any]) -> str:
-    """Where along a run-up the curve becomes unstable, in words; "" if it does not, and of other
+    """Describe where along a run-up the curve becomes unstable; "" if it does not, and of other
     results."""
     curve = run.result
     if not isinstance(curve, ResponseCurve):
@@ -105,7 +105,7 @@ def run_up_ends(scene: Scene, run: Run[Any]) -> str:
 
 
 def _stable_part(curve: ResponseCurve) -> ResponseCurve:
-    """What a run-up passes of a curve before it becomes unstable; all where that is at once."""
+    """Return the part of a curve before it becomes unstable; all where that is at once."""
     points, lost = run_up_points(curve)
     if lost is None or len(points) < SHORTEST:
         return curve
@@ -123,8 +123,8 @@ def of_another_scene(scene: Scene, run: Run[Any]) -> str:
 
 
 def is_run_up(arrivals: ArrivalTimes, run: Run[Any] | None) -> bool:
-    """Whether the speed changes from arrival to arrival: of those computed from a curve always, of
-    others by as much as a speed that is held does not."""
+    """Return True if the speed changes from arrival to arrival: always if they are computed from a
+    curve, else by more than a constant speed varies."""
     computed = run is not None and isinstance(run.result, ResponseCurve)
     return computed or not arrivals.steady
 
@@ -132,7 +132,7 @@ def is_run_up(arrivals: ArrivalTimes, run: Run[Any] | None) -> bool:
 def vibration_in(
     scene: Scene, arrivals: ArrivalTimes, run: Run[Any] | None = None
 ) -> TipFit | TipTrack | tuple[PassageFit, ...]:
-    """What ``[tip_timing]`` asks to be sought in arrival times, measured or computed from a run.
+    """Find the vibration that ``[tip_timing]`` requests in arrival times, measured or computed.
 
     At constant speed the load's engine order, or one of those that are given, or a frequency; in a
     run-up the load's order, or where that is not known, or orders are given, the resonances that
@@ -188,7 +188,7 @@ def modes_passed(scene: Scene, arrivals: ArrivalTimes) -> list[tuple[PassageFit,
 
 
 def passed_in_words(fit: PassageFit, mode: int, why: str) -> str:
-    """Which mode passes where and why it is known no better, or why a resonance is not used."""
+    """Describe the resonance of a mode and doubts about it, or why it is not used."""
     hertz = f"{fit.omega / TURN:.6g} ± {fit.deviation / TURN:.2g} Hz"
     where = f"{hertz}, engine order {fit.order:g} at {fit.speed / RPM:.6g} rpm"
     doubts = ["something is beside it"] * fit.in_doubt
@@ -233,7 +233,7 @@ def _passages(
 
 
 def _diagram(scene: Scene, arrivals: ArrivalTimes) -> Campbell:
-    """That of a scene over the speeds of a record (collective)."""
+    """Return the Campbell diagram of a scene over the speeds of a record (collective)."""
     begin("Campbell diagram")
     speeds = np.linspace(arrivals.speed.min(), arrivals.speed.max(), DIAGRAM[0])
     return campbell(scene, speeds, few=DIAGRAM[1])
@@ -258,7 +258,7 @@ def tip_direction(table: TipTiming, run: Run) -> dict[int, float]:
 
 
 def tip_in_words(table: TipTiming, run: Run) -> str:
-    """Of which displacements the one that the probes see is the sum (collective)."""
+    """Describe the displacement that the probes see as a sum of others (collective)."""
     whole = run.structure.whole
     shares = tip_direction(table, run).items()
     parts = [f"{share:.4g} times the {whole.dof_name(dof)}" for dof, share in shares]
@@ -266,8 +266,8 @@ def tip_in_words(table: TipTiming, run: Run) -> str:
 
 
 def probed_displacement(scene: Scene) -> tuple[str, bool]:
-    """What measured arrivals show of a scene, without its mesh: which displacement, by its name
-    ("tip.ux"; "" for the one that is watched), and whether against the rotation.
+    """Return the displacement that measured arrivals show of a scene, without its mesh: its name
+    ("tip.ux"; "" for the one that is watched), and True if it is against the rotation.
 
     Raises
     ------

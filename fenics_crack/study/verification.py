@@ -1,4 +1,4 @@
-"""What contributes to the error of the numbers of an answer: how it is kept, written and told.
+"""Contributions to the error of a result's numbers: storage, text and files.
 
 :func:`fenics_crack.verify` finds it with finer meshes, more modes, harmonics and samples
 (:mod:`refinement`), each command with one other run for each cause (:mod:`stated_errors`).
@@ -56,14 +56,14 @@ from fenics_crack.table import (
 SAFE, CAUTIOUS = 1.25, 3.0
 """Factors of safety."""
 LEAST_ORDER, MOST_OVER_FORMAL = 0.5, 1.5
-"""Observed orders that are believed: the least; and the largest relative to that of theory, where
-no highest one is known."""
+"""Accepted observed orders: minimum; and maximum relative to that of theory, where no highest one
+is known."""
 AS_LARGE = 1.0
-"""Error, relative to a number, from which on it is unknown: the number may be of either sign."""
+"""Relative error from which a number is unknown: it may be of either sign."""
 HIGHEST_ORDER = 50.0
-"""Largest order that is told."""
+"""Largest order that is reported."""
 UNCHANGED = 1e-9
-"""Relative spread of values that are the same but for rounding."""
+"""Relative spread of values that differ by rounding only."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -100,7 +100,7 @@ class GridConvergence(Described):
 
     @property
     def is_asymptotic(self) -> bool:
-        """Whether something could be extrapolated."""
+        """True if something could be extrapolated."""
         return self.behaviour in ("asymptotic", "outside", "two sizes", "unchanged", "exact orbit")
 
     def uncertainty(self, place: int = 0) -> float:
@@ -221,7 +221,7 @@ def _observed(h: np.ndarray, f: np.ndarray) -> float:
 
 
 Varied = tuple[tuple[int, ...], dict[str, GridConvergence]] | str
-"""Of a cause: counts, the answer's own first, and the parts; or why there are none."""
+"""Counts of a cause, those of the result first, and its parts; or the reason why there are none."""
 
 MESH = ("mesh", "shift")
 """The mesh's part: of the answer at a given distance from the resonance, and by the shift of the
@@ -231,12 +231,12 @@ ESTIMATED = ("harmonics", "modes")
 CAUSES = (*MESH, "modes", "harmonics", "samples")
 WORDS = ("units", "absent", "unknown", "verdicts")
 LEVELS = 3
-"""Runs of a cause, at most."""
+"""Maximum runs of a cause."""
 SHARE_TOLD, LEAST_OF_VALUE = 0.1, 1e-3
-"""Shares of its total, and of a value, from which on a doubtful contribution is told."""
+"""Minimum shares of its total, and of a value, for which a doubtful contribution is reported."""
 DENTED = 0.01
-"""Share of an amplitude from which on it is told that a point force dents a structure without
-limit: of the size of errors that are asked for."""
+"""Minimum share of an amplitude for a warning that the displacement under a point force has no
+limit: of the size of requested errors."""
 SPREAD = "not in the asymptotic range, 3 times the spread is taken"
 DOUBTS = {
     "outside": "the observed order is not near that of theory, a factor of 3 is taken",
@@ -245,7 +245,7 @@ DOUBTS = {
     "diverging": f"values come no closer, {SPREAD}",
     "irregular": f"values come closer faster than by any order of theory, {SPREAD}",
 }
-"""What is said of each behaviour of :class:`GridConvergence` but "asymptotic"."""
+"""Sentence for each behaviour of :class:`GridConvergence` but "asymptotic"."""
 
 
 # --- the result -----------------------------------------------------------------------------------
@@ -253,7 +253,7 @@ DOUBTS = {
 
 @dataclass(frozen=True, repr=False)
 class Verification(Tabular):
-    """What contributes to the error of a scene's answer.
+    """Contributions to the error of a scene's result.
 
     Attributes
     ----------
@@ -393,7 +393,7 @@ class Verification(Tabular):
 
     @property
     def resonance(self) -> str:
-        """Which quantity is the resonance that the answer lies next to; empty without lips."""
+        """Name of the resonance that the result lies next to; empty without crack faces."""
         return next((name for name in self.values if "_bilinear_" in name), "")
 
     @property
@@ -479,7 +479,7 @@ class Verification(Tabular):
 
     @property
     def statement(self) -> tuple[str, ...]:
-        """What was found, in sentences; what is not known and what is doubtful among them."""
+        """Sentences on the errors, with those that are unknown or doubtful."""
         first = next(iter(self.values))
         shares = {name: self.relative(name, self.total(name)) for name in self.values}
         worst = max(shares, key=lambda name: shares[name])
@@ -491,7 +491,7 @@ class Verification(Tabular):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Those of the sentences that doubt the numbers."""
+        """Sentences that cast doubt on the numbers."""
         found = [
             f"{cause} not varied, so it is missing in the totals: {why}"
             for cause, why in self.unknown.items()
@@ -514,11 +514,11 @@ class Verification(Tabular):
 
     @property
     def dents(self) -> tuple[str, ...]:
-        """That the displacement under a force at a point has no limit, where that matters."""
+        """Warning that the displacement under a point force has no limit, where that matters."""
         return _dents(self.scene, abs(self.values.get("amplitude", 0.0)))
 
     def _matters(self, name: str, cause: str) -> bool:
-        """Whether a contribution is so large that a doubt of it is told."""
+        """Return True if a contribution is so large that a doubt about it is reported."""
         size = max(SHARE_TOLD * self.total(name), LEAST_OF_VALUE * abs(self.values[name]))
         return self.contributions(name)[cause] >= size
 
@@ -540,7 +540,7 @@ class Verification(Tabular):
 
 
 def verification_of(stored: Stored) -> Verification | None:
-    """What a file holds, of its own kind or beside a solution; None where it holds none.
+    """Return the verification in a file, of its own kind or with a solution; None: none.
 
     Raises
     ------
@@ -568,7 +568,7 @@ def verification_of(stored: Stored) -> Verification | None:
 
 
 def _dents(scene: Scene, amplitude: float) -> tuple[str, ...]:
-    """That it has no limit, where what elements half as long add is much of an amplitude."""
+    """Warn of a displacement without limit, if elements half as long add much to it."""
     added = _dent(scene)
     if scene.points or not added > DENTED * amplitude > 0.0:
         return ()
@@ -581,7 +581,7 @@ def _dents(scene: Scene, amplitude: float) -> tuple[str, ...]:
 
 
 def _dent(scene: Scene) -> float:
-    """What elements half as long add to the displacement under a force F at a point [m].
+    """Return the displacement that elements half as long add under a force F at a point [m].
 
     Of a plate F / (E t) ln 2 (1 / (a + sin a) + 1 / (a - sin a)) in a corner of the angle a, along
     one of its edges; a = pi on an edge, and 2 pi inside, about. Of a solid F / (E h), about.
