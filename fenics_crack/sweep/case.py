@@ -32,17 +32,17 @@ from fenics_crack.sweep.plan import Chunk
 from fenics_crack.table import with_frequency
 
 PEAK_HARMONICS = 10
-"""Harmonics with which the largest response is looked for."""
+"""Harmonics with which the largest response is sought."""
 PEAK_STEPS = 4
-"""Into which half the width of a resonance is divided there: a parabola's top is then known to a
-tenth of one, the response to 3e-4."""
+"""Steps in half the width of a resonance there: a parabola's top is then known to a tenth of one,
+the response to 3e-4."""
 CLIMB = 8 * PEAK_STEPS
-"""Steps to the top with all harmonics, at most: few harmonics may see it some widths away."""
+"""Maximum steps to the top with all harmonics: few harmonics may place it some widths away."""
 
 
 @dataclass(frozen=True)
 class Asked:
-    """What is asked of the cases of a sweep.
+    """Request for the cases of a sweep.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Asked:
 
 @dataclass(frozen=True)
 class Geometry:
-    """What cases share that differ in load, clearance, law and harmonics.
+    """Common part of cases that differ in load, clearance, law and harmonics only.
 
     Attributes
     ----------
@@ -144,8 +144,8 @@ def build(scene: Scene, comm: MPI.Comm, asked: Asked, last: Geometry | None = No
 
 
 def _at_load(scene: Scene, structure: Structure) -> dict[str, np.ndarray]:
-    """What is watched at the load, where the structure says it; of matrices the dof that carries
-    most of the load (collective)."""
+    """Return the rows of the motion watched at the load, where the structure has it; of matrices
+    the dof that carries most of the load (collective)."""
     whole = structure.whole
     if whole.watched is not None:
         weights = gather_rows(whole.comm, whole.watched)
@@ -162,10 +162,10 @@ def _at_load(scene: Scene, structure: Structure) -> dict[str, np.ndarray]:
 
 
 ALONE = "natural frequencies alone"
-"""Status of a case of which nothing else is asked."""
+"""Status of a case for which nothing else is requested."""
 Found = dict[str, Any]
-"""What is known of a case, columns of the file and others, which that does not keep; and "gap" and
-"force" coefficients if it converged."""
+"""Values of a case, columns of the file and others, which that does not keep; and "gap" and "force"
+coefficients if it converged."""
 
 
 def solve_chunk(
@@ -368,7 +368,7 @@ def _numbered(natural: BilinearFrequencies) -> Found:
 
 
 def _seen(solution: PeriodicSolution, case: Scene, geometry: Geometry) -> Found:
-    """What is seen at the load and at the watched points."""
+    """Return the indicators at the load and at the watched points."""
     motion = solution.coordinates(solution.instants())
     found: Found = {}
     for name, row in (_load_row(solution, case) | geometry.watched).items():

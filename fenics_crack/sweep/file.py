@@ -44,11 +44,12 @@ KIND = "sweep"
 PENDING, CONVERGED, FAILED = 0, 1, 2
 """The states of a case."""
 STATUS_BYTES = 400
-"""Of a status with what is told of a verdict, 386 of the paper's plate; cut where it is longer."""
+"""Bytes of a status with its remark on the verdict, 386 of the paper's plate; cut where it is
+longer."""
 OPEN = "undecided: "
-"""In the status of a case, before the reason why its stability is."""
+"""Beginning, in the status of a case, of the reason for undecided stability."""
 YET = "; yet "
-"""Likewise, before what more modes say against its verdict."""
+"""Beginning of the remark that more modes contradict the verdict."""
 
 
 def of_load(quantity: str) -> str:
@@ -67,13 +68,13 @@ NATURAL = {
     )
     for mode in NUMBERED
 }
-"""Their words and unit."""
+"""Words and unit of these frequencies."""
 AT_POINTS = {name: unit for name, (_, unit) in OF_POINTS.items() if name != "ratio_half_1"}
-"""What is kept of each point and direction, and its unit: no case has a longer period."""
+"""Quantities kept of each point and direction, and their units: no case has a longer period."""
 KEPT_ORDERS = (1, 2, 3, 4, 5, 6)
 """Harmonics of which the parts are kept."""
 PHASES = {f"{part}_{order}": "m" for order in KEPT_ORDERS for part in ("cosine", "sine")}
-"""Likewise: the parts of the harmonics, of whose amplitudes ``harmonic_1`` to ``harmonic_3``."""
+"""Parts of the harmonics kept likewise, of whose amplitudes ``harmonic_1`` to ``harmonic_3``."""
 COLUMNS: dict[str, tuple[str, str]] = {
     **{of_load(name): (unit, "f8") for name, unit in (AT_POINTS | PHASES).items()},
     **{name: (unit, "f8") for name, (_, unit) in (OF_LIPS | OF_FREQUENCIES).items()},
@@ -93,7 +94,7 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "seconds": ("s", "f8"),
     "status": ("", f"S{STATUS_BYTES}"),
 }
-"""Unit and type of what is kept of each case beside its state and what is seen at points."""
+"""Unit and type of the columns of each case beside its state and the motion at points."""
 LATER = (
     "ratio_largest", "largest_order", "crack_force", *(f"omega_bilinear_{n}" for n in NUMBERED),
 )  # fmt: skip
@@ -107,7 +108,7 @@ WAVES_CHECKSUM, CHECKSUM = "waves_checksum", "checksum"
 BLOCK = 4096
 """Cases whose checksums are found at once."""
 BLANKS: dict[str, Any] = {"f": np.nan, "i": 0, "S": b""}
-"""Of a case without a value, by the kind of the type."""
+"""Value of a case without one, by the kind of the type."""
 
 
 def columns_of(scene: Scene) -> dict[str, tuple[str, str]]:
@@ -223,7 +224,7 @@ class SweepFile:
             put(self._file, row.tobytes(), column.offset + int(number) * size)
 
     def _is_there(self) -> bool:
-        """Whether the name still leads to the file."""
+        """Return True if the name still leads to the file."""
         try:
             return os.path.samestat(os.fstat(self._file), os.stat(self._path))
         except OSError:
@@ -319,7 +320,7 @@ def _copy_written(image: int, whole: int) -> None:
 
 
 def _words(name: str) -> str:
-    """What a column or a wave is; empty where its name says it."""
+    """Describe a column or a wave; "" where its name does."""
     if name in WAVES:
         return f"axes of the sweep; {about(f'{name}_coefficients', {})['about']}"
     quantity = "amplitude" if name == "response" else name.rpartition(".")[2]

@@ -1,4 +1,4 @@
-"""How a crack grows under the vibration of its plate, and how the vibration changes with it.
+"""Growth of a crack under the vibration of its plate, and the change of the vibration with it.
 
 At each length a the vibration is periodic and settled: growth by a cycle is far less than what
 changes it. With the effective ranges of K_I of the vibration itself, closed lips and all,
@@ -49,7 +49,7 @@ ENDS = {
     "arrested": "there it stops: the range falls below growth.threshold, or to nothing",
     "broken": "there the plate breaks: K_max is growth.toughness",
 }
-"""How growth ends, in words."""
+"""Descriptions of the end of growth."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -124,8 +124,7 @@ class Growth(Tabular):
 
     @property
     def frequency_drop(self) -> np.ndarray:
-        """How much the breathing crack's natural frequency has fallen, relative to the first: (n,)
-        [-]."""
+        """Decrease of the breathing crack's natural frequency, relative to the first: (n,) [-]."""
         return np.asarray(1.0 - self.omega_bilinear / self.omega_bilinear[0])
 
     def at(self, cycles: float) -> float:
@@ -209,15 +208,16 @@ POINTS = 200
 MEGA = 1e6
 """Pa m^1/2 in which rates are measured."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)
-"""Of the integral over each of the table's steps."""
+"""Quadrature of the integral over each of the table's steps."""
 TURNS_ASIDE = math.radians(10.0)
-"""From which on a crack is said not to grow straight on."""
+"""Angle [rad] above which a remark says that a crack does not grow straight on."""
 FIRST = 5
 """Lengths of the first round, the fewest that a spline and every other one of them need."""
 ROUNDS = 6
-"""In which an interval may be halved: after these 129 lengths are as close as meshes are alike."""
+"""Maximum rounds in which an interval is halved: these 129 lengths are as close as meshes are
+similar."""
 REDUCED = 4.0
-"""By which an interval's error falls when it is halved, at the least; a spline's falls by 16."""
+"""Minimum factor by which an interval's error falls when it is halved; a spline's falls by 16."""
 ROUGH = 0.05
 """Error of ln delta K above which an interval is halved even where few cycles pass in it: the peak
 of a resonance that passes is seen."""
@@ -228,17 +228,17 @@ NO_COLUMNS = dict.fromkeys((*LOGARITHMIC, *LINEAR), np.zeros(0))
 READ = ("K_max", "delta_K_effective", "delta_K_equivalent", "response", *LINEAR)
 """Columns of the sweep: those of a spectrum are of the load that drives the crack most."""
 NOTHING = 1e-200
-"""Below which a logarithmic column is zero."""
+"""Value below which a logarithmic column is zero."""
 LEAST = 1e-4
-"""Part of its largest value below which a logarithmic column counts as that: closed cracks."""
+"""Fraction of its largest value below which a logarithmic column counts as that: closed cracks."""
 SLICES = 16
-"""Of what lies around a level of a run-up."""
+"""Slices of the range around a level of a run-up."""
 TOP = 1.12
 """Largest range between two levels of a run-up over the larger one of theirs: of a resonance in
 their middle, half of its half width from both."""
 SETTLES = 2.0
-"""Times 1 / (xi w), in which the run-up of a single mode must pass the width 2 xi f at least:
-its growth with m = 3 is then 3 % below the steady one's."""
+"""Minimum time, in 1 / (xi w), in which the run-up of a single mode passes the width 2 xi f: its
+growth with m = 3 is then 3 % below the steady one's."""
 
 
 def grow(
@@ -399,8 +399,8 @@ def _error_at(scene: Scene, path: LengthPath, length: float) -> tuple[float, lis
 def _lost(
     path: LengthPath, law: Law, length: np.ndarray, cycles: np.ndarray, error: float
 ) -> float:
-    """What ln N rises by, beside the power of the exponent, if all ranges are smaller by a relative
-    error: more of a spectrum is below the threshold then."""
+    """Return the rise of ln N, beside the power of the exponent, if all ranges are smaller by a
+    relative error: more of a spectrum is below the threshold then."""
     if law.drive != "spectrum" or not law.threshold or not 0.0 < error < 1.0:
         return 0.0
     higher = replace(law, threshold=law.threshold / (1.0 - error))
@@ -413,7 +413,7 @@ def _lost(
 def _longer(
     path: LengthPath, drive: np.ndarray, law: Law, length: np.ndarray, cycles: np.ndarray
 ) -> float:
-    """What ln N rises by if another range (k,) drives the crack at the lengths of a path."""
+    """Return the rise of ln N if another range (k,) drives the crack at the lengths of a path."""
     if not cycles[-1] > 0.0:
         return 0.0
     other = replace(path, columns=path.columns | {"driving": drive})
@@ -430,7 +430,7 @@ def _remarks(
     vibration: float,
     end: str,
 ) -> list[str]:
-    """What is in doubt of a crack's growth."""
+    """Return the remarks that cast doubt on a crack's growth."""
     found = []
     one, two = np.maximum(seen["K_max"], NOTHING), seen["K_II_max"]
     turn = 2.0 * np.arctan(2.0 * two / (one + np.sqrt(one**2 + 8.0 * two**2)))

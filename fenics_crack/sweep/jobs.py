@@ -31,10 +31,10 @@ from fenics_crack.sweep.plan import Chunk, Plan
 JOB, END = 0, 1
 """Tags of messages to a group."""
 IDLE = 0.002
-"""How long a rank without work sleeps before it looks for a message again [s]."""
+"""Time that a rank without work sleeps before it looks for a message again [s]."""
 
 Outcome = list[Found] | Exception
-"""What is known of the cases of a chunk, or what ends the sweep."""
+"""Values of the cases of a chunk, or the error that ends the sweep."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Worker:
         self._group, self._asked = group, asked
         self._number = -1
         self._built: Geometry | Exception | None = None
-        """The geometry of that number, or why it cannot be built."""
+        """Geometry of that number, or the error that prevents it."""
 
     def work(self, job: Job, go_on: Callable[[], bool]) -> Iterator[tuple[np.ndarray, Outcome]]:
         """Do a job with the whole group, and yield what is found of each chunk; called by its
@@ -159,7 +159,7 @@ def _received(leaders: MPI.Comm, status: MPI.Status) -> Any:
 
 
 class Manager:
-    """What is left of a sweep, and its file; on rank 0."""
+    """Remaining cases of a sweep, and its file; on rank 0."""
 
     def __init__(self, plan: Plan, file: SweepFile, groups: int, *, progress: bool) -> None:
         self._error: BaseException | None = None
@@ -172,7 +172,7 @@ class Manager:
         largest = sorted(left, key=plan.sizes.__getitem__, reverse=True)
         self._left = {number: left[number] for number in largest if left[number]}
         self._given: dict[int, int] = {}
-        """The geometry that each group has, or will have built."""
+        """Geometry that each group has, or will have built."""
         self._given_out, self._recorded = 0, 0
         """Jobs at the other groups, and chunks written."""
         self._failed = int(np.count_nonzero(file.state == FAILED))

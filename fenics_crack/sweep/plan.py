@@ -54,7 +54,7 @@ class Plan:
         # Where the force is swept, geometries are built with unit loads.
         self.unit_loads = not free.isdisjoint(OF_FORCES & self._swept.keys())
         self.geometries = self._chunks(free)
-        """The chunks of each, as numbers of their cases."""
+        """Chunks of each geometry, as numbers of their cases."""
         base = scene.harmonic_balance  # upper bounds for all cases:
         self.harmonics = max(self._swept.get("harmonic_balance.harmonics", (base.harmonics,)))
         if base.tolerance is not None or "harmonic_balance.tolerance" in self._swept:
@@ -85,7 +85,7 @@ class Plan:
 
     @cached_property
     def sizes(self) -> list[tuple[int, float]]:
-        """What each geometry may cost: bound of the pairs, for which solids are meshed, and the
+        """Expected cost of each geometry: bound of the pairs, for which solids are meshed, and the
         first crack's length [m]."""
         bounds: dict[Any, int] = {}
         found: list[tuple[int, float]] = []

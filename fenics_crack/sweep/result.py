@@ -80,12 +80,12 @@ from fenics_crack.table import (
 )
 
 SHOWN_REASONS = 4
-"""Why cases failed or are undecided: so many kinds are told."""
+"""Maximum kinds of reasons, for failed or undecided cases, that are reported."""
 
 DRAWN = ("amplitude", "opening", "ratio_2_1", "ratio_3_1", "closed_share", "mean_shift")
 """Quantities that are drawn where the scene does not choose."""
 UNSOUGHT = "without contact, with [rotation], and where base has a displacement"
-"""Where the largest response over the load's frequency is not sought."""
+"""Scenes whose largest response over the load's frequency is not sought."""
 STATES = np.array(["pending", "converged", "failed"])
 """Words for PENDING, CONVERGED and FAILED."""
 
@@ -197,8 +197,8 @@ def _passing_file() -> str:
 
 
 def resonates(scene: Scene) -> bool:
-    """Whether the largest response over the load's frequency can be sought; else a scene is as
-    :data:`UNSOUGHT` says."""
+    """Return True if the largest response over the load's frequency can be sought; else a scene is
+    as :data:`UNSOUGHT` says."""
     moved = scene.base is not None and scene.base.moves_by_displacement
     return scene.contact is not None and scene.speed == 0.0 and not moved
 
@@ -286,12 +286,12 @@ class SweepResult(Tabular):
 
     @property
     def complete(self) -> bool:
-        """Whether every case was tried."""
+        """True if every case was tried."""
         return not np.any(self["state"] == PENDING)
 
     @property
     def converged(self) -> np.ndarray:
-        """Which cases were solved: bool in the shape of the axes."""
+        """Cases that were solved: bool in the shape of the axes."""
         return self["state"] == CONVERGED
 
     @property
@@ -302,7 +302,7 @@ class SweepResult(Tabular):
 
     @property
     def inexact(self) -> np.ndarray:
-        """Which cases have a large estimated error, likewise."""
+        """Cases that have a large estimated error, likewise."""
         return self.converged & (self.errors.sum(axis=0) > LARGE_ERROR)
 
     @property
@@ -313,7 +313,7 @@ class SweepResult(Tabular):
 
     @property
     def not_stable(self) -> np.ndarray:
-        """Which cases are unstable or undecided, likewise."""
+        """Cases that are unstable or undecided, likewise."""
         return np.isin(self["verdict"], ("unstable", "undecided"))
 
     @property
