@@ -140,8 +140,8 @@ def integrate_implicit(
 
 
 def _is_compiled(asked: March) -> bool:
-    """Whether the kernel makes the steps: it knows two laws, and of a constraint, forces that are
-    told by the gaps alone."""
+    """Return True if the kernel makes the steps: it has two laws, and of a constraint, forces that
+    follow from the gaps alone."""
     if not is_small(asked.structure):
         return False
     if not asked.rigid:

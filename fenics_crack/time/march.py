@@ -44,7 +44,7 @@ from fenics_crack.stages import begin, reaching
 from fenics_crack.table import Tabular, counted
 
 HARMONICS = 10
-"""Of a motion in time that are among its indicators."""
+"""Harmonics of a time integration that are among its indicators."""
 MEMORY_LIMIT = 2**31
 """Bytes of history on one rank beyond which recording is refused."""
 
@@ -167,7 +167,7 @@ class March:
 
     @property
     def rigid(self) -> bool:
-        """Whether nothing penetrates."""
+        """True if nothing penetrates."""
         return is_rigid(self.contact)
 
 
@@ -244,9 +244,9 @@ class TimeHistory(Tabular):
 
     @property
     def distance(self) -> float:
-        """How far the motion is from the one that it settles to, relative as ``settled`` is, of the
-        gaps or of the displacement watched, if that is recorded, whichever is larger: the last four
-        periods tell where a motion goes that two multipliers are left of (minimal polynomial
+        """Distance of the motion from the one that it settles to, relative as ``settled`` is, of
+        the gaps or of the displacement watched, if that is recorded, whichever is larger: the limit
+        of a motion with two multipliers left follows from its last four periods (minimal polynomial
         extrapolation; Sidi, Vector Extrapolation Methods, chapter 2). nan with fewer than three
         periods kept (collective)."""
         kept = [one[-RECORDED_PERIODS:] for one in self._watched]
@@ -317,9 +317,9 @@ class TimeHistory(Tabular):
         return structure.sum_over_ranks(self.recorded @ rows[:, own].T)
 
     def indicators(self, dof: int | None = None) -> Indicators:
-        """What a dof, or the watched one, and the lips show of a breathing crack: its harmonics, as
-        many as the instants of a period tell, and mean in the last period, extremes of the last
-        four, where so many are recorded (collective)."""
+        """Return the crack indicators at a dof, or the watched one, and at the crack faces: its
+        harmonics, as many as the instants of a period allow, and mean in the last period, extremes
+        of the last four, where so many are recorded (collective)."""
         known = min(HARMONICS, (self.steps_per_period - 1) // 2)
         last = slice(-RECORDED_PERIODS * self.steps_per_period, None)
         motion = self.displacement([dof])[last, 0]
@@ -348,11 +348,11 @@ class Scheme(ABC):
 
     name: ClassVar[str]
     remedy: ClassVar[str]
-    """What to do where contact creates energy."""
+    """Remedy where contact creates energy."""
     created_share = 0.0
     """Energy created relative to the energy put in."""
     owned: tuple[Any, ...] = ()
-    """PETSc's objects, to be freed after the march."""
+    """PETSc's objects, to be freed after the integration."""
 
     @abstractmethod
     def fill(self, window: Window, number: int) -> None:
@@ -453,9 +453,10 @@ def _change(now: Sequence[np.ndarray], before: Sequence[np.ndarray]) -> float:
 
 
 def _sizes(parts: Sequence[np.ndarray]) -> list[float]:
-    """Of what moves of parts of a motion, (N, m) each over a period: a clearance or a steady load
-    may make means as large as they like. Infinite, so that no change of it counts, where a part is
-    rounding beside the largest one, as the gaps of rigid lips that stay closed."""
+    """Return the sizes of the moving parts of a motion, (N, m) each over a period: a clearance or a
+    steady load may make means as large as they like. Infinite, so that no change of it counts,
+    where a part is rounding relative to the largest one, as the gaps of rigid crack faces that stay
+    closed."""
     sizes = [moving_size(part) for part in parts]
     return [size if size > NEGLIGIBLE * max(sizes) else math.inf for size in sizes]
 

@@ -22,7 +22,7 @@ class ModalSteps(Scheme):
     """
 
     _known: Struct
-    """Of the scheme, as the kernel has it; with the arrays of its state."""
+    """State of the scheme in the kernel's form; with the arrays that hold it."""
 
     def __init__(self, asked: March) -> None:
         self._asked, self._modes = asked, all_modes(asked.structure)
@@ -50,7 +50,7 @@ class ModalSteps(Scheme):
         return np.asarray(found - modes.damped(velocity))
 
     def _inverse(self, undamped: np.ndarray, dashpot: float) -> np.ndarray:
-        """Of ``undamped`` (n,) + dashpot C, by mode."""
+        """Return the inverse of ``undamped`` (n,) + dashpot C, by mode."""
         damped = dashpot * self._modes.damping
         if damped.ndim == 1:
             return np.asarray(1.0 / (undamped + damped))
@@ -61,7 +61,7 @@ class ModalSteps(Scheme):
         return 0.5 * float(self._modes.squares @ self._shape**2 + velocity @ velocity)
 
     def _body(self, **more: Any) -> Struct:
-        """What vibrates, and its load."""
+        """Return the kernel's vibrating structure, and its load."""
         asked, modes, rows = self._asked, self._modes, np.ascontiguousarray
         count, pairs = modes.pairs.shape
         return Struct(
@@ -94,5 +94,5 @@ class ModalSteps(Scheme):
 
 
 def times_by_mode(values: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """What is by mode times columns (n, m)."""
+    """Return values by mode times columns (n, m)."""
     return np.asarray(values[:, None] * columns if values.ndim == 1 else values @ columns)
