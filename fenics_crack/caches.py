@@ -15,7 +15,7 @@ from pathlib import Path
 from fenics_crack.whole import not_written
 
 ROOM = 2**22
-"""Size of what must fit into a cache [bytes]; the forms of a scene take 1 to 2 MiB."""
+"""Minimum size of a cache [bytes]; the forms of a scene take 1 to 2 MiB."""
 
 
 @lru_cache

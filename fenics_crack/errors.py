@@ -14,16 +14,15 @@ LONGEST_VALUE = 1000
 """Characters of a value shown in a message."""
 LARGEST_COUNT = 10**9
 FEW_MODES = 6
-"""Lowest modes whose frequencies with lips open and tied are looked at."""
+"""Lowest modes whose frequencies, crack open and bonded, are computed."""
 MAX_SAMPLES = 2**20
 """Samples of a period at which the contact force may be evaluated."""
 RECORDED_PERIODS = 4
-"""Periods that commands keep of a motion in time, and of which its extremes are."""
+"""Periods of a time integration that commands keep, and from which its extremes are."""
 MOST_HARMONICS = 100
-"""Beyond these they are not raised for a curve or from case to case."""
+"""Maximum to which harmonics are raised for a curve or from case to case."""
 TOLERANCE = 1e-2
-"""Relative error that is asked for where nothing else is: that of modes and harmonics is then below
-what meshes usually leave."""
+"""Default relative error: that of modes and harmonics is then below what meshes usually leave."""
 
 
 class Exit(IntEnum):
@@ -155,7 +154,7 @@ def check_kind(key: str, value: object, kind: type) -> None:
 
 
 def one_of(words: Iterable[str]) -> str:
-    """What is allowed where one of some words is."""
+    """Return the text "one of" with the allowed words."""
     return "one of " + ", ".join(map(repr, words))
 
 

@@ -1,5 +1,5 @@
-"""What may be meant by a name that there is not, misspelt or another program's word for it, and by
-a number with a decimal comma or in another unit.
+"""Suggestions for a name that does not exist, misspelt or another program's word for it, and for a
+number with a decimal comma or in another unit.
 
 Whoever refuses one asks here what to suggest: keys and values of a scene, commands, names of the
 package, arguments of its functions, and attributes of results.
@@ -18,11 +18,11 @@ from fenics_crack.errors import InputError
 Called = TypeVar("Called", bound=Callable[..., Any])
 
 LIKENESS = 0.7
-"""Of a misspelt word and the one that is meant, at least (difflib's ratio)."""
+"""Minimum likeness of a misspelt word and the suggested one (difflib's ratio)."""
 SAME_WORD = 0.85
 """Likeness of two forms of a word, as "eigenfrequency" and "eigenfrequencies"."""
 LEAST_LETTERS = 3
-"""Of the beginning of a word that may stand for it, as "tol" for "tolerance"."""
+"""Minimum letters of the beginning of a word that stands for it, as "tol" for "tolerance"."""
 WORDS = {
     "fc.solve(scene)": "solve steady periodic stationary forced vibration balance hbm run compute "
     "newton",
@@ -55,7 +55,7 @@ WORDS = {
     ".displacement(time) | .shapes": "displacement displacements x u q solution vector mode shape",
     ".time": "t times instants",
 }
-"""What to write, by the words that other programs and people have for it: of several, the first
+"""Names to write, by the words that other programs and people have for them: of several, the first
 that an object has, or that a module leads to."""
 VERBS = {"plot": "draw", "show": "draw", "read": "load", "export": "write"}
 """First words of names, and those of this package for the same."""
@@ -97,9 +97,9 @@ def near_or_longer(name: str, known: Collection[str], likeness: float = LIKENESS
 
 
 def in_other_words(name: str, known: Collection[str] | None = None) -> list[str]:
-    """What to write for a name in the words of others: what has most of its words, or none. Of an
-    object, whose names are known, rather one of these, else rather a function of the package; where
-    it is neither, "result" stands for an object."""
+    """Return the names to write for a name in the words of others: those that share the most of its
+    words, or none. Of an object, whose names are known, rather one of these, else rather a function
+    of the package; where it is neither, "result" stands for an object."""
     parts = re.findall("[a-z0-9]+", re.sub("([A-Z])", r"_\1", name[:100]).lower())
     counts: dict[str, int] = {}
     for texts, words in WORDS.items():
@@ -198,7 +198,7 @@ def checked_call(function: Called, keys: Callable[[str], Sequence[str]] | None =
 
 
 class _HintedType(type):
-    """Of classes that say the same of themselves."""
+    """Metaclass of classes that suggest names for their own missing attributes."""
 
     def __getattr__(cls, name: str) -> Any:
         raise no_attribute(f"type object {cls.__name__!r}", name, dir(cls))
@@ -246,7 +246,7 @@ def converted(text: str, unit: str) -> float | None:
 
 
 def candidates(value: object, unit: str) -> Iterator[object]:
-    """What may be meant by a value that is no number, or no list of numbers; or nothing."""
+    """Yield the values that may be meant by one that is no number, or no list of numbers."""
     if isinstance(value, str):
         number = converted(value, unit)
         yield number

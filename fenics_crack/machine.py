@@ -1,4 +1,4 @@
-"""What the package takes of the machine: Debian's modules, one thread at a time, some memory.
+"""Settings of the machine: Debian's modules, one thread at a time, some memory.
 
 Its functions run one at a time, and with one thread of OpenBLAS and of OpenMP. gmsh, PETSc and
 MUMPS keep their state in global variables: two threads of Python in them end the process. And their
@@ -25,9 +25,9 @@ from typing import Any
 from fenics_crack.errors import InputError
 
 SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "GOTO_NUM_THREADS")
-"""Variables by which a user tells OpenBLAS how many threads to use."""
+"""Variables that set the number of OpenBLAS's threads."""
 LAUNCHERS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
-"""Variables by which mpirun tells a process its rank, before MPI is started."""
+"""Variables by which mpirun gives a process its rank, before MPI is started."""
 COMPILED_FOR = ("numpy", "mpi4py")
 """Modules for whose compiled interfaces Debian's DOLFINx, PETSc and SciPy are built."""
 _lock = threading.RLock()
@@ -60,7 +60,7 @@ def check_modules() -> None:
 
 
 def launched() -> bool:
-    """Whether mpirun has started this process."""
+    """Return True if mpirun has started this process."""
     return any(name in os.environ for name in LAUNCHERS)
 
 
@@ -112,7 +112,7 @@ class _Pool:
         return int(getattr(self._library, name.join(self._form))(*values) or 0)
 
     def begins_with(self) -> int:
-        """How many threads it has unless somebody says otherwise."""
+        """Return the number of threads that it starts with by default."""
         assert self._form is not None
         config: Any = getattr(self._library, "get_config".join(self._form))
         config.restype = ctypes.c_char_p

@@ -40,9 +40,9 @@ MEMORY = 2**30
 MOST_TEXT = 2**26
 """Bytes of a text that is read whole, such as a scene or a table: a million rows have 40 MiB."""
 WAITING = 4
-"""Times the processor time: how long a reader is waited for."""
+"""Waiting time for a reader over its processor time."""
 FOREIGN = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "HDF5_")
-"""Variables that a reader does not see: it is no rank, and loads no plug-ins."""
+"""Variables that are hidden from a reader: it is no rank, and loads no plug-ins."""
 SURROUNDINGS = {
     "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "HDF5_PLUGIN_PRELOAD": "::",
 }  # fmt: skip
@@ -177,7 +177,7 @@ def run_reader(reader: Path, path: Path, seconds: int) -> dict[str, np.ndarray] 
 
 
 def _asked(reader: Path, words: bytes, handed: int) -> int:
-    """How a copy of a reader has ended; the reader waits for the next file."""
+    """Return the exit status of a copy of a reader; the reader waits for the next file."""
     rights = socket.SOL_SOCKET, socket.SCM_RIGHTS, array("i", [handed])
     for _ in range(2):  # the one that waits may have been killed meanwhile
         line, answer = _started(reader, os.getpid(), get_ident())[1], b""

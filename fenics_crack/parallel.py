@@ -162,5 +162,5 @@ class StopRequest:
         self._asked = True
 
     def asked(self, comm: MPI.Comm) -> bool:
-        """Whether any rank has been asked to stop (collective)."""
+        """Return True if any rank has been asked to stop (collective)."""
         return bool(comm.allreduce(self._asked, MPI.LOR))

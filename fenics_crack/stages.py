@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from typing import Any
 
 LONG = 1.0
-"""Stages are told after their end, with their time, if they took longer [s]."""
+"""Minimum time of a stage that is reported again after its end [s]."""
 BEAT = 5.0
 """Between signs of life [s]."""
 _listeners: list[Callable[[str], None]] = []

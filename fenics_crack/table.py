@@ -28,9 +28,9 @@ from fenics_crack.whole import write_whole
 SHOWN_ROWS, NOTEBOOK_ROWS = 40, 20
 """Rows shown as text and in a notebook; files have all of them."""
 TURN = 2.0 * math.pi
-"""Of Hz in rad/s."""
+"""Factor from Hz to rad/s."""
 RPM = TURN / 60.0
-"""Of revolutions per minute in rad/s."""
+"""Factor from revolutions per minute to rad/s."""
 
 # --- quantities -----------------------------------------------------------------------------------
 
@@ -47,7 +47,7 @@ OF_POINTS: dict[str, tuple[str, str]] = {
     "largest_order": ("order of the largest harmonic above the load's", "1"),
     "mean_shift": ("mean displacement over harmonic 1", "1"),
 }
-"""Words and unit of what is known of each watched point and direction."""
+"""Words and unit of the quantities of each watched point and direction."""
 OF_LIPS: dict[str, tuple[str, str]] = {
     "opening": ("largest opening", "m"),
     "penetration": ("largest penetration", "m"),
@@ -55,7 +55,7 @@ OF_LIPS: dict[str, tuple[str, str]] = {
     "crack_force": ("largest contact force of a crack, all pairs", "N"),
     "closed_share": ("share of the period closed, mean over pairs", "1"),
 }
-"""Of all lips."""
+"""Quantities of all crack faces."""
 OF_FREQUENCIES: dict[str, tuple[str, str]] = {
     "omega_open": ("natural frequency, lips open", "rad/s"),
     "omega_tied": ("natural frequency, lips tied", "rad/s"),
@@ -64,7 +64,7 @@ OF_FREQUENCIES: dict[str, tuple[str, str]] = {
     "over_tied": ("load frequency over that with lips tied", "1"),
     "over_bilinear": ("load frequency over the bilinear one", "1"),
 }
-"""Of the mode whose bilinear frequency is nearest to the load's."""
+"""Quantities of the mode whose bilinear frequency is nearest to the load's."""
 OF_TIPS: dict[str, tuple[str, str]] = {
     "K_max": ("largest stress intensity K_I", "Pa m^0.5"),
     "K_min": ("smallest K_I", "Pa m^0.5"),
@@ -72,25 +72,27 @@ OF_TIPS: dict[str, tuple[str, str]] = {
     "delta_K_effective": ("range of K_I while the tip is open", "Pa m^0.5"),
     "K_II_max": ("largest stress intensity K_II, of either sign", "Pa m^0.5"),
 }
-"""Of the tip whose effective range is the largest; known of plates, where a scene asks for them."""
+"""Quantities of the crack tip whose effective range is the largest; available for plates, where a
+scene requests them."""
 OF_GROWTH: dict[str, tuple[str, str]] = {
     "delta_K_equivalent": ("range of K_I, R = 0, that makes the crack grow as much", "Pa m^0.5")
 }
-"""Of the same tip, by the law of the table ``[growth]``."""
+"""Quantities of the same crack tip, by the law of the table ``[growth]``."""
 OF_CLAMP: dict[str, tuple[str, str]] = {
     "reaction_force": ("largest force of the clamp", "N"),
     "reaction_moment": ("largest moment of the clamp, about its centre", "N m"),
 }
-"""Of the clamp; known of meshes at rest, where a scene asks for them."""
+"""Quantities of the clamp; available for meshes at rest, where a scene requests them."""
 SEEN: dict[str, tuple[str, str]] = {"seen_amplitude": ("half peak-to-peak that is seen", "m")}
-"""Of the watched point, in place of an unstable vibration; where a scene asks for it."""
+"""Quantities of the watched point, in place of an unstable vibration; where a scene requests
+them."""
 QUANTITIES = OF_POINTS | OF_LIPS | OF_FREQUENCIES | OF_TIPS | OF_GROWTH | OF_CLAMP | SEEN
-"""All of them."""
+"""All quantities."""
 SHORT = (
     "amplitude", "ratio_2_1", "ratio_3_1", "ratio_half_1", "ratio_largest", "mean_shift", "opening",
     "penetration", "contact_force", "crack_force", "closed_share", "over_open", "over_bilinear",
 )  # fmt: skip
-"""Printed where a scene does not choose."""
+"""Quantities printed where a scene does not choose."""
 UNITS = {name: unit for name, (_, unit) in QUANTITIES.items()} | {
     name: unit
     for unit, names in {
@@ -270,7 +272,7 @@ def with_unit(name: str, unit: str) -> str:
 
 
 def frequency_axis(in_hertz: bool) -> tuple[float, str, str]:
-    """What multiplies rad/s, the name, and the unit of an axis or a column of load frequencies."""
+    """Return factor of rad/s, name and unit of an axis or a column of load frequencies."""
     return (0.5 / math.pi, "load frequency", "Hz") if in_hertz else (1.0, "load frequency", "rad/s")
 
 

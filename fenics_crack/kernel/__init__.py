@@ -28,7 +28,7 @@ IN_C = {
     np.dtype(float): "double[]", np.dtype(complex): "double[]", np.dtype(np.intc): "int[]",
     np.dtype(bool): "signed char[]", np.dtype(np.int8): "signed char[]",
 }  # fmt: skip
-"""Kinds of numbers in arrays, and what they are to the kernel."""
+"""Kinds of numbers in arrays, and their C types."""
 
 
 def _bind() -> None:
@@ -73,7 +73,7 @@ def pointer(array: np.ndarray) -> Any:
 
 
 def owned(pointer: Any, free: Any) -> Any:
-    """What a kernel function has allocated, freed by another one when it is forgotten."""
+    """Return an object that a kernel function has allocated, freed by ``free`` in the end."""
     if not pointer:
         raise MemoryError
     return ffi.gc(pointer, free)

@@ -1,4 +1,4 @@
-"""How the compiled kernel is built: by cffi, from the C files beside this one.
+"""Build of the compiled kernel, by cffi from the C files in this folder.
 
 ``install.sh`` has it built by pip. After a change of the C files this builds it again, in a second
 or two, into this folder or into another one:
@@ -40,7 +40,7 @@ SANITIZER = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g", 
 
 
 def builder_in(folder: Path, *, sanitize: bool = False) -> FFI:
-    """What makes the module, with the paths of its sources relative to a folder, or whole."""
+    """Return the builder of the module, with its sources' paths relative to a folder, or whole."""
     headers, sources = in_order(sorted(HERE.glob("*.h"))), sorted(HERE.glob("*.c"))
     here = HERE.relative_to(folder) if HERE.is_relative_to(folder) else HERE
     ffi, checks = FFI(), SANITIZER if sanitize else []
