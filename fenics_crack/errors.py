@@ -74,7 +74,8 @@ class InputError(ValueError):
             text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]}..."
             for text in (key, value)
         )
-        text = f"{key} = {value}: must be {self.allowed}"
+        given = f"{key} is missing" if self.value is None else f"{key} = {value}"
+        text = f"{given}: must be {self.allowed}".replace("must be left out", "not allowed")
         return text if text.isprintable() else " ".join(text.split())
 
 

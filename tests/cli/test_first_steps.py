@@ -105,7 +105,7 @@ def test_lines_to_paste(
     Path("own.toml").write_text(text)
     assert main([command, "own.toml", "--quiet"]) == 2
     told, _, lines = capsys.readouterr().err.partition("for example:\n\n")
-    assert told.startswith(f"fenics-crack: {gone} = None: must be given") and told.count("\n") == 1
+    assert told.startswith(f"fenics-crack: {gone} is missing: ") and told.count("\n") == 1
     Path("own.toml").write_text(f"{text}\n{lines}")
     coarse = [change for change in COARSE if not change.startswith(("curve", gone))]
     short = {"curve": ["curve.stop=780.5"], "sweep": ["sweep.over={'crack.length' = [0.02]}"]}

@@ -179,7 +179,7 @@ def test_a_crack_of_a_mesh_file_that_stays_open(
     told = capsys.readouterr()
     assert "not judged" not in told.err and "verdict" not in told.out
     assert main(["integrate", *words]) == 2
-    assert "contact = None: must be given for this command: a table" in capsys.readouterr().err
+    assert "contact is missing: must be given for this command: a table" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("mean", "shown"), [(1e-17, "0"), (-2e-9, "-2e-09")])

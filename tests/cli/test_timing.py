@@ -173,7 +173,7 @@ def test_a_result_that_does_not_say_how_the_rotor_turns(
     assert main(["timing", scene, str(turning), *out]) == 0
     capsys.readouterr()
     assert main(["timing", scene, str(turning), *out, "--set", "tip_timing.order=5"]) == 2
-    told = f"tip_timing.order = 5: must be left out with excitation.order of {str(turning)!r}"
+    told = f"tip_timing.order = 5: not allowed with excitation.order of {str(turning)!r}"
     assert told in capsys.readouterr().err
 
 
@@ -222,7 +222,7 @@ def test_a_run_up_of_another_speed(tmp_path: Path, capsys: pytest.CaptureFixture
     for key, value in (("fitted_harmonics", 3), ("subharmonic", 2), ("fitted_revolutions", 10)):
         name, words = f"tip_timing.{key}", ["timing", scene, str(tmp_path / "seen.csv"), *out]
         assert main([*words, "--set", f"{name}={value}"]) == 2
-        refused = f"{name} = {value}: must be left out with a run-up in which resonances are sought"
+        refused = f"{name} = {value}: not allowed with a run-up in which resonances are sought"
         assert refused in capsys.readouterr().err
 
 
@@ -259,12 +259,12 @@ def test_a_run_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sought = ["--set", "tip_timing.frequencies=[150, 400]", "--output", str(tmp_path)]
     for source in ("curve.h5", "arrivals.csv"):
         assert main(["timing", scene, str(tmp_path / source), *sought]) == 2
-        told = "tip_timing.frequencies = (150.0, 400.0): must be left out with a run-up, in which "
+        told = "tip_timing.frequencies = (150.0, 400.0): not allowed with a run-up, in which "
         assert told in capsys.readouterr().err
     # Nor orders in one that is computed; in one that is measured resonances of these are.
     sought[1] = "tip_timing.orders=[4, 5]"
     assert main(["timing", scene, str(tmp_path / "curve.h5"), *sought]) == 2
-    told = "tip_timing.orders = (4.0, 5.0): must be left out with a computed run-up: order 5 is "
+    told = "tip_timing.orders = (4.0, 5.0): not allowed with a computed run-up: order 5 is "
     assert told in capsys.readouterr().err
     sought += ["--set", "tip_timing.fitted_harmonics=2"]
     assert main(["timing", scene, str(tmp_path / "arrivals.csv"), *sought]) == 0

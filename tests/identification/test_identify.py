@@ -717,11 +717,11 @@ def test_command(
     assert main([*words, "--output", str(folder)]) == 2
     assert "measurements.point = 'top.ux': must be empty, or one of" in capsys.readouterr().err
     assert main([*words[:2], "--output", str(folder)]) == 2
-    assert "measurements = None: must be given" in capsys.readouterr().err
+    assert "measurements is missing: must be given" in capsys.readouterr().err
     (tmp_path / "a.csv").write_text("time\n")
     given = ["--arrivals", str(tmp_path / "a.csv"), "--output", str(folder)]
     assert main([*words[:2], *given]) == 2
-    assert "tip_timing = None: must be given for this command" in capsys.readouterr().err
+    assert "tip_timing is missing: must be given for this command" in capsys.readouterr().err
 
 
 def test_arrivals_from_the_shell(

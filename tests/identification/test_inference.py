@@ -491,7 +491,7 @@ def test_arrivals_become_displacements(tmp_path: Path) -> None:
     assert other.value == -found.rows[0].value
     expected = radius * math.hypot(1e-6 * speed / math.sqrt(50.0), 1e-5)
     assert other.deviation == pytest.approx(expected)
-    with pytest.raises(fc.InputError, match="noise = None: must be given"):
+    with pytest.raises(fc.InputError, match="noise is missing: must be given"):
         fc.Measurements.from_arrivals(arrivals.between(3, 4), order)
     with pytest.raises(fc.InputError, match="those of 4 probes or more"):
         few = fc.ArrivalTimes(time[:, :3], marks, probes[:3], radius)

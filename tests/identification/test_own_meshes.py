@@ -112,7 +112,7 @@ def test_command_names_the_mesh(
     before = replace(rows.rows[0], quantity="frequency_uncracked")
     (rows + fc.Measurements((before,))).to_csv(tmp_path / "m.csv")
     assert main(words) == 2
-    assert "left out where the crack cannot be taken out" in capsys.readouterr().err
+    assert "not allowed where the crack cannot be taken out" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -129,7 +129,7 @@ def test_command_names_the_mesh(
          "identify.meshes = .*a table of .msh files and their numbers"),
         ("[identify.meshes]", '[identify.unknown]\n"crack.length" = [1.0, 2.0, 3.0, 4.0]\n'
          "[identify.meshes]", "crack.length'?: must be a word, or one of crack.center"),
-        ('layout = "file"', 'layout = "graded"\nsize = 0.04', "left out"),
+        ('layout = "file"', 'layout = "graded"\nsize = 0.04', "not allowed"),
     ],
 )  # fmt: skip
 def test_meshes_that_cannot_be_used(own: Path, old: str, new: str, message: str) -> None:

@@ -346,8 +346,9 @@ def test_bad_input_is_named(key: str, changes: dict[str, Any]) -> None:
     expected = given.get(leaf) if leaf and isinstance(given, dict) else given
     assert repr(error.value) == repr(expected)
     assert error.allowed
-    for part in (error.key, repr(error.value), error.allowed):
-        assert part in str(error)
+    text = str(error)
+    assert error.key in text and error.allowed.removeprefix("left out") in text
+    assert "is missing" in text if error.value is None else repr(error.value) in text
 
 
 @pytest.mark.parametrize("content", [None, b"[geometry", b"\xff\xfe\x00", b"", b"x = 1"])
@@ -624,4 +625,4 @@ def test_any_values_give_a_scene_or_an_input_error(
     try:
         assert isinstance(Scene.from_mapping(mapping), Scene)
     except InputError as error:
-        assert error.allowed and error.allowed in str(error)
+        assert error.allowed and error.allowed.removeprefix("left out") in str(error)

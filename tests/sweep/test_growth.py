@@ -472,10 +472,10 @@ def test_ranks_share_the_lengths(on_ranks: Callable[..., Any], driven: fc.Growth
             {"crack.edge": None, "crack.center": 0.05, "growth.until": 0.05},
             "crack = .*from an edge",
         ),
-        ({"crack": None, "contact": None}, "left out without a crack"),
+        ({"crack": None, "contact": None}, "not allowed without a crack"),
         ({"growth.drive": "noise"}, "growth.drive = 'noise'.*'frequency', 'resonance'"),
         ({"growth.drive": "spectrum"}, "growth.run_up = None: .*or frequencies and cycles"),
-        ({"growth.cycles": [1.0]}, r"growth.cycles.*left out with drive = 'frequency'"),
+        ({"growth.cycles": [1.0]}, r"growth.cycles.*not allowed with drive = 'frequency'"),
         (
             {"growth.drive": "spectrum", "growth.frequencies": [1.0], "growth.cycles": [1.0, 2.0]},
             "growth.cycles.*as many numbers as there are frequencies",
@@ -537,7 +537,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     capsys.readouterr()
     assert main(["grow", str(scene), "--set", "growth=none", "--output", str(folder)]) == 2
     told = capsys.readouterr().err
-    assert "growth = None: must be given for this command" in told and "[growth]" in told
+    assert "growth is missing: must be given for this command" in told and "[growth]" in told
 
 
 def test_a_blade_with_a_run_up_grows(tmp_path: Path) -> None:
