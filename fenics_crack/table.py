@@ -53,16 +53,16 @@ OF_LIPS: dict[str, tuple[str, str]] = {
     "penetration": ("largest penetration", "m"),
     "contact_force": ("largest contact force of a pair", "N"),
     "crack_force": ("largest contact force of a crack, all pairs", "N"),
-    "closed_share": ("share of the period closed, mean over pairs", "1"),
+    "closed_share": ("contact duty cycle, mean over pairs", "1"),
 }
 """Quantities of all crack faces."""
 OF_FREQUENCIES: dict[str, tuple[str, str]] = {
-    "omega_open": ("natural frequency, lips open", "rad/s"),
-    "omega_tied": ("natural frequency, lips tied", "rad/s"),
+    "omega_open": ("natural frequency, crack open", "rad/s"),
+    "omega_tied": ("natural frequency, crack bonded", "rad/s"),
     "omega_bilinear": ("bilinear frequency", "rad/s"),
-    "over_open": ("load frequency over that with lips open", "1"),
-    "over_tied": ("load frequency over that with lips tied", "1"),
-    "over_bilinear": ("load frequency over the bilinear one", "1"),
+    "over_open": ("load frequency / natural frequency, crack open", "1"),
+    "over_tied": ("load frequency / natural frequency, crack bonded", "1"),
+    "over_bilinear": ("load frequency / bilinear frequency", "1"),
 }
 """Quantities of the mode whose bilinear frequency is nearest to the load's."""
 OF_TIPS: dict[str, tuple[str, str]] = {

@@ -129,7 +129,7 @@ def test_smooth_law_with_few_harmonics_has_no_verdict() -> None:
     stability = fc.floquet(case.structure, found)
     assert found.report.truncation == pytest.approx(0.0857, rel=0.01)
     assert abs(stability.multipliers[0]) < 1.0 and stability.verdict == "undecided"
-    assert "the harmonics left out change it by 8.6 %" in stability.reason
+    assert "the truncated harmonics change it by 8.6 %" in stability.reason
 
 
 CURVES = [
@@ -378,7 +378,7 @@ def test_large_error_is_stated_as_predicted() -> None:
     assert found.report.truncation == pytest.approx(found.assessment.predicted_error)
     assert 0.4 < found.report.truncation < campaign.UNKNOWN
     reason = fc.floquet(case.structure, found).reason
-    assert reason.startswith("the harmonics left out change it by") and "take more" in reason
+    assert reason.startswith("the truncated harmonics change it by") and "take more" in reason
 
 
 @pytest.mark.parametrize(("family", "number"), [("smooth", 1), ("whole", 2), ("rigid", 6)])
@@ -406,7 +406,7 @@ def test_next_to_grazing_the_orbit_is_farther_away_than_predicted() -> None:
     row = campaign.judge(case, found, "solution", stability.verdict)
     assert row.judgement == campaign.UNDECIDED, row
     assert "nearest exact orbit, which is stable" in stability.reason
-    assert stability.reason.endswith("take more harmonics, or a tolerance")
+    assert stability.reason.endswith("use more harmonics, or a tolerance")
     assert row.true == pytest.approx(row.estimate, rel=1e-3) and row.true > 5.0 * row.pred
 
 

@@ -71,7 +71,7 @@ def test_from_a_new_scene_to_a_report(folder: Path, ask: object) -> None:
     results = folder / "output/plate"
     checked = {r["what"]: r["value"] for r in json.loads(ask("check --format json"))}
     opened, tied = (
-        checked[f"first natural frequency, lips {lips} [Hz]"] for lips in ("open", "tied")
+        checked[f"first natural frequency, crack faces {how} [Hz]"] for how in ("open", "bonded")
     )
     breathing = 2.0 * opened * tied / (opened + tied)
     assert checked[BREATHING] == pytest.approx(breathing)

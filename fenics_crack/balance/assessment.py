@@ -157,31 +157,31 @@ class Assessment:
 
     @property
     def reason(self) -> str:
-        """Why the orbit is not the solution's own; "" where it is."""
+        """Reason why no orbit is accepted for the solution; "" where one is."""
         if self.accepted:
             return ""
         if self.too_slow:
             assert self.flow is not None
             turns = self.flow.fastest * self.wave.period / (2.0 * np.pi)
             return (
-                f"the load is so slow that the highest modes turn {turns / 1e3:.0f} thousand times "
-                "in a period, too often for exact motions to be followed; keep fewer modes"
+                f"the load is so slow that the highest modes have {turns / 1e3:.0f} thousand "
+                "cycles in a period, too many for exact time integration; keep fewer modes"
             )
         if self.flow is None:
             return "its law or its structure has no exact flow"
         if self.prediction is None:
-            return "its pairs open and close too often to be followed; lips without mass do less so"
+            return "the crack opens and closes too often; less so with crack faces without mass"
         expected = self.predicted_error
-        size = percent(expected) if expected < UNKNOWN else "more than its size"
+        size = percent(expected) if expected < UNKNOWN else "100 % or more"
         if self.orbit is None:
             return (
-                f"the harmonics left out change it by {size}, and no exact orbit was found next "
-                "to it; take more"
+                f"the truncated harmonics change it by {size}, and no exact orbit was found near "
+                "it; use more harmonics"
             )
         own = "stable" if self.orbit.is_stable else "unstable"
         return (
             f"the nearest exact orbit, which is {own}, is {percent(self.distance)} away where "
-            f"{size} was predicted: it may be another motion's; take more harmonics, or a tolerance"
+            f"{size} was predicted: it may be another motion; use more harmonics, or a tolerance"
         )
 
     @property

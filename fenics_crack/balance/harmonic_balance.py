@@ -382,8 +382,8 @@ def _told(solver: Solver, found: PeriodicSolution, tolerance: float) -> Periodic
         return replace(found, status=f"{found.status}; {chosen}")
     helps = {
         more: report.reduction,
-        "more damping, with which fewer harmonics do": report.truncation + report.sampling,
-        "a larger tolerance, as this is rounding": report.residual,
+        "more damping, which needs fewer harmonics": report.truncation + report.sampling,
+        "a larger tolerance, as the error is rounding": report.residual,
     }
     size = "unknown" if report.unknown else percent(report.total)
     missed = f"solved; error {size}, {percent(tolerance)} was asked; what helps: "

@@ -76,7 +76,7 @@ ON_PATH = 15_000
 """Unknowns of all points together that one call of the kernel computes of a curve: Ctrl-C waits for
 it, a second or two."""
 SINGULAR = (
-    "'penalty', with a stiffness, as some lips hardly give beside others: they lie on a strip too "
+    "'penalty', with a stiffness, as some pairs hardly give beside others: they lie on a strip too "
     "thin for no penetration at all, or no modes are left out; or cracks farther apart"
 )
 """Allowed values where R_inf, the quasi-static compliance of a rigid contact, is singular to
@@ -298,13 +298,13 @@ class Search:
 
     @property
     def status(self) -> str:
-        """All attempts, and what to do where none led to a solution."""
-        told = "; then ".join(self.attempts)
+        """All attempts, and a remedy where none led to a solution."""
+        attempts = "; then ".join(self.attempts)
         if self.converged:
-            return told
+            return attempts
         return (
-            f"{told}; none found in {self.iterations} iterations: try other harmonics, a softer "
-            "contact, more damping, or a solution nearby as initial"
+            f"{attempts}; no solution in {self.iterations} iterations: try other harmonics, a "
+            "softer contact, more damping, or a neighbouring solution as initial"
         )
 
     def solve(self, *starts: np.ndarray) -> Linearisation:
@@ -387,7 +387,7 @@ class Search:
             name = "from fewer harmonics" if many else "full Newton steps"
             yield name, self._climb(problem, counts)
         if not self._spent:
-            yield "path in the softness", self._path()
+            yield "continuation in the contact compliance", self._path()
 
     def _near(self, system: ContactSystem, guess: np.ndarray) -> Iterator[np.ndarray]:
         """A guess, and where steps from there lead that are shortened where the residual would

@@ -37,28 +37,33 @@ from fenics_crack.table import (
 
 MORE = "more harmonics (harmonic_balance.harmonics, or a tolerance that chooses them)"
 FINER = "a smaller harmonic_balance.tolerance"
-SHARE = "of the lips' motion"
+PART_IN_WORDS = {
+    "truncation": "too few harmonics",
+    "reduction": "modal truncation",
+    "sampling": "AFT sampling",
+    "residual": "the residual",
+}
 OTHERS = {
     "periods": ("periods", "-"),
     "steps_per_period": ("steps in a period", "-"),
     "settled": ("change over the last period", "-"),
-    "distance": ("distance from where it settles", "-"),
+    "distance": ("distance from the settled motion", "-"),
     "created_energy": ("energy created", "-"),
     "verdict": ("verdict", "-"),
     "multiplier": ("largest multiplier", "-"),
     "converged": ("converged", "-"),
     "harmonics": ("harmonics", "-"),
     "iterations": ("iterations", "-"),
-    "residual_error": ("estimated error: residual", SHARE),
-    "truncation_error": ("estimated error: truncation", SHARE),
-    "sampling_error": ("estimated error: sampling", SHARE),
-    "reduction_error": ("estimated error: reduction", SHARE),
-    "displacement_error": ("estimated error: displacement at the load", "of that displacement"),
-    "total_error": ("estimated error by modes and harmonics", SHARE),
-    "penetration_share": ("penetration", SHARE),
+    "residual_error": ("relative error of the gap: residual", "-"),
+    "truncation_error": ("relative error of the gap: harmonics", "-"),
+    "sampling_error": ("relative error of the gap: AFT sampling", "-"),
+    "reduction_error": ("relative error of the gap: modal truncation", "-"),
+    "displacement_error": ("relative error of the displacement at the load", "-"),
+    "total_error": ("relative error of the gap by modes and harmonics", "-"),
+    "penetration_share": ("relative penetration", "-"),
     "from_rest": ("the motion from rest", "-"),
     "rest_amplitude": ("half peak-to-peak, motion from rest", "m"),
-    "unknown_error": ("why the error is unknown", "-"),
+    "unknown_error": ("reason of the unknown error", "-"),
     "remarks": ("remarks", "-"),
 }
 """Words and unit of the printed quantities of a solution or a motion beside the indicators."""
@@ -69,7 +74,7 @@ IN_FILES = (
 """Quantities that no printed table has: parts of an error, and sentences, which are below it."""
 ALWAYS = ("omega", "frequency", "verdict", "converged", "total_error", "distance")
 """Quantities printed whatever the scene chooses."""
-ON_MODES = "hangs on modes that are left out"
+ON_MODES = "depends on truncated modes"
 IN_A_TEST = {
     "fold": "the curve turns back: in a test the vibration jumps to another size here",
     "period_doubling": "beyond it the vibration repeats after two periods of the load: in a test "
@@ -147,7 +152,7 @@ def of_size(run: Run[Any], largest: Sequence[float]) -> list[str]:
         return []
     return [
         f"{quantity(size, 'm')} of {words} is beyond small displacements, which the equations "
-        f"assume: the shortest side has {quantity(side, 'm')}, and the stated errors leave that out"
+        f"assume: the shortest side has {quantity(side, 'm')}; the stated errors do not include it"
     ]
 
 
@@ -177,14 +182,14 @@ def of_error(
     else:
         rigid = scene.contact is not None and scene.contact.law == "unilateral"
         softer = "softer contact, or contact.law = 'unilateral'"
-        wanted = f"{'a load that moves the lips more' if rigid else softer}: it is rounding"
+        wanted = f"{'a load that moves the crack faces more' if rigid else softer}: it is rounding"
     if report.unknown:
-        unsettled = f"its estimate by {part} did not settle"
-        yield f"the error is unknown{where}, {unsettled}: it needs {wanted}"
+        unsettled = f"its estimate for {PART_IN_WORDS[part]} did not converge"
+        yield f"the error is unknown{where}, {unsettled}; use {wanted}"
         return
     yield (
-        f"the estimated error is {report.total:.2g} of the gap{where}, most of it by {part}: it "
-        f"needs {wanted}"
+        f"the estimated relative error of the gap is {percent(report.total)}{where}, mostly due to "
+        f"{PART_IN_WORDS[part]}; use {wanted}"
     )
 
 
@@ -196,9 +201,10 @@ def of_stability(
         return
     because = f" ({stability.reason})" if stability.reason else ""
     left = how_it_is_left(stability)
-    text = f"the orbit is {stability.verdict}{because}: a motion in time may leave it{left}{seen}"
+    text = f"the orbit is unstable{because}: a disturbed motion leaves it{left}{seen}"
     hints = []
     if stability.verdict == "undecided":
+        text = f"the stability of the orbit is undecided{because}{seen}"
         if scene.harmonic_balance.tolerance is None:
             hints.append("more harmonics")
         table = scene.damping  # None: a matrix, which damps all modes or not
@@ -301,8 +307,8 @@ def _with_columns(table: Table, wanted: Callable[[str, str], bool]) -> Table:
 
 
 def readable_rows(table: Table) -> Table:
-    """The known quantities of a table with a column "name" as one reads them: "7.916 µm", "5.7 % of
-    the lips' motion"; with their errors where it has these."""
+    """The known quantities of a table with a column "name" as one reads them: "7.916 µm", and
+    relative ones as "5.7 %"; with their errors where it has these."""
     rows = [row[1:] for row in _rounded(table).rows if row[2] == row[2]]
     return Table(
         ("quantity", "value", *table.columns[4:]),
@@ -314,8 +320,8 @@ def _readable(name: str, value: Any, unit: str) -> tuple[str, Any]:
     known = isinstance(value, float) and np.isfinite(value)
     if known and unit in MEASURED:
         return name, quantity(value, unit)
-    if known and unit.startswith("of "):
-        return name, f"{percent(value)} {unit}"
+    if known and name.startswith("relative "):
+        return name, percent(value)
     words = f"{value:.6g}" if known else {True: "yes", False: "no"}.get(value, value)
     return name, words if unit in ("-", "1", "") else f"{words} {unit}"
 
@@ -333,13 +339,13 @@ SPEEDS = ("rotation.speed", "rotation.rpm")
 
 def account_of_verification(found: Verification) -> Account:
     """A convergence study."""
-    told = found.statement[: -len(found.warnings) or None]
+    sentences = found.statement[: -len(found.warnings) or None]
     return Account(
         "verify",
         found.table(),
         shown=found.totals(),
-        facts=told,
-        notes=told,
+        facts=sentences,
+        notes=sentences,
         warnings=found.warnings,
         tables={"Contributions": found.totals()},
         remarks=(remarks := remarks_on_scene(found.scene)),
@@ -387,15 +393,13 @@ def account_of_sweep(found: SweepResult, note: str = "") -> Account:
     shown, how = few_cases(found)
     counts = {"converged": int(found.converged.sum()), "failed": len(found.failed)}
     counts["pending"] = found.converged.size - sum(counts.values())
-    told = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+    states = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
     swept = ", ".join(f"{len(a.values)} values of {key_in_words(a.key)}" for a in found.axes)
     tables = {f"Cases{how}": shown}
     stepped = stepped_over(found)
     high = int(np.sum(found["largest_order"] > 3))
-    told_high = (
-        f"in {counted(high, 'case')} a harmonic above the third is the largest of the higher "
-    )
-    told_high = f"{told_high}ones: ratio_largest, largest_order" if high else ""
+    higher = f"in {counted(high, 'case')} the largest higher harmonic is above the third"
+    higher = f"{higher}: ratio_largest, largest_order" if high else ""
     if found.failed:
         failed = [(str(index), reason) for index, reason in found.failed]
         tables["Failed cases"] = Table(("case", "reason"), failed)
@@ -408,7 +412,7 @@ def account_of_sweep(found: SweepResult, note: str = "") -> Account:
             f"converged, {counts['failed']} failed.",
             *stepped,
         ],
-        notes=[note, f"cases: {told}{how}", told_high, *(f"remark: {text}" for text in stepped)],
+        notes=[note, f"cases: {states}{how}", higher, *(f"remark: {text}" for text in stepped)],
         warnings=(warnings := [*warnings_of(found)]),
         tables=tables,
         remarks=(remarks := remarks_on_scene(found.scene)),
@@ -428,8 +432,8 @@ def warnings_of(found: SweepResult) -> Iterator[str]:
         yield "the stability is undecided in all cases"
     elif unstable or undecided:
         numbers = [f"{n} {word}" for n, word in ((unstable, "unstable"), (undecided, "undecided"))]
-        told = " and ".join(text for text in numbers if not text.startswith("0 "))
-        yield f"of {counted(verdicts.size, 'case')} {told}"
+        shares = " and ".join(text for text in numbers if not text.startswith("0 "))
+        yield f"{shares} of {counted(verdicts.size, 'case')}"
     yield from by_reason(found, found.undecided, "undecided")
     for said in by_reason(found, found.contradicted, f"or more whose verdict {ON_MODES}"):
         yield f"{said}; raise reduction.modes"
@@ -478,8 +482,8 @@ def stepped_over(found: SweepResult) -> list[str]:
     also = f", and at {counted(more, 'other place')}" if more else ""
     return [
         f"between {between}{where}{also}, the sweep steps over a peak that "
-        "is narrower than the step: the largest response lies there; smaller steps or the command "
-        "curve find it"
+        "is narrower than the step: the largest response lies there; use smaller steps, or the "
+        "command curve, to find it"
     ]
 
 

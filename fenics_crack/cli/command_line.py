@@ -258,7 +258,7 @@ COMMANDS = {
     "check": ("mesh and assemble a scene without solving it", "scene --set"),
     "modes": ("natural frequencies and mode shapes, crack open", f"{SOLVED} --count"),
     "campbell": (
-        "natural frequencies over the speed of [rotation], crack open and tied, and a picture",
+        "natural frequencies over the speed of [rotation], crack open and bonded, and a picture",
         f"{SOLVED} --count --speeds --pictures",
     ),
     "solve": ("steady vibration at excitation.omega", SOLVED),

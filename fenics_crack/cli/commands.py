@@ -58,12 +58,12 @@ def solved(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     with uninterrupted():
         if stopped and on_root(console.comm, (folder / f"{name}.h5").exists):
             console.note(
-                f"{folder / name}.* stays as it was: what was found until Ctrl-C is beside it"
+                f"{folder / name}.* is unchanged: the interrupted result has a name of its own"
             )
             name = f"{name}_interrupted"  # a part takes the place of no result
         if account is None:
             run.save(folder / f"{name}.h5")
-            raise StoppedError(f"stopped; {folder / name}.h5 has what was found until then")
+            raise StoppedError(f"stopped; {folder / name}.h5 has the result so far")
         return tell(replace(account, name=name), folder, console, save=run.save)
 
 
@@ -102,9 +102,9 @@ def tell(
     if account.run is not None:
         away = {w.name.partition(".")[0]: w.distance for w in account.run.watched if w.distance > 0}
         places = [f"{name} {quantity(distance, 'm')}" for name, distance in away.items()]
-        told = f"watched at the nearest node, away by: {', '.join(places)}"
-        told += "; the stated errors leave that out" if account.run.stated is not None else ""
-        console.note(told if places else "")
+        note = f"watched at the nearest node, at a distance of: {', '.join(places)}"
+        note += "; not part of the stated errors" if account.run.stated is not None else ""
+        console.note(note if places else "")
     console.note(*account.notes)
     console.remark(*account.remarks)
     console.warn(*account.warnings)

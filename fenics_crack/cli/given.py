@@ -265,8 +265,8 @@ def keep_before(table: Path, text: str, comm: MPI.Comm, *others: str) -> str:
                 except OSError:  # a file system without links
                     shutil.copy2(path, before / path.name)
         except OSError as error:
-            return f"{before}: the earlier result could not be kept here ({error.strerror})"
-        return f"{before}: here is the earlier result, of other content"
+            return f"{before}: the previous result could not be kept here ({error.strerror})"
+        return f"{before}: the previous result, which this one has replaced, is kept here"
 
     return on_root(comm, work)
 
@@ -293,7 +293,7 @@ def new(given: Namespace, _: None, console: Console) -> None:
     def write() -> None:
         for file in files:
             if os.path.exists(file):  # False for a name too long, which writing will say
-                raise InputError("scene", str(file), "a new file; there is one already")
+                raise InputError("scene", str(file), "the name of a new file; this one exists")
         for file, text in files.items():
             write_whole(file, text, "scene")
 

@@ -82,12 +82,12 @@ File = Callable[..., Path]
 """Takes the name of a picture, and its kind if it has only one; remembers and returns its path."""
 CAPTIONS = {
     "mesh": "The mesh with its named parts.",
-    "modes": "Mode shapes with the crack open. No contact acts in them, so the lips may overlap.",
-    "solution_waves": "The displacement that is watched, and the closing of the lips.",
+    "modes": "Mode shapes with the crack open. Without contact, so the crack faces may overlap.",
+    "solution_waves": "The watched displacement, and the closing of the crack faces.",
     "solution_spectrum": "Amplitudes of the harmonics. There are enough of them where they have "
     "fallen far.",
-    "solution_orbits": "The motion in the phase plane; thick where the lips touch.",
-    "solution_contact_map": "Where along the crack and when in the period the lips touch.",
+    "solution_orbits": "The motion in the phase plane; thick where the crack faces touch.",
+    "solution_contact_map": "Contact of the crack faces along the crack and over the period.",
     "solution_breathing_crack": "One period, slowed down and magnified as stated above the plate.",
     "solution_tips": "What opens the tips of the crack, over the period.",
     "curve": "Response. Dashed: unstable; dotted: undecided; faint: large estimated error.",
@@ -209,7 +209,7 @@ def _solution(run: Run[PeriodicSolution], file: File) -> None:
     found, dof = run.result, run.watched_dof
     title = f"{frequency_in_words(run.scene, found.omega)}, H = {found.harmonics}"
     if known := known_to(run):
-        title += f", known to {known.partition(',')[0]}"
+        title += f", error {known.partition(',')[0]}"
     elif found.gap_coefficients.size and found.report.estimated:
         error = "unknown" if found.report.unknown else percent(found.report.total)
         title += f", error {error}"
@@ -255,7 +255,7 @@ def _waves(run: Run, omega: float | None, **where: Any) -> None:
     """Draw the displacement of the load's dof and the gap at the mouths over time, in periods of a
     frequency [rad/s], else in seconds."""
     found, styles = over_time(run, DRAWN_INSTANTS), itertools.cycle(STYLES)
-    time, touch = found.time - found.time[0], "lips touch" if found.closings else None
+    time, touch = found.time - found.time[0], "crack faces touch" if found.closings else None
     waves = [Wave(run.watched_name, time, found.motion[:, 0])]
     for place, wave in found.closings.items():
         waves.append(Wave(f"closing {place}", time, wave, *next(styles)))
@@ -280,7 +280,8 @@ def _without_contact(run: Run[ResponseCurve]) -> dict[str, tuple[np.ndarray, np.
     found, scene, structure = run.result, run.scene, run.structure
     if found.parameter != "omega":
         return {}
-    lines = {f"lips always {lips}": (structure, run.watched_dof, lips) for lips in LIPS}
+    words = {"open": "open", "tied": "bonded"}
+    lines = {f"crack always {words[lips]}": (structure, run.watched_dof, lips) for lips in LIPS}
     if scene.geometry is not None and scene.geometry.width is not None:
         no_crack = dict.fromkeys(
             ("crack", "cracks", "contact", "sweep", "identify", "growth", "output.quantities")
@@ -497,7 +498,9 @@ def _solutions(runs: Mapping[str, Run[PeriodicSolution]], file: File) -> None:
     if gaps:
         title = f"Closing of the lips {_common(places) or ''}".rstrip()
         path = file("overlay_gaps")
-        draw_waves(gaps, quantity="closing", zero="lips touch", path=path, title=title, **how)
+        draw_waves(
+            gaps, quantity="closing", zero="crack faces touch", path=path, title=title, **how
+        )
     both = {label: (run.result, run.watched_dof) for label, run in runs.items()}
     draw_spectra(both, path=file("overlay_spectrum"), title=name)
 

@@ -18,7 +18,6 @@ from fenics_crack.balance.solution import Indicators, PeriodicSolution
 from fenics_crack.cli.account import (
     IN_A_TEST,
     OTHERS,
-    SHARE,
     Account,
     account_of_growth,
     account_of_sweep,
@@ -91,7 +90,7 @@ def _account_of_modes(run: Run[Modes]) -> Account:
     names = [natural_name(run.scene, "open", number + 1) for number in range(len(found.omega))]
     known = known_to(run, names[0])
     fact = f"The first natural frequency with the crack open is {hertz:.5g} Hz ({first:.5g} rad/s)"
-    fact += f", known to {known}." if known else "."
+    fact += f", estimated error {known}." if known else "."
     if run.stated is not None:
         rows = [[*row, _errors(run, name)[0]] for row, name in zip(table.rows, names, strict=True)]
         table = Table([*table.columns, ERROR], rows)
@@ -111,8 +110,9 @@ def _account_of_solution(run: Run[PeriodicSolution]) -> Account:
     asked = scene.harmonic_balance.error
     if found.converged and found.stability is None and run.contact is not None and asked:
         notes.append(
-            "the stability is not judged, as that would take long: it is for a reduced structure, "
-            "with contact.law = 'unilateral' for lips without mass (reduction.method)"
+            "the stability is not assessed, as that would take long; it is for a reduced "
+            "structure, with contact.law = 'unilateral' for one without mass at the crack faces "
+            "(reduction.method)"
         )
     if found.converged and (larger := largest_left_out(found, run.watched_dof)) is not None:
         notes.append(
@@ -200,44 +200,48 @@ def _facts(run: Run[PeriodicSolution]) -> Iterator[str]:
     elif not report.estimated:
         yield "Its error is not estimated (harmonic_balance.error = false)."
     elif not known_to(run):
-        yield f"The estimated error of harmonic balance is {percent(report.total)} {SHARE}."
+        yield f"The estimated relative error of the gap is {percent(report.total)}."
     if report.penetration > 0.0:
         yield (
-            f"The contact law lets the lips penetrate by {report.penetration:.2%} of their motion; "
-            "this belongs to the law, and is no error of its solution."
+            f"The crack faces penetrate by {report.penetration:.2%} of their motion, as the "
+            "contact law allows; this is no error of the solution."
         )
 
 
 def _known(run: Run[Any], name: str = "") -> str:
-    """ " (known to 2.4 %)", where that is stated."""
+    """ " (estimated error 2.4 %)", where that is stated."""
     known = known_to(run, name)
-    return f" (known to {known})" if known else ""
+    return f" (estimated error {known})" if known else ""
 
 
 def _seen_instead(found: PeriodicSolution, dof: int) -> str:
     """Describe the size of the motions that leave an unstable solution; empty where that is not
     known (collective)."""
-    said = []
+    settled, said = [], []
     with suppress(ConvergenceError, InputError):
         for one in attractors(found.structure, found):
             sizes = one.amplitudes(dof)
             least, most = (quantity(size, "m") for size in (sizes.min(), sizes.max()))
             size = most if least == most else f"between {least} and {most}"
-            still = f"still vary after {counted(one.periods, 'period')},"
-            said.append(f"{'settle to' if one.orbit else still} {size}")
+            if one.orbit:
+                settled.append(size)
+            else:
+                said.append(f"still varies after {counted(one.periods, 'period')}, {size}")
+    if settled:
+        said.insert(0, f"settles to {' or '.join(dict.fromkeys(settled))}")
     seen = " or ".join(dict.fromkeys(said))
-    return f"; motions that leave it {seen} half peak-to-peak" if seen else ""
+    return f"; after a disturbance the motion {seen} half peak-to-peak" if seen else ""
 
 
 def _verdict(found: PeriodicSolution, seen: str) -> tuple[str, str]:
     """Return a sentence on the vibration's stability, with the motion seen instead, and its
     kind."""
     if not found.converged:
-        return "Not converged: there is no orbit to be judged.", "bad"
+        return "Not converged: there is no orbit to assess.", "bad"
     if found.stability is None:
         return "The stability was not examined.", "doubtful"
     judged = found.stability
-    grows = f"grows, and a motion in time leaves it{how_it_is_left(judged)}{seen}"
+    grows = f"grows, and the motion leaves this orbit{how_it_is_left(judged)}{seen}"
     undecided = f"Undecided: {judged.reason or 'more harmonics may decide'}", "doubtful"
     text, kind = {
         "stable": ("Stable: a small disturbance dies out", "good"),
@@ -255,11 +259,11 @@ def _account_of_history(run: Run[TimeHistory]) -> Account:
     distance = found.distance
     table = _quantities(run, vars(found) | {"distance": distance} | found.indicators().to_dict())
     asked = scene.integration or Integration()
-    change = "one alone does not tell"
+    change = "one period shows no change"
     if np.isfinite(found.settled):
-        change = f"a period changes it by {found.settled:.2g}"
-    left = f", and it is {distance:.2g} from where it settles" if distance < 1.0 else ""
-    facts = [f"The motion in time has settled after {found.periods} periods: {change}{left}."]
+        change = f"relative change over the last one {found.settled:.2g}"
+    left = f", estimated distance from the settled motion {distance:.2g}" if distance < 1.0 else ""
+    facts = [f"The motion has settled after {found.periods} periods: {change}{left}."]
     warnings = []
     done = bool(found.settled <= asked.settle)
     if asked.free:
@@ -270,7 +274,7 @@ def _account_of_history(run: Run[TimeHistory]) -> Account:
             f"Free decay over {found.periods} periods, from {first} to {last} half peak-to-peak."
         ]
     elif not done:
-        facts = [f"The motion in time was followed over {found.periods} periods."]
+        facts = [f"The time integration has {found.periods} periods."]
         warnings = [
             f"the motion has not settled after {found.periods} of {asked.periods} periods: "
             f"{change}{_longer_period(found)}"
@@ -296,8 +300,8 @@ def _longer_period(found: TimeHistory) -> str:
     """A hint why a motion has not settled: it may repeat after two or three load periods."""
     for count in range(2, len(found.by_period(found.time))):
         if (change := found.change(count)) < 0.1 * found.settled:
-            return f", {count} periods only by {change:.2g}: its period is {count} times the load's"
-    return "; it may need more of them (integration.periods), or be irregular"
+            return f", over {count} periods {change:.2g}: its period is {count} times the load's"
+    return "; it may need more periods (integration.periods), or be irregular"
 
 
 # --- their numbers --------------------------------------------------------------------------------
@@ -507,10 +511,10 @@ def _largest(run: Run[ResponseCurve], seen: str) -> str:
         place = f"{AT_END}, {place}: a peak lies beyond it, if there is one"
     else:
         where = "" if run.stated is None else known_to(run, run.stated.resonance)
-        place = f"at {place}{where and f', known to {where}'}"
+        place = f"at {place}{where and f', estimated error {where}'}"
     return (
         f"The largest response of the curve, {size} half peak-to-peak "
-        f"({run.watched_name}{known and f', known to {known}'}), is {place}{seen}."
+        f"({run.watched_name}{known and f', estimated error {known}'}), is {place}{seen}."
     )
 
 

@@ -1,4 +1,4 @@
-"""The command before anything is solved, ``check``, and what commands say of damping."""
+"""The command before anything is solved, ``check``, and the commands' remarks on damping."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
         **_contact(study, figures),
         "harmonics": harmonics_in_words(scene),
         "unknowns of harmonic balance": (2 * harmonics + 1) * whole.n_pairs,
-        "solved": _solved(scene, whole),
+        "reduction": _reduction(scene, whole),
         "memory, estimated [GiB]": round(memory / 2**30, 2),
     }
     if scene.curve is not None:
@@ -85,7 +85,7 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
     if scene.sweep is not None:
         rows["sweep"] = " x ".join(f"{len(axis.values)} {axis.key}" for axis in scene.sweep.over)
         rows["cases of the sweep"] = scene.sweep.n_cases
-        rows["of them impossible"] = on_root(console.comm, lambda: _impossible(scene))
+        rows["invalid cases"] = on_root(console.comm, lambda: _impossible(scene))
     remark = _remark_on_whole(scene, whole, highest_omega(scene))
     remarks = remarks_on(study.scene, figures) + remarks_on_structure(scene, whole)
     remarks += _of_mesh(study.scene, figures, by_mesh)
@@ -103,7 +103,7 @@ def _extents(figures: KeyFigures) -> dict[str, object]:
 def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:
     """The first natural frequencies, and the frequency asked for in parts of the first."""
     faces = faces_in_words(scene)
-    lips = {f", {faces} open": figures.omega_open, f", {faces} tied": figures.omega_tied}
+    lips = {f", {faces} open": figures.omega_open, f", {faces} bonded": figures.omega_tied}
     if figures.elements is None:
         lips = {"": figures.omega_open}
     lips = {words: natural[np.isfinite(natural)] for words, natural in lips.items()}
@@ -117,7 +117,7 @@ def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:
         rows[f"the next{words} [Hz]"] = ", ".join(f"{value / TURN:.6g}" for value in natural[1:])
     if figures.elements is not None:
         moved = "" if is_proportional(scene) else " without clearance"
-        what = "breathing crack" if faces == "lips" else "breathing contact"
+        what = "breathing contact" if faces == "pairs" else "breathing crack"
         rows[f"{what}{moved} resonates near [Hz]"] = figures.omega_breathing / TURN
     omega = scene.excitation.omega
     rows["load's frequency [Hz]"] = omega / TURN
@@ -141,9 +141,9 @@ def _known_by_mesh(found: Verification) -> dict[str, object]:
     if found.scene.structure is not None:
         return {}
     if found.unknown:
-        return {"natural frequencies known to": f"without the mesh: {found.unknown['mesh']}"}
+        return {"error of natural frequencies due to the mesh": f"unknown: {found.unknown['mesh']}"}
     ends = [percent(found.stated(name)[0]) for name in found.values if name.endswith("_1")]
-    return {"first natural frequencies known to, by the mesh": " and ".join(ends)}
+    return {"error of first natural frequencies due to the mesh": " and ".join(ends)}
 
 
 def _of_mesh(scene: Scene, figures: KeyFigures, found: Verification) -> list[Remark]:
@@ -192,9 +192,11 @@ def _contact(study: Study, figures: KeyFigures) -> dict[str, object]:
         rows["softest pair [N/m]"] = float(stiffness.min())
         rows["stiffest pair [N/m]"] = float(stiffness.max())
     faces = faces_in_words(study.scene)
-    rows[f"{faces}' own stiffness, one by one [N/m]"] = ranging(figures.own_stiffness, ".3g")
+    rows[f"static stiffness of the {faces}, each pair [N/m]"] = ranging(
+        figures.own_stiffness, ".3g"
+    )
     if figures.stiffness_ratio is not None:
-        rows[f"contact stiffness / {faces}' own"] = ranging(figures.stiffness_ratio, ".3g")
+        rows["contact stiffness / static stiffness"] = ranging(figures.stiffness_ratio, ".3g")
     rows["static opening, mean load [m]"] = figures.mean_opening
     rows[f"static motion of the {faces}, amplitude of the load [m]"] = figures.static_motion
     return rows
@@ -205,18 +207,18 @@ def harmonics_in_words(scene: Scene) -> int | str:
     table = scene.harmonic_balance
     if table.tolerance is None:
         return table.harmonics
-    return f"as an error of {table.tolerance:g} needs, from {table.harmonics}"
+    return f"{table.harmonics} or more, for an error of {table.tolerance:g}"
 
 
-def _solved(scene: Scene, whole: Structure) -> str:
+def _reduction(scene: Scene, whole: Structure) -> str:
     """Describe the reduction by which the structure is solved."""
     reduction = reduction_of(scene, whole)
     if reduction is None:
-        return "as it is"
+        return "none"
     modes = counted(reduction.modes, "mode")
     if reduction.method == "massless":
-        return f"{modes}, {faces_in_words(scene)} without mass"
-    return f"reduced, {reduction.method}, {modes}"
+        return f"massless, {modes}, {faces_in_words(scene)} without mass"
+    return f"{reduction.method}, {modes}"
 
 
 def _impossible(scene: Scene) -> str:

@@ -32,34 +32,34 @@ from fenics_crack.table import RPM, TURN, UNITS, Table, counted, quantity, rangi
 
 KEYS = ("tip_radius", "orders", "probes", "stiffening")
 """Keys of [tip_timing] for a record in place of a scene."""
-MISSING = "harmonics are missing (tip_timing.fitted_harmonics), and folded onto those kept"
-UNTESTED = "as many unknowns as probes: neither the order nor the harmonics kept are tested"
+MISSING = "harmonics are missing (tip_timing.fitted_harmonics), and folded onto the fitted ones"
+UNTESTED = "as many unknowns as probes: neither the order nor the fitted harmonics are tested"
 FOLDED = (
-    "harmonics that are left out may be folded onto those kept by more than their errors "
+    "harmonics that are not fitted may be folded onto the fitted ones by more than their errors "
     "(tip_timing.fitted_harmonics, or more probes)"
 )
 ONCE = (
-    "no probe sees the vibration twice, so errors of arrivals are not known: neither the harmonics "
-    "kept nor the standard errors are tested (more revolutions)"
+    "no probe sees the vibration twice, so errors of arrivals are unknown: neither the fitted "
+    "harmonics nor the standard errors are tested (more revolutions)"
 )
 BESIDE = (
-    "what is left is alike from revolution to revolution: another vibration, or drift, is beside "
-    "it, and frequency, damping and order may be off by more than their errors"
+    "the residual repeats in all revolutions: there is another vibration nearby, or drift, and "
+    "frequency, damping and order may be wrong by more than their errors"
 )
 UNTESTED_ORDER = (
     "cannot test an order: frequency and damping are those of order {:g}, and others may be right "
     "(three probes, or tip_timing.orders = one that is known)"
 )
 BLIND = (
-    "it sees nothing of the vibration that the others see alike, so it is left out: are its pulses "
-    "those of the blade?"
+    "it does not measure the vibration that the other probes agree on, so it is excluded: are its "
+    "pulses those of the blade?"
 )
 FAR = 2.0
 """Ratio of speeds, of arrivals and of their scene, above which there is a remark."""
 CONSTANT = (
     "frequency and damping are those of natural frequencies f which do not change with the speed "
-    "n: where rotation stiffens the blade the damping is 1 - d ln f / d ln n times that, and the "
-    "frequency lower than a fast run-up and higher than a run-down tells (tip_timing.stiffening)"
+    "n: where rotation stiffens the blade the damping is 1 - d ln f / d ln n times that; a fast "
+    "run-up overestimates and a run-down underestimates the frequency (tip_timing.stiffening)"
 )
 UNSWEPT = (
     "the speed varies by less than 1 %, and passes hardly a resonance; with a scene that has "
@@ -188,8 +188,8 @@ def _account_of_passages(found: Mapping[int, Sequence[PassageFit]]) -> Account:
             seen = counted(fit.probes, "probe")
             warnings.append(f"{name}: {seen} {UNTESTED_ORDER.format(fit.order)}")
         elif fit.ambiguous:
-            told = ", ".join(f"{order:g}" for order in fit.ambiguous)
-            warnings.append(f"{name}: orders that explain the arrivals as well: {told}")
+            others = ", ".join(f"{order:g}" for order in fit.ambiguous)
+            warnings.append(f"{name}: orders that explain the arrivals as well: {others}")
         if fit.disagree:
             warnings.append(f"{name}: {fit.disagreement}")
         if fit.in_doubt:
@@ -229,7 +229,7 @@ def _account_of_track(track: TipTrack, scene: Scene) -> Account:
     doubts = [UNTESTED] if np.isnan(track.misfit) else []
     if track.does_not_fit:
         doubts.append(
-            f"the fit leaves what is alike from revolution to revolution: {MISSING}, the vibration "
+            f"the residual repeats in all revolutions: {MISSING}, the vibration "
             "changes within the revolutions that are fitted together "
             f"(tip_timing.fitted_revolutions), or it is not of order {track.order:g}"
         )
@@ -239,16 +239,16 @@ def _account_of_track(track: TipTrack, scene: Scene) -> Account:
 
 
 def _account_of_fit(fit: TipFit, scene: Scene) -> Account:
-    """A fit, the ratio that tells of a crack, and warnings of what the probes cannot tell."""
-    notes = [f"beside it {_of_line(line)}" for line in fit.asynchronous]
+    """A fit, the ratio that indicates a crack, and warnings about untested assumptions."""
+    notes = [f"in addition, {_of_line(line)}" for line in fit.asynchronous]
     warnings = []
     if np.any(np.isclose(fit.multiples, 2.0)):
         ratio, error = fit.ratio()
         notes.append(f"second harmonic over first: {ratio:.4g} ± {error:.2g}")
     if fit.does_not_fit:
         warnings.append(
-            f"the fit leaves more between the probes than their scatter: {MISSING}, probes are "
-            "out of place (tip_timing.angle_deviation), or the order is not among tip_timing.orders"
+            f"residuals differ between the probes by more than their scatter: {MISSING}, probes "
+            "are misplaced (tip_timing.angle_deviation), or the order is none of tip_timing.orders"
         )
     elif fit.may_be_folded and fit.spare > 0:
         warnings.append(FOLDED)
@@ -261,9 +261,9 @@ def _account_of_fit(fit: TipFit, scene: Scene) -> Account:
         (fit.hidden, "orders that these probes cannot measure"),
     ):
         if orders:
-            told = [f"{order:.6g}" for order in orders[:SHOWN_ORDERS]]
+            first = [f"{order:.6g}" for order in orders[:SHOWN_ORDERS]]
             more = ["..."] if len(orders) > SHOWN_ORDERS else []
-            warnings.append(f"{what}: {', '.join(told + more)}")
+            warnings.append(f"{what}: {', '.join(first + more)}")
     table = fit.table()
     shown = in_one_unit(table, scene)
     return Account("timing", table, shown=shown, notes=notes, warnings=warnings)

@@ -35,7 +35,7 @@ class Equilibrium:
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
         if structure.light_lips:
             allowed = 'reduced with method="free_interface"'
-            raise InputError("structure", "lips without mass", allowed)
+            raise InputError("structure", "crack faces without mass", allowed)
         self.contact = contact
         self.modes: AllModes = all_modes(structure)
         squares = self.modes.squares

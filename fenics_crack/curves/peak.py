@@ -69,8 +69,8 @@ class Peak(Described, Top):
         Estimated error of the frequency, relative to it; nan where it is not known, or the
         response is still rising.
     without : str
-        What the errors do not have: "without the mesh", of a curve alone (:class:`ErrorReport`);
-        empty where the scene is known, by which :func:`fenics_crack.curve` has them all.
+        Causes missing in the errors: "error due to the mesh not included" for a curve alone
+        (:class:`ErrorReport`); empty for :func:`fenics_crack.curve`, whose scene has a mesh.
     """
 
     omega: float
@@ -78,7 +78,7 @@ class Peak(Described, Top):
     verdict: str
     damping: float
     omega_error: float = math.nan
-    without: str = "without the mesh"
+    without: str = "error due to the mesh not included"
 
     @property
     def frequency(self) -> float:

@@ -85,7 +85,9 @@ def monodromy(
             float(np.linalg.norm(size[:, None] * one / size)) for one in (found - before, found)
         )
     if not np.all(np.isfinite(found)):
-        raise ConvergenceError("linear flow: its steps cannot follow the disturbances of the wave")
+        raise ConvergenceError(
+            "linear flow: its steps cannot resolve the disturbances of the solution"
+        )
     return found
 
 
@@ -368,9 +370,9 @@ def _by_waves(structure: Structure, solution: PeriodicSolution, contact: Contact
         return Stability(unknown, "undecided", np.nan, reason=str(error))
     largest, left_out, reason = abs(values[0]), solution.report.truncation, ""
     if left_out >= UNKNOWN or not np.isfinite(off):
-        reason = "the solution's error is not known"
+        reason = "the error of the solution is unknown"
     elif left_out > LARGE_ERROR:
-        reason = f"the harmonics left out change it by {percent(left_out)}; take more"
+        reason = f"the truncated harmonics change it by {percent(left_out)}; use more"
     elif abs(largest - 1.0) <= max(KNOWN, off):
         reason = "its largest multiplier is 1 within its uncertainty"
     verdict = "undecided" if reason else "stable" if largest < 1.0 else "unstable"

@@ -442,8 +442,8 @@ class _Page:
             ("at rest", True, "rest", 1.5, None),
             ("clamped", fields.mesh.clamped.any(), "rest", 6, None),
             ("load", np.any(fields.load), "load", 3, ">"),
-            ("lips", fields.cracked and fields.mesh.dimension == 2, "lips", 3, None),
-            ("lips in contact", len(fields.areas), "contact", 0, "o"),
+            ("crack faces", fields.cracked and fields.mesh.dimension == 2, "lips", 3, None),
+            ("crack faces in contact", len(fields.areas), "contact", 0, "o"),
         )
         keys = [
             Line2D([], [], label=label, color=INK[ink], lw=width, marker=marker, ms=8)

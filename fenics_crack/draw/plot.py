@@ -594,9 +594,8 @@ def draw_orbits(
     """Draw the motion in the phase plane, velocity over displacement (collective).
 
     One panel shows the gap at the mouth (of the first crack; in the middle of a crack inside), one
-    the displacement of a dof. The orbit is thick where the lips touch there, or in the panel of the
-    dof anywhere. A dot marks the beginning of
-    each load period; the motion runs clockwise.
+    the displacement of a dof. The orbit is thick where the crack faces touch there, or in the panel
+    of the dof anywhere. A dot marks the beginning of each load period; the motion runs clockwise.
 
     Parameters
     ----------
@@ -628,10 +627,10 @@ def draw_orbits(
         pair = solution.structure.first_watched
         place = solution.structure.where(pair)
         closing = f"closing {place}"
-        orbits.append((solution.gap, pair, closed[:, pair], closing, "lips touch there"))
+        orbits.append((solution.gap, pair, closed[:, pair], closing, "crack faces touch there"))
     if dof is not None:
         moved, name = partial(solution.displacement, dofs=[dof]), solution.structure.dof_name(dof)
-        orbits.append((moved, 0, np.any(closed, axis=1), name, "lips touch somewhere"))
+        orbits.append((moved, 0, np.any(closed, axis=1), name, "crack faces touch somewhere"))
     if not orbits:
         raise InputError("dof", None, "given where there is no contact pair")
     count = len(orbits)
@@ -672,7 +671,7 @@ def _orbit(
     beginnings = orbit_at(starts)
     axes.plot(*beginnings, "o", color="black", ms=5.5, label="a load period begins")
     label_axis(axes.xaxis, quantity, "m")
-    label_axis(axes.yaxis, "its velocity", "m/s")
+    label_axis(axes.yaxis, "velocity", "m/s")
     axes.margins(0.08)
 
 

@@ -32,7 +32,7 @@ ARROW = 0.2
 def draw_mesh(structure: Structure, **where: Unpack[Where]) -> Figure:
     """Draw the mesh of a structure at rest with its named parts (collective).
 
-    They are what is clamped, the lips of the crack, the pairs of their nodes where contact is
+    They are what is clamped, the crack faces, the pairs of their nodes where contact is
     watched, and the load: arrows along its mean, cosine and sine part, each in a scale of its own.
 
     Parameters
@@ -70,7 +70,7 @@ def draw_mesh(structure: Structure, **where: Unpack[Where]) -> Figure:
         (mesh.edges, "#9a9a9a", 0.4, ""),
         (mesh.boundary, "black", 1.2, ""),
         (clamped, COLOURS["green"], 5.0, "clamped"),
-        (mesh.lips, COLOURS["orange"], 2.2, "lips of the crack"),
+        (mesh.lips, COLOURS["orange"], 2.2, "crack faces"),
     ):
         if len(edges):
             look = {"colors": colour, "linewidths": width, "label": label}
@@ -198,7 +198,7 @@ def _solid(picture: Picture, mesh: NodalMesh, load: np.ndarray) -> None:
     handles = []
     for rows, colour, label in (
         (facets[clamped], "green", "clamped"),
-        (facets[is_lip], "orange", "lips of the crack"),
+        (facets[is_lip], "orange", "crack faces"),
     ):
         if len(rows):
             plotter.add_mesh(

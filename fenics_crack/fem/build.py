@@ -159,7 +159,7 @@ def _matched(
         found = f"{len(lower)} lower and {len(upper)} upper nodes"
         how = "one curve or surface named 'crack' is split into two that do"
         allowed = (
-            f"meshed identically, so that the nodes of the two lips pair one to one, but {reason}"
+            f"meshed identically, so that nodes of the two faces pair one to one, but {reason}"
         )
         raise InputError("lips", found, f"{allowed}; {how}")
     return lower, upper[partner], cracks, positions

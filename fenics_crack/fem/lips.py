@@ -141,7 +141,7 @@ def _chains(edges: list[tuple[int, int]], tips: set[int], positions: np.ndarray)
         if len(touching) > 2 and node not in tips:
             place = "({:g}, {:g})".format(*positions[node])
             allowed = "cracks that neither branch nor cross, as one of them does here"
-            raise InputError("lips", f"{len(touching)} edges of a lip at {place}", allowed)
+            raise InputError("lips", f"{len(touching)} edges of a crack face at {place}", allowed)
     unused, chains = set(range(len(edges))), []
     for start in ends:
         for edge in edges_at.get(start, ()):

@@ -103,7 +103,7 @@ def _share_at(scene: Scene, dofs: Dofs, key: str, point: Vector) -> np.ndarray:
     """
     if sides := [found for lip in dofs.plate.lips if (found := lip.beside(point)) is not None]:
         (low, high), *_ = sides
-        allowed = "on one of the two lips that are there: {} on the lower one, {} on the upper one"
+        allowed = "on one of the two crack faces there: {} on the lower one, {} on the upper one"
         raise InputError(key, tuple(point), allowed.format(low, high))
     places, own = gather_rows(dofs.comm, dofs.points), dofs.first_node + np.arange(dofs.n_nodes)
     if len(found := nodes_at(places, point)):

@@ -329,7 +329,7 @@ def _doubled(model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix) -> _L
         raise InputError("model", f"more than two nodes at {where}, one of them {label}", allowed)
     if not len(first):
         found = f"{len(pairs)} nodes in the same place as another, all of them joined or held"
-        raise InputError("model", found, "one with two nodes at each place of a crack's lips")
+        raise InputError("model", found, "one with two nodes at each place of a crack's faces")
     split = np.full(n, -1)
     split[first] = split[second] = np.arange(len(first))
     rows = stiffness.shape[0]

@@ -282,7 +282,7 @@ def _check_tips(cells: Cells, places: np.ndarray, lips: Sequence[np.ndarray]) ->
     if len(closed):
         place = "({:g}, {:g})".format(*places[closed[0]])
         allowed = (
-            "open there, with a node of each lip; or of one curve named 'crack', which is split"
+            "open there, with a node of each face; or of one curve named 'crack', which is split"
         )
         raise InputError("lips", f"a mouth at {place} that is closed", allowed)
 
@@ -468,7 +468,7 @@ def check_boundary(kind: int, cells: Cells, places: np.ndarray, lips: Sequence[n
     if np.any(covered := _in_cells(kind, cells.n_corners, here[cell], points[point])):
         allowed = (
             "one whose cells share their nodes where they touch (gmsh: BooleanFragments, or "
-            "Coherence Mesh), but for the lips of named cracks ('crack', or 'lower_lip' and "
+            "Coherence Mesh), but for the faces of named cracks ('crack', or 'lower_lip' and "
             "'upper_lip')"
         )
         found = "cells that overlap, or touch without a node of both,"

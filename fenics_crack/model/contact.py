@@ -241,18 +241,18 @@ def check_law(structure: Structure, contact: Any, *, rigid: bool = False) -> Non
 
 
 def _check_values(law: ContactLaw, pairs: int) -> None:
-    """Raise InputError unless a law of one's own answers gaps (n, n_pairs) as it should."""
-    gap = np.outer([-EPSILON, 0.0, EPSILON], np.ones(pairs))
+    """Raise InputError unless a user's law returns valid values for gaps (n, n_pairs)."""
+    gap, kind = np.outer([-EPSILON, 0.0, EPSILON], np.ones(pairs)), type(law).__name__
     for name in ("force", "tangent"):
         try:
             found = numbers(getattr(law, name)(gap))
         except (ArithmeticError, TypeError, ValueError, IndexError):
             found = np.asarray(np.nan)
         if found.shape != gap.shape or not np.all(np.isfinite(found)):
-            allowed = f"one whose {name}(gap) is a finite number for each gap, (n, n_pairs)"
-            raise InputError("contact", law, allowed)
+            allowed = f"a law with a finite {name}(gap) for each gap, (n, n_pairs)"
+            raise InputError("contact", kind, allowed)
     if np.any(found < -EPSILON * np.abs(found).max(initial=0.0)):
-        raise InputError("contact", law, "one whose tangent(gap) is >= 0: stiffness, not softness")
+        raise InputError("contact", kind, "a law with tangent(gap) >= 0, a stiffness in N/m")
     try:
         softer = law.scaled(0.5)
         same = isinstance(softer, type(law)) and np.allclose(
@@ -261,8 +261,8 @@ def _check_values(law: ContactLaw, pairs: int) -> None:
     except (ArithmeticError, TypeError, ValueError):
         same = False
     if not same:
-        allowed = "one whose scaled(factor) is a law of its own kind, factor times as stiff"
-        raise InputError("contact", law, allowed)
+        allowed = "a law whose scaled(factor) is a law of its kind, factor times as stiff"
+        raise InputError("contact", kind, allowed)
 
 
 def check_slope(law: ContactLaw, gap: np.ndarray) -> None:
@@ -277,7 +277,8 @@ def check_slope(law: ContactLaw, gap: np.ndarray) -> None:
     # of the digits that differences leave may be wrong.
     unsure = float(np.abs(rises[[0, 3]] - rises[[1, 2]]).max(initial=0.0))
     if np.any(off > np.sqrt(DIFFERENCE) * sizes + unsure):
-        raise InputError("contact", law, "one whose tangent(gap) is the slope of its force(gap)")
+        allowed = "a law whose tangent(gap) is the slope of its force(gap)"
+        raise InputError("contact", type(law).__name__, allowed)
 
 
 def _positive(key: str, value: object, *, each_pair: bool = False) -> float | np.ndarray:

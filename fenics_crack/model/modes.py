@@ -124,7 +124,7 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
     tied = lips == "tied" and structure.n_pairs > 0
     known = structure.known_modes(tied=tied)
     ties = independent_ties(structure) if tied and known is None else None
-    words = "the number of tied modes" if tied else "n_dofs" if known is None else "n_modes"
+    words = "the number of bonded modes" if tied else "n_dofs" if known is None else "n_modes"
     most = len(known[0]) if known is not None else _space(structure, ties)
     whole = isinstance(count, Integral) and not isinstance(count, bool)
     if not (whole and 1 <= count <= most):
@@ -559,7 +559,7 @@ class BilinearFrequencies(Tabular):
         }
 
     def _title(self) -> str:
-        first = f"first {self.omega_open[0]:.6g} open, {self.omega_tied[0]:.6g} rad/s tied"
+        first = f"first {self.omega_open[0]:.6g} open, {self.omega_tied[0]:.6g} rad/s bonded"
         return f"{counted(len(self.omega_open), 'mode')}, {first}"
 
 

@@ -328,7 +328,7 @@ class MasslessStructure(MasslessInterface):
 
     @property
     def _size_words(self) -> str:
-        return f"{self.n_modes} modes of {self.whole.n_dofs} dofs, lips without mass"
+        return f"{self.n_modes} modes of {self.whole.n_dofs} dofs, crack faces without mass"
 
     @property
     def basis(self) -> np.ndarray:
@@ -351,7 +351,9 @@ class MasslessStructure(MasslessInterface):
 def check_mass(structure: Structure, instead: str) -> None:
     """Raise InputError, which says what to do instead, if the lips have no mass."""
     if structure.light_lips:
-        raise InputError("structure", repr(structure), f"one with mass at its lips; {instead}")
+        raise InputError(
+            "structure", repr(structure), f"one with mass at its crack faces; {instead}"
+        )
 
 
 def massless(structure: Structure | None) -> MasslessStructure | None:

@@ -133,7 +133,7 @@ def reduce_structure(
     if method == "craig_bampton" and structure.n_pairs:
         ties, count = independent_ties(structure), min(count, n_tied_modes(structure))
         if count == 0:
-            raise InputError("method", method, "another one: the tied pairs leave no motion")
+            raise InputError("method", method, "another one: the bonded pairs leave no motion")
     with Factor(structure.stiffness, definite=True, border=ties) as own:
         found = modes_by(own, structure, count, ties)
         kept, squares = found.shapes[:, :count], found.omega[:count] ** 2

@@ -86,8 +86,8 @@ def in_the_long_run(orbits: FlowOrbits, start: np.ndarray, most: int | None = No
             off = np.linalg.norm(orbits.unknown(orbit.state) - last)
             # What decays by |mu| a period and is off by d changes by no less than (1 - |mu|) d.
             if decays > 0.0 and decays * off <= 2.0 * changes[several] + LOCATED * size:
-                after = f"one that repeats itself after {turns} periods of the load"
-                does = f"settles to {after if several else 'an orbit'}"
+                after = f"an orbit of {turns} periods of the load"
+                does = f"settles to {after if several else 'a periodic orbit'}"
                 return Attractor(orbit, does, (len(passed) - 1) * orbits.subharmonic, orbits, last)
     does = f"does not settle: {comes_back(passed, orbits.subharmonic, 'it')}"
     return Attractor(None, does, (len(passed) - 1) * orbits.subharmonic, orbits, passed[-1])

@@ -261,7 +261,7 @@ def comes_back(passed: np.ndarray, subharmonic: int, motion: str = "the exact mo
         apart = np.linalg.norm(passed[later:] - passed[:-later], axis=1)
         found.append(float(np.min(apart / np.maximum(sizes, 1e-300))))
     if not found:
-        return f"{motion} cannot be followed for a period"
+        return f"{motion} cannot be integrated over a period"
     nearest = int(np.argmin(found))
     most, after = (one * subharmonic for one in (len(passed) - 1, nearest + 1))
     return (

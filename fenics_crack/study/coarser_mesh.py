@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from fenics_crack.errors import InputError
 from fenics_crack.model.modes import solve_modes, tied_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
@@ -77,17 +78,20 @@ def coarser(study: Study) -> tuple[Study, tuple[int, int], float] | str:
     longer those of the twin are; or why there is none (collective)."""
     scene, structure = study.scene, study.structure
     if scene.structure is not None:
-        return "there is one mesh"
+        return "matrices have no coarser mesh"
     if not scene.mesh.error:
         return "mesh.error = false"
     if scene.mesh.lip_elements == 1:
         return "one element along the crack is too few to estimate its error"
     if scene.mesh.layout == "file":
         if scene.mesh.coarser is None:
-            return "there is one mesh: mesh.coarser may be another"
+            return "mesh.coarser is not given"
         coarse = scene.replace({"mesh.file": scene.mesh.coarser, "mesh.coarser": None})
     else:
-        made = finer_mesh(scene, 1.0 / COARSER)
+        try:
+            made = finer_mesh(scene, 1.0 / COARSER)
+        except InputError as error:
+            return f"a grid of half as many columns and rows does not fit {error.key}"
         if made is None:
             return "a grid of half as many columns and rows has no lines along the crack"
         coarse = made
@@ -133,7 +137,7 @@ def _other_cracks(structure: Structure, coarse: Structure) -> str:
         size = np.linalg.norm(np.ptp(points, axis=0))
         if abs(its - area.sum()) > part * area.sum() or away > part * size:
             return (
-                f"mesh.coarser has another crack {number}: lips of {its:.3g} m^2 instead of "
+                f"mesh.coarser has another crack {number}: crack faces of {its:.3g} m^2 instead of "
                 f"{area.sum():.3g}, their middle {away:.2g} m away"
             )
     return ""

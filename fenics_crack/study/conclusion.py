@@ -61,7 +61,7 @@ class Answer(Study):
         return self.watched[0].dof
 
 
-LINEAR = "no pair of the crack opens and closes: the vibration is linear"
+LINEAR = "no contact pair opens and closes: the vibration is linear"
 
 
 def at_rest(closed_share: np.ndarray) -> list[str]:
@@ -72,14 +72,14 @@ def at_rest(closed_share: np.ndarray) -> list[str]:
 
 
 def known_to(run: Answer, name: str = "") -> str:
-    """Return how well a number of a result is known, by default the watched amplitude: "2.4 %,
-    most of it by the mesh"; empty where that is not stated."""
+    """Return the error of a number of a result, by default of the watched amplitude: "2.4 %,
+    mostly due to the mesh"; empty where that is not stated."""
     if run.stated is None:
         return ""
     error, cause = run.stated.stated(name or run.watched[0].column("amplitude"))
     if not 0.0 < error < np.inf:  # of a plate at rest, or of what no cause changes; or unknown
         return ""
-    by = f", most of it by the {cause}" if error > LEAST_TOLD else ""
+    by = f", mostly due to the {cause}" if error > LEAST_TOLD else ""
     return ", ".join(filter(None, (f"{error_in_words(error)}{by}", run.stated.left_out)))
 
 
@@ -130,7 +130,7 @@ def _known(run: Answer) -> str:
         if not run.result.report.estimated:
             return "its error is not estimated (harmonic_balance.error = false)"
         if known:
-            return f"half peak-to-peak displacement known to {known}"
+            return f"estimated error of half the peak-to-peak displacement {known}"
     if isinstance(run.result, ResponseCurve):
         top = run.result.top(run.watched_dof)
         axis = parameter_axis(run.result.parameter, run.scene.in_hertz)
@@ -138,10 +138,10 @@ def _known(run: Answer) -> str:
         if top.at_end:
             where = f"{AT_END if run.result.complete else 'rising up to where it ended'}, "
         size = quantity(top.amplitude, "m")
-        how = f"known to {known}" if known else "its error is not estimated"
+        how = f"estimated error {known}" if known else "its error is not estimated"
         return f"largest response {size} {where}{in_unit(axis, top.value)}, {how}"
     if run.stated is not None and run.stated.left_out:
-        return f"errors are stated {run.stated.left_out}"
+        return run.stated.left_out
     return ""
 
 
@@ -153,7 +153,7 @@ def _others(run: Answer) -> list[str]:
         if found.multipliers is not None:
             names, counts = np.unique(found.verdicts, return_counts=True)
             shares = (f"{n} {name}" for n, name in zip(counts, names, strict=True))
-            said.append(f"of {len(found)} points {', '.join(shares)}")
+            said.append(f"{', '.join(shares)} of {len(found)} points")
         return said
     if isinstance(found, TimeHistory):
         asked = run.scene.integration or Integration()

@@ -881,8 +881,8 @@ def _response(scene: Scene, figures: KeyFigures) -> Remarks:
         yield Remark(f"excitation.{key}", force, text)
     if figures.displacement > SMALL_MOTION * min(figures.size) and figures.damping.min() > 0.0:
         text = (
-            f"with open lips it moves the {kind} by {figures.displacement:.2g} m, and the {kind} "
-            f"has {min(figures.size):.2g} m: beyond small displacements; in N?"
+            f"with an open crack it moves the {kind} by {figures.displacement:.2g} m, which has "
+            f"{min(figures.size):.2g} m: beyond small displacements; in N?"
         )
         yield Remark(f"excitation.{key}", force, text)
 
@@ -895,7 +895,7 @@ def _lips(scene: Scene, figures: KeyFigures) -> Remarks:
         return
     if figures.elements < 4:
         key = "lip_elements" if scene.mesh.layout == "graded" else "file"
-        text = "elements longer than a quarter of the crack; 4 to 20 along each lip are usual"
+        text = "elements longer than a quarter of the crack; 4 to 20 along each face are usual"
         yield Remark(f"mesh.{key}", getattr(scene.mesh, key), text)
 
 
@@ -907,14 +907,14 @@ def _contact(scene: Scene, figures: KeyFigures) -> Remarks:
     value, faces = getattr(contact, key), faces_in_words(scene)
     if ratio.max() < AS_SOFT:
         text = (
-            f"at most {ratio.max():.2g} of the {faces}' own stiffness: they pass through each "
+            f"at most {ratio.max():.2g} of the {faces}' static stiffness: they penetrate each "
             "other; 100 to 10000 times is usual, or contact.law = 'unilateral'"
         )
         yield Remark(f"contact.{key}", value, text)
     if ratio.min() > AS_RIGID:
         text = (
-            f"at least {ratio.min():.2g} times the {faces}' own stiffness: rigid for all that can "
-            "be computed, and hard to solve; contact.law = 'unilateral' is"
+            f"at least {ratio.min():.2g} times the {faces}' static stiffness: numerically rigid, "
+            "and hard to solve; contact.law = 'unilateral' is rigid contact"
         )
         yield Remark(f"contact.{key}", value, text)
     if contact.sharpness is not None and contact.sharpness * figures.gap_motion < 10.0:
@@ -934,10 +934,10 @@ def _closing(scene: Scene, figures: KeyFigures) -> Remarks:
         key, value = "excitation.force_mean", list(scene.excitation.force_mean)  # type: ignore[assignment]
         if scene.rotation is not None and scene.speed > 0.0 and not np.any(value):
             key, value = _speed_given(scene.rotation)
-    motion = f"the load moves open lips by {figures.gap_motion:.2g} m"
+    motion = f"the load moves open crack faces by {figures.gap_motion:.2g} m"
     if not figures.breathes:
-        what = "part" if figures.closed else "meet"
-        text = f"the lips never {what}: {motion} at most; the response is linear"
+        what = "opens" if figures.closed else "closes"
+        text = f"the crack never {what}: {motion} at most; the response is linear"
         yield Remark(key, value, text)
 
 

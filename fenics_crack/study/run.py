@@ -533,7 +533,7 @@ def _method(study: Study, table: Integration, law: ContactLaw) -> str:
     method = table.method or ("exponential" if lips else "central_difference")
     closed_form = method in ("events", "exponential")
     if lips and not closed_form:
-        allowed = "'events' or 'exponential' where lips have no mass, or reduction.method = "
+        allowed = "'events' or 'exponential' where crack faces have no mass, or reduction.method = "
         allowed += "'free_interface'"
     elif closed_form and not is_small(structure):
         allowed = f"another with {structure.n_dofs} dofs, or reduction.method = 'massless'"

@@ -197,8 +197,8 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
 def not_estimated(report: ErrorReport) -> str:
     """Return which part of an unknown error could not be estimated."""
     part = report.largest_part
-    words = {"truncation": "harmonics that are left out", "reduction": "modes that are left out"}
-    return f"the part of the {words.get(part, part)} could not be estimated"
+    words = {"truncation": "truncated harmonics", "reduction": "truncated modes"}
+    return f"the error due to the {words.get(part, part)} could not be estimated"
 
 
 def errors_of(study: Study, result: object) -> Verification | None:

@@ -191,10 +191,10 @@ def passed_in_words(fit: PassageFit, mode: int, why: str) -> str:
     """Describe the resonance of a mode and doubts about it, or why it is not used."""
     hertz = f"{fit.omega / TURN:.6g} ± {fit.deviation / TURN:.2g} Hz"
     where = f"{hertz}, engine order {fit.order:g} at {fit.speed / RPM:.6g} rpm"
-    doubts = ["something is beside it"] * fit.in_doubt
+    doubts = ["another vibration is near it"] * fit.in_doubt
     doubts += [f"its {fit.disagreement}"] * fit.disagree
-    told = "; ".join([why] * bool(why) + doubts)
-    return (f"mode {mode}: " if mode else "not used: ") + where + f" ({told})" * bool(told)
+    doubt = "; ".join([why] * bool(why) + doubts)
+    return (f"mode {mode}: " if mode else "not used: ") + where + f" ({doubt})" * bool(doubt)
 
 
 def mode_of(fit: PassageFit, diagram: Campbell) -> tuple[int, str]:
@@ -206,14 +206,14 @@ def mode_of(fit: PassageFit, diagram: Campbell) -> tuple[int, str]:
 
     own = apart(fit.omega)
     nearest = np.argsort(own)
-    told = [
+    ranges = [
         f"mode {mode + 1} has {opened[mode] / TURN:.6g} to {tied[mode] / TURN:.6g} Hz there"
         for mode in nearest[:2]
     ]
     if own[nearest[0]] > FARTHEST:
-        return 0, f"that of none of the blade's modes to {FARTHEST:.0%}; {told[0]}"
+        return 0, f"that of none of the blade's modes to {FARTHEST:.0%}; {ranges[0]}"
     if len(own) > 1 and own[nearest[1]] < NEARER * FARTHEST:
-        return 0, "; ".join(told)
+        return 0, "; ".join(ranges)
     also = [f"{order:g}" for order in fit.ambiguous if min(apart(order * fit.speed)) <= FARTHEST]
     if also:
         why = "may be right, too: two probes test none" if fit.untested else "explains it as well"

@@ -237,13 +237,13 @@ SHARE_TOLD, LEAST_OF_VALUE = 0.1, 1e-3
 DENTED = 0.01
 """Minimum share of an amplitude for a warning that the displacement under a point force has no
 limit: of the size of requested errors."""
-SPREAD = "not in the asymptotic range, 3 times the spread is taken"
+SPREAD = "not in the asymptotic range, the uncertainty is 3 times their spread"
 DOUBTS = {
-    "outside": "the observed order is not near that of theory, a factor of 3 is taken",
-    "two sizes": "two runs show no order, that of theory and a factor of 3 are taken",
-    "oscillating": f"values oscillate, {SPREAD}",
-    "diverging": f"values come no closer, {SPREAD}",
-    "irregular": f"values come closer faster than by any order of theory, {SPREAD}",
+    "outside": "the observed order is not that of theory, the factor of safety is 3",
+    "two sizes": "two runs show no order: that of theory is used, with a factor of safety of 3",
+    "oscillating": f"the values oscillate: {SPREAD}",
+    "diverging": f"the values do not converge: {SPREAD}",
+    "irregular": f"the values converge faster than any theoretical order: {SPREAD}",
 }
 """Sentence for each behaviour of :class:`GridConvergence` but "asymptotic"."""
 
@@ -388,7 +388,7 @@ class Verification(Tabular):
         error, cause = self.stated(quantity)
         if math.isinf(error):
             coarse = "the mesh is too coarse; " if cause == "mesh" else ""
-            return f"{coarse}the estimate is as large as the value, most of it by the {cause}"
+            return f"{coarse}the estimate is as large as the value, mostly due to the {cause}"
         return ""
 
     @property
@@ -398,12 +398,13 @@ class Verification(Tabular):
 
     @property
     def without(self) -> str:
-        """ "without the mesh", or what else the errors do not have; empty where they have all."""
-        return f"without the {' and the '.join(self.unknown)}" if self.unknown else ""
+        """The causes that are missing: "error due to the mesh not included"; empty without any."""
+        causes = " and the ".join(self.unknown)
+        return f"error due to the {causes} not included" if causes else ""
 
     @property
     def left_out(self) -> str:
-        """:attr:`without`, and why: "without the mesh: mesh.error = false"; empty likewise."""
+        """:attr:`without`, and the reason, "mesh.error = false"; empty likewise."""
         why = "; ".join(dict.fromkeys(self.unknown.values()))
         return f"{self.without}: {why}" if self.unknown else ""
 
@@ -461,7 +462,7 @@ class Verification(Tabular):
         """Return the last sentence on the study, after its warnings and so many remarks."""
         name = next(iter(self.values))
         words, _ = QUANTITIES.get(name.rpartition(".")[2], (name, ""))
-        bound = "factors of safety included, most of it by the"
+        bound = "factors of safety included, mostly due to the"
         error, cause = self.stated(name)
         known = f"{words} within {error_in_words(error)}, {bound} {cause}"
         if math.isnan(error):
@@ -534,7 +535,7 @@ class Verification(Tabular):
         most = self.parts[cause][name]
         how = f"observed order {most.order:.2g}" if math.isfinite(most.order) else most.behaviour
         return (
-            f"{text} +- {share} (sum of all: {bound}), most of it by {cause}, {how}; "
+            f"{text} +- {share} (sum of all: {bound}), mostly due to {cause}, {how}; "
             f"extrapolated {self.extrapolated(name):.5g}"
         )
 

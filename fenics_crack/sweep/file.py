@@ -62,8 +62,8 @@ NUMBERED = range(1, FEW_MODES + 1)
 NATURAL = {
     f"omega_{lips}_{mode}": (words.format(mode), "rad/s")
     for lips, words in (
-        ("open", "natural frequency {}, lips open"),
-        ("tied", "natural frequency {}, lips tied"),
+        ("open", "natural frequency {}, crack open"),
+        ("tied", "natural frequency {}, crack bonded"),
         ("bilinear", "bilinear frequency of open mode {}"),
     )
     for mode in NUMBERED

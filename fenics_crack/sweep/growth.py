@@ -45,7 +45,7 @@ from fenics_crack.table import OF_GROWTH, OF_TIPS, TURN, Tabular, counted, with_
 # --- the result, and its file ---------------------------------------------------------------------
 
 ENDS = {
-    "reached": "the length that was asked for is reached",
+    "reached": "the requested length is reached",
     "arrested": "there it stops: the range falls below growth.threshold, or to nothing",
     "broken": "there the plate breaks: K_max is growth.toughness",
 }
@@ -392,7 +392,7 @@ def _error_at(scene: Scene, path: LengthPath, length: float) -> tuple[float, lis
     of_peak = drive == "resonance" or scene.given("growth").run_up is not None
     stated = stated_errors(run, run.result, of_peak=of_peak)
     left_out = stated.left_out
-    without = [f"the error of the vibration is {left_out}"] if left_out else []
+    without = [f"vibration: {left_out}"] if left_out else []
     return stated.stated("delta_K_equivalent")[0], without
 
 
@@ -472,7 +472,7 @@ def _remarks(
             f"its error of {vibration:.1%}: whether the crack grows there is not known"
         )
     if not math.isfinite(vibration):
-        found.append("the error of the vibration is not known")
+        found.append("the error of the vibration is unknown")
     return found
 
 

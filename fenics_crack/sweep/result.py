@@ -456,7 +456,7 @@ class SweepResult(Tabular):
             "sweep complete"
             if self.converged.all()
             else f"{self.converged.sum()} of {cases} converged",
-            unknown=f"in {counted(unknown, 'case')} it could not be estimated" if unknown else "",
+            unknown=f"it could not be estimated in {counted(unknown, 'case')}" if unknown else "",
             known=known,
             others=[*at_rest(closed), ", ".join(verdicts)],
             warnings=warnings,
@@ -473,12 +473,12 @@ class SweepResult(Tabular):
 
 
 def by_reason(
-    found: SweepResult, told: Sequence[tuple[tuple[int, ...], str]], what: str
+    found: SweepResult, reasons: Sequence[tuple[tuple[int, ...], str]], what: str
 ) -> Iterator[str]:
     """Cases that failed or are undecided, those of one reason together: reasons that differ in
     numbers alone are one."""
     kinds: dict[str, list[tuple[tuple[int, ...], str]]] = {}
-    for index, reason in told:
+    for index, reason in reasons:
         kinds.setdefault(re.sub(r"[-+]?\d[\d.e+-]*", "#", reason), []).append((index, reason))
     ordered = sorted(kinds.values(), key=len, reverse=True)
     for cases in ordered[:SHOWN_REASONS]:

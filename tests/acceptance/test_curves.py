@@ -430,7 +430,7 @@ def test_from_next_to_no_frequency() -> None:
     tolerance harmonic balance is followed."""
     structure = judged.two_masses()
     curve = fc.continue_frequency(structure, 1e-9, 0.7, SOFT, harmonics=9, stability=True)
-    assert curve.verdicts[0] == "undecided" and "thousand times in a period" in curve.reason(0)
+    assert curve.verdicts[0] == "undecided" and "thousand cycles in a period" in curve.reason(0)
     assert curve.verdicts[-1] == "stable"
     curve = fc.continue_frequency(structure, 1e-9, 0.7, SOFT, tolerance=1e-2)
     assert isinstance(curve, fc.HarmonicCurve) and curve.complete

@@ -415,7 +415,7 @@ def test_a_record_from_the_shell(
     told = capsys.readouterr()
     assert f"1 blade, {len(record)} revolutions, 4 probes" in told.err
     assert "fits of steady vibrations would be off by 0." in told.err
-    assert "frequency lower than a fast run-up and higher than a run-down tells" in told.err
+    assert "run-up overestimates and a run-down underestimates the frequency" in told.err
     differs = "passages differ more than errors do: by 0."
     assert told.err.count("warning: blade ") == 2 == told.err.count(differs)
     rows = (tmp_path / "timing.csv").read_text().splitlines()

@@ -38,7 +38,7 @@ def test_bilinear_oscillator(stiffness: float, harmonics: int) -> None:
 
 def test_breathing_plate(breathing_plate: fc.Structure, monkeypatch: pytest.MonkeyPatch) -> None:
     """18 pairs on the reduced structure, soft and stiff, H = 5 and 10, at and above resonance: from
-    fewer harmonics, and by the path in the softness. Errors are not estimated."""
+    fewer harmonics, and by the continuation in the contact compliance. Errors are not estimated."""
     unknown = "fenics_crack.balance.solution.estimate_errors"
     monkeypatch.setattr(unknown, lambda *_, **__: fc.ErrorReport())
     reduced = fc.reduce_structure(breathing_plate)
@@ -110,7 +110,7 @@ def test_stiffness_beyond_all_rounding_is_refused() -> None:
 
 
 def test_status_tells_the_attempts() -> None:
-    """Full steps first; where they fail, the path in the softness."""
+    """Full steps first; where they fail, the continuation in the contact compliance."""
     structure = oscillator(0.02, 0.1)
     easy = fc.solve_harmonic_balance(structure, 0.9, fc.UnilateralPenalty(1.0))
     assert easy.status.startswith("full Newton steps: converged")
@@ -118,7 +118,7 @@ def test_status_tells_the_attempts() -> None:
     tried = hard.status.split("; then ")
     assert [attempt.split(" (")[0] for attempt in tried] == [
         "full Newton steps: failed",
-        "path in the softness: converged",
+        "continuation in the contact compliance: converged",
     ]
     assert hard.iterations > 20
 
@@ -140,7 +140,7 @@ def test_lands_where_the_path_bends_at_its_end(
     law = fc.UnilateralPenalty(10.0)
     solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=harmonics)
     assert solution.status.endswith(
-        f"path in the softness: converged ({solution.iterations} iterations)"
+        f"continuation in the contact compliance: converged ({solution.iterations} iterations)"
     )
     assert solution.iterations < 500
 
@@ -159,7 +159,7 @@ def stopped_chain(pairs: int, damping: float) -> fc.Structure:
     [
         ("_climb", "full Newton steps", 0.45, fc.SmoothedPenalty(1.0, 10.0), 5),
         ("_climb", "from fewer harmonics", 0.45, fc.SmoothedPenalty(1.0, 10.0), 40),
-        ("_path", "path in the softness", 0.9, fc.UnilateralPenalty(1e4), 5),
+        ("_path", "continuation in the contact compliance", 0.9, fc.UnilateralPenalty(1e4), 5),
     ],
 )
 def test_each_start_is_needed(
@@ -189,10 +189,10 @@ def test_a_search_ends_and_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> N
     told = solution.status.split("; ")
     assert [attempt.split(" (")[0] for attempt in told[:2]] == [
         "from fewer harmonics: failed",
-        "then path in the softness: failed",
+        "then continuation in the contact compliance: failed",
     ]
     assert told[2] == (
-        f"none found in {solution.iterations} iterations: try other harmonics, a softer contact, "
-        "more damping, or a solution nearby as initial"
+        f"no solution in {solution.iterations} iterations: try other harmonics, a softer contact, "
+        "more damping, or a neighbouring solution as initial"
     )
     assert solution.iterations < 1250 * (300 / 294) ** 2 + 20 + 5 * 28

@@ -258,7 +258,7 @@ def test_lips_with_mass_against_lips_without(paper_scene: fc.Scene) -> None:
 
 @pytest.mark.parametrize(
     ("start", "words"),
-    [("_climb", "from fewer harmonics: converged"), ("", "path in the softness: converged")],
+    [("_climb", "from fewer harmonics: converged"), ("", "contact compliance: converged")],
 )
 def test_every_start_finds_the_solution(
     start: str, words: str, plate: fc.Structure, monkeypatch: pytest.MonkeyPatch
@@ -277,9 +277,9 @@ def test_nothing_converges(plate: fc.Structure) -> None:
     """To a tolerance below rounding: an error that names all starts and says what to do, or the
     last iterate."""
     options: dict[str, Any] = {"harmonics": 12, "residual_tolerance": 1e-25}
-    starts = "from fewer harmonics", "path in the softness"
+    starts = "from fewer harmonics", "continuation in the contact compliance"
     tried = "; then ".join(rf"{start}: failed \(\d+ iterations\)" for start in starts)
-    said = tried + r"; none found in \d+ iterations: try other harmonics, .* as initial$"
+    said = tried + r"; no solution in \d+ iterations: try other harmonics, .* as initial$"
     with pytest.raises(fc.ConvergenceError, match=said):
         fc.solve_harmonic_balance(plate, 2000.0, RIGID, **options)
     solution = fc.solve_harmonic_balance(plate, 2000.0, RIGID, **options, throw=False)

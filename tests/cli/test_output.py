@@ -54,7 +54,7 @@ def test_points_are_watched_at_their_nearest_nodes(scene: fc.Scene) -> None:
 @pytest.mark.parametrize(
     ("point", "words"),
     [
-        ((0.0, 0.05), "near a node that exists once, not on the lips"),
+        ((0.0, 0.05), "near a node that exists once, not on the crack faces"),
         ((0.05, 0.001), "near a node that is free to move"),
         ((0.2, 0.1), r"on the mesh \(the nearest node is at \(0.1, 0.1\)\)"),
     ],
@@ -90,9 +90,9 @@ def test_solution(scene: fc.Scene, tmp_path: Path, capsys: pytest.CaptureFixture
     assert main(["solve", written(scene, tmp_path), "--output", str(tmp_path)]) == 0
     shown, notes = capsys.readouterr()
     assert shown.count("harmonic ratio 2/1") == 4
-    assert "natural frequency, lips open, mode 1" in shown
+    assert "natural frequency, crack open, mode 1" in shown
     assert "half peak-to-peak" not in shown and "Hz" not in shown
-    away = "watched at the nearest node, away by: side 2 mm; the stated errors leave that out"
+    away = "watched at the nearest node, at a distance of: side 2 mm; not part of the stated errors"
     assert away in notes
     rows = {row["name"]: row for row in json.loads((tmp_path / "solution.json").read_text())}
     solution = fc.load_run(tmp_path / "solution.h5", MPI.COMM_SELF).result
@@ -164,10 +164,10 @@ def test_a_verdict_that_is_left_out_is_told(
     words = ["solve", file, "--output", str(tmp_path)]
     assert main(words) == 0
     told = capsys.readouterr()
-    assert "the stability is not judged" in told.err and "verdict" not in told.out
+    assert "the stability is not assessed" in told.err and "verdict" not in told.out
     assert main([*words, "--set", "reduction.method=massless", "--set", "reduction.modes=6"]) == 0
     told = capsys.readouterr()
-    assert "not judged" not in told.err and "verdict" in told.out
+    assert "not assessed" not in told.err and "verdict" in told.out
 
 
 def test_a_crack_of_a_mesh_file_that_stays_open(
@@ -177,7 +177,7 @@ def test_a_crack_of_a_mesh_file_that_stays_open(
     words = [str(DEMOS / "inclined_crack.toml"), "--set", "contact=none", "--output", str(tmp_path)]
     assert main(["solve", *words]) == 0
     told = capsys.readouterr()
-    assert "not judged" not in told.err and "verdict" not in told.out
+    assert "not assessed" not in told.err and "verdict" not in told.out
     assert main(["integrate", *words]) == 2
     assert "contact is missing: must be given for this command: a table" in capsys.readouterr().err
 
@@ -243,7 +243,7 @@ def test_what_is_seen_in_place_of_an_unstable_orbit(
     run = fc.load_run(tmp_path / "solution.h5")
     [found] = fc.attractors(run.structure, run.result)
     sizes = [f"{1e3 * size:.4g} mm" for size in np.sort(found.amplitudes(run.watched_dof))[[0, -1]]]
-    still = "; motions that leave it still vary after 1000 periods, between"
+    still = "; after a disturbance the motion still varies after 1000 periods, between"
     told = f"{still} {' and '.join(sizes)} half peak-to-peak"
     assert told in capsys.readouterr().err
     page = tmp_path / "report.html"
@@ -254,7 +254,8 @@ def test_what_is_seen_in_place_of_an_unstable_orbit(
     last = curve.result.solution(len(curve.result) - 1)
     [doubled] = fc.attractors(curve.structure, last)
     sizes = [f"{size:.4g} m" for size in np.sort(doubled.amplitudes(curve.watched_dof))]
-    told = f"; it is unstable; motions that leave it settle to between {' and '.join(sizes)} half"
+    told = f"; it is unstable; after a disturbance the motion settles to between {sizes[0]} and "
+    told += f"{sizes[1]} half"
     assert told in capsys.readouterr().err
 
 

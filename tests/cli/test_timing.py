@@ -77,7 +77,7 @@ def test_what_probes_cannot_tell(tmp_path: Path, capsys: pytest.CaptureFixture[s
     scene = written(tmp_path, noise)
     exact = ["--set", "harmonic_balance.harmonics=9"]
     assert main(["timing", scene, "--output", str(tmp_path), *exact]) == 0
-    folded = "warning: harmonics that are left out may be folded onto those kept"
+    folded = "warning: harmonics that are not fitted may be folded onto the fitted ones"
     assert folded in capsys.readouterr().err
     exact += ["--set", f"tip_timing.probes={sorted([*PROBES, 48.0, 122.0, 171.0, 332.0])}"]
     assert main(["timing", scene, "--output", str(tmp_path), *exact]) == 0
@@ -128,7 +128,7 @@ def test_doubts_of_the_vibration_itself(tmp_path: Path, capsys: pytest.CaptureFi
     assert main(["timing", scene, str(tmp_path / "arrivals.csv"), *out]) == 0
     assert "orbit" not in capsys.readouterr().err
     assert main(["timing", written(tmp_path, {"harmonic_balance.harmonics": 1}), *out]) == 0
-    assert "warning: the estimated error is" in capsys.readouterr().err
+    assert "warning: the estimated relative error of the gap is" in capsys.readouterr().err
 
 
 def test_a_result_of_another_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -43,7 +43,7 @@ def test_two_that_are_told_apart_by_the_unstable_one(omega: float) -> None:
     assert fc.floquet(two_masses(), middle).verdict == "unstable"
     found = fc.attractors(two_masses(), middle)
     seen = sorted(float(size) for one in found for size in one.amplitudes())
-    assert all(one.told == "settles to an orbit" for one in found)
+    assert all(one.told == "settles to a periodic orbit" for one in found)
     assert seen == pytest.approx([below.amplitude(), above.amplitude()], rel=2e-3)
 
 
@@ -52,7 +52,7 @@ def test_one_of_twice_the_period() -> None:
     large, in both of its periods."""
     [above, *_] = solutions(0.75)
     [found] = fc.attractors(two_masses(), above)
-    assert found.told == "settles to one that repeats itself after 2 periods of the load"
+    assert found.told == "settles to an orbit of 2 periods of the load"
     assert found.orbit is not None and found.orbit.subharmonic == 2
     history = fc.integrate_central_difference(
         two_masses(), 0.75, STOP, periods=300, record_periods=2, steps_per_period=2000,

@@ -333,7 +333,7 @@ def test_slow_load_beside_high_modes(omega: float, verdict: str) -> None:
     assert stability.verdict == verdict
     assert found.report.total <= 1e-2
     if verdict == "undecided":
-        assert "thousand times in a period" in stability.reason
+        assert "thousand cycles in a period" in stability.reason
         assert "keep fewer modes" in stability.reason
     else:
         assert fc.shoot(slow, found).residual <= 1e-10

@@ -411,7 +411,7 @@ def test_long_names_stand_in_lines(tmp_path: Path) -> None:
 def test_mesh(paper_scene: fc.Scene, plate: fc.Structure) -> None:
     """The clamped edge, the lips along the crack, the pairs, and an arrow from the load's point."""
     panel = fc.draw_mesh(plate).axes[0]
-    assert legend_of(panel) == ["clamped", "lips of the crack", "contact pairs (4)", "load"]
+    assert legend_of(panel) == ["clamped", "crack faces", "contact pairs (4)", "load"]
     _, _, clamped, lips = (
         np.concatenate(one.get_segments())
         for one in panel.collections

@@ -762,6 +762,6 @@ def test_a_model_without_a_crack_is_told(folder: Path, scene: Scene) -> None:
     path = folder / "plate.inp"
     path.write_text(path.read_text().replace("19, 0, 0.01", "19, 0, 0.012").replace(
         "20, 0, 0.01", "20, 0, 0.012"))  # fmt: skip
-    with pytest.raises(InputError, match="two nodes at each place of a crack's lips"):
+    with pytest.raises(InputError, match="two nodes at each place of a crack's faces"):
         fc.build_structure(scene)
     assert fc.build_structure(scene.replace({"contact": None})).n_pairs == 0

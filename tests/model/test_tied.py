@@ -162,7 +162,7 @@ def test_unknown_lips(lips: Any) -> None:
 def test_as_many_modes_as_are_left(count: Any) -> None:
     """Each pair takes one."""
     structure = fc.Structure.from_matrices(np.eye(13), *held_chain())
-    with pytest.raises(fc.InputError, match="from 1 to the number of tied modes = 12"):
+    with pytest.raises(fc.InputError, match="from 1 to the number of bonded modes = 12"):
         fc.solve_modes(structure, count, lips="tied")
 
 
@@ -227,7 +227,7 @@ def test_nearest_mode() -> None:
     np.testing.assert_allclose(near["over_tied"], [0.4, 0.9, 0.0])
     np.testing.assert_allclose(near["over_bilinear"], [0.8, 0.9, 0.75])
     assert found.nearest(1.2)["mode"] == 1
-    assert "3 modes, first 1 open, 3 rad/s tied" in repr(found)
+    assert "3 modes, first 1 open, 3 rad/s bonded" in repr(found)
     assert found.table().columns[1] == "omega_open [rad/s]"
 
 

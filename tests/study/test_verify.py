@@ -315,7 +315,7 @@ def test_command(
     kept = str(tmp_path / "verify.h5")
     assert main(["report", kept, "--output", str(tmp_path / "page.html"), "--quiet"]) == 0
     page = (tmp_path / "page.html").read_text()
-    assert "Convergence study" in page and "most of it by" in page and page.count("<img") == 2
+    assert "Convergence study" in page and "mostly due to" in page and page.count("<img") == 2
     (tmp_path / "verify.png").unlink()
     assert main(["plot", kept, "--quiet"]) == 0 and (tmp_path / "verify.png").exists()
 

@@ -397,7 +397,7 @@ def test_a_load_of_nothing(tmp_path: Path) -> None:
     scene = plate(**law).replace({"excitation.force_sin": [0.0, 0.0], "mesh.error": False})
     found = fc.grow(scene, comm=MPI.COMM_SELF)
     assert found.end == "arrested" and not found.largest.any() and not found.effective.any()
-    assert any("without the mesh: mesh.error = false" in text for text in found.remarks)
+    assert any("mesh not included: mesh.error = false" in text for text in found.remarks)
     figure = fc.draw_growth(replace(found, cycles=1e8 * np.ones(1)), path=tmp_path / "growth.png")
     cycles = figure.axes[-1].xaxis
     assert cycles.get_label_text() == "10⁶ load cycles"

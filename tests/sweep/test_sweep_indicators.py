@@ -166,7 +166,7 @@ def test_names_words_and_units(scene: fc.Scene, tmp_path: Path) -> None:
     assert result.quantities == {
         "tip.ux.amplitude": ("half peak-to-peak, x displacement of tip", "m"),
         "tip.uy.amplitude": ("half peak-to-peak, y displacement of tip", "m"),
-        "over_open": ("load frequency over that with lips open", "1"),
+        "over_open": ("load frequency / natural frequency, crack open", "1"),
     }
     assert {"tip.ux.amplitude [m]", "tip.uy.ratio_2_1", "omega_open [rad/s]"} <= set(
         result.table().columns
@@ -231,7 +231,7 @@ def test_verdicts_that_hang_on_modes_left_out(
     [(place, said)] = few.contradicted
     largest = f"largest multiplier {many['multiplier'][0]:.6g}"
     assert place == (0,) and said == f"with 18 modes the orbit is unstable ({largest})"
-    told = "1 case or more whose verdict hangs on modes that are left out, the first at omega = "
+    told = "1 case or more whose verdict depends on truncated modes, the first at omega = "
     assert f"{told}9050.0: {said}; raise reduction.modes" in capsys.readouterr().err
     for asked in ({"verdicts": False}, {"judged": False}):
         assert not run_sweep(scene, comm=MPI.COMM_SELF, **asked).contradicted
