@@ -38,8 +38,8 @@ from fenics_crack.table import (
 MORE = "more harmonics (harmonic_balance.harmonics, or a tolerance that chooses them)"
 FINER = "a smaller harmonic_balance.tolerance"
 PART_IN_WORDS = {
-    "truncation": "too few harmonics",
-    "reduction": "modal truncation",
+    "truncation": "truncated harmonics",
+    "reduction": "truncated modes",
     "sampling": "AFT sampling",
     "residual": "the residual",
 }

@@ -209,7 +209,7 @@ def test_sweep_of_few_modes(
         err = capsys.readouterr().err.splitlines()
         lines += [line.partition("warning: ")[2] for line in err if "more modes" in line]
     where = "3 cases with an error above 5 %, the largest at modes = 2, frequency = 4232.0"
-    assert "by reduction" in lines[0] and lines[1:] == [f"{where}: {lines[0]}"]
+    assert "for truncated modes" in lines[0] and lines[1:] == [f"{where}: {lines[0]}"]
     found = SweepResult.load(tmp_path / "sweep.h5")
     assert found.inexact.tolist() == [[False, True, True], [False, False, True]]
     asked = swept.replace({"harmonic_balance.tolerance": 0.01})
