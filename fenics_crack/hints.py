@@ -85,8 +85,10 @@ def near(word: object, known: Iterable[str], likeness: float = LIKENESS) -> list
 
     by_lower, lower = {name.lower(): name for name in known}, str(word).lower()[:100]
     found = difflib.get_close_matches(lower, by_lower, 2, likeness)
-    alike = [difflib.SequenceMatcher(None, name, lower).ratio() for name in found]
-    return [by_lower[name] for name, ratio in zip(found, alike, strict=True) if ratio == alike[0]]
+    similar = [difflib.SequenceMatcher(None, name, lower).ratio() for name in found]
+    return [
+        by_lower[name] for name, ratio in zip(found, similar, strict=True) if ratio == similar[0]
+    ]
 
 
 def near_or_longer(name: str, known: Collection[str], likeness: float = LIKENESS) -> list[str]:
@@ -144,9 +146,9 @@ def no_attribute(
         verb, _, rest = name.partition("_")
         same = near(f"{VERBS[verb]}_{rest}", public) if rest and verb in VERBS else []
         find = near if package and others else near_or_longer
-        alike = find(name, public, SAME_WORD if others else LIKENESS)
-        alike = [other for other in alike if not any(other in text for text in others)]
-        found = [f"fc.{other}" if package else other for other in same or alike]
+        similar = find(name, public, SAME_WORD if others else LIKENESS)
+        similar = [other for other in similar if not any(other in text for text in others)]
+        found = [f"fc.{other}" if package else other for other in same or similar]
         enough = same or (found and not package)  # of the package Run is near run, for one
         question = meant(found if enough else [*found, *others])
     return AttributeError(f"{owner} has no attribute {name!r}; {question}".rstrip("; "))

@@ -1,4 +1,4 @@
-"""The stages of a long computation, told to whoever listens while they begin.
+"""The stages of a long computation, reported to listeners while they begin.
 
 The library calls :func:`begin` where something starts that takes seconds with a large mesh. Without
 a listener nothing happens; the program's console is one (:class:`StageLines`).
@@ -23,10 +23,10 @@ _reached: list[Callable[[], str]] = []
 
 
 def begin(stage: str) -> None:
-    """Tell what is done from now on; "" ends a stage where a progress bar goes on."""
-    told = ": ".join([*_parts, stage]) if stage else ""
+    """Report what is done from now on; "" ends a stage where a progress bar goes on."""
+    text = ": ".join([*_parts, stage]) if stage else ""
     for listener in _listeners:
-        listener(told)
+        listener(text)
 
 
 @contextmanager

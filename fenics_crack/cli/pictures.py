@@ -582,11 +582,11 @@ def _write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) -
             place.mkdir()
             if kinds.count(file.kind) > 1:
                 heading += f": {differs or file.path}"
-            told = [*found.facts]
+            sentences = [*found.facts]
             blocks = [_paragraph(f"In this result {differs}.", "small")] if differs else []
             doubtful = [f"{text[0].upper()}{text[1:]}" for text in found.warnings]
             doubtful += map(str, found.remarks)  # which begin with a key
-            blocks += [_points(told), _points(doubtful, "doubtful")]
+            blocks += [_points(sentences), _points(doubtful, "doubtful")]
             blocks += [_paragraph(*found.verdict)] if found.verdict else []
             if _can_be_drawn(result):
                 blocks += [_picture(path) for path in _draw_result(result, place)]
@@ -595,7 +595,7 @@ def _write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) -
             sections.append((f"result-{number}", heading, blocks))
             closing = f"{found.closing[0].upper()}{found.closing[1:]}." if found.closing else ""
             blocks += [_paragraph(closing)] if closing else []
-            facts += [*told[:1], *filter(None, [closing])]
+            facts += [*sentences[:1], *filter(None, [closing])]
             doubts += [f"{heading}: {text}" for text in (*found.warnings, *found.remarks)]
     short = [_points(facts), _points(doubts, "doubtful")]
     if not doubts:

@@ -660,7 +660,7 @@ def _places(curve: ResponseCurve) -> dict[str, np.ndarray]:
 def few_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table, int]:
     """The first rows of :func:`special_points` and some others, and how many are left out.
 
-    Bifurcations come before changes of stability, and of alike ones those with the larger response.
+    Bifurcations come before changes of stability, and of one kind those with the larger response.
     Where no point is decided, none changes.
     """
     found, rows = run.result, [*table.rows]
@@ -746,23 +746,23 @@ def _account_of_identified(found: Identified) -> Account:
     """Verdict, estimates with their intervals, and the fit."""
     from fenics_crack.identification.result import FITTED  # SciPy's optimize, interpolate
 
-    told, rows = found.summary, []
-    for key, value in told["estimate"].items():
-        ends = told["intervals"].get(key)  # of a word there are none
+    values, rows = found.summary, []
+    for key, value in values["estimate"].items():
+        ends = values["intervals"].get(key)  # of a word there are none
         limits = [value_in_words(key, end) for end in ends] if ends else ["", ""]
         rows.append([key_in_words(key), value_in_words(key, value), *limits])
     summary = Table(("unknown", "estimate", "95 % from", "to"), rows)
     where = [f"{key} {value} (95 %: {low} to {high})" for key, value, low, high in rows if low]
-    said = [*(where if told["verdict"] == "crack" else []), told["reason"]]
-    facts = [f"{told['verdict']}: {'; '.join(said)}"]
-    facts += [] if told["mesh"] is None else [f"nearest mesh: {told['mesh']}"]
-    facts += [f"remark: {remark}" for remark in told["remarks"]]
-    facts += [f"next to measure: {advice}" for advice in told["advice"]]
+    said = [*(where if values["verdict"] == "crack" else []), values["reason"]]
+    facts = [f"{values['verdict']}: {'; '.join(said)}"]
+    facts += [] if values["mesh"] is None else [f"nearest mesh: {values['mesh']}"]
+    facts += [f"remark: {remark}" for remark in values["remarks"]]
+    facts += [f"next to measure: {advice}" for advice in values["advice"]]
     tables = {
         "What is looked for": summary,
-        "Measurements, and what the estimate predicts": Table(FITTED, told["measurements"]),
+        "Measurements, and what the estimate predicts": Table(FITTED, values["measurements"]),
     }
-    return Account("identify", summary, facts=facts, warnings=told["warnings"], tables=tables)
+    return Account("identify", summary, facts=facts, warnings=values["warnings"], tables=tables)
 
 
 # --- all of them ----------------------------------------------------------------------------------

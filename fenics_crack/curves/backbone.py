@@ -26,7 +26,7 @@ resonance, whose sign is the opposite; det J changes its sign. Where no motion o
 found beyond, the tongue is followed. Broad ones, with stiff contact, many modes and many harmonics,
 can end the path; where the path from the linear mode ends, it is gone with fewer harmonics, and the
 others are added at its end. At the start, a motion whose first harmonic is small is another mode's,
-and refused; on the way, :attr:`Backbone.fundamental` tells it.
+and refused; on the way, :attr:`Backbone.fundamental` reports it.
 
 Source: Kerschen, Peeters, Golinval, Vakakis, Mechanical Systems and Signal Processing 23 (2009)
 170-194; Krack, Gross, Harmonic Balance for Nonlinear Vibration Problems, 2019, section 2.6.
@@ -314,7 +314,7 @@ def follow_backbone(
         pass_over=not options.get("internal_resonances", False),
     )  # fmt: skip
     found, ended = _collected(path, progress and structure.whole.comm.rank == 0)
-    ended = ended or path.told(most)
+    ended = ended or path.in_words(most)
     energy = np.exp([point.parameter for point in found])
     if throw and not path.complete and ended != INTERRUPTED:
         raise ConvergenceError(

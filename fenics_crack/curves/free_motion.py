@@ -285,7 +285,7 @@ class MotionPath:
     """The motions that follow one, up to that at a parameter: iterate over it once.
 
     Steps in the parameter itself pass over tongues, unless these are to be followed; where there is
-    none to a motion of the same shape, arc-length leads on. ``crosses_branch`` tells where a tongue
+    none to a motion of the same shape, arc-length leads on. ``crosses_branch`` marks where a tongue
     was passed over. ``ended`` is as of a :class:`Path`, and ``complete`` whether it met the end and
     not another mode's motion.
     """
@@ -311,11 +311,11 @@ class MotionPath:
         """True if the path has reached the motion of the mode at the end."""
         return self.ended is Ended.MET and self.family.is_fundamental(self.last.unknown)
 
-    def told(self, most: int) -> str:
+    def in_words(self, most: int) -> str:
         """Describe how the path has ended, of so many points at most."""
         assert self.ended is not None
         other = self.ended is Ended.MET and not self.complete
-        return ELSEWHERE if other else self.ended.told(most)
+        return ELSEWHERE if other else self.ended.in_words(most)
 
     def __iter__(self) -> Iterator[PathPoint]:
         step = 0.2 * self._max_step
@@ -383,13 +383,13 @@ class MotionPath:
             found = solve_motion(family, guess, parameter)
             if found is None or not family.is_fundamental(found.unknown):
                 continue
-            if alike(found.unknown, guess, cosine):
+            if same_shape(found.unknown, guess, cosine):
                 assert found.at is not None
                 return replace(found, crosses_branch=found.at.sign != at.sign)
         return None
 
 
-def alike(unknown: np.ndarray, other: np.ndarray, cosine: float) -> bool:
+def same_shape(unknown: np.ndarray, other: np.ndarray, cosine: float) -> bool:
     """Return True if two motions have the same shape."""
     one, two = unknown[:-1], other[:-1]
     return bool(one @ two > cosine * np.linalg.norm(one) * np.linalg.norm(two))
@@ -435,7 +435,7 @@ def _next_to(family: FreeMotion, initial: PeriodicSolution, mode: int, energy: f
     if ratio > 0.0:
         guess[:-1] /= math.sqrt(ratio)
         found = solve_motion(family, guess, start)
-        if found is not None and alike(found.unknown, guess, 0.7):
+        if found is not None and same_shape(found.unknown, guess, 0.7):
             return found
     raise ConvergenceError(f"backbone of mode {mode}: no motion next to the initial solution")
 
@@ -488,7 +488,7 @@ def _with_the_others(family: FreeMotion, unknown: np.ndarray, harmonics: int) ->
         guess[: len(unknown) - 1], guess[-1] = unknown[:-1], unknown[-1]
         found = solve_motion(larger, guess, 0.0)
         if found and not (
-            larger.is_fundamental(found.unknown) and alike(found.unknown, guess, STRAIGHT)
+            larger.is_fundamental(found.unknown) and same_shape(found.unknown, guess, STRAIGHT)
         ):
             found = None
         unknown = unknown if found is None else found.unknown

@@ -273,7 +273,7 @@ class Growing(ABC):
         yield from path
         assert path.ended is not None
         self.complete = path.event is not None
-        self.status = path.event.told if path.event else path.ended.told(self.most_points)
+        self.status = path.event.words if path.event else path.ended.in_words(self.most_points)
         self.returned = path.ended is Ended.LEFT or isinstance(path.event, Closed)
 
     def _record(self, points: Stretch) -> CurvePoint:
@@ -308,7 +308,7 @@ class Joined(Event):
     """Junction of a branch of twice the period with the one that it left: that crosses, the
     parameter turns back, and the motion repeats itself after half its period."""
 
-    terminal, told = True, "joined the branch that it left"
+    terminal, words = True, "joined the branch that it left"
 
     def __init__(self, family: Family | OrbitFamily) -> None:
         self._family, self._signs = family, (Fold(), BranchPoint())

@@ -10,10 +10,10 @@ the width are those of a cubic spline through the 1/A^2 of the points. A crack t
 clearance keeps this, as its response is proportional to the load.
 
 Over the speed W of a rotor, w_n itself follows the load's frequency p W: the width in W is that of
-a ratio of xi / (1 - s), s = d ln w_n / d ln W, and what is told is xi.
+a ratio of xi / (1 - s), s = d ln w_n / d ln W, and xi is reported.
 
 The width is that of the load's own harmonic. Where a higher one resonates, as the second at half
-the natural frequency, the load's own goes on beside it without a width, and none tells the damping:
+the natural frequency, the load's own goes on beside it without a width, and no width is a damping:
 that of the whole motion is too large by what goes on, or, as contact feeds it, too small.
 """
 

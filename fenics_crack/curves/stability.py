@@ -40,7 +40,7 @@ from fenics_crack.model.modal import CACHED, AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.attractors import Attractor, in_the_long_run
 from fenics_crack.motion.flow import exact_flow
-from fenics_crack.motion.orbit import FORMED, KNOWN, PeriodicOrbit, alike, eigenvalues, find_orbit
+from fenics_crack.motion.orbit import FORMED, KNOWN, PeriodicOrbit, eigenvalues, equal, find_orbit
 from fenics_crack.motion.search import SearchOptions, by_homotopy
 from fenics_crack.motion.shooting import FlowOrbits
 from fenics_crack.numerics.equations import NEARLY_SOLVED
@@ -319,7 +319,7 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
 
 
 def _same(one: PeriodicOrbit | None, other: PeriodicOrbit | None) -> bool:
-    return one is not None and other is not None and alike(one, other)
+    return one is not None and other is not None and equal(one, other)
 
 
 def from_rest(solution: PeriodicSolution) -> Attractor | None:

@@ -370,7 +370,7 @@ def draw_campbell(
     **where: Unpack[Where],
 ) -> Figure:
     """Draw natural frequencies over the speed: as lines those of the crack as it is held open, shut
-    or partly open, or breathes at each speed, in bands from lips open to lips tied; engine orders
+    or partly open, or breathes at each speed, in bands from open to bonded; engine orders
     as grey lines with their numbers, and circles where they meet. Modes above the reach of all
     orders are left out, but for the first one.
 
@@ -544,7 +544,7 @@ def draw_tip_fit(fit: TipFit, arrivals: ArrivalTimes, **where: Unpack[Where]) ->
 
 
 def _draw_candidates(axes: Axes, tried: Candidates, order: float) -> None:
-    """Residuals over orders, those alike and hidden marked."""
+    """Residuals over orders; those that fit as well, and hidden ones, are marked."""
     bottom = 0.5 * float(np.nanmin(tried.residuals[tried.residuals > 0.0], initial=np.inf))
     if np.isfinite(bottom):
         axes.set_yscale("log")

@@ -146,16 +146,16 @@ def _matched(
     places = np.round(lower[:, 2:] / size, 7).T
     order = np.lexsort((*places, np.round(positions / size, 7), cracks))
     lower, cracks, positions = lower[order], cracks[order], positions[order]
-    alike = len(lower) == len(upper) > 0
+    matching = len(lower) == len(upper) > 0
     reason = "one has more nodes than the other"
-    if alike:
+    if matching:
         distance, partner = cKDTree(upper[:, 2:]).query(lower[:, 2:])
-        alike = distance.max() <= SAME * size and len(np.unique(partner)) == len(partner)
+        matching = distance.max() <= SAME * size and len(np.unique(partner)) == len(partner)
         place = ", ".join(f"{x:g}" for x in lower[int(np.argmax(distance)), 2:])
         reason = (
             f"the upper node nearest to the lower one at ({place}) is {distance.max():.2g} m away"
         )
-    if not alike:
+    if not matching:
         found = f"{len(lower)} lower and {len(upper)} upper nodes"
         how = "one curve or surface named 'crack' is split into two that do"
         allowed = (

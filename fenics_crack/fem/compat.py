@@ -88,7 +88,7 @@ def model_to_mesh(model: Any, comm: MPI.Comm, dimension: int) -> tuple[Any, Any,
 
 @contextmanager
 def _quiet_compiler() -> Iterator[None]:
-    """Hold back what distutils tells of each form that is compiled, on the root logger itself.
+    """Hold back what distutils logs of each form that is compiled, on the root logger itself.
 
     FFCx gives that logger a handler, and cffi sets its level to INFO meanwhile. What other loggers
     tell is heard, and so are warnings.

@@ -1,9 +1,9 @@
 """Cracks: curves of a plate's mesh, or surfaces of a solid's, along which nodes are doubled.
 
 A rim of a crack is a front, or a tip of a plate's, where it lies inside, else a mouth. All of its
-nodes that are not on a front exist twice afterwards; which of the two a cell has is told by walking
-from cell to cell around each of them, across facets that are not of the crack. A facet whose
-corners are all on fronts stays whole: its nodes exist once.
+nodes that are not on a front exist twice afterwards; which of the two a cell has is found by
+walking from cell to cell around each of them, across facets that are not of the crack. A facet
+whose corners are all on fronts stays whole: its nodes exist once.
 
 The material of a lower lip lies below the crack: the normals that point out of it, summed along the
 lip, point up; or to the right where they are level.
@@ -71,7 +71,7 @@ class CrackSurface:
         return float(np.ptp(self.triangles.reshape(-1, 3), axis=0).max())
 
     def locate(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Distance of points (n, 3) from the surface and from the front [m], alike for all without
+        """Distance of points (n, 3) from the surface and from the front [m], equal for all without
         a front: two arrays (n,)."""
         off, position = np.empty(len(points)), np.empty(len(points))
         step = max(1, ROOM // max(len(self.triangles), len(self.front)))
@@ -337,7 +337,7 @@ def _renumbered(
     """The cells with new nodes above the cracks, and the new number of each node, -1 where it
     exists once.
 
-    A node between corners is doubled with any of them; ``is_upper`` tells it of those of each cell.
+    A node between corners is doubled with any of them; ``is_upper`` marks those of each cell.
     """
     on_crack = np.zeros(count, dtype=bool)
     on_crack[surface] = True

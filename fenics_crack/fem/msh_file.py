@@ -174,7 +174,7 @@ def check_there(key: str, path: Path | str) -> None:
 
 
 def named_groups(found: dict[str, np.ndarray]) -> list[Group]:
-    """Groups as :mod:`fenics_crack.fem.msh_reader` tells them."""
+    """Groups as :mod:`fenics_crack.fem.msh_reader` returns them."""
     parts = np.split(found["nodes"], np.cumsum(found["heads"][:, 3])[:-1])
     return [
         (dimension, tag, name, kind, nodes)
@@ -211,8 +211,8 @@ def _one_kind(
     nodes = places.reshape(-1, gmsh.model.mesh.getElementProperties(kind)[3])
     nodes = nodes[np.sort(each_once(nodes)[0])]
     ordered = np.sort(nodes, axis=1)
-    alike = np.any(ordered[:, 1:] == ordered[:, :-1])
-    _require(not alike, "a cell with a node twice", "one whose cells have different nodes")
+    twice = np.any(ordered[:, 1:] == ordered[:, :-1])
+    _require(not twice, "a cell with a node twice", "one whose cells have different nodes")
     facets, points = _named(groups, {0: _POINT, dimension - 1: _KINDS[dimension][kind]}, used)
     there = f"{side}s named {', '.join(map(repr, facets))}" if facets else f"no {side} has a name"
     allowed = f"one with a physical {side} named 'clamp'"

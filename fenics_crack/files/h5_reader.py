@@ -62,7 +62,7 @@ def texts(item: h5py.File | h5py.Dataset) -> dict[str, str]:
     for name, value in item.attrs.items():
         if not isinstance(value, str) or len(value) > MOST_TEXT:
             raise ValueError(f"its attribute {name!r} is no text")
-        value.encode()  # what is no UTF-8 cannot be told to others
+        value.encode()  # what is no UTF-8 cannot be handed over
         found[name] = value
     return found
 

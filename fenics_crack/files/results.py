@@ -210,7 +210,7 @@ def _modes_of_dofs(parts: Parts, whole: Structure) -> Modes:
 
 
 def _marks(mesh: NodalMesh) -> np.ndarray:
-    """Position of each node, and mean midpoint of its cells, which tells lips apart: (n, 2 d)."""
+    """Position of each node, and mean midpoint of its cells, by its crack face: (n, 2 d)."""
     sums, counts = np.zeros_like(mesh.points), np.zeros((len(mesh.points), 1))
     middles = mesh.points[mesh.cells].mean(axis=1)
     for nodes in mesh.cells.T:
@@ -295,8 +295,8 @@ def _check_pairs(structure: Structure, gaps: np.ndarray) -> None:
 def _check_gap(
     structure: Structure, displacement: np.ndarray, gap: np.ndarray, tolerance: float
 ) -> None:
-    """Raise InputError unless displacement and gap coefficients agree, to rounding of what lips
-    that the load presses together move alike (collective)."""
+    """Raise InputError unless displacement and gap coefficients agree, to rounding of the common
+    motion of crack faces that the load presses together (collective)."""
     closing = structure.apply_bt(displacement)
     carried = structure.sum_over_ranks(np.abs(displacement) @ abs(structure.gap))
     size = tolerance * np.linalg.norm(closing) + NEGLIGIBLE * np.linalg.norm(carried)

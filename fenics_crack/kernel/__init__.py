@@ -1,8 +1,8 @@
 """The compiled kernel: what is called for every point, every instant or every step.
 
 The C files beside this one hold the equations next to the loops; cffi compiles them when the
-package is installed (``build.py``). LAPACK is SciPy's, handed over as addresses. A kernel reads
-what it is told to: those who call check the shapes of what they are given (:func:`shaped`).
+package is installed (``build.py``). LAPACK is SciPy's, handed over as addresses. A kernel does
+not check its arguments: callers check the shapes of what they are given (:func:`shaped`).
 """
 
 from __future__ import annotations

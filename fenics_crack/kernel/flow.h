@@ -35,7 +35,7 @@ enum { MEAN, COSINE, SINE, LOAD };
 flow *new_flow(const flow_parts *given);
 void free_flow(flow *f);
 
-/* Another damping; with this no set may turn or decay faster than the flow has been told. */
+/* Another damping; with this no set may turn or decay faster than the bound given to the flow. */
 void flow_damp(flow *f, const double *damping);
 
 /* What comes of a motion: it has reached its end; takes more pieces, or more intervals, than

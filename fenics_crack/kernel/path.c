@@ -76,7 +76,7 @@ static double cosine_of(const equations *at, norm own, const double *y, double y
 }
 
 /* The exact tangent at a point that has been evaluated. The determinant of the bordered matrix
- * keeps its sign along a path: it tells where the path goes on. Where it is not known the tangent
+ * keeps its sign along a path: it shows where the path goes on. Where it is not known the tangent
  * is taken that goes on at the smaller angle to the one before, with its slope. */
 static double tangent_onwards(equations *at, int n, double orientation, const double *x,
                               const double *before, double old_slope, double *tangent,
@@ -197,7 +197,7 @@ static int advance(equations *at, int n, const stepping *how, path *points, trus
                      points->known - in->sure >= UNSURE;
     double slope =
         tangent_onwards(at, n, sure ? points->orientation : NAN, x, old, old_slope, tangent, &own);
-    /* The angle tells whether the step has left the path. */
+    /* The angle shows whether the step has left the path. */
     const double cosine = cosine_of(at, of_last, tangent, slope, old, old_slope);
     if (!(cosine > how->least_cosine)) {
         if (in->sure < last && cosine < 0.0) return DOUBTED;

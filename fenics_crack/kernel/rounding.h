@@ -11,7 +11,7 @@ static const double AS_ZERO = 1e-14;
 static const double ROUNDING = 1e-12;
 
 /* Smallest of a positive definite matrix's eigenvalues, relative to the largest, with which a small
- * residual tells that the error is small; of a compliance: what is softer by as much is rigid. */
+ * residual shows that the error is small; of a compliance: what is softer by as much is rigid. */
 static const double REGULAR = 1e-6;
 
 #endif

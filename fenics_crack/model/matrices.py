@@ -361,8 +361,8 @@ def read_matrix_market(path: Path, rows: int | None = None) -> sparse.csr_matrix
             body = np.loadtxt(lines, comments="%", ndmin=2, max_rows=entries + 1)
     found = body.size if layout == "array" else len(body)
     if found != entries:
-        told = "more" if found > entries else found  # no more are read than one too many
-        raise ValueError(f"it has {told} entries instead of {entries}")
+        count = "more" if found > entries else found  # no more are read than one too many
+        raise ValueError(f"it has {count} entries instead of {entries}")
     if layout == "array":
         values, at = body.ravel(), _places_in_array(shape, symmetry)
     elif max(shape) > max(len(body), rows or 1):

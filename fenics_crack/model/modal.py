@@ -74,7 +74,7 @@ class AllModes:
     ) -> np.ndarray:
         """Inverse impedance at frequencies (m,): (m, n), or where damping couples modes (m, n, n).
 
-        ``factor`` multiplies the damping. Where ``loaded`` (m, n) tells that the load does not
+        ``factor`` multiplies the damping. Where ``loaded`` (m, n) states that the load does not
         drive a mode, an undamped resonance of it is moved away a little: contact keeps
         its motion finite.
 
@@ -251,7 +251,7 @@ def _all_modes(structure: Structure) -> AllModes:
     else:
         squares, shapes = scipy.linalg.eigh(*map(_dense, (structure.stiffness, structure.mass)))
         damping = damping_in(structure, shapes, squares)
-    # Beside the largest it may be rounding of LAPACK's; to K itself it is told by one mode alone.
+    # Beside the largest it may be rounding of LAPACK's; one mode of K itself decides.
     doubtful = squares[0] <= AS_ZERO * squares[-1]
     unconstrained = bool(doubtful and solve_modes(structure, 1).omega[0] == 0.0)
     return AllModes(squares, shapes, damping, (structure.gap.T @ shapes).T, unconstrained)

@@ -500,11 +500,12 @@ KINDS = ("open", "tied", "bilinear")
 
 @dataclass(frozen=True, repr=False)
 class BilinearFrequencies(Tabular):
-    """Natural frequencies with lips open, in ascending order, and those with lips tied of the same
-    shapes: the other way round where a tie takes one mode past another.
+    """Natural frequencies with the crack open, in ascending order, and those with it bonded of the
+    same shapes: the other way round where the bond takes one mode past another.
 
-    Half a period with lips open and half a period with lips tied, each half as long as the natural
-    vibration of that state, make a period pi / w_o + pi / w_t, and so the bilinear frequency
+    Half a period with the crack open and half a period with it bonded, each half as long as the
+    natural vibration of that state, make a period pi / w_o + pi / w_t, and so the bilinear
+    frequency
 
         w_b = 2 w_o w_t / (w_o + w_t)
 
@@ -564,10 +565,10 @@ class BilinearFrequencies(Tabular):
 
 
 def bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
-    """The lowest natural frequencies, up to 6, with lips open and with lips tied (collective).
+    """The lowest natural frequencies, up to 6, with the crack open and bonded (collective).
 
-    Tied lips slide (:func:`fenics_crack.solve_modes`); a contact law of little stiffness lets them
-    part, and resonances then lie lower. They are computed once for a structure and its varied
+    Bonded faces slide (:func:`fenics_crack.solve_modes`); a contact law of little stiffness lets
+    them part, and resonances then lie lower. They are computed once for a structure and its varied
     copies.
 
     Parameters
@@ -600,8 +601,8 @@ def _bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
 
 
 def tied_modes(structure: Structure, count: int) -> Modes:
-    """The lowest modes with lips tied; where there are no more, infinite frequencies and shapes of
-    zero (collective)."""
+    """The lowest modes with the crack bonded; where there are no more, infinite frequencies and
+    shapes of zero (collective)."""
     omega, shapes = np.full(count, np.inf), np.zeros((structure.n_local, count))
     if most := min(count, n_tied_modes(structure)):
         found = solve_modes(structure, most, lips="tied")
@@ -623,14 +624,14 @@ def partners(is_open: Modes, tied: Modes) -> np.ndarray:
         Of one structure, at least as many tied ones as open ones.
     """
     moved = times(is_open.structure.mass, tied.shapes)
-    alike = is_open.structure.sum_over_ranks(is_open.shapes.T @ moved) ** 2
+    overlaps = is_open.structure.sum_over_ranks(is_open.shapes.T @ moved) ** 2
     of_open, of_tied = (
         np.isclose(omega[:, None], omega, rtol=MULTIPLE, atol=0.0).astype(float)
         for omega in (is_open.omega, tied.omega)
     )
     slower = tied.omega < (1.0 - MULTIPLE) * is_open.omega[:, None]
-    same = (of_open @ alike @ of_tied > SAME_SHAPE) & ~slower
-    rows, columns = np.indices(alike.shape)
+    same = (of_open @ overlaps @ of_tied > SAME_SHAPE) & ~slower
+    rows, columns = np.indices(overlaps.shape)
     weights = 1.0 + same - MULTIPLE * (rows - columns) ** 2  # all > 0, which are matches
     matched = min_weight_full_bipartite_matching(sparse.csr_matrix(weights), maximize=True)
     return np.asarray(matched[1])

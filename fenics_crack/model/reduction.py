@@ -161,7 +161,7 @@ def _static_shapes(
 
     By the factor with tied pairs, shapes of the same span: the response to the load while these are
     held, and those of gaps B^T x that are given, x = B - K_t^-1 K B. Where one soft motion carries
-    all pairs their responses are alike but for rounding, and these shapes are not.
+    all pairs their responses are equal but for rounding, and these shapes are not.
     """
     loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
     forces = structure.force[loaded]
@@ -193,8 +193,8 @@ def _massless(structure: Structure, modes: int, *, judged: bool) -> MasslessStru
         if judged and more < twice and more == most:
             here, between = slice(structure.n_pairs), slice(modes, more)
             seen = static[more].modal[here, between]
-            told = np.sum(seen**2 / squares[between], axis=1)
-            if np.any(np.diag(compliance)[here] > told):
+            kept = np.sum(seen**2 / squares[between], axis=1)
+            if np.any(np.diag(compliance)[here] > kept):
                 counts = (structure.n_dofs, modes)
                 squares, shapes, static, compliance = _left_out(structure, factor, counts, sources)
         for flexibility in static.values():
@@ -272,7 +272,7 @@ def _rounding(left: np.ndarray, seen: np.ndarray, squares: np.ndarray) -> np.nda
 
 
 def _rule_of_all(structure: Structure) -> DampingRule | None:
-    """Damping of all modes alike, also of those of the reduced structure: one ratio, or Rayleigh's
+    """Damping rule of all modes, also of those of the reduced structure: one ratio, or Rayleigh's
     coefficients; else None. InputError for too many ratios."""
     damping = structure.damping
     if isinstance(damping, RayleighDamping):

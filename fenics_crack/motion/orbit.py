@@ -475,7 +475,7 @@ def orbit_from(
     return PeriodicOrbit(flow, omega, subharmonic, motion, state, residual, iterations + 1)
 
 
-def alike(one: PeriodicOrbit, other: PeriodicOrbit) -> bool:
+def equal(one: PeriodicOrbit, other: PeriodicOrbit) -> bool:
     """Return True if two orbits of a flow are the same to 1e-6, in the norm of the energy."""
     weights = one.flow.weights(one.omega / one.subharmonic)
     change = float(np.linalg.norm(weights * (one.state - other.state)))

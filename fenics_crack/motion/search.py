@@ -7,8 +7,8 @@ one step of the whole motion leads (:func:`fenics_crack.motion.orbit.predicted`)
     p (z(T) - a) - (z - a) = 0,    from z = a at p = 0 to an orbit at p = 1,
 
 through folds: damping lets no solution for p <= 1 go far, and at p = 0 there is no other. Then from
-where the motion that begins with the guess nearly repeats itself: a motion that no orbit attracts
-wanders, and passes near orbits that it leaves again.
+close returns of the motion that begins with the guess (recurrence search): a motion that no orbit
+attracts is irregular, and passes near orbits that it leaves again.
 
 Sources: Chow, Mallet-Paret and Yorke, Mathematics of Computation 32 (1978) 887-899; Auerbach et
 al., Physical Review Letters 58 (1987) 2387-2389.
@@ -25,7 +25,7 @@ import numpy as np
 
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.flow import Budget, ContactFlow
-from fenics_crack.motion.orbit import FLOWS, FORMED, PeriodicOrbit, alike, find_orbit, predicted
+from fenics_crack.motion.orbit import FLOWS, FORMED, PeriodicOrbit, equal, find_orbit, predicted
 from fenics_crack.motion.shooting import FlowOrbits, OrbitPoint
 from fenics_crack.numerics.equations import LOCATED, DenseLinearisation
 from fenics_crack.numerics.fourier import derivative, evaluate
@@ -115,7 +115,7 @@ def search_orbit(
     for states in guesses:
         tried.append(states)
         orbit = find_orbit(flow, omega, states[0], subharmonic=subharmonic)
-        if orbit is not None and not any(alike(orbit, other) for other in met):
+        if orbit is not None and not any(equal(orbit, other) for other in met):
             met.append(orbit)
         if orbit is not None and (not any_other or flow.size > FORMED or orbit.is_stable):
             break

@@ -100,7 +100,7 @@ class Ended(Enum):
     MANY = "{most} points were not enough"
     SHORT = "the steps became too short"
 
-    def told(self, most: int) -> str:
+    def in_words(self, most: int) -> str:
         """In words, where there were so many points at most."""
         return str(self.value).format(most=most)
 
@@ -211,8 +211,8 @@ class Event(ABC):
     ----------
     terminal : bool
         Whether the path ends there,
-    told : str
-        and what is said then.
+    words : str
+        and the reason in words.
     sought : bool
         Whether the path goes back, and on by a shorter step, where it may be there and is not
         found: a long step may have met another part.
@@ -220,7 +220,7 @@ class Event(ABC):
         What it is called if it is a special point.
     """
 
-    terminal, sought, told, kind = False, False, "", ""
+    terminal, sought, words, kind = False, False, "", ""
 
     @abstractmethod
     def between(self, points: Stretch) -> np.ndarray:
@@ -340,7 +340,7 @@ class Target(Event):
     """Point where the parameter has a given value."""
 
     parameter: float
-    terminal, sought, told = True, True, Ended.MET.value
+    terminal, sought, words = True, True, Ended.MET.value
 
     def between(self, points: Stretch) -> np.ndarray:
         off = points.parameters - self.parameter
@@ -360,7 +360,7 @@ class Closed(Event):
 
     origin: PathPoint
     system: System
-    terminal, told = True, "closed loop"
+    terminal, words = True, "closed loop"
 
     def between(self, points: Stretch) -> np.ndarray:
         lengths = points.lengths[1:]
@@ -428,7 +428,7 @@ class Path:
     ----------
     system : System
     start : PathPoint
-        Its tangent tells in which direction.
+        Its tangent gives the direction.
     options : PathOptions
     events : sequence of Event
     control : StepControl, optional

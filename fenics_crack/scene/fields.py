@@ -62,8 +62,8 @@ class MeshFile(Axis):
 
     def as_toml(self) -> str:
         """As a line of a file."""
-        told = ", ".join(f"{_as_toml(name)} = {_as_toml(value)}" for name, value in self.values)
-        return f"{_as_toml(self.key)} = {{ {told} }}"
+        pairs = ", ".join(f"{_as_toml(name)} = {_as_toml(value)}" for name, value in self.values)
+        return f"{_as_toml(self.key)} = {{ {pairs} }}"
 
 
 # --- how a value is read --------------------------------------------------------------------------
@@ -432,8 +432,8 @@ class Table(Hinted):
 
     def given(self, key: str, allowed: str = "") -> Any:
         """The value of a key that may not be left out."""
-        told = allowed or f"given: {self.keys()[key].metadata['allowed']}"
-        self.require(getattr(self, key) is not None, key, told)
+        allowed = allowed or f"given: {self.keys()[key].metadata['allowed']}"
+        self.require(getattr(self, key) is not None, key, allowed)
         return getattr(self, key)
 
     def leave_out(self, keys: Iterable[str], why: str) -> None:
@@ -452,8 +452,8 @@ class Table(Hinted):
         own = [cls.name_of(name) for name in near(key, cls.keys())]
         same = [table.name_of(key) for table in tables if key in table.keys()]
         every = {name: table.name_of(name) for table in tables[::-1] for name in table.keys()}
-        alike = [every[name] for name in near(key, every, 0.8)]
-        return own or same or alike
+        similar = [every[name] for name in near(key, every, 0.8)]
+        return own or same or similar
 
     @classmethod
     def instead_of(cls, key: str) -> str:

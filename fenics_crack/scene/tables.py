@@ -662,8 +662,8 @@ class Integration(Table):
     """Maximum load periods."""
     settle: float = positive(1e-4)
     """Relative change from one period to the next at which to stop, of the gaps and of the
-    displacement where the load acts, relative to what moves. How far the motion then is from the
-    settled one is told; its mean and its higher harmonics, mostly below a thousandth of the first,
+    displacement where the load acts, relative to what moves. The distance from the settled motion
+    is reported; its mean and its higher harmonics, mostly below a thousandth of the first,
     show it most."""
     steps_per_period: int | None = at_least_one(None)
     """Default: 512; at least twice what is stable (central differences), 256 (events)."""

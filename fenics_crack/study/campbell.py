@@ -67,10 +67,10 @@ class Campbell(Tabular):
     speed : (n,) [rad/s]
         W, rising.
     omega_open, omega_tied : (n, m) [rad/s]
-        With lips open, in ascending order at each speed, and of the same shapes with lips tied; the
-        same without a crack.
+        With the crack open, in ascending order at each speed, and of the same shapes with it
+        bonded; the same without a crack.
     omega_partly : (n, m) [rad/s]
-        With the pairs tied that are pressed at rest, of the same shapes.
+        With the pairs bonded that are pressed at rest, of the same shapes.
     cracked : bool
         Whether there are lips.
     kind : (n, m) of "open", "tied", "partly" or "bilinear"

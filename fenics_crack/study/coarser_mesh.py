@@ -233,7 +233,7 @@ def finer_mesh(scene: Scene, factor: float) -> Scene | None:
 
 
 def _alike(count: int, grading: float, factor: float) -> tuple[int, float, float]:
-    """Elements along a lip of a solid and their grading so that the mesh is alike and about
+    """Elements along a lip of a solid and their grading so that the mesh is similar and about
     ``factor`` times as fine, and the factor that it is.
 
     The n elements are h_0 r^k long, r^(n - 1) being the grading, and those beside them

@@ -67,7 +67,7 @@ class KeyFigures:
     elements : int or None
         Along each lip of the crack that has the fewest; None without a crack.
     omega_open, omega_tied : (at most 4,) [rad/s]
-        Lowest natural frequencies, lips open and lips tied together; these are infinite where there
+        Lowest natural frequencies, crack open and crack bonded; these are infinite where there
         are no more.
     omega_breathing : float [rad/s]
         First resonance of a crack that opens for one half of a motion and closes for the other: the
@@ -450,9 +450,9 @@ def remarks_on(scene: Scene, figures: KeyFigures) -> list[Remark]:
     firsts = "material.", "geometry.", "rotation.", "mesh.file", "structure.model"
     if any(remark.key.startswith(firsts) for remark in own):
         return own  # all else may follow from these
-    told = {remark.key for remark in own}
+    keys = {remark.key for remark in own}
     found = [remark for rule in chosen for remark in rule(scene, figures)]
-    return own + [remark for remark in found if remark.key not in told]
+    return own + [remark for remark in found if remark.key not in keys]
 
 
 def remarks_on_mesh(scene: Scene, figures: KeyFigures, errors: np.ndarray) -> Remarks:

@@ -185,9 +185,9 @@ def _at_another_speed(scene: Scene, like: Study) -> Structure | None:
         return None
     if scene.base is not None and scene.base.moves_by_displacement:
         return None
-    alike = {"rotation.speed": 1.0, "excitation.omega": 1.0} | dict.fromkeys(LOOKED_AT)
-    alike["reduction"] = None
-    if scene.replace(alike) != other.replace(alike):
+    same = {"rotation.speed": 1.0, "excitation.omega": 1.0} | dict.fromkeys(LOOKED_AT)
+    same["reduction"] = None
+    if scene.replace(same) != other.replace(same):
         return None
     return rotation.at(scene.speed)
 

@@ -258,15 +258,15 @@ def _with_motion_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
     if motion is None or not motion.periods:
         return run
     amplitude = math.nan
-    told = f"has not settled after {counted(motion.periods, 'period')} of the load"
+    outcome = f"has not settled after {counted(motion.periods, 'period')} of the load"
     if motion.orbit is not None:
         time = np.linspace(0.0, motion.orbit.period, len(found.instants()))
         moved = found.structure.values_at(motion.orbit.displacement_at(time), [dof])
-        told, amplitude = motion.told, float(np.ptp(moved)) / 2.0
+        outcome, amplitude = motion.told, float(np.ptp(moved)) / 2.0
         own = found.amplitude(dof)
         if judged.verdict != "undecided" and abs(amplitude - own) <= SETTLED * own:
             return run  # the same motion
-    seen = replace(judged, from_rest=told, rest_amplitude=amplitude)
+    seen = replace(judged, from_rest=outcome, rest_amplitude=amplitude)
     return replace(run, result=replace(found, stability=seen))
 
 
@@ -805,8 +805,8 @@ def reaction(run: Run[PeriodicSolution] | Run[TimeHistory]) -> Reaction:
     .. math:: r \cdot R = r^T M (\ddot u + \alpha \dot u) - r^T f,
 
     :math:`\alpha` that of Rayleigh's damping, a drag from outside; all other damping acts inside,
-    and adds no force. Contact presses both lips alike, and adds none either. What modes leave out
-    has no inertia, but its share of the load is in it.
+    and adds no force. Contact forces on both faces cancel, and add none either. What modes leave
+    out has no inertia, but its share of the load is in it.
 
     Parameters
     ----------

@@ -6,7 +6,7 @@ Twice the modes are solved from the answer itself, and
 
 as it converges like N^-1 (:mod:`refinement`). To few harmonics the modes above all of them seem
 static, whether they are kept or not: where an exact orbit is the answer's own, f and f_2 are those
-of orbits. It tells what harmonics leave out, too: e = |f - f_orbit|. Elsewhere twice as many are
+of orbits. The truncated harmonics follow, too: e = |f - f_orbit|. Elsewhere twice as many are
 solved, too; where the report says that harmonics are too few the difference may vanish by chance,
 and four times as many say it, too. The mesh is made coarser (:mod:`coarser_mesh`).
 
@@ -26,12 +26,12 @@ and a tenth of what could cancel is not known.
 With a preload or a mean load a crack closes pair by pair, and where it is closed ends somewhere
 between two pairs. Half a step of the gap from one to the next, times the part of the period for
 which some touch and others do not, is not known of the clearance, whatever a coarse mesh of few
-pairs says by chance; what it changes is solved for, too. The mesh changes low harmonics and high
-ones alike: half of them show it.
+pairs says by chance; what it changes is solved for, too. The mesh changes low and high
+harmonics equally: half of them show it.
 
-The share of the period in which lips are closed is counted at instants, alike in all these runs.
-Its error is that beside the switching instants of the exact orbit; elsewhere one instant's part is
-added to what harmonics leave out.
+The contact duty cycle is counted at instants, the same in all these runs. Its error is the distance
+from that by the switching instants of the exact orbit; elsewhere one instant's part is added to
+what harmonics leave out.
 
 The root of the sum of the squares of all causes is stated. These are errors that are expected, not
 bounds: scenes beside a mesh four times finer are in docs/notebook/stated_errors.md.
@@ -332,9 +332,9 @@ def _many(found: PeriodicSolution) -> int:
 def _of_orbit(
     study: Study, found: PeriodicSolution, orbit: PeriodicOrbit, mode: int
 ) -> dict[str, float]:
-    """The numbers of an orbit next to a solution, of a study's structure: of lips by its motion at
-    the solution's instants, but for the share closed, which its own switching instants tell; of
-    points with many harmonics (collective)."""
+    """The numbers of an orbit next to a solution, of a study's structure: of crack faces by its
+    motion at the solution's instants, but for the duty cycle, which follows from its switching
+    instants; of points with many harmonics (collective)."""
     structure, law, harmonics = study.structure, study.contact, _many(found)
     assert law is not None
     problem = Problem(structure, found.omega, law, harmonics, subharmonic=found.subharmonic)

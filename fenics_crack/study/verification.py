@@ -484,11 +484,11 @@ class Verification(Tabular):
         first = next(iter(self.values))
         shares = {name: self.relative(name, self.total(name)) for name in self.values}
         worst = max(shares, key=lambda name: shares[name])
-        told = [self._in_words(first)]
+        found = [self._in_words(first)]
         if worst != first:
-            told.append(f"largest of all: {self._in_words(worst)}")
-        told += [f"{cause}, no contribution: {why}" for cause, why in self.absent.items()]
-        return (*told, *self.warnings)
+            found.append(f"largest of all: {self._in_words(worst)}")
+        found += [f"{cause}, no contribution: {why}" for cause, why in self.absent.items()]
+        return (*found, *self.warnings)
 
     @property
     def warnings(self) -> tuple[str, ...]:

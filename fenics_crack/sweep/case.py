@@ -198,7 +198,7 @@ def solve_chunk(
             found |= asked_of_motion(geometry.study, solution)
             if asked.verdicts and case.harmonic_balance.error:
                 found |= cases.verdict(solution)
-                found["status"] += found.pop("told", "")
+                found["status"] += found.pop("remark", "")
             found |= {"gap": solution.gap_coefficients, "force": solution.force_coefficients}
         except REFUSALS as error:
             cases = Cases(geometry)
@@ -291,22 +291,22 @@ class Cases:
         raise reason
 
     def verdict(self, solution: PeriodicSolution) -> Found:
-        """Verdict on a solution, modulus of its leading multiplier, and what is told of it: why it
-        is undecided, or what more modes say against it; empty without a law, and for a constraint
-        of lips with mass."""
-        structure, law, told = solution.structure, solution.contact, ""
+        """Verdict on a solution, modulus of its leading multiplier, and a remark: why it is
+        undecided, or how more modes contradict it; empty without a law, and for a constraint of
+        crack faces with mass."""
+        structure, law, remark = solution.structure, solution.contact, ""
         if law is None or (is_rigid(law) and not structure.light_lips):
             return {}
         try:
             found = floquet(structure, solution)
         except REFUSALS as error:
-            return {"verdict": "undecided", "told": f"; {OPEN}{error}"}
+            return {"verdict": "undecided", "remark": f"; {OPEN}{error}"}
         if found.reason:
-            told = f"; {OPEN}{found.reason}"
+            remark = f"; {OPEN}{found.reason}"
         elif structure.light_lips and (more := solution.assessment.more_modes):  # else collective
             said = more.contradicts(found.verdict, quick=True)
-            told = YET + said if said else ""
-        return {"verdict": found.verdict, "multiplier": abs(found.multipliers[0]), "told": told}
+            remark = YET + said if said else ""
+        return {"verdict": found.verdict, "multiplier": abs(found.multipliers[0]), "remark": remark}
 
 
 def _around(problem: Problem, step: float, lowest: float, highest: float) -> list[PeriodicSolution]:

@@ -207,7 +207,7 @@ class SweepFile:
         self.state.flat[places] = state
 
     def close(self, *, remove: bool = False) -> None:
-        """Close the file, or remove it; raises InputError where that tells of an error."""
+        """Close the file, or remove it; raises InputError where that reports an error."""
         try:
             if remove and self._is_there():
                 self._path.unlink()

@@ -124,8 +124,8 @@ class Worker:
                 return chunk.numbers, _unforeseen()
         large = isinstance(built, InputError) and built.key == "reduction.method"
         if built is None or (isinstance(built, REFUSALS) and not (large and self._asked.hopeless)):
-            told = [case if isinstance(case, str) else str(built) for case in chunk.cases]
-            return chunk.numbers, [{"status": status} for status in told]
+            reasons = [case if isinstance(case, str) else str(built) for case in chunk.cases]
+            return chunk.numbers, [{"status": status} for status in reasons]
         return chunk.numbers, built
 
 

@@ -324,17 +324,17 @@ class SweepResult(Tabular):
     @property
     def undecided(self) -> list[tuple[tuple[int, ...], str]]:
         """Index and reason of each case whose stability is undecided."""
-        told = self._status_where(self.converged & (self["verdict"] == "undecided"))
-        return [(at, status.partition(OPEN)[2] or "its reason is not kept") for at, status in told]
+        cases = self._status_where(self.converged & (self["verdict"] == "undecided"))
+        return [(at, status.partition(OPEN)[2] or "its reason is not kept") for at, status in cases]
 
     @property
     def contradicted(self) -> list[tuple[tuple[int, ...], str]]:
-        """Index of each case whose verdict on stability is known to hang on modes that are left
-        out, and what twice the modes say. It is known of lips without mass, where one step of
-        Newton's method with these modes shows it, of two cases in three; of each one
-        :func:`fenics_crack.solve` asks the orbit."""
-        told = self._status_where(self.converged & (self["verdict"] != "undecided"))
-        return [(at, said) for at, status in told if (said := status.partition(YET)[2])]
+        """Index of each case whose verdict on stability is known to depend on truncated modes, and
+        the verdict with twice the modes. It is known for crack faces without mass, where one step
+        of Newton's method with these modes shows it, for two cases in three; of each one
+        :func:`fenics_crack.solve` finds the orbit."""
+        cases = self._status_where(self.converged & (self["verdict"] != "undecided"))
+        return [(at, said) for at, status in cases if (said := status.partition(YET)[2])]
 
     def _status_where(self, which: np.ndarray) -> list[tuple[tuple[int, ...], str]]:
         return [(tuple(map(int, at)), str(self["status"][tuple(at)])) for at in np.argwhere(which)]
@@ -419,7 +419,7 @@ class SweepResult(Tabular):
             if name not in OF_POINTS:
                 found[name] = words, unit
             elif seen:
-                found |= {f"{at}.{name}": (f"{words}, {told}", unit) for at, told in seen.items()}
+                found |= {f"{at}.{name}": (f"{words}, {where}", unit) for at, where in seen.items()}
             else:
                 found[of_load(name)] = f"{words} at the load's point", unit
         return {name: how for name, how in found.items() if name in self.columns}

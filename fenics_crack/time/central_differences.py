@@ -6,13 +6,13 @@ The paper's scheme, with the contact force that its printed form leaves out,
 
     (2 M + dt C) u_{n+1} = 2 dt^2 (f - K u - B lambda)_n + 4 M u_n - 2 M u_{n-1} + dt C u_{n-1},
 
-marched in increments d_n = u_n - u_{n-1} with r = f - K u - B lambda:
+integrated in increments d_n = u_n - u_{n-1} with r = f - K u - B lambda:
 
     (M + dt/2 C) (d_{n+1} - d_n) = dt^2 r_n - dt C d_n.
 
 Modal damping C = M Phi diag(c) Phi^T M is inverted exactly (:class:`LoopedSteps`): a step costs a
 product with K and one with M, a solution with M and three products with Phi. Small structures are
-marched in the coordinates of all their modes instead, by the kernel
+integrated in the coordinates of all their modes instead, by the kernel
 (:mod:`fenics_crack.time.modal_march`). The scheme is second order. Steps beyond dt = 2 / omega_max,
 omega_max the largest natural frequency with every pair closed, are unstable and refused. Below that
 the scheme conserves energy as long as no pair changes its state; a contact from step a to step b
@@ -200,7 +200,7 @@ def _last_velocity(
 
 
 class _ModalDifferences(ModalSteps):
-    """State of a small structure in modal coordinates, marched by the kernel."""
+    """State of a small structure in modal coordinates, integrated by the kernel."""
 
     name, remedy = NAME, REMEDY
 

@@ -110,7 +110,7 @@ class ExponentialFlow(Flow):
 
 
 class Steps:
-    """Marched periods of the load.
+    """Integrated periods of the load.
 
     Attributes
     ----------

@@ -46,8 +46,8 @@ to step, and the rebound would depend on where in the step the impact falls. Thi
 order in dt where C couples closed pairs to other dofs and rho < 1; elsewhere second order is
 observed.
 
-Small structures are marched in the coordinates of all their modes by the kernel, under the penalty
-law or a constraint (``kernel/implicit.c``).
+Small structures are integrated in the coordinates of all their modes by the kernel, under the
+penalty law or a constraint (``kernel/implicit.c``).
 
 Sources: Chung and Hulbert, Journal of Applied Mechanics 60 (1993) 371; for the potential's
 quotient, Simo and Tarnow, Zeitschrift fuer angewandte Mathematik und Physik 43 (1992) 757.
@@ -157,7 +157,7 @@ def _parameters(radius: float) -> tuple[float, float, float, float]:
 
 
 class _ModalAlpha(ModalSteps):
-    """State of a small structure in modal coordinates, marched by the kernel."""
+    """State of a small structure in modal coordinates, integrated by the kernel."""
 
     name, remedy = NAME, REMEDY
 

@@ -69,8 +69,8 @@ class March:
         State at time 0: a solution's, two arrays (n_local,) [m], [m/s], or rest.
     settle : float
         Stop early when the relative change over a period is below this, of the gaps and of the
-        displacement where the load acts, relative to what moves; ``distance`` of the history tells
-        what is left.
+        displacement where the load acts, relative to what moves; ``distance`` of the history
+        is what is left.
     record_periods : int, optional
         Keep only the last so many periods.
     dofs : sequence of int, optional
