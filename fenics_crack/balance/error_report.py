@@ -219,7 +219,7 @@ def relative_size(change: np.ndarray, at: ContactPoint, clearance: np.ndarray) -
     closing[0] += clearance
     free[0] += clearance
     rounding = NEGLIGIBLE**2 * mean_square(free)
-    still = mean_square(closing) <= rounding  # lips that the load presses together
+    still = mean_square(closing) <= rounding  # crack faces that the load presses together
     return 0.0 if still else math.sqrt(mean_square(change) / moving_mean_square(closing))
 
 

@@ -63,7 +63,7 @@ from fenics_crack.table import percent, quantity
 
 
 def solve_linear(structure: Structure, omega: float, *, harmonics: int = 5) -> PeriodicSolution:
-    """Steady vibration with lips that pass through each other, A u = c (collective).
+    """Steady vibration with crack faces that pass through each other, A u = c (collective).
 
     Parameters
     ----------
@@ -112,9 +112,9 @@ def _without_contact(structure: Structure, omega: float, harmonics: int) -> Peri
 def linear_response(
     structure: Structure, dof: int, omega: np.ndarray, *, lips: str = "open"
 ) -> np.ndarray:
-    """Amplitudes of a dof at load frequencies with lips that stay open, or that stay tied.
+    """Amplitudes of a dof at load frequencies with crack faces that stay open, or that stay bonded.
 
-    Tied lips have no relative normal motion and slide without friction, as those of
+    Bonded faces have no relative normal motion and slide without friction, as those of
     :func:`fenics_crack.solve_modes`. Mean loads, preload and clearance play no part.
 
     Parameters
@@ -126,7 +126,7 @@ def linear_response(
     omega : (n,) [rad/s]
         Load frequencies.
     lips : "open" or "tied"
-        What the lips of all cracks do.
+        State of the faces of all cracks.
 
     Returns
     -------
@@ -186,7 +186,7 @@ def solve_harmonic_balance(
     residual_tolerance: float = Solver.residual_tolerance,
     throw: bool = True,
 ) -> PeriodicSolution:
-    """Steady periodic vibration with contact between the lips (collective).
+    """Steady periodic vibration with contact between the crack faces (collective).
 
     The coefficients of u(t) solve A u + B b(g) = c, the equation of motion M u'' + C u' + K u +
     B lambda(g) = f(t), g = B^T u - g0, projected on the mean and the first H harmonics: b are the

@@ -1,9 +1,9 @@
 """Change of an exact motion due to the modes that a reduction truncates.
 
 The reference of a reduced structure has more modes (:mod:`fenics_crack.model.reduction`). Those
-that lips without mass leave out begin as their statics have them, Lambda q = f - P lambda. One step
-of Newton's method of the whole motion on the reference's flow estimates the change of the gaps; the
-orbit that is found from there gives it exactly.
+that crack faces without mass leave out begin as their statics have them, Lambda q = f - P lambda.
+One step of Newton's method of the whole motion on the reference's flow estimates the change of the
+gaps; the orbit that is found from there gives it exactly.
 """
 
 from __future__ import annotations

@@ -175,8 +175,8 @@ class Problem:
     def residual(self) -> np.ndarray | None:
         """R_inf, the static compliance through which contact is seen; None where there is none.
 
-        Lips with mass are seen through one if the law is rigid, or so stiff against it that they
-        bounce at frequencies which H harmonics do not resolve."""
+        Crack faces with mass are seen through one if the law is rigid, or so stiff against it that
+        they bounce at frequencies which H harmonics do not resolve."""
         structure, contact = self.structure, self.contact
         light, rigid = structure.light_lips, is_rigid(contact)
         projected = is_rigid(contact) and contact.weight is not None and not light

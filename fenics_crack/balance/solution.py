@@ -6,10 +6,10 @@ times its period, the amplitude at j times the load's frequency is
 
     U_j = sqrt(a_k^2 + b_k^2),      k = j m,
 
-and a linear structure has U_1 alone. Lips that open and close once in a period act as a stiffness
-that depends on the sign of the gap: they make even harmonics and a mean, U_2 / U_1 and a0 / U_1,
-and at a period doubling U_1/2; all of these are independent of the size of the load as long as
-there is no clearance (Dimarogonas, Engineering Fracture Mechanics 55, 1996, 831, reviews them).
+and a linear structure has U_1 alone. Crack faces that open and close once in a period act as a
+stiffness that depends on the sign of the gap: they make even harmonics and a mean, U_2 / U_1 and a0
+/ U_1, and at a period doubling U_1/2; all of these are independent of the size of the load as long
+as there is no clearance (Dimarogonas, Engineering Fracture Mechanics 55, 1996, 831, reviews them).
 """
 
 from __future__ import annotations
@@ -115,7 +115,8 @@ def indicators_of(
     subharmonic: int = 1,
 ) -> Indicators:
     """Indicators from load frequencies (...), coefficients of a displacement (..., 2H+1), half its
-    peak-to-peak values (...) and what :func:`contact_extremes` has found of the lips (...)."""
+    peak-to-peak values (...) and what :func:`contact_extremes` has found of the crack faces
+    (...)."""
     harmonics = (coefficients.shape[-1] - 1) // 2
 
     def at(multiple: float) -> Any:
@@ -226,7 +227,8 @@ class PeriodicSolution(Wave, Described):
     omega : float
         Angular frequency of the load [rad/s].
     contact : ContactLaw or None
-        Law between the lips; None for the linear solution with lips that pass through each other.
+        Law between the crack faces; None for the linear solution with crack faces that pass through
+        each other.
     displacement_coefficients : (2H+1, n_local) [m]
         Rows a0, a1, b1, ..., aH, bH; the columns of the dofs that this rank owns.
     gap_coefficients : (2H+1, n_pairs) [m]

@@ -308,8 +308,8 @@ def _longer_period(found: TimeHistory) -> str:
 
 
 def _quantities(run: Run[Any], values: Mapping[str, object]) -> Table:
-    """The numbers of a vibration or a motion: indicators of each watched dof, those of the lips,
-    natural frequencies, and others (collective)."""
+    """The numbers of a vibration or a motion: indicators of each watched dof, those of the crack
+    faces, natural frequencies, and others (collective)."""
     omega = run.scene.excitation.omega if isinstance(run.result, TimeHistory) else run.result.omega
     rows: list[Row] = [(n, n, v, UNITS[n]) for n, v in with_frequency({"omega": omega}).items()]
     for watched in run.watched:
@@ -390,7 +390,7 @@ class Waves(NamedTuple):
     motion : (n, n_watched) [m]
         Displacements of what is watched.
     closings : dict of str to (n,) [m]
-        How far the lips of each crack close, by where it is watched.
+        Closing of the faces of each crack, by where it is watched.
     force : (n, n_pairs) [N]
         Of the contact.
     """

@@ -254,8 +254,9 @@ def follow_backbone(
     Parameters
     ----------
     structure : Structure
-        What vibrates, with mass at its lips; its load, mean load included, and its damping are left
-        out. One with many dofs is reduced first (:func:`reduce_structure`, "free_interface").
+        What vibrates, with mass at its crack faces; its load, mean load included, and its damping
+        are left out. One with many dofs is reduced first (:func:`reduce_structure`,
+        "free_interface").
     contact : ContactLaw
         Law of all pairs. With preload, contact grows about the equilibrium held fixed.
     mode : int

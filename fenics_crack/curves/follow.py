@@ -90,13 +90,13 @@ def continue_frequency(
     Parameters
     ----------
     structure : Structure
-        What vibrates. One with many dofs is reduced first, to lips without mass
+        What vibrates. One with many dofs is reduced first, to crack faces without mass
         (``reduce_structure(structure, method="massless")``).
     omega_start, omega_end : float
         Load frequencies [rad/s]; the end may be below the start.
     contact : ContactLaw
-        Law of all pairs; :class:`UnilateralConstraint` where lips have no mass, or where modes
-        above the harmonics move every pair by itself.
+        Law of all pairs; :class:`UnilateralConstraint` where crack faces have no mass, or where
+        modes above the harmonics move every pair by itself.
     progress : bool
         Show a progress bar.
     throw : bool

@@ -235,7 +235,7 @@ def floquet(
     Raises
     ------
     InputError
-        The structure is too large, or the law is a constraint of lips with mass.
+        The structure is too large, or the law is a constraint of crack faces with mass.
 
     Notes
     -----

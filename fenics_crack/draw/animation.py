@@ -1,7 +1,7 @@
 """The breathing crack in motion: a GIF, or a window with a slider.
 
-The plate is drawn magnified and coloured by von Mises stress or displacement, with the lips as
-thick lines, a dot on every pair that is in contact, and an arrow for the load. Everything is
+The plate is drawn magnified and coloured by von Mises stress or displacement, with the crack faces
+as thick lines, a dot on every pair that is in contact, and an arrow for the load. Everything is
 gathered first; rank 0 draws.
 """
 
@@ -68,8 +68,8 @@ def animate_period(
     """Draw one period of a vibration as an animated picture (collective).
 
     Below the plate is the opening of the crack's mouth over time, of several cracks of the one that
-    moves most, tinted while that one's lips touch; without a crack the largest displacement. The
-    caption and the comment of the file state the magnification.
+    moves most, tinted while that one's crack faces touch; without a crack the largest displacement.
+    The caption and the comment of the file state the magnification.
 
     Parameters
     ----------

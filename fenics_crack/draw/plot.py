@@ -1,5 +1,5 @@
-"""Pictures of motions and of what they depend on: waves, contact laws, where lips touch, responses,
-maps, spectra, orbits in the phase plane, what opens a crack's tips."""
+"""Pictures of motions and of what they depend on: waves, contact laws, where crack faces touch,
+responses, maps, spectra, orbits in the phase plane, what opens a crack's tips."""
 
 from __future__ import annotations
 
@@ -170,8 +170,8 @@ def draw_laws(
 def draw_contact_map(
     solution: PeriodicSolution, *, instants: int = 400, **where: Unpack[Where]
 ) -> Figure:
-    """Draw where along the crack and when in the period the lips touch, and how hard; of a solid
-    where on each crack, how hard at most, and for how much of the period.
+    """Draw where along the crack and when in the period the crack faces touch, and how hard; of a
+    solid where on each crack, how hard at most, and for how much of the period.
 
     Colours show the contact pressure if contact is rigid or its stiffness given per area, else the
     force of each pair; grey is open. Several cracks are one above the other, with a line between
@@ -655,7 +655,7 @@ def _orbit(
     quantity: str,
     touching: str,
 ) -> None:
-    """Draw the orbit of one displacement, thick where lips are closed."""
+    """Draw the orbit of one displacement, thick where the crack is closed."""
     step = DIFFERENCE * solution.period
 
     def orbit_at(time: np.ndarray) -> np.ndarray:

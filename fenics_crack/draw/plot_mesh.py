@@ -185,7 +185,7 @@ def _mode_shape(axes: Axes, mesh: NodalMesh, shape: np.ndarray) -> None:
 
 
 def _solid(picture: Picture, mesh: NodalMesh, load: np.ndarray) -> None:
-    """The mesh with what is clamped, the lips, and the load (3, n_nodes, 3) [N]."""
+    """The mesh with what is clamped, the crack faces, and the load (3, n_nodes, 3) [N]."""
     from fenics_crack.draw import vtk
 
     plotter = vtk.off_screen_plotter()

@@ -5,8 +5,8 @@ pyvista does the same as the first parts and more, but loads in 0.2 s: it is lef
 solids, to the window, and to values at points.
 
 Stresses at the nodes of a mesh, and at points of it, follow from the gradient of the displacement
-in the cells at each node, averaged; the lips have nodes of their own, so nothing is averaged across
-the crack. Files have all nodes, also those of quadratic elements; rank 0 writes them.
+in the cells at each node, averaged; the crack faces have nodes of their own, so nothing is averaged
+across the crack. Files have all nodes, also those of quadratic elements; rank 0 writes them.
 """
 
 from __future__ import annotations
@@ -361,7 +361,7 @@ class PeriodFields:
     displacement, load : (n, n_nodes, d) [m], [N]
         True to scale.
     force, areas : (n, n_pairs) [N], (n_pairs,) [m^2]
-        Of the contact, and of one lip.
+        Of the contact, and of one face.
     pair_nodes : (n_nodes, n_pairs)
         1 where a node belongs to a pair, else 0; of a patch the two nodes in its middle.
     shares : (n_nodes, n_pairs)
@@ -503,12 +503,12 @@ def write_period(
     Notes
     -----
     Point fields, in single precision: ``displacement`` [m], true to scale; ``contact state``: 1 on
-    a closed pair of lip nodes, 0 on an open one, -1 away from the lips; ``contact force`` [N] on
-    each node of a pair, and ``contact pressure`` [Pa], that force over the pair's area (of a solid,
-    whose pairs are patches, the force at their middles, and the pressure linear between): smooth
-    along the lips if the contact stiffness is given per area. With a material: ``stress`` (xx, yy,
-    xy; of a solid xx, yy, zz, xy, yz, xz) and ``von Mises stress`` [Pa]. At the tip and under the
-    point load they grow without bound as the mesh is refined.
+    a closed pair of face nodes, 0 on an open one, -1 away from the crack faces; ``contact force``
+    [N] on each node of a pair, and ``contact pressure`` [Pa], that force over the pair's area (of a
+    solid, whose pairs are patches, the force at their middles, and the pressure linear between):
+    smooth along the crack faces if the contact stiffness is given per area. With a material:
+    ``stress`` (xx, yy, xy; of a solid xx, yy, zz, xy, yz, xz) and ``von Mises stress`` [Pa]. At the
+    tip and under the point load they grow without bound as the mesh is refined.
 
     Examples
     --------
@@ -569,8 +569,8 @@ def _nodes_of_pairs(structure: Structure) -> np.ndarray:
 
 def _of_patches(mesh: NodalMesh, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """1 at the two nodes in the middle of each patch, and the functions psi of the pressures at all
-    nodes of the lips, which are linear between these and zero at the fronts: (n_nodes, n_pairs)
-    each."""
+    nodes of the crack faces, which are linear between these and zero at the fronts: (n_nodes,
+    n_pairs) each."""
     from scipy.spatial import cKDTree  # takes a while, for some pictures
 
     facets, near = mesh.boundary_facets[mesh.lip_facets], 1e-6 * mesh.size

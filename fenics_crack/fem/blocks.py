@@ -10,12 +10,12 @@
                 +-----------+---------------+
                     clamped (y = 0)
 
-which gives the lips identical nodes, lets quadrilaterals be graded towards the tip block by block
-and makes the uniform grid of the paper a special case. Blocks are a tensor product: columns of them
-between neighbouring tips, rows between neighbouring cracks. Elements grow geometrically away from
-tips and from cracks, so the size is linear in the distance. Between two tips, or two cracks, they
-grow from both to the middle, where the block is cut once more. A crack inside the plate is two
-halves that meet in its middle, each like an edge crack whose mouth is there.
+which gives the crack faces identical nodes, lets quadrilaterals be graded towards the tip block by
+block and makes the uniform grid of the paper a special case. Blocks are a tensor product: columns
+of them between neighbouring tips, rows between neighbouring cracks. Elements grow geometrically
+away from tips and from cracks, so the size is linear in the distance. Between two tips, or two
+cracks, they grow from both to the middle, where the block is cut once more. A crack inside the
+plate is two halves that meet in its middle, each like an edge crack whose mouth is there.
 
 **A box** has its cracks as surfaces inside, whose nodes exist once: they are split like those of a
 mesh file (:mod:`fenics_crack.fem.msh_file`). Its elements are ``mesh.size`` long and, at a distance
@@ -81,7 +81,7 @@ class Slit:
 
 @dataclass(frozen=True)
 class _Half:
-    """A lip from its coarse end (the mouth, or the middle of a crack inside) to a tip."""
+    """A crack face from its coarse end (the mouth, or the middle of a crack inside) to a tip."""
 
     coarse: float
     tip: float
@@ -90,11 +90,11 @@ class _Half:
     tip_size: float
 
     def covers(self, start: float, stop: float) -> bool:
-        """Tell whether the lip goes along an interval."""
+        """Tell whether the face goes along an interval."""
         return min(self.coarse, self.tip) < 0.5 * (start + stop) < max(self.coarse, self.tip)
 
     def size(self, place: float) -> float:
-        """Length of an element at a place on the lip."""
+        """Length of an element at a place on the face."""
         first = self.tip_size / self.ratio ** (self.count - 1)
         share = (place - self.tip) / (self.coarse - self.tip)
         return self.tip_size + share * (first - self.tip_size)
@@ -208,7 +208,8 @@ def _graded_plate(
 
 
 def _half(scene: Scene, coarse: float, tip: float) -> _Half:
-    """A lip of ``lip_elements`` from a mouth, or of half of them from the middle of a crack."""
+    """A crack face of ``lip_elements`` from a mouth, or of half of them from the middle of a
+    crack."""
     mesh, (width, height) = scene.mesh, scene.geometry.sides
     count = mesh.given("lip_elements")
     if coarse not in (0.0, width):
@@ -224,7 +225,7 @@ def _half(scene: Scene, coarse: float, tip: float) -> _Half:
 
 @dataclass(frozen=True)
 class _Side:
-    """A side with elements of given lengths at its tips (or cracks), and along its lips."""
+    """A side with elements of given lengths at its tips (or cracks), and along its crack faces."""
 
     extent: float
     tips: list[tuple[float, float]]  # place, length of an element there
@@ -267,13 +268,14 @@ class _Side:
         return [size for tip, size in self.tips if abs(tip - place) <= self.nearest]
 
     def _size(self, place: float, over: list[_Half]) -> float:
-        """Length of elements at a place of an interval along which some lips go."""
+        """Length of elements at a place of an interval along which some crack faces go."""
         asked = [half.size(place) for half in over] or [self.size]
         return min(asked + self._tip_sizes(place))
 
 
 def _between(start: float, stop: float, first: float, last: float, over: list[_Half]) -> Interval:
-    """An interval with elements from about ``first`` to about ``last``, enough for all lips."""
+    """An interval with elements from about ``first`` to about ``last``, enough for all crack
+    faces."""
     small, large = sorted((first, last))
     count, growth = _graded(stop - start, small, large)
     enough = max((math.ceil(half.elements(start, stop) - 0.01) for half in over), default=0)
@@ -299,7 +301,7 @@ def _graded(length: float, first: float, last: float) -> tuple[int, float]:
 
 
 def draw_plate(scene: Scene) -> tuple[Names, Lips]:
-    """Fill the current gmsh model with the mesh of a scene's plate; its named sides, and the lips
+    """Fill the current gmsh model with the mesh of a scene's plate; its named sides, and the faces
     of its cracks."""
     groups = _draw_blocks(scene)
     gmsh.model.mesh.generate(2)
@@ -307,7 +309,7 @@ def draw_plate(scene: Scene) -> tuple[Names, Lips]:
 
 
 def _lips(scene: Scene) -> tuple[Lip, ...]:
-    """The lips of the cracks of a plate that is made here, in the order of the scene."""
+    """The faces of the cracks of a plate that is made here, in the order of the scene."""
     width, found = scene.geometry.sides[0], []
     for crack in scene.all_cracks.values():
         left, right = ((x, crack.given("height")) for x in crack.span(width))

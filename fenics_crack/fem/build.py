@@ -11,8 +11,8 @@ DOLFINx assembles the matrices, with sigma and t of :mod:`fenics_crack.fem.elast
 
 Clamped dofs are left out, so that no spurious mode stands for them.
 
-**Contact pairs** of the lips have gaps g = B^T u. A pair is two basis functions psi of a pressure,
-in the same place of both lips, and with either lip's outward normal n
+**Contact pairs** of the crack faces have gaps g = B^T u. A pair is two basis functions psi of a
+pressure, in the same place of both faces, and with either face's outward normal n
 
     g = b_lower . u + b_upper . u,        w = t int psi ds its area.
 
@@ -63,7 +63,7 @@ LIPS = ("lower_lip", "upper_lip")
 
 
 def pair_lips(scene: Scene, dofs: Dofs) -> tuple[sparse.csr_matrix, Pairs]:
-    """Pair what is in the same place of both lips, crack by crack: the rows of B of this rank's
+    """Pair what is in the same place of both faces, crack by crack: the rows of B of this rank's
     free dofs, and where the pairs are (collective).
 
     The pairs of a crack are ordered from its mouth to its tip, or from the left to the right tip;
@@ -72,7 +72,7 @@ def pair_lips(scene: Scene, dofs: Dofs) -> tuple[sparse.csr_matrix, Pairs]:
     Raises
     ------
     InputError
-        The two lips have different nodes.
+        The two faces have different nodes.
     """
     dimension, plate = scene.dimension, dofs.plate
     if not plate.cracked:
@@ -134,7 +134,7 @@ def _of_patches(dofs: Dofs, t: Any, lips: Any) -> tuple[Any, np.ndarray, sparse.
 def _matched(
     lips: Lips, lower: np.ndarray, upper: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Rows (number, weight, x, y, ...) of both lips without the tips, partner by partner in order
+    """Rows (number, weight, x, y, ...) of both faces without the tips, partner by partner in order
     along the cracks; the crack of each pair, and its position."""
     from scipy.spatial import cKDTree
 
@@ -298,8 +298,8 @@ def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     Raises
     ------
     InputError
-        The mesh file or a matrix is unusable, the load is off the mesh or clamped, or the lips do
-        not match.
+        The mesh file or a matrix is unusable, the load is off the mesh or clamped, or the crack
+        faces do not match.
 
     Examples
     --------

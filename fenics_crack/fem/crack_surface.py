@@ -5,8 +5,8 @@ nodes that are not on a front exist twice afterwards; which of the two a cell ha
 walking from cell to cell around each of them, across facets that are not of the crack. A facet
 whose corners are all on fronts stays whole: its nodes exist once.
 
-The material of a lower lip lies below the crack: the normals that point out of it, summed along the
-lip, point up; or to the right where they are level.
+The material of a lower face lies below the crack: the normals that point out of it, summed along
+the face, point up; or to the right where they are level.
 """
 
 from __future__ import annotations
@@ -210,7 +210,7 @@ def split_cracks(
     twins : (n_new,) int
         The nodes of which the new ones are copies.
     lips : (m', 2, k) int
-        Facets of the lower lip, and those of the upper one in the same places.
+        Facets of the lower face, and those of the upper one in the same places.
 
     Raises
     ------
@@ -272,7 +272,7 @@ def cracks_between(
     lower: np.ndarray, upper: np.ndarray, places: np.ndarray
 ) -> tuple[CrackSurface, ...]:
     """The cracks of a solid that is split, from bottom to top, by the corners of the facets of both
-    lips, (m, k) and (m', k) int: these share the nodes of the fronts."""
+    crack faces, (m, k) and (m', k) int: these share the nodes of the fronts."""
     edges, uses = np.unique(_edges(lower), axis=0, return_counts=True)
     rim = edges[uses == 1]
     is_front = np.isin(rim, upper).all(axis=1)

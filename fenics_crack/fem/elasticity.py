@@ -17,10 +17,10 @@ t the thickness of a plate, 1 of a solid,
     u . M_s v = t int rho P u . v dx                          spin softening: it grows with P u
     u . K_g v = t int sigma_ij u_k,i v_k,j dx                 geometric stiffness
 
-sigma is the stress that f_c makes at rest, K u_c + B lambda = f_c, with contact where
-f_c presses the lips together (clearances count as zero; most cracks are opened). Most of it grows
-with W^2, so that a few matrices serve every speed. The displacement u_s that rotation itself makes,
-and any motion v about it, are those of
+sigma is the stress that f_c makes at rest, K u_c + B lambda = f_c, with contact where f_c presses
+the crack faces together (clearances count as zero; most cracks are opened). Most of it grows with
+W^2, so that a few matrices serve every speed. The displacement u_s that rotation itself makes, and
+any motion v about it, are those of
 
     (K + W^2 K_1) u_s = W^2 f_c,                                      K_1 = K_g - M_s,
     M v'' + C v' + (K + W^2 (K_1 + K_2) + W^4 K_3) v + B lambda = f.

@@ -1,7 +1,7 @@
-"""The lips of cracks in a plate's mesh: where they run, and where they begin.
+"""The faces of cracks in a plate's mesh: where they run, and where they begin.
 
-A lip is a chain of edges from a mouth to a tip, from tip to tip, or from mouth to mouth. A tip is a
-node of both lips.
+A crack face is a chain of edges from a mouth to a tip, from tip to tip, or from mouth to mouth. A
+tip is a node of both faces.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ COINCIDENT = 1e-3
 
 @dataclass(frozen=True)
 class Lip:
-    """A lip of one crack.
+    """A crack face of one crack.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class Lip:
 
     @property
     def position(self) -> np.ndarray:
-        """Distance of each corner from the beginning, along the lip [m]."""
+        """Distance of each corner from the beginning, along the face [m]."""
         steps = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
         return np.concatenate([[0.0], np.cumsum(steps)])
 
@@ -54,7 +54,7 @@ class Lip:
         return ("the mouth", 0.0) if self.has_mouth else ("the middle", 0.5 * self.position[-1])
 
     def locate(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Distance of points (n, 2) from the lip, and of the nearest place from its beginning [m]:
+        """Distance of points (n, 2) from the face, and of the nearest place from its beginning [m]:
         two arrays (n,)."""
         ends = np.stack([self.points[:-1], self.points[1:]], axis=1)
         to, share = to_edges(points, ends)
@@ -101,19 +101,19 @@ def upwards(normal: np.ndarray) -> float:
 
 
 def find_lips(lower: np.ndarray, upper: np.ndarray, positions: np.ndarray) -> tuple[Lip, ...]:
-    """The lips of all cracks, from bottom to top and from left to right by where they begin.
+    """The faces of all cracks, from bottom to top and from left to right by where they begin.
 
     Parameters
     ----------
     lower, upper : (n, 2) int
-        Edges of the lower and of the upper lips: their nodes.
+        Edges of the lower and of the upper faces: their nodes.
     positions : (n_nodes, 2) [m]
         Of all nodes.
 
     Raises
     ------
     InputError
-        The two lips are the same curve, or a crack branches or is closed.
+        The two faces are the same curve, or a crack branches or is closed.
     """
     shared = np.intersect1d(lower, upper)
     if len(shared) == len(np.unique(lower)):

@@ -46,7 +46,8 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
     Raises
     ------
     InputError
-        A load is off the mesh, where the plate is clamped, or on a crack, where there are two lips.
+        A load is off the mesh, where the plate is clamped, or on a crack, where there are two
+        faces.
     """
     force, watched = np.zeros((3, len(dofs.numbers))), None
     excitation = scene.excitation

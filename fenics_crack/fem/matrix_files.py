@@ -2,13 +2,13 @@
 
 With the model that they are of, its nodes have places: a load acts at one of them, and where the
 scene has contact and no matrix of gaps, the pairs are found: nodes in the same place that nothing
-joins. Where the model has solid cells, the lips are those facets that belong to one cell and lie on
-another one with other nodes. Pairs are then those of :mod:`fenics_crack.fem.build`,
+joins. Where the model has solid cells, the crack faces are those facets that belong to one cell and
+lie on another one with other nodes. Pairs are then those of :mod:`fenics_crack.fem.build`,
 
     g_i = 1 / w_i int psi_i (n . u_lower + n . u_upper) ds,      w_i = int psi_i ds,
 
 with psi_i linear, 1 at a corner that exists twice; facets are as flat as their corners, and either
-normal points out of its own cell, so nobody asks which lip is the lower one.
+normal points out of its own cell, so it does not matter which face is the lower one.
 
 Without cells pairs are nodes: g = n . (u_a - u_b) for two in the same place. What the stiffness
 joins to a node lies on its side of the crack; what it joins to either lies on the front. The
@@ -459,7 +459,7 @@ def _of_patches(
 
 
 def _of_nodes(lips: _Lips, tangents: int) -> tuple[sparse.csr_matrix, np.ndarray]:
-    """B, and the nodes of the fronts; the lips have so many directions along them."""
+    """B, and the nodes of the fronts; the crack faces have so many directions along them."""
     points, gap = lips.points, sparse.lil_matrix((lips.rows, len(lips.first)))
     fronts: list[np.ndarray] = []
     size = float(np.ptp(points, axis=0).max())

@@ -12,9 +12,9 @@ once. Facets with several names are in a physical group for each combination of 
 A mesh that is certainly not one of a structure is refused, with its place. Cells may be numbered
 either way round, group by group. They must not be folded: the Jacobian determinant of a cell has
 one sign at all of its nodes, and two cells that share a facet lie on either side of it. No facet of
-the boundary but those of lips has its middle, or a point halfway to a corner, in or on another cell
-than its own: parts do not lie on one another, and where they touch they share their nodes, or
-nothing would hold them together.
+the boundary but those of crack faces has its middle, or a point halfway to a corner, in or on
+another cell than its own: parts do not lie on one another, and where they touch they share their
+nodes, or nothing would hold them together.
 """
 
 from __future__ import annotations
@@ -78,8 +78,8 @@ def read_file(path: Path, dimension: int) -> tuple[Names, Lips]:
     Raises
     ------
     InputError
-        The file is not a mesh of one kind of cells, lacks a group, or is damaged; the lips of a
-        crack cannot be found.
+        The file is not a mesh of one kind of cells, lacks a group, or is damaged; the crack faces
+        of a crack cannot be found.
     """
     try:
         return put(_groups_of(path), dimension)
@@ -91,7 +91,7 @@ def read_file(path: Path, dimension: int) -> tuple[Names, Lips]:
 
 def put(given: Given, dimension: int) -> tuple[Names, Lips]:
     """Put a mesh of a plate or of a solid into gmsh's current model; its named facets and points,
-    and its lips from bottom to top.
+    and its crack faces from bottom to top.
 
     Raises
     ------
@@ -408,7 +408,7 @@ def check_parts(
     clamp : (m,) or (m, k) int
         Nodes that are clamped.
     lips : sequence of (n, d) int
-        Corners of the facets of lips.
+        Corners of the facets of crack faces.
     """
     from scipy.sparse.csgraph import connected_components  # takes a while, for mesh files alone
 
@@ -430,9 +430,9 @@ def check_parts(
 
 
 def check_boundary(kind: int, cells: Cells, places: np.ndarray, lips: Sequence[np.ndarray]) -> None:
-    """Raise InputError where the middle of a facet of the boundary, other than lips, or a point
-    halfway from there to a corner, lies in or on another cell than its own: parts overlap, or touch
-    and nothing joins them. Cells three times as long as wide may cross between these points.
+    """Raise InputError where the middle of a facet of the boundary, other than crack faces, or a
+    point halfway from there to a corner, lies in or on another cell than its own: parts overlap, or
+    touch and nothing joins them. Cells three times as long as wide may cross between these points.
 
     Parameters
     ----------
@@ -443,7 +443,7 @@ def check_boundary(kind: int, cells: Cells, places: np.ndarray, lips: Sequence[n
     places : (n_nodes, d) [m]
         Of all nodes.
     lips : sequence of (n, d) int
-        Corners of the facets of lips.
+        Corners of the facets of crack faces.
     """
     from scipy.spatial import cKDTree
 

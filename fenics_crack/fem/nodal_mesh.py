@@ -113,7 +113,7 @@ class NodalMesh:
 
     @cached_property
     def lips(self) -> np.ndarray:
-        """Edges of the boundary that coincide with another one: the lips, likewise."""
+        """Edges of the boundary that coincide with another one: the crack faces, likewise."""
         return np.asarray(self.boundary[self._coinciding(self.boundary[:, [0, -1]])])
 
     def _coinciding(self, sides: np.ndarray) -> np.ndarray:

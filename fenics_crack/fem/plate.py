@@ -1,8 +1,8 @@
 """Meshes of cracked plates and solids, made or read by gmsh and distributed by DOLFINx.
 
-A crack is a slit: its two lips are different curves, or surfaces, in the same place that share only
-the tips, so that every node on a lip but a tip exists twice. gmsh runs on rank 0 only. Nodes that
-are clamped have no dofs in the structure (:class:`Dofs`).
+A crack is a slit: its two faces are different curves, or surfaces, in the same place that share
+only the tips, so that every node on a crack face but a tip exists twice. gmsh runs on rank 0 only.
+Nodes that are clamped have no dofs in the structure (:class:`Dofs`).
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class PlateMesh:
 
     @property
     def cracked(self) -> bool:
-        """Tell whether there are two lips."""
+        """Tell whether there are two faces."""
         return "lower_lip" in self.groups
 
     def facets(self, group: str) -> np.ndarray:
@@ -132,7 +132,8 @@ def _gmsh_on_root(comm: MPI.Comm) -> Iterator[None]:
 
 
 def _model(scene: Scene) -> tuple[Names, Lips]:
-    """Fill the current gmsh model with a mesh; return what is in it by its name, and the lips."""
+    """Fill the current gmsh model with a mesh; return what is in it by its name, and the crack
+    faces."""
     if scene.mesh.layout == "file":
         from fenics_crack.fem.msh_file import read_file  # with what checks meshes of others
 

@@ -1,9 +1,9 @@
 """Stress intensity at the tips of a plate's cracks, as a linear functional of the displacement.
 
-At any instant a plate is at rest under its loads, the contact forces on its lips and the inertia of
-its motion: K u = r. With e_1 ahead of a straight crack, s the derivative by x_1 of the field around
-a tip of unit K_I or K_II (it is in balance, leaves the lips free, and grows like r^-1/2), and a
-weight q that is 1 at the tip and 0 from a distance on, Betti's theorem gives
+At any instant a plate is at rest under its loads, the contact forces on its crack faces and the
+inertia of its motion: K u = r. With e_1 ahead of a straight crack, s the derivative by x_1 of the
+field around a tip of unit K_I or K_II (it is in balance, leaves the crack faces free, and grows
+like r^-1/2), and a weight q that is 1 at the tip and 0 from a distance on, Betti's theorem gives
 
     2 K / E = int [s . sigma(u) - u . sigma(s)] . grad q dx - 1 / t (r . q s),
 
@@ -13,9 +13,9 @@ one integration by parts: its integrand vanishes next to the tip, where elements
 last term is what inertia, body forces and contact inside the domain do. With w, that is q s at the
 nodes, it is w . K u: so the whole is one vector times the displacement, whatever acts.
 
-At the lips s is too uneven for that: contact acts by the integral of its pressure, which is linear
-between the pairs, and constant from the last one to the tip, instead of by forces at nodes. So K_I
-of a crack that is closed is zero.
+At the crack faces s is too uneven for that: contact acts by the integral of its pressure, which is
+linear between the pairs, and constant from the last one to the tip, instead of by forces at nodes.
+So K_I of a crack that is closed is zero.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def find_tips(dofs: Dofs) -> list[Tip]:
 
 
 def _outer_points(dofs: Dofs) -> np.ndarray:
-    """This rank's nodes on the edges of a plate that are no lips: (n, 2) [m]."""
+    """This rank's nodes on the edges of a plate that are no crack faces: (n, 2) [m]."""
     plate = dofs.plate
     topology = plate.mesh.topology
     topology.create_connectivity(1, 2)
@@ -112,8 +112,9 @@ def _outer_points(dofs: Dofs) -> np.ndarray:
 
 
 def _check_resolved(scene: Scene, tips: list[Tip], lips: np.ndarray) -> None:
-    """Raise InputError where the element of the lips at a tip is longer than the domain's radius:
-    the weight then falls within one element, and what is integrated has nothing to do with K."""
+    """Raise InputError where the element of the crack faces at a tip is longer than the domain's
+    radius: the weight then falls within one element, and what is integrated has nothing to do with
+    K."""
     for tip in tips:
         distance = np.linalg.norm(lips - tip.point, axis=1)
         element = scene.mesh.order * distance[distance > 1e-9 * tip.radius].min()
@@ -147,7 +148,8 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
     Raises
     ------
     InputError
-        A tip is closer to an edge, a bend or another crack than the elements of its lips are long.
+        A tip is closer to an edge, a bend or another crack than the elements of its crack faces are
+        long.
     """
     assert structure.nodes is not None
     dofs: Dofs = structure.nodes.numbered
@@ -164,7 +166,8 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
 
 
 def _sides(dofs: Dofs) -> np.ndarray:
-    """Outward normals of the lips at this rank's nodes (n_nodes, 2), zero away from the lips."""
+    """Outward normals of the crack faces at this rank's nodes (n_nodes, 2), zero away from the
+    crack faces."""
     normal, test = ufl.FacetNormal(dofs.plate.mesh), ufl.TestFunction(dofs.space)
     lips = dofs.plate.along("lower_lip", "upper_lip")
     return compat.assembled_vector(ufl.inner(normal, test) * lips).reshape(-1, 2)

@@ -94,8 +94,8 @@ def load(path: str | Path, structure: Structure, contact: Law = None) -> Result:
     path : path
         The file.
     structure, contact : Structure, ContactLaw or None
-        Those with which it was found; for a curve, a structure with many dofs is reduced to lips
-        without mass, as it was then. Modes and time histories need no law.
+        Those with which it was found; for a curve, a structure with many dofs is reduced to crack
+        faces without mass, as it was then. Modes and time histories need no law.
 
     Returns
     -------

@@ -1,9 +1,9 @@
-"""Contact: laws, force from the closing g of a pair of lip nodes (g > 0: penetration), and the
+"""Contact: laws, force from the closing g of a pair of face nodes (g > 0: penetration), and the
 forces of all pairs at one instant.
 
 A law is a function of the gap alone, pair by pair; the force enters the equation of motion on the
-left, M u'' + C u' + K u + B lambda(g) = f, so lambda >= 0 pushes the lips apart. To add a law,
-write a class with the four members of :class:`ContactLaw`.
+left, M u'' + C u' + K u + B lambda(g) = f, so lambda >= 0 pushes the crack faces apart. To add a
+law, write a class with the four members of :class:`ContactLaw`.
 
 What else a method needs to know of a law, :func:`is_unilateral`, :func:`is_rigid` and
 :func:`is_piecewise_linear` answer: no other module looks at a law's class.
@@ -162,9 +162,9 @@ class UnilateralConstraint:
     Attributes
     ----------
     weight : float or None [N/m]
-        eps > 0, for lips with mass; the truncated solution depends on it a little, and less the
-        more harmonics there are. None: where one is needed, the inverse of the static compliance
-        that the pairs see.
+        eps > 0, for crack faces with mass; the truncated solution depends on it a little, and less
+        the more harmonics there are. None: where one is needed, the inverse of the static
+        compliance that the pairs see.
     """
 
     weight: float | None = None

@@ -1,6 +1,6 @@
 """Direct solution of sparse linear systems by libraries that PETSc calls, on local rows.
 
-A stiffness whose lip pairs are tied, so that the relative normal motion of each is zero,
+A stiffness whose contact pairs are bonded, so that the relative normal motion of each is zero,
 
     K x + B mu = r,     B^T x = 0
 
@@ -9,7 +9,7 @@ saddle point). It is the limit of springs k on the pairs, k -> inf, without thei
 
     x = (K^-1 - K^-1 B (B^T K^-1 B)^-1 B^T K^-1) r,
 
-and exact where K alone is singular. Its negative eigenvalues are those of K on the space of tied
+and exact where K alone is singular. Its negative eigenvalues are those of K on the space of bonded
 motions, and one for each tie (Benzi, Golub, Liesen, Acta Numerica 14, 2005, 1, section 3.4).
 """
 

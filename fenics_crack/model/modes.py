@@ -3,8 +3,8 @@
     K phi_j = omega_j^2 M phi_j,     phi_i^T M phi_j = delta_ij
 
 Shift-and-invert by the factor of K, which static responses use too. Where K is singular, the shift
-lies slightly below zero, so that rigid-body modes are found too. With tied lips all of this happens
-on the space of motions with B^T phi = 0 (:mod:`fenics_crack.model.factor`).
+lies slightly below zero, so that rigid-body modes are found too. With a bonded crack all of this
+happens on the space of motions with B^T phi = 0 (:mod:`fenics_crack.model.factor`).
 """
 
 from __future__ import annotations
@@ -83,24 +83,25 @@ class Modes(Tabular):
 
 
 def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Modes:
-    """Find the lowest natural modes of the structure, its lips all open or all tied (collective).
+    """Find the lowest natural modes of the structure, its crack faces all open or all bonded
+    (collective).
 
-    Open lips pass through each other. Tied ones have no relative normal motion, B^T phi = 0
+    Open faces pass through each other. Bonded ones have no relative normal motion, B^T phi = 0
     whatever the clearance, and slide without friction: a little softer than the uncracked
     structure. A breathing crack without clearance resonates near 2 w_open w_tied / (w_open +
     w_tied).
 
-    Those of a structure whose lips have no mass are the modes to which it was reduced; tied, they
-    are as near to those of the whole structure as the reduction.
+    Those of a structure whose crack faces have no mass are the modes to which it was reduced;
+    bonded, they are as near to those of the whole structure as the reduction.
 
     Parameters
     ----------
     structure : Structure
-        Its M and K are taken, and its B with tied lips.
+        Its M and K are taken, and its B with a bonded crack.
     count : int
         Number of modes.
     lips : "open" or "tied"
-        What the lips of all cracks do.
+        State of the faces of all cracks.
 
     Returns
     -------
@@ -111,7 +112,7 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
     ------
     InputError
         lips is none of these, count is not between 1 and n_dofs (less one for each pair that is
-        tied), or the number of modes with mass, or the stiffness has a negative eigenvalue.
+        bonded), or the number of modes with mass, or the stiffness has a negative eigenvalue.
     ConvergenceError
         SLEPc found fewer modes than asked for, or the lowest frequency of a clamped mesh is lost in
         rounding.
@@ -137,7 +138,7 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
 
 
 def n_tied_modes(structure: Structure) -> int:
-    """Number of modes with tied lips (collective)."""
+    """Number of modes with a bonded crack (collective)."""
     if structure.n_pairs == 0:
         return structure.n_modes
     known = structure.known_modes(tied=True)
@@ -164,7 +165,7 @@ def _space(structure: Structure, ties: Any) -> int:
 
 def modes_by(factor: Factor, structure: Structure, count: int, ties: Any = None) -> Modes:
     """The same of a structure with mass everywhere, by the factor of its stiffness; ``ties`` are
-    the independent columns of B where lips are tied."""
+    the independent columns of B where the crack is bonded."""
     kept = structure.once(_lowest) if ties is None else []
     if kept and len(kept[0]) >= count:
         return Modes(kept[0][:count], kept[1][:, :count], structure)
@@ -207,7 +208,7 @@ def _unassembled(structure: Structure, shapes: np.ndarray) -> np.ndarray:
 
 
 def _lowest(structure: Structure) -> list[np.ndarray]:
-    """Frequencies and shapes of the most modes that a structure has been asked for, lips open; it
+    """Frequencies and shapes of the most modes that a structure has been asked for, crack open; it
     is not held by them itself, which would keep it alive."""
     return []
 
@@ -492,7 +493,7 @@ def projected_damping(structure: Structure, columns: np.ndarray) -> np.ndarray:
     return (projected.T * damped.rate) @ projected
 
 
-# --- with lips open and tied ----------------------------------------------------------------------
+# --- with the crack open and bonded --------------------------------------------------------------
 
 KINDS = ("open", "tied", "bilinear")
 """Kinds of natural frequencies."""
@@ -516,7 +517,7 @@ class BilinearFrequencies(Tabular):
     Attributes
     ----------
     omega_open, omega_tied : (n,), or (..., n) [rad/s]
-        Of the modes of one shape, or at several speeds; tied ones are infinite where there are no
+        Of the modes of one shape, or at several speeds; bonded ones are infinite where there are no
         more.
     """
 
@@ -621,7 +622,7 @@ def partners(is_open: Modes, tied: Modes) -> np.ndarray:
     Parameters
     ----------
     is_open, tied : Modes
-        Of one structure, at least as many tied ones as open ones.
+        Of one structure, at least as many bonded ones as open ones.
     """
     moved = times(is_open.structure.mass, tied.shapes)
     overlaps = is_open.structure.sum_over_ranks(is_open.shapes.T @ moved) ** 2

@@ -60,7 +60,7 @@ class Nodes:
         ------
         InputError
             The point, called ``key``, is away from the mesh by more than 5 % of its size, or the
-            nearest node is clamped or is two nodes, on the lips.
+            nearest node is clamped or is two nodes, on the crack faces.
         """
         points, dofs = gather_rows(comm, self.points), gather_rows(comm, self.dofs)
         distance, size = np.linalg.norm(points - point, axis=1), np.ptp(points, axis=0).max()
@@ -104,7 +104,7 @@ class Pairs:
     points : (n_pairs, d) [m] or None
         Positions.
     areas : (n_pairs,) [m^2] or None
-        Area of the lip that belongs to each pair.
+        Area of the face that belongs to each pair.
     cracks : (n_pairs,) int or None
         Number of the crack, from 0.
     positions : (n_pairs,) [m] or None
@@ -212,7 +212,7 @@ class Coordinates(Hinted):
 
     @property
     def pair_areas(self) -> np.ndarray | None:
-        """Area of the lip that belongs to each pair, where there is a mesh: (n_pairs,) [m^2]."""
+        """Area of the face that belongs to each pair, where there is a mesh: (n_pairs,) [m^2]."""
         return self.pairs.areas
 
     @property
@@ -315,8 +315,8 @@ class Coordinates(Hinted):
         Raises
         ------
         InputError
-            There is no node there, or two (on the lips), the dof is clamped, or the structure was
-            made from matrices and has no positions.
+            There is no node there, or two (on the crack faces), the dof is clamped, or the
+            structure was made from matrices and has no positions.
         """
         if self.nodes is None:
             raise InputError("point", point, "given only for a structure made from a mesh")

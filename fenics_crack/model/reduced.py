@@ -237,12 +237,12 @@ class MasslessInterface(ReducedStructure):
         return np.asarray(given.getValues(place, place))
 
     def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
-        """Modes with mass, for open lips."""
+        """Modes with mass, for an open crack."""
         return None if tied else (self.omega, self.shapes)
 
 
 class MasslessStructure(MasslessInterface):
-    """Modes with free lips, and what they leave out without mass; the same on every rank.
+    """Modes with free crack faces, and what they leave out without mass; the same on every rank.
 
         u = Phi q + G (f - B lambda),        G = K^-1 - Phi Lambda^-1 Phi^T,
 
@@ -289,7 +289,7 @@ class MasslessStructure(MasslessInterface):
         return scipy.linalg.block_diag(np.zeros((self.n_modes,) * 2), self.flexibility)
 
     def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
-        """omega, and the unit vectors of the modes' coordinates; with tied lips those of
+        """omega, and the unit vectors of the modes' coordinates; with a bonded crack those of
 
             (Lambda + b R_inf^-1 b^T) q = w^2 q,      b = Phi^T B,      lambda = R_inf^-1 b^T q:
 
@@ -349,7 +349,7 @@ class MasslessStructure(MasslessInterface):
 
 
 def check_mass(structure: Structure, instead: str) -> None:
-    """Raise InputError, which says what to do instead, if the lips have no mass."""
+    """Raise InputError, which says what to do instead, if the crack faces have no mass."""
     if structure.light_lips:
         raise InputError(
             "structure", repr(structure), f"one with mass at its crack faces; {instead}"
@@ -357,7 +357,7 @@ def check_mass(structure: Structure, instead: str) -> None:
 
 
 def massless(structure: Structure | None) -> MasslessStructure | None:
-    """The structure itself if its lips have no mass, else None."""
+    """The structure itself if its crack faces have no mass, else None."""
     return structure if isinstance(structure, MasslessStructure) else None
 
 

@@ -2,11 +2,12 @@
 
 The displacement is sought in the span of a basis T, u = T q:
 
-- ``massless``: the lowest modes Phi with free lips, and all that they leave out without mass
-  (:class:`fenics_crack.model.reduced.MasslessStructure`). Lips with mass bounce on stiff contact,
-  at frequencies of the mesh; these do not. The compliance seen by the pairs is exact at w = 0, and
-  wrong by a mode's share (w/w_j)^2 / (1 - (w/w_j)^2) of its static one for each mode left out;
-- ``free_interface`` (MacNeal, Rubin): the lowest modes Phi with free lips, and for
+- ``massless``: the lowest modes Phi with free crack faces, and all that they leave out without mass
+  (:class:`fenics_crack.model.reduced.MasslessStructure`). Crack faces with mass bounce on stiff
+  contact, at frequencies of the mesh; these do not. The compliance seen by the pairs is exact at w
+  = 0, and wrong by a mode's share (w/w_j)^2 / (1 - (w/w_j)^2) of its static one for each mode left
+  out;
+- ``free_interface`` (MacNeal, Rubin): the lowest modes Phi with free crack faces, and for
   every pair and load the *residual attachment vector*, what the modes leave out of the static
   response,
 
@@ -14,7 +15,7 @@ The displacement is sought in the span of a basis T, u = T q:
 
   the compliance seen by the pairs is then exact at w = 0 together with its derivative by w^2;
 - ``craig_bampton``: the static shapes of unit gaps and of the load, and the lowest modes with every
-  pair tied;
+  pair bonded;
 - ``truncation``: the lowest modes alone, which leaves out the static compliance of all others: a
   contact pair then looks far too stiff.
 
@@ -71,11 +72,11 @@ def reduce_structure(
 ) -> ReducedStructure:
     """Reduce a structure to a few coordinates (collective).
 
-    The displacement is sought as u = T q. T holds the lowest modes with open lips, and what differs
-    with the method. "massless": what the modes leave out answers quasi-statically, so lips
-    have no mass (:class:`MasslessStructure`); for contact on many pairs. "free_interface": the
-    static response to each pair's force and to the load. "craig_bampton": static shapes of unit
-    gaps and of the load, the modes being those with tied pairs. "truncation": nothing else, so
+    The displacement is sought as u = T q. T holds the lowest modes with an open crack, and what
+    differs with the method. "massless": what the modes leave out answers quasi-statically, so crack
+    faces have no mass (:class:`MasslessStructure`); for contact on many pairs. "free_interface":
+    the static response to each pair's force and to the load. "craig_bampton": static shapes of unit
+    gaps and of the load, the modes being those with bonded pairs. "truncation": nothing else, so
     contact looks far too stiff.
 
     Where one ratio damps all modes, it damps all coordinates: these are the modes of the reduced
@@ -104,7 +105,7 @@ def reduce_structure(
     ------
     InputError
         Unknown method, fewer modes than asked for, more than 600 dofs with a ratio for each, or
-        with "craig_bampton" tied pairs that leave no motion.
+        with "craig_bampton" bonded pairs that leave no motion.
 
     Examples
     --------
@@ -141,7 +142,7 @@ def reduce_structure(
             static = _static_shapes(structure, factor, kept, squares, ties)
             static = independent_part(structure, structure.mass, kept, static)
             extra = static[:, :0] if method == "truncation" else static
-            if ties is not None:  # no modes of the structure with free lips
+            if ties is not None:  # no modes of the structure with free crack faces
                 extra, kept, squares = np.hstack([kept, static]), kept[:, :0], squares[:0]
             if not judged:
                 return _reduced(structure, kept, squares, extra, None)
@@ -159,9 +160,9 @@ def _static_shapes(
     """Static response to each pair's force and to each part of the load, without the part of the
     kept modes: (n_local, m) (collective).
 
-    By the factor with tied pairs, shapes of the same span: the response to the load while these are
-    held, and those of gaps B^T x that are given, x = B - K_t^-1 K B. Where one soft motion carries
-    all pairs their responses are equal but for rounding, and these shapes are not.
+    By the factor with bonded pairs, shapes of the same span: the response to the load while these
+    are held, and those of gaps B^T x that are given, x = B - K_t^-1 K B. Where one soft motion
+    carries all pairs their responses are equal but for rounding, and these shapes are not.
     """
     loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
     forces = structure.force[loaded]

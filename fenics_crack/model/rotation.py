@@ -10,13 +10,13 @@ One small basis serves for all speeds of a run-up:
 
     u = V q,        V^T K(W_0) V = I,        V^T M V diagonal
 
-V holds, of the structure at a few speeds of the range, the lowest modes with open lips and the
+V holds, of the structure at a few speeds of the range, the lowest modes with an open crack and the
 static responses to forces on every pair and to the load: the free-interface bases of these speeds
 together, without what one of them adds of negligible energy. At these the small structure is as
 good as the reduced one; between them its error, that of a Ritz method, is of second order in what V
 lacks. At each speed its modes are those of a small dense matrix, and smooth to rounding: V is
-scaled so that the stiffness is near I. A Campbell diagram has modes with tied lips in V, too, and
-all of its frequencies from there.
+scaled so that the stiffness is near I. A Campbell diagram has modes with a bonded crack in V, too,
+and all of its frequencies from there.
 """
 
 from __future__ import annotations
@@ -118,8 +118,8 @@ def static_state(
 
         K u + B lambda = f,        0 <= lambda,    B^T u <= g0,    lambda^T (B^T u - g0) = 0
 
-    The forces are those of a small problem on the lips, through their compliance B^T K^-1 B; where
-    the load opens all pairs, there are none (collective).
+    The forces are those of a small problem on the crack faces, through their compliance B^T K^-1 B;
+    where the load opens all pairs, there are none (collective).
 
     Parameters
     ----------
@@ -373,7 +373,7 @@ class RunUpStructure(MasslessInterface):
         return found.varied(damping=self.damping_factor, clearance=added)
 
     def stiffening(self, omega: float) -> float:
-        """d ln w / d ln W of the natural frequency w, lips open, that is nearest to one [rad/s]:
+        """d ln w / d ln W of the natural frequency w, crack open, that is nearest to one [rad/s]:
         phi^T dK/d(ln W) phi / (2 w^2), phi being its mode."""
         first, second, third = self.speed**2 * self._ritz.stiffness
         mode = int(np.abs(self.omega - omega).argmin())

@@ -1,9 +1,9 @@
-"""The structure: mass, stiffness, damping, load, and the gaps between the lips of the crack.
+"""The structure: mass, stiffness, damping, load, and the gaps between the faces of the crack.
 
     M u'' + C u' + K u + B lambda(g) = f(t),     g = B^T u - g0
 
 ``g > 0`` is penetration, ``g < 0`` an open crack. Column j of B is +1 on the normal displacement
-of the lower lip's node and -1 on the upper lip's. Matrices are PETSc's and distributed by rows;
+of the lower face's node and -1 on the upper face's. Matrices are PETSc's and distributed by rows;
 every array that stands for a displacement holds the rows that this rank owns ("n_local"), which on
 one rank are all.
 
@@ -282,8 +282,8 @@ class Structure(Coordinates):
         return found
 
     def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
-        """omega (m,) [rad/s] and shapes (n_local, m) with lips open or tied where the coordinates
-        are those of modes, else None."""
+        """omega (m,) [rad/s] and shapes (n_local, m) with the crack open or bonded where the
+        coordinates are those of modes, else None."""
         return None
 
     @cached_property
@@ -310,10 +310,10 @@ class Structure(Coordinates):
         return _turning(self, lambda one: one._changed(mass=lumped_mass(one.mass)))
 
     def tied(self, stiffness: float | np.ndarray) -> Structure:
-        """Return this structure with every pair tied by a spring k [N/m] that pulls and pushes.
+        """Return this structure with every pair connected by a spring k [N/m].
 
-        Its stiffness is K + B diag(k) B^T, and it has no pairs; modal damping follows the tied
-        modes, Rayleigh damping the tied stiffness.
+        Its stiffness is K + B diag(k) B^T, and it has no pairs; modal damping follows the new
+        modes, Rayleigh damping the new stiffness.
         InputError: the stiffness is not one finite number >= 0, or one for each pair.
         """
         springs = per_pair("stiffness", stiffness, self.n_pairs)

@@ -15,8 +15,8 @@ w = 1 / |x_0|^2 (:func:`norm_at`). In the plane orthogonal to a tangent Newton's
 
 or by one with the bordered matrix where J is not formed (GMRES needs two iterations more for it).
 At a fixed parameter the plane is p = const. (t_x = 0, t_p = 1), one solution is enough, and the
-method is Newton's own. Where the residual would grow, as where lips begin to touch and the Jacobian
-changes like a square root, the step is shortened.
+method is Newton's own. Where the residual would grow, as where crack faces begin to touch and the
+Jacobian changes like a square root, the step is shortened.
 
 All paths are followed with this loop: response curves, paths to a cold start, backbones, and
 branches of exact orbits. It is the kernel's

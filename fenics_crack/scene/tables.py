@@ -72,7 +72,7 @@ class Geometry(Table):
 
 @dataclass(frozen=True)
 class Crack(Table):
-    """Straight horizontal crack: a slit whose two lips share only its tip, or its two tips.
+    """Straight horizontal crack: a slit whose two faces share only its tip, or its two tips.
 
     Of a solid: in the plane y = height, through the thickness, or as deep as ``depth`` from the
     face z = thickness.
@@ -408,7 +408,7 @@ class Rotation(Table):
 
 @dataclass(frozen=True)
 class Contact(Table):
-    """Contact between the lips, pair by pair of nodes."""
+    """Contact between the crack faces, pair by pair of nodes."""
 
     stiffness: float | None = positive(None, unit="N/m")
     """Penalty stiffness k of one pair; or give it per area."""
@@ -484,11 +484,11 @@ class Mesh(Table):
 
     ``layout = "grid"``: columns x rows equal quadrilaterals (or twice as many triangles); the crack
     must run along grid lines. ``"graded"``: element size ``size`` away from the crack,
-    ``lip_elements`` along each lip, the one at the tip ``grading`` times shorter than the one at
+    ``lip_elements`` along each face, the one at the tip ``grading`` times shorter than the one at
     the mouth; along a crack inside half of them from its middle to each tip. Where cracks are above
-    one another, lips may get more. ``"file"``: any gmsh mesh of a plane region whose physical
-    groups are named ``clamp``, ``lower_lip`` and ``upper_lip`` or ``crack`` (curves), ``load`` (a
-    point) and, for the region itself, anything.
+    one another, crack faces may get more. ``"file"``: any gmsh mesh of a plane region whose
+    physical groups are named ``clamp``, ``lower_lip`` and ``upper_lip`` or ``crack`` (curves),
+    ``load`` (a point) and, for the region itself, anything.
 
     A solid is meshed by tetrahedra of order 2, ``"graded"`` towards the fronts of its cracks; a
     file names surfaces, ``clamp`` and ``crack``.
@@ -527,7 +527,7 @@ class Mesh(Table):
         for others in keys.values():
             self.leave_out(others, f"layout = {self.layout!r}")
         for key in given:
-            if key not in ("lip_elements", "coarser"):  # an uncracked plate has no lips
+            if key not in ("lip_elements", "coarser"):  # an uncracked plate has no crack faces
                 self.given(key, f"given with layout = {self.layout!r}")
         if self.layout == "file":
             self.leave_out(("cells",), "layout = 'file', whose mesh has its own")
@@ -596,8 +596,8 @@ class Reduction(Table):
     WORD = "method"
 
     method: str | None = choice("massless", "free_interface", "craig_bampton", "off", default=None)
-    """Default: "massless" (modes, and lips without mass) with contact, unless all modes are kept;
-    without contact "free_interface"."""
+    """Default: "massless" (modes, and crack faces without mass) with contact, unless all modes are
+    kept; without contact "free_interface"."""
     modes: int | None = at_least_one(None)
     """Lowest modes to keep; default: those that are damped, but 50 where all are."""
 
@@ -656,8 +656,8 @@ class Integration(Table):
     method: str | None = choice(
         "exponential", "central_difference", "implicit", "events", default=None
     )
-    """"events": exact from one switching instant to the next. Default: "exponential" where lips
-    have no mass, else "central_difference"."""
+    """"events": exact from one switching instant to the next. Default: "exponential" where crack
+    faces have no mass, else "central_difference"."""
     periods: int = at_least_one(600)
     """Maximum load periods."""
     settle: float = positive(1e-4)
@@ -730,7 +730,8 @@ class Growth(Table):
     exponent: float = between("0.1", "50", MISSING)
     """Exponent m."""
     ratio_exponent: float = between("0", "1", 1.0)
-    """Walker's gamma; 1: the ratio does not matter but by closure, which is that of the lips."""
+    """Walker's gamma; 1: the ratio does not matter but by closure, which is that of the crack
+    faces."""
     threshold: float = not_negative(0.0, unit="Pa m^0.5")
     """Effective range below which the crack does not grow."""
     toughness: float | None = positive(None, unit="Pa m^0.5")

@@ -2,13 +2,13 @@
 
 A blade is excited at multiples of the rotor's speed, w = n W with the engine order n. Resonances
 are where such a line crosses a natural frequency. Of a crack that breathes they lie near the
-bilinear frequency 2 w_o w_t / (w_o + w_t), between those with lips open and tied
+bilinear frequency 2 w_o w_t / (w_o + w_t), between those with the crack open and bonded
 (:mod:`fenics_crack.model.modes`); where rotation or the mean load holds the crack open or shut,
-at the open or the tied one, or where some pairs are pressed and others open, at one with the
-pressed ones tied. It is held where the resonance of that state cannot change it: with the
+at the open or the bonded one, or where some pairs are pressed and others open, at one with the
+pressed ones bonded. It is held where the resonance of that state cannot change it: with the
 amplitude a = |phi . f| / (2 xi w^2) of the mode, where the open pairs are open at rest by more
 than a |B^T phi|, and the pressed ones are pressed by more than the force a |lambda| of the mode
-with these tied, (K - w^2 M) phi + B lambda = 0.
+with these bonded, (K - w^2 M) phi + B lambda = 0.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Campbell(Tabular):
     omega_partly : (n, m) [rad/s]
         With the pairs bonded that are pressed at rest, of the same shapes.
     cracked : bool
-        Whether there are lips.
+        Whether there are crack faces.
     kind : (n, m) of "open", "tied", "partly" or "bilinear"
         Which frequency is that of the crack at this speed, under the scene's load: it is held open,
         held shut, held with some pairs pressed and the others open, or breathes.
@@ -220,8 +220,8 @@ class Campbell(Tabular):
         return float(slope[mode] * speed**2 / there[mode])
 
     def between(self, speed: float) -> tuple[np.ndarray, np.ndarray]:
-        """Natural frequencies with lips open and tied at a speed [rad/s], in the same way: (m,)
-        each [rad/s]."""
+        """Natural frequencies with the crack open and bonded at a speed [rad/s], in the same way:
+        (m,) each [rad/s]."""
         squares = (self._squares(speed, one)[0] for one in (self.omega_open, self.omega_tied))
         opened, tied = (np.sqrt(np.maximum(square, 0.0)) for square in squares)
         return opened, tied
@@ -279,7 +279,7 @@ def campbell(
     Returns
     -------
     Campbell
-        Frequencies with lips open and tied at each speed, and what the crack does.
+        Frequencies with the crack open and bonded at each speed, and what the crack does.
 
     Raises
     ------
@@ -398,8 +398,8 @@ def _frequencies(
     """Natural frequencies of the states in which a crack may be held [rad/s], and by how much it is
     held at resonance under a load, > 0 where it is: (3, count) each, in the order of HELD.
 
-    Those with lips open are the lowest; the others have the same shapes, sought among the lowest
-    ``n_tied``.
+    Those with the crack open are the lowest; the others have the same shapes, sought among the
+    lowest ``n_tied``.
     """
     is_open = solve_modes(structure, count)
     none, every = np.zeros(structure.n_pairs, dtype=bool), np.ones(structure.n_pairs, dtype=bool)
@@ -423,16 +423,16 @@ def _frequencies(
 def _held(
     is_open: Modes, load: _Load, rest: np.ndarray, tied: np.ndarray, n_tied: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Natural frequencies with some pairs tied, of the shapes of modes with lips open [rad/s], and
-    by how much less than their state at rest the resonance moves the pairs, the least of all
-    [m, N]: (count,) each.
+    """Natural frequencies with some pairs bonded, of the shapes of modes with the crack open
+    [rad/s], and by how much less than their state at rest the resonance moves the pairs, the least
+    of all [m, N]: (count,) each.
 
     Parameters
     ----------
     rest : (n_pairs,)
-        Openings of open pairs [m], and forces of tied ones [N].
+        Openings of open pairs [m], and forces of bonded ones [N].
     tied : (n_pairs,) of bool
-        Which are tied.
+        True for bonded pairs.
     """
     modes, structure = is_open, is_open.structure
     if tied.any():

@@ -39,8 +39,8 @@ def natural_name(scene: Scene, kind: str, mode: int) -> str:
 
 
 def errors_of_natural(study: Study, natural: Mapping[str, np.ndarray]) -> Verification:
-    """The errors by the mesh of natural frequencies [rad/s] of a whole structure, with lips "open"
-    and "tied" (collective)."""
+    """The errors by the mesh of natural frequencies [rad/s] of a whole structure, with crack faces
+    "open" and "tied" (collective)."""
     scene, stated = study.scene, Verification(study.scene, {}, {})
     factor, _, unit = frequency_axis(scene.in_hertz)
 
@@ -201,8 +201,8 @@ def finer_mesh(scene: Scene, factor: float) -> Scene | None:
     """A scene whose elements are ``factor`` times as short; None where the scene makes no such
     mesh.
 
-    Elements along lips are counted up to the next whole number, and all others follow them, so that
-    the mesh stays of one kind; three or more of a solid to that next to the factor
+    Elements along crack faces are counted up to the next whole number, and all others follow them,
+    so that the mesh stays of one kind; three or more of a solid to that next to the factor
     (:func:`_alike`). Where a solid becomes finer, a size counts as the shortest side if it is
     longer; where it becomes coarser, it is as it is, for elements of a thin one may be longer. A
     grid becomes finer by the next whole factor, so that cracks stay on its lines; or coarser by 2,
@@ -233,8 +233,8 @@ def finer_mesh(scene: Scene, factor: float) -> Scene | None:
 
 
 def _alike(count: int, grading: float, factor: float) -> tuple[int, float, float]:
-    """Elements along a lip of a solid and their grading so that the mesh is similar and about
-    ``factor`` times as fine, and the factor that it is.
+    """Elements along a crack face of a solid and their grading so that the mesh is similar and
+    about ``factor`` times as fine, and the factor that it is.
 
     The n elements are h_0 r^k long, r^(n - 1) being the grading, and those beside them
     h_0 + (r - 1) d at a distance d from the front. Where r^n stays, so does h_0 / (r - 1).

@@ -1,14 +1,15 @@
 """Plausibility of a scene: key figures, and remarks on unusual values.
 
-The figures follow from one factor of K and few modes; nothing is solved. With the lips open, K^-1
+The figures follow from one factor of K and few modes; nothing is solved. With the crack open, K^-1
 and the lowest modes give displacement and gap at a frequency w,
 
     u(w) = K^-1 f + sum_j phi_j (phi_j^T f) [d_j(w) - 1 / w_j^2],
     d_j(w) = 1 / (w_j^2 - w^2 + 2 i xi_j w_j w),
 
-and, by B instead of f, the compliance of the lips R(w) = B^T H(w) B. The mean load and the preload
-alone close some pairs, by a static contact problem. As long as these stay closed and the others
-open, the motion is linear, and the closed ones carry R(w)^-1 B^T u(w) beside their static force.
+and, by B instead of f, the compliance of the crack faces R(w) = B^T H(w) B. The mean load and the
+preload alone close some pairs, by a static contact problem. As long as these stay closed and the
+others open, the motion is linear, and the closed ones carry R(w)^-1 B^T u(w) beside their static
+force.
 
 Each rule for remarks is a function of the scene, or of the scene and its figures or structure, that
 yields them. A remark forbids nothing: it names a key, its value, and what is usual; most often a
@@ -65,7 +66,7 @@ class KeyFigures:
     size : (d,) [m]
         Width, height and, of a solid, thickness of the mesh.
     elements : int or None
-        Along each lip of the crack that has the fewest; None without a crack.
+        Along each face of the crack that has the fewest; None without a crack.
     omega_open, omega_tied : (at most 4,) [rad/s]
         Lowest natural frequencies, crack open and crack bonded; these are infinite where there
         are no more.
@@ -77,15 +78,15 @@ class KeyFigures:
     stiffening : float
         S = d(w_1^2) / d(W^2) of the first open mode under rotation; 0 without.
     own_stiffness : (n_pairs,) [N/m]
-        1 / (B^T K^-1 B)_jj: of the lips themselves, pair by pair.
+        1 / (B^T K^-1 B)_jj: of the crack faces themselves, pair by pair.
     stiffness_ratio : (n_pairs,) or None
         Contact stiffness over the own stiffness; None without a law, or without a stiffness.
     mean_opening, static_motion : float [m]
-        Largest opening of open lips under the mean load, and the largest motion of their gaps under
-        the load's amplitude, both static.
+        Largest opening of an open crack under the mean load, and the largest motion of their gaps
+        under the load's amplitude, both static.
     displacement, gap_motion : float [m]
-        Largest amplitudes of what is watched, and of the gaps, with open lips at the frequencies
-        that are asked for.
+        Largest amplitudes of what is watched, and of the gaps, with an open crack at the
+        frequencies that are asked for.
     closed : int
         Pairs that are closed under the mean load and the preload alone.
     breathes : bool
@@ -120,7 +121,7 @@ class KeyFigures:
 
             (n W)^2 = w^2 + S (W^2 - W_0^2);
 
-        nan where it never does. Exact where w^2 is linear in W^2 with the slope of open lips.
+        nan where it never does. Exact where w^2 is linear in W^2 with the slope of an open crack.
 
         Parameters
         ----------
@@ -153,7 +154,7 @@ def find_key_figures(study: Study) -> KeyFigures:
     breathing = BilinearFrequencies(modes.omega, tied.omega[partners(modes, tied)])
     gaps, psi = whole.apply_bt(static), whole.apply_bt(modes.shapes.T)
     loads = whole.sum_over_ranks(modes.shapes.T @ whole.force.T)
-    resting = gaps[0] - whole.clearance  # of open lips
+    resting = gaps[0] - whole.clearance  # of an open crack
     pressed = solve_complementarity(lips, resting) if whole.n_pairs else np.zeros(0)
     closed = pressed > 0.0
     watched = [one.dof for one in study.watched]
@@ -664,8 +665,8 @@ def _settling(scene: Scene) -> Remarks:
 def is_proportional(scene: Scene) -> bool:
     """Return True if the response is proportional to the load: no clearance, smoothing, rotation.
 
-    Where forces and gaps are multiplied by a positive number, the equations of lips that touch or
-    not, at g = 0, are multiplied by it as a whole. The centrifugal load stays what it is.
+    Where forces and gaps are multiplied by a positive number, the equations of crack faces that
+    touch or not, at g = 0, are multiplied by it as a whole. The centrifugal load stays what it is.
     """
     if scene.speed > 0.0:
         return False

@@ -224,9 +224,9 @@ def reduction_of(scene: Scene, structure: Structure) -> Kept | None:
     """Return the reduction of a scene's structure; None if it is not reduced.
 
     Without the table ``[reduction]`` a structure of up to 100 dofs on one rank is not reduced. If
-    all modes are damped and no number of modes is given, 50 are kept. Lips lose their mass unless
-    the scene names another method, there are none, all modes are kept, or the structure would not
-    be reduced on one rank.
+    all modes are damped and no number of modes is given, 50 are kept. Crack faces lose their mass
+    unless the scene names another method, there are none, all modes are kept, or the structure
+    would not be reduced on one rank.
     """
     table = scene.reduction
     if table is None:

@@ -8,11 +8,11 @@ squares, if they are independent, and as their sum, if they are not.
 
 Orders of theory: at the tip of a crack displacements are like r^(1/2), so frequencies and work
 converge like h with elements of both orders, on equal cells and on cells graded by a fixed ratio
-(Strang and Fix, An Analysis of the Finite Element Method, 1973, chapter 8); at the ends of a
-clamp like h^(3/2) (Williams' equation for a right angle with one side held, nu = 0.3, plane stress:
-1.52). Modes in a plane have w_j^2 proportional to j, and each that is left out contributes
-w^2 / w_j^4, which sums up to N^-1. Where lips hit each other velocities jump: |U_k| falls like k^-2
-and what is left out like H^-1, often faster (H^-3 where only forces have kinks), which is not
+(Strang and Fix, An Analysis of the Finite Element Method, 1973, chapter 8); at the ends of a clamp
+like h^(3/2) (Williams' equation for a right angle with one side held, nu = 0.3, plane stress:
+1.52). Modes in a plane have w_j^2 proportional to j, and each that is left out contributes w^2 /
+w_j^4, which sums up to N^-1. Where crack faces hit each other velocities jump: |U_k| falls like
+k^-2 and what is left out like H^-1, often faster (H^-3 where only forces have kinks), which is not
 relied on. Samples of a force with kinks err like N^-2.
 """
 

@@ -625,8 +625,8 @@ class StressIntensity(Tabular):
     points, ahead : (n_tips, 2) [m], (n_tips, 2)
         Where they are, and where the cracks run straight on.
     one, two : (n, n_tips) [Pa m^1/2]
-        K_I, positive where the lips part, and K_II, positive where the lip on the left of who looks
-        ahead moves ahead.
+        K_I, positive where the crack faces part, and K_II, positive where the face on the left of
+        who looks ahead moves ahead.
     """
 
     time: np.ndarray
@@ -710,8 +710,9 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     r"""Find stress intensities at the tips of a plate's cracks over a motion (collective).
 
     K_I and K_II of the displacement at each instant, by the interaction integral over a domain
-    around the tip, with the inertia in it and the contact on the lips. Where a structure is reduced
-    the modes' statics are not summed up but solved for: with q_r the amplitudes of the modes,
+    around the tip, with the inertia in it and the contact on the crack faces. Where a structure is
+    reduced the modes' statics are not summed up but solved for: with q_r the amplitudes of the
+    modes,
 
     .. math:: K = K_{\mathrm{static}}(f, \lambda) + \sum_r K_r (q_r - q_{r,\mathrm{static}}).
 

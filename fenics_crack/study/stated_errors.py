@@ -120,7 +120,7 @@ def numbers_of(study: Study, found: PeriodicSolution, mode: int | None = None) -
     found.coefficients_at([watched.dof for watched in study.watched])  # by one factor
     for watched in study.watched:
         seen = found.indicators(watched.dof)
-        rounding = NEGLIGIBLE * (seen.amplitude + abs(seen.mean))  # of lips that are held closed
+        rounding = NEGLIGIBLE * (seen.amplitude + abs(seen.mean))  # of closed pairs
         for name in chosen:
             if name in OF_POINTS or name in OF_LIPS:
                 column = watched.column(name) if name in OF_POINTS else name
@@ -347,7 +347,8 @@ def _of_orbit(
 
 def _coarser_mesh(study: Study, near: PeriodicSolution, own: Numbers, of_peak: bool) -> Varied:
     """The most by any order of the mesh, but of a peak with what the shift of the resonance
-    changes, and what the place where lips part does; by differences with half the harmonics."""
+    changes, and what the place where crack faces part does; by differences with half the
+    harmonics."""
     coarse = coarser(study)
     if isinstance(coarse, str):
         return coarse

@@ -262,7 +262,7 @@ class Verification(Tabular):
     values, units : dict of str to float, and to str
         The scene's own answer by its quantities, as ``[output] quantities`` names them, with those
         of named points as "tip.ux.amplitude"; "frequency_open_1" [Hz] or "omega_open_1" [rad/s] are
-        natural frequencies with lips open.
+        natural frequencies with the crack open.
     parts : dict of str to dict of str to GridConvergence
         By the cause, "mesh", "modes", "harmonics" or "samples", and the quantity. Sizes are the
         side of a mean element [m], and one over the number of modes, harmonics or samples; the
@@ -505,7 +505,7 @@ class Verification(Tabular):
                 if names:
                     found.append(f"{cause}, {', '.join(names)}: {what}")
         found += self.dents
-        contact = self.scene.contact if self.resonance else None  # of lips
+        contact = self.scene.contact if self.resonance else None  # of crack faces
         if "mesh" in self.parts and contact is not None and contact.stiffness is not None:
             found.append(
                 "contact.stiffness is that of a pair, of which a finer mesh has more: the mesh "

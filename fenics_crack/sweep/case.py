@@ -85,7 +85,7 @@ class Geometry:
     crack_length : float [m]
         Of the first crack; nan where it is unknown.
     natural : BilinearFrequencies
-        With lips open and tied.
+        With the crack open and bonded.
     watched : dict of str to (n_dofs,)
         What the coordinates are multiplied by for the motion of the named points [m], by "tip.ux",
         and at the load, by ""; of one load alone its own vector does that.
@@ -244,9 +244,9 @@ class Cases:
         whose bilinear frequency is nearest to the case's; raises as :meth:`solve`.
 
         It is looked for with few harmonics, from below around that frequency, and on from there as
-        far as that of lips always open or tied: a mean load or a clearance takes it there. With all
-        harmonics three neighbours have its top between them. Where the curve folds a larger one may
-        not be found.
+        far as that of a crack always open or bonded: a mean load or a clearance takes it there.
+        With all harmonics three neighbours have its top between them. Where the curve folds a
+        larger one may not be found.
         """
         natural, table = self._geometry.natural, case.harmonic_balance
         nearest = natural.nearest(case.excitation.omega)

@@ -1,13 +1,13 @@
 """Growth of a crack under the vibration of its plate, and the change of the vibration with it.
 
 At each length a the vibration is periodic and settled: growth by a cycle is far less than what
-changes it. With the effective ranges of K_I of the vibration itself, closed lips and all,
+changes it. With the effective ranges of K_I of the vibration itself, closed faces and all,
 
     da/dN = C sum_i (delta K_i / (1 - R_i)^(1 - gamma))^m,      N = int da / (da/dN),
 
-over the cycles of K_I in one of the load, of which there is more than one where lips open several
-times; C in m per cycle at 1 MPa m^1/2 (Paris, Erdogan, Journal of Basic Engineering 85, 1963, 528;
-closure: Elber, ASTM STP 486, 1971, 230; R: Walker, ASTM STP 462, 1970, 1).
+over the cycles of K_I in one of the load, of which there is more than one where the crack opens
+several times; C in m per cycle at 1 MPa m^1/2 (Paris, Erdogan, Journal of Basic Engineering 85,
+1963, 528; closure: Elber, ASTM STP 486, 1971, 230; R: Walker, ASTM STP 462, 1970, 1).
 
 Few lengths are solved, and between them are splines; lengths are halved where a spline misses what
 is then found. Each round is a sweep: its cases are shared among ranks, and it goes on where it was
@@ -63,7 +63,7 @@ class Growth(Tabular):
     length, cycles, time : (n,) [m], [-], [s]
         Of the crack, the cycles until then, and how long they take; one row where it does not grow.
     omega, omega_open, omega_bilinear : (n,) [rad/s]
-        Of the load, the mean of a spectrum, and natural frequencies with lips open and of the
+        Of the load, the mean of a spectrum, and natural frequencies with the crack open and of the
         breathing crack, of the mode that is nearest to the load, or to that load of a spectrum
         which drives the crack most.
     response : (n,) [m]

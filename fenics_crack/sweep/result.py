@@ -237,8 +237,8 @@ class SweepResult(Tabular):
         names like ``tip.ux.ratio_2_1``, and ``opening`` to ``closed_share``: as in
         :class:`Indicators`; ``omega_open`` to ``over_bilinear``: as in
         :meth:`BilinearFrequencies.nearest`; ``omega_open_1`` to ``omega_tied_6``, the lowest
-        natural frequencies with lips open and tied, and ``omega_bilinear_1`` to
-        ``omega_bilinear_6`` of the open modes and the tied ones of their shapes [rad/s];
+        natural frequencies with the crack open and bonded, and ``omega_bilinear_1`` to
+        ``omega_bilinear_6`` of the open modes and the bonded ones of their shapes [rad/s];
         ``multiplier``, largest modulus, and the ``verdict`` from it, empty without a contact law;
         ``residual_error`` to ``reduction_error`` and ``penetration_share`` as in
         :class:`ErrorReport`; ``harmonics``; Newton ``iterations``; ``crack_length`` of the first

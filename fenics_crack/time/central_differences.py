@@ -32,7 +32,7 @@ the forward increment Lagrange multiplier method (Carpenter, Taylor and Katona, 
 Journal for Numerical Methods in Engineering 32, 1991). An impact is then without rebound: the pair
 stays closed, and the kinetic energy of its closing, with the mass (B^T M^-1 B)^-1, is lost. The
 penalty law, which loses nothing, tends to another motion; the difference vanishes with the mass of
-the lips, when the mesh is refined.
+the crack faces, when the mesh is refined.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
     Raises
     ------
     InputError
-        An argument cannot be used, or the lips have no mass.
+        An argument cannot be used, or the crack faces have no mass.
 
     Examples
     --------
@@ -134,11 +134,11 @@ def integrate_central_difference(
     Raises
     ------
     InputError
-        An argument cannot be used, the lips have no mass, or the step is longer than the stable
-        one.
+        An argument cannot be used, the crack faces have no mass, or the step is longer than the
+        stable one.
     ConvergenceError
         The motion grows without bound, or contact creates more energy than the load puts in: the
-        steps are too long. Or no contact forces keep the lips from penetrating.
+        steps are too long. Or no contact forces keep the crack faces from penetrating.
 
     Notes
     -----

@@ -19,7 +19,7 @@ held force is known exactly, so that in a step between equal sets of closed pair
 created, however long it is. A step in which a pair opens creates 1/2 lambda_n times its opening,
 one in which it closes loses as much: with hardly any R_inf, which softens contact, and long steps
 motions can grow, and the march says so. (With forces linear over the step energy would be created
-everywhere: with mass at the lips that is the method of linear acceleration.)
+everywhere: with mass at the crack faces that is the method of linear acceleration.)
 
 Source: Hochbruck and Ostermann, Acta Numerica 19 (2010) 209 (exponential integrators).
 """

@@ -34,7 +34,7 @@ def integrate_events(
     structure : Structure
         At most 600 dofs; reduce a larger one first.
     contact : UnilateralPenalty or UnilateralConstraint
-        Law of all pairs; the latter where lips have no mass.
+        Law of all pairs; the latter where crack faces have no mass.
     steps_per_period : int
         Instants recorded in a period; they do not change the motion.
     omega, periods, **options
@@ -48,8 +48,8 @@ def integrate_events(
     Raises
     ------
     InputError
-        The structure is too large, its lips have mass under rigid contact, or an argument cannot
-        be used.
+        The structure is too large, its crack faces have mass under rigid contact, or an argument
+        cannot be used.
     ConvergenceError
         Pairs open and close without end.
 
@@ -81,7 +81,7 @@ def integrate_exponential(
     Parameters
     ----------
     structure : Structure
-        At most 600 dofs; reduce a larger one first. Without penetration lips have no mass
+        At most 600 dofs; reduce a larger one first. Without penetration crack faces have no mass
         (``reduce_structure(method="massless")``).
     contact : UnilateralPenalty or UnilateralConstraint
         Law of all pairs.

@@ -113,7 +113,7 @@ def integrate_implicit(
     Raises
     ------
     InputError
-        An argument cannot be used, or the lips have no mass.
+        An argument cannot be used, or the crack faces have no mass.
     ConvergenceError
         The contact forces of a step were not found, or the scheme creates more energy than the
         load puts in: the steps are too long for this contact.

@@ -219,8 +219,8 @@ class TimeHistory(Tabular):
     KIND: ClassVar[str] = "time history"
 
     def to_dict(self) -> dict[str, Any]:
-        """Columns, a row for every instant: displacement of the watched dof, and of the lips the
-        opening and the contact force of the pair where each is largest."""
+        """Columns, a row for every instant: displacement of the watched dof, and of the crack faces
+        the opening and the contact force of the pair where each is largest."""
         found = {"time": self.time, "displacement": self.displacement()[:, 0]}
         if self.gap.size:
             found["opening"] = np.maximum(0.0, -self.gap.min(axis=1))
@@ -416,7 +416,7 @@ def march(asked: March, scheme: Scheme) -> TimeHistory:
             scheme.fill(window, number)
             done = number + 1
             moved = np.concatenate(structure.comm.allgather(load_motion), axis=1)
-            now = window.gap + structure.clearance, moved  # slow modes may hardly move the lips
+            now = window.gap + structure.clearance, moved  # slow modes hardly move the gaps
             if before is not None:
                 settled = _change(now, before)
             before = now
