@@ -16,7 +16,7 @@ from typing import Any
 LONG = 1.0
 """Minimum time of a stage that is reported again after its end [s]."""
 BEAT = 5.0
-"""Between signs of life [s]."""
+"""Time between progress messages [s]."""
 _listeners: list[Callable[[str], None]] = []
 _parts: list[str] = []
 _reached: list[Callable[[], str]] = []
@@ -31,7 +31,7 @@ def begin(stage: str) -> None:
 
 @contextmanager
 def within(part: str) -> Iterator[None]:
-    """Tell stages as those of a part: "16 modes: natural modes"."""
+    """Report stages as those of a part: "16 modes: natural modes"."""
     _parts.append(part)
     try:
         yield
@@ -98,7 +98,7 @@ class StageLines:
             self._over.set()
 
     def _live_on(self, over: threading.Event) -> None:
-        """Say every few seconds what is being done, and for how long."""
+        """Print every few seconds the current stage and its time."""
         while not over.wait(BEAT):
             with self._writing:
                 said = f"  {self._stage} ... {time.perf_counter() - self._began:.0f} s"

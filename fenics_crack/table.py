@@ -3,7 +3,7 @@
 A result derives from :class:`Described`, or from :class:`Tabular` where it is a table, and defines
 ``to_dict``. Its one line, its table in a notebook and its CSV file follow from that.
 
-The quantities that tell of a breathing crack have names, which are those of columns in tables and
+The indicators of a breathing crack have names, which are those of columns in tables and
 files, of ``[output] quantities``, and of what sweeps are drawn in; :class:`fenics_crack.Indicators`
 defines each by its equation.
 """

@@ -67,7 +67,7 @@ class ContactForces(ABC):
 
     @abstractmethod
     def by_softness(self) -> np.ndarray:
-        """Derivative of the coefficients by the softness."""
+        """Derivative of the coefficients by the series compliance."""
 
     @abstractmethod
     def by_stiffness(self) -> np.ndarray:

@@ -293,15 +293,15 @@ class Wave:
 
     @cached_property
     def residual(self) -> np.ndarray | None:
-        """R_inf, the compliance of what answers contact forces at once: (n_pairs, n_pairs) [m/N];
-        None where nothing does."""
+        """R_inf, the residual flexibility, which responds quasi-statically to contact forces:
+        (n_pairs, n_pairs) [m/N]; None without."""
         if self.static_above is None:
             return None
         return all_modes(self.structure).static_part(self.static_above)
 
     @cached_property
     def _forces(self) -> CoupledIntegrals:
-        """lambda(s) where something answers at once."""
+        """lambda(s) with a residual flexibility."""
         assert self.contact is not None
         return CoupledIntegrals(self.contact, self.harmonics, residual=self.residual)
 
@@ -339,7 +339,7 @@ class Wave:
         """Displacement of the structure's own dofs on this rank: (len(time), n_local) [m]."""
         found = evaluate(self.displacement_coefficients, self.base_omega, time)
         if self.static_above is not None:
-            # What answers at once follows the forces as they are, with their kinks.
+            # The quasi-static part follows the forces as they are, with their kinks.
             waves = evaluate(self.force_coefficients, self.base_omega, time)
             moved = all_modes(self.structure).moved_at_once(self.static_above)
             found -= (self.contact_force(time) - waves) @ moved.T

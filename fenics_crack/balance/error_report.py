@@ -10,9 +10,9 @@ J of F(g) = g + R b(g) - g_lin at the solution, and a disturbance d of b,
   collocation this is the aliasing;
 - reduction: R lacks delta R, known from a larger basis: R d becomes delta R b - delta g_lin.
 
-Truncation is what the exact flow says of the solution (:mod:`assessment`); where that is not at
-hand it, and reduction where pairs are seen through a static compliance, are what Newton's method
-changes with more harmonics, or with the modes of the larger basis.
+Truncation is assessed by the exact flow (:mod:`assessment`); where that is not at
+hand it, and reduction where pairs have a residual flexibility, are the change by Newton's method
+with more harmonics, or with the modes of the larger basis.
 
 Source of the test of the second step: Deuflhard, Newton Methods for Nonlinear Problems, 2004,
 section 2.1.1, with the monitor |simplified step| / |step|.
@@ -171,8 +171,8 @@ def of_no_solution(at: ContactPoint, problem: Problem) -> ErrorReport:
 
 
 def beside(found: Wave, better: Wave) -> ErrorReport:
-    """The report of a wave without contact force: what another one, of the reference of its
-    structure, changes (collective)."""
+    """The report of a solution without contact force, by the change to that of the reference of
+    its structure (collective)."""
     closing = better.gap_coefficients.copy()
     closing[0] += found.structure.clearance
     size = mean_square(better.gap_coefficients - found.gap_coefficients)
@@ -228,7 +228,7 @@ def beyond_truncation(at: ContactPoint, wave: Wave) -> Errors:
     for laws and structures whose exact flow is not at hand.
 
     Steps are found by elimination: iterative solutions of these equations do not converge where
-    many pairs are stiff, unless these are seen through a static compliance.
+    many pairs are stiff, unless these have a residual flexibility.
     """
     rows, harmonics = len(at.unknown), _more_harmonics(at)
     wide = at.system.widened(harmonics)

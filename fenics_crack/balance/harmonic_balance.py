@@ -11,10 +11,10 @@ solve
 
     u_k = A_k^-1 (c_k - B b_k),    b_k those of lambda(g(t)),
 
-for every k: as many of them are kept as the tolerance asks for, by the distance of the wave from
+for every k: as many of them are kept as the tolerance asks for, by the distance of their sum from
 the orbit. What a reduction leaves out is the distance to the orbit of its reference, which has
 twice the modes; the modes of a large structure are doubled until that is small.
-The search does not know the tolerance, so that a tighter one is never answered by a worse solution.
+The search is independent of the tolerance, so that a tighter one never gives a worse solution.
 
 Laws and structures without an exact flow, and motions whose orbit is not found, take as many
 harmonics as bring the estimated error down.

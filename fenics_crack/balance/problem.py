@@ -9,7 +9,7 @@ fewer      the linear solution; with many unknowns or pairs that are seen throug
            compliance (:mod:`contact_system`) the solution with half the harmonics, which comes
            from that with half of those, and so on; many from the exact orbit next to a solution
            with fewer, which is near whatever their number
-path       where the path of solutions in the softness in series with every pair has its end,
+path       where the continuation in the compliance in series with every pair has its end,
            followed by arc-length through its folds, from where the solution is unique and close to
            the linear one
 
@@ -113,9 +113,9 @@ class Problem:
     subharmonic : int
         The response has this many times the load's period.
     static_above : float, optional
-        Modes of higher frequencies [rad/s] answer the harmonics of the contact force above H at
-        once, as all that a massless reduction leaves out does. Default: 2 H times the base
-        frequency, where all pairs are seen through a static compliance then; else none.
+        Modes of higher frequencies [rad/s] respond quasi-statically to the harmonics of the contact
+        force above H, as all that a massless reduction truncates does. Default: 2 H times the base
+        frequency, where all pairs have a residual flexibility then; else none.
 
     Raises
     ------
@@ -161,21 +161,21 @@ class Problem:
 
     @property
     def cutoff(self) -> float:
-        """Frequency above which modes answer at once, where there is a :attr:`residual` [rad/s]."""
+        """Frequency above which modes are quasi-static, where there is a :attr:`residual`
+        [rad/s]."""
         default = BEYOND * self.harmonics * self.base_omega
         return default if self.static_above is None else self.static_above
 
     @property
     def static_cutoff(self) -> float | None:
-        """The same, None where pairs are not seen through a static compliance: what solutions keep
-        of it."""
+        """The same, None without a residual flexibility: the value that solutions keep."""
         return None if self.residual is None else self.cutoff
 
     @cached_property
     def residual(self) -> np.ndarray | None:
-        """R_inf, the static compliance through which contact is seen; None where there is none.
+        """R_inf, the residual flexibility in series with contact; None where there is none.
 
-        Crack faces with mass are seen through one if the law is rigid, or so stiff against it that
+        Crack faces with mass have one if the law is rigid, or so stiff against it that
         they bounce at frequencies which H harmonics do not resolve."""
         structure, contact = self.structure, self.contact
         light, rigid = structure.light_lips, is_rigid(contact)
@@ -194,8 +194,8 @@ class Problem:
         return found
 
     def seen_alike(self, cutoff: float) -> Problem:
-        """The same for a family of problems: whether pairs are seen through a static compliance,
-        and that of which modes, is settled for all of them by a frequency [rad/s]."""
+        """The same for a family of problems: whether pairs have a residual flexibility, and that of
+        which modes, is settled for all of them by a frequency [rad/s]."""
         highest = cutoff / (BEYOND * self.harmonics)
         known = replace(self, static_above=None, omega=highest * self.subharmonic).residual
         return replace(self, static_above=np.inf if known is None else cutoff)
@@ -438,7 +438,8 @@ class Search:
             yield from self._near(self.system, self.system.slow(known.gap, known.force))
 
     def _path(self) -> Iterator[np.ndarray]:
-        """The end of the path in the softness; one that goes as far beyond is left."""
+        """The end of the continuation in the contact compliance; one that goes as far beyond is
+        left."""
         system = self.system.softened()
         begun = self._steps(system, system.linear, at=0.0)
         if begun is None:

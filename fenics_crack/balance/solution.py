@@ -176,7 +176,8 @@ class Stability(Described):
     verdict : "stable", "unstable" or "undecided"
         That of the exact orbit next to the solution; of a smooth law, of the linear flow along it.
     uncertainty : float
-        Of the largest modulus; nan where the multipliers are those of the wave: they judge nothing.
+        Of the largest modulus; nan where the multipliers are those of the solution: they decide
+        nothing.
     refined : bool
         Whether these are the multipliers of an exact orbit.
     distance : float
@@ -238,8 +239,8 @@ class PeriodicSolution(Wave, Described):
     subharmonic : int
         The response has this many times the load's period.
     static_above : float or None
-        Modes of higher frequencies [rad/s] answer contact forces at once, as all that a massless
-        reduction leaves out does (:class:`fenics_crack.Problem`); None: none does.
+        Modes of higher frequencies [rad/s] respond quasi-statically to contact forces, as all that
+        a massless reduction truncates does (:class:`fenics_crack.Problem`); None: none does.
     converged : bool
         Whether the residual met the tolerance.
     status : str

@@ -380,7 +380,7 @@ class Parser(argparse.ArgumentParser):
     """Asks what may be meant by a command, or an option, that there is not."""
 
     def error(self, message: str) -> NoReturn:
-        """Say what is wrong and what may be meant, and exit."""
+        """Print the error and suggestions, and exit."""
         wrong = re.search(r"invalid choice: '(.*?)'|unrecognized arguments: (-\S+)", message)
         if re.search(r"unrecognized arguments: [\w.]+=", message):
             message += "; each key takes its own --set: --set KEY=VALUE --set KEY=VALUE"

@@ -137,7 +137,7 @@ def one_of(
 
 
 def _is_record(given: Namespace) -> bool:
-    """Tell whether ``timing`` is given a record of arrivals in place of a scene."""
+    """Return True if ``timing`` is given a record of arrivals in place of a scene."""
     return bool(given.command == "timing" and given.scene.suffix.lower() == ".csv")
 
 

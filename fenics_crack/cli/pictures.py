@@ -185,7 +185,7 @@ def _for_paraview(run: Computed, folder: Path, console: Console) -> list[Path]:
 
 
 def _can_be_drawn(result: Computed) -> bool:
-    """Tell whether a result can be drawn: a sweep over two or more numbers, if a case of it has
+    """Return True if a result can be drawn: a sweep over two or more numbers, if a case of it has
     converged."""
     if not isinstance(result, SweepResult):
         return True

@@ -38,9 +38,9 @@ class Continuation(Growing):
     problem : Problem
         What is solved at the first point. A structure with many dofs is reduced first, to crack
         faces without mass (``reduce_structure(structure, method="massless")``); ``omega`` counts
-        where it is not the parameter. Modes that answer at once do so for all of the curve: those
-        above ``static_above``, by default 2 H times the highest base frequency, with the first
-        point's H.
+        where it is not the parameter. Modes that are quasi-static are so for all of the curve:
+        those above ``static_above``, by default 2 H times the highest base frequency, with the
+        first point's H.
     parameter : str
         "omega": load frequency [rad/s]; "load", "stiffness", "damping": factor of the structure's
         load, of the contact stiffness, of the structure's damping, 1 being as given; "clearance":

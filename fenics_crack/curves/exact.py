@@ -1,10 +1,11 @@
-"""Verdicts of the points of a harmonic-balance curve: by their nearest exact orbits, or by waves.
+"""Verdicts of the points of a harmonic-balance curve: by their nearest exact orbits, or by
+the flow linearised along them.
 
-Each point is judged as a single solution is (:mod:`fenics_crack.balance.assessment`); its folds and
-branch points are those of its own equations. Where none of its first, middle and last point has an
-orbit of its own, none is sought at the others: the curve costs what its harmonic balance costs.
+Each point is assessed as a single solution is (:mod:`fenics_crack.balance.assessment`); its folds
+and branch points are those of its own equations. Where none of its first, middle and last point has
+an orbit of its own, none is sought at the others: the curve costs what its harmonic balance costs.
 
-Laws without an exact flow are judged by their waves. Between two points lies
+With laws without an exact flow it is the linearised flow. Between two points lies
 a period doubling or a Neimark-Sacker point where the numbers of multipliers outside the unit circle
 say so (:mod:`orbit_events`); it is located on the path between them
 (:class:`fenics_crack.numerics.path.Crossing`).
@@ -35,11 +36,11 @@ from fenics_crack.stages import begin
 
 
 def judge_curve(curve: HarmonicCurve) -> HarmonicCurve:
-    """Judge the points of a curve over any parameter by their nearest exact orbits.
+    """Assess the points of a curve over any parameter by their nearest exact orbits.
 
-    Laws that are not linear in contact have no exact orbits: their points are judged as
+    Laws that are not linear in contact have no exact orbits: their points are assessed as
     :func:`floquet` does, and period doublings and Neimark-Sacker points are where multipliers of
-    the waves leave the unit circle.
+    the linearised flow leave the unit circle.
 
     Parameters
     ----------
@@ -88,8 +89,8 @@ def _decides(curve: HarmonicCurve, place: int, multipliers: np.ndarray) -> bool:
 
 
 def judged_by_waves(curve: HarmonicCurve) -> HarmonicCurve:
-    """The same curve with verdicts, and with bifurcations where multipliers of its waves leave the
-    unit circle."""
+    """The same curve with verdicts, and with bifurcations where multipliers of the flow
+    linearised along it leave the unit circle."""
     begin("stability of each point")
     solutions = (curve.solution(place, search=False) for place in range(len(curve)))
     found = [floquet(one.structure, one) for one in solutions]

@@ -59,7 +59,7 @@ class Family(ABC):
         check_number(key, value, 0.0, above=True)
 
     def _cutoff(self, problem: Problem, start: float, end: float) -> float:
-        """Frequency above which modes answer at once, the same for all of the family [rad/s]."""
+        """Frequency above which modes are quasi-static, the same for all of the family [rad/s]."""
         return problem.cutoff
 
     def value(self, parameter: float) -> float:
@@ -303,8 +303,8 @@ class StiffnessFamily(Family):
 class SpeedFamily(Family):
     """v: speed of the rotor [rad/s], the load's frequency in a constant ratio to it.
 
-    The modes are those of each speed. dF/dv is a central difference: beside the compliance the
-    part of it that answers at once changes, and with it the sets of closed pairs.
+    The modes are those of each speed. dF/dv is a central difference: beside the compliance its
+    quasi-static part changes, and with it the sets of closed pairs.
     """
 
     name = "speed"

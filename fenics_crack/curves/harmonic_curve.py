@@ -42,8 +42,8 @@ class HarmonicCurve(ResponseCurve):
         Where the stability is left open (:func:`judge_curve`), for a :meth:`reason`; None: not
         judged.
     static_above : float or None
-        Where pairs are seen through R_inf, the same for all points: the frequency [rad/s] above
-        which modes answer contact forces at once (:class:`fenics_crack.Problem`); else None.
+        With a residual flexibility R_inf, the same for all points: the frequency [rad/s] above
+        which modes are quasi-static (:class:`fenics_crack.Problem`); else None.
     """
 
     unknowns: np.ndarray
@@ -125,6 +125,6 @@ class HarmonicCurve(ResponseCurve):
             motion = evaluate(waves, 1.0, PHASES)
             gap, force = at.system.in_time(evaluate(at.unknown, 1.0, PHASES))
             if moved is not None:
-                # What answers at once follows the forces as they are, with their kinks.
+                # The quasi-static part follows the forces as they are, with their kinks.
                 motion -= (force - evaluate(at.force, 1.0, PHASES)) @ moved.T
             yield waves, motion, gap, force

@@ -1,14 +1,14 @@
 """Stability of periodic solutions: Floquet multipliers, and a verdict.
 
 The multipliers mu are those of the exact orbit next to a solution, which is stable where they lie
-within the unit circle (:mod:`fenics_crack.motion.orbit`); :func:`shoot` finds that orbit by itself.
-Whether it is the solution's own :mod:`fenics_crack.balance.assessment` says.
+within the unit circle (:mod:`fenics_crack.motion.orbit`); :func:`shoot` finds that orbit alone.
+:mod:`fenics_crack.balance.assessment` decides whether it is accepted for the solution.
 
 Laws that are not linear in contact have no exact flow. Their multipliers are those of the linear
-flow along the wave, which judge if the wave's error is small; they are as uncertain as they differ
-along the wave with twice the harmonics.
+flow along the solution, which decide if its error is small; they are as uncertain as they differ
+along the solution with twice the harmonics.
 
-**The linear flow.** Small disturbances z = (q, q') of a wave with gap s(t) follow, in modal
+**The linear flow.** Small disturbances z = (q, q') of a solution with gap s(t) follow, in modal
 coordinates,
 
     q'' + C q' + (W^2 + P kappa(t) P^T) q = 0,      kappa = d lambda / ds along s(t).
@@ -62,11 +62,12 @@ def monodromy(
     base_omega: float,
     static_above: float | None = None,
 ) -> np.ndarray:
-    """M over one period of a wave, from phase zero: (2 n_modes, 2 n_modes); of a small structure.
+    """M over one period of a solution, from phase zero: (2 n_modes, 2 n_modes); of a small
+    structure.
 
-    ``gap`` are the coefficients of the wave, (2H+1, n_pairs) [m], of the slow gap where pairs are
-    seen through what modes beyond ``static_above`` [rad/s] answer. Raises ConvergenceError where M
-    is not found, InputError where the law's tangent is not the slope of its force along the wave.
+    ``gap`` are the coefficients of the solution, (2H+1, n_pairs) [m], of the slow gap where modes
+    beyond ``static_above`` [rad/s] are quasi-static. Raises ConvergenceError where M is not found,
+    InputError where the law's tangent is not the slope of its force along the solution.
     """
     modes = all_modes(structure).below(static_above)
     seen = sampled(gap, 4 * len(gap))
@@ -356,8 +357,8 @@ def _along_the_wave(known: Assessment, reason: str) -> Stability:
 
 
 def _by_waves(structure: Structure, solution: PeriodicSolution, contact: ContactLaw) -> Stability:
-    """By the multipliers of the flow along the wave; by how much those along the wave with twice
-    the harmonics are larger or smaller is the uncertainty."""
+    """Assess by the multipliers of the flow along the solution; their difference from those with
+    twice the harmonics is the uncertainty."""
     gap, above, off = solution.slow_gap_coefficients, solution.static_above, np.inf
     try:
         values = eigenvalues(monodromy(structure, contact, gap, solution.base_omega, above))

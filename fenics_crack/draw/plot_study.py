@@ -454,7 +454,7 @@ def _draw_order(
 def draw_arrivals(
     arrivals: ArrivalTimes, *, in_rpm: bool = False, **where: Unpack[Where]
 ) -> Figure:
-    """Draw the displacements that the arrivals tell, for each probe.
+    """Draw the displacements that follow from the arrivals, for each probe.
 
     They stand over the revolutions, of a run-up over the speed. Each probe sees one point in a
     revolution: a vibration at an engine order is constant to it, any other one appears slow.

@@ -90,7 +90,7 @@ class _Half:
     tip_size: float
 
     def covers(self, start: float, stop: float) -> bool:
-        """Tell whether the face goes along an interval."""
+        """Return True if the face goes along an interval."""
         return min(self.coarse, self.tip) < 0.5 * (start + stop) < max(self.coarse, self.tip)
 
     def size(self, place: float) -> float:
@@ -389,7 +389,7 @@ def _name(groups: dict[str, tuple[int, list[int]]]) -> dict[str, int]:
 
 
 def _divide(scene: Scene, surfaces: list[int]) -> None:
-    """Say how the surfaces are filled with cells."""
+    """Set how the surfaces are filled with cells."""
     if scene.mesh.layout == "grid" or scene.mesh.cells == "quadrilateral":
         for surface in surfaces:
             gmsh.model.geo.mesh.setTransfiniteSurface(surface)

@@ -57,7 +57,7 @@ class PlateMesh:
 
     @property
     def cracked(self) -> bool:
-        """Tell whether there are two faces."""
+        """True if there are crack faces."""
         return "lower_lip" in self.groups
 
     def facets(self, group: str) -> np.ndarray:

@@ -5,11 +5,11 @@ A law is a function of the gap alone, pair by pair; the force enters the equatio
 left, M u'' + C u' + K u + B lambda(g) = f, so lambda >= 0 pushes the crack faces apart. To add a
 law, write a class with the four members of :class:`ContactLaw`.
 
-What else a method needs to know of a law, :func:`is_unilateral`, :func:`is_rigid` and
-:func:`is_piecewise_linear` answer: no other module looks at a law's class.
+What else a method requires of a law, :func:`is_unilateral`, :func:`is_rigid` and
+:func:`is_piecewise_linear` return: no other module uses a law's class.
 
-**All pairs at one instant**, seen through a compliance that couples them. What a basis of modes
-leaves out of a structure answers contact forces at once, without mass:
+**All pairs at one instant**, coupled by a residual flexibility: what a basis of modes truncates of
+a structure responds quasi-statically to contact forces, without mass,
 
     g = s - R_inf lambda,
 
@@ -155,8 +155,8 @@ class UnilateralConstraint:
     """No penetration at all: g <= 0, lambda >= 0, lambda g = 0 (Signorini).
 
     The limit of the penalty law for k to infinity. It gives no force from the gap alone. Where
-    pairs are seen through a static compliance (:class:`fenics_crack.Problem`) the force follows
-    from the slow gap; else it is balanced in frequency, with the truncated waves of gap and force,
+    pairs have a residual flexibility (:class:`fenics_crack.Problem`) the force follows from the
+    slow gap; else it is balanced in frequency, with the truncated series of gap and force,
     lambda = eps max(0, g + lambda / eps).
 
     Attributes

@@ -25,7 +25,7 @@ CACHED = 2**16
 
 
 def is_small(structure: Structure) -> bool:
-    """Tell whether a structure can be decomposed into all of its modes: few dofs on one rank, or
+    """Return True if a structure can be decomposed into all of its modes: few dofs on one rank, or
     known by its modes."""
     few = structure.comm.size == 1 and structure.n_dofs <= SMALL
     return few or structure.light_lips
@@ -66,7 +66,7 @@ class AllModes:
 
     @property
     def ill_conditioned(self) -> bool:
-        """Tell whether rounding relative to the highest modes may spoil the lowest ones."""
+        """Return True if rounding relative to the highest modes may spoil the lowest ones."""
         return not self.unconstrained and bool(self.squares[0] < NEGLIGIBLE * self.squares[-1])
 
     def receptance(
@@ -116,8 +116,8 @@ class AllModes:
         return 1.0 / impedance
 
     def static_part(self, above: float = np.inf) -> np.ndarray:
-        """R_inf and the static compliance of the modes beyond a frequency [rad/s]: what answers
-        contact forces at once if these modes do; (n_pairs, n_pairs) [m/N]."""
+        """Residual flexibility of the pairs, with that of the modes beyond a frequency [rad/s],
+        which are then quasi-static: (n_pairs, n_pairs) [m/N]."""
         fast = self._fast(above)
         found = (self.pairs[fast].T / self.squares[fast]) @ self.pairs[fast]
         return found if self.residual is None else found + self.residual

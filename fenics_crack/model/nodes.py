@@ -91,7 +91,7 @@ def nearest_node(points: np.ndarray, point: Sequence[float] | np.ndarray) -> str
 
 
 def place_in_words(point: np.ndarray, digits: str = ".8g") -> str:
-    """A point in words, "(0.1, 0.1)"; its digits tell a node, as :func:`nodes_at` asks."""
+    """A point in words, "(0.1, 0.1)"; its digits identify a node for :func:`nodes_at`."""
     return f"({', '.join(format(x, digits) for x in point.round(12) + 0.0)})"  # no -1e-19
 
 

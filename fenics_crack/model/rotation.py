@@ -147,8 +147,8 @@ def static_state(
 
 
 def too_fast(structure: Structure, speed: float) -> str:
-    """Say what is allowed instead of a speed [rad/s] at which a plate is unstable; or a solid,
-    which the Coriolis force may keep from that. A mesh in mm is: so its size is reported
+    """Describe the allowed values instead of a speed [rad/s] at which a plate is unstable; or a
+    solid, which the Coriolis force may keep from that. A mesh in mm is: so its size is reported
     (collective)."""
     at = f"is unstable at {speed / RPM:.6g} rpm"
     if structure.nodes is not None:

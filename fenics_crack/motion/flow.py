@@ -1,7 +1,7 @@
 """The flow of a small structure with contact, exact from event to event.
 
-In modal coordinates, with R_inf what answers at once (:mod:`fenics_crack.model.contact`) and kappa
-the stiffness of the pairs,
+In modal coordinates, with R_inf the residual flexibility (:mod:`fenics_crack.model.contact`) and
+kappa the stiffness of the pairs,
 
     q'' + C q' + Lambda q + P lambda = f(t),      s = P^T q + l(t),
     0 <= lambda,   (R_inf + I/kappa) lambda - s >= 0,   complementary.
@@ -59,7 +59,7 @@ class Budget:
 
 def flow_of(structure: Structure, contact: ContactLaw) -> ContactFlow | None:
     """The exact flow of a structure and a law; None where there is none: for a smooth law, a large
-    structure, and rigid contact where what answers at once does not separate the pairs."""
+    structure, and rigid contact where the residual flexibility is singular."""
     return ContactFlow(structure, contact) if _refused(structure, contact) is None else None
 
 

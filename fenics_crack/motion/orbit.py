@@ -9,14 +9,15 @@ and the eigenvalues of M are its Floquet multipliers. A step of Newton's method 
 the *natural* test accepts it: the simplified step from there, with the same M, is shorter. It does
 not depend on how the state is measured.
 
-The derivative of one step is kept for the next ones, with what these tell of it (Broyden's "good"
+The derivative of one step is kept for the next ones, updated by them (Broyden's "good"
 method), as long as they shrink the residual enough; a first one may be that of a motion nearby.
 
 With many modes M is not formed: GMRES takes products with it, in the norm of the energy, each for
 the time of half a period followed. Damping leaves little of fast modes: some dozen are enough.
 
-A wave nearby, with states Z_i at N equal parts of the period, is judged by one such step of all of
-it, which needs no orbit. With F_i the state reached from Z_i less Z_{i+1}, M_i the derivatives,
+A neighbouring HB solution, with states Z_i at N equal parts of the period, is assessed by one such
+step of all of it, which needs no orbit. With F_i the state reached from Z_i less Z_{i+1}, M_i the
+derivatives,
 
     d_{i+1} = M_i d_i + F_i,   periodic;       predicted error = |P^T d| / |P^T Z|.
 
@@ -91,7 +92,7 @@ class Prediction:
 
     @property
     def monodromy(self) -> np.ndarray:
-        """M over the period along the wave: (2 n_modes, 2 n_modes)."""
+        """M over the period along the solution: (2 n_modes, 2 n_modes)."""
         return self.track.tangent
 
 
@@ -273,7 +274,7 @@ def too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> bool:
 def predicted(
     flow: ContactFlow, omega: float, states: np.ndarray, subharmonic: int = 1
 ) -> Prediction | None:
-    """One step of Newton's method for a wave, of states at equal parts of its period (n,
+    """One step of Newton's method for a solution, of states at equal parts of its period (n,
     2 n_modes); None where the motion cannot be followed."""
     weights = flow.weights(omega / subharmonic)
     period = 2.0 * np.pi * subharmonic / omega

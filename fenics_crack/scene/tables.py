@@ -832,7 +832,7 @@ class Identify(Table):
     """Further load frequencies at which measuring is considered [Hz]."""
     finer: float = between("0.25", "4", 0.5)
     """How much finer the mesh is, and how many more harmonics there are, in the few cases that
-    correct the model and tell its error; 1: neither. Below 1 these few have the scene's own mesh,
+    correct the model and give its error; 1: neither. Below 1 these few have the scene's own mesh,
     and the others one that is coarser: 0.5 has elements twice as long."""
     harmonic_deviation: float = between("0", "1", 0.05)
     """Least standard deviation of the computed second harmonic of the crack, over its value, and of
@@ -844,7 +844,7 @@ class Identify(Table):
     density_deviation: float = between("0", "1", 0.01)
     """Density: the same, part 2.1."""
     thickness_deviation: float = between("0", "1", 0.01)
-    """Thickness, of which amplitudes tell: 0.2 mm of 10 mm (ISO 2768-1, medium) at most."""
+    """Thickness, which changes amplitudes: 0.2 mm of 10 mm (ISO 2768-1, medium) at most."""
     clamp_deviation: float = between("0", "1", 0.01)
     """What a soft clamp may take from the first natural frequency, over that. A beam that grows out
     of an elastic body as thick as itself is as if longer by 0.44 of its depth (W. J. O'Donnell,

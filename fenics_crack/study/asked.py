@@ -129,7 +129,7 @@ def _clamp(whole: Structure) -> tuple[Clamp, float]:
 
 def _inertia_rows(structure: Structure) -> np.ndarray:
     """r^T M in the coordinates of a structure: (n_rigid, n_local). What has no mass has no inertia:
-    what modes leave out answers at once (collective)."""
+    truncated modes respond quasi-statically (collective)."""
     whole, inertia = structure.whole, _clamp(structure.whole)[0].inertia
     if structure is whole:
         return inertia

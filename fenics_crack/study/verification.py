@@ -367,8 +367,8 @@ class Verification(Tabular):
         """The error of a quantity, relative to it, by all causes (:meth:`total`); and the largest
         of them: "mesh", "modes", "harmonics", "samples". Not known: nan, also where the part of the
         harmonics or the modes is not, or nothing that was varied changes it and something else was
-        not. Infinite where the estimate is as large as the quantity, as of a mesh too coarse to
-        tell."""
+        not. Infinite where the estimate is as large as the quantity, as of a mesh that is too
+        coarse."""
         unknown = any(cause in self.unknown for cause in ESTIMATED)
         if quantity not in self.values or not self.parts or unknown:
             return math.nan, ""

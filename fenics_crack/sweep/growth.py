@@ -696,7 +696,7 @@ def _levels(law: Law, damping: float) -> tuple[np.ndarray, np.ndarray]:
 
     Those of a run-up are as close as sqrt(2 / m) of the half width of a resonance, and as that
     where m < 2: over 1 / (1 + x^2)^(m / 2) even their sum is within 2 exp(-2 pi) of the integral.
-    They are an odd number, for every second one to tell the error."""
+    They are an odd number, so that every second one gives the error."""
     if law.frequencies is not None:
         return TURN * np.array(law.frequencies), np.array(law.cycles)
     if law.run_up is None:
