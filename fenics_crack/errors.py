@@ -43,11 +43,11 @@ class InputError(ValueError):
     Attributes
     ----------
     key : str
-        What was given, in the words of the scene file or of the argument list.
+        Name of the value, in the words of the scene file or of the argument list.
     value : object
         The value found there.
     allowed : str
-        What may stand there.
+        Description of the allowed values.
     """
 
     def __init__(self, key: str, value: object, allowed: str) -> None:
@@ -91,7 +91,7 @@ class ConvergenceError(RuntimeError):
     history : tuple of float
         The residual norms of every attempt, in order.
     found : object
-        What was found before, such as a curve that is not complete; else None.
+        Result so far, such as a curve that is not complete; else None.
     """
 
     def __init__(self, message: str, history: Sequence[float] = (), found: object = None) -> None:

@@ -335,16 +335,16 @@ def closing_sentence(
     Parameters
     ----------
     outcome : str
-        How it ended: "solved", "not converged".
+        Outcome: "solved", "not converged".
     unknown : str
         Why the error is unknown; then ``known`` is left out.
     known : str
-        What is known, and how well.
+        Result and its accuracy.
     others : sequence of str
         The verdict on the stability, and what a reader of the numbers alone would miss; empty ones
         are left out.
     warnings, remarks : int
-        How many go before it.
+        Number of warnings before it.
     """
     counts = {"warning": warnings, "remark": remarks}
     before = " and ".join(counted(count, name) for name, count in counts.items() if count)

@@ -32,7 +32,7 @@ def write_whole(path: str | Path, content: bytes | str, key: str = "path") -> No
     content : bytes or str
         All of it.
     key : str
-        What named the file, for an error.
+        Key that named the file, for an error.
 
     Raises
     ------
@@ -106,11 +106,11 @@ def not_written(key: str, path: str | Path, error: OSError, allowed: str = "") -
     Parameters
     ----------
     key, path
-        What named the file, and the file.
+        Key that named the file, and the file.
     error : OSError
         The reason.
     allowed : str
-        What it must be, by default "a file that can be written".
+        Allowed values, by default "a file that can be written".
     """
     kind = WriteError if error.errno in FULL else InputError
     why = error.strerror or str(error)

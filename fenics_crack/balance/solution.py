@@ -174,19 +174,19 @@ class Stability(Described):
     multipliers : (2n,) complex
         Largest modulus first.
     verdict : "stable", "unstable" or "undecided"
-        That of the exact orbit next to the solution; of a smooth law, of the linear flow along it.
+        Verdict on the nearest exact orbit; of a smooth law, of the linear flow along it.
     uncertainty : float
         Of the largest modulus; nan where the multipliers are those of the solution: they decide
         nothing.
     refined : bool
-        Whether these are the multipliers of an exact orbit.
+        True if these are the multipliers of an exact orbit.
     distance : float
         From the solution to this orbit, in the gaps over the period, relative to what moves of
         B^T u as the estimated errors are: what the error was found to be. nan: no orbit.
     reason : str
         Why nothing is decided; "" where it is.
     from_rest : str
-        What the motion from rest does, where that was looked for and it does not settle to the
+        Outcome of the motion from rest, where that was integrated and it does not settle to the
         solution; else "".
     rest_amplitude : float [m]
         Half the peak-to-peak displacement of the watched dof to which it settles, over all periods
@@ -224,7 +224,7 @@ class PeriodicSolution(Wave, Described):
     Attributes
     ----------
     structure : Structure
-        What vibrates.
+        Structure that vibrates.
     omega : float
         Angular frequency of the load [rad/s].
     contact : ContactLaw or None
@@ -242,9 +242,9 @@ class PeriodicSolution(Wave, Described):
         Modes of higher frequencies [rad/s] respond quasi-statically to contact forces, as all that
         a massless reduction truncates does (:class:`fenics_crack.Problem`); None: none does.
     converged : bool
-        Whether the residual met the tolerance.
+        True if the residual met the tolerance.
     status : str
-        What was tried and how it ended, for people.
+        Attempts and their outcomes, in words.
     iterations : int
         Newton iterations, all attempts together.
     report : ErrorReport
@@ -254,7 +254,7 @@ class PeriodicSolution(Wave, Described):
     others : tuple of PeriodicOrbit
         Exact orbits at the same frequency that were met when this one was sought.
     assessment : Assessment
-        What the exact flow says of it: the predicted error, and the nearest orbit.
+        Assessment by the exact flow: the predicted error, and the nearest orbit.
     """
 
     converged: bool = True

@@ -100,16 +100,16 @@ class Account:
     rows : Table, optional
         The .csv file; default: the summary.
     shown : Table, optional
-        What is printed as text; default: the summary.
+        Printed as text; default: the summary.
     facts, notes, warnings : iterables of str
-        What was found, what else to know, what to doubt; the first fact says it in short. Facts may
+        Results, further information, doubts; the first fact is the summary. Facts may
         cost something, and are asked for once.
     verdict : (str, str)
-        Whether a vibration lasts; and "good", "bad" or "doubtful".
+        Sentence on the stability; and "good", "bad" or "doubtful".
     tables : dict of Table
         Of a report, by their captions.
     remarks : sequence of Remark
-        What is unusual about the scene.
+        Unusual values of the scene.
     closing : str
         The last sentence, from error, verdict, warnings and remarks.
     done, missed : bool

@@ -87,11 +87,11 @@ class Backbone(Tabular):
     iterations : (n,) int
         Newton iterations of each point.
     complete : bool
-        Whether the energy asked for was reached.
+        True if the energy asked for was reached.
     status : str
-        How it ended.
+        Reason for the end.
     jumps : (n,) bool
-        Whether an internal resonance has been passed over since the point before.
+        True if an internal resonance has been passed over since the point before.
     samples : int or None
         As given to :func:`follow_backbone`.
     """
@@ -254,8 +254,8 @@ def follow_backbone(
     Parameters
     ----------
     structure : Structure
-        What vibrates, with mass at its crack faces; its load, mean load included, and its damping
-        are left out. One with many dofs is reduced first (:func:`reduce_structure`,
+        Structure that vibrates, with mass at its crack faces; its load, mean load included, and its
+        damping are left out. One with many dofs is reduced first (:func:`reduce_structure`,
         "free_interface").
     contact : ContactLaw
         Law of all pairs. With preload, contact grows about the equilibrium held fixed.

@@ -36,7 +36,7 @@ class Continuation(Growing):
     Parameters
     ----------
     problem : Problem
-        What is solved at the first point. A structure with many dofs is reduced first, to crack
+        Problem solved at the first point. A structure with many dofs is reduced first, to crack
         faces without mass (``reduce_structure(structure, method="massless")``); ``omega`` counts
         where it is not the parameter. Modes that are quasi-static are so for all of the curve:
         those above ``static_above``, by default 2 H times the highest base frequency, with the
@@ -63,18 +63,18 @@ class Continuation(Growing):
     most_points : int
         Give up after so many; default: 50,000.
     turning_back : float
-        How far the curve may turn back past its start, relative to the range of the parameter, but
+        Maximum return of the curve past its start, relative to the range of the parameter, but
         not to a frequency or a damping of zero; a closed curve can only be recognised where it may.
         Default: 0.1.
 
     Attributes
     ----------
     complete : bool
-        Whether the end was reached, or the curve closed.
+        True if the end was reached, or the curve closed.
     returned : bool
-        Whether the curve came back to its start, or went past it, instead of reaching the end.
+        True if the curve came back to its start, or went past it, instead of reaching the end.
     status : str
-        How it ended.
+        Reason for the end.
 
     Raises
     ------

@@ -180,16 +180,16 @@ class ResponseCurve(Tabular):
     bifurcations : tuple of Bifurcation
         Special points, in order along the curve.
     complete : bool
-        Whether the curve reached the end that was asked for, or closed.
+        True if the curve reached the end that was asked for, or closed.
     status : str
-        How it ended.
+        Reason for the end.
     subharmonic : int
         The response has this many times the load's period.
     multipliers : (n,) complex or None
         Floquet multiplier of largest modulus at each point, of a pair the one with positive
         imaginary part; None: not known.
     branch : bool
-        Whether :func:`follow_branch` has followed it.
+        True if :func:`follow_branch` has followed it.
     """
 
     structure: Structure

@@ -90,7 +90,7 @@ def continue_frequency(
     Parameters
     ----------
     structure : Structure
-        What vibrates. One with many dofs is reduced first, to crack faces without mass
+        Structure that vibrates. One with many dofs is reduced first, to crack faces without mass
         (``reduce_structure(structure, method="massless")``).
     omega_start, omega_end : float
         Load frequencies [rad/s]; the end may be below the start.

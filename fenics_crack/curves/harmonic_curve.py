@@ -31,7 +31,7 @@ class HarmonicCurve(ResponseCurve):
     structure, contact, parameter, values, omega, iterations, complete, status, subharmonic, branch
         As of any :class:`ResponseCurve`.
     unknowns : (n, 2H+1, n_pairs) [m]
-        What was followed: gap coefficients, or those of the slow gap s = g + R_inf lambda where
+        Unknowns: gap coefficients, or those of the slow gap s = g + R_inf lambda where
         pairs are seen through R_inf.
     samples : int or None
         As given when it was followed.

@@ -60,7 +60,7 @@ class Peak(Described, Top):
     error : float
         Estimated error of the amplitude, relative to it.
     verdict : str
-        Whether the vibration is stable.
+        Stability of the vibration.
     damping : float
         Ratio of critical damping by the half-power bandwidth of the load's own harmonic; nan where
         that does not fall to 1/sqrt(2) on both sides, as where a higher one resonates, or the curve

@@ -74,7 +74,7 @@ def animate_period(
     Parameters
     ----------
     solution : PeriodicSolution
-        What to show.
+        Result to show.
     path : str or Path
         A .gif file.
     frames, magnification, material

@@ -80,7 +80,7 @@ class Picture:
     Parameters
     ----------
     count, columns : int
-        How many panels, and how many of a new figure side by side.
+        Number of panels, and of those side by side in a new figure.
     size : (float, float) [in]
         Of a new figure.
     sharex : bool

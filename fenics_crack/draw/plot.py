@@ -377,7 +377,7 @@ def draw_map(
     x_label, y_label, value_label : str
         With units.
     doubtful : (m, n) bool, optional
-        What is hatched: not stable, or with a large estimated error.
+        Hatched cells: not stable, or with a large estimated error.
     **where
         ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
@@ -453,7 +453,7 @@ def draw_spectrum(
     Parameters
     ----------
     solution : PeriodicSolution
-        What to draw.
+        Result to draw.
     dof : int, optional
         Whose displacement.
     **where

@@ -51,7 +51,7 @@ def draw_curve(
     Parameters
     ----------
     curve : ResponseCurve
-        What to draw.
+        Result to draw.
     dof : int, optional
         Whose displacement; default: the watched one.
     colour, label : str

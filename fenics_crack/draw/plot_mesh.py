@@ -121,7 +121,7 @@ def draw_modes(
     modes : Modes
         Of a structure with a mesh.
     numbers : sequence of int, optional
-        Which modes, from 1; default: all.
+        Numbers of the modes, from 1; default: all.
     columns : int
         Panels side by side in a new figure.
     **where

@@ -377,7 +377,7 @@ def draw_campbell(
     Parameters
     ----------
     diagram : Campbell
-        What is drawn.
+        Result to draw.
     orders : sequence of int
         Engine orders.
     in_hertz, in_rpm : bool
@@ -462,7 +462,7 @@ def draw_arrivals(
     Parameters
     ----------
     arrivals : ArrivalTimes
-        What to draw.
+        Result to draw.
     in_rpm : bool
         Speeds of a run-up in revolutions per minute, else in rad/s.
     **where
@@ -590,7 +590,7 @@ def draw_tip_track(track: TipTrack, *, in_hertz: bool = False, **where: Unpack[W
     Parameters
     ----------
     track : TipTrack
-        What to draw.
+        Result to draw.
     in_hertz : bool
         Frequencies in Hz, not rad/s.
     **where

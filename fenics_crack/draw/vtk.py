@@ -257,7 +257,7 @@ def stress_at(
     Parameters
     ----------
     run : Run
-        What :func:`solve` or :func:`integrate` returns, of a mesh.
+        Result of :func:`solve` or :func:`integrate`, of a mesh.
     points : (m, d) [m]
         Where; of a line its points, ``np.linspace(start, stop, 50)``.
 
@@ -479,7 +479,7 @@ def write_period(
     Parameters
     ----------
     solution : PeriodicSolution
-        What to show.
+        Result to show.
     path : str or Path
         The .pvd file to open in ParaView; the frames (.vtu) go into a folder beside it.
     frames : int

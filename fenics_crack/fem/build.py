@@ -286,7 +286,7 @@ def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     Parameters
     ----------
     scene : Scene
-        What to build.
+        Scene to build.
     comm : MPI.Comm
         Ranks that share the mesh.
 

@@ -53,7 +53,7 @@ class CrackSurface:
     front : (m, 2, 3) [m]
         Ends of the edges of its front; none where it parts two bodies.
     has_mouth : bool
-        Whether its rim reaches the surface of the solid.
+        True if its rim reaches the surface of the solid.
     """
 
     triangles: np.ndarray

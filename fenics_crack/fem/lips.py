@@ -35,7 +35,7 @@ class Lip:
         Its corners, from the mouth to the tip; from the left to the right tip of a crack inside. Of
         a straight one both ends are enough.
     has_mouth : bool
-        Whether it begins at an edge of the plate.
+        True if it begins at an edge of the plate.
     """
 
     points: np.ndarray

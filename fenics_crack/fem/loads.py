@@ -40,7 +40,7 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
     """Mean, cosine and sine part of the load on all dofs that this rank owns, clamped ones too,
     (3, n_dofs) [N], and what is watched of the free ones (n_local,).
 
-    What is watched of a displacement u is its product with that vector [m]; None: the dof that
+    The watched displacement is the product of u with that vector [m]; None: the dof that
     carries most of the load. ``mass`` is the mass matrix with the clamped rows (collective).
 
     Raises

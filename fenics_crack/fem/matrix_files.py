@@ -273,7 +273,7 @@ def find_pairs(
     stiffness : (n_dofs, n_dofs)
         Says which nodes are joined.
     turns : bool
-        Whether nodes turn, as those of shells, whose cracks are lines.
+        True if nodes turn, as those of shells, whose cracks are lines.
 
     Raises
     ------

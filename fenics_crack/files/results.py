@@ -53,7 +53,7 @@ def save(
     Parameters
     ----------
     result : Modes, PeriodicSolution, ResponseCurve, Backbone or TimeHistory
-        What to write.
+        Result to write.
     path : path
         The file; an older one is replaced once the new one is complete.
     scene : Scene, optional
@@ -100,7 +100,7 @@ def load(path: str | Path, structure: Structure, contact: Law = None) -> Result:
     Returns
     -------
     Modes, PeriodicSolution, ResponseCurve, Backbone or TimeHistory
-        What was written.
+        Result that was written.
 
     Raises
     ------

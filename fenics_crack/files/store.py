@@ -63,7 +63,7 @@ def write(
     path : path
         The file; an older one is replaced once the new one is complete.
     kind : str
-        What is in it, for example "response curve".
+        Kind of its contents, for example "response curve".
     scene : Scene, optional
         Its scene.
 

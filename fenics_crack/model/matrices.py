@@ -116,7 +116,7 @@ def read_matrix(
     labels : Path, optional
         The file with node and direction of each row.
     rows : int, optional
-        How many it has, where that is known and the file does not name them.
+        Number of entries, where that is known and the file does not name them.
 
     Raises
     ------

@@ -46,7 +46,7 @@ class AllModes:
     pairs : (n, n_pairs)
         Phi^T B.
     unconstrained : bool
-        Whether the structure can move as a rigid body.
+        True if the structure can move as a rigid body.
     residual : (n_pairs, n_pairs) [m/N] or None
         R_inf, the compliance of what has no mass; None where all has.
     """

@@ -60,7 +60,7 @@ class Modes(Tabular):
     shapes : (n_local, count) [kg^-1/2]
         Mass-normalised; the largest component is positive (of equal ones, the first by position).
     structure : Structure
-        What vibrates.
+        Structure that vibrates.
     """
 
     omega: np.ndarray

@@ -146,7 +146,7 @@ class Coordinates(Hinted):
     pairs : Pairs
         Positions, areas and cracks of the contact pairs where there is a mesh.
     watched : (n_local,) or None
-        What a displacement is multiplied by for the motion that is watched [m]; None: the dof that
+        Factors of a displacement in the watched motion [m]; None: the dof that
         carries most of the load.
     """
 

@@ -42,7 +42,7 @@ class ReducedStructure(Structure):
     Attributes
     ----------
     whole : Structure
-        What was reduced.
+        Structure that was reduced.
     basis : (whole.n_local, n_dofs)
         T, M-orthonormal; its columns are modes of the reduced structure.
     omega : (n_dofs,) [rad/s]
@@ -212,7 +212,7 @@ class MasslessInterface(ReducedStructure):
     shapes : (n_dofs, n_modes)
         Phi, mass-normalised.
     left : (n_dofs, n_dofs) [m/N]
-        What the modes leave out: displacement by forces, without inertia.
+        Displacement by forces beyond the modes, without inertia.
     """
 
     light_lips = True

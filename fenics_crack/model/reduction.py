@@ -87,12 +87,12 @@ def reduce_structure(
     Parameters
     ----------
     structure : Structure
-        What to reduce.
+        Structure to reduce.
     modes : int, optional
-        How many of the lowest modes to keep; default: those that are damped, but 50 if all of more
+        Number of the lowest modes to keep; default: those that are damped, but 50 if all of more
         than 600 are; without damping, or with a matrix, 20.
     method : "massless", "free_interface", "craig_bampton" or "truncation"
-        What stands in T beside the modes.
+        Columns of T beside the modes.
     judged : bool
         Keep what estimates the error of the reduction, too: twice the modes, or more static shapes.
 

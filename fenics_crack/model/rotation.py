@@ -201,7 +201,7 @@ class Ritz:
     Attributes
     ----------
     whole : Structure
-        What was reduced, at its own speed.
+        Structure that was reduced, at its own speed.
     basis : (whole.n_local, n)
         V.
     at_rest, stiffness : (n, n), (3, n, n)
@@ -215,7 +215,7 @@ class Ritz:
     mass, gap
         The mass as a matrix of PETSc's, and V^T B.
     modes : int
-        How many modes have mass.
+        Number of modes with mass.
     """
 
     whole: Structure
@@ -404,7 +404,7 @@ def run_up_structure(structure: Structure, start: float, stop: float, modes: int
     start, stop : float
         Ends of the range [rad/s].
     modes : int
-        How many modes of each speed are in the basis.
+        Number of modes of each speed in the basis.
 
     Returns
     -------

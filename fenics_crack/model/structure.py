@@ -52,7 +52,7 @@ class ModalDamping:
     ratio : float or tuple of float
         xi_j, of critical damping: one for all modes, or one per mode.
     modes : int or None
-        How many of the lowest modes are damped; None: all.
+        Number of the lowest modes that are damped; None: all.
 
     Raises
     ------
@@ -209,9 +209,9 @@ class Structure(Coordinates):
     damping_factor : float
         Factor of the damping relative to that of :attr:`original`; 1 unless varied.
     clamp : fenics_crack.model.nodes.Clamp or None
-        What holds a mesh; None of matrices, and of a reduced structure, whose whole one has it.
+        Clamp of a mesh; None of matrices, and of a reduced structure, whose whole one has it.
     rotation : fenics_crack.model.rotation.Rotation or None
-        What rotation has added to the matrices and the mean load; None at rest.
+        Terms that rotation has added to the matrices and the mean load; None at rest.
     """
 
     stiffness: Any
@@ -367,7 +367,7 @@ class Structure(Coordinates):
         damping : float
             Factor >= 0.
         clearance : float or (n_pairs,) [m]
-            What is added.
+            Terms that are added.
 
         Raises
         ------

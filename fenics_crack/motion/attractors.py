@@ -28,7 +28,7 @@ class Attractor:
     orbit : PeriodicOrbit or None
         The stable orbit to which it settles, perhaps one of several periods; None where it has not.
     told : str
-        What it does, in words.
+        Outcome in words.
     periods : int
         Of the load, that it was followed for.
     orbits : FlowOrbits

@@ -107,7 +107,7 @@ class Flow:
     structure : Structure
     contact : ContactLaw
     modes : AllModes
-        Those that move.
+        Modes that move.
     residual : (n_pairs, n_pairs) [m/N]
         R_inf.
     softness : (n_pairs,) [m/N]

@@ -78,9 +78,9 @@ class OrbitSearch:
     orbit : PeriodicOrbit or None
         A stable one if one was met, else the first.
     others : tuple of PeriodicOrbit
-        That were met as well.
+        Other orbits that were met.
     reason : str
-        How it was found, or what was tried and what the motion does.
+        Way in which it was found, or the attempts and the outcome of the motion.
     """
 
     orbit: PeriodicOrbit | None

@@ -150,7 +150,7 @@ class Equations(ABC):
         Of the unknowns.
     table : the kernel's equations
     many : bool
-        Whether one call follows many points of a path.
+        True if one call follows many points of a path.
     """
 
     shape: tuple[int, ...]

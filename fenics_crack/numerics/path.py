@@ -123,11 +123,11 @@ class Stretch(Sequence[PathPoint]):
     crossings : (n,) int
         1 where another branch has been crossed since the point before.
     met : list of (Event, PathPoint)
-        What lies between its last point and the one before it, and where.
+        Events between its last point and the one before it, and their places.
     records : (n, records), optional
-        What the system records of points that the kernel has found.
+        Records of points that the kernel has found.
     observed : (n, ...), optional
-        What a step control sees of all.
+        Values that a step control uses, of all.
     """
 
     observed: np.ndarray
@@ -210,14 +210,14 @@ class Event(ABC):
     Attributes
     ----------
     terminal : bool
-        Whether the path ends there,
+        True if the path ends there,
     words : str
         and the reason in words.
     sought : bool
-        Whether the path goes back, and on by a shorter step, where it may be there and is not
+        True if the path goes back, and on by a shorter step, where it may be there and is not
         found: a long step may have met another part.
     kind : str
-        What it is called if it is a special point.
+        Name if it is a special point.
     """
 
     terminal, sought, words, kind = False, False, "", ""
@@ -439,7 +439,7 @@ class Path:
     last : PathPoint
         The last point so far.
     ended : Ended or None
-        How it has ended, if it has.
+        Reason for the end, if it has ended.
     event : Event or None
         The terminal one that it has met.
     """

@@ -514,7 +514,7 @@ class Mesh(Table):
     coarser: str | None = path("the path of a .msh file")
     """The same part with fewer elements, for the errors due to those of ``file``."""
     error: bool = holds("true or false", default=True)
-    """Whether a coarser mesh says what this one contributes to the error of each number."""
+    """true: a coarser mesh gives the error of each number due to this one."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -737,7 +737,7 @@ class Growth(Table):
     toughness: float | None = positive(None, unit="Pa m^0.5")
     """K_max at which the plate breaks."""
     drive: str = choice("frequency", "resonance", "spectrum", default="frequency")
-    """Whether the load keeps the excitation's frequency, follows the largest response, or passes
+    """The load keeps the excitation's frequency, follows the largest response, or passes
     through the frequencies of ``run_up`` or of ``frequencies`` again and again."""
     run_up: Vector | None = holds(
         "[start, stop, rate], three numbers > 0 with start < stop",

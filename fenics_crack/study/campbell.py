@@ -72,9 +72,9 @@ class Campbell(Tabular):
     omega_partly : (n, m) [rad/s]
         With the pairs bonded that are pressed at rest, of the same shapes.
     cracked : bool
-        Whether there are crack faces.
+        True if there are crack faces.
     kind : (n, m) of "open", "tied", "partly" or "bilinear"
-        Which frequency is that of the crack at this speed, under the scene's load: it is held open,
+        Kind of the crack's frequency at this speed, under the scene's load: it is held open,
         held shut, held with some pairs pressed and the others open, or breathes.
     changes : tuple of (mode, speed, kind)
         Where between two speeds this changes: from which speed [rad/s] on the crack is of which
@@ -270,11 +270,11 @@ def campbell(
     speeds : (n,) [rad/s]
         Two or more, rising from 0 or more.
     count : int, optional
-        How many of the lowest modes; default: ``few``, or all of fewer.
+        Number of the lowest modes; default: ``few``, or all of fewer.
     comm : MPI.Comm
         Ranks that share the mesh.
     few : int
-        How many if ``count`` is not given.
+        Number if ``count`` is not given.
 
     Returns
     -------

@@ -37,7 +37,7 @@ class Answer(Study):
     Attributes
     ----------
     result : object
-        What was found.
+        Result of the computation.
     stated : Verification or None
         Its errors, where they were computed with it.
     """

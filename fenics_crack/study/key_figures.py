@@ -90,7 +90,7 @@ class KeyFigures:
     closed : int
         Pairs that are closed under the mean load and the preload alone.
     breathes : bool
-        Whether a pair that is then open closes, or one that is closed opens, at these frequencies.
+        True if a pair that is then open closes, or one that is closed opens, at these frequencies.
     modes_below : int
         Natural frequencies below that of the highest harmonic.
     modes_kept : int

@@ -111,7 +111,7 @@ def prepare(
     Parameters
     ----------
     scene : Scene
-        What to prepare.
+        Scene to prepare.
     comm : MPI.Comm
         Ranks that share the mesh.
     whole : bool

@@ -84,7 +84,7 @@ class Run(Answer, Generic[Found]):
     scene, structure, contact, watched
         As :class:`Study` has them.
     result : Modes, PeriodicSolution, ResponseCurve, Backbone or TimeHistory
-        What was found.
+        Result of the computation.
     stated : Verification or None
         Its :attr:`errors`, where they were computed with it.
     """
@@ -186,9 +186,9 @@ def modes(scene: Scene, count: int | None = None, comm: MPI.Comm = MPI.COMM_WORL
     Parameters
     ----------
     scene : Scene
-        What vibrates.
+        Scene that vibrates.
     count : int, optional
-        How many modes. Default: 6, or all of fewer.
+        Number of modes. Default: 6, or all of fewer.
     comm : MPI.Comm
         Ranks that share the structure.
 
@@ -221,7 +221,7 @@ def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution
     Parameters
     ----------
     scene : Scene
-        What vibrates, under which load and contact, and how it is balanced.
+        Scene with its load, contact and harmonic balance.
     comm : MPI.Comm
         Ranks that share the structure.
 
@@ -334,7 +334,7 @@ def curve(
     Parameters
     ----------
     scene : Scene
-        What vibrates, and along what it is followed.
+        Scene that vibrates, with its curve.
     comm : MPI.Comm
         Ranks that share the structure.
     progress : bool
@@ -418,7 +418,7 @@ def integrate(
     Parameters
     ----------
     scene : Scene
-        What vibrates.
+        Scene that vibrates.
     comm : MPI.Comm
         Ranks that share the structure.
     progress : bool
@@ -621,7 +621,7 @@ class StressIntensity(Tabular):
     time : (n,) [s]
         Over one period of a solution, or the record of a motion in time.
     tips : tuple of str
-        Which tips: "the tip", "the left tip", "the tip of crack 2".
+        Names of the crack tips: "the tip", "the left tip", "the tip of crack 2".
     points, ahead : (n_tips, 2) [m], (n_tips, 2)
         Where they are, and where the cracks run straight on.
     one, two : (n, n_tips) [Pa m^1/2]
@@ -719,7 +719,7 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     Parameters
     ----------
     run : Run
-        What :func:`fenics_crack.solve` or :func:`fenics_crack.integrate` returns, of a plate with a
+        Result of :func:`fenics_crack.solve` or :func:`fenics_crack.integrate`, of a plate with a
         crack.
 
     Returns
@@ -812,7 +812,7 @@ def reaction(run: Run[PeriodicSolution] | Run[TimeHistory]) -> Reaction:
     Parameters
     ----------
     run : Run
-        What :func:`fenics_crack.solve` or :func:`fenics_crack.integrate` returns, of a mesh at
+        Result of :func:`fenics_crack.solve` or :func:`fenics_crack.integrate`, of a mesh at
         rest.
 
     Returns

@@ -98,7 +98,7 @@ class Numbers:
     values, units : dict of str to float, and to str
         As :class:`Verification` has them.
     resonance : str
-        Which of them is the natural frequency nearest to the load's.
+        Name of the natural frequency nearest to the load's.
     mode : int
         Its mode.
     """
@@ -159,7 +159,7 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
     found : PeriodicSolution
         The answer.
     of_peak : bool
-        Whether it is the largest of a curve over the frequency, which moves with the resonance.
+        True if it is the largest of a curve over the frequency, which moves with the resonance.
 
     Returns
     -------

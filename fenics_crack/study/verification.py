@@ -137,7 +137,7 @@ def grid_convergence(
     sizes : (2,) or (3,)
         Of elements or steps, in any unit, all different; or reciprocals of numbers of something.
     values : (2,) or (3,)
-        What was computed with these.
+        Values computed with these.
     formal : float
         The order that theory expects.
     highest : float

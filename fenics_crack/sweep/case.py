@@ -47,15 +47,15 @@ class Asked:
     Attributes
     ----------
     unit_loads : bool
-        Whether geometries are built with unit loads.
+        True if geometries are built with unit loads.
     hopeless : bool
-        Whether a structure that stays large ends the sweep.
+        True if a structure that stays large ends the sweep.
     at_resonance : bool
-        Whether each case is solved where it answers most.
+        True if each case is solved at its largest response.
     verdicts : bool
-        Whether the stability of each case is judged.
+        True if the stability of each case is assessed.
     judged : bool
-        Whether the reduction is.
+        True if the error of the reduction is.
     natural : frozenset of int
         Places on the last axis at which natural frequencies alone are found.
     count : int
@@ -80,14 +80,14 @@ class Geometry:
     study : Study
         With a small structure without clearance.
     unit_loads : bool
-        Whether its load has a sine part of 1 N in x, a cosine part of 1 N in y and, of a solid, a
+        True if its load has a sine part of 1 N in x, a cosine part of 1 N in y and, of a solid, a
         mean of 1 N in z.
     crack_length : float [m]
         Of the first crack; nan where it is unknown.
     natural : BilinearFrequencies
         With the crack open and bonded.
     watched : dict of str to (n_dofs,)
-        What the coordinates are multiplied by for the motion of the named points [m], by "tip.ux",
+        Factors of the coordinates in the motion of the named points [m], by "tip.ux",
         and at the load, by ""; of one load alone its own vector does that.
     """
 

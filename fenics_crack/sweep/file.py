@@ -134,7 +134,7 @@ class SweepFile:
     Attributes
     ----------
     made : bool
-        Whether it is new.
+        True if it is new.
     stored : Stored
         Where everything is in it.
     state : array of int

@@ -74,7 +74,7 @@ class Growth(Tabular):
     rate : (n,) [m]
         In a cycle; the mean of a spectrum; 0 where the crack is arrested.
     end : "reached", "arrested" or "broken"
-        Whether the length that was asked for is reached, the range falls below the threshold, or
+        Reason: the requested length is reached, the range falls below the threshold, or
         K_max reaches the toughness.
     solved : (k,) [m]
         Lengths that were solved; between them are splines.
@@ -83,7 +83,7 @@ class Growth(Tabular):
         (mesh, modes and harmonics, where half of the cycles are over; also by what part of a
         spectrum is above the threshold), and by "interpolation", between lengths and in a run-up.
     remarks : tuple of str
-        What is in doubt.
+        Doubts about the growth.
     """
 
     scene: Scene

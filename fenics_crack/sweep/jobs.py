@@ -53,7 +53,7 @@ class Worker:
     group : MPI.Comm
         Its ranks.
     asked : Asked
-        What is asked of each case.
+        Request for each case.
     """
 
     def __init__(self, group: MPI.Comm, asked: Asked) -> None:

@@ -56,7 +56,7 @@ class March:
     Attributes
     ----------
     structure : Structure
-        What vibrates, under its own load.
+        Structure that vibrates, under its own load.
     omega : float
         Angular frequency of the load [rad/s].
     contact : ContactLaw
