@@ -1,7 +1,7 @@
 """A program of its own that reads strange files: ``outside_reader.py READER SOCKET``.
 
 READER is a file of Python with ``read(path, most)``; its libraries are loaded once. Each file that
-is asked for at the open socket of number SOCKET is read by a copy of this process (fork): arrays of
+is requested at the open socket of number SOCKET is read by a copy of this process (fork): arrays of
 up to MOST bytes of numbers go to the file that is handed over, as .npz; or the reason why there are
 none. What is read may crash the copy, ask for all memory or not end, so its memory and its times
 are limited. The answer is how it ended.

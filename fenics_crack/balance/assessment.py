@@ -40,7 +40,7 @@ distance over predicted error. On 680 solutions of 170 systems 99 % of chains, 8
 
 class Assessment:
     """Assessment of a harmonic-balance solution by the exact flow; each part is computed when it is
-    first asked for, from the solution alone.
+    first requested, from the solution alone.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ class Assessment:
                 "cycles in a period, too many for exact time integration; keep fewer modes"
             )
         if self.flow is None:
-            return "its law or its structure has no exact flow"
+            return "there is no exact flow for its law or structure"
         if self.prediction is None:
             return "the crack opens and closes too often; less so with crack faces without mass"
         expected = self.predicted_error

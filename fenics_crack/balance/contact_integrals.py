@@ -146,7 +146,7 @@ class ContactIntegrals(ABC):
 def contact_integrals(
     law: ContactLaw, harmonics: int, samples: int | None = None, periods: int = 1
 ) -> PairIntegrals:
-    """Exact integrals where the law is piecewise linear and no samples are asked for; else sampled
+    """Exact integrals where the law is piecewise linear and no samples are requested; else sampled
     ones, by default :func:`default_samples` for each of the load's ``periods``."""
     if samples is None and is_piecewise_linear(law):
         return ExactIntegrals(law, harmonics)
@@ -240,7 +240,7 @@ PairIntegrals = ExactIntegrals | SampledIntegrals
 
 
 class PairForces(ContactForces):
-    """Forces of pairs that nothing couples.
+    """Forces of uncoupled pairs: local contact.
 
     Attributes
     ----------

@@ -323,7 +323,7 @@ class Wave:
 
     def contact_force(self, time: np.ndarray) -> np.ndarray:
         """Contact force at times [s]: (len(time), n_pairs) [N], lambda(g(t)) or lambda(s(t)); of a
-        constraint of pairs that nothing couples, eps max(0, g + lambda / eps) of the waves."""
+        constraint of uncoupled pairs, eps max(0, g + lambda / eps) of the waves."""
         gap = evaluate(self.slow_gap_coefficients, self.base_omega, time)
         if self.contact is None:
             return np.zeros_like(gap)

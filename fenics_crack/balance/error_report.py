@@ -57,7 +57,7 @@ class ErrorReport(Described):
     """Estimated errors of the gap, relative to the root mean square of B^T u, to which its means
     contribute no more than all else.
 
-    An estimate of 1 says that the error is not known: the better equations that it is judged by
+    An estimate of 1 says that the error is not known: the better equations that it is assessed by
     were not solved, or lead to another motion.
 
     Attributes
@@ -96,7 +96,7 @@ class ErrorReport(Described):
 
     @property
     def estimated(self) -> bool:
-        """True if the total was asked for."""
+        """True if the total was requested."""
         return not math.isnan(self.total)
 
     @property
@@ -238,7 +238,7 @@ def beyond_truncation(at: ContactPoint, wave: Wave) -> Errors:
 
 
 def _more_harmonics(at: ContactPoint) -> int:
-    """With how many harmonics the truncation is judged: four times as many, or as many as leave the
+    """Number of harmonics that assess the truncation: four times as many, or as many as leave the
     equations small, but at least twice."""
     kept, pairs = at.system.integrals.harmonics, at.unknown.shape[1]
     return max(2 * kept, kept + 4, min(4 * kept, (SMALL // pairs - 1) // 2))

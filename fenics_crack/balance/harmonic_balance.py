@@ -11,7 +11,7 @@ solve
 
     u_k = A_k^-1 (c_k - B b_k),    b_k those of lambda(g(t)),
 
-for every k: as many of them are kept as the tolerance asks for, by the distance of their sum from
+for every k: as many of them are kept as the tolerance requires, by the distance of their sum from
 the orbit. What a reduction leaves out is the distance to the orbit of its reference, which has
 twice the modes; the modes of a large structure are doubled until that is small.
 The search is independent of the tolerance, so that a tighter one never gives a worse solution.
@@ -199,7 +199,7 @@ def solve_harmonic_balance(
     samples : int, optional
         As in :class:`fenics_crack.Problem`; at least 4 H + 1.
     harmonics : int, optional
-        H; default: 5, or what ``tolerance`` asks for.
+        H; default: 5, or what ``tolerance`` requests.
     initial : PeriodicSolution, optional
         Where Newton starts; default: the linear solution. May have other harmonics,
         and a subharmonic that divides that of the response.
@@ -298,7 +298,7 @@ def solve_to_tolerance(
 ) -> PeriodicSolution:
     """The solution with few modes and harmonics that meet a tolerance, no fewer harmonics than the
     problem has; else the best one, or the error that says how far it is from what was
-    asked for.
+    requested.
 
     ``reduced_to`` gives the structure with so many modes (collective), which are as many as
     ``modes`` at first; by itself only a structure of many dofs is reduced.

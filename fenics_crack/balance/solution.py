@@ -250,7 +250,7 @@ class PeriodicSolution(Wave, Described):
     report : ErrorReport
         Estimated errors, relative to the gap's amplitude.
     stability : Stability or None
-        Where it has been judged (:func:`fenics_crack.floquet`).
+        Set by :func:`fenics_crack.floquet`.
     others : tuple of PeriodicOrbit
         Exact orbits at the same frequency that were met when this one was sought.
     assessment : Assessment
@@ -442,7 +442,7 @@ class Solver:
         self, initial: PeriodicSolution | None, *, wholly: bool = True, reported: bool = True
     ) -> tuple[Search, PeriodicSolution]:
         """The same, whether or not it converged, and the record of the search; its errors are
-        estimated unless they are not asked for."""
+        estimated unless they are not requested."""
         compliance, share = self.compliance(), 1.0 if wholly else 1.0 / len(SearchOptions.harmonics)
         try:
             problem = self.problem.weighted(compliance)

@@ -103,7 +103,7 @@ class Account:
         Printed as text; default: the summary.
     facts, notes, warnings : iterables of str
         Results, further information, doubts; the first fact is the summary. Facts may
-        cost something, and are asked for once.
+        cost something, and are requested once.
     verdict : (str, str)
         Sentence on the stability; and "good", "bad" or "doubtful".
     tables : dict of Table
@@ -168,7 +168,7 @@ def of_error(
 ) -> Iterator[str]:
     """A warning of an estimated error above a limit, with what makes it smaller: by its largest
     part, and never what the scene does already."""
-    if not report.total > limit:  # or not asked for
+    if not report.total > limit:  # or not requested
         return
     part = report.largest_part
     if part == "truncation":
@@ -523,7 +523,7 @@ def few_cases(found: SweepResult) -> tuple[Table, str]:
 def _fitting(found: SweepResult, columns: list[str]) -> tuple[Table, str]:
     """The table of some columns, without the last quantities if it is too wide; and that in words.
 
-    What a scene asks for by ``output.quantities`` is printed, whatever its width.
+    What a scene requests by ``output.quantities`` is printed, whatever its width.
     """
     left, chosen = [*found.quantities], found.scene.quantities is not None
     while True:

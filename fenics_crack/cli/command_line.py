@@ -151,7 +151,7 @@ def _say(text: str, stream: TextIO | None = None) -> None:
 
 
 def _show_lines_of(table: str) -> None:
-    """Print lines to be pasted where a scene lacks a table that a command asks for."""
+    """Print lines to be pasted where a scene lacks a table that a command requests."""
     from fenics_crack.cli.given import lines_of
 
     if lines := lines_of(table):

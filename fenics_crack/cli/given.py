@@ -4,7 +4,7 @@ folder and console for its output; and the scene that ``new`` writes.
 Reading it needs NumPy alone, which loads in a tenth of the time of the libraries that compute.
 
 Lines of the template of ``new`` that end in a mark, ``(--blade)``, are commented out, or in, where
-that is asked for: a blade on a rotor in place of a plate, probes in its casing, a crack that is
+that is requested: a blade on a rotor in place of a plate, probes in its casing, a crack that is
 looked for.
 """
 
@@ -180,7 +180,7 @@ class Console:
         print(table.formatted(self.form), end="", flush=True)
 
     def note(self, *texts: str) -> None:
-        """Print remarks, unless they are empty or quiet is asked for."""
+        """Print remarks, unless they are empty or quiet is requested."""
         for text in texts:
             if text and not self.quiet:
                 print(text, file=sys.stderr, flush=True)
@@ -204,7 +204,7 @@ class Console:
 
     @contextmanager
     def stage(self, name: str, *, bars: bool = False) -> Iterator[None]:
-        """The same, and unless quiet is asked for what is done in that part while it is done: where
+        """The same, and unless quiet is requested what is done in that part while it is done: where
         no progress is shown, now and then, and nothing beside ``bars`` of all that is done."""
         silent = self.quiet or (bars and self.progress)
         lines = nullcontext() if silent else listening(StageLines(kept=self.progress))

@@ -557,7 +557,7 @@ def _write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) -
     target : Path
         The .html file.
     command : sequence of str
-        The words of the command that asked for it.
+        The words of the command that requested it.
 
     Raises
     ------

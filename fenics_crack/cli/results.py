@@ -169,7 +169,7 @@ def _in_doubt(run: Run[PeriodicSolution]) -> dict[str, object]:
 
 
 def _in_numbers(table: Table, scene: Scene) -> dict[str, Table]:
-    """All numbers, of which a page shows the first ones; before them those that are asked for."""
+    """All numbers, of which a page shows the first ones; before them those that are requested."""
     chosen = scene.quantities or ()
     rows = [row for row in table.rows if str(row[0]).rpartition(".")[2] in chosen]
     first = {"What the scene asks for": readable_rows(Table(table.columns, rows))} if rows else {}
@@ -759,7 +759,7 @@ def _account_of_identified(found: Identified) -> Account:
     facts += [f"remark: {remark}" for remark in values["remarks"]]
     facts += [f"next to measure: {advice}" for advice in values["advice"]]
     tables = {
-        "What is looked for": summary,
+        "Unknowns": summary,
         "Measurements, and what the estimate predicts": Table(FITTED, values["measurements"]),
     }
     return Account("identify", summary, facts=facts, warnings=values["warnings"], tables=tables)

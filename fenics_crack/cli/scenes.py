@@ -101,7 +101,7 @@ def _extents(figures: KeyFigures) -> dict[str, object]:
 
 
 def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:
-    """The first natural frequencies, and the frequency asked for in parts of the first."""
+    """The first natural frequencies, and the load's frequency over the first."""
     faces = faces_in_words(scene)
     lips = {f", {faces} open": figures.omega_open, f", {faces} bonded": figures.omega_tied}
     if figures.elements is None:

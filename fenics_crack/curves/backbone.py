@@ -87,7 +87,7 @@ class Backbone(Tabular):
     iterations : (n,) int
         Newton iterations of each point.
     complete : bool
-        True if the energy asked for was reached.
+        True if the requested energy was reached.
     status : str
         Reason for the end.
     jumps : (n,) bool
@@ -178,8 +178,8 @@ class Backbone(Tabular):
         return ErrorReport(residual, min(truncation, UNKNOWN), *[math.nan] * 3)
 
     def _more_harmonics(self, omega: float) -> int:
-        """With how many the truncation is judged: four times as many, and enough for modes that
-        they do not reach."""
+        """Number of harmonics that assess the truncation: four times as many, and enough for modes
+        that they do not reach."""
         squares = all_modes(self.structure).squares
         reaching = int(math.sqrt(max(float(squares.max()), 0.0)) / omega) + 1
         return max(4 * self.harmonics, self.harmonics + 8, min(reaching, SMALL // len(squares)))

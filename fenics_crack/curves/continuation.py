@@ -56,7 +56,7 @@ class Continuation(Growing):
         Without ``samples``. Choose H, between the problem's ``harmonics`` and 100, so that the
         estimated truncation error of the first point is below this.
     stability : bool
-        Judge ``curve`` each time that it is taken (:func:`judge_curve`).
+        Assess ``curve`` each time that it is taken (:func:`judge_curve`).
     longest_step : float
         Longest step, relative to the range of the parameter and to the size of the solution; at
         most 1; default: 0.05.
@@ -137,7 +137,7 @@ class Continuation(Growing):
 
     @property
     def curve(self) -> ResponseCurve:
-        """All points so far; judged with ``stability=True``."""
+        """All points so far; assessed with ``stability=True``."""
         found = self.followed
         return judge_curve(found) if self._judged else found  # type: ignore[arg-type]
 

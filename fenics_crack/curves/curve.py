@@ -180,7 +180,7 @@ class ResponseCurve(Tabular):
     bifurcations : tuple of Bifurcation
         Special points, in order along the curve.
     complete : bool
-        True if the curve reached the end that was asked for, or closed.
+        True if the curve reached the requested end, or closed.
     status : str
         Reason for the end.
     subharmonic : int
@@ -233,7 +233,7 @@ class ResponseCurve(Tabular):
 
     @property
     def undecided(self) -> np.ndarray | None:
-        """Points of undecided stability: (n,) bool; None: not asked for."""
+        """Points of undecided stability: (n,) bool; None: not requested."""
         raise NotImplementedError
 
     @property
@@ -303,7 +303,7 @@ class ResponseCurve(Tabular):
         return replace(self, **columns, bifurcations=())
 
     def unjudged(self) -> Self:
-        """As it was followed, without what has been asked for since."""
+        """As it was followed, without what has been requested since."""
         return self
 
     def bifurcation(

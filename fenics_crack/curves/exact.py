@@ -77,7 +77,7 @@ def judge_curve(curve: HarmonicCurve) -> HarmonicCurve:
 
 
 def _decides(curve: HarmonicCurve, place: int, multipliers: np.ndarray) -> bool:
-    """Judge a point, whose leading multiplier is set; whether that is decided."""
+    """Assess a point, whose leading multiplier is set; True if that is decided."""
     known = curve.assessment(place)
     if not known.predicted_error <= MAX_ERROR:  # no orbit would be its own
         return False

@@ -44,7 +44,7 @@ class Family(ABC):
         first = self.system(start)
         self.shape, self.matrix_free = first.shape, first.matrix_free
         self.counts: np.ndarray | None = None
-        """How much unknowns count where turns of a path are judged. Of equations with so many
+        """Weights of the unknowns in turns of a path. Of equations with so many
         harmonics that J is not formed harmonic k counts 1 / k^2: where the phase of the motion
         turns, that of harmonic k turns k times as far, and a tangent's high harmonics are not
         small."""
@@ -123,7 +123,7 @@ class Family(ABC):
         """The unknowns of what a curve keeps."""
         return state
 
-    # --- what paths ask for -----------------------------------------------------------------------
+    # --- what paths require -----------------------------------------------------------------------
 
     @cached_property
     def compiled(self) -> CompiledEquations | None:

@@ -49,7 +49,7 @@ class CurveOptions(TypedDict, total=False):
         In place of ``harmonics`` and ``samples``: follow exact orbits, an :class:`OrbitCurve` whose
         solutions are kept to this error. Where their flow is not known, as for smooth laws, or they
         would take too long, with more than 120 modes or under a very slow load: harmonic balance
-        with as many harmonics as the truncation error of the first point asks for.
+        with as many harmonics as the truncation error of the first point requires.
     stability, longest_step, most_points, turning_back
         As in :class:`.Continuation`; exact orbits always have their stability.
     resume
@@ -307,7 +307,7 @@ def _continuation(
     span: tuple[str, float, float],
     options: Mapping[str, Any],
 ) -> Growing:
-    """The continuation that options ask for, from the start or of an unfinished curve."""
+    """The continuation that options request, from the start or of an unfinished curve."""
     given: dict[str, Any] = dict(options)
     resume, tolerance = given.pop("resume", None), given.get("tolerance")
     keys = "harmonics", "samples", "subharmonic", "initial"
@@ -361,7 +361,7 @@ def _run(
     again: Callable[[Growing], Growing | None] | None = None,
 ) -> ResponseCurve:
     """Follow to the end, where the curve comes back to its start from another solution there; the
-    curve, judged if that is asked for, but not after Ctrl-C."""
+    curve, assessed if requested, but not after Ctrl-C."""
     try:
         try:
             _follow(growing, progress)

@@ -184,7 +184,7 @@ class Growing(ABC):
 
     @property
     def followed(self) -> ResponseCurve:
-        """All points so far, without verdicts that are asked for."""
+        """All points so far, without verdicts that are requested."""
         problem, points, state = self._problem, self.points, self._family.state
         found = self._kind(
             structure=problem.structure,

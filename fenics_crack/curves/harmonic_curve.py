@@ -40,7 +40,7 @@ class HarmonicCurve(ResponseCurve):
         point's own (:func:`judge_curve`).
     undecided : (n,) bool or None
         Where the stability is left open (:func:`judge_curve`), for a :meth:`reason`; None: not
-        judged.
+        assessed.
     static_above : float or None
         With a residual flexibility R_inf, the same for all points: the frequency [rad/s] above
         which modes are quasi-static (:class:`fenics_crack.Problem`); else None.
@@ -92,7 +92,7 @@ class HarmonicCurve(ResponseCurve):
         if not self._open[index]:
             return ""
         if self._open.all():
-            return "no point of the curve has an exact orbit of its own"
+            return "no exact orbit is accepted for any point of the curve"
         return self.assessment(index).reason or "its largest multiplier is 1 to rounding"
 
     def unjudged(self) -> HarmonicCurve:

@@ -1,7 +1,7 @@
 """Response curves of exact orbits: states at phase zero, and everything that follows from them.
 
 A point is the state z = (q, q') at phase zero of the load, in the modes of the structure as the
-parameter varies it; the motion over its period is followed anew wherever more is asked for.
+parameter varies it; the motion over its period is followed anew wherever more is requested.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class OrbitCurve(ResponseCurve):
         return orbit_from(flow, omega, self.states[index], self.subharmonic, iterations)
 
     def solution(self, index: int, *, search: bool = True) -> PeriodicSolution:
-        """Fourier series of the orbit at a point, as long as the tolerance asks for, with its error
+        """Fourier series of the orbit at a point, as long as the tolerance requires, with its error
         report; nothing is searched for."""
         return solution_of_orbit(self.problem_of(index), self.orbit(index), self.tolerance)
 

@@ -149,7 +149,7 @@ class OrbitFamily:
         change = self.moved(unknown, parameter, 0.5) - unknown
         return float(np.linalg.norm(change) / (np.linalg.norm(unknown) or 1.0))
 
-    # --- what paths ask for -----------------------------------------------------------------------
+    # --- what paths require -----------------------------------------------------------------------
 
     @cached_property
     def compiled(self) -> ShootingEquations | None:

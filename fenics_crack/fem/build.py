@@ -1,7 +1,7 @@
 """The structure of a scene, whose crack may be given by its length or by a natural frequency.
 
 Lengths found from a frequency are kept beside the compiled forms in the user's cache. A file holds
-a length [m] and what its frequency exceeds the one asked for by [rad/s]. Its name is a digest of
+a length [m] and what its frequency exceeds the requested one by [rad/s]. Its name is a digest of
 the tables of the scene on which both depend. Whoever reads it checks it: nothing rests on the file
 but time.
 

@@ -122,8 +122,8 @@ def _check_resolved(scene: Scene, tips: list[Tip], lips: np.ndarray) -> None:
             continue
         value = f"{tip.name}, {tip.radius / DOMAIN:.3g} m from an edge, a bend or another crack"
         allowed = (
-            f"further away than {element / DOMAIN:.3g} m where stress intensities are asked "
-            "for, or with shorter elements along the crack"
+            f"further away than {element / DOMAIN:.3g} m where stress intensities are requested, "
+            "or with shorter elements along the crack"
         )
         raise InputError("crack", value, allowed)
 

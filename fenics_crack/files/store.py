@@ -401,7 +401,7 @@ ABOUT: dict[str, tuple[str, str]] = {
     "watched_displacement": ("m", "instants; 'watched'"),
     "multipliers": ("1", "Floquet multipliers, those of a curve the largest of each point"),
     "rest_amplitude": ("m", "half peak-to-peak of the motion from rest at the watched dof"),
-    "static_above": ("rad/s", "modes of higher frequencies answer contact forces at once"),
+    "static_above": ("rad/s", "modes of higher frequencies are quasi-static"),
     "weight": ("N/m", "of the constraint"),
     "law_stiffness": ("N/m", "of all pairs, or of each"),
     "law_sharpness": ("1/m", ""),

@@ -16,7 +16,7 @@ or what Ansys' ``HBMAT`` writes beside the matrix that ``*EXPORT`` writes.
 
 Matrix Market files (Boisvert, Pozo and Remington, The Matrix Market exchange formats, NISTIR 5935,
 1996) are read strictly. SciPy's reader relies on what a file announces: depending on its version it
-does not end, asks for all memory, or crashes where the file is damaged. Here no file has more
+does not end, requests all memory, or crashes where the file is damaged. Here no file has more
 entries than it has bytes for, and a packed one is unpacked up to a limit that follows from its own
 size.
 """

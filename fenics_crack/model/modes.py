@@ -114,7 +114,7 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
         lips is none of these, count is not between 1 and n_dofs (less one for each pair that is
         bonded), or the number of modes with mass, or the stiffness has a negative eigenvalue.
     ConvergenceError
-        SLEPc found fewer modes than asked for, or the lowest frequency of a clamped mesh is lost in
+        SLEPc found fewer modes than requested, or the lowest frequency of a clamped mesh is lost in
         rounding.
 
     Examples
@@ -208,7 +208,7 @@ def _unassembled(structure: Structure, shapes: np.ndarray) -> np.ndarray:
 
 
 def _lowest(structure: Structure) -> list[np.ndarray]:
-    """Frequencies and shapes of the most modes that a structure has been asked for, crack open; it
+    """Frequencies and shapes of the most modes of a structure requested so far, crack open; it
     is not held by them itself, which would keep it alive."""
     return []
 

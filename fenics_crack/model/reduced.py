@@ -9,7 +9,7 @@ lowest modes Phi have mass; what they leave out is quasi-static (MacNeal, Comput
 so its coordinates are those of the modes, and the forces c on which G acts: c = -lambda on the
 pairs and the amplitudes of the load's parts. With X = [B, f] these have no mass and the stiffness
 S = X^T G X. No column of G X is held: displacements are expanded by static solutions when they are
-asked for.
+requested.
 """
 
 from __future__ import annotations

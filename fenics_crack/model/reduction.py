@@ -104,7 +104,7 @@ def reduce_structure(
     Raises
     ------
     InputError
-        Unknown method, fewer modes than asked for, more than 600 dofs with a ratio for each, or
+        Unknown method, fewer modes than requested, more than 600 dofs with a ratio for each, or
         with "craig_bampton" bonded pairs that leave no motion.
 
     Examples
@@ -180,7 +180,7 @@ def _static_shapes(
 
 
 def _massless(structure: Structure, modes: int, *, judged: bool) -> MasslessStructure:
-    """Modes and the rest without mass; its reference, by which it is judged, has twice the modes,
+    """Modes and the rest without mass; its reference, by which it is assessed, has twice the modes,
     or ten more: where these leave something for every pair, without which it has mass, and no more
     than half of what the kept ones leave; else it has all modes."""
     twice, most = modes + max(modes, 10), structure.n_dofs - structure.n_pairs

@@ -258,7 +258,7 @@ class Structure(Coordinates):
     def damping(self) -> Any:
         """ModalDamping, RayleighDamping, the matrix C [N s/m], or None (collective).
 
-        A varied copy computes it when it is first asked for: many copies never are.
+        A varied copy computes it when it is first requested: many copies never are.
         """
         given = self.original.damping
         if given is None or self.damping_factor == 1.0:
@@ -290,7 +290,7 @@ class Structure(Coordinates):
     def damping_matrix(self) -> Any:
         """C where damping is a matrix or Rayleigh's, else None (collective).
 
-        Rayleigh's is formed when it is first asked for.
+        Rayleigh's is formed when it is first requested.
         """
         damping = self.damping
         if isinstance(damping, RayleighDamping):

@@ -2,7 +2,7 @@
 
 A system is linearised at a point, and the answer is a value: residual, solutions with the Jacobian,
 derivative by the parameter and orientation belong to that point and to no other, in whatever order
-they are asked for, and each is computed when it is first asked for. What
+they are requested, and each is computed when it is first requested. What
 rounding leaves of a residual is known too.
 
 The loops are the kernel's, which knows equations by a table of functions (``kernel/equations.h``).
@@ -79,7 +79,7 @@ class System(Protocol):
     """F(x, p) = 0 for unknowns in arrays of one shape, the same on every rank.
 
     It may have more: ``compiled``, its kernel's equations; ``counts``, by how much each unknown
-    counts where turns are judged; ``means``, how many of the unknowns, the first, are means over
+    counts in turns; ``means``, how many of the unknowns, the first, are means over
     time; and ``records``, how many numbers paths may keep of each point, the ``record`` of its
     linearisation, with ``observe(records)``, what a step control sees of them: (n, ...) of
     (n, records).

@@ -22,7 +22,7 @@ All paths are followed with this loop: response curves, paths to a cold start, b
 branches of exact orbits. It is the kernel's
 (``kernel/bordered.c``), for compiled equations and for those in Python (:mod:`equations`). Single
 solutions go through it where the kernel has their equations, and through PETSc's SNES
-where it has not, or where PETSc's options ask for that. Curves never do: SNES knows
+where it has not, or where PETSc's options request that. Curves never do: SNES knows
 no border, and at given parameters, where none is needed, an iteration by SNES takes ten times as
 long as one by the compiled loop (``benchmarks/curves.py --only newton``, 21 unknowns).
 
@@ -168,7 +168,7 @@ class Newton:
         return found, self._snes.getConvergedReason() > 0, self._snes.getIterationNumber()
 
     def _point(self, unknown: Any) -> Linearisation:
-        """The system at a vector; SNES asks for residual and Jacobian at the same one."""
+        """The system at a vector; SNES requests residual and Jacobian at the same one."""
         if self._at is None or not np.array_equal(unknown.array_r, self._at[0]):
             place = unknown.array_r.copy()
             at = self.system.linearise(place.reshape(self.system.shape), self._parameter)
@@ -176,7 +176,7 @@ class Newton:
         return self._at[1]
 
     def _converged(self, snes: Any, count: int, norms: tuple[float, float, float]) -> int:
-        """Judge the residual relative to the unknowns themselves."""
+        """Measure the residual relative to the unknowns themselves."""
         self._history.append(norms[2])
         if not np.isfinite(norms[2]):
             return int(PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN)

@@ -16,7 +16,7 @@ A step of length h
 The steps are the kernel's (``kernel/path.c``), many of them in one call where the equations are
 compiled (:mod:`equations`). What may happen between two points is an :class:`Event`: a fold, a
 value of the parameter that is sought, a path that closes, a branch that crosses, any function that
-vanishes. A path ends at those that are terminal. A :class:`StepControl` may ask for shorter steps,
+vanishes. A path ends at those that are terminal. A :class:`StepControl` may require shorter steps,
 by what it observes of the points.
 
 Source: Keller, in Applications of Bifurcation Theory, 1977; Seydel, Practical Bifurcation and

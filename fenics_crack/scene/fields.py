@@ -332,7 +332,7 @@ class Table(Hinted):
     a key does not take, "edge = top"."""
 
     def with_vectors(self, dimension: int) -> Any:
-        """The same in a plane or in space, its vectors of zeros as long as that asks for.
+        """The same in a plane or in space, its vectors of zeros as long as that requires.
 
         Raises
         ------

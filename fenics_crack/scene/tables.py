@@ -447,7 +447,7 @@ class HarmonicBalance(Table):
     tolerance: float | None = positive(None)
     """Find the exact orbit, and keep so many of its harmonics, and modes, that the error stays
     below this; a curve is one of exact orbits. Default: 0.01, but none where harmonics or samples
-    are given, or no error is asked for."""
+    are given, or no error is requested."""
     error: bool = holds("true or false", default=True)
     """false: neither the error nor the stability of solutions is found, which takes longer than the
     solution itself where there are many pairs or modes."""

@@ -40,7 +40,7 @@ def prepare_asked(study: Study) -> None:
 
 
 def asked_of_motion(study: Study, motion: PeriodicSolution | TimeHistory) -> dict[str, float]:
-    """The quantities of a solution or a march that its scene asks for (collective)."""
+    """The quantities of a solution or a march that its scene requests (collective)."""
     names = asked_quantities(study.scene)
     found: dict[str, float] = {}
     if _AT_TIPS & set(names):
@@ -54,7 +54,7 @@ def asked_of_motion(study: Study, motion: PeriodicSolution | TimeHistory) -> dic
 
 
 def asked_along_curve(study: Study, curve: ResponseCurve) -> dict[str, np.ndarray]:
-    """The quantities that its scene asks for at every point of a curve, each (n,) (collective)."""
+    """The quantities that its scene requests at every point of a curve, each (n,) (collective)."""
     names = asked_quantities(study.scene)
     found: list[dict[str, float]] = [{} for _ in range(len(curve))]
     if _AT_TIPS & set(names):

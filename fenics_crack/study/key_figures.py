@@ -86,7 +86,7 @@ class KeyFigures:
         under the load's amplitude, both static.
     displacement, gap_motion : float [m]
         Largest amplitudes of what is watched, and of the gaps, with an open crack at the
-        frequencies that are asked for.
+        frequencies that are requested.
     closed : int
         Pairs that are closed under the mean load and the preload alone.
     breathes : bool
@@ -259,7 +259,7 @@ def _dynamic_part(natural: np.ndarray, ratios: np.ndarray, omega: float) -> np.n
     return 1.0 / np.where(below == 0.0, 1e-12 * squares, below) - static
 
 
-# --- the frequencies that a scene asks for --------------------------------------------------------
+# --- the frequencies that a scene requests --------------------------------------------------------
 
 
 def _omegas(scene: Scene, natural: np.ndarray) -> list[float]:

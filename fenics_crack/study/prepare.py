@@ -193,8 +193,8 @@ def _at_another_speed(scene: Scene, like: Study) -> Structure | None:
 
 
 def reduced(study: Study, *, judged: bool = True) -> Study:
-    """A study, reduced as its scene says unless it has been reduced, with what judges the reduction
-    unless that is not needed (collective).
+    """A study, reduced as its scene says unless it has been reduced, with the reference of the
+    reduction unless that is not needed (collective).
 
     Raises
     ------

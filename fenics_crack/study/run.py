@@ -95,7 +95,7 @@ class Run(Answer, Generic[Found]):
     @cached_property
     def errors(self) -> Verification | None:
         """Contributions of modes, harmonics and the mesh to the error of each number, by one other
-        run for each; of a curve those of its largest response. Computed when first asked for, and
+        run for each; of a curve those of its largest response. Computed when first requested, and
         None of motions in time (collective)."""
         return self.stated or errors_of(self, self.result)
 
@@ -593,8 +593,8 @@ def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
 
 
 def run_of(stored: Stored, comm: MPI.Comm = MPI.COMM_WORLD, *, judged: bool = True) -> Run[Result]:
-    """The run of a file that has been read, with what judges a reduction unless that is not needed;
-    raises as :func:`load_run` (collective)."""
+    """The run of a file that has been read, with the reference of a reduction unless that is not
+    needed; raises as :func:`load_run` (collective)."""
     kind, scene = type_of(stored), stored.scene()
     if scene is None:
         raise InputError("path", str(stored.path), f"a {kind.KIND} saved with its scene")
@@ -685,7 +685,7 @@ class StressIntensity(Tabular):
     @cached_property
     def errors(self) -> Verification | None:
         """Contributions of modes, harmonics and the mesh to the error of the leading crack tip's
-        numbers, by one other run for each; None of motions in time. Computed when first asked for
+        numbers, by one other run for each; None of motions in time. Computed when first requested
         (collective)."""
         scene = self._run.scene.replace({"output.quantities": tuple(self.numbers)})
         return errors_of(replace(self._run, scene=scene, stated=None), self._run.result)

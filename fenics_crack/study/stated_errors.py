@@ -267,7 +267,7 @@ def _more_harmonics(
 
 
 def _counted(part: GridConvergence, instants: int) -> GridConvergence:
-    """The same of a share of the period that is counted at instants: it is not known to one."""
+    """The same of a duty cycle, which is counted at instants: it is not known to one."""
     error = math.hypot(part.uncertainty(-1), 1.0 / instants)
     return replace(part, extrapolated=part.values[-1] + error)
 

@@ -142,7 +142,7 @@ def vibration_in(
     ------
     InputError
         As :func:`fit_order`, :func:`fit_frequency`, :func:`track_order` and :func:`find_passages`;
-        or a frequency is asked for in a run-up, orders in one that is computed, or more than first
+        or a frequency is requested in a run-up, orders in one that is computed, or more than first
         harmonics, or revolutions together, where its resonances are sought.
     """
     table = scene.given("tip_timing")

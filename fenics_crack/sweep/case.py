@@ -114,7 +114,7 @@ class Geometry:
 
 
 def build(scene: Scene, comm: MPI.Comm, asked: Asked, last: Geometry | None = None) -> Geometry:
-    """The geometry of a case, with what judges its reduction if that is asked for; the mesh of the
+    """The geometry of a case, with the reference of its reduction if requested; the mesh of the
     last one serves another speed of the rotor (collective)."""
     scene = scene.replace({f"{name}.clearance": 0.0 for name in scene.all_cracks})
     if asked.unit_loads:
@@ -172,8 +172,8 @@ def solve_chunk(
     geometry: Geometry, chunk: Chunk, asked: Asked, go_on: Callable[[], bool]
 ) -> list[Found]:
     """Solve cases one after the other, each at its own frequency or at its resonance; with verdicts
-    on their stability, if wanted, and with the error of a reduction that has been judged. The first
-    ones where ``go_on``, which is called before each, ends it."""
+    on their stability, if wanted, and with the error of a reduction that has been assessed. The
+    first ones where ``go_on``, which is called before each, ends it."""
     cases, solved = Cases(geometry), []
     for number, case in zip(chunk.numbers.tolist(), chunk.cases, strict=True):
         if not go_on():

@@ -113,7 +113,7 @@ BLANKS: dict[str, Any] = {"f": np.nan, "i": 0, "S": b""}
 
 def columns_of(scene: Scene) -> dict[str, tuple[str, str]]:
     """The :data:`COLUMNS` of a scene's sweep, those of its points, "tip.ux.ratio_2_1", and those of
-    tips and the clamp that it asks for."""
+    tips and the clamp that it requests."""
     asked = {name: (QUANTITIES[name][1], "f8") for name in asked_quantities(scene)}
     at_points = {
         f"{point}.{name}": (unit, "f8")

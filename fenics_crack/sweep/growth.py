@@ -375,7 +375,7 @@ def _integrated(path: LengthPath, law: Law) -> tuple[np.ndarray, np.ndarray, str
 
 def _at_length(scene: Scene, length: float, omega: float) -> Scene:
     """A scene, without a curve or a sweep, with another crack length [m] at a load frequency
-    [rad/s], which replaces an engine order, asked for the ranges that drive growth."""
+    [rad/s], which replaces an engine order, with the ranges that drive growth as quantities."""
     place = {"crack.length": length, "excitation.omega": omega}
     return scene.replace(place | {"output.quantities": tuple(OF_GROWTH)})
 

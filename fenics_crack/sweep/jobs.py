@@ -64,7 +64,7 @@ class Worker:
 
     def work(self, job: Job, go_on: Callable[[], bool]) -> Iterator[tuple[np.ndarray, Outcome]]:
         """Do a job with the whole group, and yield what is found of each chunk; called by its
-        leader, whose wish to go on is asked for before each chunk, and before each of its cases."""
+        leader, whose wish to go on is received before each chunk, and before each of its cases."""
         self._group.bcast(job)
         return self._work(job, go_on)
 

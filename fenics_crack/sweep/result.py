@@ -118,7 +118,7 @@ def run_sweep(
     progress : bool
         Show a bar.
     verdicts : bool
-        Judge the stability of each case. It takes a tenth to a third of the time where a geometry
+        Assess the stability of each case. It takes a tenth to a third of the time where a geometry
         has many cases; without, the columns ``verdict`` and ``multiplier`` are empty.
     judged : bool
         Estimate the error of the reduction, which takes twice the modes; without, the column
@@ -307,7 +307,7 @@ class SweepResult(Tabular):
 
     @property
     def missed(self) -> np.ndarray:
-        """Cases whose error is unknown, or above the tolerance that the scene asks for."""
+        """Cases whose error is unknown, or above the tolerance that the scene requests."""
         limit = min(UNKNOWN, self.scene.harmonic_balance.tolerance or UNKNOWN)
         return self.converged & (self.errors.sum(axis=0) >= limit)
 

@@ -140,7 +140,7 @@ class March:
 
     @cached_property
     def recorded_dofs(self) -> np.ndarray:
-        """Dofs that this rank records: all of a reduced structure, which carry those asked for."""
+        """Dofs that this rank records: all of a reduced structure, which carry those requested."""
         first, last = self.structure.first_dof, self.structure.first_dof + self.structure.n_local
         everything, whole = np.arange(first, last), self.structure.whole
         if self.dofs is None:
@@ -191,7 +191,7 @@ class TimeHistory(Tabular):
         implicit scheme: what is missing in the energy balance at the end of the last period.
         Negative: lost; with a constraint impacts lose energy whatever the step.
     periods : int
-        Load periods integrated; fewer than asked for where the motion settled, or Ctrl-C stopped it
+        Load periods integrated; fewer than requested where the motion settled, or Ctrl-C stopped it
         at the end of a period.
     seconds : float
         Wall-clock time of the marching [s].
