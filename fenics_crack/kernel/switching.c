@@ -1,6 +1,6 @@
 /* Certified switching instants, every sign change of real trigonometric polynomials.
  *
- * A grid alone misses pairs of roots between its points, where a pair of lips only grazes. Here a
+ * A grid alone misses pairs of roots between its points, where a pair only grazes. Here a
  * cell [a, a + w] is settled by a bound or not at all. With |g''| <= M = sum_k k^2 (|a_k| + |b_k|),
  *
  * - equal signs and min(|g(a)|, |g(a + w)|) > M w^2 / 8: no root, g lies that close to its chord;

@@ -404,7 +404,7 @@ class Clamp:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Forces (n, d) and moments at the instants (n,) [s] of a record (n, n_rigid) of r^T M u
         under a load of angular frequency omega."""
-        from scipy.interpolate import make_interp_spline  # takes a while, for marches alone
+        from scipy.interpolate import make_interp_spline  # takes a while, rarely used
 
         # Of degree 5: the second derivative is known to the fourth order.
         record = make_interp_spline(time, seen, k=5)

@@ -40,7 +40,7 @@ def prepare_asked(study: Study) -> None:
 
 
 def asked_of_motion(study: Study, motion: PeriodicSolution | TimeHistory) -> dict[str, float]:
-    """The quantities of a solution or a march that its scene requests (collective)."""
+    """The quantities of a solution or a time integration that its scene requests (collective)."""
     names = asked_quantities(study.scene)
     found: dict[str, float] = {}
     if _AT_TIPS & set(names):
@@ -83,8 +83,8 @@ def asked_along_curve(study: Study, curve: ResponseCurve) -> dict[str, np.ndarra
 
 
 def _seen(motion: PeriodicSolution | TimeHistory, dof: int) -> float:
-    """Half the peak-to-peak displacement of a stable vibration, of a march, or, in place of an
-    unstable vibration, of the largest motion that leaves it; nan where that is not known
+    """Half the peak-to-peak displacement of a stable vibration, of a time integration, or, in place
+    of an unstable vibration, of the largest motion that leaves it; nan where that is not known
     (collective)."""
     if isinstance(motion, TimeHistory):
         return float(motion.indicators(dof).amplitude)

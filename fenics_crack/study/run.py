@@ -172,7 +172,7 @@ class Run(Answer, Generic[Found]):
 
 
 def check_motion(run: object) -> None:
-    """Raise InputError unless it is the run of a solution or of a march."""
+    """Raise InputError unless it is the run of a solution or of a time integration."""
     if not (isinstance(run, Run) and isinstance(run.result, PeriodicSolution | TimeHistory)):
         raise InputError("run", repr(run), "what fc.solve(scene) or fc.integrate(scene) returns")
 
@@ -410,7 +410,7 @@ def _prepare_curve(scene: Scene, comm: MPI.Comm) -> Study:
 def integrate(
     scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, progress: bool = False
 ) -> Run[TimeHistory]:
-    """March a scene's motion in time, as ``fenics-crack integrate`` does (collective).
+    """Integrate a scene's motion in time, as ``fenics-crack integrate`` does (collective).
 
     By the scheme, the steps, the periods and the initial values of the table ``[integration]``, or
     the defaults: from rest, until the motion settles.
@@ -448,7 +448,7 @@ def integrate(
     study = prepare(scene, comm)
     structure, omega, law = study.structure, scene.excitation.omega, _needed_law(study)
     method = _method(study, table, law)
-    prepare_asked(study)  # before the march: it may be refused
+    prepare_asked(study)  # before the integration: it may be refused
     start: PeriodicSolution | tuple[np.ndarray, np.ndarray] | None = None
     if table.deflection is not None:
         weights = np.zeros((3, 3))

@@ -113,7 +113,7 @@ def integrate_central_difference(
     steps_per_period: int,
     **options: Any,
 ) -> TimeHistory:
-    """March by central differences under the structure's load (collective).
+    """Integrate by central differences under the structure's load (collective).
 
         (2 M + dt C) u_{n+1} = 2 dt^2 (f - K u - B lambda)_n + 4 M u_n - (2 M - dt C) u_{n-1}
 
@@ -192,7 +192,7 @@ class _ContactEnergy:
 def _last_velocity(
     step_size: float, increment: np.ndarray, acceleration: Callable[[np.ndarray], np.ndarray]
 ) -> np.ndarray:
-    """Velocity at the end of a march, whose last increment leads back by half a step."""
+    """Velocity at the end of a time integration, whose last increment leads back by half a step."""
     backwards = velocity = increment / step_size
     for _ in range(3):  # the acceleration depends on the velocity a little
         velocity = backwards + 0.5 * step_size * acceleration(velocity)

@@ -18,8 +18,8 @@ uncoupled move by themselves, so that a step costs little more than 2 n_modes n_
 held force is known exactly, so that in a step between equal sets of closed pairs no energy is
 created, however long it is. A step in which a pair opens creates 1/2 lambda_n times its opening,
 one in which it closes loses as much: with hardly any R_inf, which softens contact, and long steps
-motions can grow, and the march says so. (With forces linear over the step energy would be created
-everywhere: with mass at the crack faces that is the method of linear acceleration.)
+motions can grow, and the integration reports it. (With forces linear over the step energy would be
+created everywhere: with mass at the crack faces that is the method of linear acceleration.)
 
 Source: Hochbruck and Ostermann, Acta Numerica 19 (2010) 209 (exponential integrators).
 """
@@ -87,7 +87,7 @@ class ExponentialFlow(Flow):
         return self.displacement(states, force, phase, dofs)
 
     def advance(self, state: np.ndarray, periods: int = 1) -> Steps:
-        """March whole periods of the load from phase 0.
+        """Integrate whole periods of the load from phase 0.
 
         Raises ConvergenceError where the contact forces of a step are not found.
         """

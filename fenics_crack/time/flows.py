@@ -27,7 +27,7 @@ def integrate_events(
     steps_per_period: int = 256,
     **options: Any,
 ) -> TimeHistory:
-    """March exactly from one switching instant to the next.
+    """Integrate exactly from one switching instant to the next.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def integrate_exponential(
     steps_per_period: int = 512,
     **options: Any,
 ) -> TimeHistory:
-    """March by exact exponential steps, under the penalty law or without penetration.
+    """Integrate by exact exponential steps, under the penalty law or without penetration.
 
         z_{n+1} = E z_n - Gamma (lambda_n + lambda_{n+1}),        E = exp(A h),
 
@@ -151,7 +151,7 @@ class _ByEvents(Scheme):
 
 
 class _ByExponentials(Scheme):
-    """The march, period by period."""
+    """The integration, period by period."""
 
     name = "exponential"
     remedy = "take more steps per period, or keep fewer modes: what they leave out softens contact"

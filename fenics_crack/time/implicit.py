@@ -93,7 +93,7 @@ def integrate_implicit(
     spectral_radius: float = 0.8,
     **options: Any,
 ) -> TimeHistory:
-    """March by the generalised-alpha method, by steps as long as accuracy allows (collective).
+    """Integrate by the generalised-alpha method, by steps as long as accuracy allows (collective).
 
     Parameters
     ----------

@@ -1,5 +1,5 @@
-"""Motion in time: what is asked of a march, the loop over its periods, its record, and what schemes
-share that go step by step with PETSc's matrices."""
+"""Motion in time: the request for a time integration, the loop over its periods, its record, and
+what schemes share that go step by step with PETSc's matrices."""
 
 from __future__ import annotations
 
@@ -51,7 +51,8 @@ MEMORY_LIMIT = 2**31
 
 @dataclass(frozen=True)
 class March:
-    """Request for a march: of what, how far, from where, and what is kept; checked (collective).
+    """Request for a time integration: of what, how far, from where, and what is kept; checked
+    (collective).
 
     Attributes
     ----------
@@ -62,7 +63,7 @@ class March:
     contact : ContactLaw
         Law of all pairs.
     periods : int
-        Load periods to march.
+        Load periods to integrate.
     steps_per_period : int
         Instants in one load period.
     initial : PeriodicSolution, (displacement, velocity) or None
@@ -194,7 +195,7 @@ class TimeHistory(Tabular):
         Load periods integrated; fewer than requested where the motion settled, or Ctrl-C stopped it
         at the end of a period.
     seconds : float
-        Wall-clock time of the marching [s].
+        Wall-clock time of the integration [s].
     steps_per_period : int
         Instants in one load period.
     """
@@ -333,7 +334,7 @@ class TimeHistory(Tabular):
 
 @dataclass(frozen=True)
 class Window:
-    """Room for one period of a march, a row for each instant."""
+    """Room for one period of a time integration, a row for each instant."""
 
     gap: np.ndarray
     force: np.ndarray
@@ -356,11 +357,12 @@ class Scheme(ABC):
 
     @abstractmethod
     def fill(self, window: Window, number: int) -> None:
-        """March period ``number``, record it, and add up its energy."""
+        """Integrate period ``number``, record it, and add up its energy."""
 
     @abstractmethod
     def state(self) -> tuple[np.ndarray, np.ndarray]:
-        """Displacement and velocity, after whole periods, from which a march can go on."""
+        """Displacement and velocity, after whole periods, from which a time integration can go
+        on."""
 
     def book(self, created: float, put_in: float) -> None:
         """State energies [J]; ConvergenceError where contact has created too much."""
@@ -374,7 +376,8 @@ class Scheme(ABC):
 
 
 class EnergyBalance:
-    """The energy at the end of a march and that lost, less that at its start and the load's work.
+    """The energy at the end of a time integration and that lost, less that at its start and the
+    load's work.
 
     The load does the work of its mean over a step, the trapezoidal rule.
     """
@@ -397,7 +400,7 @@ class EnergyBalance:
 
 
 def march(asked: March, scheme: Scheme) -> TimeHistory:
-    """March a scheme, period by period, until it settles, and free it (collective)."""
+    """Integrate a scheme, period by period, until it settles, and free it (collective)."""
     structure, kept, steps = asked.structure, asked.kept, asked.steps_per_period
     widths = structure.n_pairs, structure.n_pairs, len(asked.recorded_dofs)
     records: list[np.ndarray] = [np.empty((kept * steps, width)) for width in widths]
@@ -541,10 +544,10 @@ class LoopedSteps(Scheme):
 
     @abstractmethod
     def advance(self, step: int) -> None:
-        """March from an instant, ``step`` of the period, to the next."""
+        """Integrate from an instant, ``step`` of the period, to the next."""
 
     def record(self, window: Window) -> None:
-        """March a period."""
+        """Integrate a period."""
         for step in range(len(window.gap)):
             self.advance(step)
             window.gap[step], window.force[step] = self.gap, self.force

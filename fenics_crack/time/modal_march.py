@@ -1,4 +1,4 @@
-"""Marches of small structures in the coordinates of all their modes, by the kernel."""
+"""Time integration of small structures in the coordinates of all their modes, by the kernel."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class ModalSteps(Scheme):
             window.load_motion[place] = shape @ modes.shapes[asked.load_rows].T
 
     def _gap(self) -> np.ndarray:
-        """Gap at the end of the march."""
+        """Gap at the end of the integration."""
         return np.asarray(self._shape @ self._modes.pairs - self._asked.structure.clearance)
 
 
