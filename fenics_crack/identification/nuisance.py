@@ -66,9 +66,9 @@ OF_ALL_MODES = 0.9
 OF_ONE_MODE = 0.2
 """Part of what changes between the plate before it had a crack and now that each mode has by
 itself. Of plates clamped deeper, let go at an end of the clamp or on an elastic block, turning,
-moving and a common change leave so much of the largest change of four to six modes: 0.00 to 0.04 if
-15 times as tall as wide, to 0.08 if five times, to 0.12 if three, to 0.19 if two and to 0.32 if
-square; of cracks of 5 and 10 % of the width in the plate of three 0.11 to 0.51."""
+moving and a common change leave so much of the largest change: up to 0.05 if 15 times as tall as
+wide, 0.07 if five times, 0.12 if three, 0.18 if two and 0.29 if square
+(``benchmarks/identification_limits.py``)."""
 AT_REST, OF_A_ROTOR = 10.0, 25.0
 """Standard deviation of the temperature between two records [K], where none is stated: of a room;
 and of blades, which their gas or their drag warms (engineering judgement)."""
