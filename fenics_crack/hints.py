@@ -85,10 +85,8 @@ def near(word: object, known: Iterable[str], likeness: float = LIKENESS) -> list
 
     by_lower, lower = {name.lower(): name for name in known}, str(word).lower()[:100]
     found = difflib.get_close_matches(lower, by_lower, 2, likeness)
-    similar = [difflib.SequenceMatcher(None, name, lower).ratio() for name in found]
-    return [
-        by_lower[name] for name, ratio in zip(found, similar, strict=True) if ratio == similar[0]
-    ]
+    ratios = [difflib.SequenceMatcher(None, name, lower).ratio() for name in found]
+    return [by_lower[name] for name, one in zip(found, ratios, strict=True) if one == ratios[0]]
 
 
 def near_or_longer(name: str, known: Collection[str], likeness: float = LIKENESS) -> list[str]:

@@ -86,9 +86,7 @@ def monodromy(
             float(np.linalg.norm(size[:, None] * one / size)) for one in (found - before, found)
         )
     if not np.all(np.isfinite(found)):
-        raise ConvergenceError(
-            "linear flow: its steps cannot resolve the disturbances of the solution"
-        )
+        raise ConvergenceError("linear flow: its steps cannot resolve the disturbances")
     return found
 
 

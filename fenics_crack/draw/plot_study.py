@@ -427,9 +427,7 @@ def draw_campbell(
         at = diagram.crossings(order, "real")[:, 1] * pace
         panel.plot(at, order * factor / pace * at, "o", color=COLOURS["grey"], mfc="none", ms=6)
     if diagram.cracked:
-        panel.fill_between(
-            [], [], [], color=COLOURS["grey"], alpha=0.25, label="crack open to bonded"
-        )
+        panel.fill_between([], [], [], color=COLOURS["grey"], alpha=0.25, label="open to bonded")
     panel.set(xlabel=with_unit(*name), ylabel=f"natural frequency [{unit}]")
     return picture.finished()
 

@@ -70,9 +70,7 @@ class Nodes:
         if distance[place] > 0.05 * size:
             raise InputError(key, shown, f"on the mesh ({there})")
         if len(nodes_at(points, points[place])) > 1:
-            raise InputError(
-                key, shown, f"near a node that exists once, not on the crack faces ({there})"
-            )
+            raise InputError(key, shown, f"near a node that exists once, not on a face ({there})")
         if np.all(dofs[place] < 0):
             raise InputError(key, shown, f"near a node that is free to move ({there})")
         return points[place], dofs[place]

@@ -351,9 +351,7 @@ class MasslessStructure(MasslessInterface):
 def check_mass(structure: Structure, instead: str) -> None:
     """Raise InputError, which says what to do instead, if the crack faces have no mass."""
     if structure.light_lips:
-        raise InputError(
-            "structure", repr(structure), f"one with mass at its crack faces; {instead}"
-        )
+        raise InputError("structure", repr(structure), f"one with mass at its faces; {instead}")
 
 
 def massless(structure: Structure | None) -> MasslessStructure | None:

@@ -90,9 +90,7 @@ def _refused(structure: Structure, contact: ContactLaw) -> InputError | None:
     if not is_small(structure):
         return InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
     if is_rigid(contact) and not is_regular(all_modes(structure).below(None).static_part()):
-        allowed = (
-            "one whose crack faces have no mass: reduce_structure(structure, method='massless')"
-        )
+        allowed = "one whose faces have no mass: reduce_structure(structure, method='massless')"
         return InputError("structure", repr(structure), allowed)
     return None
 

@@ -79,9 +79,8 @@ def differences(scenes: Sequence[Scene]) -> list[str]:
 
 def faces_in_words(scene: Scene) -> str:
     """Return the word for what closes: crack faces, or pairs of matrices from elsewhere."""
-    return (
-        "pairs" if scene.structure is not None and scene.structure.model is None else "crack faces"
-    )
+    matrices = scene.structure is not None and scene.structure.model is None
+    return "pairs" if matrices else "crack faces"
 
 
 def check_scene(scene: Any) -> None:

@@ -54,7 +54,7 @@ def test_points_are_watched_at_their_nearest_nodes(scene: fc.Scene) -> None:
 @pytest.mark.parametrize(
     ("point", "words"),
     [
-        ((0.0, 0.05), "near a node that exists once, not on the crack faces"),
+        ((0.0, 0.05), "near a node that exists once, not on a face"),
         ((0.05, 0.001), "near a node that is free to move"),
         ((0.2, 0.1), r"on the mesh \(the nearest node is at \(0.1, 0.1\)\)"),
     ],
