@@ -66,10 +66,10 @@ REFUSED = {
     "a key": (["solve", "{plate}", "--set", "crack.lenght=0.02"], "did you mean crack.length"),
     "a value": (["check", "{plate}", "--set", "crack.length=-1"], "crack.length = -1"),
     "no scene": (["sweep", "none.toml"], "none.toml"),
-    "no measurements": (["identify", "{plate}"], "measurements = None"),
+    "no measurements": (["identify", "{plate}"], "measurements is missing"),
     "a measurement": (["identify", "{plate}", "{rows}"], "measurements.mode = 99"),
     "a point that there is not": (["identify", "{plate}", "{points}"], "measurements.point = 'tip"),
-    "no [tip_timing]": (["timing", "{plate}", "{rows}"], "tip_timing = None"),
+    "no [tip_timing]": (["timing", "{plate}", "{rows}"], "tip_timing is missing"),
     "arrivals": (
         ["timing", "{plate}", "{rows}", "--set", "tip_timing.probes=[0.0]",
          "--set", "tip_timing.tip_radius=1.0"],

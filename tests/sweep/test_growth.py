@@ -465,7 +465,7 @@ def test_ranks_share_the_lengths(on_ranks: Callable[..., Any], driven: fc.Growth
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        ({"growth": None}, "growth = None: .*given for this command"),
+        ({"growth": None}, "growth is missing: .*given for this command"),
         ({"growth.until": 0.03}, "growth.until = 0.03.*between crack.length = 0.035"),
         ({"growth.until": 0.2}, "growth.until = 0.2.*and geometry.width = 0.1"),
         (
@@ -474,7 +474,7 @@ def test_ranks_share_the_lengths(on_ranks: Callable[..., Any], driven: fc.Growth
         ),
         ({"crack": None, "contact": None}, "not allowed without a crack"),
         ({"growth.drive": "noise"}, "growth.drive = 'noise'.*'frequency', 'resonance'"),
-        ({"growth.drive": "spectrum"}, "growth.run_up = None: .*or frequencies and cycles"),
+        ({"growth.drive": "spectrum"}, "growth.run_up is missing: .*or frequencies and cycles"),
         ({"growth.cycles": [1.0]}, r"growth.cycles.*not allowed with drive = 'frequency'"),
         (
             {"growth.drive": "spectrum", "growth.frequencies": [1.0], "growth.cycles": [1.0, 2.0]},
