@@ -116,7 +116,7 @@ def test_wave_to_which_no_orbit_leads_has_no_verdict(number: int) -> None:
     case = campaign.draw(600, number, "solution", campaign.family_of(600, number))
     solution = fc.solve_harmonic_balance(case.structure, case.omega, case.law, harmonics=5)
     stability = fc.floquet(case.structure, solution)
-    assert stability.verdict == "undecided" and "take more" in stability.reason
+    assert stability.verdict == "undecided" and "use more" in stability.reason
 
 
 def test_smooth_law_with_few_harmonics_has_no_verdict() -> None:
@@ -378,7 +378,7 @@ def test_large_error_is_stated_as_predicted() -> None:
     assert found.report.truncation == pytest.approx(found.assessment.predicted_error)
     assert 0.4 < found.report.truncation < campaign.UNKNOWN
     reason = fc.floquet(case.structure, found).reason
-    assert reason.startswith("the truncated harmonics change it by") and "take more" in reason
+    assert reason.startswith("the truncated harmonics change it by") and "use more" in reason
 
 
 @pytest.mark.parametrize(("family", "number"), [("smooth", 1), ("whole", 2), ("rigid", 6)])

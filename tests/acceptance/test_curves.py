@@ -421,7 +421,7 @@ def test_undecided_points_have_their_reason() -> None:
     reasons = [curve.reason(index) for index in range(len(curve))]
     left = curve.verdicts == "undecided"
     assert left.any() and np.array_equal([bool(one) for one in reasons], left)
-    assert all("take more" in one for one in reasons if one) and plain.reason(0) == ""
+    assert all("use more" in one for one in reasons if one) and plain.reason(0) == ""
     assert curve.bifurcations == plain.bifurcations
 
 
