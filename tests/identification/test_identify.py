@@ -120,7 +120,8 @@ def test_cracks_are_found(scene: fc.Scene, folder: Path) -> None:
         real = fc.identify(scene, rows, folder=folder)
         assert real.verdict == "crack" and real.contains(truth)
         assert all(real.posterior.spread(k) > found.posterior.spread(k) for k in (0, 1))
-        assert found.verdict == "crack" and found.log_bayes_factor > 3.0 and not found.remarks
+        assert found.verdict == "crack" and found.log_bayes_factor > 3.0
+        assert all(one.startswith("interpolation between") for one in found.remarks)
         assert found.estimate["crack.length"] == pytest.approx(length, abs=0.03 * 0.1)
         assert found.estimate["crack.height"] == pytest.approx(height, abs=0.05 * 0.2)
         held += found.contains(truth)
@@ -473,7 +474,7 @@ def test_coarser_mesh_for_most(scene: fc.Scene, tmp_path: Path) -> None:
         for name, finer in (("half", 0.5), ("none", 1.0))
     }
     sizes = [SweepResult.load(path).scene.mesh.size for path in sorted(tmp_path.glob("half/f*.h5"))]
-    assert sorted(sizes) == [0.03, 0.06, 0.06] and scene.identify is not None
+    assert set(sizes) == {0.03, 0.06} and sizes.count(0.03) == 1 and scene.identify is not None
     assert type(scene.identify)(scene.identify.unknown).finer == 0.5
     off = [abs(one.estimate["crack.length"] - 0.022) for one in found.values()]
     assert found[0.5].contains(truth) and off[0] < off[1]

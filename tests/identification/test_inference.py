@@ -395,7 +395,7 @@ def test_modes_of_resonances(
 @pytest.mark.parametrize(
     ("changes", "deviation", "why"),
     [
-        ({"whiteness": 0.0}, 3.0, "something is beside it"),
+        ({"whiteness": 0.0}, 3.0, "another vibration is near it"),
         (
             {"omegas": np.array([1500.0, 1501.0]), "omega_errors": np.full(2, 0.05)},
             0.5, "its passages differ more than errors do: by 0.07% in frequency",

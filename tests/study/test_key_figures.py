@@ -140,7 +140,7 @@ def test_lips_that_never_meet_or_part(share: float) -> None:
 
 def test_mean_load_keeps_lips_apart_or_together() -> None:
     """Like a clearance and like a preload, and remarked on as such."""
-    for force, texts in (((-1e5, 0.0), ("never meet", "never part")), ((3.0, 0.0), ())):
+    for force, texts in (((-1e5, 0.0), ("never closes", "never opens")), ((3.0, 0.0), ())):
         words = []
         for sign in (1.0, -1.0):
             scene = PAPER.replace({"excitation.force_mean": (sign * force[0], 0.0)})
@@ -252,7 +252,7 @@ def test_a_tip_of_other_radii() -> None:
     [remark] = remarks_on(
         PAPER.replace({"rotation.rpm": 100.0, "rotation.hub_radius": 0.2}), open_by_speed
     )
-    assert remark.key == "rotation.rpm" and "never meet" in remark.text
+    assert remark.key == "rotation.rpm" and "never closes" in remark.text
 
 
 def test_all_modes_of_a_whole_structure() -> None:
