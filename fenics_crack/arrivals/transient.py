@@ -128,12 +128,12 @@ class Run:
             for part in self._parts(slower * root.real):
                 passed = slower * (time[part] - time[part.start])
                 growth = np.exp(1j * slower * (path[part] - path[part.start]) - root * passed)
-                both, between = (
+                both, pushes = (
                     np.stack([growth, -passed * growth]),
-                    slice(part.start, part.stop - 1),
+                    push[part.start : part.stop - 1],
                 )
-                pushed = (both[:, 1:] - both[:, :-1]) * push[between]
-                pushed[1] += pushed[0] * push[between]
+                pushed = (both[:, 1:] - both[:, :-1]) * pushes
+                pushed[1] += pushed[0] * pushes
                 now = (found[:, [part.start]] + np.cumsum(pushed, axis=1)) / growth[1:]
                 now[1] += passed[1:] * now[0]
                 found[:, part.start + 1 : part.stop] = now

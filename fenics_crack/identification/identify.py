@@ -43,7 +43,7 @@ FEW_NODES = 4
 more unknowns one less."""
 RESOLVED = 2.0
 """How many times larger a vibration may be between cases than at any of them."""
-MOST = 0.2
+MOST_INTERPOLATED = 0.2
 """Of the variance of a measurement: what interpolation between cases may have of it, so that its
 standard deviation is at most 1.12 times as large."""
 ADDED = 8
@@ -374,7 +374,6 @@ def solve_forward(
 
     numbers = sum(not isinstance(axis.values[0], str) for axis in table.unknown)
     count = FEW_NODES - (numbers > 2)
-
     meshes = [Axis(MESH, table.mesh_files)] if table.meshes else []
 
     def others(
@@ -481,7 +480,7 @@ class Interpolated:
 
     @classmethod
     def of(cls, found: Identification) -> Interpolated | None:
-        """The one in which it has most; None where that is no more than MOST."""
+        """The one in which it has most; None where that is no more than MOST_INTERPOLATED."""
         seen = [branch.interpolated() for branch in found.posterior.branches.values()]
         x, shares = (np.vstack(one) for one in zip(*seen, strict=True))
         if not shares.size:
@@ -489,7 +488,7 @@ class Interpolated:
         mean = shares.mean(axis=0)
         at = int(mean.sum(axis=0).argmax())
         own = cls(found.measurements.rows[at].name, mean[:, at], x)
-        return own if own.share.sum() > MOST else None
+        return own if own.share.sum() > MOST_INTERPOLATED else None
 
     @property
     def remark(self) -> str:

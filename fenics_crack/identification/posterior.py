@@ -121,16 +121,20 @@ class Likelihood:
     def explains(self, x: np.ndarray) -> np.ndarray:
         """Whether values (m, d) of the unknowns, given before anything was measured, would explain
         it: (m,) bool."""
-        spare = len(self.values) - self.quantities(x[:1]).free.shape[2]
-        squares = np.sum(self.residuals(x)[:, :-1] ** 2, axis=1)
-        return np.asarray(chdtrc(max(spare, 1), squares) >= EXPLAINS)
+        return np.asarray(self._fit(x, 0)[1] >= EXPLAINS)
 
     def misfit(self, x: np.ndarray) -> tuple[float, float]:
         """chi^2 at values (d,) of the unknowns that fit best, and the probability of more by chance
         with as many measurements less the unknowns and what else is fitted."""
-        total = float(np.sum(self.residuals(x[None])[0, :-1] ** 2))
-        spare = len(self.values) - len(x) - self.quantities(x[None]).free.shape[2]
-        return total, float(chdtrc(max(spare, 1), total))
+        total, chance = self._fit(x[None], len(x))
+        return float(total[0]), float(chance[0])
+
+    def _fit(self, x: np.ndarray, fitted: int) -> tuple[np.ndarray, np.ndarray]:
+        """chi^2 at values (m, d) of the unknowns, so many of which are fitted, and the probability
+        of more by chance: (m,) each."""
+        total = np.sum(self.residuals(x)[:, :-1] ** 2, axis=1)
+        spare = len(self.values) - fitted - self.quantities(x[:1]).free.shape[2]
+        return total, np.asarray(chdtrc(max(spare, 1), total))
 
     def without(self, place: int) -> Likelihood:
         """That of all measurements but one."""
