@@ -28,7 +28,7 @@ import numpy as np
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack.identification.identify import Forward, infer, solve_forward
+from fenics_crack.monitoring.identification.identify import Forward, infer, solve_forward
 
 WIDTH, HEIGHT = 0.1, 0.3
 LOADS = (150.0, 500.0, 1100.0)

@@ -56,8 +56,8 @@ from scipy.optimize import linear_sum_assignment, root_scalar
 from scipy.sparse.linalg import eigsh
 
 import fenics_crack as fc
-from fenics_crack.identification.identify import infer, solve_forward
-from fenics_crack.identification.nuisance import whole_plate
+from fenics_crack.monitoring.identification.identify import infer, solve_forward
+from fenics_crack.monitoring.identification.nuisance import whole_plate
 
 SEED = 671
 """Written down before it was run."""

@@ -29,7 +29,7 @@ from switching import switching_instants
 import fenics_crack as fc
 from fenics_crack.balance.compliance import load_coefficients
 from fenics_crack.balance.contact_integrals import default_samples
-from fenics_crack.errors import check_count, check_omega
+from fenics_crack.basics.errors import check_count, check_omega
 from fenics_crack.model.contact import check_law
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.numerics.fourier import evaluate, to_complex

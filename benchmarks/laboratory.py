@@ -34,7 +34,7 @@ from fenics_crack.balance.contact_system import SOFT, ContactPoint, ContactSyste
 from fenics_crack.balance.harmonic_balance import check_initial
 from fenics_crack.balance.problem import Search
 from fenics_crack.balance.solution import Solver
-from fenics_crack.errors import check_number
+from fenics_crack.basics.errors import check_number
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.numerics.equations import Linearisation, determinant_sign
 from fenics_crack.numerics.fourier import resized, stretched

@@ -22,7 +22,7 @@ from identification import NATURAL, Score, before, noisy
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack.identification.identify import infer, solve_forward
+from fenics_crack.monitoring.identification.identify import infer, solve_forward
 
 HEIGHT, THICKNESS = 0.09, 0.006
 SEED = 1

@@ -6,7 +6,7 @@ Start with ``docs/cracked_blade.md`` or ``demos/paper_plate.py``; equations and 
 The names are those that ``__init__.pyi`` imports. Each is imported here when it is first used: who
 brings matrices needs neither DOLFINx nor gmsh, and who draws nothing neither VTK nor matplotlib.
 Of several ranks all start PETSc here, together: who calls a function on one of them waits for none.
-Functions called by these names run one at a time (:mod:`fenics_crack.machine`).
+Functions called by these names run one at a time (:mod:`fenics_crack.basics.threads`).
 """
 
 import sys
@@ -21,14 +21,14 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
-from fenics_crack.errors import InputError
-from fenics_crack.machine import alone, check_modules, launched
+from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.threads import alone, check_modules, launched
 from fenics_crack.version import VERSION
 
 if launched():
     with suppress(InputError):  # raised again where the package is used
         check_modules()
-        import_module("fenics_crack.parallel")
+        import_module("fenics_crack.basics.ranks")
 
 _MODULES = {
     alias.name: node.module
@@ -43,14 +43,14 @@ __version__ = VERSION
 
 def __getattr__(name: str) -> Any:
     if name not in _MODULES:
-        from fenics_crack.hints import no_attribute
+        from fenics_crack.basics.suggestions import no_attribute
 
         raise no_attribute(f"module {__name__!r}", name, __all__, package=True)
     check_modules()
     with alone():
         value = getattr(import_module(_MODULES[name]), name)
     if isinstance(value, FunctionType):
-        from fenics_crack.hints import checked_call
+        from fenics_crack.basics.suggestions import checked_call
 
         value = alone()(checked_call(value, _keys if "scene" in value.__annotations__ else None))
         value.__module__ = __name__  # where pickle finds this one

@@ -1,16 +1,5 @@
 # The names of fenics_crack and where they are from: for __init__.py, editors and mypy.
 
-from fenics_crack.arrivals.arrival_times import ArrivalTimes as ArrivalTimes
-from fenics_crack.arrivals.arrival_times import read_record as read_record
-from fenics_crack.arrivals.fit_frequency import fit_frequency as fit_frequency
-from fenics_crack.arrivals.fit_order import TipTrack as TipTrack
-from fenics_crack.arrivals.fit_order import fit_order as fit_order
-from fenics_crack.arrivals.fit_order import track_order as track_order
-from fenics_crack.arrivals.harmonics import TipFit as TipFit
-from fenics_crack.arrivals.passages import PassageFit as PassageFit
-from fenics_crack.arrivals.passages import find_passages as find_passages
-from fenics_crack.arrivals.passages import fit_passage as fit_passage
-from fenics_crack.arrivals.simulate import tip_timing as tip_timing
 from fenics_crack.balance.error_report import ErrorReport as ErrorReport
 from fenics_crack.balance.harmonic_balance import linear_response as linear_response
 from fenics_crack.balance.harmonic_balance import solve_harmonic_balance as solve_harmonic_balance
@@ -19,13 +8,14 @@ from fenics_crack.balance.problem import Problem as Problem
 from fenics_crack.balance.solution import Indicators as Indicators
 from fenics_crack.balance.solution import PeriodicSolution as PeriodicSolution
 from fenics_crack.balance.solution import Stability as Stability
+from fenics_crack.basics.errors import ConvergenceError as ConvergenceError
+from fenics_crack.basics.errors import InputError as InputError
 from fenics_crack.curves.backbone import Backbone as Backbone
 from fenics_crack.curves.backbone import follow_backbone as follow_backbone
 from fenics_crack.curves.continuation import Continuation as Continuation
 from fenics_crack.curves.curve import Bifurcation as Bifurcation
 from fenics_crack.curves.curve import CurvePoint as CurvePoint
 from fenics_crack.curves.curve import ResponseCurve as ResponseCurve
-from fenics_crack.curves.exact import judge_curve as judge_curve
 from fenics_crack.curves.follow import continue_frequency as continue_frequency
 from fenics_crack.curves.follow import continue_parameter as continue_parameter
 from fenics_crack.curves.follow import follow_branch as follow_branch
@@ -35,6 +25,7 @@ from fenics_crack.curves.peak import Peak as Peak
 from fenics_crack.curves.stability import attractors as attractors
 from fenics_crack.curves.stability import floquet as floquet
 from fenics_crack.curves.stability import shoot as shoot
+from fenics_crack.curves.verdicts import judge_curve as judge_curve
 from fenics_crack.draw.animation import animate_period as animate_period
 from fenics_crack.draw.animation import show_period as show_period
 from fenics_crack.draw.plot import Wave as Wave
@@ -63,18 +54,13 @@ from fenics_crack.draw.plot_study import draw_verification as draw_verification
 from fenics_crack.draw.vtk import stress_at as stress_at
 from fenics_crack.draw.vtk import write_modes as write_modes
 from fenics_crack.draw.vtk import write_period as write_period
-from fenics_crack.errors import ConvergenceError as ConvergenceError
-from fenics_crack.errors import InputError as InputError
+from fenics_crack.fatigue.growth import Growth as Growth
+from fenics_crack.fatigue.growth import grow as grow
 from fenics_crack.fem.build import build_structure as build_structure
 from fenics_crack.fem.build import find_crack_length as find_crack_length
 from fenics_crack.fem.plate import write_msh as write_msh
 from fenics_crack.files.results import load as load
 from fenics_crack.files.results import save as save
-from fenics_crack.identification.identify import identify as identify
-from fenics_crack.identification.measurements import Measurement as Measurement
-from fenics_crack.identification.measurements import Measurements as Measurements
-from fenics_crack.identification.result import Identification as Identification
-from fenics_crack.identification.result import Worth as Worth
 from fenics_crack.model.contact import ContactLaw as ContactLaw
 from fenics_crack.model.contact import SmoothedPenalty as SmoothedPenalty
 from fenics_crack.model.contact import UnilateralConstraint as UnilateralConstraint
@@ -91,6 +77,22 @@ from fenics_crack.model.rotation import run_up_structure as run_up_structure
 from fenics_crack.model.structure import ModalDamping as ModalDamping
 from fenics_crack.model.structure import RayleighDamping as RayleighDamping
 from fenics_crack.model.structure import Structure as Structure
+from fenics_crack.monitoring.identification.identify import identify as identify
+from fenics_crack.monitoring.identification.measurements import Measurement as Measurement
+from fenics_crack.monitoring.identification.measurements import Measurements as Measurements
+from fenics_crack.monitoring.identification.result import Identification as Identification
+from fenics_crack.monitoring.identification.result import Worth as Worth
+from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes as ArrivalTimes
+from fenics_crack.monitoring.tip_timing.arrival_times import read_record as read_record
+from fenics_crack.monitoring.tip_timing.fit_frequency import fit_frequency as fit_frequency
+from fenics_crack.monitoring.tip_timing.fit_order import TipTrack as TipTrack
+from fenics_crack.monitoring.tip_timing.fit_order import fit_order as fit_order
+from fenics_crack.monitoring.tip_timing.fit_order import track_order as track_order
+from fenics_crack.monitoring.tip_timing.harmonics import TipFit as TipFit
+from fenics_crack.monitoring.tip_timing.passages import PassageFit as PassageFit
+from fenics_crack.monitoring.tip_timing.passages import find_passages as find_passages
+from fenics_crack.monitoring.tip_timing.passages import fit_passage as fit_passage
+from fenics_crack.monitoring.tip_timing.simulate import tip_timing as tip_timing
 from fenics_crack.motion.attractors import Attractor as Attractor
 from fenics_crack.motion.orbit import PeriodicOrbit as PeriodicOrbit
 from fenics_crack.scene.scene import Scene as Scene
@@ -113,8 +115,6 @@ from fenics_crack.study.run import stress_intensity as stress_intensity
 from fenics_crack.study.verification import GridConvergence as GridConvergence
 from fenics_crack.study.verification import Verification as Verification
 from fenics_crack.study.verification import grid_convergence as grid_convergence
-from fenics_crack.sweep.growth import Growth as Growth
-from fenics_crack.sweep.growth import grow as grow
 from fenics_crack.sweep.result import SweepResult as SweepResult
 from fenics_crack.sweep.result import run_sweep as run_sweep
 from fenics_crack.time.central_differences import (

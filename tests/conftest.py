@@ -43,7 +43,7 @@ def pytest_configure(config: pytest.Config) -> None:
     in every run."""
     if config.getoption("dist", "no") != "no":
         return
-    importlib.import_module("fenics_crack.parallel")
+    importlib.import_module("fenics_crack.basics.ranks")
     from hypothesis import settings
     from hypothesis.internal.conjecture import providers
 
@@ -71,7 +71,7 @@ def pytest_collection_finish() -> None:
 @pytest.fixture(autouse=True)
 def no_signs_of_life(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a program says every few seconds depends on the machine's load, which no test is of."""
-    monkeypatch.setattr("fenics_crack.stages.BEAT", 3600.0)
+    monkeypatch.setattr("fenics_crack.basics.progress.BEAT", 3600.0)
 
 
 @pytest.fixture

@@ -31,6 +31,8 @@ def module_name(path: Path) -> str:
 MODULES = {module_name(path): ast.parse(path.read_text()) for path in sorted(PACKAGE.rglob("*.py"))}
 FACE = {"fenics_crack", "fenics_crack.__main__"}
 """They lead to every floor."""
+WINGS = {"monitoring", "fatigue"}
+ABOVE_WINGS = {"cli", "draw"}
 
 
 def floors() -> list[str]:
@@ -100,6 +102,17 @@ def test_folders_import_only_from_below() -> None:
                 wrong.append(f"{module} -> {target}")
             elif here and there and order.index(here) > order.index(there):
                 wrong.append(f"{module} -> {target}")
+    assert not wrong
+
+
+def test_wings_stand_at_the_side() -> None:
+    """Nothing but the program, its pictures and the face imports one; none imports another."""
+    wrong = [
+        f"{module} -> {target}"
+        for module in MODULES.keys() - FACE
+        for target, _ in imports(module)
+        if folder_of(target) in WINGS - {folder_of(module)} and folder_of(module) not in ABOVE_WINGS
+    ]
     assert not wrong
 
 
@@ -187,14 +200,14 @@ def test_unknown_name_is_no_attribute() -> None:
 
 def test_mpi_is_imported_before_petsc() -> None:
     """PETSc would start MPI for one thread, and MPI read settings of the working folder: a folder
-    that uses them imports ``parallel`` first, as the program does."""
-    parallel = "fenics_crack.parallel"
-    order = packages(MODULES[parallel])
+    that uses them imports ``basics.ranks`` first, as the program does."""
+    ranks = "fenics_crack.basics.ranks"
+    order = packages(MODULES[ranks])
     assert order.index("mpi4py") < order.index("petsc4py")
-    for module in MODULES.keys() - {parallel}:
+    for module in MODULES.keys() - {ranks}:
         if folder_of(module) != "cli" and NEED_MPI_FIRST & set(packages(MODULES[module])):
             first = next(imports(f"fenics_crack.{folder_of(module)}"), None)
-            assert first == (parallel, []), module
+            assert first == (ranks, []), module
 
 
 def test_types_of_others_are_not_followed() -> None:

@@ -120,7 +120,7 @@ import fenics_crack as fc
 print(int(main(["check", {str(DEMOS / "paper_plate.toml")!r}])))
 try:
     fc.Scene
-except fc.errors.InputError as error:
+except fc.basics.errors.InputError as error:
     print(error.key, error.value, "1.24.2" in error.allowed, sys.prefix in error.allowed)
 """
     line, code, told = fresh(program).splitlines()

@@ -18,6 +18,7 @@ import numpy as np
 
 from fenics_crack.balance.contact_system import Wave
 from fenics_crack.balance.more_modes import UNKNOWN, MoreModes, is_still, reference_flow, seen_parts
+from fenics_crack.basics.tables import percent
 from fenics_crack.motion.flow import ContactFlow, flow_of
 from fenics_crack.motion.orbit import (
     PeriodicOrbit,
@@ -30,7 +31,6 @@ from fenics_crack.motion.orbit import (
 from fenics_crack.motion.search import wave_states
 from fenics_crack.numerics.equations import NEARLY_SOLVED
 from fenics_crack.numerics.newton import relative_to_motion
-from fenics_crack.table import percent
 
 MAX_ERROR, MAX_RATIO = 0.1, 3.0
 """Acceptance of the nearest orbit: maximum predicted error and distance, relative, and maximum

@@ -38,13 +38,13 @@ import scipy.linalg
 import scipy.sparse as sparse
 from petsc4py import PETSc
 
-from fenics_crack.errors import ConvergenceError, InputError, check_number
+from fenics_crack.basics.errors import ConvergenceError, InputError, check_number
+from fenics_crack.basics.ranks import collect_garbage
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import damped_modes, projected_damping, solve_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import from_complex, resized, to_complex
-from fenics_crack.parallel import collect_garbage
 
 DEFLATION_BAND = 1e-2
 """A mode is dealt with by itself where |1 - (omega/omega_j)^2| is below this."""

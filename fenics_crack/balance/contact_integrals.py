@@ -34,7 +34,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from fenics_crack.errors import ConvergenceError
+from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import NULL, kernel, owned, pointer, shaped
 from fenics_crack.model.contact import (
     ActiveSets,

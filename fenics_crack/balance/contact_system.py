@@ -42,7 +42,7 @@ import numpy as np
 
 from fenics_crack.balance.compliance import Compliance, ModalPart, resized_compliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, CoupledIntegrals, respond
-from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.kernel import Struct, kernel, owned, pointer, shaped
 from fenics_crack.model.contact import ContactLaw, is_rigid
 from fenics_crack.model.modal import all_modes

@@ -32,6 +32,7 @@ from fenics_crack.balance.contact_integrals import respond
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, Wave
 from fenics_crack.balance.more_modes import UNKNOWN, seen_parts
 from fenics_crack.balance.problem import Problem
+from fenics_crack.basics.tables import Described
 from fenics_crack.model.contact import REGULAR, UnilateralPenalty, is_regular, is_rigid
 from fenics_crack.model.modal import SMALL, all_modes
 from fenics_crack.model.modes import NEGLIGIBLE
@@ -41,7 +42,6 @@ from fenics_crack.motion.orbit import KNOWN
 from fenics_crack.numerics.equations import NEARLY_SOLVED
 from fenics_crack.numerics.fourier import resized, sampled
 from fenics_crack.numerics.newton import moving_square, solve_near
-from fenics_crack.table import Described
 
 LARGE_ERROR = 0.05
 """Estimated relative error above which a solution has a warning."""

@@ -37,7 +37,7 @@ from fenics_crack.balance.error_report import ErrorReport, beside
 from fenics_crack.balance.more_modes import UNKNOWN
 from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver
-from fenics_crack.errors import (
+from fenics_crack.basics.errors import (
     ConvergenceError,
     InputError,
     check_choice,
@@ -46,6 +46,8 @@ from fenics_crack.errors import (
     check_number,
     check_omega,
 )
+from fenics_crack.basics.progress import begin
+from fenics_crack.basics.tables import percent, quantity
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modal import all_modes, is_small
@@ -58,8 +60,6 @@ from fenics_crack.motion.orbit import FORMED, INSTANTS, OrbitCoefficients, Perio
 from fenics_crack.motion.search import PARTS, OrbitSearch, SearchOptions, search_orbit
 from fenics_crack.numerics.fourier import from_complex, to_complex
 from fenics_crack.numerics.newton import relative_to_motion
-from fenics_crack.stages import begin
-from fenics_crack.table import percent, quantity
 
 
 def solve_linear(structure: Structure, omega: float, *, harmonics: int = 5) -> PeriodicSolution:

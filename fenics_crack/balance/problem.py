@@ -41,9 +41,16 @@ from fenics_crack.balance.contact_integrals import (
     contact_integrals,
 )
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, Wave, default_weight
-from fenics_crack.errors import MAX_SAMPLES, InputError, check_count, check_number, check_omega
+from fenics_crack.basics.errors import (
+    MAX_SAMPLES,
+    InputError,
+    check_count,
+    check_number,
+    check_omega,
+)
+from fenics_crack.basics.progress import begin
+from fenics_crack.basics.threads import machine_memory
 from fenics_crack.kernel import kernel
-from fenics_crack.machine import machine_memory
 from fenics_crack.model.contact import ContactLaw, check_law, is_regular, is_rigid
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
@@ -68,7 +75,6 @@ from fenics_crack.numerics.newton import (
     solve_near,
 )
 from fenics_crack.numerics.path import NARROW, Ended, Path, PathOptions, Target
-from fenics_crack.stages import begin
 
 BEYOND = 2.0
 """Ratio to the highest harmonic above which modes are quasi-static."""

@@ -32,13 +32,13 @@ from fenics_crack.balance.error_report import (
     of_no_solution,
 )
 from fenics_crack.balance.problem import Problem, Search
-from fenics_crack.errors import ConvergenceError
+from fenics_crack.basics.errors import ConvergenceError
+from fenics_crack.basics.tables import Described, Tabular, counted, quantity, with_frequency
 from fenics_crack.model.contact import check_slope, is_unilateral
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.motion.search import SearchOptions
 from fenics_crack.numerics.fourier import evaluate, resized, sampled
-from fenics_crack.table import Described, Tabular, counted, quantity, with_frequency
 
 
 @dataclass(frozen=True, repr=False)

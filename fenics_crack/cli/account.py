@@ -15,17 +15,8 @@ import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR, PARTS, ErrorReport
 from fenics_crack.balance.solution import PeriodicSolution, Stability
-from fenics_crack.errors import MOST_HARMONICS, Exit
-from fenics_crack.model.modes import damped_range
-from fenics_crack.scene.scene import Scene, unit_of
-from fenics_crack.scene.words import key_in_words
-from fenics_crack.study.key_figures import SMALL_MOTION, Remark, extents, remarks_on_scene
-from fenics_crack.study.run import Run
-from fenics_crack.study.verification import Verification
-from fenics_crack.sweep.growth import ENDS, Growth
-from fenics_crack.sweep.plan import FREQUENCIES
-from fenics_crack.sweep.result import SweepResult, by_reason, in_words
-from fenics_crack.table import (
+from fenics_crack.basics.errors import MOST_HARMONICS, Exit
+from fenics_crack.basics.tables import (
     QUANTITIES,
     Table,
     counted,
@@ -34,6 +25,15 @@ from fenics_crack.table import (
     percent,
     quantity,
 )
+from fenics_crack.fatigue.growth import ENDS, Growth
+from fenics_crack.model.modes import damped_range
+from fenics_crack.scene.scene import Scene, unit_of
+from fenics_crack.scene.words import key_in_words
+from fenics_crack.study.plausibility import SMALL_MOTION, Remark, extents, remarks_on_scene
+from fenics_crack.study.run import Run
+from fenics_crack.study.verification import Verification
+from fenics_crack.sweep.plan import FREQUENCIES
+from fenics_crack.sweep.result import SweepResult, by_reason, in_words
 
 MORE = "more harmonics (harmonic_balance.harmonics, or a tolerance that chooses them)"
 FINER = "a smaller harmonic_balance.tolerance"

@@ -17,11 +17,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
-from fenics_crack.errors import ConvergenceError, Exit, InputError, StoppedError, WriteError
-from fenics_crack.hints import in_other_words, meant, near
-from fenics_crack.machine import LAUNCHERS, alone, check_modules, launched
+from fenics_crack.basics.atomic_files import FULL
+from fenics_crack.basics.errors import ConvergenceError, Exit, InputError, StoppedError, WriteError
+from fenics_crack.basics.suggestions import in_other_words, meant, near
+from fenics_crack.basics.threads import LAUNCHERS, alone, check_modules, launched
 from fenics_crack.version import VERSION
-from fenics_crack.whole import FULL
 
 if TYPE_CHECKING:
     from fenics_crack.cli.given import Console, Inputs
@@ -194,9 +194,9 @@ def _run(given: argparse.Namespace) -> Exit:
     inputs = None if launched() else read_inputs(given)
     meshes = given.command != "new" and not ("scene" in given and inputs is None and not launched())
     if meshes and not (inputs and inputs.scene.structure):
-        from fenics_crack import mesher  # noqa: F401  before MPI: see there
+        from fenics_crack.basics import gmsh_process as mesher  # noqa: F401  before MPI: see there
     with _settings({} if launched() else ALONE):
-        from fenics_crack.parallel import MPI, STOPS, on_root
+        from fenics_crack.basics.ranks import MPI, STOPS, on_root
 
     comm = MPI.COMM_WORLD
     if comm.rank > 0:
@@ -232,7 +232,7 @@ def _command(given: argparse.Namespace, inputs: Inputs | None, console: Console)
     if inputs is None or "output" not in given:
         return command(given, inputs, console)
     from fenics_crack.cli.given import make_writable
-    from fenics_crack.study.key_figures import remarks_on_scene
+    from fenics_crack.study.plausibility import remarks_on_scene
 
     make_writable(inputs.folder, console.comm)
     try:

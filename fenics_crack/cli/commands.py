@@ -11,20 +11,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fenics_crack.basics.errors import FEW_MODES, INTERRUPTED, Exit, InputError, StoppedError
+from fenics_crack.basics.ranks import on_root, uninterrupted
+from fenics_crack.basics.tables import RPM, counted, quantity, speed_in_words
 from fenics_crack.cli.account import Account, account_of_sweep
 from fenics_crack.cli.given import Console, Inputs, keep_before
 from fenics_crack.cli.results import account_of
 from fenics_crack.cli.scenes import remark_on_sweep
-from fenics_crack.errors import FEW_MODES, INTERRUPTED, Exit, InputError, StoppedError
-from fenics_crack.parallel import on_root, uninterrupted
 from fenics_crack.study import run as runs
-from fenics_crack.study.key_figures import coriolis_in_words, remarks_on_scene
+from fenics_crack.study.plausibility import coriolis_in_words, remarks_on_scene
 from fenics_crack.study.run import Run
-from fenics_crack.table import RPM, counted, quantity, speed_in_words
 
 if TYPE_CHECKING:
-    from fenics_crack.arrivals.arrival_times import ArrivalTimes
-    from fenics_crack.identification.measurements import Measurements
+    from fenics_crack.monitoring.identification.measurements import Measurements
+    from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
     from fenics_crack.scene.scene import Scene
 
 MOST_SPEEDS = 10_000
@@ -125,7 +125,7 @@ def sweep(_: Namespace, inputs: Inputs, console: Console) -> Exit:
 def grow(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     """The crack's growth: lengths that an earlier run has left, and the cycles between all."""
     from fenics_crack.draw.plot_study import draw_growth
-    from fenics_crack.sweep import growth
+    from fenics_crack.fatigue import growth
 
     scene, folder = inputs.scene, inputs.folder
     with console.stage("growth", bars=True):
@@ -185,9 +185,9 @@ def _told_by(
 ) -> Measurements:
     """Return the measurements that follow from arrivals: displacements, or in a run-up the natural
     frequencies whose resonances are passed, with ``before`` of the blade before it had a crack."""
-    from fenics_crack.arrivals.arrival_times import STEADY
-    from fenics_crack.identification.measurements import Measurements, without_crack
-    from fenics_crack.study import timing
+    from fenics_crack.monitoring.identification.measurements import Measurements, without_crack
+    from fenics_crack.monitoring.tip_timing import scene_timing as timing
+    from fenics_crack.monitoring.tip_timing.arrival_times import STEADY
 
     times, run = timing.arrivals_of(scene, source, console.comm)
     key = "--before" if before else "arrivals"
@@ -217,7 +217,9 @@ def _told_by(
 def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     """A crack from measurements: what it is, how sure, and where to measure next."""
     from fenics_crack.draw.plot_study import draw_posterior  # Matplotlib
-    from fenics_crack.identification import identify as search  # SciPy's optimize, interpolate
+    from fenics_crack.monitoring.identification import (
+        identify as search,  # SciPy's optimize, interpolate
+    )
 
     scene, folder = inputs.scene, inputs.folder
     parts = [] if inputs.measurements is None else [inputs.measurements]

@@ -26,19 +26,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fenics_crack.errors import InputError, check_count
-from fenics_crack.outside import content_of
+from fenics_crack.basics.atomic_files import not_written, write_whole
+from fenics_crack.basics.errors import InputError, check_count
+from fenics_crack.basics.progress import StageLines, begin, listening
+from fenics_crack.basics.tables import Table
+from fenics_crack.basics.untrusted_files import content_of
 from fenics_crack.scene.scene import Scene
-from fenics_crack.stages import StageLines, begin, listening
-from fenics_crack.table import Table
 from fenics_crack.version import packaged
-from fenics_crack.whole import not_written, write_whole
 
 if TYPE_CHECKING:
     from mpi4py import MPI
 
-    from fenics_crack.arrivals.arrival_times import ArrivalTimes
-    from fenics_crack.identification.measurements import Measurements
+    from fenics_crack.monitoring.identification.measurements import Measurements
+    from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
 
 COMMENTED = "cli/new_scene.toml"
 RECORDS = (".csv", ".h5")
@@ -93,7 +93,7 @@ def _measurements(given: Namespace, scene: Scene, before: Path | None) -> Measur
         raise InputError("measurements", None, allowed)
     if not files and before is None and not modes:
         return None
-    from fenics_crack.identification.measurements import UNIVERSAL, Measurements
+    from fenics_crack.monitoring.identification.measurements import UNIVERSAL, Measurements
 
     if modes and before is None and not any(one.suffix.lower() in UNIVERSAL for one in files):
         allowed = f"left out without frequency responses ({', '.join(UNIVERSAL)})"
@@ -113,7 +113,7 @@ def _arrivals(scene: Scene, given: Namespace, source: Path | None) -> ArrivalTim
     if source is None or source.suffix.lower() == ".h5":
         return source
     table = scene.given("tip_timing")
-    from fenics_crack.arrivals.arrival_times import read_record
+    from fenics_crack.monitoring.tip_timing.arrival_times import read_record
 
     blades = read_record(source, tip_radius=table.tip_radius, probes=np.radians(table.probes))
     [(_, arrivals), *others] = one_of(blades, given.blade, source).items()
@@ -215,7 +215,7 @@ class Console:
 
 def make_writable(folder: Path, comm: MPI.Comm) -> None:
     """Make a folder for results; raise InputError unless a file can be written there."""
-    from fenics_crack.parallel import on_root  # PETSc
+    from fenics_crack.basics.ranks import on_root  # PETSc
 
     def work() -> None:
         before = folder / BEFORE
@@ -238,7 +238,7 @@ def keep_before(table: Path, text: str, comm: MPI.Comm, *others: str) -> str:
 
     Its files are those of the name of the table and of the ``others``.
     """
-    from fenics_crack.parallel import on_root  # PETSc
+    from fenics_crack.basics.ranks import on_root  # PETSc
 
     before = table.with_name(BEFORE)
 
@@ -276,7 +276,7 @@ def keep_before(table: Path, text: str, comm: MPI.Comm, *others: str) -> str:
 
 def new(given: Namespace, _: None, console: Console) -> None:
     """Write a commented scene to start from."""
-    from fenics_crack.parallel import on_root  # PETSc
+    from fenics_crack.basics.ranks import on_root  # PETSc
 
     path: Path = given.file
     kinds = [kind for kind in KINDS if vars(given)[kind]]

@@ -28,6 +28,11 @@ from mpi4py import MPI
 
 from fenics_crack.balance.harmonic_balance import linear_response
 from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.basics.atomic_files import write_whole
+from fenics_crack.basics.errors import FEW_MODES, InputError
+from fenics_crack.basics.ranks import on_root
+from fenics_crack.basics.tables import Table, percent, readable, with_unit
+from fenics_crack.basics.untrusted_files import content_of
 from fenics_crack.cli.account import frequency_in_words
 from fenics_crack.cli.given import Console, make_writable
 from fenics_crack.cli.results import RESULTS, Computed, Identified, account_of, over_time, result_of
@@ -48,12 +53,10 @@ from fenics_crack.draw.plot import (
 from fenics_crack.draw.plot_curve import draw_content, draw_curve, draw_multipliers
 from fenics_crack.draw.plot_mesh import draw_mesh, draw_modes
 from fenics_crack.draw.plot_study import draw_growth, draw_verification
-from fenics_crack.errors import FEW_MODES, InputError
+from fenics_crack.fatigue.growth import Growth
 from fenics_crack.files.store import Stored, read, versions
 from fenics_crack.model.modes import LIPS, Modes, n_tied_modes, solve_modes
 from fenics_crack.model.structure import Structure
-from fenics_crack.outside import content_of
-from fenics_crack.parallel import on_root
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene, unit_of
 from fenics_crack.scene.words import WHOLE, differences, given_values, key_in_words, value_in_words
@@ -61,13 +64,10 @@ from fenics_crack.study.conclusion import known_to
 from fenics_crack.study.prepare import prepare
 from fenics_crack.study.run import Run, stress_intensity
 from fenics_crack.study.verification import Verification
-from fenics_crack.sweep.growth import Growth
 from fenics_crack.sweep.plan import FREQUENCIES
 from fenics_crack.sweep.result import SweepResult
-from fenics_crack.table import Table, percent, readable, with_unit
 from fenics_crack.time.march import TimeHistory
 from fenics_crack.version import VERSION, packaged
-from fenics_crack.whole import write_whole
 
 MOST_PICTURES = 12
 """Results in one picture; pictures of a quantity of a sweep."""

@@ -15,6 +15,24 @@ from mpi4py import MPI
 
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.solution import Indicators, PeriodicSolution
+from fenics_crack.basics.errors import INTERRUPTED, ConvergenceError, InputError
+from fenics_crack.basics.tables import (
+    OF_FREQUENCIES,
+    OF_LIPS,
+    OF_POINTS,
+    QUANTITIES,
+    READ,
+    SHORT,
+    UNITS,
+    Table,
+    counted,
+    in_unit,
+    percent,
+    quantity,
+    with_frequency,
+    with_unit,
+)
+from fenics_crack.basics.untrusted_files import content_of
 from fenics_crack.cli.account import (
     IN_A_TEST,
     OTHERS,
@@ -36,40 +54,22 @@ from fenics_crack.cli.scenes import remark_on
 from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, kind_in_words, parameter_axis
 from fenics_crack.curves.peak import AT_END, Top
 from fenics_crack.curves.stability import attractors
-from fenics_crack.errors import INTERRUPTED, ConvergenceError, InputError
+from fenics_crack.fatigue.growth import Growth
 from fenics_crack.files.store import IDENTIFICATION, Stored
 from fenics_crack.model.modes import KINDS, BilinearFrequencies, Modes, bilinear_frequencies
 from fenics_crack.model.rotation import RunUpStructure
-from fenics_crack.outside import content_of
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
 from fenics_crack.scene.words import key_in_words, value_in_words
-from fenics_crack.study.asked import asked_along_curve, asked_of_motion
 from fenics_crack.study.coarser_mesh import natural_name
 from fenics_crack.study.conclusion import conclusion, known_to, unknown_error
-from fenics_crack.study.key_figures import highest_omega
+from fenics_crack.study.plausibility import highest_omega
 from fenics_crack.study.prepare import Watched
 from fenics_crack.study.run import Run, run_of
 from fenics_crack.study.stated_errors import largest_left_out
+from fenics_crack.study.tip_and_clamp import asked_along_curve, asked_of_motion
 from fenics_crack.study.verification import Verification, verification_of
-from fenics_crack.sweep.growth import Growth
 from fenics_crack.sweep.result import SweepResult
-from fenics_crack.table import (
-    OF_FREQUENCIES,
-    OF_LIPS,
-    OF_POINTS,
-    QUANTITIES,
-    READ,
-    SHORT,
-    UNITS,
-    Table,
-    counted,
-    in_unit,
-    percent,
-    quantity,
-    with_frequency,
-    with_unit,
-)
 from fenics_crack.time.march import TimeHistory
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -744,7 +744,9 @@ def _identified(stored: Stored) -> Identified:
 
 def _account_of_identified(found: Identified) -> Account:
     """Verdict, estimates with their intervals, and the fit."""
-    from fenics_crack.identification.result import FITTED  # SciPy's optimize, interpolate
+    from fenics_crack.monitoring.identification.result import (
+        FITTED,  # SciPy's optimize, interpolate
+    )
 
     values, rows = found.summary, []
     for key, value in values["estimate"].items():

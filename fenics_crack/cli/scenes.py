@@ -10,16 +10,17 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.problem import check_memory
+from fenics_crack.basics.errors import ConvergenceError, InputError
+from fenics_crack.basics.ranks import on_root
+from fenics_crack.basics.tables import RPM, TURN, Table, counted, percent, ranging
 from fenics_crack.cli.given import Console, Inputs
-from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modes import damped_range
 from fenics_crack.model.structure import Structure
-from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene, asked_quantities
 from fenics_crack.scene.words import faces_in_words
 from fenics_crack.study.coarser_mesh import errors_of_natural
-from fenics_crack.study.key_figures import (
+from fenics_crack.study.plausibility import (
     CURVE_UNITS,
     KeyFigures,
     Remark,
@@ -40,7 +41,6 @@ from fenics_crack.study.prepare import (
 )
 from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.plan import Plan
-from fenics_crack.table import RPM, TURN, Table, counted, percent, ranging
 
 MAX_CHECKED = 10_000
 """Cases of a sweep that are checked before it is run."""
@@ -52,7 +52,7 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
     with console.stage("mesh and matrices"):
         study = prepare(scene, console.comm, whole=True)
         if asked_quantities(scene):  # which may be refused
-            from fenics_crack.study.asked import prepare_asked  # the solver
+            from fenics_crack.study.tip_and_clamp import prepare_asked  # the solver
 
             prepare_asked(study)
     whole, harmonics = study.structure, scene.harmonic_balance.harmonics

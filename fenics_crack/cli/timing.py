@@ -11,24 +11,33 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.arrivals.arrival_times import ArrivalTimes, read_record
-from fenics_crack.arrivals.fit_order import TipTrack
-from fenics_crack.arrivals.harmonics import ORDERS, TipFit
-from fenics_crack.arrivals.passages import PassageFit, find_passages
 from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.basics.errors import Exit, InputError
+from fenics_crack.basics.progress import within
+from fenics_crack.basics.ranks import on_root
+from fenics_crack.basics.tables import (
+    RPM,
+    TURN,
+    UNITS,
+    Table,
+    counted,
+    quantity,
+    ranging,
+    speed_in_words,
+)
 from fenics_crack.cli.account import Account, in_one_unit, of_error, of_stability
 from fenics_crack.cli.commands import tell
 from fenics_crack.cli.given import Console, Inputs, changes, keep_before, make_writable, one_of
 from fenics_crack.draw.plot_study import draw_arrivals, draw_passages, draw_tip_fit, draw_tip_track
-from fenics_crack.errors import Exit, InputError
-from fenics_crack.parallel import on_root
+from fenics_crack.monitoring.tip_timing import scene_timing
+from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes, read_record
+from fenics_crack.monitoring.tip_timing.fit_order import TipTrack
+from fenics_crack.monitoring.tip_timing.harmonics import ORDERS, TipFit
+from fenics_crack.monitoring.tip_timing.passages import PassageFit, find_passages
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import TipTiming
-from fenics_crack.stages import within
-from fenics_crack.study import timing as study
-from fenics_crack.study.key_figures import remarks_on_arrivals, remarks_on_scene
+from fenics_crack.study.plausibility import remarks_on_scene
 from fenics_crack.study.run import Run
-from fenics_crack.table import RPM, TURN, UNITS, Table, counted, quantity, ranging, speed_in_words
 
 KEYS = ("tip_radius", "orders", "probes", "stiffening")
 """Keys of [tip_timing] for a record in place of a scene."""
@@ -77,7 +86,7 @@ def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
         return _record(given, console)
     scene, folder = inputs.scene, inputs.folder
     with console.stage("arrival times"):
-        arrivals, run = study.arrivals_of(scene, inputs.arrivals, console.comm)
+        arrivals, run = scene_timing.arrivals_of(scene, inputs.arrivals, console.comm)
 
     def write() -> None:
         arrivals.to_csv(folder / "arrivals.csv")
@@ -88,14 +97,14 @@ def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
     console.note(keep_before(folder / "arrivals.csv", rows, console.comm))
     on_root(console.comm, write)
     first, last = (speed_in_words(arrivals.speed[end], scene.in_rpm) for end in (0, -1))
-    ends = f"{first} to {last}" if study.is_run_up(arrivals, run) else first
+    ends = f"{first} to {last}" if scene_timing.is_run_up(arrivals, run) else first
     console.note(
         f"arrivals of {_size(arrivals)}, {ends}: {folder / 'arrivals.csv'}, .{console.pictures}"
     )
     if run is not None:
-        console.note(study.tip_in_words(scene.given("tip_timing"), run))
+        console.note(scene_timing.tip_in_words(scene.given("tip_timing"), run))
     with console.stage("vibration"):
-        fit = study.vibration_in(scene, arrivals, run)
+        fit = scene_timing.vibration_in(scene, arrivals, run)
     if isinstance(fit, tuple):
         account, draw = _account_of_passages({1: fit}), partial(draw_passages, fit, arrivals)
     elif isinstance(fit, TipTrack):
@@ -115,13 +124,15 @@ def _size(arrivals: ArrivalTimes) -> str:
 def _warnings_of(arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | None) -> Iterator[str]:
     """Yield warnings about measured arrivals, or about the run that they are computed from."""
     if run is None:
-        yield from remarks_on_arrivals(arrivals)
+        yield from scene_timing.remarks_on_arrivals(arrivals)
         speeds = arrivals.mean_speed, scene.speed
         if scene.speed > 0.0 and not 1.0 / FAR <= speeds[0] / speeds[1] <= FAR:
             seen, own = (speed_in_words(speed, scene.in_rpm) for speed in speeds)
             yield f"the arrivals are of {seen}, [rotation] has {own}: are they in seconds?"
         return
-    yield from filter(None, (study.of_another_scene(scene, run), study.run_up_ends(scene, run)))
+    yield from filter(
+        None, (scene_timing.of_another_scene(scene, run), scene_timing.run_up_ends(scene, run))
+    )
     if isinstance(run.result, PeriodicSolution):
         found = run.result
         yield from of_error(run.scene, found.report, found.harmonics)
@@ -167,7 +178,7 @@ def _record(given: Namespace, console: Console) -> Exit:
     console.note(f"{counted(len(blades), 'blade')}, {_size(blades[first])}")
     draw = partial(draw_passages, found[first], blades[first])
     account = _account_of_passages(found)
-    warnings = [*remarks_on_arrivals(blades[first]), *account.warnings]
+    warnings = [*scene_timing.remarks_on_arrivals(blades[first]), *account.warnings]
     warnings += [UNSWEPT] * blades[first].steady
     return tell(replace(account, warnings=warnings), folder, console, draw)
 

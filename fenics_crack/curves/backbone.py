@@ -45,6 +45,15 @@ from fenics_crack.balance.contact_integrals import contact_integrals
 from fenics_crack.balance.error_report import SLIGHT, ErrorReport, mean_square, moving_mean_square
 from fenics_crack.balance.more_modes import UNKNOWN
 from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.basics.errors import (
+    INTERRUPTED,
+    ConvergenceError,
+    InputError,
+    check_count,
+    check_number,
+)
+from fenics_crack.basics.suggestions import check_options
+from fenics_crack.basics.tables import Tabular, counted, with_frequency
 from fenics_crack.curves.curve import PHASES
 from fenics_crack.curves.free_motion import (
     HELPS,
@@ -54,14 +63,11 @@ from fenics_crack.curves.free_motion import (
     cosine_rows,
     first_motion,
 )
-from fenics_crack.errors import INTERRUPTED, ConvergenceError, InputError, check_count, check_number
-from fenics_crack.hints import check_options
 from fenics_crack.model.contact import ContactLaw, check_law
 from fenics_crack.model.modal import SMALL, all_modes, is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.newton import PathPoint, solve_at
-from fenics_crack.table import Tabular, counted, with_frequency
 
 
 @dataclass(frozen=True, repr=False)

@@ -15,12 +15,12 @@ from typing import Any, Unpack
 from fenics_crack.balance.harmonic_balance import check_initial, solve_beside
 from fenics_crack.balance.problem import ON_PATH, Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver
+from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
-from fenics_crack.curves.exact import judge_curve
 from fenics_crack.curves.family import FAMILIES, Family
 from fenics_crack.curves.growing import Growing, Steps
 from fenics_crack.curves.harmonic_curve import HarmonicCurve
-from fenics_crack.errors import InputError, check_count, check_number
+from fenics_crack.curves.verdicts import judge_curve
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.motion.flow import exact_flow
 from fenics_crack.numerics.fourier import stretched

@@ -19,15 +19,8 @@ from fenics_crack.balance.solution import (
     contact_extremes,
     indicators_of,
 )
-from fenics_crack.curves.family import FAMILIES
-from fenics_crack.curves.peak import Peak, Top, damping_by_width, top_of
-from fenics_crack.curves.stability import floquet
-from fenics_crack.errors import InputError
-from fenics_crack.model.contact import ContactLaw
-from fenics_crack.model.rotation import RunUpStructure
-from fenics_crack.model.structure import Structure
-from fenics_crack.motion.orbit import PeriodicOrbit
-from fenics_crack.table import (
+from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.tables import (
     Described,
     Tabular,
     counted,
@@ -35,6 +28,13 @@ from fenics_crack.table import (
     speed_axis,
     with_frequency,
 )
+from fenics_crack.curves.family import FAMILIES
+from fenics_crack.curves.peak import Peak, Top, damping_by_width, top_of
+from fenics_crack.curves.stability import floquet
+from fenics_crack.model.contact import ContactLaw
+from fenics_crack.model.rotation import RunUpStructure
+from fenics_crack.model.structure import Structure
+from fenics_crack.motion.orbit import PeriodicOrbit
 
 PARAMETERS = {
     "omega": "load frequency [rad/s]",

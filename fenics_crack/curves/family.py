@@ -20,7 +20,7 @@ from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, respond
 from fenics_crack.balance.contact_system import CompiledEquations, ContactPoint, ContactSystem
 from fenics_crack.balance.problem import Problem
-from fenics_crack.errors import InputError, check_number, check_omega
+from fenics_crack.basics.errors import InputError, check_number, check_omega
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import DIFFERENCE, least_residual

@@ -12,12 +12,7 @@ from tqdm import tqdm
 
 from fenics_crack.balance.problem import ON_PATH, Problem
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.curves.continuation import Continuation
-from fenics_crack.curves.curve import Bifurcation, CurvePoint, ResponseCurve
-from fenics_crack.curves.growing import Growing
-from fenics_crack.curves.orbit_continuation import OrbitContinuation, has_orbits
-from fenics_crack.curves.orbit_curve import OrbitCurve
-from fenics_crack.errors import (
+from fenics_crack.basics.errors import (
     INTERRUPTED,
     ConvergenceError,
     InputError,
@@ -25,14 +20,19 @@ from fenics_crack.errors import (
     check_kind,
     check_omega,
 )
-from fenics_crack.hints import check_options
+from fenics_crack.basics.progress import begin, reaching
+from fenics_crack.basics.suggestions import check_options
+from fenics_crack.basics.tables import RPM
+from fenics_crack.curves.continuation import Continuation
+from fenics_crack.curves.curve import Bifurcation, CurvePoint, ResponseCurve
+from fenics_crack.curves.growing import Growing
+from fenics_crack.curves.orbit_continuation import OrbitContinuation, has_orbits
+from fenics_crack.curves.orbit_curve import OrbitCurve
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
-from fenics_crack.stages import begin, reaching
-from fenics_crack.table import RPM
 
 ATTEMPTS = 4
 """Places, from the end on, from which another curve is sought that leads to the start."""

@@ -16,7 +16,7 @@ from fenics_crack.balance.contact_integrals import CoupledIntegrals, PairIntegra
 from fenics_crack.balance.contact_system import SOFT
 from fenics_crack.balance.problem import halved, rounding_left
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import ContactLaw, gauss
 from fenics_crack.model.modal import AllModes, all_modes
 from fenics_crack.model.structure import Structure

@@ -24,16 +24,17 @@ import numpy as np
 import scipy.linalg
 
 from fenics_crack.balance.problem import Problem
-from fenics_crack.curves.curve import CurvePoint, ResponseCurve, parameter_axis
-from fenics_crack.curves.family import FAMILIES, Family
-from fenics_crack.curves.orbit_family import OrbitFamily
-from fenics_crack.errors import (
+from fenics_crack.basics.errors import (
     ConvergenceError,
     InputError,
     check_choice,
     check_count,
     check_number,
 )
+from fenics_crack.basics.tables import counted, in_unit
+from fenics_crack.curves.curve import CurvePoint, ResponseCurve, parameter_axis
+from fenics_crack.curves.family import FAMILIES, Family
+from fenics_crack.curves.orbit_family import OrbitFamily
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
@@ -64,7 +65,6 @@ from fenics_crack.numerics.path import (
     Target,
     observed,
 )
-from fenics_crack.table import counted, in_unit
 
 ASIDE = 0.1, 0.03, 0.3, 0.01, 1.0
 """Distances from a bifurcation at which its branch is entered, in longest steps, tried in turn."""

@@ -16,13 +16,13 @@ import numpy as np
 from fenics_crack.balance.harmonic_balance import check_initial, initial_orbit
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.basics.errors import TOLERANCE, ConvergenceError, check_number
 from fenics_crack.curves.curve import Bifurcation, leading
 from fenics_crack.curves.family import FAMILIES
 from fenics_crack.curves.growing import Growing, Steps, check_range, chord, points_of
 from fenics_crack.curves.orbit_curve import FEWEST, OrbitCurve
 from fenics_crack.curves.orbit_events import MultiplierControl, NeimarkSacker, PeriodDoubling
 from fenics_crack.curves.orbit_family import OrbitFamily
-from fenics_crack.errors import TOLERANCE, ConvergenceError, check_number
 from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import FORMED, PeriodicOrbit, too_slow
 from fenics_crack.numerics.path import BranchPoint, Fold

@@ -28,9 +28,9 @@ import numpy as np
 import scipy.linalg
 
 from fenics_crack.balance.problem import Problem
+from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.curves.family import FAMILIES
 from fenics_crack.curves.orbit_events import observe
-from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, exact_flow
 from fenics_crack.motion.shooting import OrbitPoint, ShootingEquations
 from fenics_crack.numerics.equations import EPSILON, ROUNDING

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.table import Described, quantity, with_frequency
+from fenics_crack.basics.tables import Described, quantity, with_frequency
 
 AT_END = "still rising at the end of the range"
 """Description of a largest response that is no peak."""

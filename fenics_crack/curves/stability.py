@@ -34,7 +34,8 @@ from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.more_modes import UNKNOWN
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Stability
-from fenics_crack.errors import ConvergenceError, InputError, check_count, check_kind
+from fenics_crack.basics.errors import ConvergenceError, InputError, check_count, check_kind
+from fenics_crack.basics.tables import percent
 from fenics_crack.model.contact import ContactLaw, check_law, check_slope, is_rigid, smooth_forces
 from fenics_crack.model.modal import CACHED, AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
@@ -46,7 +47,6 @@ from fenics_crack.motion.shooting import FlowOrbits
 from fenics_crack.numerics.equations import NEARLY_SOLVED
 from fenics_crack.numerics.fourier import resized, sampled
 from fenics_crack.numerics.newton import moving_size, solve_at
-from fenics_crack.table import percent
 from fenics_crack.time.march import initial_state
 
 MOST_STEPS = 2**13

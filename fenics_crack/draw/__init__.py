@@ -1,8 +1,8 @@
 """Pictures, and files for ParaView."""
 
-import fenics_crack.parallel  # noqa: F401  (MPI before PETSc)
-from fenics_crack.caches import settle_caches
-from fenics_crack.outside import away
+import fenics_crack.basics.ranks  # noqa: F401  (MPI before PETSc)
+from fenics_crack.basics.caches import settle_caches
+from fenics_crack.basics.untrusted_files import away
 
 settle_caches()
 with away():  # matplotlib would read a matplotlibrc

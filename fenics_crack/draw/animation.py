@@ -30,15 +30,15 @@ from vtkmodules.vtkFiltersSources import vtkArrowSource
 from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper, vtkRenderer, vtkRenderWindow
 
 from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.basics.atomic_files import write_whole
+from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.progress import begin
+from fenics_crack.basics.ranks import on_root
+from fenics_crack.basics.tables import readable
 from fenics_crack.draw import vtk
 from fenics_crack.draw.figure import COLOURS, drawn_on, label_axis
 from fenics_crack.draw.vtk import PeriodFields
-from fenics_crack.errors import InputError
-from fenics_crack.parallel import on_root
 from fenics_crack.scene.tables import Material
-from fenics_crack.stages import begin
-from fenics_crack.table import readable
-from fenics_crack.whole import write_whole
 
 SECONDS = 3.0
 """Duration of the animation."""

@@ -25,12 +25,12 @@ from matplotlib.ticker import Formatter, FuncFormatter, LogFormatter, LogLocator
 from mpi4py import MPI
 from PIL import Image
 
-from fenics_crack.errors import InputError
-from fenics_crack.hints import check_options
-from fenics_crack.parallel import on_root
-from fenics_crack.stages import begin
-from fenics_crack.table import readable, with_unit
-from fenics_crack.whole import write_whole
+from fenics_crack.basics.atomic_files import write_whole
+from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.progress import begin
+from fenics_crack.basics.ranks import on_root
+from fenics_crack.basics.suggestions import check_options
+from fenics_crack.basics.tables import readable, with_unit
 
 COLOURS = {"blue": "#0072B2", "orange": "#D55E00", "green": "#009E73", "pink": "#CC79A7"}
 COLOURS["grey"] = "#5C5C5C"

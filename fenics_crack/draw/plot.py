@@ -18,6 +18,8 @@ from mpi4py import MPI
 
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.tables import readable
 from fenics_crack.draw.figure import (
     COLOURS,
     Picture,
@@ -27,14 +29,12 @@ from fenics_crack.draw.figure import (
     label_axis,
     upright,
 )
-from fenics_crack.errors import InputError
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.contact import ContactLaw, is_rigid
 from fenics_crack.model.nodes import AXES, Pairs
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import DIFFERENCE
 from fenics_crack.numerics.fourier import to_complex
-from fenics_crack.table import readable
 
 if TYPE_CHECKING:  # which loads DOLFINx
     from fenics_crack.study.run import StressIntensity

@@ -11,12 +11,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fenics_crack.balance.error_report import LARGE_ERROR
+from fenics_crack.basics.errors import InputError, check_count
+from fenics_crack.basics.tables import frequency_axis, percent, quantity, with_unit
 from fenics_crack.curves.curve import ResponseCurve, kind_in_words, parameter_axis
 from fenics_crack.curves.peak import damping_by_width
 from fenics_crack.draw.figure import COLOURS, FIRST, Picture, Where, distinct_colours, label_axis
-from fenics_crack.errors import InputError, check_count
 from fenics_crack.numerics.fourier import to_complex
-from fenics_crack.table import frequency_axis, percent, quantity, with_unit
 
 BEHIND = ("#8f8f8f", "#cc8fb1", "#6fb59a")
 """Other curves, drawn behind the one in question."""

@@ -13,8 +13,8 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from fenics_crack.basics.errors import InputError, check_count
 from fenics_crack.draw.figure import COLOURS, Picture, Where, label_axis
-from fenics_crack.errors import InputError, check_count
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.structure import Structure

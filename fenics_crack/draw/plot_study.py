@@ -12,6 +12,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from fenics_crack.basics.errors import InputError, check_count
+from fenics_crack.basics.tables import (
+    QUANTITIES,
+    RPM,
+    TURN,
+    frequency_axis,
+    quantity,
+    speed_axis,
+    with_unit,
+)
 from fenics_crack.draw.figure import (
     COLOURS,
     LETTERS,
@@ -22,28 +32,18 @@ from fenics_crack.draw.figure import (
     label_axis,
     label_count,
 )
-from fenics_crack.errors import InputError, check_count
 from fenics_crack.scene.scene import unit_of
 from fenics_crack.scene.words import key_in_words
 from fenics_crack.study.verification import CAUSES, SAFE, GridConvergence, Verification
-from fenics_crack.table import (
-    QUANTITIES,
-    RPM,
-    TURN,
-    frequency_axis,
-    quantity,
-    speed_axis,
-    with_unit,
-)
 
 if TYPE_CHECKING:  # which load SciPy's interpolation, and DOLFINx
-    from fenics_crack.arrivals.arrival_times import ArrivalTimes
-    from fenics_crack.arrivals.fit_order import TipTrack
-    from fenics_crack.arrivals.harmonics import Candidates, TipFit
-    from fenics_crack.arrivals.passages import PassageFit
-    from fenics_crack.identification.result import Identification
+    from fenics_crack.fatigue.growth import Growth
+    from fenics_crack.monitoring.identification.result import Identification
+    from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
+    from fenics_crack.monitoring.tip_timing.fit_order import TipTrack
+    from fenics_crack.monitoring.tip_timing.harmonics import Candidates, TipFit
+    from fenics_crack.monitoring.tip_timing.passages import PassageFit
     from fenics_crack.study.campbell import Campbell
-    from fenics_crack.sweep.growth import Growth
 
 SHARES = (0.5, 0.95, 0.999)
 """Probabilities within the contours."""

@@ -34,18 +34,18 @@ from vtkmodules.vtkFiltersGeneral import vtkGradientFilter
 from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.errors import InputError, check_count, check_number
+from fenics_crack.basics.atomic_files import write_together, write_whole
+from fenics_crack.basics.errors import InputError, check_count, check_number
+from fenics_crack.basics.progress import begin
+from fenics_crack.basics.ranks import gather_rows, on_root
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import evaluate
-from fenics_crack.parallel import gather_rows, on_root
 from fenics_crack.scene.tables import Material
-from fenics_crack.stages import begin
 from fenics_crack.time.march import TimeHistory
 from fenics_crack.version import packaged
-from fenics_crack.whole import write_together, write_whole
 
 if TYPE_CHECKING:
     from fenics_crack.study.run import Run

@@ -1,3 +1,3 @@
 """From a scene to its structure: gmsh meshes, DOLFINx assembles."""
 
-import fenics_crack.parallel  # noqa: F401  (MPI before PETSc)
+import fenics_crack.basics.ranks  # noqa: F401  (MPI before PETSc)

@@ -39,7 +39,10 @@ import numpy as np
 import scipy.sparse as sparse
 from mpi4py import MPI
 
-from fenics_crack.errors import InputError
+from fenics_crack.basics.atomic_files import write_whole
+from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.progress import begin
+from fenics_crack.basics.ranks import collect_garbage, gather_rows, on_root
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.crack_surface import Lips
@@ -52,12 +55,9 @@ from fenics_crack.fem.plate import Dofs, build_mesh
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.nodes import Pairs
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
-from fenics_crack.parallel import collect_garbage, gather_rows, on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Damping
 from fenics_crack.scene.words import check_scene
-from fenics_crack.stages import begin
-from fenics_crack.whole import write_whole
 
 LIPS = ("lower_lip", "upper_lip")
 

@@ -19,10 +19,10 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenics_crack.caches import settle_caches
-from fenics_crack.machine import addresses_left
-from fenics_crack.mesher import gmsh
-from fenics_crack.outside import away
+from fenics_crack.basics.caches import settle_caches
+from fenics_crack.basics.gmsh_process import gmsh
+from fenics_crack.basics.threads import addresses_left
+from fenics_crack.basics.untrusted_files import away
 
 
 @contextmanager

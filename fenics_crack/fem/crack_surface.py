@@ -19,7 +19,7 @@ from itertools import combinations
 import numpy as np
 import scipy.sparse as sparse
 
-from fenics_crack.errors import InputError
+from fenics_crack.basics.errors import InputError
 from fenics_crack.fem.lips import (
     COINCIDENT,
     SAME,

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sparse
 
-from fenics_crack.errors import InputError
+from fenics_crack.basics.errors import InputError
 
 SAME = 1e-6
 """Distance within which two places are one, relative to the size of the mesh or the length of the

@@ -24,13 +24,13 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.errors import InputError, check_choice
+from fenics_crack.basics.errors import InputError, check_choice
+from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.elasticity import thickness
 from fenics_crack.fem.plate import Dofs
 from fenics_crack.model.nodes import Clamp, nearest_node, nodes_at
-from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.fields import Vector
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Load

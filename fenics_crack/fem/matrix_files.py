@@ -26,7 +26,8 @@ import numpy as np
 import scipy.sparse as sparse
 from mpi4py import MPI
 
-from fenics_crack.errors import InputError, reading
+from fenics_crack.basics.errors import InputError, reading
+from fenics_crack.basics.ranks import on_each
 from fenics_crack.fem.crack_surface import FACETS
 from fenics_crack.fem.lips import SAME, each_once
 from fenics_crack.fem.model_files import Model, read_model
@@ -34,7 +35,6 @@ from fenics_crack.model.factor import distributed
 from fenics_crack.model.matrices import LabelledMatrix, matrix_market_shape, read_matrix, whole_rows
 from fenics_crack.model.nodes import Nodes, Pairs
 from fenics_crack.model.structure import DampingRule, Structure
-from fenics_crack.parallel import on_each
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Structure as Table
 

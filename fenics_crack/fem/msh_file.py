@@ -30,7 +30,9 @@ from pathlib import Path
 import numpy as np
 import scipy.sparse as sparse
 
-from fenics_crack.errors import InputError, reading
+from fenics_crack.basics.errors import InputError, reading
+from fenics_crack.basics.gmsh_process import gmsh
+from fenics_crack.basics.untrusted_files import bytes_of, run_reader
 from fenics_crack.fem.crack_surface import (
     FACETS,
     Cells,
@@ -41,8 +43,6 @@ from fenics_crack.fem.crack_surface import (
     split_cracks,
 )
 from fenics_crack.fem.lips import SAME, each_once, find_lips, rows_in
-from fenics_crack.mesher import gmsh
-from fenics_crack.outside import bytes_of, run_reader
 
 Group = tuple[int, int, str, int, np.ndarray]
 """Dimension, tag and name, and elements of one kind: gmsh's number of it and the nodes."""

@@ -1,4 +1,5 @@
-"""Reader of mesh files by gmsh, in a program of its own (:mod:`fenics_crack.outside`)."""
+"""Reader of mesh files by gmsh, in a program of its own
+(:mod:`fenics_crack.basics.untrusted_files`)."""
 
 import gmsh
 import numpy as np

@@ -6,11 +6,11 @@ from functools import cached_property
 
 import numpy as np
 
-from fenics_crack.errors import InputError
+from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.fem.crack_surface import FACETS
 from fenics_crack.fem.lips import each_once
 from fenics_crack.model.structure import Structure
-from fenics_crack.parallel import gather_rows
 
 _TRIANGLES = {
     3: [(0, 1, 2)],

@@ -20,15 +20,15 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from fenics_crack.basics.atomic_files import whole_file
+from fenics_crack.basics.gmsh_process import gmsh, kept_interrupts
+from fenics_crack.basics.ranks import on_root
 from fenics_crack.fem import compat
 from fenics_crack.fem.blocks import draw_box, draw_plate
 from fenics_crack.fem.compat import dolfinx, ufl
 from fenics_crack.fem.crack_surface import Lips, Names
-from fenics_crack.mesher import gmsh, kept_interrupts
 from fenics_crack.model.nodes import Nodes
-from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
-from fenics_crack.whole import whole_file
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,5 @@
-"""Reader of HDF5 files by h5py, in a program of its own (:mod:`fenics_crack.outside`).
+"""Reader of HDF5 files by h5py, in a program of its own
+(:mod:`fenics_crack.basics.untrusted_files`).
 
 A damaged file may crash HDF5, and a made one may point to other files or announce any size. Read
 are texts as attributes, and words and numbers that are in the file itself. Of a sweep, which is

@@ -12,12 +12,13 @@ import numpy as np
 from fenics_crack.balance.compliance import dynamic_compliance
 from fenics_crack.balance.error_report import ErrorReport
 from fenics_crack.balance.solution import PeriodicSolution, Stability
+from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.curves.backbone import Backbone
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.family import FAMILIES
 from fenics_crack.curves.harmonic_curve import HarmonicCurve
 from fenics_crack.curves.orbit_curve import OrbitCurve
-from fenics_crack.errors import InputError
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.files.store import Stored, check_shapes, read, write
 from fenics_crack.model.contact import ContactLaw, UnilateralConstraint, is_rigid, is_unilateral
@@ -26,7 +27,6 @@ from fenics_crack.model.modes import NEGLIGIBLE, Modes
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import resized
-from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.fields import LARGEST
 from fenics_crack.scene.scene import Scene
 from fenics_crack.time.march import TimeHistory

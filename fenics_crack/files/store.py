@@ -26,14 +26,14 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from slepc4py import SLEPc
 
-from fenics_crack.errors import InputError
+from fenics_crack.basics.atomic_files import write_whole
+from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.ranks import on_root
+from fenics_crack.basics.tables import UNITS
+from fenics_crack.basics.untrusted_files import bytes_of, run_reader, sha256
 from fenics_crack.fem.model_files import read_with
-from fenics_crack.outside import bytes_of, run_reader, sha256
-from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene, files_of, with_files
-from fenics_crack.table import UNITS
 from fenics_crack.version import VERSION
-from fenics_crack.whole import write_whole
 
 if TYPE_CHECKING:
     import h5py

@@ -47,9 +47,9 @@ from typing import Any, Protocol, Self, TypeGuard
 
 import numpy as np
 
-from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.basics.errors import ConvergenceError, InputError
+from fenics_crack.basics.threads import machine_memory
 from fenics_crack.kernel import kernel, owned, pointer, shaped
-from fenics_crack.machine import machine_memory
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import DIFFERENCE, EPSILON, ROUNDING

@@ -38,12 +38,12 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenics_crack.errors import InputError, reading
+from fenics_crack.basics.errors import InputError, reading
+from fenics_crack.basics.ranks import gather_rows, on_each
+from fenics_crack.basics.tables import counted
+from fenics_crack.basics.untrusted_files import allowance, bytes_of, lines_of
 from fenics_crack.model.factor import TOLERATED, Factor, distributed, factored_sum, weighted_sum
-from fenics_crack.outside import allowance, bytes_of, lines_of
-from fenics_crack.parallel import gather_rows, on_each
 from fenics_crack.scene.fields import LARGEST
-from fenics_crack.table import counted
 
 CLAMPED = 1e36
 """Diagonal entry by which Abaqus marks a dof that is held."""

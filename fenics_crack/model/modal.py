@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 
-from fenics_crack.errors import ConvergenceError
+from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import kernel
 from fenics_crack.model.modes import AS_ZERO, NEGLIGIBLE, damped_modes, damping_in, solve_modes
 from fenics_crack.model.reduced import MasslessInterface

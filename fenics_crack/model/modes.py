@@ -21,14 +21,14 @@ from petsc4py import PETSc
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 from slepc4py import SLEPc
 
-from fenics_crack.errors import FEW_MODES, ConvergenceError, InputError, check_choice
+from fenics_crack.basics.errors import FEW_MODES, ConvergenceError, InputError, check_choice
+from fenics_crack.basics.progress import begin
+from fenics_crack.basics.ranks import gather_rows
+from fenics_crack.basics.tables import Tabular, counted
 from fenics_crack.kernel import kernel
 from fenics_crack.model.factor import AT_A_TIME, TOLERATED, Factor, factored_sum
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 from fenics_crack.numerics.equations import EPSILON, ROUNDING
-from fenics_crack.parallel import gather_rows
-from fenics_crack.stages import begin
-from fenics_crack.table import Tabular, counted
 
 LIPS = ("open", "tied")
 LOST = (

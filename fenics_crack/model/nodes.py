@@ -12,11 +12,11 @@ import numpy as np
 import scipy.sparse as sparse
 from mpi4py import MPI
 
-from fenics_crack.errors import InputError
-from fenics_crack.hints import Hinted
+from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.ranks import gather_rows
+from fenics_crack.basics.suggestions import Hinted
 from fenics_crack.model.matrices import numbers, read_only
 from fenics_crack.numerics.fourier import evaluate
-from fenics_crack.parallel import gather_rows
 
 AXES = "xyz"
 

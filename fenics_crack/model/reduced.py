@@ -23,7 +23,7 @@ import scipy.linalg
 import scipy.sparse as sparse
 from mpi4py import MPI
 
-from fenics_crack.errors import InputError
+from fenics_crack.basics.errors import InputError
 from fenics_crack.model.factor import AT_A_TIME, Factor, distributed
 from fenics_crack.model.modes import NEGLIGIBLE, times
 from fenics_crack.model.structure import DampingRule, Structure

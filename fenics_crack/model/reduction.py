@@ -34,7 +34,9 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sparse
 
-from fenics_crack.errors import InputError, check_choice
+from fenics_crack.basics.errors import InputError, check_choice
+from fenics_crack.basics.progress import begin
+from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.model.factor import AT_A_TIME, Factor, factored_sum
 from fenics_crack.model.modal import SMALL
 from fenics_crack.model.modes import (
@@ -55,8 +57,6 @@ from fenics_crack.model.reduced import (
     check_mass,
 )
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
-from fenics_crack.parallel import gather_rows
-from fenics_crack.stages import begin
 
 METHODS = ("massless", "free_interface", "craig_bampton", "truncation")
 MODES = 50

@@ -29,7 +29,9 @@ import numpy as np
 import scipy.sparse as sparse
 from mpi4py import MPI
 
-from fenics_crack.errors import InputError, check_number
+from fenics_crack.basics.errors import InputError, check_number
+from fenics_crack.basics.ranks import collect_garbage, gather_rows
+from fenics_crack.basics.tables import RPM
 from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.factor import Factor, distributed, weighted_sum
 from fenics_crack.model.matrices import read_only
@@ -38,8 +40,6 @@ from fenics_crack.model.nodes import Nodes
 from fenics_crack.model.reduced import MasslessInterface
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import DampingRule, Structure, read_only_rows
-from fenics_crack.parallel import collect_garbage, gather_rows
-from fenics_crack.table import RPM
 
 SPEEDS = 3
 """Speeds of a range whose bases are put together."""

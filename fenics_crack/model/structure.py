@@ -27,9 +27,10 @@ import numpy as np
 import scipy.sparse as sparse
 from mpi4py import MPI
 
-from fenics_crack.errors import InputError, check_count, check_number, check_two_ratios
-from fenics_crack.hints import checked_call
-from fenics_crack.machine import alone
+from fenics_crack.basics.errors import InputError, check_count, check_number, check_two_ratios
+from fenics_crack.basics.suggestions import checked_call
+from fenics_crack.basics.tables import counted
+from fenics_crack.basics.threads import alone
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.matrices import (
     checked,
@@ -40,7 +41,6 @@ from fenics_crack.model.matrices import (
     with_springs,
 )
 from fenics_crack.model.nodes import Clamp, Coordinates, Nodes, Pairs
-from fenics_crack.table import counted
 
 
 @dataclass(frozen=True)

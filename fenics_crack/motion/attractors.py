@@ -7,11 +7,11 @@ from itertools import islice
 
 import numpy as np
 
+from fenics_crack.basics.progress import begin
 from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit, find_orbit
 from fenics_crack.motion.search import LATER, SearchOptions, comes_back, followed
 from fenics_crack.motion.shooting import FlowOrbits
 from fenics_crack.numerics.equations import LOCATED
-from fenics_crack.stages import begin
 
 SETTLED = 1e-3
 """Maximum relative change of a motion that has settled."""

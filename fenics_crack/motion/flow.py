@@ -25,9 +25,9 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.basics.errors import ConvergenceError, InputError
+from fenics_crack.basics.threads import machine_memory
 from fenics_crack.kernel import NULL, Struct, kernel, owned, pointer, shaped
-from fenics_crack.machine import machine_memory
 from fenics_crack.model.contact import (
     KEPT,
     ContactLaw,

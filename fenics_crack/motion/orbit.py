@@ -37,12 +37,12 @@ from typing import Any
 import numpy as np
 from scipy.linalg.lapack import dgeev
 
-from fenics_crack.errors import ConvergenceError
+from fenics_crack.basics.errors import ConvergenceError
+from fenics_crack.basics.tables import Described, counted
 from fenics_crack.kernel import kernel
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples, Track
 from fenics_crack.numerics.equations import CLOSE, LOCATED, factored, solve_factored
 from fenics_crack.numerics.newton import FORCING, gmres, relative_to_motion
-from fenics_crack.table import Described, counted
 
 FLOWS, SHORTEST = 20, 1e-3
 """Search budget in periods integrated, and shortest damped Newton step."""

@@ -23,7 +23,9 @@ from functools import cached_property
 
 import numpy as np
 
-from fenics_crack.errors import ConvergenceError
+from fenics_crack.basics.errors import ConvergenceError
+from fenics_crack.basics.progress import begin
+from fenics_crack.basics.tables import counted, percent
 from fenics_crack.motion.flow import Budget, ContactFlow
 from fenics_crack.motion.orbit import FLOWS, FORMED, PeriodicOrbit, equal, find_orbit, predicted
 from fenics_crack.motion.shooting import FlowOrbits, OrbitPoint
@@ -31,8 +33,6 @@ from fenics_crack.numerics.equations import LOCATED, DenseLinearisation
 from fenics_crack.numerics.fourier import derivative, evaluate
 from fenics_crack.numerics.newton import point_on_path, solve_in_plane
 from fenics_crack.numerics.path import NARROW, Path, Target
-from fenics_crack.stages import begin
-from fenics_crack.table import counted, percent
 
 PARTS = 32
 """Multiple-shooting segments per period."""

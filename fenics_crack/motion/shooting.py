@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.errors import ConvergenceError
+from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import Struct, kernel, owned, pointer
 from fenics_crack.motion.flow import Budget, ContactFlow
 from fenics_crack.motion.orbit import PeriodicOrbit, orbit_from

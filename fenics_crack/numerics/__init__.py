@@ -1,3 +1,3 @@
 """Numerical methods that know nothing of contact."""
 
-import fenics_crack.parallel  # noqa: F401  (MPI before PETSc)
+import fenics_crack.basics.ranks  # noqa: F401  (MPI before PETSc)

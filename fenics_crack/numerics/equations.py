@@ -20,7 +20,7 @@ from typing import Any, Protocol
 import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
 
-from fenics_crack.errors import ConvergenceError
+from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import Struct, ffi, kernel
 
 EPSILON = float(np.finfo(float).eps)

@@ -40,7 +40,7 @@ from typing import Any, Protocol
 import numpy as np
 from petsc4py import PETSc
 
-from fenics_crack.errors import ConvergenceError
+from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import NULL, Struct, kernel, pointer, shaped
 from fenics_crack.numerics.equations import EPSILON, Linearisation, System, equations_of
 

@@ -35,7 +35,7 @@ from typing import overload
 
 import numpy as np
 
-from fenics_crack.errors import ConvergenceError
+from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import NULL, Struct, kernel, pointer
 from fenics_crack.numerics.equations import (
     EPSILON,

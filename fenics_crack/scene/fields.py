@@ -17,9 +17,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fenics_crack.errors import InputError, one_of
-from fenics_crack.hints import Hinted, candidates, meant, near, written
-from fenics_crack.table import TURN
+from fenics_crack.basics.errors import InputError, one_of
+from fenics_crack.basics.suggestions import Hinted, candidates, meant, near, written
+from fenics_crack.basics.tables import TURN
 
 Pair = tuple[float, float]
 Vector = tuple[float, ...]

@@ -17,9 +17,18 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
-from fenics_crack.errors import InputError, reading
-from fenics_crack.hints import Hinted, checked_call, converted, meant, near, near_or_longer, written
-from fenics_crack.outside import text_of
+from fenics_crack.basics.errors import InputError, reading
+from fenics_crack.basics.suggestions import (
+    Hinted,
+    checked_call,
+    converted,
+    meant,
+    near,
+    near_or_longer,
+    written,
+)
+from fenics_crack.basics.tables import OF_CLAMP, OF_GROWTH, OF_TIPS, RPM, SEEN, TURN, frequency_axis
+from fenics_crack.basics.untrusted_files import text_of
 from fenics_crack.scene.fields import Axis, Point, Table, components, named
 from fenics_crack.scene.tables import (
     Base,
@@ -43,7 +52,6 @@ from fenics_crack.scene.tables import (
     Sweep,
     TipTiming,
 )
-from fenics_crack.table import OF_CLAMP, OF_GROWTH, OF_TIPS, RPM, SEEN, TURN, frequency_axis
 
 LOOKED_AT = ("curve", "integration", "sweep", "growth", "identify", "tip_timing", "output")
 """Tables that choose results, and change nothing of the structure and its load."""

@@ -13,7 +13,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fenics_crack.errors import MAX_SAMPLES, TOLERANCE, InputError, check_two_ratios
+from fenics_crack.basics.errors import MAX_SAMPLES, TOLERANCE, InputError, check_two_ratios
+from fenics_crack.basics.tables import QUANTITIES, RPM, TURN
 from fenics_crack.scene.fields import (
     OR_ZERO,
     Axis,
@@ -34,7 +35,6 @@ from fenics_crack.scene.fields import (
     twin,
     vector,
 )
-from fenics_crack.table import QUANTITIES, RPM, TURN
 
 FORCES = ("force_mean", "force_cos", "force_sin")
 """Parts of the excitation."""

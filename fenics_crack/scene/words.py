@@ -6,9 +6,9 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from fenics_crack.errors import InputError
+from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.tables import quantity
 from fenics_crack.scene.scene import LOOKED_AT, Scene, unit_of
-from fenics_crack.table import quantity
 
 WORDS = {
     "excitation.omega": "load frequency",

@@ -23,7 +23,8 @@ import numpy as np
 from mpi4py import MPI
 from scipy.optimize import brentq
 
-from fenics_crack.errors import InputError, check_choice, check_count
+from fenics_crack.basics.errors import InputError, check_choice, check_count
+from fenics_crack.basics.tables import RPM, Tabular, counted, with_frequency
 from fenics_crack.fem.build import assemble, with_crack_length
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import (
@@ -39,8 +40,7 @@ from fenics_crack.model.rotation import Ritz, coriolis_shifts, static_state
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import check_scene
-from fenics_crack.study.key_figures import damping_ratios
-from fenics_crack.table import RPM, Tabular, counted, with_frequency
+from fenics_crack.study.plausibility import damping_ratios
 
 HELD = (*KINDS[:2], "partly")
 """Kinds of frequencies of a crack that its resonance does not change."""

@@ -17,15 +17,15 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.errors import InputError
+from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.progress import within
+from fenics_crack.basics.tables import frequency_axis
 from fenics_crack.model.modes import solve_modes, tied_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
-from fenics_crack.stages import within
-from fenics_crack.study.key_figures import extents
+from fenics_crack.study.plausibility import extents
 from fenics_crack.study.prepare import REFUSALS, Study, prepare
 from fenics_crack.study.verification import GridConvergence, Verification, grid_convergence
-from fenics_crack.table import frequency_axis
 
 COARSER = 2.0
 """Ratio of the element lengths of the coarser mesh."""

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.solution import PeriodicSolution, Stability
+from fenics_crack.basics.errors import INTERRUPTED
+from fenics_crack.basics.tables import closing_sentence, error_in_words, in_unit, quantity
 from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.curves.peak import AT_END
-from fenics_crack.errors import INTERRUPTED
 from fenics_crack.model.modal import is_small
 from fenics_crack.scene.tables import Integration
-from fenics_crack.study.key_figures import (
+from fenics_crack.study.plausibility import (
     Remark,
     find_key_figures,
     remarks_on,
@@ -24,7 +25,6 @@ from fenics_crack.study.key_figures import (
 from fenics_crack.study.prepare import REFUSALS, Study
 from fenics_crack.study.stated_errors import not_estimated
 from fenics_crack.study.verification import Verification
-from fenics_crack.table import closing_sentence, error_in_words, in_unit, quantity
 from fenics_crack.time.march import TimeHistory
 
 LEAST_TOLD = 1e-4

@@ -17,10 +17,10 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.basics.errors import ConvergenceError, InputError
+from fenics_crack.basics.suggestions import Hinted
+from fenics_crack.basics.threads import machine_memory
 from fenics_crack.fem.build import assemble, with_crack_length
-from fenics_crack.hints import Hinted
-from fenics_crack.machine import machine_memory
 from fenics_crack.model.contact import (
     ContactLaw,
     SmoothedPenalty,

@@ -29,11 +29,11 @@ from mpi4py import MPI
 
 from fenics_crack.balance.contact_integrals import default_samples
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.errors import MAX_SAMPLES, ConvergenceError
+from fenics_crack.basics.errors import MAX_SAMPLES, ConvergenceError
+from fenics_crack.basics.progress import within
 from fenics_crack.model.contact import is_unilateral
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.scene.scene import Scene
-from fenics_crack.stages import within
 from fenics_crack.study.coarser_mesh import CLAMP, TIP, finer_mesh, n_elements, parts_of
 from fenics_crack.study.prepare import REFUSALS, Study, prepare, reduced, reduction_of
 from fenics_crack.study.run import Run, solve_prepared

@@ -23,13 +23,16 @@ from fenics_crack.balance.harmonic_balance import (
 )
 from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver
+from fenics_crack.basics.errors import RECORDED_PERIODS, InputError
+from fenics_crack.basics.progress import begin
+from fenics_crack.basics.ranks import on_root
+from fenics_crack.basics.suggestions import no_attribute
+from fenics_crack.basics.tables import Tabular, counted, quantity
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.peak import Peak
 from fenics_crack.curves.stability import floquet, from_rest
-from fenics_crack.errors import RECORDED_PERIODS, InputError
 from fenics_crack.files.results import Result, save, type_of, unpack
 from fenics_crack.files.store import Stored, read
-from fenics_crack.hints import no_attribute
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid, is_unilateral
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes, solve_modes, times
@@ -39,19 +42,9 @@ from fenics_crack.model.reduction import MODES
 from fenics_crack.model.rotation import run_up_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.attractors import SETTLED
-from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene, check_known, without_clamp, without_tips
 from fenics_crack.scene.tables import Integration
 from fenics_crack.scene.words import check_scene
-from fenics_crack.stages import begin
-from fenics_crack.study.asked import (
-    clamp_of_motion,
-    numbers_at_clamp,
-    numbers_at_tips,
-    periods_of,
-    prepare_asked,
-    tip_rows,
-)
 from fenics_crack.study.conclusion import Answer, conclusion
 from fenics_crack.study.prepare import (
     FEW_DOFS,
@@ -62,8 +55,15 @@ from fenics_crack.study.prepare import (
     reduction_of,
 )
 from fenics_crack.study.stated_errors import errors_of
+from fenics_crack.study.tip_and_clamp import (
+    clamp_of_motion,
+    numbers_at_clamp,
+    numbers_at_tips,
+    periods_of,
+    prepare_asked,
+    tip_rows,
+)
 from fenics_crack.study.verification import Verification, verification_of
-from fenics_crack.table import Tabular, counted, quantity
 from fenics_crack.time.central_differences import (
     integrate_central_difference,
     stable_steps_per_period,

@@ -50,14 +50,14 @@ from fenics_crack.balance.error_report import LARGE_ERROR, ErrorReport
 from fenics_crack.balance.harmonic_balance import solve_linear, wave_of
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Solver, contact_extremes, indicators_of
+from fenics_crack.basics.errors import MOST_HARMONICS
+from fenics_crack.basics.tables import OF_LIPS, OF_POINTS, QUANTITIES, frequency_axis
 from fenics_crack.curves.curve import ResponseCurve
-from fenics_crack.errors import MOST_HARMONICS
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import KINDS, NEGLIGIBLE, Modes, bilinear_frequencies
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
-from fenics_crack.study.asked import asked_of_motion
 from fenics_crack.study.coarser_mesh import (
     CLAMP,
     TIP,
@@ -67,8 +67,8 @@ from fenics_crack.study.coarser_mesh import (
     natural_name,
 )
 from fenics_crack.study.prepare import REFUSALS, Study
+from fenics_crack.study.tip_and_clamp import asked_of_motion
 from fenics_crack.study.verification import GridConvergence, Varied, Verification
-from fenics_crack.table import OF_LIPS, OF_POINTS, QUANTITIES, frequency_axis
 
 ANSWER = (
     "amplitude", "ratio_2_1", "ratio_3_1", "ratio_largest", "mean_shift", "opening", "crack_force",

@@ -37,12 +37,9 @@ from typing import Any, ClassVar
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.errors import InputError, check_choice, check_number
-from fenics_crack.files.store import Stored, write
-from fenics_crack.hints import checked_call
-from fenics_crack.model.matrices import numbers
-from fenics_crack.scene.scene import Scene
-from fenics_crack.table import (
+from fenics_crack.basics.errors import InputError, check_choice, check_number
+from fenics_crack.basics.suggestions import checked_call
+from fenics_crack.basics.tables import (
     QUANTITIES,
     Described,
     Table,
@@ -52,6 +49,9 @@ from fenics_crack.table import (
     percent,
     with_unit,
 )
+from fenics_crack.files.store import Stored, write
+from fenics_crack.model.matrices import numbers
+from fenics_crack.scene.scene import Scene
 
 SAFE, CAUTIOUS = 1.25, 3.0
 """Factors of safety."""

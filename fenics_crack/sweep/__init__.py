@@ -1,3 +1,3 @@
 """Many cases of a scene, spread over ranks."""
 
-import fenics_crack.parallel  # noqa: F401  (MPI before PETSc)
+import fenics_crack.basics.ranks  # noqa: F401  (MPI before PETSc)

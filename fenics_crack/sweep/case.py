@@ -13,23 +13,23 @@ from mpi4py import MPI
 from fenics_crack.balance.harmonic_balance import solve_beside, solve_linear
 from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver, indicators_of
+from fenics_crack.basics.errors import ConvergenceError, InputError
+from fenics_crack.basics.ranks import gather_rows
+from fenics_crack.basics.tables import with_frequency
 from fenics_crack.curves.peak import top_of
 from fenics_crack.curves.stability import floquet
-from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.fem.build import clearance_of
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.structure import Structure
-from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCES
-from fenics_crack.study.asked import asked_of_motion, prepare_asked
-from fenics_crack.study.key_figures import damping_ratios
+from fenics_crack.study.plausibility import damping_ratios
 from fenics_crack.study.prepare import REFUSALS, Study, law_of, prepare
+from fenics_crack.study.tip_and_clamp import asked_of_motion, prepare_asked
 from fenics_crack.sweep.file import AT_POINTS, OPEN, PHASES, YET, of_load
 from fenics_crack.sweep.plan import Chunk
-from fenics_crack.table import with_frequency
 
 PEAK_HARMONICS = 10
 """Harmonics with which the largest response is sought."""

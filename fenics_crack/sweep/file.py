@@ -30,15 +30,15 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from fenics_crack.errors import FEW_MODES, InputError, WriteError
+from fenics_crack.basics.atomic_files import not_written, put, whole_file
+from fenics_crack.basics.errors import FEW_MODES, InputError, WriteError
+from fenics_crack.basics.tables import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QUANTITIES
+from fenics_crack.basics.untrusted_files import MOST_BYTES, bytes_of
 from fenics_crack.files import store
 from fenics_crack.files.store import about
-from fenics_crack.outside import MOST_BYTES, bytes_of
 from fenics_crack.scene.scene import LOOKED_AT, Scene, asked_quantities
 from fenics_crack.scene.words import differences
-from fenics_crack.table import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QUANTITIES
 from fenics_crack.version import VERSION
-from fenics_crack.whole import not_written, put, whole_file
 
 KIND = "sweep"
 PENDING, CONVERGED, FAILED = 0, 1, 2

@@ -19,9 +19,9 @@ import numpy as np
 from mpi4py import MPI
 from tqdm import tqdm
 
-from fenics_crack.errors import InputError
+from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.ranks import StopRequest, collect_garbage
 from fenics_crack.files.store import Stored
-from fenics_crack.parallel import StopRequest, collect_garbage
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import REFUSALS
 from fenics_crack.sweep.case import ALONE, Asked, Found, Geometry, build, solve_chunk

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.errors import MOST_HARMONICS, InputError
+from fenics_crack.basics.errors import MOST_HARMONICS, InputError
 from fenics_crack.fem.blocks import lip_pairs
 from fenics_crack.fem.matrix_files import count_pairs
 from fenics_crack.fem.plate import build_mesh

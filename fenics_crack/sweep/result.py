@@ -42,15 +42,23 @@ from fenics_crack.balance.harmonic_balance import solve_linear
 from fenics_crack.balance.more_modes import UNKNOWN
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.errors import InputError
+from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.progress import reaching
+from fenics_crack.basics.ranks import StopRequest, on_root
+from fenics_crack.basics.tables import (
+    OF_POINTS,
+    QUANTITIES,
+    Tabular,
+    closing_sentence,
+    counted,
+    error_in_words,
+)
 from fenics_crack.files.results import solution_from
 from fenics_crack.files.store import Stored, header
-from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene, unit_of
 from fenics_crack.scene.tables import Sweep
 from fenics_crack.scene.words import check_scene
-from fenics_crack.stages import reaching
 from fenics_crack.study.conclusion import at_rest
 from fenics_crack.study.prepare import law_of
 from fenics_crack.sweep.case import Asked, build
@@ -70,14 +78,6 @@ from fenics_crack.sweep.file import (
 )
 from fenics_crack.sweep.jobs import Manager, Worker, serve
 from fenics_crack.sweep.plan import Plan
-from fenics_crack.table import (
-    OF_POINTS,
-    QUANTITIES,
-    Tabular,
-    closing_sentence,
-    counted,
-    error_in_words,
-)
 
 SHOWN_REASONS = 4
 """Maximum kinds of reasons, for failed or undecided cases, that are reported."""

@@ -42,7 +42,8 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.errors import InputError, check_omega
+from fenics_crack.basics.errors import InputError, check_omega
+from fenics_crack.basics.ranks import collect_garbage
 from fenics_crack.kernel import Struct, kernel
 from fenics_crack.model.contact import (
     ActiveSets,
@@ -57,7 +58,6 @@ from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import largest_frequency
 from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import Structure
-from fenics_crack.parallel import collect_garbage
 from fenics_crack.time.march import LoopedSteps, March, TimeHistory, Window, march
 from fenics_crack.time.modal_march import ModalSteps, times_by_mode
 

@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenics_crack.errors import ConvergenceError
+from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import Struct, kernel, pointer, shaped
 from fenics_crack.model.contact import ActiveSets, ContactLaw
 from fenics_crack.model.structure import Structure

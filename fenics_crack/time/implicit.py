@@ -59,7 +59,7 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.errors import InputError, check_number
+from fenics_crack.basics.errors import InputError, check_number
 from fenics_crack.kernel import Struct, kernel
 from fenics_crack.model.contact import (
     MAX_NEWTON,

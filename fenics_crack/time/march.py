@@ -23,7 +23,7 @@ from fenics_crack.balance.solution import (
     contact_extremes,
     indicators_of,
 )
-from fenics_crack.errors import (
+from fenics_crack.basics.errors import (
     RECORDED_PERIODS,
     ConvergenceError,
     InputError,
@@ -31,7 +31,10 @@ from fenics_crack.errors import (
     check_number,
     check_omega,
 )
-from fenics_crack.hints import check_options
+from fenics_crack.basics.progress import begin, reaching
+from fenics_crack.basics.ranks import StopRequest, raise_together
+from fenics_crack.basics.suggestions import check_options
+from fenics_crack.basics.tables import Tabular, counted
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid, solve_complementarity
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.matrices import numbers
@@ -39,9 +42,6 @@ from fenics_crack.model.modes import NEGLIGIBLE, damped_modes, times
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.numerics.fourier import balanced, derivative, evaluate, waves
 from fenics_crack.numerics.newton import moving_size
-from fenics_crack.parallel import StopRequest, raise_together
-from fenics_crack.stages import begin, reaching
-from fenics_crack.table import Tabular, counted
 
 HARMONICS = 10
 """Harmonics of a time integration that are among its indicators."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.errors import ConvergenceError
+from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import Struct, pointer
 from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.modal import CACHED, all_modes

@@ -23,8 +23,8 @@ from fenics_crack import (
     solve_modes,
 )
 from fenics_crack.balance.compliance import DEFLATION_BAND, DynamicStiffness, dynamic_compliance
+from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.model.modes import damped_modes, times
-from fenics_crack.parallel import gather_rows
 
 N, PAIRS = 12, 3
 

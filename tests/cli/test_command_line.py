@@ -535,7 +535,7 @@ def test_signs_of_life_say_how_far(
     capsys: pytest.CaptureFixture,
 ) -> None:
     """On what is no terminal, a line each."""
-    monkeypatch.setattr("fenics_crack.stages.BEAT", 0.01)
+    monkeypatch.setattr("fenics_crack.basics.progress.BEAT", 0.01)
     settings = ["damping.ratio=0.02", "contact.stiffness=1e9", *changes.split()]
     words = [word for one in settings for word in ("--set", one)]
     assert main([command, str(PAPER), "--output", str(tmp_path), *words]) in (0, 3)

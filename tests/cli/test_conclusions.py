@@ -13,7 +13,7 @@ from scipy import io, sparse
 from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack.errors import Exit
+from fenics_crack.basics.errors import Exit
 
 STIFFNESS, DAMPING = np.array([[1.0, -1.0], [-1.0, 2.0]]), 0.03
 FEW = {"contact.stiffness": 1e3, "harmonic_balance.harmonics": 3, "excitation.omega": 0.8}

@@ -14,6 +14,8 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack import ErrorReport, ResponseCurve, SweepResult
+from fenics_crack.basics.errors import Exit
+from fenics_crack.basics.tables import Table
 from fenics_crack.cli import pictures
 from fenics_crack.cli.account import (
     few_cases,
@@ -24,13 +26,11 @@ from fenics_crack.cli.account import (
     warnings_of,
 )
 from fenics_crack.cli.results import _undecided_stretches, few_special_points
-from fenics_crack.errors import Exit
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.words import differences, key_in_words, value_in_words
-from fenics_crack.study.key_figures import remarks_on_scene
+from fenics_crack.study.plausibility import remarks_on_scene
 from fenics_crack.sweep import result
 from fenics_crack.sweep.file import COLUMNS, CONVERGED, FAILED
-from fenics_crack.table import Table
 
 ZERO = {"residual": 0.0, "truncation": 0.0, "sampling": 0.0, "reduction": 0.0, "penetration": 0.0}
 FIXED = {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 15}

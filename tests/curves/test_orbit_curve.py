@@ -10,10 +10,10 @@ import pytest
 from helpers import oscillator, two_masses
 
 import fenics_crack as fc
+from fenics_crack.basics.errors import INTERRUPTED
 from fenics_crack.curves import orbit_continuation
 from fenics_crack.curves.curve import leading
 from fenics_crack.curves.orbit_continuation import OrbitContinuation
-from fenics_crack.errors import INTERRUPTED
 
 LAW = fc.UnilateralPenalty(5.0)
 OMEGA = np.linspace(0.9, 1.0, 9)

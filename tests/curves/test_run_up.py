@@ -13,11 +13,11 @@ from rotating import cracked
 
 import fenics_crack as fc
 from fenics_crack import CurvePoint, InputError, Run, Scene
+from fenics_crack.basics.tables import RPM
 from fenics_crack.cli.account import in_short
 from fenics_crack.cli.results import curve_points, special_points
 from fenics_crack.curves.family import SpeedFamily
 from fenics_crack.curves.follow import _where
-from fenics_crack.table import RPM
 
 ORDER = 12
 CURVE = {"parameter": "speed", "start": 560.0, "stop": 640.0}

@@ -15,7 +15,7 @@ from rotating import strip
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
 from fenics_crack.model.rotation import coriolis_shifts
-from fenics_crack.study.key_figures import find_key_figures, remarks_on_rotor
+from fenics_crack.study.plausibility import find_key_figures, remarks_on_rotor
 
 SIDE, LENGTH, YOUNG, DENSITY = 0.01, 0.2, 2.1e11, 7850.0
 BAR: dict[str, Any] = {

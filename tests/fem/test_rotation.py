@@ -20,12 +20,16 @@ from test_rotating_solids import BAR, LENGTH, PUSHED, SIDE
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
+from fenics_crack.basics.tables import RPM
 from fenics_crack.fem.build import assemble
 from fenics_crack.model.modes import times
 from fenics_crack.model.rotation import static_state
-from fenics_crack.study.key_figures import remarks_on_rotor
-from fenics_crack.study.timing import probed_displacement, tip_direction, tip_in_words
-from fenics_crack.table import RPM
+from fenics_crack.monitoring.tip_timing.scene_timing import (
+    probed_displacement,
+    tip_direction,
+    tip_in_words,
+)
+from fenics_crack.study.plausibility import remarks_on_rotor
 
 PUBLISHED = {
     (0, 0): (3.5160, 22.0345), (0, 1): (3.6816, 22.1810), (0, 2): (4.1373, 22.6149),

@@ -19,6 +19,7 @@ from surroundings import DEMOS, ROOT
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
+from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.fem.compat import function_space
 from fenics_crack.fem.crack_surface import FACETS, Cells, cracks_between, split_cracks
 from fenics_crack.fem.loads import assemble_loads
@@ -27,8 +28,7 @@ from fenics_crack.fem.msh_file import cells_of
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.fem.plate import Dofs, build_mesh
 from fenics_crack.model.nodes import place_in_words
-from fenics_crack.parallel import gather_rows
-from fenics_crack.study.key_figures import (
+from fenics_crack.study.plausibility import (
     find_key_figures,
     remarks_on,
     remarks_on_scene,

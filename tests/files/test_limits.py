@@ -17,7 +17,7 @@ from helpers import DEMOS, ROOT
 from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack.caches import settle_caches
+from fenics_crack.basics.caches import settle_caches
 
 SECONDS, MEMORY = 20.0, 2 * 2**30
 """In which a command answers, and with which [byte]."""

@@ -21,8 +21,8 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack import SweepResult, run_sweep
+from fenics_crack.basics.untrusted_files import run_reader, sha256
 from fenics_crack.files.store import header, read
-from fenics_crack.outside import run_reader, sha256
 from fenics_crack.scene.tables import Sweep
 
 SCRIPT = 'SystemCall "touch PWNED";\n'

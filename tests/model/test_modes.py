@@ -27,11 +27,11 @@ from fenics_crack import (
 )
 from fenics_crack.balance import compliance
 from fenics_crack.balance.compliance import FactoredCompliance, load_coefficients
+from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.model import modes as model_modes
 from fenics_crack.model.factor import distributed
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.modes import damped_modes, damped_range, largest_frequency, times
-from fenics_crack.parallel import gather_rows
 
 
 def random_matrices(n: int, rigid: int = 0, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

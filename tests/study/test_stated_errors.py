@@ -18,7 +18,7 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack import InputError
-from fenics_crack.errors import Exit
+from fenics_crack.basics.errors import Exit
 
 NO_MESH = "error due to the mesh not included"
 COARSE = {

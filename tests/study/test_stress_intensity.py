@@ -15,9 +15,9 @@ from mpi4py import MPI
 from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack.fem import tip_integral
+from fenics_crack.fem import interaction_integral as tip_integral
 from fenics_crack.model.rotation import static_state
-from fenics_crack.study.asked import asked_along_curve, asked_of_motion, tip_rows
+from fenics_crack.study.tip_and_clamp import asked_along_curve, asked_of_motion, tip_rows
 
 SLOW = 30.0
 """[rad/s] The strip's first resonance is at 3200, so inertia adds 1e-4; an exact orbit takes as

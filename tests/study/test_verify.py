@@ -17,9 +17,10 @@ from mpi4py import MPI
 from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack import ConvergenceError, InputError, Scene, Study, stages
+from fenics_crack import ConvergenceError, InputError, Scene, Study
 from fenics_crack.balance.solution import Solver
-from fenics_crack.errors import Exit
+from fenics_crack.basics import progress
+from fenics_crack.basics.errors import Exit
 
 PLATE: dict[str, Any] = {
     "geometry": {"width": 0.1, "height": 0.1, "thickness": 1.0},
@@ -285,7 +286,7 @@ def test_unstable_orbits_are_named(paper_scene: Scene) -> None:
 def test_stages_name_the_run() -> None:
     """Each stage is that of a run."""
     told: list[str] = []
-    with stages.listening(told.append):
+    with progress.listening(told.append):
         fc.verify(plate())
     assert "the scene's own choice: mesh" in told and "a mesh 1.5 times finer: mesh" in told
     assert any(text.startswith("24 modes: ") for text in told)

@@ -27,7 +27,7 @@ from rotating import cracked
 import fenics_crack as fc
 import fenics_crack.study.prepare
 from fenics_crack import Scene, SweepResult, prepare, run_sweep
-from fenics_crack.errors import WriteError
+from fenics_crack.basics.errors import WriteError
 from fenics_crack.fem.build import assemble
 from fenics_crack.scene.tables import Sweep
 from fenics_crack.sweep import case as sweep_case

@@ -15,7 +15,7 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack import SweepResult, run_sweep
-from fenics_crack.errors import Exit
+from fenics_crack.basics.errors import Exit
 
 REDUCED = {
     "mesh.columns": 4, "reduction.method": "massless", "reduction.modes": 12,

@@ -1,0 +1,2 @@
+"""What every folder uses: errors, tables, progress, ranks, threads, and files read and written
+safely."""

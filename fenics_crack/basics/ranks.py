@@ -1,0 +1,166 @@
+"""Work done by one rank for all, and errors passed from one rank to every rank.
+
+MPI is imported here before PETSc, which would start it for one thread only, and PETSc and SLEPc are
+started here. Every folder that uses them imports this module first.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from itertools import dropwhile
+from typing import Any, TypeVar, cast
+
+import numpy as np
+
+from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.untrusted_files import away
+
+with away():  # UCX would read a ucx.conf
+    from mpi4py import MPI
+    from petsc4py import init, lib
+
+Result = TypeVar("Result")
+STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
+"""Signals that stop: of Ctrl-C; what mpirun sends its ranks a second before it kills them; and what
+it passes on to them, so that they end by themselves."""
+
+
+def _start_petsc() -> None:
+    """Start PETSc with options from ``~/.petscrc``, PETSC_OPTIONS and this program's arguments from
+    the first ``-crack_`` on; the later of them take precedence.
+
+    PETSc itself would also read .petscrc and petscrc in the working folder, which can load code,
+    and petsc4py, like slepc4py below, a petsc.cfg that says from where PETSc is loaded.
+    """
+    given = os.environ.get("PETSC_OPTIONS", "")
+    with away():
+        _, arch = lib.getPathArchPETSc()
+        own = os.path.expanduser("~/.petscrc")
+        if os.access(own, os.R_OK):
+            os.environ["PETSC_OPTIONS"] = f'-options_file "{own}" {given}'
+    options = dropwhile(lambda word: not word.startswith("-crack_"), sys.argv)
+    init([sys.executable, "-skip_petscrc", *options], arch)
+    os.environ["PETSC_OPTIONS"] = given
+
+
+if "petsc4py.PETSc" not in sys.modules:  # unless who calls has started it
+    _start_petsc()
+with away():
+    from slepc4py import SLEPc  # noqa: F401
+
+
+def check_communicator(comm: object) -> None:
+    """Raise InputError unless a value is a communicator of mpi4py."""
+    if not isinstance(comm, MPI.Comm) or comm == MPI.COMM_NULL:
+        allowed = "a communicator of mpi4py, such as MPI.COMM_WORLD"
+        if isinstance(comm, Mapping):
+            allowed += "; changes are made by scene.replace({...})"
+        raise InputError("comm", comm, allowed)
+
+
+def raise_together(comm: MPI.Comm, error: Exception | None) -> None:
+    """Raise on every rank the error that the lowest failing rank met (collective).
+
+    Otherwise one rank would raise while the others wait for ever in a collective call.
+    """
+    errors = [found for found in comm.allgather(error) if found is not None]
+    if errors:
+        raise errors[0]
+
+
+def on_each(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
+    """Call ``function`` on each rank, which has its own result; input that the lowest failing rank
+    refuses is refused on every rank."""
+    result, error = None, None
+    try:
+        result = function()
+    except InputError as met:
+        error = met
+    raise_together(comm, error)
+    return cast(Result, result)
+
+
+def on_root(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
+    """Call ``function`` on rank 0 and hand its result, or its exception, to every rank."""
+    result, error = None, None
+    if comm.rank == 0:
+        try:
+            result = function()
+        except BaseException as caught:  # an interrupt too, for which the others would wait
+            error = caught
+    met = comm.bcast(error)
+    if met is not None:
+        raise error or met  # rank 0's own, with its cause
+    return comm.bcast(result)
+
+
+def collect_garbage(comm: MPI.Comm, *, stopped: bool = False) -> None:
+    """Free PETSc objects that are no longer referenced (collective).
+
+    petsc4py leaves them alone when Python deletes them: ranks may do so in different orders. So it
+    does with those of small structures, which each rank has for itself.
+    """
+    from petsc4py import PETSc
+
+    with suppress(*[PETSc.Error] if stopped else []):  # of a solver in the middle of a step
+        PETSc.garbage_cleanup(comm)
+        PETSc.garbage_cleanup(MPI.COMM_SELF)
+
+
+def gather_rows(comm: MPI.Comm, rows: np.ndarray) -> np.ndarray[Any, Any]:
+    """Stack the rows of all ranks, in rank order, on every rank (collective)."""
+    return np.concatenate(comm.allgather(np.asarray(rows)), axis=0)
+
+
+def _install(handlers: Mapping[signal.Signals, Any]) -> dict[signal.Signals, Any]:
+    """Install handlers of signals, as the main thread alone may, and return those before."""
+    if threading.current_thread() is not threading.main_thread():
+        return {}
+    return {number: signal.signal(number, handler) for number, handler in handlers.items()}
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Ignore Ctrl-C while what was found is written."""
+    handlers = _install(dict.fromkeys(STOPS, signal.SIG_IGN))
+    try:
+        yield
+    finally:
+        _install(handlers)
+
+
+class StopRequest:
+    """Ctrl-C, or another of :data:`STOPS`, stops where nothing is lost; a second one stops at once.
+    Of two, one within the other, the outer one is then asked, too.
+
+    with StopRequest() as stop:
+        while not stop.asked(comm): ...
+    """
+
+    def __init__(self) -> None:
+        self._asked = False
+        self._handlers: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> StopRequest:
+        self._handlers = _install(dict.fromkeys(STOPS, self._ask))
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        _install(self._handlers)
+        outer = getattr(self._handlers.get(signal.SIGINT), "__self__", None)
+        if self._asked and isinstance(outer, StopRequest):
+            outer._asked = True
+
+    def _ask(self, number: int, frame: object) -> None:
+        if self._asked:
+            raise KeyboardInterrupt
+        self._asked = True
+
+    def asked(self, comm: MPI.Comm) -> bool:
+        """Return True if any rank has been asked to stop (collective)."""
+        return bool(comm.allreduce(self._asked, MPI.LOR))

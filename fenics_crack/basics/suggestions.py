@@ -1,0 +1,263 @@
+"""Suggestions for a name that does not exist, misspelt or another program's word for it, and for a
+number with a decimal comma or in another unit.
+
+Whoever refuses one asks here what to suggest: keys and values of a scene, commands, names of the
+package, arguments of its functions, and attributes of results.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+from fenics_crack.basics.errors import InputError
+
+Called = TypeVar("Called", bound=Callable[..., Any])
+
+LIKENESS = 0.7
+"""Minimum likeness of a misspelt word and the suggested one (difflib's ratio)."""
+SAME_WORD = 0.85
+"""Likeness of two forms of a word, as "eigenfrequency" and "eigenfrequencies"."""
+LEAST_LETTERS = 3
+"""Minimum letters of the beginning of a word that stands for it, as "tol" for "tolerance"."""
+WORDS = {
+    "fc.solve(scene)": "solve steady periodic stationary forced vibration balance hbm run compute "
+    "newton",
+    "fc.curve(scene)": "curve frf frequency response continuation nlfr path resonance",
+    ".peak() | fc.curve(scene).peak()": "peak max maximum largest highest resonance resonant "
+    "argmax damping",
+    "fc.integrate(scene)": "time transient simulate simulation march newmark ode ivp odeint "
+    "history dynamics",
+    "fc.modes(scene)": "modal modes eigen eigenmodes eigenfrequencies eigenvalues natural",
+    "fc.run_sweep(scene)": "sweep study parameter parametric batch scan map campaign",
+    "fc.load_run(path)": "load read open import restore result solution hdf5",
+    ".load(path) | fc.Scene.load(path)": "load read open import from file scene toml model plate "
+    "material crack geometry rectangle box problem",
+    ".mesh.file | fc.build_structure(scene), with mesh.file in it": "load read open import mesh "
+    "msh gmsh",
+    ".save(path) | .as_toml() | fc.save(result, path, scene)": "save write dump export store "
+    "hdf5 toml",
+    ".to_dataframe() | .to_dict()": "dataframe frame pandas numpy dict",
+    ".to_csv(path) | .to_dict()": "csv excel",
+    "fc.draw_curve(curve, ax=ax), fc.draw_waves(...), ...": "plot draw figure picture chart axes",
+    '.indicators().ratio_2_1 | ["ratio_2_1"] | fc.solve(scene).indicators().ratio_2_1': "ratio "
+    "harmonic harmonics superharmonic second indicator",
+    ".stability.verdict | .verdicts | fc.solve(scene).stability.verdict": "stable stability "
+    "unstable floquet verdict lyapunov",
+    "fc.stress_intensity(run)": "stress sif tip intensity factor",
+    "fc.write_period(solution, path, material=scene.material)": "stress stresses mises strain vtk "
+    "paraview",
+    ".report | .errors | fc.solve(scene).report": "error errors accuracy residual uncertainty",
+    ".omega": "frequency frequencies freq freqs hertz omega",
+    ".displacement(time) | .shapes": "displacement displacements x u q solution vector mode shape",
+    ".time": "t times instants",
+}
+"""Names to write, by the words that other programs and people have for them: of several, the first
+that an object has, or that a module leads to."""
+VERBS = {"plot": "draw", "show": "draw", "read": "load", "export": "write"}
+"""First words of names, and those of this package for the same."""
+
+
+PREFIXES = {"G": 1e9, "M": 1e6, "k": 1e3, "": 1.0, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9}
+OTHERS = {
+    ("g/cm^3", "kg/m^3"): 1e3,
+    ("kg/dm^3", "kg/m^3"): 1e3,
+    ("t/m^3", "kg/m^3"): 1e3,
+    ("t/mm^3", "kg/m^3"): 1e12,
+    ("N/mm^2", "Pa"): 1e6,
+    ("N/m^2", "Pa"): 1.0,
+    ("N/mm", "N/m"): 1e3,
+    ("N/mm^3", "N/m^3"): 1e9,
+    ("g", "m/s^2"): 9.80665,
+    ("%", ""): 1e-2,
+}
+"""Units of others: a key's unit in them."""
+SPELLINGS = str.maketrans({"µ": "u", "μ": "u", "²": "^2", "³": "^3", "·": " "})
+NUMBER = re.compile(r"([+-]?\d*(?:[.,]\d*)?(?:[eE][+-]?\d+)?) *([^\d].*)?")
+
+
+def near(word: object, known: Iterable[str], likeness: float = LIKENESS) -> list[str]:
+    """The known word that a misspelt one may stand for, or two that are as near; or none."""
+    import difflib  # takes a while, and mistakes alone need it
+
+    by_lower, lower = {name.lower(): name for name in known}, str(word).lower()[:100]
+    found = difflib.get_close_matches(lower, by_lower, 2, likeness)
+    ratios = [difflib.SequenceMatcher(None, name, lower).ratio() for name in found]
+    return [by_lower[name] for name, one in zip(found, ratios, strict=True) if one == ratios[0]]
+
+
+def near_or_longer(name: str, known: Collection[str], likeness: float = LIKENESS) -> list[str]:
+    """The same, or the known names in which a short one begins a word."""
+    begun = re.compile(f"(^|_){re.escape(name)}", re.IGNORECASE)
+    longer = [other for other in known if begun.search(other) and len(name) >= LEAST_LETTERS]
+    return near(name, known, likeness) or sorted(longer, key=len)
+
+
+def in_other_words(name: str, known: Collection[str] | None = None) -> list[str]:
+    """Return the names to write for a name in the words of others: those that share the most of its
+    words, or none. Of an object, whose names are known, rather one of these, else rather a function
+    of the package; where it is neither, "result" stands for an object."""
+    parts = re.findall("[a-z0-9]+", re.sub("([A-Z])", r"_\1", name[:100]).lower())
+    counts: dict[str, int] = {}
+    for texts, words in WORDS.items():
+        count = sum(bool(near(part, words.split(), SAME_WORD)) for part in parts)
+        if text := _written(texts.split(" | "), known):
+            counts[text] = max(count, counts.get(text, 0))
+    most = max(counts.values())
+    found = [text for text, count in counts.items() if count == most > 0]
+    return [text for text in found if text.startswith("fc.") == (known is None)] or found
+
+
+def _written(texts: Sequence[str], known: Collection[str] | None) -> str:
+    """The first text that begins with a name of the package, or with a known one; or none."""
+    if known is None:
+        return next((text for text in texts if text.startswith("fc.")), f"result{texts[0]}")
+    for text in texts:
+        first = "__getitem__" if text.startswith("[") else text.strip(".").partition("(")[0]
+        if text.startswith("fc.") or first.partition(".")[0] in known:
+            return text
+    return ""
+
+
+def meant(names: Sequence[str]) -> str:
+    """A question after what may be meant, with a space behind it; empty if there is nothing."""
+    return f"did you mean {' or '.join(names[:3])}? " if names else ""
+
+
+def no_attribute(
+    owner: str,
+    name: str,
+    known: Collection[str],
+    *,
+    inner: Sequence[str] = (),
+    package: bool = False,
+) -> AttributeError:
+    """The error of a name that an owner, an object or the package, does not have, with what may be
+    meant: of its known names, or of those of its attributes."""
+    question = ""
+    if not name.startswith("_"):  # notebooks and test programs ask for such names of anything
+        others = [*inner, *in_other_words(name, None if package else known)]
+        public = [other for other in known if not other.startswith("_")]
+        verb, _, rest = name.partition("_")
+        same = near(f"{VERBS[verb]}_{rest}", public) if rest and verb in VERBS else []
+        find = near if package and others else near_or_longer
+        similar = find(name, public, SAME_WORD if others else LIKENESS)
+        similar = [other for other in similar if not any(other in text for text in others)]
+        found = [f"fc.{other}" if package else other for other in same or similar]
+        enough = same or (found and not package)  # of the package Run is near run, for one
+        question = meant(found if enough else [*found, *others])
+    return AttributeError(f"{owner} has no attribute {name!r}; {question}".rstrip("; "))
+
+
+def check_options(whose: str, options: Mapping[str, object], known: Collection[str]) -> None:
+    """Raise InputError for a keyword that is no option of a function."""
+    for key, value in options.items():
+        if key not in known:
+            question = meant(near_or_longer(key, known))
+            allowed = f"left out; {question}the options of {whose} are {', '.join(known)}"
+            raise InputError(key, value, allowed)
+
+
+def checked_call(function: Called, keys: Callable[[str], Sequence[str]] | None = None) -> Called:
+    """A function that refuses a call that does not fit it, with what may be meant: another
+    argument, a key of the scene that ``keys`` finds for it, or another function; and a ``comm``
+    that is no communicator."""
+    from inspect import signature as signature_of  # takes a while: not for the program
+
+    signature = signature_of(function)
+    open_ended = any(one.kind is one.VAR_KEYWORD for one in signature.parameters.values())
+    known = [name for name, one in signature.parameters.items() if one.kind is not one.VAR_KEYWORD]
+    known = [name for name in known if name not in ("self", "cls")]
+
+    @functools.wraps(function)
+    def call(*args: Any, **options: Any) -> Any:
+        try:
+            given = signature.bind(*args, **options).arguments
+        except TypeError as error:
+            name, reason = function.__name__, str(error)
+            wrong = next((one for one in options if one not in signature.parameters), None)
+            if wrong is None or open_ended:
+                names = [text for text in in_other_words(name) if f"fc.{name}(" not in text]
+            else:
+                reason = f"got an unexpected keyword argument {wrong!r}"
+                names = near_or_longer(wrong, known)
+                if not names and keys is not None:
+                    names = [f'scene.replace({{"{key}": ...}})' for key in keys(wrong)]
+            question = f"{meant(names)}its arguments are {', '.join(known)}"
+            raise TypeError(f"{name}() {reason}; {question}") from None
+        if "comm" in given:
+            from fenics_crack.basics.ranks import check_communicator
+
+            check_communicator(given["comm"])
+        return function(*args, **options)
+
+    return cast(Called, call)
+
+
+class _HintedType(type):
+    """Metaclass of classes that suggest names for their own missing attributes."""
+
+    def __getattr__(cls, name: str) -> Any:
+        raise no_attribute(f"type object {cls.__name__!r}", name, dir(cls))
+
+
+class Hinted(metaclass=_HintedType):
+    """A class whose objects say what may be meant by an attribute that they do not have."""
+
+    if not TYPE_CHECKING:  # else no misspelt attribute would be found before it runs
+
+        def __getattr__(self, name: str) -> Any:
+            if name.startswith("__"):  # Python asks, of each object that is copied
+                raise AttributeError(name)
+            if any(name in vars(kind) for kind in type(self).__mro__):  # it lacks an attribute
+                return object.__getattribute__(self, name)
+            inner = self._inner_names(name)
+            raise no_attribute(f"{type(self).__name__!r} object", name, dir(self), inner=inner)
+
+    def _inner_names(self, name: str) -> list[str]:
+        """Attributes of its attributes that may be meant, ".crack.length"; here none."""
+        return []
+
+
+# --- numbers --------------------------------------------------------------------------------------
+
+
+def converted(text: str, unit: str) -> float | None:
+    """A number with a decimal comma, or in another unit than a key's, in that of the key."""
+    found = NUMBER.fullmatch(text.strip()[:100].translate(SPELLINGS))
+    try:
+        value = float(found[1].replace(",", ".")) if found else None
+    except ValueError:
+        return None
+    if found is None or value is None:
+        return None
+    given = re.sub(r"([a-z])([23])\b", r"\1^\2", (found[2] or unit).strip())
+    if given == unit:
+        return value
+    factor = OTHERS.get((given, unit))
+    if factor is None and unit and given.endswith(unit):
+        factor = PREFIXES.get(given.removesuffix(unit))
+    if factor is None or not math.isfinite(value * factor):
+        return None
+    return float(f"{value * factor:.12g}")  # no 0.30000000000000004
+
+
+def candidates(value: object, unit: str) -> Iterator[object]:
+    """Yield the values that may be meant by one that is no number, or no list of numbers."""
+    if isinstance(value, str):
+        number = converted(value, unit)
+        yield number
+        if number is not None and number.is_integer():
+            yield int(number)
+        value = value.strip("[] ").split(",")
+    if isinstance(value, list | tuple):
+        yield [converted(one, unit) if isinstance(one, str) else one for one in value]
+
+
+def written(value: object) -> str:
+    """A value as a scene has it, numbers in short: "2.1e+11"."""
+    short = f"{value:g}" if isinstance(value, float) else ""
+    return short if short and float(short) == value else repr(value)

@@ -1,0 +1,377 @@
+"""Tables for people (text, HTML), shells (CSV) and programs (JSON), and results that become tables.
+
+A result derives from :class:`Described`, or from :class:`Tabular` where it is a table, and defines
+``to_dict``. Its one line, its table in a notebook and its CSV file follow from that.
+
+The indicators of a breathing crack have names, which are those of columns in tables and
+files, of ``[output] quantities``, and of what sweeps are drawn in; :class:`fenics_crack.Indicators`
+defines each by its equation.
+"""
+
+from __future__ import annotations
+
+import csv
+import html
+import io
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fenics_crack.basics.atomic_files import write_whole
+from fenics_crack.basics.suggestions import Hinted
+
+SHOWN_ROWS, NOTEBOOK_ROWS = 40, 20
+"""Rows shown as text and in a notebook; files have all of them."""
+TURN = 2.0 * math.pi
+"""Factor from Hz to rad/s."""
+RPM = TURN / 60.0
+"""Factor from revolutions per minute to rad/s."""
+
+# --- quantities -----------------------------------------------------------------------------------
+
+OF_POINTS: dict[str, tuple[str, str]] = {
+    "amplitude": ("half peak-to-peak", "m"),
+    "mean": ("mean displacement", "m"),
+    "harmonic_1": ("amplitude at the load frequency", "m"),
+    "harmonic_2": ("amplitude at twice the load frequency", "m"),
+    "harmonic_3": ("amplitude at three times the load frequency", "m"),
+    "ratio_2_1": ("harmonic ratio 2/1", "1"),
+    "ratio_3_1": ("harmonic ratio 3/1", "1"),
+    "ratio_half_1": ("harmonic ratio 1/2 over 1", "1"),
+    "ratio_largest": ("largest harmonic above the load's, over harmonic 1", "1"),
+    "largest_order": ("order of the largest harmonic above the load's", "1"),
+    "mean_shift": ("mean displacement over harmonic 1", "1"),
+}
+"""Words and unit of the quantities of each watched point and direction."""
+OF_LIPS: dict[str, tuple[str, str]] = {
+    "opening": ("largest opening", "m"),
+    "penetration": ("largest penetration", "m"),
+    "contact_force": ("largest contact force of a pair", "N"),
+    "crack_force": ("largest contact force of a crack, all pairs", "N"),
+    "closed_share": ("contact duty cycle, mean over pairs", "1"),
+}
+"""Quantities of all crack faces."""
+OF_FREQUENCIES: dict[str, tuple[str, str]] = {
+    "omega_open": ("natural frequency, crack open", "rad/s"),
+    "omega_tied": ("natural frequency, crack bonded", "rad/s"),
+    "omega_bilinear": ("bilinear frequency", "rad/s"),
+    "over_open": ("load frequency / natural frequency, crack open", "1"),
+    "over_tied": ("load frequency / natural frequency, crack bonded", "1"),
+    "over_bilinear": ("load frequency / bilinear frequency", "1"),
+}
+"""Quantities of the mode whose bilinear frequency is nearest to the load's."""
+OF_TIPS: dict[str, tuple[str, str]] = {
+    "K_max": ("largest stress intensity K_I", "Pa m^0.5"),
+    "K_min": ("smallest K_I", "Pa m^0.5"),
+    "delta_K": ("range of K_I", "Pa m^0.5"),
+    "delta_K_effective": ("range of K_I while the tip is open", "Pa m^0.5"),
+    "K_II_max": ("largest stress intensity K_II, of either sign", "Pa m^0.5"),
+}
+"""Quantities of the crack tip whose effective range is the largest; available for plates, where a
+scene requests them."""
+OF_GROWTH: dict[str, tuple[str, str]] = {
+    "delta_K_equivalent": ("range of K_I, R = 0, that makes the crack grow as much", "Pa m^0.5")
+}
+"""Quantities of the same crack tip, by the law of the table ``[growth]``."""
+OF_CLAMP: dict[str, tuple[str, str]] = {
+    "reaction_force": ("largest force of the clamp", "N"),
+    "reaction_moment": ("largest moment of the clamp, about its centre", "N m"),
+}
+"""Quantities of the clamp; available for meshes at rest, where a scene requests them."""
+SEEN: dict[str, tuple[str, str]] = {"seen_amplitude": ("half peak-to-peak that is seen", "m")}
+"""Quantities of the watched point, in place of an unstable vibration; where a scene requests
+them."""
+QUANTITIES = OF_POINTS | OF_LIPS | OF_FREQUENCIES | OF_TIPS | OF_GROWTH | OF_CLAMP | SEEN
+"""All quantities."""
+SHORT = (
+    "amplitude", "ratio_2_1", "ratio_3_1", "ratio_half_1", "ratio_largest", "mean_shift", "opening",
+    "penetration", "contact_force", "crack_force", "closed_share", "over_open", "over_bilinear",
+)  # fmt: skip
+"""Quantities printed where a scene does not choose."""
+UNITS = {name: unit for name, (_, unit) in QUANTITIES.items()} | {
+    name: unit
+    for unit, names in {
+        "rad/s": "omega omega_partly speed",
+        "Hz": "frequency frequency_open frequency_tied frequency_partly frequency_bilinear "
+        "frequency_error",
+        "rpm": "rpm",
+        "rad": "angle phase",
+        "s": "time mark next_mark arrival",
+        "m": "amplitude_error displacement response clearance crack_length tip_radius "
+        "rest_amplitude",
+        "m/cycle": "rate",
+        "J": "energy",
+    }.items()
+    for name in names.split()
+}
+"""Units of the entries of ``to_dict``; all others have none."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Named columns of numbers and words.
+
+    Attributes
+    ----------
+    columns : sequence of str
+        Names with their units.
+    rows : sequence of sequences
+        Numbers, words, truth values; nan where a value is unknown.
+    """
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[Any]]
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any], units: Mapping[str, str]) -> Table:
+        """A table of lists, one for each column, or of single values, one for each row."""
+        names = [with_unit(name, units.get(name, "")) for name in values]
+        if any(isinstance(value, list) for value in values.values()):
+            return cls(names, [list(row) for row in zip(*values.values(), strict=True)])
+        return cls(("quantity", "value"), list(zip(names, values.values(), strict=True)))
+
+    def formatted(self, how: str) -> str:
+        """The table as "text" (the first rows of a long one), "csv" or "json"."""
+        return {"text": self._text, "csv": self._csv, "json": self._json}[how]()
+
+    def html(self, caption: str) -> str:
+        """The table for a notebook (the first rows of a long one)."""
+        rows = [("th", self.columns)]
+        rows += [("td", [_words(value) for value in row]) for row in self.rows[:NOTEBOOK_ROWS]]
+        if len(self.rows) > NOTEBOOK_ROWS:
+            caption += f"; the first {NOTEBOOK_ROWS} of {len(self.rows)} rows"
+        lines = ("".join(f"<{tag}>{html.escape(c)}</{tag}>" for c in cells) for tag, cells in rows)
+        body = "".join(f"<tr>{line}</tr>" for line in lines)
+        return f"<table><caption>{html.escape(caption)}</caption>{body}</table>"
+
+    def save(self, path: str | Path) -> None:
+        """Write the table as JSON if the name ends in ``.json``, else as CSV.
+
+        Raises
+        ------
+        InputError
+            The file cannot be written.
+        """
+        write_whole(path, self._json() if Path(path).suffix == ".json" else self._csv())
+
+    def _text(self) -> str:
+        shown = self.rows[:SHOWN_ROWS]
+        columns = []
+        for place, name in enumerate(self.columns):
+            values = [row[place] for row in shown]
+            words = [name, *map(_words, values)]
+            width = max(map(len, words))
+            words.insert(1, width * "-")
+            numbers = all(isinstance(value, float | int | np.number) for value in values)
+            columns.append([w.rjust(width) if numbers else w.ljust(width) for w in words])
+        lines = ["  ".join(line).rstrip() for line in zip(*columns, strict=True)]
+        if len(self.rows) > len(shown):
+            lines.append(f"... and {len(self.rows) - len(shown)} more")
+        return "\n".join(lines) + "\n"
+
+    def _csv(self) -> str:
+        file = io.StringIO()
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(self.columns)
+        writer.writerows(map(_plain, row) for row in self.rows)
+        return file.getvalue()
+
+    def _json(self) -> str:
+        records = [dict(zip(self.columns, map(_known, row), strict=True)) for row in self.rows]
+        return json.dumps(records, indent=1, ensure_ascii=False) + "\n"
+
+
+class Described(Hinted):
+    """A result that describes itself: in one line, as a table in a notebook, as a dict."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Numbers and words by name, or lists of equal length; SI units.
+
+        ``pandas.DataFrame`` takes such a dict of lists, and a list of dicts of numbers.
+        """
+        raise NotImplementedError
+
+    def table(self, *names: str) -> Table:
+        """:meth:`to_dict`, or some entries of it, as a table with units."""
+        values = self.to_dict()
+        return Table.of({name: values[name] for name in names or values}, self._units())
+
+    def _units(self) -> Mapping[str, str]:
+        """Units of the entries of :meth:`to_dict`."""
+        return UNITS
+
+    def _title(self) -> str:
+        """The text between the brackets of the one line."""
+        return ", ".join(f"{name} = {_words(value)}" for name, value in self.to_dict().items())
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self._title()})"
+
+    def _repr_html_(self) -> str:
+        return self.table().html(repr(self))
+
+
+class Tabular(Described):
+    """A result that is a table: :meth:`to_dict` has lists of equal length."""
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write :meth:`table` as CSV; as JSON if the name ends in ``.json``.
+
+        Raises
+        ------
+        InputError
+            The file cannot be written.
+        """
+        self.table().save(path)
+
+    def to_dataframe(self) -> Any:
+        """The same as a ``pandas.DataFrame``.
+
+        Raises
+        ------
+        ImportError
+            pandas is not installed: the package does without it.
+        """
+        try:
+            import pandas
+        except ImportError as error:
+            other = "to_dict() has the same columns, and to_csv(path) writes them"
+            raise ImportError(f"to_dataframe needs pandas (pip install pandas); {other}") from error
+        return pandas.DataFrame(self.to_dict())
+
+
+# --- numbers for people ---------------------------------------------------------------------------
+
+READ = 1e-5
+"""Relative error below which none is reported: extremes are read at 1,024 instants of the period,
+which leaves 1 - cos(pi / 1024) = 5e-6 of a sine."""
+_PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
+
+
+def readable(largest: float, unit: str) -> tuple[float, str]:
+    """Factor and prefixed unit for numbers up to a largest one: (1e6, "µm")."""
+    exponent = 3 * int(np.floor(np.log10(largest) / 3.0)) if 0.0 < largest < math.inf else 0
+    prefix = _PREFIXES.get(exponent)
+    return 10.0 ** (-exponent), f"10^{exponent} {unit}" if prefix is None else prefix + unit
+
+
+def quantity(value: float, unit: str) -> str:
+    """A number with its unit: "1.452 µm"."""
+    factor, unit = readable(abs(value), unit)
+    return f"{factor * value:.4g} {unit}"
+
+
+def with_unit(name: str, unit: str) -> str:
+    """A heading: "omega [rad/s]"; "rotation.rpm" says its unit itself."""
+    return name if unit in ("", "1", name.rpartition(".")[2]) else f"{name} [{unit}]"
+
+
+def frequency_axis(in_hertz: bool) -> tuple[float, str, str]:
+    """Return factor of rad/s, name and unit of an axis or a column of load frequencies."""
+    return (0.5 / math.pi, "load frequency", "Hz") if in_hertz else (1.0, "load frequency", "rad/s")
+
+
+def speed_axis(in_rpm: bool) -> tuple[float, str, str]:
+    """The same of a rotor's speeds."""
+    return (1.0 / RPM, "rotor speed", "rpm") if in_rpm else (1.0, "rotor speed", "rad/s")
+
+
+def speed_in_words(speed: float, in_rpm: bool) -> str:
+    """A rotor's speed [rad/s] with its unit: "3000 rpm"."""
+    return in_unit(speed_axis(in_rpm), speed)
+
+
+def in_unit(axis: tuple[float, str, str], *values: float) -> str:
+    """Values in the unit of an axis: "50.1 Hz", "50.1 and 50.3 Hz"; "0.9" of one without."""
+    factor, _, unit = axis
+    numbers = " and ".join(f"{factor * value:.6g}" for value in values)
+    return f"{numbers} {unit}".removesuffix(" -")
+
+
+def with_frequency(values: dict[str, Any]) -> dict[str, Any]:
+    """Entries with the "frequency" [Hz] of their "omega" [rad/s], a number or a list, behind it,
+    and with the "rpm" of their "speed" [rad/s]."""
+    twins = {"omega": ("frequency", TURN), "speed": ("rpm", RPM)}
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        found[name] = value
+        if name in twins:
+            twin, unit = twins[name]
+            found[twin] = (np.array(value) / unit).tolist()
+    return found
+
+
+def percent(share: float) -> str:
+    """A share in per cent, with two digits, or all before the point: "2.4 %", "140 %"."""
+    return format(100.0 * share, ".2g" if share < 0.995 else ".0f") + " %"
+
+
+def error_in_words(error: float) -> str:
+    """A relative error in per cent: "2.4 %", "less than 0.001 %"."""
+    return f"less than {percent(READ)}" if 0.0 < error < READ else percent(error)
+
+
+def counted(count: int, thing: str) -> str:
+    """A number of things: "1 pair", "2 pairs"."""
+    return f"{count} {thing}{'' if count == 1 else 's'}"
+
+
+def closing_sentence(
+    outcome: str,
+    *,
+    unknown: str = "",
+    known: str = "",
+    others: Sequence[str] = (),
+    warnings: int = 0,
+    remarks: int = 0,
+) -> str:
+    """Return the last sentence on a result, wherever it is said.
+
+    Parameters
+    ----------
+    outcome : str
+        Outcome: "solved", "not converged".
+    unknown : str
+        Why the error is unknown; then ``known`` is left out.
+    known : str
+        Result and its accuracy.
+    others : sequence of str
+        The verdict on the stability, and what a reader of the numbers alone would miss; empty ones
+        are left out.
+    warnings, remarks : int
+        Number of warnings before it.
+    """
+    counts = {"warning": warnings, "remark": remarks}
+    before = " and ".join(counted(count, name) for name, count in counts.items() if count)
+    first = f"{outcome}, but the error is unknown: {unknown}" if unknown else outcome
+    return "; ".join(filter(None, (first, "" if unknown else known, *others, before)))
+
+
+def ranging(values: np.ndarray, digits: str = ".0f") -> str:
+    """From the least of some numbers, by default counts, to the most: "9", "5 to 40"."""
+    return " to ".join(dict.fromkeys(format(f(values), digits) for f in (np.min, np.max)))
+
+
+def _plain(value: Any) -> Any:
+    """A value as one of Python's own types."""
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _known(value: Any) -> Any:
+    """A value for JSON: None where a number is nan or infinite."""
+    value = _plain(value)
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _words(value: Any) -> str:
+    value = _plain(value)
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return "-" if math.isnan(value) else f"{value:.6g}"
+    return str(value)

@@ -1,0 +1,158 @@
+"""Settings of the machine: Debian's modules, one thread at a time, some memory.
+
+Its functions run one at a time, and with one thread of OpenBLAS and of OpenMP. gmsh, PETSc and
+MUMPS keep their state in global variables: two threads of Python in them end the process. And their
+dense algebra is small, as ours is: OpenBLAS's threads wait for each other longer than they work,
+and do so by spinning. So do four threads of OpenMP, with which CHOLMOD assembles each of its many
+small blocks, whatever OMP_NUM_THREADS says.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+import resource
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache, lru_cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from fenics_crack.basics.errors import InputError
+
+SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "GOTO_NUM_THREADS")
+"""Variables that set the number of OpenBLAS's threads."""
+LAUNCHERS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
+"""Variables by which mpirun gives a process its rank, before MPI is started."""
+COMPILED_FOR = ("numpy", "mpi4py")
+"""Modules for whose compiled interfaces Debian's DOLFINx, PETSc and SciPy are built."""
+_lock = threading.RLock()
+
+
+@cache
+def check_modules() -> None:
+    """Check, before they are imported, that Debian's NumPy and mpi4py are found and no others.
+
+    The versions are those that ``install.sh`` has pinned in this virtual environment; one that it
+    has not made is not checked.
+
+    Raises
+    ------
+    InputError
+        Another version stands before Debian's.
+    """
+    pins = Path(sys.prefix, "debian-pins.txt")
+    wanted = dict(re.findall("(.+)==(.+)", pins.read_text())) if pins.exists() else {}
+    for name in wanted.keys() & COMPILED_FOR:
+        place = getattr(find_spec(name), "origin", None)
+        if place is None or place.startswith("/usr/lib/python3/"):
+            continue
+        from importlib.metadata import version  # takes a while, and is hardly ever needed
+
+        if version(name) != wanted[name]:
+            remedy = f"run 'sh install.sh' again, or remove {Path(place).parent}"
+            allowed = f"{wanted[name]}, for which Debian's DOLFINx is built: {remedy}"
+            raise InputError(name, version(name), allowed)
+
+
+def launched() -> bool:
+    """Return True if mpirun has started this process."""
+    return any(name in os.environ for name in LAUNCHERS)
+
+
+@contextmanager
+def alone() -> Iterator[None]:
+    """Keep other threads of Python out, and OpenBLAS and OpenMP to one; their numbers are restored.
+
+    A number that the user has chosen stays: by one of :data:`SETTINGS`, or in the process (by
+    threadpoolctl), where it differs from that with which OpenBLAS begins. OpenMP heeds the first of
+    them alone.
+    """
+    with _lock:
+        pools = [] if any(map(os.environ.get, SETTINGS)) else _pools(len(sys.modules))
+        limited = [(pool, begin) for pool, begin in pools if pool("get_num_threads") == begin > 1]
+        for pool, _ in limited:
+            pool("set_num_threads", 1)
+        chosen = os.environ.get(SETTINGS[0], "1") != "1"
+        openmp = [] if chosen else _openmp(len(sys.modules))
+        levels = [library.omp_get_max_active_levels() for library in openmp]
+        for library in openmp:
+            library.omp_set_max_active_levels(0)
+        try:
+            yield
+        finally:
+            for library, level in zip(openmp, levels, strict=True):
+                library.omp_set_max_active_levels(level)
+            for pool, begin in limited:
+                pool("set_num_threads", begin)
+
+
+class _Pool:
+    """A loaded OpenBLAS; the names of its functions differ between Debian's and those of wheels."""
+
+    def __init__(self, path: str) -> None:
+        self._library = ctypes.CDLL(path)
+        forms = [
+            (before, after)
+            for before in ("openblas_", "scipy_openblas_")
+            for after in ("", "64_", "_64")
+            if hasattr(self._library, f"{before}set_num_threads{after}")
+        ]
+        self._form = forms[0] if forms else None
+
+    def __bool__(self) -> bool:
+        return self._form is not None
+
+    def __call__(self, name: str, *values: int) -> int:
+        assert self._form is not None
+        return int(getattr(self._library, name.join(self._form))(*values) or 0)
+
+    def begins_with(self) -> int:
+        """Return the number of threads that it starts with by default."""
+        assert self._form is not None
+        config: Any = getattr(self._library, "get_config".join(self._form))
+        config.restype = ctypes.c_char_p
+        most = re.search(rb"MAX_THREADS=(\d+)", config())
+        processors = self("get_num_procs")
+        return min(processors, int(most[1])) if most else processors
+
+
+@lru_cache(maxsize=1)
+def _pools(modules: int) -> list[tuple[_Pool, int]]:
+    """Each OpenBLAS of this process and the threads it begins with; found anew after imports."""
+    found = map(_Pool, _loaded(r"[^/\s]*openblas"))
+    return [(pool, pool.begins_with()) for pool in found if pool]
+
+
+@lru_cache(maxsize=1)
+def _openmp(modules: int) -> list[ctypes.CDLL]:
+    """Each OpenMP of this process, GCC's, LLVM's and Intel's; found anew after imports."""
+    found = map(ctypes.CDLL, _loaded(r"lib(?:g|i)?omp"))
+    return [library for library in found if hasattr(library, "omp_set_max_active_levels")]
+
+
+def _loaded(name: str) -> list[str]:
+    """Paths of the libraries of this process whose names begin as a pattern says."""
+    try:
+        files = Path("/proc/self/maps").read_text()
+    except OSError:
+        return []
+    return sorted({*re.findall(rf"/\S*/{name}[^/\s]*\.so[.\d]*$", files, re.MULTILINE)})
+
+
+def machine_memory() -> float:
+    """Memory of this machine [byte]."""
+    return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+
+
+def addresses_left() -> float:
+    """Memory that this process may still ask for under ``ulimit -v`` [byte]; inf without one."""
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit == resource.RLIM_INFINITY:
+        return float("inf")
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    return float(limit - pages * os.sysconf("SC_PAGE_SIZE"))

@@ -1,0 +1,212 @@
+"""Files that may come from strangers: what is read of them is limited before it is read, and what
+merely lies in the working folder is not read at all.
+
+A library that parses a damaged file may crash, ask for all memory or not end, and a script language
+may hide in what looks like data. So what gmsh and HDF5 parse is parsed by a small program of its
+own, :func:`run_reader`, with limited memory and time; it hands over plain arrays. It loads its
+library once, and reads each file in a copy of itself.
+"""
+
+from __future__ import annotations
+
+import codecs
+import hashlib
+import json
+import os
+import signal
+import socket
+import stat
+import subprocess
+import sys
+import zipfile
+from array import array
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import lru_cache
+from pathlib import Path
+from threading import get_ident
+from typing import TextIO
+
+import numpy as np
+
+MOST_BYTES = 2**31
+"""Bytes of a file of a mesh, a matrix or a result, and of the numbers in it."""
+EXPANSION = 50
+"""Bytes of numbers for each byte of a file; ours have 1 to 10."""
+ALWAYS = 2**24
+"""Bytes that any file may expand to: 16 MiB of text take seconds, of numbers less."""
+MEMORY = 2**30
+"""Memory of a reader beside that for numbers [bytes]: gmsh and h5py need a quarter of it."""
+MOST_TEXT = 2**26
+"""Bytes of a text that is read whole, such as a scene or a table: a million rows have 40 MiB."""
+WAITING = 4
+"""Waiting time for a reader over its processor time."""
+FOREIGN = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "HDF5_")
+"""Variables that are hidden from a reader: it is no rank, and loads no plug-ins."""
+SURROUNDINGS = {
+    "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "HDF5_PLUGIN_PRELOAD": "::",
+}  # fmt: skip
+PROGRAM = Path(__file__).with_name("untrusted_reader.py")
+MARKS = {
+    codecs.BOM_UTF32_LE: "UTF-32", codecs.BOM_UTF32_BE: "UTF-32", codecs.BOM_UTF16_LE: "UTF-16",
+    codecs.BOM_UTF16_BE: "UTF-16",
+}  # fmt: skip
+"""Byte order marks, the longer ones first."""
+
+
+@contextmanager
+def away() -> Iterator[None]:
+    """Leave the working folder for that of Python's own modules while a library looks for settings.
+
+    A stranger's folder may hold some that load code, run programs or change numbers. One that this
+    user may not enter, as root's, is left for good.
+    """
+    here = os.open("/proc/self/cwd", os.O_PATH)
+    try:
+        os.chdir(os.path.dirname(os.__file__))
+        yield
+    finally:
+        with suppress(PermissionError):
+            os.fchdir(here)
+        os.close(here)
+
+
+def bytes_of(path: str | Path, most: int | None = MOST_BYTES, *, links: bool = True) -> int:
+    """Size of a regular file: neither a device nor a pipe, which need not end; without ``links``
+    no link to one either.
+
+    Raises
+    ------
+    OSError
+        There is no such file, or it is larger than ``most``.
+    """
+    try:
+        found = os.stat(path, follow_symlinks=links)
+    except ValueError as error:  # no name of a file
+        raise OSError(str(error)) from None
+    if not stat.S_ISREG(found.st_mode):
+        raise OSError("it is not a regular file")
+    if most is not None and found.st_size > most:
+        raise OSError(f"it has more than {most} bytes")
+    return found.st_size
+
+
+def content_of(path: str | Path, most: int = MOST_TEXT, *, links: bool = True) -> bytes:
+    """Content of a file that is read whole; OSError as of :func:`bytes_of`."""
+    bytes_of(path, most, links=links)
+    return Path(path).read_bytes()
+
+
+def allowance(size: int) -> int:
+    """Bytes that the content of a compressed file of ``size`` bytes may take."""
+    return min(max(ALWAYS, EXPANSION * size), MOST_BYTES)
+
+
+def sha256(path: str | Path) -> str:
+    """SHA-256 of a regular file; OSError as :func:`bytes_of`."""
+    left, total = bytes_of(path), hashlib.sha256()
+    with open(path, "rb") as file:
+        while left > 0 and (block := file.read(min(left, 2**20))):
+            total.update(block)
+            left -= len(block)
+    return total.hexdigest()
+
+
+def text_of(path: str | Path) -> str:
+    """Text of a file in UTF-8, with or without a byte order mark.
+
+    Raises
+    ------
+    OSError, ValueError
+        As of :func:`content_of`; or its text is in another encoding.
+    """
+    content = content_of(path)
+    for mark, name in MARKS.items():
+        if content.startswith(mark):
+            raise ValueError(
+                f"it begins with the byte order mark (BOM) of {name}; save it as UTF-8"
+            )
+    return content.decode("utf-8-sig")
+
+
+def table_lines(path: str | Path) -> list[tuple[int, str]]:
+    """Lines of a CSV file, with their numbers, without empty ones and those that begin with #.
+
+    Raises
+    ------
+    OSError, ValueError
+        As :func:`text_of`; or cells are separated by something else than commas.
+    """
+    every = enumerate(text_of(path).splitlines(), 1)
+    lines = [(number, line) for number, line in every if line.strip()[:1] not in ("", "#")]
+    heading = lines[0][1] if lines else ""
+    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
+        if separator in heading and "," not in heading:
+            raise ValueError(f"its cells are separated by {name}; use commas, and decimal points")
+    return lines
+
+
+def lines_of(file: TextIO, most: int) -> Iterator[str]:
+    """Lines of a file that is unpacked while it is read; ValueError where there are too many."""
+    while line := file.readline(most + 1):
+        most -= len(line)
+        if most < 0:
+            raise ValueError("unpacked it is too large for its size")
+        yield line
+
+
+def run_reader(reader: Path, path: Path, seconds: int) -> dict[str, np.ndarray] | str:
+    """Let a program of its own (:mod:`fenics_crack.basics.untrusted_reader`) read a file in so much
+    processor time; return its arrays, or why there are none: its array ``error``."""
+    most = allowance(bytes_of(path, None))
+    asked = {"folder": os.getcwd(), "path": str(path), "memory": MEMORY + 4 * most}
+    asked |= {"seconds": seconds, "wait": WAITING * seconds, "most": most}
+    with os.fdopen(os.memfd_create("numbers"), "w+b") as handed:  # a disk may be full
+        ended = _asked(reader, json.dumps(asked).encode(), handed.fileno())
+        if ended in (-signal.SIGXCPU, -signal.SIGALRM):
+            return f"it is not read in {seconds} s"
+        if ended:
+            return "it crashes its reader"
+        handed.seek(0)
+        try:
+            with np.load(handed, allow_pickle=False) as arrays:
+                found = dict(arrays)
+        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
+            return "its reader has handed over nothing"
+    return str(found["error"]) if "error" in found else found
+
+
+def _asked(reader: Path, words: bytes, handed: int) -> int:
+    """Return the exit status of a copy of a reader; the reader waits for the next file."""
+    rights = socket.SOL_SOCKET, socket.SCM_RIGHTS, array("i", [handed])
+    for _ in range(2):  # the one that waits may have been killed meanwhile
+        line, answer = _started(reader, os.getpid(), get_ident())[1], b""
+        try:
+            # PETSc ends the program at a signal of a line that is broken.
+            line.sendmsg([words], [rights], socket.MSG_NOSIGNAL)
+            answer = line.recv(64)
+        except OSError:
+            continue
+        finally:
+            if not answer:  # of one that is interrupted no answer is taken for the next file's
+                _started.cache_clear()
+        if answer:
+            return int(answer)
+    return 1
+
+
+@lru_cache
+def _started(
+    reader: Path, process: int, thread: int
+) -> tuple[subprocess.Popen[bytes], socket.socket]:
+    """A reader, one for each process and thread that asks, and the line to it; it ends when this is
+    closed."""
+    inner = {name: value for name, value in os.environ.items() if not name.startswith(FOREIGN)}
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with theirs:
+        started = subprocess.Popen(
+            [sys.executable, "-I", str(PROGRAM), str(reader), str(theirs.fileno())],
+            env=inner | SURROUNDINGS, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+    return started, ours

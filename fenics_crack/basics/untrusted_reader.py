@@ -1,0 +1,72 @@
+"""A program of its own that reads strange files: ``untrusted_reader.py READER SOCKET``.
+
+READER is a file of Python with ``read(path, most)``; its libraries are loaded once. Each file that
+is requested at the open socket of number SOCKET is read by a copy of this process (fork): arrays of
+up to MOST bytes of numbers go to the file that is handed over, as .npz; or the reason why there are
+none. What is read may crash the copy, ask for all memory or not end, so its memory and its times
+are limited. The answer is how it ended.
+"""
+
+import contextlib
+import json
+import os
+import resource
+import runpy
+import signal
+import socket
+import sys
+
+import numpy as np
+
+
+def serve(reader: str, line: socket.socket) -> None:
+    """Have files read until nobody asks any more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program that asks
+    with contextlib.suppress(Exception):  # what fails now fails again in the copy
+        runpy.run_path(reader)
+    while True:
+        words, handed, *_ = socket.recv_fds(line, 2**16, 1)
+        if not words:
+            return
+        copy = os.fork()
+        if copy == 0:
+            end = 1
+            try:
+                line.close()  # no file answers for the next one
+                attempt(reader, handed[0], **json.loads(words))
+                end = 0
+            finally:
+                os._exit(end)
+        os.close(handed[0])
+        line.send(str(os.waitstatus_to_exitcode(os.waitpid(copy, 0)[1])).encode())
+
+
+def attempt(
+    reader: str,
+    handed: int,
+    folder: str,
+    path: str,
+    memory: int,
+    seconds: int,
+    wait: int,
+    most: int,
+) -> None:
+    """Read a file, and hand over what it holds."""
+    os.chdir(folder)
+    signal.alarm(wait)
+    resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+    room = resource.getrlimit(resource.RLIMIT_FSIZE)[1]  # what is handed over lies in memory
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
+    read = runpy.run_path(reader)["read"]
+    try:
+        found = read(path, most)
+    except Exception as error:  # whatever a damaged file leads a library to
+        found = {"error": np.array(str(error) or type(error).__name__)}
+    with os.fdopen(handed, "wb") as out:
+        np.savez(out, **found)
+
+
+if __name__ == "__main__":
+    serve(sys.argv[1], socket.socket(fileno=int(sys.argv[2])))
+    os._exit(0)  # what is loaded needs no taking apart

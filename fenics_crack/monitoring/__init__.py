@@ -1,0 +1,1 @@
+"""A crack from measurements: blade tip timing and identification."""

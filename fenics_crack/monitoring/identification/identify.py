@@ -1,0 +1,585 @@
+"""From measurements to the crack: one call.
+
+Sweeps over the unknowns, each in a file from which a killed run goes on, are all that is solved: of
+the scene, or of a coarser mesh; of a finer one at a few of the same values, which corrects the
+first; of the first again at a few values halfway between, where it is seen how far the
+interpolation is off; and these of the plate without its crack. A :class:`Model` interpolates
+between what they have solved. What else is not known has a prior, and moves the predictions by
+first-order changes (:mod:`fenics_crack.monitoring.identification.nuisance`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fenics_crack.basics.errors import ConvergenceError, InputError, StoppedError
+from fenics_crack.basics.progress import begin
+from fenics_crack.basics.ranks import MPI, StopRequest, on_root
+from fenics_crack.basics.tables import TURN
+from fenics_crack.files.store import scene_text
+from fenics_crack.monitoring.identification.interpolation import MESH, Loads, Part
+from fenics_crack.monitoring.identification.measurements import (
+    Measurement,
+    Measurements,
+    without_crack,
+)
+from fenics_crack.monitoring.identification.model import Model, is_free
+from fenics_crack.monitoring.identification.nuisance import Whole, whole_plate
+from fenics_crack.monitoring.identification.posterior import Likelihood, Posterior, explore, grid_of
+from fenics_crack.monitoring.identification.result import Identification
+from fenics_crack.scene.fields import Axis
+from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.tables import Identify, Sweep
+from fenics_crack.scene.words import check_scene
+from fenics_crack.study.coarser_mesh import finer_mesh
+from fenics_crack.sweep.result import SweepResult, by_reason, run_sweep
+
+FEW_NODES = 4
+"""Values of each of one or two unknowns that the finer sweep takes, and that halfway between; of
+more unknowns one less."""
+RESOLVED = 2.0
+"""How many times larger a vibration may be between cases than at any of them."""
+MOST_INTERPOLATED = 0.2
+"""Of the variance of a measurement: what interpolation between cases may have of it, so that its
+standard deviation is at most 1.12 times as large."""
+ADDED = 8
+"""How many times more cracks are solved where that matters, or where one vibrates more, at most:
+with damping of 0.5 % five lengths become 9 to 37."""
+ASKED = ("sweep", "curve", "integration", "identify", "tip_timing")
+"""Tables that do not matter to a sweep of the forward model."""
+Sweeps = tuple[SweepResult, SweepResult | None, SweepResult | None]
+"""Of all cases, of a finer mesh, and halfway between the cases."""
+
+
+def identify(
+    scene: Scene,
+    measurements: Measurements | str | Path,
+    unknown: Mapping[str, Any] | None = None,
+    *,
+    folder: str | Path = "output/identify",
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    progress: bool = False,
+) -> Identification:
+    """Find a crack, or other keys of a scene, from measurements (collective).
+
+    The scene is solved on a grid of the unknowns once, spread over the ranks, and on a finer mesh
+    at a few places; files in ``folder`` keep both, and a killed run goes on from them. Natural
+    frequencies of a rotor may be of several speeds, at each of which it is solved. Under a
+    steady load or a clearance the grid gets denser where cracks between meet a resonance, and
+    around cracks that explain what is measured where interpolation is a large part of an error.
+    It is smooth, and has an error of its own, by cross-validation and a few cases halfway between
+    the others, which is added to that of the measurements. So is what may be left of the mesh's
+    error: where a mesh finer by f changes a quantity by d, d / (2 f - 2), which is added to the
+    correction d, too (of an error of first order d / (f - 1) is left, of one of high order
+    nothing). Least squares from several starts find the estimate, a posterior on a grid its
+    regions, and its integral over the prior says whether there is a crack at all.
+
+    Parameters
+    ----------
+    scene : Scene
+        The structure and its load; the values of the unknowns in it do not matter.
+    measurements : Measurements or path
+        What was measured, or a file with it (:meth:`Measurements.read`).
+    unknown : mapping, optional
+        As the table ``[identify.unknown]``, which it replaces: keys of the scene with the values at
+        which it is solved. Their ends are the bounds, between which the prior is uniform.
+    folder : path
+        For the files of the sweeps.
+    comm : MPI.Comm
+        Ranks over which they are spread.
+    progress : bool
+        Show bars.
+
+    Returns
+    -------
+    Identification
+        On every rank.
+
+    Raises
+    ------
+    InputError
+        There are no unknowns, a measurement cannot be used or is not one of this scene, or as
+        :func:`run_sweep`.
+    ConvergenceError
+        Ctrl-C has stopped a sweep, or too few cases were solved for any measurement of the plate
+        as it is.
+
+    Examples
+    --------
+    >>> found = fc.identify(scene, "measured.csv", {"crack.length": [0.02, 0.04]})  # doctest: +SKIP
+    """
+    check_scene(scene)
+    if unknown is not None:
+        table = scene.identify or Identify.from_mapping({"unknown": unknown})
+        changed = replace(table, unknown=Identify.checked("unknown", unknown))
+        scene = replace(scene, identify=changed)
+    if scene.identify is None:
+        raise InputError("identify", None, "given: a table with what is unknown")
+    words = all(isinstance(axis.values[0], str) for axis in scene.identify.unknown)
+    if words and not scene.identify.meshes:
+        raise InputError("identify.unknown", "words alone", "also a key that holds a number")
+    if not isinstance(measurements, Measurements):
+        path = measurements
+        measurements = on_root(comm, lambda: Measurements.read(path))
+    measurements.check(scene)
+    rows = measurements.rows
+    shaken = [row.frequency for row in rows if not row.natural]
+    further = [load for row in rows if row.natural and (load := row.load(scene))]
+    whole = _whole(scene, comm)
+    others = any(not axis.key.startswith(("crack.", "contact.")) for axis in scene.identify.unknown)
+    known = (scene.excitation.omega / TURN, *scene.identify.frequencies)
+    whole.check(measurements, [load for load in known if load > 0.0], other=others)
+    closer: list[Axis] = []
+    while True:
+        forward = solve_forward(
+            scene,
+            shaken,
+            Path(folder),
+            comm,
+            further=further,
+            whole=whole,
+            closer=closer,
+            progress=progress,
+        )
+        begin("inference")
+        found = infer(forward, measurements)
+        worst = Interpolated.of(found)
+        axis = None if worst is None else _closer(forward, found, worst)
+        if axis is None:
+            break
+        closer.append(axis)
+    return found if worst is None else replace(found, remarks=(*found.remarks, worst.remark))
+
+
+def infer(forward: Forward, measurements: Measurements) -> Identification:
+    """Infer what measurements tell, by a forward model that is solved for their load frequencies.
+
+    Raises
+    ------
+    InputError
+        A measurement is not one of the model.
+    ConvergenceError
+        Too few cases of the model were solved for any measurement of the plate as it is.
+    """
+    measurements.check(forward.scene)
+    measurements, doubts = _predicted(forward, measurements)
+    branches, plain = (
+        {name: explore(_likelihood(model, measurements)) for name, model in models.items()}
+        for models in (forward.cracked, forward.uncracked)
+    )
+    remarks = (*remarks_on(forward.scene, measurements), *_unresolved(forward, measurements))
+    return Identification(
+        forward.scene,
+        measurements,
+        Posterior(branches),
+        Posterior(plain) if plain else None,
+        remarks,
+        doubts,
+    )
+
+
+def _predicted(
+    forward: Forward, measurements: Measurements
+) -> tuple[Measurements, tuple[str, ...]]:
+    """Those that every model predicts, with a crack and without; and in words which cases failed
+    that were needed, and what cannot be used for that.
+
+    A measurement that one hypothesis leaves open would speak against the other alone.
+    """
+    models = [*forward.cracked.values(), *forward.uncracked.values()]
+    rows = measurements.rows
+    known = np.all([model.quantities(rows).known for model in models], axis=0)
+    parts = (part for model in models for part in (model.coarse, model.finer) if part)
+    sweeps = {part.sweep.path: part for part in parts}
+    loads = {row.frequency for row in rows}
+    doubts = []
+    for path, part in sweeps.items():
+        sweep, solved = part.sweep, part.loads.frequencies
+        failed = [
+            (at, why)
+            for at, why in sweep.failed
+            if solved[at[-1]] in loads or np.isnan(sweep["omega_open_1"][at])
+        ]
+        doubts += [f"{path.name}: {text}" for text in by_reason(sweep, failed, "failed")]
+    used = [row for row, tells in zip(rows, known, strict=True) if tells]
+    if all(row.quantity == "frequency_uncracked" for row in used):
+        told = "; ".join(doubts) or "no case has what was measured"
+        raise ConvergenceError(f"identification, no measurement can be predicted: {told}")
+    unused = (row for row, tells in zip(rows, known, strict=True) if not tells)
+    why = "too few cases have it, or only those on one side of what failed"
+    doubts += [f"{row.name} is not used: {why}" for row in unused]
+    return Measurements(tuple(used)), tuple(doubts)
+
+
+def _likelihood(model: Model, measurements: Measurements) -> Likelihood:
+    """Likelihood of measurements by a model."""
+    rows = measurements.rows
+    values, deviations = np.array([(row.value, row.deviation) for row in rows]).T
+    return Likelihood(values, deviations, model.quantities(rows))
+
+
+def remarks_on(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
+    """Say what cannot be told whatever the numbers are."""
+    table = scene.given("identify")
+    sides = any(axis.key == "crack.edge" for axis in table.unknown)
+    crack, rows = scene.crack, measurements.rows
+    found = []
+    if crack is not None and crack.edge is not None and all(row.natural for row in rows):
+        other = {"left": "right", "right": "left"}[crack.edge]
+        if not sides:
+            found.append(
+                f"a crack from the {other} edge has the same natural frequencies: they do not tell "
+                "the edges apart"
+            )
+    if table.meshes:
+        found.append(
+            "a file has one mesh: its error is in no interval; meshes twice as fine show how much "
+            "it changes what is found"
+        )
+    if any(row.shape for row in rows) and not is_free(scene):
+        found.append(
+            "a clearance or a steady load lets the shape of the motion depend on the load's size: "
+            "that of the scene must be right"
+        )
+    return tuple(found)
+
+
+def _unresolved(forward: Forward, measurements: Measurements) -> Iterator[str]:
+    """Loads under which a crack between those that were solved vibrates much more than any of them,
+    where steady loads let it breathe there as none of them does; in words."""
+    if is_free(forward.scene):
+        return
+    places = dict.fromkeys((row.frequency, row.point) for row in measurements.rows if row.shape)
+    for model, (load, point) in itertools.product(forward.cracked.values(), places):
+        larger, where = _larger_between(model, load, point)
+        if larger > RESOLVED:
+            near = ", ".join(
+                f"{key} = {one:.4g}" for key, one in zip(model.keys, where, strict=True)
+            )
+            yield (
+                f"between the cases that were solved, near {near}, the vibration at {load:.6g} Hz "
+                f"is up to {larger:.2g} times as large as at any of them, and steady loads let it "
+                "breathe there as none of these does: solve more of them there, or measure farther "
+                "from resonance"
+            )
+
+
+def _larger_between(model: Model, load: float, point: str) -> tuple[float, np.ndarray]:
+    """How many times larger the vibration of a point at a load [Hz] is between the cases of a model
+    than at any of them, 0 where none is known; and at which values (d,)."""
+    first = Measurement("harmonic_1", 1.0, 1.0, frequency=load, point=point)
+    places = grid_of(model.cube)
+    between = np.nan_to_num(model.quantities([first])(places).values[:, 0])
+    solved = np.fmax.reduce(np.abs(model.coarse.harmonic(point, load, 1)))
+    most = int(np.argmax(between))
+    return float(between[most] / solved) if solved > 0.0 else 0.0, places[most]
+
+
+# --- the sweeps of the forward model --------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Forward:
+    """A forward model, solved.
+
+    Attributes
+    ----------
+    scene : Scene
+        With its table ``[identify]``.
+    axes : sequence of Axis
+        The unknowns, with the values at which it was solved.
+    cracked : dict of str to Model
+        A model for each combination of the unknowns that are words: "" or "right".
+    uncracked : dict of str to Model
+        The same without the crack; empty where that cannot be taken away.
+    """
+
+    scene: Scene
+    axes: Sequence[Axis]
+    cracked: dict[str, Model]
+    uncracked: dict[str, Model]
+
+
+def _whole(scene: Scene, comm: MPI.Comm) -> Whole:
+    """The plate of a scene without its crack, on every rank (collective)."""
+    table = scene.given("identify")
+    plain = scene.replace(dict.fromkeys(ASKED) | (without_crack(scene) or {}))
+    begin("plate without its crack")
+    return on_root(comm, lambda: whole_plate(plain, table))
+
+
+def solve_forward(
+    scene: Scene,
+    frequencies: Sequence[float],
+    folder: Path,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    *,
+    further: Sequence[float] = (),
+    whole: Whole | None = None,
+    closer: Sequence[Axis] = (),
+    progress: bool = False,
+) -> Forward:
+    """Solve, or read, what the forward model is interpolated from (collective).
+
+    Parameters
+    ----------
+    scene : Scene
+        With its table ``[identify]``.
+    frequencies : sequence of float
+        Of the load [Hz]; the scene's further ones are added.
+    folder : path
+        Where the files of the sweeps are; their names depend on the scene and the frequencies.
+    comm : MPI.Comm
+        The ranks over which the cases are spread.
+    further : sequence of float
+        Loads [Hz] at whose speeds of the rotor natural frequencies are known, and nothing else.
+    whole : Whole, optional
+        The plate without its crack, if it is known already.
+    closer : sequence of Axis
+        Unknowns with further values, one after another.
+    progress : bool
+        Show bars.
+
+    Raises
+    ------
+    InputError
+        As :func:`run_sweep`.
+    ConvergenceError
+        Ctrl-C has stopped a sweep.
+    """
+    whole = whole or _whole(scene, comm)
+    table = scene.given("identify")
+    wanted = (*frequencies, *further, *table.frequencies)
+    loads = Loads.of(scene, [float(one) for one in wanted])
+    shaken = (*frequencies, *table.frequencies, loads.frequencies[0])
+    alone = [place for place, one in enumerate(loads.frequencies) if one not in shaken]
+    plain = scene.replace(dict.fromkeys(ASKED))
+    coarse, fine = _meshes(plain, table.finer)
+
+    def run(name: str, of: Scene, axes: Sequence[Axis]) -> SweepResult:
+        swept = replace(of, sweep=Sweep(over=(*axes, loads.axis)))
+        digest = hashlib.sha256(f"{scene_text(swept)}{alone or ''}".encode()).hexdigest()[:8]
+        path = folder / f"{name}_{digest}.h5"
+        with StopRequest() as stop:
+            found = run_sweep(
+                swept, path, comm, progress=progress, verdicts=False, judged=False, natural=alone
+            )
+        if stop.asked(comm):
+            raise StoppedError("identification was stopped; the same command goes on with it")
+        return found
+
+    numbers = sum(not isinstance(axis.values[0], str) for axis in table.unknown)
+    count = FEW_NODES - (numbers > 2)
+    meshes = [Axis(MESH, table.mesh_files)] if table.meshes else []
+
+    def others(
+        name: str, changes: dict[str, Any], axes: Sequence[Axis], every: SweepResult
+    ) -> Sweeps:
+        own, keys = coarse.replace(changes), [axis.key for axis in axes]
+        first = [axis for axis in (*meshes, *table.unknown) if axis.key in keys]
+        few = _thinned(first, count)
+        finer = None if fine is None else run(f"{name}_finer", fine.replace(changes), few)
+        between = None if table.meshes else run(name, own, _thinned(_halfway(axes), count))
+        return every, finer, between
+
+    axes, left = list(table.unknown), [*closer]
+    every = run("forward", coarse, [*meshes, *axes])
+    while True:
+        models = _models(scene, whole, loads, (every, None, None))
+        axis = _denser(scene, models.values(), frequencies, axes)
+        if axis is None and not left:
+            break
+        axis = axis or left.pop(0)
+        place = [one.key for one in axes].index(axis.key)
+        added = tuple(value for value in axis.values if value not in axes[place].values)
+        new = [*meshes, *axes[:place], Axis(axis.key, added), *axes[place + 1 :]]
+        every = _joined(every, run("forward", coarse, new), len(meshes) + place)
+        axes[place] = axis
+    cracked = others("forward", {}, [*meshes, *axes], every)
+    changes = without_crack(scene)
+    if changes is None:
+        return Forward(scene, axes, _models(scene, whole, loads, cracked), {})
+    kept = [axis for axis in axes if not axis.key.startswith(("crack.", "contact."))]
+    plain = coarse.replace(changes)
+    bare = others("uncracked", changes, kept, run("uncracked", plain, kept))
+    found = _models(scene, whole, loads, cracked, bare), _models(scene, whole, loads, bare)
+    return Forward(scene, axes, *found)
+
+
+def _joined(one: SweepResult, other: SweepResult, place: int) -> SweepResult:
+    """The cases of two sweeps whose values on the axis at a place differ."""
+    values = [*one.axes[place].values, *other.axes[place].values]
+    order = np.argsort(values)
+    columns = {
+        name: np.concatenate([values, other[name]], axis=place).take(order, axis=place)
+        for name, values in one.columns.items()
+    }
+    axes = list(one.axes)
+    axes[place] = Axis(axes[place].key, tuple(values[at] for at in order))
+    return replace(one, scene=replace(one.scene, sweep=Sweep(over=tuple(axes))), columns=columns)
+
+
+def _most(scene: Scene) -> int:
+    """How many cases are solved at most."""
+    return ADDED * math.prod(len(axis.values) for axis in scene.given("identify").unknown)
+
+
+def _denser(
+    scene: Scene, models: Iterable[Model], loads: Sequence[float], axes: Sequence[Axis]
+) -> Axis | None:
+    """The number with further values between those along which the vibration changes most;
+    None where none between vibrates much more than any that was solved, where that does not matter,
+    and where it would be too many cases."""
+    seen = itertools.product(models, loads, scene.point_names or ("",))
+    places = [] if is_free(scene) else [(_larger_between(*one)[0], *one) for one in seen]
+    if not places or max(place[0] for place in places) <= RESOLVED:
+        return None
+    larger, model, load, point = max(places, key=lambda place: place[0])
+    sizes = np.log(np.abs(model.coarse.harmonic(point, load, 1))).reshape(model.cube.shape)
+    steps = {
+        key: np.fmax.reduce(np.abs(np.diff(sizes, axis=place)), axis=None)
+        for place, key in enumerate(model.keys)
+    }
+    cases = math.prod(len(axis.values) for axis in axes)
+    numbers = [axis for axis in axes if axis.key in steps and _is_divisible(axis)]
+    for axis in sorted(numbers, key=lambda axis: -steps[axis.key]):
+        count = len(axis.values)
+        parts = min(
+            math.ceil(larger / RESOLVED), (_most(scene) * count // cases - 1) // (count - 1)
+        )
+        if parts > 1:
+            at = np.arange((count - 1) * parts + 1) / parts
+            between = np.interp(at, np.arange(count), axis.values).tolist()
+            return Axis(axis.key, tuple(between))
+    return None
+
+
+@dataclass(frozen=True)
+class Interpolated:
+    """A measurement in whose variance interpolation between cases has a large share, on average
+    over the cracks that explain what is measured: the posterior falls as such an error grows, and
+    leaves some of them out.
+
+    Attributes
+    ----------
+    name : str
+        Of the measurement.
+    share : (d,)
+        Shares of its variance by the interpolation along each unknown.
+    x : (m, d)
+        Those cracks.
+    """
+
+    name: str
+    share: np.ndarray
+    x: np.ndarray
+
+    @classmethod
+    def of(cls, found: Identification) -> Interpolated | None:
+        """The one in which it has most; None where that is no more than MOST_INTERPOLATED."""
+        seen = [branch.interpolated() for branch in found.posterior.branches.values()]
+        x, shares = (np.vstack(one) for one in zip(*seen, strict=True))
+        if not shares.size:
+            return None
+        mean = shares.mean(axis=0)
+        at = int(mean.sum(axis=0).argmax())
+        own = cls(found.measurements.rows[at].name, mean[:, at], x)
+        return own if own.share.sum() > MOST_INTERPOLATED else None
+
+    @property
+    def remark(self) -> str:
+        """What is left of it, in words."""
+        return (
+            f"interpolation between the cases that were solved makes {self.share.sum():.0%} of the "
+            f"variance of {self.name}: more values in identify.unknown make regions narrower"
+        )
+
+
+def _closer(forward: Forward, found: Identification, worst: Interpolated) -> Axis | None:
+    """The unknown along which interpolation adds most to the error of a measurement, with further
+    values halfway between those around the cracks that explain what is measured; None where it
+    would be too many cases, or has none between."""
+    axes = {axis.key: axis for axis in forward.axes}
+    for place in np.argsort(-worst.share):
+        axis = axes.get(found.unknown[place])
+        if axis is not None and _is_divisible(axis):
+            halved = _halved(axis, worst.x[:, place].min(), worst.x[:, place].max())
+            cases = math.prod(len(one.values) for one in (axes | {axis.key: halved}).values())
+            return halved if cases <= _most(forward.scene) else None
+    return None
+
+
+def _halved(axis: Axis, low: float, high: float) -> Axis:
+    """An axis with values halfway between those around some numbers."""
+    around = (pair for pair in itertools.pairwise(axis.values) if pair[0] < high and pair[1] > low)
+    return Axis(axis.key, tuple(sorted({*axis.values, *(0.5 * (a + b) for a, b in around)})))
+
+
+def _meshes(scene: Scene, factor: float) -> tuple[Scene, Scene | None]:
+    """The scene of all cases, and that of a few on a finer mesh; None where there is no such."""
+    changes: dict[str, Any] = {}
+    if scene.harmonic_balance.tolerance is None and factor > 1.0:
+        harmonics = min(100, math.ceil(factor * scene.harmonic_balance.harmonics))
+        changes = {"harmonic_balance.harmonics": harmonics, "harmonic_balance.samples": None}
+    other = None if factor == 1.0 else finer_mesh(scene, factor)
+    if other is None and not changes:
+        return scene, None
+    return (scene, (other or scene).replace(changes)) if factor > 1.0 else (other or scene, scene)
+
+
+def _thinned(axes: Sequence[Axis], count: int) -> tuple[Axis, ...]:
+    """Some of the values of each unknown, its ends among them; all words."""
+    found = []
+    for axis in axes:
+        places = np.unique(np.linspace(0, len(axis.values) - 1, count).round().astype(int))
+        few = tuple(axis.values[at] for at in places)
+        found.append(axis if isinstance(axis.values[0], str) else Axis(axis.key, few))
+    return tuple(found)
+
+
+def _is_divisible(axis: Axis) -> bool:
+    """Whether there are values between those of an unknown; not of words and whole numbers."""
+    return any(isinstance(value, float) for value in axis.values)
+
+
+def _halfway(axes: Sequence[Axis]) -> tuple[Axis, ...]:
+    """Values halfway between those of each unknown; words and whole numbers as they are."""
+    return tuple(
+        Axis(axis.key, tuple(0.5 * (a + b) for a, b in itertools.pairwise(axis.values)))
+        if _is_divisible(axis)
+        else axis
+        for axis in axes
+    )
+
+
+def _models(
+    scene: Scene,
+    whole: Whole,
+    loads: Loads,
+    sweeps: Sweeps,
+    bare: tuple[SweepResult | None, ...] = (None, None, None),
+) -> dict[str, Model]:
+    """Models of a sweep, of a finer one and of one between if there are, by the words that tell
+    them apart; and the sweeps of the plate without its crack, if there are."""
+    meshes = scene.given("identify").mesh_axes
+    axes = [axis for axis in sweeps[0].axes[:-1] if not (meshes and axis.key == MESH)]
+    words = {axis.key: axis.values for axis in axes if isinstance(axis.values[0], str)}
+    found = {}
+    for chosen in itertools.product(*words.values()):
+        fixed = dict(zip(words, chosen, strict=True))
+        parts: list[Part | None] = []
+        for sweep, plain in zip(sweeps, bare, strict=True):
+            under = None if plain is None else Part.of(plain, loads, (), fixed)
+            parts.append(None if sweep is None else Part.of(sweep, loads, meshes, fixed, under))
+        coarse, *others = parts
+        assert coarse is not None
+        found[", ".join(chosen)] = Model(scene, whole, coarse, *others, fixed=fixed)
+    return found

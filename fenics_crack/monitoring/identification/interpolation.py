@@ -1,0 +1,467 @@
+"""Smooth interpolation of many quantities over a few unknowns, with its own error.
+
+A quantity known on a grid of the unknowns is interpolated by the tensor product of cubic splines
+without knots next to the ends (C. de Boor, A Practical Guide to Splines, 1978, chapters 4 and 17).
+What each node between the ends of an axis differs by from the spline through all others on its line
+tells the error, along each axis: it is that of twice the spacing, 16 times too large where a
+quantity is smooth, and 4/3 times where meshes make it uneven; 0.3 of it is taken. The errors at the
+nodes around a place, of all quantities together, are the covariance that predictions have there.
+
+Where a case has failed, a thin plate through the others takes its place, if half of the nodes are
+known, and one more than a quadratic polynomial needs: of four none may fail. What the nearest known
+node differs by from such a plate without it is the error there, in full. That holds between known
+nodes; beyond them a pole of a harmonic is missed.
+
+What is interpolated is made smooth. Smooth in the unknowns are the logarithms of natural
+frequencies without the crack, what it adds to them, over its size where that is unknown, and
+harmonics as complex numbers, a - i b of a cos + b sin. The amplitudes alone have kinks where they
+vanish, and both have poles, which move with the crack, where k times the load's frequency W meets a
+natural frequency w_j of the breathing crack with a damping ratio z. The first harmonic moves the
+lips that make the others: these have its poles, too, of the size p once and of the phase k times,
+as where all of a motion is as much larger and later. So of the k-th harmonic it is
+
+    U_k p_k |p_1| exp(i k arg p_1) / s^n,      p_k = prod_j (1 - r^2 + 2 i z r),      r = k W / w_j,
+
+without p_1 of the first, with the bilinear frequencies w_j of the same nodes and the sum s over the
+modes of the relative differences between frequencies with lips tied and open, each times its static
+compliance over that of the first, 1 / w_j^2: as much as the load bends the plate at the crack, and
+the crack the plate. It is small for a short crack, whose lips close in half of each period: that
+makes even harmonics, n = 1, and odd ones of second order, n = 2.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import RBFInterpolator, make_interp_spline
+from scipy.spatial.distance import cdist
+
+from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.tables import TURN
+from fenics_crack.monitoring.identification.measurements import Measurement
+from fenics_crack.scene.fields import Axis
+from fenics_crack.scene.scene import Scene
+from fenics_crack.sweep.file import CONVERGED, KEPT_ORDERS, NUMBERED
+from fenics_crack.sweep.result import SweepResult
+
+DEGREE = 3
+STATED = 0.3
+"""Of what is left with twice the spacing: between 1/16 and 3/4."""
+AVERAGED_OVER = 1.25
+"""Spacings of the nodes over which errors are averaged."""
+AROUND = 16
+"""Nodes over which errors are averaged, at most."""
+
+
+@dataclass(frozen=True)
+class Cube:
+    """The unknowns between their bounds.
+
+    Attributes
+    ----------
+    axes : tuple of arrays
+        Values of each unknown in ascending order; none at all where there are no unknowns.
+    """
+
+    axes: tuple[np.ndarray, ...]
+
+    @property
+    def low(self) -> np.ndarray:
+        """Lower bounds: (d,)."""
+        return np.array([axis[0] for axis in self.axes])
+
+    @property
+    def high(self) -> np.ndarray:
+        """Upper bounds: (d,)."""
+        return np.array([axis[-1] for axis in self.axes])
+
+    @cached_property
+    def nodes(self) -> np.ndarray:
+        """All combinations, the last unknown fastest: (n, d)."""
+        combinations = list(itertools.product(*self.axes))
+        return np.array(combinations, dtype=float).reshape(len(combinations), len(self.axes))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of values on each axis."""
+        return tuple(len(axis) for axis in self.axes)
+
+    def places(self, values: np.ndarray) -> np.ndarray:
+        """Places of values (m, d) among the nodes: whole numbers at these: (m, d)."""
+        columns = [
+            np.interp(column, axis, np.arange(len(axis)))
+            for column, axis in zip(values.T, self.axes, strict=True)
+        ]
+        return np.stack(columns, axis=1)
+
+
+def left_out_errors(line: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Difference of each value on a line (n,), but for the ends, from the spline through all
+    others: (n, ...) for values (n, ...). The ends, which are never left out, have the errors of
+    their neighbours."""
+    found = np.zeros_like(values)
+    for place in range(1, len(line) - 1):
+        others = np.arange(len(line)) != place
+        degree = min(DEGREE, len(line) - 2)
+        spline = make_interp_spline(line[others], values[others], k=degree)
+        found[place] = values[place] - spline(line[place])
+    found[0], found[-1] = found[1], found[-2]
+    return found
+
+
+class Interpolation:
+    """Interpolates some quantities over the unknowns.
+
+    Parameters
+    ----------
+    cube : Cube
+        The unknowns.
+    values : (n, q)
+        Of the quantities at the nodes of the cube; nan where one is not known.
+
+    Attributes
+    ----------
+    known : (q,) bool
+        Whether a quantity is known at enough of the nodes.
+    between : (q,) bool
+        Whether every node at which it is not known is between two others on a line.
+    """
+
+    def __init__(self, cube: Cube, values: np.ndarray) -> None:
+        self.cube = cube
+        self.between = _between(cube, np.isfinite(values))
+        values, self.known, of_filled = _filled(cube, values)
+        self._values = values
+        # Along each axis those that are 1 at one of its values and 0 at the others.
+        self._splines = [
+            make_interp_spline(line, np.eye(len(line)), k=min(DEGREE, len(line) - 1))
+            for line in cube.axes
+        ]
+        if cube.axes:
+            grid = values.reshape(*cube.shape, values.shape[1])
+            left = (
+                np.moveaxis(left_out_errors(line, np.moveaxis(grid, k, 0)), 0, k)
+                for k, line in enumerate(cube.axes)
+            )
+            self._errors = [STATED * one.reshape(values.shape) for one in left]
+            if of_filled.any():
+                self._errors.append(of_filled)
+
+    def at(self, x: np.ndarray) -> np.ndarray:
+        """The quantities at values x (m, d) of the unknowns, those outside taken to the border:
+        (m, q), 0 where one is not known."""
+        weights = np.ones((len(x), 1))
+        for column, line, spline in zip(x.T, self.cube.axes, self._splines, strict=True):
+            own = spline(np.clip(column, line[0], line[-1]))
+            weights = (weights[:, :, None] * own[:, None, :]).reshape(len(x), -1)
+        return np.asarray(weights @ self._values)
+
+    def scatter(self, x: np.ndarray) -> np.ndarray:
+        """Errors of all quantities together at the nodes around values x (m, d), along each axis,
+        and where cases failed, weighted so that their covariance is the sum of the squares:
+        (m, k, q)."""
+        found = self.along(x)
+        return np.concatenate(found, axis=1) if found else np.zeros((len(x), 0, len(self.known)))
+
+    def along(self, x: np.ndarray) -> list[np.ndarray]:
+        """The same of each axis, and of failed cases where there are some, apart."""
+        if not self.cube.axes:
+            return []
+        nodes = self.cube.places(self.cube.nodes)
+        exponent = -0.5 / AVERAGED_OVER**2 * cdist(self.cube.places(x), nodes, "sqeuclidean")
+        count = min(AROUND, len(nodes))
+        near = np.argpartition(-exponent, count - 1, axis=1)[:, :count]
+        exponent = np.take_along_axis(exponent, near, axis=1)
+        weights = np.exp(exponent - exponent.max(axis=1, keepdims=True))
+        weights /= weights.sum(axis=1, keepdims=True)
+        return [np.sqrt(weights)[..., None] * own[near] for own in self._errors]
+
+
+def _between(cube: Cube, known: np.ndarray) -> np.ndarray:
+    """Whether all nodes (n, q) that are not known have known ones on both sides, on a line along
+    some axis: (q,)."""
+    grid = known.reshape(*cube.shape, known.shape[1])
+    found = grid.copy()
+    for k in range(len(cube.axes)):
+        line = np.moveaxis(grid, k, 0)
+        below, above = (np.logical_or.accumulate(one) for one in (line, line[::-1]))
+        found |= np.moveaxis(below & above[::-1], 0, k)
+    return np.asarray(found.reshape(known.shape).all(axis=0))
+
+
+def _filled(cube: Cube, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Values (n, q) with those that are not known taken from a thin plate through the others,
+    whether enough of a quantity are known, (q,), 0 where not, and the errors of what was taken."""
+    known, d = np.isfinite(values), len(cube.axes)
+    least = max((d + 1) * (d + 2) // 2 + 1, len(values) / 2)
+    enough = known.all(axis=0) | ((known.sum(axis=0) >= least) & (d > 0))
+    found = np.where(known & enough, values, 0.0)
+    errors = np.zeros_like(found)
+    for place in np.flatnonzero(enough & ~known.all(axis=0)):
+        own, column = known[:, place], values[:, place]
+        nodes = (cube.nodes - cube.low) / (cube.high - cube.low)
+        found[~own, place] = _plate(nodes[own], column[own], nodes[~own])
+        for lost in np.flatnonzero(~own):
+            distance = np.linalg.norm(nodes - nodes[lost], axis=1)
+            near = np.argmin(np.where(own, distance, np.inf))
+            left = own & (np.arange(len(own)) != near)
+            around = _plate(nodes[left], column[left], nodes[near, None])
+            errors[lost, place] = column[near] - around[0]
+    return found, enough, errors
+
+
+def _plate(nodes: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """A thin plate through values (n,) at nodes (n, d), at other places (m, d): (m,)."""
+    return np.asarray(RBFInterpolator(nodes, values, kernel="thin_plate_spline")(at))
+
+
+# --- what is interpolated -------------------------------------------------------------------------
+
+MESH = "mesh.file"
+"""The axis of meshes with numbers."""
+
+
+@dataclass(frozen=True)
+class Loads:
+    """The loads that a forward model is solved for, the last axis of its sweeps.
+
+    Where the load is an engine order, each has the speed of the rotor that it follows, and the
+    first is that of the scene's own speed, at which natural frequencies are measured that have no
+    speed of their own.
+
+    Attributes
+    ----------
+    frequencies : tuple of float
+        In Hz.
+    axis : Axis
+        Their own, or the rotor's speeds.
+    """
+
+    frequencies: tuple[float, ...]
+    axis: Axis
+
+    @classmethod
+    def of(cls, scene: Scene, frequencies: Sequence[float]) -> Loads:
+        """Those of some frequencies [Hz]; the scene's own where it follows the rotor, or there is
+        no other."""
+        order, others = scene.excitation.order, sorted(set(frequencies))
+        own = float(f"{scene.excitation.omega / TURN:.9g}")  # as that of arrivals
+        if order is None:
+            found = tuple(others) or (scene.excitation.omega / TURN,)
+            return cls(found, Axis("excitation.frequency", found))
+        found = (own, *(one for one in others if one != own))
+        return cls(found, Axis("rotation.rpm", tuple(60.0 * one / order for one in found)))
+
+    @property
+    def turn(self) -> bool:
+        """Whether each has its own speed."""
+        return self.axis.key == "rotation.rpm"
+
+    @property
+    def faster(self) -> np.ndarray:
+        """Speeds of the rotor over the scene's own, (n,); 1 where there is but that."""
+        found = np.array(self.frequencies)
+        return found / found[0] if self.turn else np.ones(len(found))
+
+
+@dataclass(frozen=True)
+class Part:
+    """Knowledge of a sweep, with its words chosen; and of that without the crack, if there is.
+
+    Its last axis is that of the loads.
+    """
+
+    sweep: SweepResult
+    keys: tuple[str, ...]
+    cube: Cube
+    index: tuple[Any, ...]
+    loads: Loads
+    bare: Part | None = None
+
+    @classmethod
+    def of(
+        cls,
+        sweep: SweepResult,
+        loads: Loads,
+        meshes: Sequence[Axis],
+        fixed: Mapping[str, Any],
+        bare: Part | None = None,
+    ) -> Part:
+        """Take a sweep, the numbers of its meshes if it has some, and the words that are chosen."""
+        numbers: list[Axis] = []
+        index: list[Any] = []
+        for axis in sweep.axes[:-1]:
+            word = axis.key in fixed
+            index.append(axis.values.index(fixed[axis.key]) if word else slice(None))
+            numbers += [] if word else meshes if axis.key == MESH else [axis]
+        cube = Cube(tuple(np.array(axis.values, dtype=float) for axis in numbers))
+        keys = tuple(axis.key for axis in numbers)
+        return cls(sweep, keys, cube, tuple(index), loads, bare)
+
+    def column(self, name: str) -> np.ndarray:
+        """A column at all nodes and load frequencies: (n, n_loads)."""
+        values = self.sweep[name][self.index]
+        return np.asarray(values.reshape(-1, values.shape[-1]), dtype=float)
+
+    def natural(self, lips: str, mode: int) -> np.ndarray:
+        """A natural frequency at all nodes and loads [Hz]: (n, n_loads); without the crack
+        ("uncracked") the same for all cracks, and that with lips tied where it cannot be taken
+        out."""
+        if lips == "uncracked":
+            if self.bare is None:
+                return self.natural("tied", mode)
+            values = self.bare.natural("tied", mode)
+            pairs = zip(self.keys, self.cube.shape, strict=True)
+            shape = [count if key in self.bare.keys else 1 for key, count in pairs]
+            loads = values.shape[1]
+            values = np.broadcast_to(values.reshape(*shape, loads), (*self.cube.shape, loads))
+            return values.reshape(-1, loads)
+        column = self.column(f"omega_{lips}_{mode}") / (2.0 * np.pi)
+        if self.loads.turn:
+            return column
+        known = np.isfinite(column)
+        best = np.max(np.where(known, column, -np.inf), axis=1, keepdims=True)
+        best = np.where(known.any(axis=1, keepdims=True), best, np.nan)
+        return np.broadcast_to(best, column.shape)
+
+    def harmonic(self, point: str, frequency: float, order: int) -> np.ndarray:
+        """Complex amplitude of a harmonic at all nodes: (n,) [m]; 0 where a case has fewer."""
+        of = f"{point}." if point else ""
+        cosine, sine = (self.column(f"{of}{part}_{order}") for part in ("cosine", "sine"))
+        load = self.load(frequency)
+        fewer = self.column("harmonics")[:, load] < order
+        value = np.where(fewer, 0.0, (cosine - 1j * sine)[:, load])
+        return np.where(self.column("state")[:, load] == CONVERGED, value, np.nan)
+
+    def harmonics(self, frequency: float) -> int:
+        """How many harmonics all cases have at a load that were solved; 1 if none was."""
+        load = self.load(frequency)
+        solved = self.column("state")[:, load] == CONVERGED
+        return int(self.column("harmonics")[solved, load].min()) if solved.any() else 1
+
+    def load(self, frequency: float) -> int:
+        """Place of a load frequency [Hz] among those of the sweep, of 0 the first; InputError if it
+        has none."""
+        loads = self.loads.frequencies
+        if frequency == 0.0:
+            return 0
+        if frequency not in loads:
+            solved = ", ".join(f"{load:.9g}" for load in loads)
+            allowed = f"one of those that are solved, {solved} Hz; identify.frequencies adds others"
+            raise InputError("measurements.frequency", frequency, allowed)
+        return loads.index(frequency)
+
+    @cached_property
+    def basis(self) -> np.ndarray:
+        """Root of s, the bilinear frequencies [Hz], which :func:`scales` needs, and those without
+        the crack, at all nodes and loads: (n, n_loads, 1 + 2 modes); 1 for s without a crack, nan
+        where there is no frequency."""
+        tied, opened, breathing, bare = (
+            np.stack([self.natural(lips, mode) for mode in NUMBERED], axis=2)
+            for lips in ("tied", "open", "bilinear", "uncracked")
+        )
+        with np.errstate(invalid="ignore", divide="ignore"):
+            parts = (tied - opened) / tied * (tied[..., :1] / tied) ** 2
+            split = np.nan_to_num(parts, posinf=0.0, neginf=0.0).sum(axis=2)
+        scale = np.where(split > 1e-9, np.sqrt(np.abs(split)), 1.0)
+        return np.concatenate([scale[..., None], breathing, bare], axis=2)
+
+
+LIPS = ("bilinear", "open", "tied")
+"""What they may do at a resonance: breathe, stay open, stay shut."""
+
+
+@dataclass(frozen=True)
+class Feature:
+    """Something that is interpolated: a natural frequency at the speed of a load, 0 for the scene's
+    own, or a harmonic of a point at a load."""
+
+    lips: str = ""
+    mode: int = 0
+    point: str = ""
+    frequency: float = 0.0
+    order: int = 0
+
+    @classmethod
+    def of(cls, row: Measurement, scene: Scene) -> tuple[Feature, ...]:
+        """Features of a measurement of a scene; of a ratio both harmonics, the one above first."""
+        if row.natural:
+            lips = row.quantity.removeprefix("frequency_")
+            states = LIPS if lips == "resonance" else (lips,)
+            return tuple(cls(state, row.mode, frequency=row.load(scene)) for state in states)
+        orders = row.orders or KEPT_ORDERS
+        return tuple(cls("", 0, row.point, row.load(scene), order) for order in orders)
+
+    @property
+    def together(self) -> tuple[float, float, float]:
+        """Features for which this is the same err alike: a mode's, and those of one contact."""
+        return (self.mode, 0.0 if self.natural else self.frequency, self.order)
+
+    @property
+    def uncracked(self) -> Feature:
+        """That of a natural frequency without the crack."""
+        return replace(self, lips="uncracked")
+
+    def values(self, part: Part) -> np.ndarray:
+        """Values at all nodes of a sweep: (n,), logarithms or complex numbers."""
+        if self.natural:
+            own = part.natural(self.lips, self.mode)[:, part.load(self.frequency)]
+            return np.log(own).astype(complex)
+        return part.harmonic(self.point, self.frequency, self.order)
+
+    @property
+    def power(self) -> int:
+        """n of s^n, to which a harmonic is proportional."""
+        return 1 + self.order % 2 if self.order > 1 else 0
+
+    @property
+    def natural(self) -> bool:
+        """Tell whether it is a natural frequency."""
+        return bool(self.lips)
+
+    @property
+    def of_crack(self) -> bool:
+        """Tell whether it is a natural frequency that the crack changes."""
+        return self.lips in ("open", "tied", "bilinear")
+
+
+def poles(
+    features: Sequence[Feature], damping: np.ndarray, basis: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """r of each mode, and 1 - r^2 + 2 i z r, at m places: (m, f, modes); of ratios of damping
+    (m, 1), and what :attr:`Part.basis` has there at the load of each feature (m, f, 1 + 2 modes);
+    0 and 1 of natural frequencies and where there is no mode."""
+    own = basis[..., NUMBERED]
+    loads = np.array([feature.order * feature.frequency for feature in features])
+    r = loads[:, None] / np.where(np.isfinite(own), own, np.inf)
+    return r, 1.0 - r**2 + 2j * damping[..., None] * r
+
+
+def turned(values: np.ndarray, features: Sequence[Feature]) -> np.ndarray:
+    """What harmonics (m, f, ...) have of logarithms of a first one that drives them: of its size
+    once, of its phase as often as their order; 0 of others."""
+    orders = np.array([feature.order if feature.order > 1 else 0 for feature in features])
+    orders = orders.reshape(-1, *np.ones(values.ndim - 2, dtype=int))
+    return np.where(orders > 0, values.real, 0.0) + 1j * orders * values.imag
+
+
+def driving(features: Sequence[Feature]) -> list[Feature]:
+    """The first harmonics that drive some features."""
+    return [replace(feature, order=int(feature.order > 1)) for feature in features]
+
+
+def scales(
+    features: Sequence[Feature], damping: np.ndarray, basis: np.ndarray, size: np.ndarray
+) -> np.ndarray:
+    """Factors that make the values smooth: (m, f), of the same and of sizes of the crack (m,)."""
+    powers = np.array([feature.power for feature in features])
+    changed = np.array([feature.of_crack for feature in features])
+    found = poles(features, damping, basis)[1].prod(axis=2) / basis[..., 0] ** (2 * powers)
+    first = poles(driving(features), damping, basis)[1].prod(axis=2)
+    found = found * np.exp(turned(np.log(first), features))
+    return np.where(changed, 1.0 / size[:, None], found)

@@ -1,0 +1,539 @@
+"""What was measured of a cracked plate: frequencies and harmonics with standard deviations."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from numbers import Integral
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fenics_crack.basics.errors import (
+    FEW_MODES,
+    InputError,
+    check_choice,
+    check_count,
+    check_number,
+    reading,
+)
+from fenics_crack.basics.tables import RPM, TURN, Tabular, counted
+from fenics_crack.basics.untrusted_files import table_lines
+from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
+from fenics_crack.scene.fields import LARGEST, OR_ZERO, SMALLEST
+from fenics_crack.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from fenics_crack.monitoring.tip_timing.passages import PassageFit  # SciPy
+
+IN_WORDS = {
+    "frequency_open": "with the crack held open",
+    "frequency_tied": "with the crack held closed",
+    "frequency_bilinear": "by the bilinear formula",
+    "frequency_resonance": "at the resonance of the breathing crack",
+    "frequency_uncracked": "before there was a crack",
+    "harmonic_1": "first harmonic",
+    "harmonic_2": "second harmonic",
+    "harmonic_3": "third harmonic",
+    "ratio_2_1": "second harmonic over the first",
+    "ratio_3_1": "third harmonic over the first",
+    "displacement": "displacement",
+}
+"""What may be measured, in words: natural frequencies [Hz] by when they are, with the crack held
+open, held closed, breathing, by the formula and measured as a resonance, and of the plate before it
+had a crack; then what is of a point under a harmonic load, displacements as probes see them."""
+NEEDED = ("quantity", "value", "deviation")
+OPTIONAL = ("mode", "frequency", "point", "phase", "rpm", "temperature")
+SI = "Hz", "m", "-"
+UNITS = {
+    "frequency": SI[:1],
+    "phase": ("rad",),
+    "value": SI,
+    "deviation": SI,
+    "temperature": ("K", "°C", "C"),
+}
+"""That headings may name, in brackets."""
+UNIVERSAL = (".uff", ".unv")
+"""Endings of universal files."""
+LARGEST_PHASE = 4.0 * math.pi
+"""Of a period of 2 pi, for whoever begins it elsewhere [rad]; what is larger is in degrees."""
+MOST_MEASUREMENTS = 1000
+"""Measured numbers of one crack: a covariance of all is decomposed at each crack looked at."""
+FEWEST_PROBES = 4
+"""Probes of which displacements tell more than the size and phase of a load, and a constant."""
+AT_REST = 1e-3
+"""Of the rotor's speed: what stands for none, where a millionth is left of what rotation adds."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One measured number.
+
+    Attributes
+    ----------
+    quantity : str
+        A natural frequency of mode ``mode`` [Hz]: "frequency_open", "frequency_tied",
+        "frequency_bilinear" by its formula, "frequency_resonance", at which the breathing crack
+        resonates, which is near that formula, or
+        "frequency_uncracked" of the same plate before it had a crack, which calibrates the others
+        of its mode. Or what :class:`Indicators` calls "harmonic_1" to "harmonic_3" [m],
+        "ratio_2_1" or "ratio_3_1", of a point under the scene's load at ``frequency``. Or a
+        "displacement" [m] of the point at ``phase``, as probes see it: all those of a point at a
+        frequency are compared up to the load's size, its phase, and a constant.
+    value, deviation : float
+        The number, and its standard deviation > 0, in the same unit.
+    mode : int
+        From 1; 0 where there is none.
+    frequency : float [Hz]
+        Of the load; nan where there is none.
+    point : str
+        A point and direction of ``[output.points]``, "tip.ux"; empty: the load's point in the
+        load's direction.
+    phase : float [rad]
+        Of the load's period, 0 where it begins, 2 pi where it ends; nan where there is none.
+    rpm : float [1/min]
+        Of the rotor, where a natural frequency was measured, 0 at rest; nan: the scene's own.
+    temperature : float [K or °C]
+        Of the structure when a natural frequency was measured, in one unit in all of them: their
+        differences are what tells; nan where it is not known.
+
+    Raises
+    ------
+    InputError
+        A value cannot be used.
+    """
+
+    quantity: str
+    value: float
+    deviation: float
+    mode: int = 0
+    frequency: float = math.nan
+    point: str = ""
+    phase: float = math.nan
+    rpm: float = math.nan
+    temperature: float = math.nan
+
+    def __post_init__(self) -> None:
+        check_choice("measurements.quantity", self.quantity, IN_WORDS)
+        at_probe = self.quantity == "displacement"
+        check_number("measurements.value", self.value, -math.inf if at_probe else 0.0)
+        check_number("measurements.deviation", self.deviation, 0.0, above=True)
+        if self.natural:
+            if not (isinstance(self.mode, Integral) and 1 <= self.mode <= FEW_MODES):
+                allowed = f"a whole number from 1 to {FEW_MODES} with {self.quantity}"
+                raise InputError("measurements.mode", self.mode, allowed)
+        else:
+            check_number("measurements.frequency", self.frequency, 0.0, above=True)
+        if at_probe:
+            check_number("measurements.phase", self.phase)
+            if abs(self.phase) > LARGEST_PHASE:
+                allowed = f"of a period, 0 to 2 pi; in degrees? then {math.radians(self.phase):.5g}"
+                raise InputError("measurements.phase", self.phase, allowed)
+        if not math.isnan(self.rpm):
+            check_number("measurements.rpm", self.rpm, 0.0)
+        if not math.isnan(self.temperature):
+            check_number("measurements.temperature", self.temperature)
+        of_mode = ("mode", "rpm", "temperature")
+        needed = of_mode if self.natural else ("frequency", "point", *["phase"] * at_probe)
+        for key in OPTIONAL:
+            given = getattr(self, key)
+            if key not in needed and given and not (isinstance(given, float) and math.isnan(given)):
+                raise InputError(f"measurements.{key}", given, f"left out with {self.quantity}")
+        for key in ("value", "deviation", "frequency", "phase", "rpm", "temperature"):
+            number = getattr(self, key)
+            if not (math.isnan(number) or number == 0.0 or SMALLEST <= abs(number) <= LARGEST):
+                raise InputError(f"measurements.{key}", number, f"a number {OR_ZERO}")
+
+    @property
+    def natural(self) -> bool:
+        """Tell whether it is a natural frequency."""
+        return self.quantity.startswith("frequency_")
+
+    @property
+    def resonance(self) -> bool:
+        """Tell whether it is a natural frequency with lips that do what they do at resonance."""
+        return self.quantity == "frequency_resonance"
+
+    @property
+    def shape(self) -> bool:
+        """Tell whether it is that of a motion, whatever its size."""
+        return not self.natural and not self.quantity.startswith("harmonic")
+
+    @property
+    def orders(self) -> tuple[int, ...]:
+        """Harmonics of which it is made, of a ratio the one above first; none of a natural
+        frequency, and of a displacement, which has all."""
+        return () if self.natural else tuple(map(int, self.quantity.split("_")[1:]))
+
+    @property
+    def name(self) -> str:
+        """Name in words: "frequency_open of mode 2", "ratio_2_1 at 250 Hz of tip.ux"."""
+        if self.natural:
+            return f"{self.quantity} of mode {self.mode}{self._speed}"
+        where = f" of {self.point}" if self.point else ""
+        when = "" if math.isnan(self.phase) else f" and {self.phase:.3g} rad"
+        return f"{self.quantity} at {self.frequency:g} Hz{when}{where}"
+
+    @property
+    def words(self) -> str:
+        """What it is, in a sentence: "natural frequency 2 with the crack held open"."""
+        if self.natural:
+            return f"natural frequency {self.mode} {IN_WORDS[self.quantity]}{self._speed}"
+        when = (
+            ""
+            if math.isnan(self.phase)
+            else f", {self.phase:.3g} rad after the load's period began"
+        )
+        where = self.point or "the point under the load"
+        return f"{IN_WORDS[self.quantity]} of {where} at {self.frequency:g} Hz{when}"
+
+    @property
+    def _speed(self) -> str:
+        return "" if math.isnan(self.rpm) else f" at {self.rpm:g} rpm"
+
+    def load(self, scene: Scene) -> float:
+        """The load of a scene under which it was measured [Hz]: its own, or that at the rotor's
+        speed; 0 of a natural frequency at the scene's own speed."""
+        if not self.natural:
+            return float(self.frequency)
+        if math.isnan(self.rpm):
+            return 0.0
+        assert scene.excitation.order is not None  # checked
+        own = scene.excitation.omega / TURN
+        found = max(scene.excitation.order * self.rpm / 60.0, AT_REST * own)
+        return 0.0 if f"{found:.9g}" == f"{own:.9g}" else float(f"{found:.9g}")
+
+    def check(self, scene: Scene) -> None:
+        """Raise InputError unless it is one of a scene."""
+        if not math.isnan(self.rpm) and (scene.excitation.order is None or scene.speed == 0.0):
+            allowed = "left out unless the load is an engine order (excitation.order) of [rotation]"
+            raise InputError("measurements.rpm", self.rpm, allowed)
+        known = scene.point_names
+        if self.point and self.point not in known:
+            allowed = f"empty, or one of [output.points]: {', '.join(known) or 'there are none'}"
+            raise InputError("measurements.point", self.point, allowed)
+        if self.quantity == "frequency_uncracked" and without_crack(scene) is None:
+            allowed = "left out where the crack cannot be taken out of the scene"
+            raise InputError("measurements.quantity", self.quantity, allowed)
+        least, harmonics = max(self.orders, default=0), scene.harmonic_balance.harmonics
+        if harmonics < least:
+            allowed = f"at least {least} for {self.quantity}"
+            raise InputError("harmonic_balance.harmonics", harmonics, allowed)
+
+
+@dataclass(frozen=True, repr=False)
+class Measurements(Tabular):
+    """Some measured numbers, of one crack.
+
+    Attributes
+    ----------
+    rows : tuple of Measurement
+        At least one, and 1000 at most.
+    """
+
+    rows: tuple[Measurement, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rows", tuple(self.rows))
+        if not self.rows or not all(isinstance(row, Measurement) for row in self.rows):
+            raise InputError("measurements", list(self.rows), "one Measurement or more")
+        _check_count_of(self.rows)
+        names = Counter(row.name for row in self.rows if row.quantity != "displacement")
+        if twice := [name for name, count in names.items() if count > 1]:
+            found = [row.value for row in self.rows if row.name == twice[0]]
+            allowed = "one value, the mean, with the standard deviation of that"
+            raise InputError(f"measurements, {twice[0]}", found, allowed)
+
+    @classmethod
+    def from_arrays(
+        cls, quantity: str, values: Sequence[float], deviations: Any, **where: Sequence[Any]
+    ) -> Measurements:
+        """Numbers of one quantity: values (n,), their standard deviations (n,) or one for all, and
+        ``mode`` and ``rpm``, or ``frequency`` and ``point``, (n,) each.
+
+        Raises
+        ------
+        InputError
+            A value cannot be used, or the lengths differ.
+        """
+        count = len(values)
+        columns = {"value": values, **where}
+        several = isinstance(deviations, Iterable)
+        columns["deviation"] = deviations if several else [deviations] * count
+        for name, column in columns.items():
+            if name not in {item.name for item in fields(Measurement)} or len(column) != count:
+                raise InputError(name, column, f"{count} values of {', '.join(OPTIONAL)}")
+        rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
+        return cls(tuple(Measurement(quantity, **row) for row in rows))
+
+    @classmethod
+    def from_arrivals(
+        cls,
+        arrivals: ArrivalTimes,
+        order: int,
+        point: str = "",
+        *,
+        against: bool = False,
+        noise: float | None = None,
+        angle_deviation: float = 0.0,
+    ) -> Measurements:
+        """The mean displacement that each probe sees of a vibration of an engine order.
+
+        At the rotor's angle alpha of an arrival, where the tip is displaced by u
+        (:class:`ArrivalTimes`), the load is at the phase p alpha of its period. No harmonic is
+        fitted: they are left to the model. The means are those of :func:`fit_order`, in which
+        single wrong arrivals have no weight, beside vibrations that follow no order.
+
+        Parameters
+        ----------
+        arrivals : ArrivalTimes
+            Of steady vibration.
+        order : int
+            p, periods of the load in a revolution (:func:`fit_order` finds it).
+        point : str
+            The tip: as ``point`` of :class:`Measurement`.
+        against : bool
+            Whether the direction of the point is against the rotation.
+        noise : float [s]
+            Standard deviation of an arrival; default: from the scatter between revolutions, and
+            from its correlation, which few revolutions tell less well.
+        angle_deviation : float [rad]
+            Standard deviation of the probes' angles, the same in every revolution.
+
+        Raises
+        ------
+        InputError
+            A value cannot be used, the speed is not constant, arrivals are not where the probes
+            are, there are fewer than four, or ``noise`` is left out where passages have no scatter,
+            or too little to tell it, as in one revolution alone.
+        """
+        from fenics_crack.monitoring.tip_timing.fit_order import Means  # SciPy
+        from fenics_crack.monitoring.tip_timing.harmonics import check_places, rounding
+        from fenics_crack.monitoring.tip_timing.robust import student
+
+        check_count("order", order, 1)
+        check_number("angle_deviation", angle_deviation, 0.0)
+        if noise is not None:
+            check_number("noise", noise, 0.0, above=True)
+        if not arrivals.steady:
+            raise InputError("arrivals", repr(arrivals), "those of a constant speed")
+        check_places(arrivals)
+        count = np.isfinite(arrivals.time).sum(axis=0)
+        count, speed = count[count > 0], arrivals.mean_speed
+        if len(count) < FEWEST_PROBES:
+            raise InputError("arrivals", repr(arrivals), f"those of {FEWEST_PROBES} probes or more")
+        means = Means(arrivals, 1, float(order), angle_deviation)
+        places = arrivals.tip_radius * angle_deviation
+        if noise is not None:
+            own = speed * noise / np.sqrt(count)
+            deviations = arrivals.tip_radius * np.hypot(own, angle_deviation)
+        elif means.scatter <= rounding(arrivals):
+            raise InputError("noise", None, "given where passages have no scatter")
+        elif np.isnan(larger := student(means.within)):
+            found = counted(int(count.sum()), "arrival")
+            allowed = f"given for {found} at {counted(len(count), 'probe')}, too few to tell it"
+            raise InputError("noise", None, allowed)
+        else:
+            own = np.diag(means.covariance) - places**2
+            deviations = np.sqrt(larger * own + places**2)
+        # Rounded, for one sweep to serve all arrivals at a speed.
+        frequency = float(f"{order * speed / (2.0 * math.pi):.9g}")
+        return cls.from_arrays(
+            "displacement",
+            (-means.values if against else means.values).tolist(),
+            deviations.tolist(),
+            frequency=[frequency] * len(count),
+            point=[point] * len(count),
+            phase=(order * means.angle % (2.0 * math.pi)).tolist(),
+        )
+
+    @classmethod
+    def from_passages(
+        cls,
+        passages: Sequence[PassageFit],
+        modes: Sequence[int],
+        *,
+        quantity: str = "frequency_resonance",
+    ) -> Measurements:
+        """The natural frequencies of resonances that a rotor passes, at the speed of each, with
+        their :attr:`PassageFit.deviation`.
+
+        Parameters
+        ----------
+        passages : sequence of PassageFit
+            As :func:`find_passages` finds them.
+        modes : sequence of int
+            Of which mode each is, from 1; 0 leaves it out.
+        quantity : str
+            "frequency_resonance" of a blade as it is, or "frequency_uncracked" before it had a
+            crack.
+
+        Raises
+        ------
+        InputError
+            The lengths differ, none is left, or a value cannot be used.
+        """
+        if len(modes) != len(passages):
+            raise InputError("modes", list(modes), f"one of each of {len(passages)} passages")
+        used = [one for one in zip(passages, modes, strict=True) if one[1]]
+        return cls.from_arrays(
+            quantity,
+            [fit.omega / TURN for fit, _ in used],
+            [fit.deviation / TURN for fit, _ in used],
+            mode=[mode for _, mode in used],
+            rpm=[float(f"{fit.speed / RPM:.7g}") for fit, _ in used],
+        )
+
+    @classmethod
+    def from_csv(cls, path: str | Path) -> Measurements:
+        """Read a table with the columns quantity, value, deviation, mode, frequency [Hz], point,
+        phase [rad], rpm and temperature [°C], in any order; cells that do not apply are empty, and
+        lines that begin with # are left out.
+
+        Raises
+        ------
+        InputError
+            The file cannot be read, or a line cannot be used.
+        """
+        return cls(tuple(_table(path)))
+
+    @classmethod
+    def from_responses(
+        cls, path: str | Path, modes: Sequence[int] = (), *, quantity: str = "frequency_resonance"
+    ) -> Measurements:
+        """The natural frequencies that the frequency responses of a universal file show.
+
+        Datasets 58 and 58b of one structure at the same frequencies (.uff, .unv), over the force or
+        whatever drives it; fitted around their peaks, all together. The standard deviation holds
+        the scatter, and what the fit changes by where less of a peak is fitted.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+        modes : sequence of int
+            Numbers of the modes that it shows, from the lowest frequency up. Default: 1, 2, ....
+        quantity : str
+            "frequency_resonance" of a plate as it is, or "frequency_uncracked" before it had a
+            crack.
+
+        Raises
+        ------
+        InputError
+            The file cannot be read or shows no modes, or others than so many.
+        """
+        from fenics_crack.monitoring.identification.responses import read_responses, resonances
+
+        with reading("measurements", path, "a universal file with frequency responses"):
+            responses = read_responses(Path(path))
+        found = resonances(responses)[: FEW_MODES if not modes else None]
+        numbers = list(modes) or list(range(1, len(found) + 1))
+        if len(numbers) != len(found):
+            shown = ", ".join(f"{one:.6g}" for one in found[:, 0])
+            allowed = f"{counted(len(found), 'number')}, of the modes at {shown} Hz"
+            raise InputError("modes", list(modes), allowed)
+        values, deviations = found[:, 0].tolist(), found[:, 1].tolist()
+        return cls.from_arrays(quantity, values, deviations, mode=numbers)
+
+    @classmethod
+    def read(cls, path: str | Path, modes: Sequence[int] = ()) -> Measurements:
+        """Read a universal file (.uff, .unv; :meth:`from_responses`) or a table
+        (:meth:`from_csv`)."""
+        universal = Path(path).suffix.lower() in UNIVERSAL
+        return cls.from_responses(path, modes) if universal else cls.from_csv(path)
+
+    def check(self, scene: Scene) -> None:
+        """Raise InputError for what is none of a scene, or tells nothing of its crack."""
+        if all(row.quantity == "frequency_uncracked" for row in self.rows):
+            raise InputError("measurements", "frequency_uncracked", "also some of the plate as is")
+        for row in self.rows:
+            row.check(scene)
+
+    def __add__(self, other: Measurements) -> Measurements:
+        return Measurements(self.rows + other.rows)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Columns, as :meth:`from_csv` reads them."""
+        names = [item.name for item in fields(Measurement)]
+        found = {name: [getattr(row, name) for row in self.rows] for name in names}
+        found["mode"] = [mode or "" for mode in found["mode"]]
+        for name in ("frequency", "phase", "rpm", "temperature"):
+            found[name] = ["" if math.isnan(one) else one for one in found[name]]
+        return found
+
+    def _title(self) -> str:
+        natural = sum(row.natural for row in self.rows)
+        parts = [(natural, "natural frequencies"), (len(self) - natural, "at loads")]
+        return ", ".join(f"{count} {what}" for count, what in parts if count) or counted(0, "row")
+
+
+def _check_count_of(rows: Sequence[object]) -> None:
+    """Raise InputError for too many measurements."""
+    if len(rows) > MOST_MEASUREMENTS:
+        allowed = f"{MOST_MEASUREMENTS} at most; several of one quantity are one, their mean"
+        raise InputError("measurements", f"{len(rows)} rows", allowed)
+
+
+def without_crack(scene: Scene) -> dict[str, Any] | None:
+    """What is to be changed in a scene to take its crack out; None where that cannot be done."""
+    changes: dict[str, Any] = dict.fromkeys(("crack", "cracks", "contact", "output.quantities"))
+    if scene.identify is not None and scene.identify.uncracked is not None:
+        return changes | {"mesh.file": scene.identify.uncracked}
+    own = scene.structure is None and scene.mesh.layout != "file" and len(scene.all_cracks) == 1
+    return changes if own else None
+
+
+def _table(path: str | Path) -> list[Measurement]:
+    """The lines of a CSV file; raises InputError."""
+    with reading("measurements", path, "a CSV file"):
+        lines = table_lines(path)
+        _check_count_of(lines[1:])
+        table = list(csv.reader(line for _, line in lines))
+    headings = table[0] if table else []
+    names = [cell.partition("[")[0].strip() for cell in headings]
+    for cell, name in zip(headings, names, strict=True):
+        unit = cell.partition("[")[2].partition("]")[0].strip()
+        if unit and unit not in (units := UNITS.get(name, ())):
+            allowed = f"in {' or '.join(units)}" if units else "without a unit"
+            raise InputError("measurements", f"{path}: the column {cell.strip()}", allowed)
+    if len(lines) != len(table):
+        raise InputError("measurements", str(path), "a CSV file without line breaks in cells")
+    known = (*NEEDED, *OPTIONAL)
+    if not set(NEEDED) <= set(names) <= set(known) or len(set(names)) != len(names):
+        allowed = f"a CSV file with the columns {', '.join(known)}, the first three of them needed"
+        found = f"the columns {', '.join(names)}" if names else "nothing"
+        raise InputError("measurements", f"{path}: {found}", allowed)
+    rows = []
+    for (number, line), cells in zip(lines[1:], table[1:], strict=True):
+        try:
+            rows.append(_row(dict(zip(names, map(str.strip, cells), strict=True))))
+        except InputError as error:
+            allowed = f"{error.allowed} (line {number})"
+            raise InputError(error.key, error.value, allowed) from None
+        except ValueError:
+            allowed = f"{len(names)} cells: {', '.join(names)}"
+            raise InputError(f"measurements, line {number}", line, allowed) from None
+    return rows
+
+
+def _row(cells: Mapping[str, str]) -> Measurement:
+    """A line of the table; raises InputError."""
+    given: dict[str, Any] = {name: text for name, text in cells.items() if text}
+    for name in [name for name in given if name not in ("quantity", "point")]:
+        with contextlib.suppress(ValueError):
+            given[name] = float(given[name])
+        check_number(f"measurements.{name}", given[name])
+    if given.get("mode", math.nan).is_integer():
+        given["mode"] = int(given["mode"])
+    for name in NEEDED:
+        if name not in given:
+            raise InputError(f"measurements.{name}", "", "given in every line")
+    return Measurement(**given)

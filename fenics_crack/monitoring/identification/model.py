@@ -1,0 +1,687 @@
+"""The forward model: what would be measured with given unknowns, and how far that may be wrong.
+
+Errors of predictions are not independent. One sweep makes all of them, so they are taken as a
+covariance: of the interpolation from what each node differs by from the others, all quantities at
+once; of the mesh from what a finer one changes, half of it alike in all quantities; of what else is
+not as the scene says from its prior (:mod:`fenics_crack.monitoring.identification.nuisance`).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.interpolate import RegularGridInterpolator
+
+from fenics_crack.basics.errors import FEW_MODES, MOST_HARMONICS
+from fenics_crack.monitoring.identification.interpolation import (
+    LIPS,
+    Feature,
+    Interpolation,
+    Part,
+    poles,
+    scales,
+)
+from fenics_crack.monitoring.identification.measurements import Measurement
+from fenics_crack.monitoring.identification.nuisance import (
+    OF_SIZE,
+    Since,
+    Whole,
+    act_as,
+    relative_changes,
+)
+from fenics_crack.scene.scene import Scene
+from fenics_crack.study.plausibility import is_proportional
+from fenics_crack.sweep.file import NUMBERED
+
+# --- displacements at probes ----------------------------------------------------------------------
+
+TRIED = 64
+"""Phases of the load that are tried."""
+STEPS = 4
+"""Of Gauss and Newton from the best of them."""
+SIZE, PHASE, CONSTANT = 1.0, np.pi / np.sqrt(3.0), 10.0
+"""Standard deviations of what is not known: of the load's size over what is found, of its phase
+[rad], and of the constant over the largest displacement."""
+
+
+@dataclass(frozen=True)
+class Aligned:
+    """Displacements (m, n) of a model, fitted to those measured.
+
+    Attributes
+    ----------
+    values : (m, n) [m]
+        All of them; those that were not measured, too.
+    turns : (m, n, K) complex
+        Their slopes by the harmonics U_k: values = Re sum_k turns_k U_k + c.
+    free : (m, n, 3) [m]
+        Their changes by a standard deviation of A, psi and c.
+    size : (m,)
+        A.
+    """
+
+    values: np.ndarray
+    turns: np.ndarray
+    free: np.ndarray
+    size: np.ndarray
+
+
+class Passages:
+    """Displacements of one point under one load: what they tell whatever its size and phase are.
+
+    Under a steady load the tip is, at a phase theta of the load's period,
+
+        u = A Re sum_k U_k exp(i k (theta - psi)) + c,
+
+    with the harmonics U_k of the model and what nobody knows well of a blade in operation: the size
+    A and the phase psi of the load, and a constant c, of the probes' angles and of the steady
+    forces. For each value of the unknowns the three are fitted to the displacements; the
+    predictions are the fit, and the likelihood gets their derivatives by the three as directions in
+    which all displacements may be moved together. That is a fit of three numbers by the model's own
+    wave, of all its harmonics, in place of one of a few harmonics beforehand.
+
+    Parameters
+    ----------
+    rows : sequence of int
+        Their places among all measurements; first those that were made.
+    made : sequence of Measurement
+        Those that were made.
+    more : sequence of Measurement
+        Those that might be.
+    """
+
+    def __init__(
+        self, rows: Sequence[int], made: Sequence[Measurement], more: Sequence[Measurement]
+    ) -> None:
+        self.rows = list(rows)
+        self._phases = np.array([row.phase for row in (*made, *more)])
+        self._count = len(made)
+        self._values = np.array([row.value for row in made])
+        self._weights = 1.0 / np.array([row.deviation for row in made])
+
+    @classmethod
+    def among(cls, made: Sequence[Measurement], more: Sequence[Measurement]) -> list[Passages]:
+        """Those of each load and point among some measurements."""
+        groups: dict[tuple[float, str], list[int]] = {}
+        rows = (*made, *more)
+        for place, row in enumerate(rows):
+            if row.quantity == "displacement":
+                groups.setdefault((row.frequency, row.point), []).append(place)
+        found = []
+        for places in groups.values():
+            mine = [rows[place] for place in places if place < len(made)]
+            found.append(cls(places, mine, [rows[place] for place in places[len(mine) :]]))
+        return found
+
+    def together(self, orders: np.ndarray) -> np.ndarray:
+        """Covariance of the displacements by a harmonic of mean square 1 and any phase, of each of
+        some orders (k,): (k, n, n)."""
+        apart = self._phases[:, None] - self._phases
+        return np.asarray(0.5 * np.cos(np.multiply.outer(orders, apart)))
+
+    def aligned(self, waves: np.ndarray) -> Aligned:
+        """The displacements of harmonics U_k: (m, K) [m]."""
+        orders = np.arange(1, waves.shape[1] + 1)
+        turns = np.exp(1j * np.multiply.outer(self._phases, orders))
+        size, shift, constant = np.ones(len(waves)), np.zeros(len(waves)), np.zeros(len(waves))
+        if self._count:
+            size, shift, constant = self._fitted(waves, turns[: self._count], orders)
+        turned = turns * (size[:, None] * np.exp(-1j * np.outer(shift, orders)))[:, None, :]
+        parts = turned * waves[:, None, :]
+        motion = parts.sum(axis=2).real
+        largest = CONSTANT * np.max(np.abs(self._values), initial=0.0)
+        free = np.stack(
+            [
+                SIZE * motion,
+                PHASE * (orders * parts).sum(axis=2).imag,
+                np.full_like(motion, largest),
+            ],
+            axis=2,
+        )
+        return Aligned(motion + constant[:, None], turned, free, size)
+
+    def _fitted(
+        self, waves: np.ndarray, turns: np.ndarray, orders: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Least squares of A > 0, psi and c: (m,) each."""
+        tried = 2.0 * np.pi * np.arange(TRIED) / TRIED
+        shifted = waves[:, None, :] * np.exp(-1j * np.multiply.outer(tried, orders))
+        motion = (shifted @ turns.T).real  # (m, tried, n)
+        share = self._weights**2 / np.sum(self._weights**2)
+        values = self._values - share @ self._values
+        about = motion - (motion @ share)[..., None]
+        product = about @ (share * values)
+        square = np.maximum((about**2) @ share, np.finfo(float).tiny)
+        gained = np.where(product > 0.0, product**2 / square, 0.0)
+        best = gained.argmax(axis=1)
+        each = np.arange(len(waves))
+        size, shift = product[each, best] / square[each, best], tried[best]
+        constant = share @ self._values - size * (motion[each, best] @ share)
+        for _ in range(STEPS):
+            parts = waves[:, None, :] * turns * np.exp(-1j * np.outer(shift, orders))[:, None, :]
+            motion = parts.sum(axis=2).real
+            slope = size[:, None] * (orders * parts).sum(axis=2).imag
+            left = self._weights * (self._values - size[:, None] * motion - constant[:, None])
+            scale = np.array([1.0, 1.0, np.max(np.abs(self._values)) + np.finfo(float).tiny])
+            columns = np.stack([motion * size[:, None], slope, np.ones_like(motion)], axis=2)
+            columns = columns * scale * self._weights[:, None]
+            square = columns.transpose(0, 2, 1) @ columns + 1e-3 * np.eye(3)
+            step = np.linalg.solve(square, columns.transpose(0, 2, 1) @ left[..., None])[..., 0]
+            size = size * np.exp(np.clip(step[:, 0], -1.0, 1.0))
+            shift = shift + np.clip(step[:, 1], -0.1, 0.1)
+            constant = constant + scale[2] * step[:, 2]
+        return size, shift, constant
+
+
+# --- the model ------------------------------------------------------------------------------------
+
+DEFAULT_RATIO = 0.01
+"""Of damping, where a scene's is a matrix."""
+OFF = {1: 0.04}
+OFTEN_OFF = 0.3
+"""Root of the mean square of what a resonance differs by from the bilinear frequency, over what
+lies between the frequencies with lips tied and open: of the first mode, and of others, near which
+the gap follows their neighbours, too; and of all where it may be anywhere between
+(1 / 12^(1/2))."""
+
+
+class Lips(NamedTuple):
+    """What lips do at resonances: they breathe, stay open or stay shut.
+
+    Attributes
+    ----------
+    what : str
+        Of LIPS.
+    alike, apart : float
+        Standard deviation of what resonances differ by from the frequency of that, over what lies
+        between the frequencies with lips tied and open, all alike and each by itself; where they
+        breathe those of a mode by that of OFF, too.
+    share : float
+        Probability; over that of others, until it is known which these are.
+    """
+
+    what: str
+    alike: float = 0.0
+    apart: float = 0.0
+    share: float = 1.0
+
+
+BREATHE = Lips("bilinear")
+"""Half of the time."""
+PARTLY = (
+    Lips("bilinear", apart=OFTEN_OFF, share=0.5),
+    Lips("bilinear", alike=OFTEN_OFF, share=0.5),
+)
+"""For a part of it that is another at each resonance, or the same at all."""
+REST = 1e-9
+"""Of the largest harmonics of the nodes: what is rounding."""
+TOGETHER = 0.5
+"""Part of the variance left by the mesh, and of that of contact, which quantities have together."""
+
+
+class Model:
+    """Predicts what would be measured, with the covariance of the predictions.
+
+    Parameters
+    ----------
+    scene : Scene
+        For its damping, and its table ``[identify]``.
+    whole : Whole
+        The plate without its crack.
+    coarse, finer, between : Part
+        The sweep; that of the finer mesh, or None; and that halfway between the nodes, or None.
+    fixed : mapping of str to object
+        The unknowns that are words, and their values here.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        whole: Whole,
+        coarse: Part,
+        finer: Part | None = None,
+        between: Part | None = None,
+        *,
+        fixed: Mapping[str, Any],
+    ) -> None:
+        self.table, self._damping, self.whole = scene.given("identify"), scene.damping, whole
+        self.scene = scene
+        self.coarse, self.finer, self.between = coarse, finer, between
+        self.fixed, self.keys, self.cube = dict(fixed), coarse.keys, coarse.cube
+
+    def quantities(
+        self, rows: Sequence[Measurement], more: Sequence[Measurement] = ()
+    ) -> Quantities:
+        """Some measurements, ready to be predicted; and more that were not made, but might be."""
+        return Quantities(self, rows, more)
+
+    def damping(self, x: np.ndarray) -> np.ndarray:
+        """A ratio of damping at values (m, d) of the unknowns: (m, 1)."""
+        if "damping.ratio" in self.keys:
+            return x[:, [self.keys.index("damping.ratio")]]
+        ratio = None
+        if self._damping is not None:
+            ratio = self._damping.ratios if self._damping.ratio is None else self._damping.ratio
+        return np.full((len(x), 1), DEFAULT_RATIO if ratio is None else np.mean(ratio))
+
+    def size(self, x: np.ndarray) -> np.ndarray:
+        """Length of the crack over the longest, times the same of its depth, at values (m, d) of
+        the unknowns: (m,); 1 of what is not unknown."""
+        places = [place for place, key in enumerate(self.keys) if key in OF_SIZE]
+        return np.asarray(np.prod(x[:, places] / self.cube.high[places], axis=1))
+
+    def act_as(self, x: np.ndarray) -> np.ndarray:
+        """How far a crack may be from the one that acts like it, at values (m, d) of the unknowns:
+        standard deviations (m, d)."""
+        return act_as(x, self.keys, self.scene)
+
+    def candidates(self) -> tuple[Measurement, ...]:
+        """List what might be measured: natural frequencies, ratios of harmonics at the points and
+        load frequencies of the sweep."""
+        kinds = [f"frequency_{lips}" for lips in ("open", "tied", "resonance")]
+        if self.coarse.bare is not None:
+            kinds.append("frequency_uncracked")
+        rows = [Measurement(k, 1.0, 1.0, mode=mode + 1) for k in kinds for mode in range(FEW_MODES)]
+        loads, ratios = self.coarse.loads.frequencies, ("ratio_2_1", "ratio_3_1")
+        seen = ["", *self.coarse.sweep.scene.point_names]
+        for load, point, ratio in itertools.product(loads, seen, ratios):
+            rows.append(Measurement(ratio, 1.0, 1.0, frequency=load, point=point))
+        return tuple(rows)
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Prediction of q measurements, at m values of the unknowns.
+
+    Attributes
+    ----------
+    values : (m, q)
+    covariance : (m, q, q)
+        Of their errors.
+    free : (m, q, s)
+        How much they change with what is not known of the load and the probes, by a standard
+        deviation of each.
+    known : (q,) bool
+        Whether the model tells anything of a measurement.
+    """
+
+    values: np.ndarray
+    covariance: np.ndarray
+    free: np.ndarray
+    known: np.ndarray
+
+    @property
+    def deviations(self) -> np.ndarray:
+        """Standard deviations of the model: (m, q); inf where it knows nothing."""
+        squares = np.diagonal(self.covariance, axis1=1, axis2=2)
+        return np.where(self.known, np.sqrt(squares), np.inf)
+
+
+class Place(NamedTuple):
+    """Features at m values of the unknowns.
+
+    Attributes
+    ----------
+    damping : (m, 1)
+        Ratios.
+    basis : (m, f, 1 + 2 modes)
+        What :attr:`Part.basis` has there at the load of each feature.
+    scale : (m, f)
+        Factors that have made features smooth.
+    waves : (m, f)
+        The features.
+    unsure : (m, f)
+        Mean squares of their errors by the interpolation.
+    covariance : (m, 2f, 2f)
+        Of their smooth forms, real and imaginary parts, one beside the other.
+    """
+
+    damping: np.ndarray
+    basis: np.ndarray
+    scale: np.ndarray
+    waves: np.ndarray
+    unsure: np.ndarray
+    covariance: np.ndarray
+
+
+class Quantities:
+    """Predictions of some measurements, and of some ``more`` that were not made, by a model.
+
+    Attributes
+    ----------
+    known : (q,) bool
+        Whether the model tells anything of a measurement.
+    changed : Since
+        What may have changed since there was no crack.
+    """
+
+    def __init__(
+        self, model: Model, rows: Sequence[Measurement], more: Sequence[Measurement] = ()
+    ) -> None:
+        self.model, self.rows = model, (*rows, *more)
+        features = [Feature.of(row, model.scene) for row in self.rows]
+        every = [one for found in features for one in found]
+        every += [one.uncracked for one in every if one.of_crack]
+        self._features = tuple(dict.fromkeys(every))
+        at = {feature: place for place, feature in enumerate(self._features)}
+        self._places = [[at[feature] for feature in found] for found in features]
+        plain = [(at[one], at[one.uncracked]) for one in at if one.of_crack]
+        self._own, self._plain = map(list, zip(*plain, strict=True)) if plain else ([], [])
+        self._passages = Passages.among(rows, more)
+        self._alike = _alike(self._features)
+        self._is_plain = np.array([one.lips == "uncracked" for one in self._features])
+        basis = model.coarse.basis
+        self._basis = Interpolation(model.cube, basis.reshape(len(basis), -1))
+        self._highest = float(np.nanmax(basis[..., NUMBERED], initial=0.0))
+        self._loads = [model.coarse.load(feature.frequency) for feature in self._features]
+        faster = model.coarse.loads.faster
+        self._changes = np.stack([model.whole.changes_at(one) for one in faster])[self._loads]
+        of_rows = [faster[self._loads[places[0]]] for places in self._places]
+        self.changed = Since.of(self.rows, of_rows, model.whole)
+        self._higher, still = _stillness(model.coarse, self._features, self._loads)
+        self._still = RegularGridInterpolator(model.cube.axes, still) if len(still) else None
+        self._lips = _lips(model) if any(row.resonance for row in self.rows) else (BREATHE,)
+        self._is_free_at_rest = is_proportional(model.scene.at_rest())
+        self._coarse = Interpolation(model.cube, self._smooth(model.coarse))
+        self._understated = self._missed()
+        harmonic = np.repeat([not one.natural for one in self._features], 2)
+        known = self._coarse.known & (self._coarse.between | ~harmonic)
+        # An error of the first order leaves d / (f - 1) where a mesh finer by f changes d, one of
+        # high order nothing: half of the former is added, and may be wrong.
+        self._correction: Interpolation | None = None
+        finer = model.table.finer
+        self._left = 0.5 / max(finer - 1.0, 1.0 / finer - 1.0, 0.1)
+        if model.finer is not None:
+            fine = model.finer
+            difference = self._smooth(fine) - self._coarse.at(fine.cube.nodes)
+            self._correction = Interpolation(fine.cube, difference)
+            known &= self._correction.known & (self._correction.between | ~harmonic)
+        of_features = known.reshape(-1, 2).all(axis=1)
+        of_features[self._own] &= of_features[self._plain]
+        self.known = np.array([bool(of_features[places].all()) for places in self._places])
+
+    def since(self, *, clamp: float, warmer: float) -> Quantities:
+        """The same where the clamp may have changed so many times as much since there was no crack,
+        and an unknown temperature."""
+        found = copy(self)
+        found.changed = self.changed.scaled(clamp, warmer)
+        return found
+
+    def states(self, x: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, Prediction]]:
+        """What the lips may do under the loads at values (m, d) of the unknowns: places among them,
+        (n,), where they may, its probability there, (n,), and the predictions.
+
+        Under a steady load, a preload or a clearance a crack may stay open or shut, and the motion
+        has no harmonics at all; between nodes where it does and where it does not, either may be.
+        So may it at a resonance, or breathe, half of the time or for a part of it that is the same
+        at all resonances or another at each: each of the four as probable.
+        """
+        rests = np.zeros((len(x), 0))
+        if self._still is not None:
+            rests = self._still(np.clip(x, self.model.cube.low, self.model.cube.high))
+        for chosen in itertools.product((False, True), repeat=rests.shape[1]):
+            share = np.prod(np.where(chosen, rests, 1.0 - rests), axis=1)
+            at = np.flatnonzero(share > 0.0)
+            higher = list(itertools.compress(self._higher, chosen))
+            still = np.any(higher, axis=0) if higher else None
+            if len(at):
+                place = self._place(x[at])
+                for lips in self._lips:
+                    yield at, lips.share * share[at], self._predicted(place, still, lips)
+
+    def _smooth(self, part: Part) -> np.ndarray:
+        """The smooth forms of all features at the nodes of a sweep: (n, 2f), real and imaginary
+        parts, one beside the other."""
+        values = np.stack([feature.values(part) for feature in self._features], axis=1)
+        values[:, self._own] -= values[:, self._plain]
+        return _pairs(values * self._scales(part.cube.nodes, self._basis_at(part.cube.nodes)))
+
+    def _missed(self) -> np.ndarray:
+        """How many times larger errors of the interpolation are halfway between the nodes than
+        those that it states, 1 at least: (2f,). What has more waves than the nodes can tell, as
+        higher modes along the height, is smooth to them."""
+        part = self.model.between
+        if part is None:
+            return np.ones(2 * len(self._features))
+        x = part.cube.nodes
+        missed = (self._smooth(part) - self._coarse.at(x)) ** 2
+        stated = np.sum(self._coarse.scatter(x) ** 2, axis=1)
+        both = [np.nansum(one, axis=0).reshape(-1, 2).sum(axis=1) for one in (missed, stated)]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.where(both[1] > 0.0, both[0] / both[1], 1.0)
+        return np.repeat(np.sqrt(np.maximum(ratio, 1.0)), 2)
+
+    def _scales(self, x: np.ndarray, basis: np.ndarray) -> np.ndarray:
+        """Factors that have made features smooth: (m, f), for both sweeps from the coarse one."""
+        return scales(self._features, self.model.damping(x), basis, self.model.size(x))
+
+    def _basis_at(self, x: np.ndarray) -> np.ndarray:
+        """What :attr:`Part.basis` has at the load of each feature, at values (m, d) of the
+        unknowns: (m, f, 1 + 2 modes)."""
+        found = np.where(self._basis.known, self._basis.at(x), np.nan)
+        return found.reshape(len(x), *self.model.coarse.basis.shape[1:])[:, self._loads]
+
+    def __call__(self, x: np.ndarray) -> Prediction:
+        """Predictions at some values (m, d) of the unknowns, with lips of which the least is known
+        at resonances."""
+        return self._predicted(self._place(x), None, self._lips[0])
+
+    def by_interpolation(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Variances of predictions at values (m, d) of the unknowns by what is interpolated between
+        the nodes along each unknown, (m, d, q), and by everything, (m, q)."""
+        place, none = self._place(x), np.zeros((len(x), 2 * len(self._features)))
+
+        def variances(covariance: np.ndarray) -> np.ndarray:
+            told = self._predicted(place._replace(covariance=covariance), None, self._lips[0])
+            return np.diagonal(told.covariance, axis1=1, axis2=2)
+
+        rest, found = variances(np.zeros_like(place.covariance)), []
+        for scatter in self._coarse.along(x)[: x.shape[1]]:
+            errors = self._errors(none, none, [self._understated * scatter])
+            found.append(variances(errors @ errors.transpose(0, 2, 1)) - rest)
+        return np.stack(found, axis=1), variances(place.covariance)
+
+    def _place(self, x: np.ndarray) -> Place:
+        """Features at some values (m, d) of the unknowns."""
+        smooth, left, scatter = self._of_features(x)
+        damping, basis = self.model.damping(x), self._basis_at(x)
+        scale = self._scales(x, basis)
+        waves = (smooth[:, ::2] + 1j * smooth[:, 1::2]) / scale
+        changes = relative_changes(
+            self._features, damping, basis, self.model.scene, self._changes, self.model.whole.sizes
+        )
+        changes = changes * np.where(self._is_plain, 1.0, waves * scale)[..., None]
+        waves[:, self._own] += waves[:, self._plain]
+        unsure = sum(np.sum(errors**2, axis=1) for errors in scatter)
+        unsure = (unsure[:, ::2] + unsure[:, 1::2]) / np.abs(scale) ** 2
+        unknown = _pairs(changes.transpose(0, 2, 1)).transpose(0, 2, 1)
+        errors = np.concatenate([self._errors(smooth, left, scatter), unknown], axis=2)
+        return Place(damping, basis, scale, waves, unsure, errors @ errors.transpose(0, 2, 1))
+
+    def _predicted(self, place: Place, still: np.ndarray | None, lips: Lips) -> Prediction:
+        """Predictions by features, some of which vanish, (f,), and what lips do at resonances."""
+        damping, scale, waves, unsure = place.damping, place.scale, place.waves, place.unsure
+        if still is not None:
+            waves, unsure = (np.where(still, 0.0, one) for one in (waves, unsure))
+        values, turns, alike, rest = self._of_numbers(damping, waves, scale, lips)
+        values *= self.changed.factors
+        free = [np.zeros((*values.shape, 0))]
+        left_out = np.zeros((len(waves), len(self.rows), len(self.rows)))
+        for passages in self._passages:
+            at = self._places[passages.rows[0]]
+            found = passages.aligned(waves[:, at])
+            values[:, passages.rows] = found.values
+            squares = np.abs(waves[:, at]) ** 2 + unsure[:, at]
+            above, square = self._left_out(
+                self._features[at[0]], squares, damping, place.basis[:, at[:1]]
+            )
+            both = np.ix_(range(len(waves)), passages.rows, passages.rows)
+            size = found.size[:, None, None] ** 2
+            left_out[both] = size * np.tensordot(square, passages.together(above), axes=1)
+            turns[:, np.array(passages.rows)[:, None], at] = found.turns / scale[:, None, at]
+            moved = np.zeros((*values.shape, found.free.shape[2]))
+            moved[:, passages.rows] = found.free
+            free.append(moved)
+        turns[:, ~self.known] = 0.0
+        if still is not None:
+            turns[..., still] = 0.0
+        slopes = _pairs(turns.conj())
+        total = slopes @ place.covariance @ slopes.transpose(0, 2, 1) + left_out
+        errors = np.concatenate([values[..., None] * self.changed.columns, alike], axis=2)
+        total += errors @ errors.transpose(0, 2, 1) + rest[:, :, None] * np.eye(len(self.rows))
+        values = np.where(self.known, values, np.nan)
+        return Prediction(values, total, np.concatenate(free, axis=2), self.known)
+
+    def _left_out(
+        self, first: Feature, squares: np.ndarray, damping: np.ndarray, basis: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Orders (k,) above those that all cases have, as far as modes resonate there, and mean
+        squares (m, k) [m^2] of their harmonics, by those (m, K) of the first ones at a point; basis
+        (m, 1, 1 + 2 modes).
+
+        Harmonics of the contact force fall like 1 / k and act on modes of static compliances
+        1 / w_j^2: |U_k|^2 = c^2 sum_j |w_j^2 - (k W)^2 + 2 i z w_j k W|^-2 / k^2, with c^2 the mean
+        of the upper half of those that are known. Of 150 cracks under loads of 120 to 1500 Hz what
+        twelve and six of 30 harmonics leave is 1.0 and 1.3 times this, in root mean square.
+        """
+        kept, highest = self.model.coarse.harmonics(first.frequency), self._highest
+        kept = min(kept, squares.shape[1])
+        last = min(max(2 * kept, math.ceil(highest / first.frequency)), MOST_HARMONICS)
+        every = [replace(first, order=order) for order in range(1, last + 1)]
+        soft = np.nan_to_num(basis[..., NUMBERED], nan=np.inf) ** -4.0
+        moved = np.sum(soft / np.abs(poles(every, damping, basis)[1]) ** 2, axis=2)
+        moved /= np.arange(1.0, last + 1.0) ** 2
+        upper = slice(kept // 2, kept)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            strength = np.nan_to_num(np.mean(squares[:, upper] / moved[:, upper], axis=1))
+        return np.arange(kept + 1, last + 1), strength[:, None] * moved[:, kept:]
+
+    def _of_numbers(
+        self, damping: np.ndarray, waves: np.ndarray, scale: np.ndarray, lips: Lips
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Values (m, q) of all measurements but displacements, their slopes t (m, q, f) by the
+        smooth forms S, ds = Re sum t dS, and of what no feature tells changes of all together and
+        of those of each mode, (m, q, 1 + modes), and variances of each (m, q)."""
+        natural = np.array([feature.natural for feature in self._features])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            sizes = np.where(natural, np.exp(np.where(natural, waves.real, 0.0)), np.abs(waves))
+            turned = np.where(np.abs(waves) > 0.0, np.conj(waves) / np.abs(waves), 1.0) / scale
+        turned = np.where(natural, sizes / scale, turned)
+        values, rest = np.zeros((2, len(waves), len(self.rows)))
+        alike = np.zeros((*values.shape, 1 + FEW_MODES))
+        turns = np.zeros((*values.shape, len(self._features)), dtype=complex)
+        for place, (row, at) in enumerate(zip(self.rows, self._places, strict=True)):
+            if row.quantity == "displacement" or not self.known[place]:
+                continue
+            own = BREATHE if row.rpm == 0.0 and self._is_free_at_rest else lips
+            state = LIPS.index(own.what) if row.resonance else 0
+            values[:, place], weights = _together(row, sizes[:, at], state)
+            turns[:, place, at] = weights * turned[:, at]
+            if row.resonance:
+                _, opened, tied = sizes[:, at].T
+                split, shift = tied - opened, values[:, place] * damping[:, 0] ** 2
+                alike[:, place, 0] = own.alike * split
+                alike[:, place, row.mode] = (state == 0) * OFF.get(row.mode, OFTEN_OFF) * split
+                rest[:, place] = (own.apart * split) ** 2 + shift**2
+        for own, plain in zip(self._own, self._plain, strict=True):
+            turns[:, :, plain] += turns[:, :, own] * scale[:, None, own]
+        return values, turns, alike, rest
+
+    def _of_features(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
+        """Smooth forms as pairs of columns, what the mesh may have left of an error, (m, 2f) each,
+        and errors at the nodes around, (m, k, 2f) of each sweep."""
+        smooth, scatter = self._coarse.at(x), [self._understated * self._coarse.scatter(x)]
+        left = np.zeros_like(smooth)
+        if self._correction is not None:
+            difference = self._correction.at(x)
+            left = self._left * difference
+            smooth = smooth + difference + left
+            scatter.append(self._correction.scatter(x))
+        return smooth, left, scatter
+
+    def _errors(
+        self, smooth: np.ndarray, left: np.ndarray, scatter: list[np.ndarray]
+    ) -> np.ndarray:
+        """Errors of the smooth forms, each independent of the others: (m, 2f, r)."""
+        together, apart = np.sqrt(TOGETHER), np.sqrt(1.0 - TOGETHER)
+        every, eye = np.concatenate(scatter, axis=1), np.eye(smooth.shape[1])
+        found = [
+            together * every.transpose(0, 2, 1),
+            apart * np.sqrt(np.sum(every**2, axis=1))[:, None, :] * eye,
+            together * left[..., None],
+            apart * left[..., None] * self._alike,
+        ]
+        uneven = self.model.table.harmonic_deviation
+        if uneven:
+            upper = np.repeat([max(feature.order - 1, 0) for feature in self._features], 2)
+            turned = np.stack([-smooth[:, 1::2], smooth[:, ::2]], axis=2).reshape(smooth.shape)
+            each = np.kron(np.eye(len(self._features)), np.ones((2, 1)))
+            for part in (smooth, turned):
+                of_contact = uneven * (part * upper)[..., None]
+                found += [together * of_contact * self._alike, apart * of_contact * each]
+        return np.concatenate(found, axis=2)
+
+
+def _stillness(
+    part: Part, features: Sequence[Feature], loads: Sequence[int]
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """Of the loads at which the lips of some nodes touch or part, and those of others do not: which
+    features are higher harmonics there, (f,) bool each; and which nodes are still, on the cube,
+    (..., n)."""
+    groups, still = [], []
+    above = np.array([feature.order > 1 for feature in features], dtype=bool)
+    for load in np.unique(np.array(loads)[above]):
+        own = above & (np.array(loads) == load)
+        values = [features[place].values(part) for place in np.flatnonzero(own)]
+        moved = np.fmax.reduce(np.abs(values))
+        rests = moved <= REST * np.fmax.reduce(moved)
+        if rests.any() and not rests.all():
+            groups.append(own)
+            still.append(rests.reshape(part.cube.shape))
+    return groups, np.moveaxis(np.array(still, dtype=float), 0, -1) if groups else np.zeros(0)
+
+
+def _alike(features: Sequence[Feature]) -> np.ndarray:
+    """Groups of columns that err alike by the mesh, or by contact on it: (2f, groups), 0 or 1."""
+    groups = list(dict.fromkeys(feature.together for feature in features))
+    own = [[float(feature.together == group) for group in groups] for feature in features]
+    return np.repeat(own, 2, axis=0)
+
+
+def _pairs(values: np.ndarray) -> np.ndarray:
+    """Complex columns (..., f) as real and imaginary ones, one beside the other: (..., 2f)."""
+    return np.stack([values.real, values.imag], axis=-1).reshape(*values.shape[:-1], -1)
+
+
+def _lips(model: Model) -> tuple[Lips, ...]:
+    """What they may do at resonances: breathe, and if that depends on the size of the motion, for
+    any part of the time, stay open or stay shut, but for what they never do in the cases that were
+    solved."""
+    if is_free(model.scene):
+        return (BREATHE,)
+    closed = model.coarse.sweep["closed_share"][model.coarse.index]
+    least, most = (one.reduce(closed, axis=None) for one in (np.fmin, np.fmax))
+    held = itertools.compress((Lips("open"), Lips("tied")), (least < 1.0, most > 0.0))
+    every = (*PARTLY, BREATHE, *held)
+    total = sum(one.share for one in every)
+    return tuple(one._replace(share=one.share / total) for one in every)
+
+
+def is_free(scene: Scene) -> bool:
+    """Whether the shape of a motion does not depend on the size of the load."""
+    return is_proportional(scene) and not any(scene.excitation.force_mean)
+
+
+def _together(row: Measurement, parts: np.ndarray, state: int) -> tuple[np.ndarray, np.ndarray]:
+    """A quantity (m,) from its parts (m, k), and its slopes by them (m, k); a resonance is near the
+    frequency of what the lips do."""
+    if row.natural or parts.shape[1] == 1:
+        return parts[:, state], np.eye(1, parts.shape[1], state).repeat(len(parts), axis=0)
+    one, two = parts.T
+    return one / two, np.column_stack([1.0 / two, -one / two**2])

@@ -1,0 +1,429 @@
+"""What else is not as the scene says: the material, the clamp, damping, and the model itself.
+
+Each has a prior, a normal distribution about what the scene says, whose width is in ``[identify]``
+with its source. To first order a standard deviation of it changes the natural frequency of mode j
+by a relative a_j, the size of harmonics by a relative b, and through their poles
+(:mod:`fenics_crack.monitoring.identification.interpolation`) the harmonics by
+
+    d ln U_k = b - sum_j (2 r^2 - 2 i z r) / (1 - r^2 + 2 i z r) a_j,      r = k W / w_j,
+
+and by those of the first harmonic, which drives the k-th. Nothing is solved again for it. These
+changes are directions in which predictions may be wrong together: of the plate with its crack, of
+the same plate without it, and of its frequencies before it had one, which is how these take away
+what is not known of the plate.
+
+A crack that is inclined acts like a straight one at the height of its tip (0.87 to 1.11 of that, of
+ten edge cracks inclined by 10 degrees); a wider or softer one like a sharp one that is longer or
+shorter: it is this that measurements tell of. What is stated of the real one is less sure by that
+(:func:`act_as`).
+
+Young's modulus E and density change the part e_j of w_j^2 that is elastic, not what rotation adds:
+
+    d ln w_j / d ln E = e_j / 2,      e_j = phi_j^T K_0 phi_j / w_j^2,
+
+with the stiffness K_0 at rest and the mode at its speed. A soft clamp takes from w_j^2
+
+    m_j^2 times its softness to turning and (m_x^2 + m_y^2) times that to pushing,
+
+with m = R^T K_0 phi_j, the moment and the forces that hold the mode in rigid motions R about the
+clamp's middle (at rest w_j^2 R^T M phi_j, Rayleigh's quotient). The two are independent: a bolt
+that is loose lets it turn, jaws that slip let it move. How large they are, one beside the other, is
+that of a clamp that is as soft everywhere, with a radius of gyration q about its middle, q^2;
+together, by what they take from the first mode.
+
+Modes at other speeds, and of another modulus, are those of a K_0 + s (K - K_0), s the square of the
+speed over the scene's, in the space of the modes at rest and at the scene's speed. That is how what
+changes between the record before there was a crack and the one since, temperature and clamp, moves
+each mode at each speed. What rotation adds may change, too, by the blade's seat or the measured
+speed: with a temperature that makes a change of all frequencies alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import eigh
+
+from fenics_crack.basics.errors import FEW_MODES, InputError
+from fenics_crack.basics.ranks import MPI
+from fenics_crack.basics.tables import RPM, TURN
+from fenics_crack.fem.loads import rigid_motions
+from fenics_crack.model.modes import Modes, solve_modes, times
+from fenics_crack.monitoring.identification.interpolation import Feature, driving, poles, turned
+from fenics_crack.monitoring.identification.measurements import Measurement, Measurements
+from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.tables import Identify
+from fenics_crack.study.prepare import prepare
+
+STIFFENING = 0.05
+"""Relative standard deviation of what rotation adds to the square of a natural frequency: beams and
+plates differ by so much in it."""
+OF_ALL_MODES = 0.9
+"""Part of the variance of what a crack changes that all modes have together: a compliance."""
+OF_ONE_MODE = 0.2
+"""Part of what changes between the plate before it had a crack and now that each mode has by
+itself. Of plates clamped deeper, let go at an end of the clamp or on an elastic block, turning,
+moving and a common change leave so much of the largest change: up to 0.05 if 15 times as tall as
+wide, 0.07 if five times, 0.12 if three, 0.18 if two and 0.29 if square
+(``benchmarks/identification_limits.py``)."""
+AT_REST, OF_A_ROTOR = 10.0, 25.0
+"""Standard deviation of the temperature between two records [K], where none is stated: of a room;
+and of blades, which their gas or their drag warms (engineering judgement)."""
+SAME = 1e-8
+"""Of the square of a motion at another speed, what is left of it beside the others: rounding."""
+POWER = 2.0
+"""Of a crack's length, like which it changes natural frequencies."""
+OF_SIZE = ("crack.length", "crack.depth")
+"""Keys of a crack's size."""
+FACTORS = {"rad/s": 2.0 * np.pi, "kHz": 1e-3, "mHz": 1e3}
+"""What numbers in other units are multiples of."""
+LIKE_A_MULTIPLE = 0.3
+"""Of the logarithm of such a multiple: no crack halves a frequency or doubles it."""
+
+
+@dataclass(frozen=True)
+class Whole:
+    """The plate without its crack: natural frequencies, and how they change with what is not known.
+
+    Attributes
+    ----------
+    speed : float [rad/s]
+        Of the rotor.
+    stiffness : (2, r, r) [1/s^2]
+        At rest, and what rotation adds at that speed, by mass-normalised motions.
+    reactions : (r, d)
+        Moments and forces at the clamp by these, each over what a clamp that is as soft everywhere
+        would give; none where it is not known what is clamped.
+    turning : int
+        How many of these are forces; the others are moments.
+    table : Identify
+        With the widths of the priors.
+    """
+
+    speed: float
+    stiffness: np.ndarray
+    reactions: np.ndarray
+    turning: int
+    table: Identify
+
+    @cached_property
+    def frequencies(self) -> np.ndarray:
+        """Natural frequencies, with lips tied where a crack cannot be taken out: (n,) [Hz]."""
+        return self.modes_at(1.0)[0] / TURN
+
+    def modes_at(self, faster: float, stiffer: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+        """Natural frequencies (n,) [rad/s] and modes (r, n) at a speed over the rotor's, with a
+        Young's modulus over the scene's."""
+        squares, modes = eigh(stiffer * self.stiffness[0] + faster**2 * self.stiffness[1])
+        count = min(FEW_MODES, len(squares))
+        return np.sqrt(np.maximum(squares[:count], 0.0)), modes[:, :count]
+
+    def elastic_at(self, faster: float) -> np.ndarray:
+        """Elastic part of the squares of frequencies at a speed over the rotor's: (n,)."""
+        omega, modes = self.modes_at(faster)
+        return np.asarray(np.sum(modes * (self.stiffness[0] @ modes), axis=0) / omega**2)
+
+    def stiffened(self, faster: float, stiffer: float) -> np.ndarray:
+        """Factors of frequencies at a speed over the rotor's by a factor of Young's modulus:
+        (n,)."""
+        return self.modes_at(faster, stiffer)[0] / self.modes_at(faster)[0]
+
+    def by_clamp(self, faster: float) -> np.ndarray:
+        """Relative changes of natural frequencies at a speed over the rotor's by a clamp that turns
+        and one that moves, over that of the first at the rotor's by both: (n, 2); all alike by
+        turning, as of a slender beam, where nothing is known of the clamp."""
+        if not self.reactions.shape[1]:
+            return np.outer(self.elastic_at(faster), [1.0, 0.0])
+
+        def taken(faster: float) -> np.ndarray:
+            omega, modes = self.modes_at(faster)
+            squares = (self.reactions.T @ modes) ** 2 / omega**2
+            return np.stack(
+                [squares[self.turning :].sum(axis=0), squares[: self.turning].sum(axis=0)]
+            )
+
+        return np.asarray((taken(faster) / np.hypot(*taken(1.0)[:, 0])).T)
+
+    def changes_at(self, faster: float) -> np.ndarray:
+        """Relative changes by a standard deviation of each prior at a speed over the rotor's:
+        (n, s)."""
+        young, density, _ = self._widths
+        elastic = self.elastic_at(faster)
+        every = np.eye(len(elastic))
+        return np.column_stack(
+            [
+                np.outer(elastic, [0.5 * young, -0.5 * density, 0.0]),
+                -self.table.clamp_deviation * self.by_clamp(faster),
+                self.table.model_deviation * elastic * every,
+                0.5 * STIFFENING * (1.0 - elastic) * every,
+            ]
+        )
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """Likewise of the size of harmonics: (s,)."""
+        young, _, thickness = self._widths
+        found = np.zeros(self.changes_at(1.0).shape[1])
+        found[[0, 2]] = -young, -thickness
+        return found
+
+    @property
+    def _widths(self) -> tuple[float, float, float]:
+        """Standard deviations of Young's modulus, density and thickness, 0 of what is unknown."""
+        table, unknown = self.table, {axis.key for axis in self.table.unknown}
+        young, density, thickness = (
+            0.0 if key in unknown else width
+            for key, width in (
+                ("material.young", table.young_deviation),
+                ("material.density", table.density_deviation),
+                ("geometry.thickness", table.thickness_deviation),
+            )
+        )
+        return young, density, thickness
+
+    @property
+    def warmer(self) -> float:
+        """Standard deviation of the temperature since there was no crack against before [K]."""
+        stated = self.table.temperature_deviation
+        return (OF_A_ROTOR if self.speed else AT_REST) if stated is None else stated
+
+    def since_at(self, faster: float) -> tuple[np.ndarray, np.ndarray]:
+        """Relative changes at a speed over the rotor's between the plate before it had a crack and
+        now: (n, 3 + n) by its clamp, that turns and that moves, by what rotation adds to all modes,
+        and of each mode by itself, a standard deviation each; and (n, 1 + n) by a kelvin, and what
+        is not known of that as far as rotation is not known."""
+        table, elastic = self.table, self.elastic_at(faster)
+        every = np.eye(len(elastic))
+        clamp = np.column_stack(
+            [self.by_clamp(faster), 1.0 - elastic, OF_ONE_MODE * elastic * every]
+        )
+        kelvin = 0.5 * table.temperature_coefficient * elastic
+        unsure = STIFFENING * (1.0 - elastic) * kelvin * every
+        return table.before_deviation * clamp, np.column_stack([kelvin, unsure])
+
+    def _frequencies_at(self, rpm: float) -> np.ndarray:
+        """Those at another speed, nan for the rotor's own: (n,) [Hz]."""
+        faster = 1.0 if np.isnan(rpm) else RPM * rpm / self.speed
+        return self.modes_at(faster)[0] / TURN
+
+    def check(self, measurements: Measurements, loads: Sequence[float], *, other: bool) -> None:
+        """Raise InputError for frequencies of loads, of which the scene has these [Hz], and natural
+        ones in another unit than Hz, in rad/s all of them where the plate may be an ``other`` one;
+        and unless it may for those without the crack that are of another mode."""
+        for row in [row for row in measurements.rows if loads and not row.natural]:
+            near = loads[int(np.abs(np.log(np.divide(loads, row.frequency))).argmin())]
+            if (unit := _unit(row.frequency / near)) in ("kHz", "mHz"):
+                allowed = f"in Hz; the scene has {near:.4g} Hz, so that this seems to be in {unit}"
+                raise InputError(f"measurements.frequency, {row.name}", row.frequency, allowed)
+        rows = [row for row in measurements.rows if row.natural and row.value > 0.0]
+        rows = [row for row in rows if row.mode <= len(self.frequencies)]
+        known = [self._frequencies_at(row.rpm) for row in rows]
+        pairs = zip(rows, known, strict=True)
+        units = [_unit(row.value / there[row.mode - 1]) for row, there in pairs]
+        for unit in FACTORS:
+            like = [one == unit for one in units]
+            if rows and (all(like) if other and unit == "rad/s" else any(like)):
+                row, there = rows[like.index(True)], known[like.index(True)]
+                modes = "" if all(like) and len(rows) > 1 else ", or of another mode"
+                allowed = (
+                    f"in Hz; of this plate it is about {there[row.mode - 1]:.4g} "
+                    f"Hz, so that this seems to be in {unit}{modes}"
+                )
+                raise InputError(f"measurements.value, {row.name}", row.value, allowed)
+        for row, there in zip(rows, known, strict=True) if not other else ():
+            near = int(np.abs(np.log(row.value / there)).argmin()) + 1
+            if row.quantity == "frequency_uncracked" and near != row.mode:
+                own, that = (f"{there[mode - 1]:.4g} Hz" for mode in (row.mode, near))
+                allowed = f"near {own} of this plate's mode {row.mode}; its mode {near} has {that}"
+                raise InputError(f"measurements.value, {row.name}", row.value, allowed)
+
+
+def _unit(ratio: float) -> str:
+    """The unit of a number that is so many times what it would be in Hz; empty: Hz, or none."""
+    near = (u for u, factor in FACTORS.items() if abs(np.log(ratio / factor)) < LIKE_A_MULTIPLE)
+    return next(near, "")
+
+
+@dataclass(frozen=True)
+class Since:
+    """What has changed between the record before there was a crack and the one since, of q
+    measurements: 0 of what is no natural frequency, and of modes that are not known.
+
+    Attributes
+    ----------
+    factors : (q,)
+        Of predictions, by temperatures that are known.
+    clamp : (q, s)
+        Relative changes by the clamp, a standard deviation each.
+    warmer : (q, s)
+        Likewise by a temperature that is not known, the first, and what is unsure of that.
+    known : (q, s)
+        Likewise of temperatures that are known: by the coefficient, the thermometer and rotation.
+    """
+
+    factors: np.ndarray
+    clamp: np.ndarray
+    warmer: np.ndarray
+    known: np.ndarray
+
+    @classmethod
+    def of(cls, rows: Sequence[Measurement], faster: Sequence[float], whole: Whole) -> Since:
+        """Changes of measurements, each at a speed over the rotor's.
+
+        Those since are at the mean of the temperatures that are stated of them, if any is; those
+        before at what is stated of each, or at one that is not known.
+        """
+        table, count = whole.table, len(whole.frequencies)
+        before = np.array([row.quantity == "frequency_uncracked" for row in rows])
+        stated = np.array([row.temperature for row in rows])
+        now = stated[~before & np.isfinite(stated)]
+        off = np.nan_to_num(stated - (now.mean() if len(now) else np.nan))
+        measured = before & np.isfinite(stated) & (len(now) > 0)
+        factors = np.ones(len(rows))
+        clamp, heat = np.zeros((len(rows), 3 + count)), np.zeros((len(rows), 1 + count))
+        since = {speed: whole.since_at(speed) for speed in set(faster)}
+        for place, (row, speed) in enumerate(zip(rows, faster, strict=True)):
+            if row.natural and row.mode <= count:
+                by_clamp, by_kelvin = since[speed]
+                clamp[place] = before[place] * by_clamp[row.mode - 1]
+                heat[place] = by_kelvin[row.mode - 1]
+                stiffer = 1.0 + table.temperature_coefficient * off[place]
+                factors[place] = whole.stiffened(speed, stiffer)[row.mode - 1]
+        unknown = (before & ~measured)[:, None]
+        of_known = [
+            table.coefficient_deviation * off[:, None] * heat[:, :1],
+            table.thermometer_deviation * measured[:, None] * heat[:, :1],
+            off[:, None] * heat[:, 1:],
+        ]
+        return cls(factors, clamp, -whole.warmer * unknown * heat, np.hstack(of_known))
+
+    @property
+    def columns(self) -> np.ndarray:
+        """All changes: (q, s)."""
+        return np.hstack([self.warmer, self.clamp, self.known])
+
+    def scaled(self, clamp: float, warmer: float) -> Since:
+        """The same with so many times as large ones by the clamp, and by an unknown temperature."""
+        return replace(self, clamp=clamp * self.clamp, warmer=warmer * self.warmer)
+
+
+def whole_plate(scene: Scene, table: Identify) -> Whole:
+    """Find the modes of a plate without a crack, lips tied if it has some, on this rank alone."""
+    modes = _modes(scene)
+    still = _modes(scene.at_rest()) if scene.speed > 0.0 else modes
+    every = np.hstack([still.shapes, modes.shapes]) if scene.speed > 0.0 else modes.shapes
+    squares, vectors = eigh(every.T @ times(modes.structure.mass, every))
+    kept = squares > SAME * squares[-1]
+    basis = every @ (vectors[:, kept] / np.sqrt(squares[kept]))
+    at_rest = times(still.structure.stiffness, basis)
+    elastic = basis.T @ at_rest
+    rotating = basis.T @ times(modes.structure.stiffness, basis) - elastic
+    rigid, forces = _held(modes)
+    return Whole(scene.speed, np.stack([elastic, rotating]), at_rest.T @ rigid, forces, table)
+
+
+def _modes(scene: Scene) -> Modes:
+    structure = prepare(scene, MPI.COMM_SELF, whole=True).structure
+    few = min(FEW_MODES, structure.n_dofs - structure.n_pairs)
+    return solve_modes(structure, few, lips="tied" if structure.n_pairs else "open")
+
+
+def _held(modes: Modes) -> tuple[np.ndarray, int]:
+    """Rigid motions about the clamp's middle, (n, d), those in straight lines first, times its
+    radius of gyration, and how many these are; none where no node is clamped or it is not known
+    which are."""
+    nodes = modes.structure.nodes
+    clamped = np.zeros((0, 0)) if nodes is None else nodes.points[(nodes.dofs < 0).all(axis=1)]
+    if nodes is None or len(clamped) < 2:
+        return np.zeros((modes.structure.n_local, 0)), 0
+    moved = rigid_motions(nodes.points - clamped.mean(axis=0))
+    rigid = np.zeros((modes.structure.n_local, len(moved)))
+    dofs = nodes.dofs.ravel()
+    rigid[dofs[dofs >= 0]] = moved[:, dofs >= 0].T
+    straight = nodes.points.shape[1]
+    rigid[:, :straight] *= np.sqrt(np.sum(np.var(clamped, axis=0)))
+    return rigid, straight
+
+
+def relative_changes(
+    features: Sequence[Feature],
+    damping: np.ndarray,
+    basis: np.ndarray,
+    scene: Scene,
+    changes: np.ndarray,
+    sizes: np.ndarray,
+) -> np.ndarray:
+    """Relative changes of features by a standard deviation of each unknown, (m, f, s): of natural
+    frequencies without the crack, of what it adds to their logarithms, and of harmonics.
+
+    Parameters
+    ----------
+    features : sequence of Feature
+    damping : (m, 1)
+        Ratios.
+    basis : (m, f, 1 + 2 n)
+        What :attr:`Part.basis` has there at the load of each feature.
+    scene : Scene
+        With the widths of the priors.
+    changes : (f, n, s)
+        Of the plate without a crack at the speed of each feature, :meth:`Whole.changes_at`.
+    sizes : (s,)
+        Likewise of the size of harmonics.
+    """
+    table, count = scene.given("identify"), changes.shape[1]
+    natural, cracked = (
+        np.array([getattr(feature, name) for feature in features])[:, None]
+        for name in ("natural", "of_crack")
+    )
+    modes = np.array([feature.mode for feature in features])[:, None]
+    shape = len(basis), len(modes), count
+    by_mode = np.broadcast_to(natural & (modes == 1 + np.arange(count)), shape)
+    by_crack, by_damping = by_mode * cracked, np.zeros((*shape[:2], 1))
+    if not natural.all():
+        with np.errstate(invalid="ignore"):
+            bilinear, plain = np.split(np.log(basis[..., 1:]), 2, axis=2)
+        shifts = np.nan_to_num(bilinear - plain)[..., :count]
+        slopes, by_ratio = _of_poles(features, damping, basis)
+        first, ratio = _of_poles(driving(features), damping, basis)
+        slopes = (slopes + turned(first, features))[..., :count]
+        by_mode = np.where(natural, by_mode, slopes)
+        by_crack = np.where(natural, by_crack, slopes * shifts)
+        by_damping = (by_ratio + turned(ratio, features)).sum(axis=2)[..., None]
+    own = table.crack_deviation * np.sqrt(1.0 - OF_ALL_MODES)
+    known = any(axis.key == "damping.ratio" for axis in table.unknown)
+    columns = [
+        np.einsum("mfn,fns->mfs", by_mode * ~cracked, changes) + ~natural * sizes,
+        own * by_crack,
+        (0.0 if known else table.damping_deviation) * by_damping,
+    ]
+    return np.concatenate(columns, axis=2)
+
+
+def _of_poles(
+    features: Sequence[Feature], damping: np.ndarray, basis: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Slopes of logarithms of harmonics by those of natural frequencies and of the ratio of
+    damping, as their poles have them: (m, f, modes)."""
+    r, pole = poles(features, damping, basis)
+    found = 2j * damping[..., None] * r / pole
+    return found - 2.0 * r**2 / pole, -found
+
+
+def act_as(x: np.ndarray, keys: Sequence[str], scene: Scene) -> np.ndarray:
+    """How far a crack may be from the straight and sharp one that acts like it, at values (m, d) of
+    the unknowns: standard deviations (m, d)."""
+    table, found, into = scene.given("identify"), np.zeros_like(x), np.zeros(len(x))
+    for key in OF_SIZE:  # that of a part-through crack is its depth
+        size = np.full(len(x), getattr(scene.crack, key.removeprefix("crack."), None) or 0.0)
+        if key in keys:
+            size = x[:, keys.index(key)]
+            own = table.crack_deviation * np.sqrt(OF_ALL_MODES) / POWER * size
+            found[:, keys.index(key)] = own
+        into = np.where(size > 0.0, size, into)
+    if "crack.height" in keys:
+        tilt = np.tan(np.radians(table.angle_deviation))
+        found[:, keys.index("crack.height")] = tilt * into
+    return found

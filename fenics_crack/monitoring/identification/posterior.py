@@ -1,0 +1,488 @@
+"""How likely each value of the unknowns is: least squares, and the posterior on a grid.
+
+Measured numbers m with standard deviations e are compared with predictions s(x), whose own errors
+have a covariance T(x):
+
+    log L(x) = - (m - s)^T V^-1 (m - s) / 2 - log(det V) / 2,    V(x) = diag(e^2) + T(x)
+
+As det V is no less than that of diag(e^2), both terms are squares, and least squares find its
+maxima. Where a crack may breathe or not, L is the sum over both, each with its probability
+(:meth:`fenics_crack.monitoring.identification.model.Quantities.states`).
+
+The prior is uniform between the bounds. A crack differs from the straight and sharp one that acts
+like it: L is spread on the grid by what is known of that (:func:`fenics_crack.identification.
+nuisance.act_as`). Regions hold a share of the posterior's mass, the densest
+parts first; the integral of L over the prior is a hypothesis' evidence (D. J. C. MacKay,
+Information Theory, Inference, and Learning Algorithms, 2003, chapter 28).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import RegularGridInterpolator
+from scipy.ndimage import label, maximum_filter
+from scipy.optimize import least_squares
+from scipy.special import chdtrc, logsumexp
+
+from fenics_crack.monitoring.identification.interpolation import Cube
+from fenics_crack.monitoring.identification.model import Prediction, Quantities
+
+LOOK = {1: 200, 2: 45, 3: 17}
+"""Values of each unknown of the first grid, by the number of unknowns; of more, 9."""
+CLOSER = {1: 101, 2: 31, 3: 13}
+"""Further ones around each optimum; of more, 7."""
+PRIOR = 12.0
+"""Information of a uniform prior on an unknown, over its range: one over its variance."""
+STARTS = 8
+"""Of least squares, at most."""
+GRADIENT_STEP = 1e-6
+"""Of an unknown, over its range, for derivatives."""
+FTOL = 1e-5
+"""Relative change of log L with which least squares end: of no weight for a probability."""
+WIDTHS = 5.0
+"""Standard deviations around an optimum that are looked at closer."""
+WORSE = 8.0
+"""Difference of log L beyond which an optimum is none."""
+DEEP = 300.0
+"""Difference of log L beyond which places matter to no probability."""
+AT_ONCE = 500
+"""Places at which a likelihood is computed together."""
+SPREAD_FROM = 0.1
+"""Of the distance of points: less than that nothing is spread by."""
+STEEP = 2.0
+"""Fall of log L from a point of the grid to those on both sides beyond which these are farther away
+than two standard deviations: sums over such points are no integrals."""
+IMPOSSIBLE = -1e4
+"""Difference of log L, where there is nothing."""
+EXPLAINS = 0.05
+"""Probability of more misfit by chance from which a crack, or a plate without one, explains what is
+measured."""
+VAGUE = 10.0
+"""Standard deviation, over the measured value, where the model knows nothing."""
+
+
+@dataclass(frozen=True)
+class Likelihood:
+    """Measured values with standard deviations, (q,) each, and what predicts all of them."""
+
+    values: np.ndarray
+    deviations: np.ndarray
+    quantities: Quantities
+
+    def residuals(self, x: np.ndarray) -> np.ndarray:
+        """At values (m, d) of the unknowns: (m, q + 1). L^-1 (m - s) / e, of which the squares are
+        chi^2, V = diag(e) L L^T diag(e); and the root of log(det L L^T / p^2), of the state of the
+        lips that is likeliest, with its probability p."""
+        found = np.full((len(x), len(self.values) + 1), np.inf)
+        for at, rows, _ in self._of_states(x):
+            nearer = np.sum(rows**2, axis=1) < np.sum(found[at] ** 2, axis=1)
+            found[at[nearer]] = rows[nearer]
+        return found
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """log L at values (m, d) of the unknowns: (m,), up to a constant."""
+        found = np.full(len(x), -np.inf)
+        for at, rows, _ in self._of_states(x):
+            found[at] = np.logaddexp(found[at], -0.5 * np.sum(rows**2, axis=1))
+        return found
+
+    def likeliest(self, x: np.ndarray) -> Prediction:
+        """Predictions at values (d,) of the unknowns, in the likeliest state of the lips."""
+        found = ((np.sum(rows**2), told) for _, rows, told in self._of_states(x[None]))
+        return min(found, key=lambda one: one[0])[1]
+
+    def _of_states(self, x: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, Prediction]]:
+        """Residuals of each state of the lips, where it may be: places among x, rows, and what is
+        predicted there."""
+        for at, share, predicted in self.quantities.states(x):
+            factor = np.linalg.cholesky(scaled_covariance(predicted, self.values, self.deviations))
+            differences = (self.values - predicted.values) / self.deviations
+            logs = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1) - np.log(share)
+            root = np.sqrt(2.0 * np.maximum(logs, 0.0))  # below 0 by rounding alone
+            rows = np.linalg.solve(factor, differences[..., None])[..., 0]
+            yield at, np.column_stack([rows, root]), predicted
+
+    def warmer(self, x: np.ndarray) -> float:
+        """Mean of what is not known of the temperature since there was no crack, at values (d,) of
+        the unknowns, in standard deviations of its prior."""
+        predicted = self.likeliest(x)
+        column = predicted.values[0] * self.quantities.changed.warmer[:, 0] / self.deviations
+        left = (self.values - predicted.values[0]) / self.deviations
+        covariance = scaled_covariance(predicted, self.values, self.deviations)[0]
+        return float(column @ np.linalg.solve(covariance, left))
+
+    def explains(self, x: np.ndarray) -> np.ndarray:
+        """Whether values (m, d) of the unknowns, given before anything was measured, would explain
+        it: (m,) bool."""
+        return np.asarray(self._fit(x, 0)[1] >= EXPLAINS)
+
+    def misfit(self, x: np.ndarray) -> tuple[float, float]:
+        """chi^2 at values (d,) of the unknowns that fit best, and the probability of more by chance
+        with as many measurements less the unknowns and what else is fitted."""
+        total, chance = self._fit(x[None], len(x))
+        return float(total[0]), float(chance[0])
+
+    def _fit(self, x: np.ndarray, fitted: int) -> tuple[np.ndarray, np.ndarray]:
+        """chi^2 at values (m, d) of the unknowns, so many of which are fitted, and the probability
+        of more by chance: (m,) each."""
+        total = np.sum(self.residuals(x)[:, :-1] ** 2, axis=1)
+        spare = len(self.values) - fitted - self.quantities(x[:1]).free.shape[2]
+        return total, np.asarray(chdtrc(max(spare, 1), total))
+
+    def without(self, place: int) -> Likelihood:
+        """That of all measurements but one."""
+        left = np.arange(len(self.values)) != place
+        rows = [row for row, kept in zip(self.quantities.rows, left, strict=True) if kept]
+        quantities = self.quantities.model.quantities(rows)
+        return Likelihood(self.values[left], self.deviations[left], quantities)
+
+
+def scaled_covariance(
+    predicted: Prediction, values: np.ndarray, deviations: np.ndarray
+) -> np.ndarray:
+    """V of measured values (q,) with standard deviations (q,), over these: (m, q, q). Where the
+    model knows nothing, a multiple of the value."""
+    both = np.outer(predicted.known, predicted.known)
+    own = predicted.covariance + predicted.free @ predicted.free.transpose(0, 2, 1)
+    vague = np.where(predicted.known, 0.0, VAGUE * (np.abs(values) + deviations))
+    own = np.where(both, own, 0.0) + np.diag(vague**2)
+    return np.asarray(np.eye(len(values)) + own / np.outer(deviations, deviations))
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """End of least squares: the unknowns (d,), log L, and the covariance (d, d)."""
+
+    x: np.ndarray
+    height: float
+    covariance: np.ndarray
+
+
+@dataclass(frozen=True)
+class Branch:
+    """The posterior of one choice of the unknowns that are words.
+
+    Attributes
+    ----------
+    likelihood : Likelihood
+    optima : list of Optimum
+        Best first.
+    axes : tuple of arrays
+        The grid, denser around the optima.
+    height : array
+        log L on the grid, spread.
+    weight : array
+        Parts of the prior that the points of the grid stand for; their sum is 1.
+    """
+
+    likelihood: Likelihood
+    optima: list[Optimum]
+    axes: tuple[np.ndarray, ...]
+    height: np.ndarray
+    weight: np.ndarray
+
+    @property
+    def log_evidence(self) -> float:
+        """log of the integral of L over the prior."""
+        return float(logsumexp(self.height, b=self.weight))
+
+    def values(self, x: np.ndarray) -> dict[str, Any]:
+        """All unknowns by their keys, words and numbers (d,)."""
+        model = self.likelihood.quantities.model
+        return model.fixed | dict(zip(model.keys, x.tolist(), strict=True))
+
+    def at(self, x: np.ndarray) -> float:
+        """log L, spread, at some values (d,) of the unknowns, between those on the grid."""
+        if not self.axes:
+            return float(self.height)
+        within = np.clip(x, [axis[0] for axis in self.axes], [axis[-1] for axis in self.axes])
+        return float(RegularGridInterpolator(self.axes, self.height)(within)[0])
+
+    def interpolated(self) -> tuple[np.ndarray, np.ndarray]:
+        """Values (m, d) of the unknowns, of the first grid and the optima, that would explain what
+        is measured, and the share that interpolation along each unknown has in the variance of each
+        measurement there: (m, d, q)."""
+        likelihood, every = self.likelihood, [np.zeros((0, len(self.axes)))]
+        shares = [np.zeros((0, len(self.axes), len(likelihood.values)))]
+        points = np.vstack([grid_of(likelihood.quantities.model.cube), *(o.x for o in self.optima)])
+        for piece in _pieces(points):
+            if len(x := piece[likelihood.explains(piece)]):
+                parts, total = likelihood.quantities.by_interpolation(x)
+                every.append(x)
+                shares.append(parts / (total + likelihood.deviations**2)[:, None])
+        return np.vstack(every), np.vstack(shares)
+
+
+def explore(likelihood: Likelihood) -> Branch:
+    """Find the optima of a likelihood, and its values on a grid that is denser around them."""
+    cube = likelihood.quantities.model.cube
+    d = len(cube.axes)
+    if d == 0:
+        height = likelihood(np.zeros((1, 0)))
+        only = Optimum(np.zeros(0), float(height[0]), np.zeros((0, 0)))
+        return Branch(likelihood, [only], (), height.reshape(()), np.ones(()))
+    first = _even(cube)
+    height = _heights(likelihood, _points(first)).reshape([len(axis) for axis in first])
+    optima = _optima(likelihood, first, height)
+    act_as = likelihood.quantities.model.act_as
+    few = optima[:3]
+    reaches = [WIDTHS * np.sqrt(np.diag(one.covariance)) for one in few]
+    wider = [WIDTHS * act_as(one.x[None])[0] for one in few]
+    axes = []
+    for place, (axis, low, high) in enumerate(zip(first, cube.low, cube.high, strict=True)):
+        pieces = [axis]
+        for optimum, near, far in zip(few, reaches, wider, strict=True):
+            for reach in (near[place], math.hypot(near[place], far[place])):
+                piece = optimum.x[place] + reach * np.linspace(-1.0, 1.0, CLOSER.get(d, 7))
+                pieces.append(piece[(piece > low) & (piece < high)])
+        axes.append(np.unique(np.concatenate(pieces)))
+    weights = [_trapezoid(axis) for axis in axes]
+    weight = np.ones(())
+    for own in weights:
+        weight = np.multiply.outer(weight, own)
+    points = _points(axes)
+    # Where all of the first grid around is far below the best, what it has is near enough.
+    around = maximum_filter(height, size=3, mode="nearest")
+    near = RegularGridInterpolator(first, around)(points) > optima[0].height - DEEP
+    for optimum, reach in zip(few, reaches, strict=True):
+        near |= np.all(np.abs(points - optimum.x) < reach, axis=1)
+    closer = RegularGridInterpolator(first, height)(points)
+    closer[near] = _heights(likelihood, points[near])
+    closer = _spread(closer.reshape(weight.shape), axes, weights, act_as(points))
+    return Branch(likelihood, optima, tuple(axes), closer, weight)
+
+
+def _spread(
+    height: np.ndarray, axes: list[np.ndarray], weights: list[np.ndarray], widths: np.ndarray
+) -> np.ndarray:
+    """log L on a grid with each point spread along the axes by standard deviations (n, d)."""
+    most = height.max()
+    found = np.exp(height - most)
+    for place, (axis, weight) in enumerate(zip(axes, weights, strict=True)):
+        width = np.moveaxis(widths[:, place].reshape(height.shape), place, -1)
+        if not width.any():
+            continue
+        width = np.maximum(width, np.gradient(axis) * SPREAD_FROM)[..., None]
+        shares = weight * np.exp(-0.5 * ((axis - axis[:, None]) / width) ** 2)
+        shares /= shares.sum(axis=-1, keepdims=True)
+        masses = np.moveaxis(found, place, -1) * weight
+        found = np.moveaxis(np.einsum("...j,...ji->...i", masses, shares) / weight, -1, place)
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.maximum(np.log(found), IMPOSSIBLE) + most)
+
+
+def _even(cube: Cube) -> list[np.ndarray]:
+    """Values of each unknown of the first grid."""
+    count = LOOK.get(len(cube.axes), 9)
+    return [np.linspace(axis[0], axis[-1], count) for axis in cube.axes]
+
+
+def grid_of(cube: Cube) -> np.ndarray:
+    """Points of the first grid: (n, d)."""
+    return _points(_even(cube))
+
+
+def _points(axes: list[np.ndarray]) -> np.ndarray:
+    """Those of a grid, the last unknown fastest: (n, d)."""
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+
+
+def _heights(likelihood: Likelihood, points: np.ndarray) -> np.ndarray:
+    """log L at many places (n, d): (n,)."""
+    return np.concatenate([likelihood(piece) for piece in _pieces(points)])
+
+
+def _pieces(points: np.ndarray) -> list[np.ndarray]:
+    """Points (n, d) in pieces that take little memory."""
+    return np.array_split(points, -(-len(points) // AT_ONCE))
+
+
+def _trapezoid(axis: np.ndarray) -> np.ndarray:
+    """Weights of points that are not equally far apart, of sum 1."""
+    steps = np.diff(axis)
+    weights = 0.5 * (np.append(steps, 0.0) + np.insert(steps, 0, 0.0))
+    return np.asarray(weights / weights.sum())
+
+
+def _optima(likelihood: Likelihood, axes: list[np.ndarray], height: np.ndarray) -> list[Optimum]:
+    """Least squares from the highest places of a grid; what is much worse or the same left out."""
+    summits = np.argwhere(height == maximum_filter(height, size=3, mode="nearest"))
+    best = sorted(summits, key=lambda at: -height[tuple(at)])[:STARTS]
+    found: list[Optimum] = []
+    cube = likelihood.quantities.model.cube
+    low, span = cube.low, cube.high - cube.low
+    for at in best:
+        start = np.array([axis[place] for axis, place in zip(axes, at, strict=True)])
+
+        def residuals(unit: np.ndarray) -> np.ndarray:
+            return likelihood.residuals((low + span * unit)[None])[0]
+
+        def slopes(unit: np.ndarray) -> np.ndarray:
+            steps = np.diag(np.where(unit < 0.5, GRADIENT_STEP, -GRADIENT_STEP))
+            rows = likelihood.residuals(low + span * np.vstack([unit, unit + steps]))
+            return np.asarray((rows[1:] - rows[0]).T / np.diag(steps))
+
+        unit = np.clip((start - low) / span, 1e-6, 1.0 - 1e-6)
+        fit = least_squares(residuals, unit, slopes, bounds=(0.0, 1.0), x_scale=0.1, ftol=FTOL)
+        information = fit.jac.T @ fit.jac + PRIOR * np.eye(len(span))
+        covariance = np.linalg.inv(information) * np.outer(span, span)
+        found.append(Optimum(low + span * fit.x, -float(fit.cost), covariance))
+    found.sort(key=lambda optimum: -optimum.height)
+    kept: list[Optimum] = []
+    for one in found:
+        near = (
+            np.max(np.abs(one.x - two.x) / np.sqrt(np.diag(two.covariance))) < 1.0 for two in kept
+        )
+        if one.height > found[0].height - WORSE and not any(near):
+            kept.append(one)
+    return kept
+
+
+class Posterior:
+    """The posterior of all branches together, each of the same prior probability.
+
+    Parameters
+    ----------
+    branches : mapping of str to Branch
+        By the words that tell them from each other.
+    """
+
+    def __init__(self, branches: Mapping[str, Branch]) -> None:
+        self.branches = dict(branches)
+        logs = [branch.log_evidence for branch in self.branches.values()]
+        self.log_evidence = float(logsumexp(logs) - np.log(len(logs)))
+        total = logsumexp(logs)
+        self.mass = {
+            name: np.exp(branch.height - total) * branch.weight
+            for name, branch in self.branches.items()
+        }
+        """Of each point of the grids; all together 1."""
+        self._heights = np.concatenate([b.height.ravel() for b in self.branches.values()])
+        self._masses = np.concatenate([mass.ravel() for mass in self.mass.values()])
+
+    @property
+    def best(self) -> tuple[str, np.ndarray]:
+        """The words and the unknowns (d,) at which L is largest."""
+        name = max(self.branches, key=lambda name: self.branches[name].optima[0].height)
+        return name, self.branches[name].optima[0].x
+
+    @cached_property
+    def misfit(self) -> tuple[float, float]:
+        """chi^2 where L is largest, and the probability of more by chance."""
+        name, x = self.best
+        return self.branches[name].likelihood.misfit(x)
+
+    @cached_property
+    def misfits_without_one(self) -> list[tuple[float, float]]:
+        """The same, at the same place, without each of the measurements."""
+        name, x = self.best
+        likelihood = self.branches[name].likelihood
+        return [likelihood.without(at).misfit(x) for at in range(len(likelihood.values))]
+
+    def misfit_since(self, *, clamp: float = 1.0, warmer: float = 1.0) -> tuple[float, float]:
+        """The same, at the same place, where the clamp may have changed so many times as much since
+        there was no crack, and an unknown temperature."""
+        name, x = self.best
+        likelihood = self.branches[name].likelihood
+        quantities = likelihood.quantities.since(clamp=clamp, warmer=warmer)
+        return replace(likelihood, quantities=quantities).misfit(x)
+
+    @cached_property
+    def warmer(self) -> float:
+        """How much warmer the structure likeliest is since there was no crack, where L is largest,
+        in standard deviations of the prior."""
+        name, x = self.best
+        return self.branches[name].likelihood.warmer(x)
+
+    @cached_property
+    def unresolved(self) -> float:
+        """Part of the mass that is narrower than the grid: at points next to which L is next to
+        nothing along one of the unknowns, as on a thin ridge across the grid."""
+        lost = 0.0
+        for name, branch in self.branches.items():
+            falls = np.zeros(branch.height.shape, dtype=bool)
+            for axis in np.eye(falls.ndim, dtype=int):
+                sides = np.reshape([1, 0, 1], 1 + 2 * axis)
+                beside = maximum_filter(branch.height, None, sides, None, "constant", -np.inf)
+                falls |= branch.height - beside > STEEP
+            lost += float(np.sum(self.mass[name][falls]))
+        return lost
+
+    def level(self, share: float) -> float:
+        """log L at the border of the region that holds a share of the mass."""
+        order = np.argsort(-self._heights)
+        held = np.cumsum(self._masses[order])
+        at = min(int(np.searchsorted(held, share)), len(order) - 1)
+        return float(self._heights[order[at]])
+
+    def cut(self, share: float) -> Iterator[tuple[int, str, float]]:
+        """The bounds that the region goes on to which holds a share of the mass: the place of the
+        unknown, "below" or "above", and the bound."""
+        level, branches = self.level(share), [*self.branches.values()]
+        for place, end in product(range(len(branches[0].axes)), (0, -1)):
+            cut = [one for one in branches if np.any(one.height.take(end, axis=place) >= level)]
+            if cut:
+                yield place, "above" if end else "below", float(cut[0].axes[place][end])
+
+    def marginal(self, place: int) -> tuple[np.ndarray, np.ndarray]:
+        """Values of an unknown, and how much of the mass is at each: (n,) each."""
+        values, masses = [], []
+        for name, branch in self.branches.items():
+            others = tuple(k for k in range(len(branch.axes)) if k != place)
+            values.append(branch.axes[place])
+            masses.append(self.mass[name].sum(axis=others))
+        order = np.argsort(np.concatenate(values), kind="stable")
+        return np.concatenate(values)[order], np.concatenate(masses)[order]
+
+    def interval(self, place: int, share: float) -> tuple[float, float]:
+        """Bounds of an unknown, with that probability, as much above as below."""
+        values, masses = self.marginal(place)
+        middle = np.cumsum(masses) - 0.5 * masses
+        tail = 0.5 * (1.0 - share)
+        low, high = np.interp([tail, 1.0 - tail], middle, values)
+        return float(low), float(high)
+
+    def parts(self, share: float, least: float) -> list[tuple[str, np.ndarray, float]]:
+        """The separate parts of the region that holds a share of the mass: words, the middle (d,),
+        and mass, largest first; those with less than ``least`` are left out. The middle is the mean
+        or, of a bent part that does not hold it, the nearest point that is."""
+        level = self.level(share)
+        found = []
+        for name, branch in self.branches.items():
+            within = branch.height >= level
+            numbers, count = label(within, structure=np.ones((3,) * within.ndim))
+            for number in range(1, count + 1):
+                own = numbers == number
+                masses = self.mass[name][own]
+                if masses.sum() >= least:
+                    places = np.argwhere(own)
+                    columns = [axis[at] for axis, at in zip(branch.axes, places.T, strict=True)]
+                    points = np.stack(columns, axis=1) if columns else np.zeros((1, 0))
+                    x = masses @ points / masses.sum()
+                    if branch.at(x) < level:
+                        width = np.ptp(points, axis=0) + np.finfo(float).tiny
+                        x = points[np.argmin(np.sum(((points - x) / width) ** 2, axis=1))]
+                    found.append((name, x, float(masses.sum())))
+        return sorted(found, key=lambda part: -part[2])
+
+    def spread(self, place: int) -> float:
+        """Standard deviation of an unknown."""
+        values, masses = self.marginal(place)
+        mean = float(values @ masses)
+        return float(np.sqrt((values - mean) ** 2 @ masses))
+
+    def pair(self, name: str, first: int, second: int) -> tuple[np.ndarray, np.ndarray]:
+        """Mass of a branch by two of its unknowns, and its density: (n_first, n_second) each."""
+        parts = self.mass[name], self.branches[name].weight
+        others = tuple(k for k in range(parts[0].ndim) if k not in (first, second))
+        mass, weight = (part.sum(axis=others) for part in parts)
+        if first > second:
+            mass, weight = mass.T, weight.T
+        return mass, mass / weight

@@ -1,0 +1,225 @@
+"""Measured frequency responses: universal files, as programs for modal tests write them, and the
+natural frequencies that they show.
+
+Dataset 58, "function at nodal DOF", as text, and 58b, which has the same eleven lines and then
+numbers in binary form (Structural Dynamics Research Laboratory, University of Cincinnati, which
+keeps SDRC's description of the format). Of a file all functions of type 4 are read, frequency
+response functions; its other datasets are left out.
+
+Around each peak of all responses together, H_j in the form of displacements over a force, a mode
+and what lies beside it are fitted by least squares,
+
+    H_j(w) (a + i b r - r^2) = p_j + q_j (r - 1),        r = w / w_peak,
+
+with a and b the same in all responses: the frequency is w_peak sqrt(a), the damping ratio
+b / (2 sqrt(a)) (C. K. Sanathanan and J. Koerner, IEEE Transactions on Automatic Control 8, 1963,
+56: weights by the last denominator). A crack that breathes makes its first harmonic over the force
+the response of a nonlinear structure. Without clearance or a steady load it does not depend on the
+force, and near a resonance it is nearly that of a mode of the frequency at which the crack
+resonates; the difference is seen when less of the peak is fitted, and counted as an error.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+from scipy.signal import find_peaks
+
+from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.tables import TURN
+from fenics_crack.basics.untrusted_files import MOST_BYTES, content_of
+
+BORDER = b"-1"
+HEADING = 11
+"""Lines before the numbers."""
+RESPONSE = 4
+"""Type of a function that is a frequency response."""
+COMPLEX = {5: "f4", 6: "f8"}
+"""Types of complex numbers, single and double."""
+NUMBER = re.compile(rb"[+-]?(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+|[+-]\d{3}(?![\d.]))?")
+"""Of text; Fortran leaves out the E of an exponent of three digits."""
+MOTIONS = {8: 0, 11: 1, 12: 2}
+"""How often a displacement, a velocity or an acceleration is derived by time."""
+HALF = 0.5
+"""Of a peak's power: down to it on both sides a peak is one, and its damping is told."""
+FITTED_DOWN_TO = 0.1
+"""Of a peak's power, down to which it is fitted; and, for the error, down to half of it."""
+WEIGHINGS = 10
+"""By turns with the weights."""
+
+
+@dataclass(frozen=True)
+class FrequencyResponse:
+    """A motion over the force that makes it.
+
+    Attributes
+    ----------
+    frequency : (n,) [Hz]
+    values : (n,) complex
+    derived : int
+        0 of a displacement over a force, 1 of a velocity, 2 of an acceleration.
+    """
+
+    frequency: np.ndarray
+    values: np.ndarray
+    derived: int
+
+
+def read_responses(path: Path) -> list[FrequencyResponse]:
+    """Read the frequency responses of a universal file.
+
+    Raises
+    ------
+    OSError, ValueError
+        The file cannot be read, contradicts itself, or has none.
+    """
+    found = []
+    for heading, numbers, order in _functions(BytesIO(content_of(path, MOST_BYTES))):
+        lines = [line.decode("latin-1") for line in heading]
+        if int(lines[6][:5]) == RESPONSE:
+            found.append(_response(lines, numbers, order))
+    if not found:
+        raise ValueError("it has no frequency response: no dataset 58 with a function of type 4")
+    return found
+
+
+def _functions(file: BytesIO) -> Iterator[tuple[list[bytes], bytes, str]]:
+    """Of each dataset 58 its lines up to the numbers, from that with its own number; the numbers;
+    and the order of bytes, "" of text."""
+    while line := file.readline():
+        if line.strip() != BORDER:
+            continue
+        own, order, numbers = file.readline().rstrip(), "", b""
+        response = own[:6].strip() == b"58"
+        heading = [own, *(file.readline().rstrip() for _ in range(response * HEADING))]
+        if response and own[6:7].lower() == b"b":
+            order, size = {1: "<", 2: ">"}[int(own[7:13])], int(own[31:43].strip() or 0)
+            if (stored := int(heading[7][:10])) in COMPLEX and int(heading[7][20:30]):
+                # Some programs announce half of their bytes.
+                size = 2 * int(heading[7][10:20]) * int(COMPLEX[stored][1])
+            if int(own[13:19]) != 2:
+                raise ValueError("its binary numbers are not those of IEEE 754")
+            numbers = file.read(size)
+            if len(numbers) < size:
+                raise ValueError(f"it ends early: {len(numbers)} of {size} bytes")
+        rest = []
+        while (line := file.readline()).strip() != BORDER:
+            if not line:
+                if response and not order:
+                    raise ValueError("it ends early: a dataset 58 has no end")
+                break
+            rest.append(line)
+        if response:
+            yield heading, numbers or b"".join(rest), order
+
+
+def _numbers(text: bytes) -> np.ndarray:
+    """Numbers, between which there is no blank where one takes all of its field."""
+    if left := NUMBER.sub(b" ", text).split():
+        raise ValueError(f"{left[0][:20].decode('latin-1')!r} instead of a number")
+    words = [re.sub(rb"(?<=[0-9.])([+-])", rb"E\1", word) for word in NUMBER.findall(text)]
+    return np.array(words, dtype=float)
+
+
+def _response(heading: list[str], numbers: bytes, order: str) -> FrequencyResponse:
+    """A frequency response from its lines, the first of which has the dataset's number."""
+    stored, count, even = (int(heading[7][at : at + 10]) for at in (0, 10, 20))
+    least, step = (float(heading[7][at : at + 13].replace("D", "E")) for at in (30, 43))
+    motion = int(heading[9][:10])
+    if stored not in COMPLEX:
+        raise ValueError("a frequency response whose numbers are not complex")
+    if motion not in MOTIONS:
+        raise ValueError("a frequency response of no displacement, velocity or acceleration")
+    if order and not even:
+        raise ValueError("a binary frequency response whose lines are not equally spaced")
+    if order:
+        values = np.frombuffer(numbers, order + COMPLEX[stored]).astype(float)
+    else:
+        values = _numbers(numbers.upper().replace(b"D", b"E"))
+    if len(values) != count * (2 if even else 3) or not np.all(np.isfinite(values)):
+        raise ValueError(f"{len(values)} finite numbers instead of those of {count} lines")
+    if even:
+        frequency = least + step * np.arange(count)
+    else:
+        frequency, values = values[::3], np.delete(values, np.s_[::3])
+    if np.any(np.diff(frequency) <= 0.0):
+        raise ValueError("a frequency response whose frequencies do not increase")
+    return FrequencyResponse(frequency, values[::2] + 1j * values[1::2], MOTIONS[motion])
+
+
+# --- their modes ----------------------------------------------------------------------------------
+
+
+def resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
+    """Find the modes that responses show: rows of frequency [Hz], its standard deviation, and the
+    ratio of damping, in ascending order.
+
+    Raises
+    ------
+    InputError
+        The responses have different lines, or no peak that falls to half its power on both sides.
+    """
+    lines = responses[0].frequency
+    if any(not np.array_equal(one.frequency, lines) for one in responses):
+        raise InputError("responses", "of different frequencies", "all at the same frequencies")
+    kept = lines > 0.0
+    omega = TURN * lines[kept]
+    values = np.stack([one.values[kept] / (1j * omega) ** one.derived for one in responses])
+    power, found = omega**2 * np.sum(np.abs(values) ** 2, axis=0), []
+    # A peak falls to half of its power on both sides, before that is higher there.
+    peaks, seen = find_peaks(power, prominence=0.0)
+    for peak in peaks[seen["prominences"] > HALF * power[peaks]].tolist():
+        wide, half = (
+            _fitted(omega, values, peak, _around(power, peak, share * power[peak]))
+            for share in (FITTED_DOWN_TO, HALF)
+        )
+        if wide is None or half is None:
+            continue
+        frequency, error, damping = wide
+        error = float(np.hypot(error, frequency - half[0]))
+        # Noise has peaks, too, but no mode there that is known to a tenth of its width.
+        width, off = damping * frequency, abs(frequency - omega[peak] / TURN)
+        if error < FITTED_DOWN_TO * width and off < width:
+            found.append((frequency, error, damping))
+    if not found:
+        allowed = "with peaks that fall to half their power on both sides, of 4 lines or more"
+        raise InputError("responses", f"{len(lines)} lines", allowed)
+    return np.array(found)
+
+
+def _around(power: np.ndarray, peak: int, least: float) -> slice:
+    """The lines around a peak that have so much power, and no more than it."""
+    ends = np.flatnonzero((power < least) | (power > power[peak]))
+    before, after = ends[ends < peak], ends[ends > peak]
+    return slice(before[-1] + 1 if len(before) else 0, after[0] if len(after) else len(power))
+
+
+def _fitted(
+    omega: np.ndarray, values: np.ndarray, peak: int, lines: slice
+) -> tuple[float, float, float] | None:
+    """Frequency [Hz], its standard deviation and the damping of a mode; None of too few lines."""
+    r, seen = omega[lines] / omega[peak], values[:, lines]
+    count, size = seen.shape
+    if 2 * seen.size <= 2 + 4 * count:
+        return None
+    own = np.kron(np.eye(count), np.column_stack([np.ones(size), r - 1.0]))
+    flat, every = seen.ravel(), np.tile(r, count)
+    weights = np.ones(len(flat))
+    for _ in range(WEIGHINGS):
+        columns = np.column_stack([flat, 1j * every * flat, -own, -1j * own]) * weights[:, None]
+        right = flat * every**2 * weights
+        stacked, wanted = (np.concatenate([part.real, part.imag]) for part in (columns, right))
+        found = np.linalg.lstsq(stacked, wanted, rcond=None)[0]
+        weights = 1.0 / np.abs(found[0] + 1j * found[1] * every - every**2)
+    if found[0] <= 0.0 or found[1] <= 0.0:
+        return None
+    left = wanted - stacked @ found
+    variance = left @ left / (len(wanted) - len(found)) * np.linalg.inv(stacked.T @ stacked)[0, 0]
+    frequency = omega[peak] / TURN * np.sqrt(found[0])
+    error = 0.5 * frequency / found[0] * np.sqrt(variance)
+    return float(frequency), float(error), float(0.5 * found[1] / np.sqrt(found[0]))

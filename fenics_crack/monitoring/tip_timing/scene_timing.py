@@ -1,0 +1,369 @@
+"""Tip timing of a scene: the arrivals that its probes see, and the vibration sought in arrivals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.progress import begin
+from fenics_crack.basics.ranks import MPI, gather_rows
+from fenics_crack.basics.tables import RPM, TURN, speed_in_words
+from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.fem.build import with_crack_length
+from fenics_crack.fem.lips import SAME
+from fenics_crack.files.results import Result
+from fenics_crack.files.store import with_full_paths
+from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
+from fenics_crack.monitoring.tip_timing.fit_frequency import fit_frequency
+from fenics_crack.monitoring.tip_timing.fit_order import TipTrack, fit_order, track_order
+from fenics_crack.monitoring.tip_timing.harmonics import ORDERS, TipFit
+from fenics_crack.monitoring.tip_timing.passages import Follows, PassageFit, find_passages
+from fenics_crack.monitoring.tip_timing.simulate import run_up_points, tip_timing
+from fenics_crack.numerics.equations import ROUNDING
+from fenics_crack.scene.scene import LOOKED_AT, Scene
+from fenics_crack.scene.tables import Rotation, TipTiming
+from fenics_crack.scene.words import differences
+from fenics_crack.study.campbell import Campbell, campbell
+from fenics_crack.study.plausibility import FASTEST
+from fenics_crack.study.run import Run, load_run, solve
+
+DECIDED = (*LOOKED_AT, "reduction")
+"""Tables of a scene that may differ from those of a result: those that choose results, and those
+that a run decides itself."""
+DIAGRAM = 5, 10
+"""Speeds and modes of a Campbell diagram by which frequencies follow the speed of a record."""
+SHORTEST = 2
+"""Minimum points of a run-up."""
+FARTHEST = 0.1
+"""Maximum distance of a resonance from a mode, relative to its frequency."""
+NEARER = 0.5
+"""Minimum distance of a resonance from all other modes, over :data:`FARTHEST`."""
+ALONG = 0.999
+"""Minimum share of a circumferential motion that a displacement along a coordinate carries, to be
+taken for it: at 2.6 degrees, its error is a thousandth."""
+
+
+def arrivals_of(
+    scene: Scene, source: ArrivalTimes | Path | None, comm: MPI.Comm = MPI.COMM_WORLD
+) -> tuple[ArrivalTimes, Run[Result] | None]:
+    """Arrival times by the table ``[tip_timing]`` of a scene, and the vibration that they are
+    computed from; None of measured ones (collective).
+
+    Parameters
+    ----------
+    scene : Scene
+        With the table.
+    source : ArrivalTimes or path, optional
+        Measured ones; or a result of ``solve`` or ``curve``, whose own scene says how it turns. A
+        run-up ends where the curve becomes unstable (:func:`run_up_ends`).
+        Default: the steady vibration of the scene, which is solved.
+
+    Raises
+    ------
+    InputError
+        The scene has no such table, the source is something else, or as :func:`tip_timing`.
+    """
+    if isinstance(source, ArrivalTimes):
+        return source, None
+    table = scene.given("tip_timing")
+    run: Run[Result] = solve(scene, comm) if source is None else load_run(source, comm)
+    result = run.result
+    if not isinstance(result, PeriodicSolution | ResponseCurve):
+        raise InputError("source", str(source), "a solution, a curve, or a CSV file of arrivals")
+    if isinstance(result, PeriodicSolution) and not result.converged:
+        raise InputError("source", str(source or "the scene"), f"converged: {result.status}")
+    arrivals = tip_timing(
+        _stable_part(result) if isinstance(result, ResponseCurve) else result,
+        tip_direction(table, run),
+        probes=np.radians(table.probes),
+        tip_radius=table.tip_radius,
+        **_turning(table, run, source),
+        revolutions=table.revolutions,
+        noise=table.noise,
+        clock=table.clock,
+        seed=table.seed,
+    )
+    return arrivals, run
+
+
+def run_up_ends(scene: Scene, run: Run[Any]) -> str:
+    """Describe where along a run-up the curve becomes unstable; "" if it does not, and of other
+    results."""
+    curve = run.result
+    if not isinstance(curve, ResponseCurve):
+        return ""
+    points, lost = run_up_points(curve)
+    if lost is None:
+        return ""
+    speeds = curve.omega[[points[-1], lost]] / engine_order(scene.given("tip_timing"), run.scene)
+    last, at = (speed_in_words(speed, scene.in_rpm) for speed in speeds)
+    return f"the vibration is unstable at {at}: the run-up ends before, at {last}"
+
+
+def _stable_part(curve: ResponseCurve) -> ResponseCurve:
+    """Return the part of a curve before it becomes unstable; all where that is at once."""
+    points, lost = run_up_points(curve)
+    if lost is None or len(points) < SHORTEST:
+        return curve
+    return curve.part(points)
+
+
+def of_another_scene(scene: Scene, run: Run[Any]) -> str:
+    """By what a result's own scene differs from this one, in words; "" if it is the same
+    (collective)."""
+    both = with_crack_length(scene, run.structure.comm), run.scene
+    compared = [with_full_paths(one).replace(dict.fromkeys(DECIDED)) for one in both]
+    here, there = differences(compared)
+    words = f"the arrivals are those of a result with {there}; what is sought in them follows this "
+    return words + f"scene, which has {here}" if here else ""
+
+
+def remarks_on_arrivals(arrivals: ArrivalTimes) -> list[str]:
+    """Return remarks on measured arrivals with unusual values: numbers in another unit."""
+    found, speed = [], arrivals.mean_speed * arrivals.tip_radius
+    if speed > FASTEST:
+        text = f"the tip moves at {speed:.3g} m/s, where the fastest have 700: are the speed, or "
+        found.append(f"{text}times, and the tip's radius in the units of their headings?")
+    if len(arrivals.probes) > 1 and np.degrees(arrivals.probes[-1]) < TURN:
+        within = float(np.degrees(np.ptp(arrivals.probes)))
+        found.append(f"all probes are within {within:.3g} degrees: are angles in rad?")
+    return found
+
+
+def is_run_up(arrivals: ArrivalTimes, run: Run[Any] | None) -> bool:
+    """Return True if the speed changes from arrival to arrival: always if they are computed from a
+    curve, else by more than a constant speed varies."""
+    computed = run is not None and isinstance(run.result, ResponseCurve)
+    return computed or not arrivals.steady
+
+
+def vibration_in(
+    scene: Scene, arrivals: ArrivalTimes, run: Run[Any] | None = None
+) -> TipFit | TipTrack | tuple[PassageFit, ...]:
+    """Find the vibration that ``[tip_timing]`` requests in arrival times, measured or computed.
+
+    At constant speed the load's engine order, or one of those that are given, or a frequency; in a
+    run-up the load's order, or where that is not known, or orders are given, the resonances that
+    are passed.
+
+    Raises
+    ------
+    InputError
+        As :func:`fit_order`, :func:`fit_frequency`, :func:`track_order` and :func:`find_passages`;
+        or a frequency is requested in a run-up, orders in one that is computed, or more than first
+        harmonics, or revolutions together, where its resonances are sought.
+    """
+    table = scene.given("tip_timing")
+    order = table.order or scene.excitation.order
+    how: dict[str, Any] = {"harmonics": table.fitted_harmonics}
+    how["angle_deviation"] = np.radians(table.angle_deviation)
+    of_passages = ("stiffening",), "all but a measured run-up in which resonances are sought"
+    if is_run_up(arrivals, run):
+        why = "a run-up, in which an order is tracked, or the resonances are found that are passed"
+        table.leave_out(("frequencies",), why)
+        if order is None or (run is None and table.orders):
+            of_fits = "fitted_harmonics", "subharmonic", "fitted_revolutions"
+            table.leave_out(of_fits, "a run-up in which resonances are sought")
+            diagram = None if scene.rotation is None else _diagram(scene, arrivals)
+            return _passages(table, arrivals, diagram)
+        table.leave_out(*of_passages)
+        table.leave_out(("orders",), f"a computed run-up: order {order} is tracked")
+        how |= {"subharmonic": table.subharmonic, "revolutions": table.fitted_revolutions}
+        return track_order(arrivals, order, **how)
+    table.leave_out(*of_passages)
+    if table.frequencies is not None:
+        low, high = (2.0 * np.pi * end for end in table.frequencies)
+        return fit_frequency(arrivals, low, high, **how)
+    orders = table.orders or ([order] if order else ORDERS)
+    return fit_order(arrivals, orders, **how, subharmonic=table.subharmonic)
+
+
+def modes_passed(scene: Scene, arrivals: ArrivalTimes) -> list[tuple[PassageFit, int, str]]:
+    """The resonances that a record of a blade on a rotor passes, of which mode of the scene each is
+    (from 1), and why none of it is known, 0, in words (collective).
+
+    Raises
+    ------
+    InputError
+        As :func:`find_passages`; or the scene's load is no engine order of a table ``[rotation]``.
+    """
+    if scene.rotation is None or scene.excitation.order is None:
+        allowed = "those of a constant speed, unless the load is an excitation.order of [rotation]"
+        raise InputError("arrivals", repr(arrivals), allowed)
+    diagram = _diagram(scene, arrivals)
+    fits = _passages(scene.given("tip_timing"), arrivals, diagram)
+    return [(fit, *mode_of(fit, diagram)) for fit in fits]
+
+
+def passed_in_words(fit: PassageFit, mode: int, why: str) -> str:
+    """Describe the resonance of a mode and doubts about it, or why it is not used."""
+    hertz = f"{fit.omega / TURN:.6g} ± {fit.deviation / TURN:.2g} Hz"
+    where = f"{hertz}, engine order {fit.order:g} at {fit.speed / RPM:.6g} rpm"
+    doubts = ["another vibration is near it"] * fit.in_doubt
+    doubts += [f"its {fit.disagreement}"] * fit.disagree
+    doubt = "; ".join([why] * bool(why) + doubts)
+    return (f"mode {mode}: " if mode else "not used: ") + where + f" ({doubt})" * bool(doubt)
+
+
+def mode_of(fit: PassageFit, diagram: Campbell) -> tuple[int, str]:
+    """The mode of a resonance (from 1), or 0 and why it is not known."""
+    opened, tied = diagram.between(fit.speed)
+
+    def apart(omega: float) -> np.ndarray:
+        return np.maximum(np.maximum(opened - omega, omega - tied), 0.0) / omega
+
+    own = apart(fit.omega)
+    nearest = np.argsort(own)
+    ranges = [
+        f"mode {mode + 1} has {opened[mode] / TURN:.6g} to {tied[mode] / TURN:.6g} Hz there"
+        for mode in nearest[:2]
+    ]
+    if own[nearest[0]] > FARTHEST:
+        return 0, f"that of none of the blade's modes to {FARTHEST:.0%}; {ranges[0]}"
+    if len(own) > 1 and own[nearest[1]] < NEARER * FARTHEST:
+        return 0, "; ".join(ranges)
+    also = [f"{order:g}" for order in fit.ambiguous if min(apart(order * fit.speed)) <= FARTHEST]
+    if also:
+        why = "may be right, too: two probes test none" if fit.untested else "explains it as well"
+        return 0, f"order {', '.join(also)} {why}, and meets a mode there, too"
+    return int(nearest[0]) + 1, ""
+
+
+def _passages(
+    table: TipTiming, arrivals: ArrivalTimes, diagram: Campbell | None
+) -> tuple[PassageFit, ...]:
+    """Resonances that are passed, whose frequencies follow the speed as is given, or by a diagram,
+    or not."""
+    follows: float | Follows = table.stiffening or 0.0
+    if table.stiffening is None and diagram is not None:
+        follows = diagram.stiffening
+    return find_passages(arrivals, table.orders or ORDERS, stiffening=follows)
+
+
+def _diagram(scene: Scene, arrivals: ArrivalTimes) -> Campbell:
+    """Return the Campbell diagram of a scene over the speeds of a record (collective)."""
+    begin("Campbell diagram")
+    speeds = np.linspace(arrivals.speed.min(), arrivals.speed.max(), DIAGRAM[0])
+    return campbell(scene, speeds, few=DIAGRAM[1])
+
+
+def tip_direction(table: TipTiming, run: Run) -> dict[int, float]:
+    """The tip's displacement in the direction of rotation: shares of dofs (collective).
+
+    Raises
+    ------
+    InputError
+        The tip of a solid lies on the axis.
+    """
+    whole, rotation = run.structure.whole, _carrier(table, run.scene)
+    if rotation is None:
+        return {run.watched_dof: 1.0 if table.tangential is None else table.tangential}
+    dofs, points = (gather_rows(whole.comm, x) for x in (whole.nodes.dofs, whole.nodes.points))
+    node = int(np.argwhere(dofs == run.watched_dof)[0, 0])
+    along = _circumferential(rotation, points[node])
+    shares = zip(dofs[node].tolist(), along.tolist(), strict=True)
+    return {dof: share for dof, share in shares if dof >= 0 and share != 0.0}
+
+
+def tip_in_words(table: TipTiming, run: Run) -> str:
+    """Describe the displacement that the probes see as a sum of others (collective)."""
+    whole = run.structure.whole
+    shares = tip_direction(table, run).items()
+    parts = [f"{share:.4g} times the {whole.dof_name(dof)}" for dof, share in shares]
+    return f"the probes see {' and '.join(parts)}"
+
+
+def probed_displacement(scene: Scene) -> tuple[str, bool]:
+    """Return the displacement that measured arrivals show of a scene, without its mesh: its name
+    ("tip.ux"; "" for the one that is watched), and True if it is against the rotation.
+
+    Raises
+    ------
+    InputError
+        The tip of a solid is not given, lies on the axis, or moves along no coordinate.
+    """
+    table = scene.given("tip_timing")
+    rotation = _carrier(table, scene)
+    if rotation is None:
+        return [*scene.point_names, ""][0], (table.tangential or 1.0) < 0.0
+    if not scene.points:
+        raise InputError("output.points", None, "given with arrivals of a solid: its tip first")
+    tip = scene.points[0]
+    along = _circumferential(rotation, np.array(tip.values))
+    largest = int(np.abs(along).argmax())
+    if abs(along[largest]) < ALONG:
+        shares = ", ".join(f"{share:.3g}" for share in along)
+        allowed = f"given: the tip moves along ({shares}), which is none of x, y and z"
+        raise InputError("tip_timing.tangential", None, allowed)
+    return f"{tip.key}.u{'xyz'[largest]}", bool(along[largest] < 0.0)
+
+
+def _carrier(table: TipTiming, scene: Scene) -> Rotation | None:
+    """The rotation whose axis says which way a solid's tip passes the probes; None where that is
+    ``tip_timing.tangential`` of the watched displacement, given or 1."""
+    return scene.rotation if table.tangential is None and scene.dimension == 3 else None
+
+
+def _circumferential(rotation: Rotation, point: np.ndarray) -> np.ndarray:
+    """Direction in which a rotor carries a point: a x (x - x_0), of length 1: (3,).
+
+    Raises
+    ------
+    InputError
+        The point lies on the axis.
+    """
+    place, axis = rotation.place
+    along = np.cross(axis, point - place)
+    size = float(np.linalg.norm(along))
+    if size <= SAME * float(np.abs([point, place]).max()):
+        where = [float(x) for x in point]
+        raise InputError("output.points", where, "a tip first, off the axis of the rotation")
+    return np.where(np.abs(along) > ROUNDING * size, along / size, 0.0)
+
+
+def _turning(table: TipTiming, run: Run, source: Path | None) -> dict[str, Any]:
+    """The speed of rotation, or the engine order from which it follows.
+
+    Raises
+    ------
+    InputError
+        As :func:`engine_order`; or a curve is of one speed of a rotor, whose stiffness and mean
+        load are not those of a run-up.
+    """
+    of_result = "" if source is None else f" of {str(source)!r}"
+    if isinstance(run.result, ResponseCurve) and run.scene.speed > 0.0:
+        if run.result.parameter != "speed":
+            speed = speed_in_words(run.scene.speed, run.scene.in_rpm)
+            allowed = f"'rpm' or 'speed' for arrivals of a rotor, which is at {speed} all along it"
+            raise InputError("curve.parameter", run.scene.given("curve").parameter, allowed)
+    steady = run.scene.excitation.order is None and not isinstance(run.result, ResponseCurve)
+    if steady and run.scene.speed > 0.0:
+        table.leave_out(("order",), f"a rotor's speed, in [rotation]{of_result}")
+        return {"speed": run.scene.speed}
+    if source is not None and run.scene.excitation.order is None and table.order is None:
+        allowed = (
+            "a result whose own scene has [rotation] and excitation.order, which this one lacks; "
+            "or given with tip_timing.order, periods of the load in a revolution"
+        )
+        raise InputError("source", str(source), allowed)
+    return {"order": engine_order(table, run.scene, of_result)}
+
+
+def engine_order(table: TipTiming, scene: Scene, whose: str = "") -> int:
+    """Periods of the load in a revolution, by ``[excitation]`` of a scene, or of whose it is in
+    words, or ``[tip_timing]``.
+
+    Raises
+    ------
+    InputError
+        Neither or both of them have it.
+    """
+    if scene.excitation.order is not None:
+        table.leave_out(("order",), f"excitation.order{whose}")
+        return scene.excitation.order
+    found: int = table.given("order", "given without excitation.order: a whole number >= 1")
+    return found

@@ -1,0 +1,466 @@
+"""Modes that a rotor sweeps through: the transient under an engine order, and its fit to arrivals.
+
+A mode of natural frequency w_n and damping zeta under engine order p, on a rotor whose angle is
+alpha(t) and whose speed is W = alpha', moves the tip by
+
+    u = Re a(t) exp(i p alpha),     a' = (lambda - i p W) a + zeta w_n F,
+
+where lambda = w_n (i sqrt(1 - zeta^2) - zeta) is the mode's root, a the envelope and F the
+amplitude that it would have in a resonance that lasts. Where the speed changes by the resonance's
+width in less time than the decay takes, 1 / (zeta w_n), the largest amplitude comes later, is
+lower, and rings; a fit of steady vibrations then shifts the frequency, up in a run-up and down in a
+run-down. With the speed W_j constant from each arrival to the next, as the marks tell it,
+
+    a_k = exp(lambda t_k - i p alpha_k) (b + zeta w_n F sum_j<k D_j / (i p W_j - lambda)),
+
+D_j the change of exp(i p alpha - lambda t) from arrival j to j + 1 and b of the steady vibration
+where the passage begins.
+
+Where w_n itself follows the speed, as a blade's that rotation stiffens, with s = d ln w_n / d ln W
+where the order meets it, lambda - i p W is (1 - s) times that of a constant w_n whose damping is
+zeta / (1 - s): alpha and t in the exponents are, and zeta is (1 - s) times what is fitted.
+
+The displacement is linear in the F of each mode and in a constant and a slope over the speed for
+each probe, which are its place and the blade's drift. The envelope is the averaged one of Lewis
+(Transactions of the ASME 54, 1932, 253), who swept the first resonance.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from fenics_crack.basics.tables import TURN
+from fenics_crack.monitoring.tip_timing.arrival_times import (
+    FEWEST_REVOLUTIONS,
+    ArrivalTimes,
+    between,
+)
+from fenics_crack.monitoring.tip_timing.harmonics import rounding
+from fenics_crack.monitoring.tip_timing.robust import ROBUST_ROUNDS, ROBUST_SETTLED, reweighted
+
+WIDTH = 0.035
+"""Of the speed, on both sides of a resonance, that is fitted."""
+STRIDE = 2e-3, 0.5
+"""Longest steps of Gauss-Newton, relative."""
+DAMPED = 1e-5, WIDTH / 2.0
+"""Ends of the damping ratios; a wider resonance is not told from drift."""
+SETTLED = 1e-2
+"""Change of the weights, and of the residuals over their scale, below which a fit is final: some
+hundredths of its standard errors."""
+MARKS_AROUND = 4
+"""Marks on each side of a revolution that the spline of the rotor's angle is seen from."""
+TINY = np.finfo(float).tiny
+"""Least square of a column, which there is none of."""
+BLIND, DISTINCT = 0.5, 5.0
+"""Of the median vibration of all probes, less than this at one; and how much farther from it that
+is than at any other probe. A mode of another order within the same width may cancel at a probe: of
+200 such records with 4 to 8 probes one had a channel taken for blind, of 60 with 3 probes three."""
+
+Follows = Callable[[float, float], float]
+"""s of a speed and a natural frequency [rad/s], as ``Campbell.stiffening``."""
+
+
+class Run:
+    """A stretch of a record in which the speed is near a resonance: arrays (revolutions, probes).
+
+    Parameters
+    ----------
+    record : Record
+        The record.
+    values : (revolutions, probes) [m]
+        Its displacements, without what has been found in them.
+    begin, end : int
+        First revolution, and the one after the last.
+    """
+
+    def __init__(self, record: Record, values: np.ndarray, begin: int, end: int) -> None:
+        arrivals, rows = record.arrivals, slice(begin, end)
+        self.begin, self.end, self._stiffening = begin, end, record.stiffening
+        self.seen = np.isfinite(values[rows])
+        self.values = np.where(self.seen, values[rows], 0.0)
+        self.path, self.time = arrivals.nominal_angle[rows], arrivals.expected[rows]
+        self.angle = np.where(self.seen, arrivals.angle[rows], self.path)
+        self.speed, self.least = record.speed[rows], record.least
+        self.along = (self.speed - self.speed.mean()) / (self.speed.max() - self.speed.min())
+
+    @property
+    def probes(self) -> int:
+        """How many probes see it."""
+        return int(self.seen.any(axis=0).sum())
+
+    def waves(self, order: float, roots: np.ndarray) -> np.ndarray:
+        """a(t) exp(i p alpha) at the arrivals, of F = 1 and roots lambda (m,) that are equally far
+        apart: (m, R, P)."""
+        time, path, turning, turned = self._turned(order)
+        slower, roots = self._slower(order, roots), roots[:, None]
+        envelope = np.empty((len(roots), len(time)), dtype=complex)
+        envelope[:, :1] = 1.0 / (1j * turning[0] - roots)
+        push = 1.0 / (1j * turning - roots)
+        for part in self._parts(slower * roots.real.min()):
+            passed = slower * (time[part] - time[part.start])
+            grown = np.exp(1j * slower * (path[part] - path[part.start]) - roots[0] * passed)
+            growths = [grown]
+            if len(roots) > 1:
+                factor = np.exp((roots[0] - roots[1]) * passed)
+                growths += [grown := grown * factor for _ in roots[1:]]
+            growth = np.array(growths)
+            pushed = (growth[:, 1:] - growth[:, :-1]) * push[:, part.start : part.stop - 1]
+            np.cumsum(pushed, axis=1, out=pushed)
+            pushed += envelope[:, [part.start]]
+            envelope[:, part.start + 1 : part.stop] = pushed / growth[:, 1:]
+        envelope *= -roots.real * turned
+        return envelope.reshape(-1, *self.path.shape)
+
+    def sloped(self, order: float, root: complex, *, steady: bool = False) -> np.ndarray:
+        """a(t) exp(i p alpha) at the arrivals, of F = 1 and a root lambda, and zeta w_n times the
+        derivative of the rest of it by ln lambda: (2, R, P)."""
+        time, path, turning, turned = self._turned(order)
+        if steady:
+            speed = np.interp(time, 0.5 * (time[1:] + time[:-1]), turning)
+            envelope = 1.0 / (1j * speed - root)
+            found = np.stack([envelope, envelope**2])
+        else:
+            slower = self._slower(order, np.array([root]))
+            found, push = np.empty((2, len(time)), dtype=complex), 1.0 / (1j * turning - root)
+            found[0, 0], found[1, 0] = push[0], push[0] ** 2
+            for part in self._parts(slower * root.real):
+                passed = slower * (time[part] - time[part.start])
+                growth = np.exp(1j * slower * (path[part] - path[part.start]) - root * passed)
+                both, pushes = (
+                    np.stack([growth, -passed * growth]),
+                    push[part.start : part.stop - 1],
+                )
+                pushed = (both[:, 1:] - both[:, :-1]) * pushes
+                pushed[1] += pushed[0] * pushes
+                now = (found[:, [part.start]] + np.cumsum(pushed, axis=1)) / growth[1:]
+                now[1] += passed[1:] * now[0]
+                found[:, part.start + 1 : part.stop] = now
+        found *= -root.real * turned
+        found[1] *= root
+        return found.reshape(2, *self.path.shape)
+
+    def _turned(self, order: float) -> tuple[np.ndarray, ...]:
+        """Times and p alpha of a tip that does not vibrate, p W between them, and exp(i p alpha) of
+        the arrivals: (n,) or (n - 1,), n = R P."""
+        path, turned = order * self._path, np.exp(1j * order * self.angle.ravel())
+        return self._time, path, (path[1:] - path[:-1]) / self._steps, turned
+
+    @cached_property
+    def _time(self) -> np.ndarray:
+        return np.asarray((self.time - self.time[0, 0]).ravel())
+
+    @cached_property
+    def _steps(self) -> np.ndarray:
+        return np.diff(self._time)
+
+    @cached_property
+    def _path(self) -> np.ndarray:
+        return self.path.ravel()
+
+    def _slower(self, order: float, roots: np.ndarray) -> float:
+        """1 - s."""
+        omega = float(np.abs(roots).mean())
+        return 1.0 - self._stiffening(omega / order, omega)
+
+    def _parts(self, rate: float) -> list[slice]:
+        """Arrivals in parts, each of which begins with the last of the one before, over which exp
+        does not overflow as the decay [1/s] is undone."""
+        count = int(-rate * self._time[-1] // 300.0) + 1
+        edges = [len(self._steps) * part // count for part in range(count + 1)]
+        return [slice(begin, end + 1) for begin, end in itertools.pairwise(edges)]
+
+    def _drifts(self, root: np.ndarray) -> np.ndarray:
+        """A constant and a slope over the speed at each probe, times roots of weights (R, P), and
+        orthonormal: (2, R, P)."""
+        found = np.stack([root, root * self.along[:, None]])
+        first, second = found
+        first /= np.sqrt(np.maximum((first * first).sum(axis=0), TINY))
+        second -= first * (first * second).sum(axis=0)
+        second /= np.sqrt(np.maximum((second * second).sum(axis=0), TINY))
+        return found
+
+    def without_drifts(self, waves: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Waves (m, R, P) times the roots of weights (R, P), and without what a constant and a
+        slope over the speed explain of them at each probe."""
+        root = np.sqrt(weights)
+        found = root * waves
+        for column in self._drifts(root):
+            found -= column * (column * found).sum(axis=-2, keepdims=True)
+        return np.asarray(found)
+
+    def gains(self, orders: np.ndarray, roots: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """What the vibration of each order (n,) and root lambda (n, m), those of an order equally
+        far apart, with any F, takes off the sum of squares with weights (R, P): (n, m) [m^2]."""
+        root, weight, found = np.sqrt(weights), weights.ravel(), []
+        columns = root * self._drifts(root)
+        left = (root * self.without_drifts(self.values, weights)).ravel()
+        for order, every in zip(orders.tolist(), roots, strict=True):
+            waves = self.waves(order, every)
+            drifts = np.einsum("krp,mrp->mkp", columns, waves)
+            waves = waves.reshape(len(every), -1)
+            seen, both = waves @ left, waves**2 @ weight - (drifts**2).sum(axis=(1, 2))
+            size = (waves.real**2 + waves.imag**2) @ weight
+            size -= (drifts.real**2 + drifts.imag**2).sum(axis=(1, 2))
+            gain = size * np.abs(seen) ** 2 - (both.conj() * seen**2).real
+            found.append(2.0 * gain / (size**2 - np.abs(both) ** 2))
+        return np.array(found)
+
+
+@dataclass(frozen=True)
+class Record:
+    """Arrivals, and how natural frequencies follow the speed in them."""
+
+    arrivals: ArrivalTimes
+    stiffening: Follows
+
+    @cached_property
+    def speed(self) -> np.ndarray:
+        """Mean speed of each revolution [rad/s]."""
+        return self.arrivals.speed
+
+    @cached_property
+    def least(self) -> float:
+        """Displacement below which nothing is told [m]."""
+        return rounding(self.arrivals)
+
+    def run(self, values: np.ndarray, begin: int, end: int) -> Run:
+        """Revolutions of displacements (revolutions, probes)."""
+        return Run(self, values, begin, end)
+
+    def runs(self, values: np.ndarray, speed: float) -> list[Run]:
+        """Stretches in which the speed is near one, and on both sides of it."""
+        apart = self.speed / speed - 1.0
+        near = np.flatnonzero(np.abs(apart) < WIDTH)
+        found = []
+        for rows in np.split(near, np.flatnonzero(np.diff(near) > FEWEST_REVOLUTIONS) + 1):
+            if len(rows) >= FEWEST_REVOLUTIONS and apart[rows].min() < 0.0 < apart[rows].max():
+                run = self.run(values, int(rows[0]), int(rows[-1]) + 1)
+                # A probe that has dropped out leaves the others.
+                run.seen &= run.seen.sum(axis=0) >= FEWEST_REVOLUTIONS
+                found += [run] * bool(np.any(run.seen))
+        return found
+
+
+def pole(omega: np.ndarray, damping: float) -> np.ndarray:
+    """lambda [1/s] of natural frequencies [rad/s] and a ratio of damping."""
+    return omega * (1j * np.sqrt(1.0 - damping**2) - damping)
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A mode under an engine order: p, and lambda [1/s]."""
+
+    order: float
+    root: complex
+
+    @property
+    def omega(self) -> float:
+        """Natural frequency [rad/s]."""
+        return abs(self.root)
+
+    @property
+    def damping(self) -> float:
+        """Ratio of critical damping."""
+        return -self.root.real / abs(self.root)
+
+    @property
+    def speed(self) -> float:
+        """At which the order meets the frequency [rad/s]."""
+        return self.omega / self.order
+
+    def changes(self, wave: np.ndarray, by_root: np.ndarray) -> np.ndarray:
+        """Changes by ln w_n and ln zeta of zeta w_n times an analytic function of lambda, (n,), of
+        which zeta w_n times the change by ln lambda is (n,): (2, n)."""
+        return np.stack([wave + by_root, wave + self.root.real / self.root * by_root])
+
+    def moved(self, step: np.ndarray, ends: np.ndarray) -> Mode:
+        """The mode after a step of ln w_n and ln zeta, its frequency within ends [rad/s]."""
+        moves = [
+            min(max(one, -most), most) for one, most in zip(step.tolist(), STRIDE, strict=True)
+        ]
+        omega = min(max(self.omega * (1.0 + moves[0]), ends[0]), ends[1])
+        damping = min(max(self.damping * math.exp(moves[1]), DAMPED[0]), DAMPED[1])
+        return Mode(self.order, complex(pole(omega, damping)))
+
+
+class Fit:
+    """Gauss-Newton of frequencies, dampings and what is linear, by turns with weights.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Fitted together, with forces and drifts of their own.
+    modes : sequence of Mode
+        To begin from, one or two neighbours.
+    weights : sequence of (R, P)
+        Of the arrivals of each run, to begin with.
+    steady : bool
+        Whether the vibration is taken to be steady at each speed, with these weights.
+
+    Attributes
+    ----------
+    modes : tuple of Mode
+        Those of the fit.
+    forces : (modes, runs) complex [m]
+        F.
+    noise : Noise
+        What is left.
+    """
+
+    def __init__(
+        self,
+        runs: Sequence[Run],
+        modes: Sequence[Mode],
+        weights: Sequence[np.ndarray],
+        *,
+        steady: bool = False,
+    ) -> None:
+        self._runs, self._next, self._steady = runs, tuple(modes), steady
+        self._around = [mode.root.imag * np.array([1.0 - WIDTH, 1.0 + WIDTH]) for mode in modes]
+        pairs = zip(runs, weights, strict=True)
+        begin = np.concatenate([weight[run.seen] for run, weight in pairs])
+        unknowns = 2 * len(modes) + sum(2 * len(modes) + 2 * run.probes for run in runs)
+        if not steady:
+            self.noise = reweighted(self._solve, begin, unknowns, runs[0].least, SETTLED)
+            return
+        for _ in range(ROBUST_ROUNDS):
+            self._solve(begin)
+            changed = abs(self._next[0].root - self.modes[0].root)
+            if changed < ROBUST_SETTLED * abs(self.modes[0].root.real):
+                break
+
+    def _solve(self, weights: np.ndarray) -> np.ndarray:
+        """Residuals (n,) of the linear fit, after a step of frequencies and dampings."""
+        self.modes = self._next
+        count, first = 2 * len(self.modes), 0
+        columns = np.zeros((len(weights), count * (1 + len(self._runs))))
+        forces, total = [], np.empty(len(weights))
+        for place, (run, weight) in enumerate(
+            zip(self._runs, self._spread(weights), strict=True), 1
+        ):
+            given = [run.sloped(one.order, one.root, steady=self._steady) for one in self.modes]
+            waves = run.without_drifts(np.concatenate([run.values[None], *given]), weight)
+            values, *waves = waves[:, run.seen]
+            rows, values = slice(first, first := first + len(values)), values.real
+            parts = columns[rows, count * place : count * (place + 1)]
+            for wave, pair in zip(waves[::2], itertools.count(step=2)):
+                parts[:, pair], parts[:, pair + 1] = wave.real, -wave.imag
+            found = np.linalg.lstsq(parts.T @ parts, parts.T @ values, rcond=None)[0]
+            forces.append(found[0::2] + 1j * found[1::2])
+            total[rows] = values - parts @ found
+            changes = zip(self.modes, forces[-1], waves[::2], waves[1::2], strict=True)
+            columns[rows, :count] = np.concatenate(
+                [(force * mode.changes(*wave)).real for mode, force, *wave in changes]
+            ).T
+        self.forces, self._columns = np.array(forces).T, columns
+        square, seen = columns.T @ columns, columns.T @ total
+        sizes = np.sqrt(np.maximum(np.diag(square), TINY))
+        steps = np.linalg.lstsq(square / np.outer(sizes, sizes), seen / sizes, rcond=None)[0]
+        pairs = (steps / sizes)[:count].reshape(-1, 2)
+        self._next = tuple(
+            mode.moved(step, ends)
+            for mode, step, ends in zip(self.modes, pairs, self._around, strict=True)
+        )
+        return np.asarray(total / np.sqrt(weights))
+
+    def _spread(self, values: np.ndarray) -> list[np.ndarray]:
+        """Values (n,) of the arrivals in each run, 0 where there is none: (R, P)."""
+        counts = np.cumsum([int(run.seen.sum()) for run in self._runs])[:-1]
+        found = [np.zeros(run.path.shape) for run in self._runs]
+        for one, run, part in zip(found, self._runs, np.split(values, counts), strict=True):
+            one[run.seen] = part
+        return found
+
+    @property
+    def mode(self) -> Mode:
+        """The first mode, or the only one."""
+        return self.modes[0]
+
+    @property
+    def places(self) -> tuple[np.ndarray, np.ndarray]:
+        """Revolutions and probes of the arrivals: two (n,)."""
+        rows = [np.nonzero(run.seen) for run in self._runs]
+        turns = [run.begin + row for run, (row, _) in zip(self._runs, rows, strict=True)]
+        return np.concatenate(turns), np.concatenate([probe for _, probe in rows])
+
+    @cached_property
+    def errors(self) -> np.ndarray:
+        """Standard errors of frequency [rad/s] and damping of the first mode."""
+        columns = self._columns / np.sqrt(self.noise.weights)[:, None]
+        spread = self.noise.covariance(columns, self.places)
+        return np.sqrt(np.diag(spread)[:2]) * [self.mode.omega, self.mode.damping]
+
+    @cached_property
+    def amplitude(self) -> float:
+        """Largest amplitude of the first mode in the runs [m]."""
+        root, order = np.array([self.mode.root]), self.mode.order
+        pairs = zip(self.forces[0], self._runs, strict=True)
+        return float(max(np.abs(force * run.waves(order, root)).max() for force, run in pairs))
+
+    def motion(self, record: Record, revolutions: int, place: int = 0) -> np.ndarray:
+        """Displacements by one of the modes (revolutions, probes): that of each passage up to
+        halfway to the next."""
+        mode, found = self.modes[place], []
+        root = np.array([mode.root])
+        halfway = [(one.end + after.begin) // 2 for one, after in itertools.pairwise(self._runs)]
+        ends = itertools.pairwise([0, *halfway, revolutions])
+        nothing = np.zeros(record.arrivals.time.shape)
+        for (begin, end), force in zip(ends, self.forces[place], strict=True):
+            wave = record.run(nothing, begin, end).waves(mode.order, root)[0]
+            found.append((force * wave).real)
+        return np.concatenate(found)
+
+    @property
+    def whiteness(self) -> float:
+        """Probability that errors of arrivals and marks alone are left."""
+        turns = np.arange(-MARKS_AROUND, MARKS_AROUND + 2.0)
+        shares = between(turns, np.eye(len(turns)), self._runs[0].path[0] / TURN % 1.0).T
+        return self.noise.whiteness(self.places, shares)
+
+    @property
+    def weights(self) -> list[np.ndarray]:
+        """Of the arrivals of each run: (R, P)."""
+        return self._spread(self.noise.weights)
+
+    @property
+    def blind(self) -> np.ndarray:
+        """Probes (n,) that see none, or little, of what the others see alike: a channel whose
+        pulses are not those of the blade. Fitted is a vibration of any phase at each probe."""
+        root, count = np.array([self.mode.root]), self._runs[0].path.shape[1]
+        square, seen = np.zeros((count, 2, 2)), np.zeros((count, 2))
+        for run, force, weight in zip(self._runs, self.forces[0], self.weights, strict=True):
+            wave = force * run.waves(self.mode.order, root)[0]
+            given = np.stack([wave.real, -wave.imag, run.values])
+            *parts, values = run.without_drifts(given, weight).real
+            square = square + np.einsum("arp,brp->pab", parts, parts)
+            seen = seen + np.einsum("arp,rp->pa", parts, values)
+        there = square.any(axis=(1, 2))
+        found, size = np.linalg.solve(square[there], seen[there, :, None])[..., 0], np.ones(count)
+        size[there] = np.hypot(*found.T) / np.median(found[:, 0])
+        off, apart = size < BLIND, np.abs(size - 1.0)
+        if not 0 < np.count_nonzero(off) < np.count_nonzero(there & ~off):
+            return np.array([], dtype=int)
+        distinct = apart[off].min() > DISTINCT * apart[~off].max()
+        return np.flatnonzero(off & distinct)
+
+    @cached_property
+    def gain(self) -> float:
+        """Difference of -2 log likelihood from no vibration."""
+
+        def solve(weights: np.ndarray) -> np.ndarray:
+            parts = zip(self._runs, self._spread(weights), strict=True)
+            left = [run.without_drifts(run.values, weight)[run.seen] for run, weight in parts]
+            return np.asarray(np.concatenate(left) / np.sqrt(weights))
+
+        unknowns, weights = (
+            self.noise.unknowns - 2 * len(self.modes) * (1 + len(self._runs)),
+            self.noise.weights,
+        )
+        empty = reweighted(solve, weights, unknowns, self._runs[0].least, SETTLED)
+        return empty.cost - self.noise.cost

@@ -1,0 +1,957 @@
+"""Plausibility of a scene: key figures, and remarks on unusual values.
+
+The figures follow from one factor of K and few modes; nothing is solved. With the crack open, K^-1
+and the lowest modes give displacement and gap at a frequency w,
+
+    u(w) = K^-1 f + sum_j phi_j (phi_j^T f) [d_j(w) - 1 / w_j^2],
+    d_j(w) = 1 / (w_j^2 - w^2 + 2 i xi_j w_j w),
+
+and, by B instead of f, the compliance of the crack faces R(w) = B^T H(w) B. The mean load and the
+preload alone close some pairs, by a static contact problem. As long as these stay closed and the
+others open, the motion is linear, and the closed ones carry R(w)^-1 B^T u(w) beside their static
+force.
+
+Each rule for remarks is a function of the scene, or of the scene and its figures or structure, that
+yields them. A remark forbids nothing: it names a key, its value, and what is usual; most often a
+unit or a number is mistyped.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fenics_crack.basics.ranks import gather_rows
+from fenics_crack.basics.tables import RPM, TURN, percent, ranging
+from fenics_crack.fem.lips import SAME
+from fenics_crack.model.contact import solve_complementarity
+from fenics_crack.model.factor import Factor
+from fenics_crack.model.modes import (
+    BilinearFrequencies,
+    Modes,
+    check_damped_modes,
+    count_below,
+    modes_by,
+    partners,
+    solve_modes,
+    tied_modes,
+    times,
+)
+from fenics_crack.model.nodes import place_in_words
+from fenics_crack.model.reduced import ResidualFlexibility
+from fenics_crack.model.rotation import coriolis_shifts
+from fenics_crack.model.structure import ModalDamping, RayleighDamping, Structure
+from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.tables import FORCES, Curve, Rotation
+from fenics_crack.scene.words import faces_in_words
+from fenics_crack.study.prepare import Study, reduction_of
+
+N_MODES = 4
+"""Modes that are computed."""
+SMALL_MOTION = 0.1
+"""Displacement over the shortest side up to which displacements are small."""
+
+
+@dataclass(frozen=True)
+class KeyFigures:
+    """Key figures of a scene's structure, not reduced.
+
+    Attributes
+    ----------
+    size : (d,) [m]
+        Width, height and, of a solid, thickness of the mesh.
+    elements : int or None
+        Along each face of the crack that has the fewest; None without a crack.
+    omega_open, omega_tied : (at most 4,) [rad/s]
+        Lowest natural frequencies, crack open and crack bonded; these are infinite where there
+        are no more.
+    omega_breathing : float [rad/s]
+        First resonance of a crack that opens for one half of a motion and closes for the other: the
+        bilinear one of the first open mode.
+    damping : (at most 4,)
+        Ratios of critical damping of the open modes.
+    stiffening : float
+        S = d(w_1^2) / d(W^2) of the first open mode under rotation; 0 without.
+    own_stiffness : (n_pairs,) [N/m]
+        1 / (B^T K^-1 B)_jj: of the crack faces themselves, pair by pair.
+    stiffness_ratio : (n_pairs,) or None
+        Contact stiffness over the own stiffness; None without a law, or without a stiffness.
+    mean_opening, static_motion : float [m]
+        Largest opening of an open crack under the mean load, and the largest motion of their gaps
+        under the load's amplitude, both static.
+    displacement, gap_motion : float [m]
+        Largest amplitudes of what is watched, and of the gaps, with an open crack at the
+        frequencies that are requested.
+    closed : int
+        Pairs that are closed under the mean load and the preload alone.
+    breathes : bool
+        True if a pair that is then open closes, or one that is closed opens, at these frequencies.
+    modes_below : int
+        Natural frequencies below that of the highest harmonic.
+    modes_kept : int
+        After the reduction.
+    """
+
+    size: tuple[float, ...]
+    elements: int | None
+    omega_open: np.ndarray
+    omega_tied: np.ndarray
+    omega_breathing: float
+    damping: np.ndarray
+    stiffening: float
+    own_stiffness: np.ndarray
+    stiffness_ratio: np.ndarray | None
+    mean_opening: float
+    static_motion: float
+    displacement: float
+    gap_motion: float
+    closed: int
+    breathes: bool
+    modes_below: int
+    modes_kept: int
+
+    def meeting_speed(self, order: float, speed: float, omega: float | None = None) -> float:
+        """Rotor speed W [rad/s] at which an engine order n meets a natural frequency w of the first
+        mode, by default the breathing one,
+
+            (n W)^2 = w^2 + S (W^2 - W_0^2);
+
+        nan where it never does. Exact where w^2 is linear in W^2 with the slope of an open crack.
+
+        Parameters
+        ----------
+        order : float
+            n.
+        speed : float
+            W_0, of the structure [rad/s].
+        omega : float, optional
+            w at W_0 [rad/s].
+        """
+        square = (
+            self.omega_breathing if omega is None else omega
+        ) ** 2 - self.stiffening * speed**2
+        slope = order**2 - self.stiffening
+        return math.sqrt(square / slope) if square > 0.0 and slope > 0.0 else math.nan
+
+
+def find_key_figures(study: Study) -> KeyFigures:
+    """Compute the figures of a study; of a reduced one in its own coordinates, which hold static
+    responses exactly (collective)."""
+    scene, whole, law = study.scene, study.structure, study.contact
+    known = whole.known_modes(tied=False)
+    count = min(N_MODES, whole.n_dofs if known is None else len(known[0]))
+    with Factor(whole.stiffness, definite=True) as factor:
+        modes = modes_by(factor, whole, count) if known is None else solve_modes(whole, count)
+        static = _static(factor, modes, whole.force)
+        lips = whole.apply_bt(_static(factor, modes, whole.gap.T.toarray()))
+    ratios = damping_ratios(whole, modes.omega)
+    tied = tied_modes(whole, count) if whole.n_pairs else modes
+    breathing = BilinearFrequencies(modes.omega, tied.omega[partners(modes, tied)])
+    gaps, psi = whole.apply_bt(static), whole.apply_bt(modes.shapes.T)
+    loads = whole.sum_over_ranks(modes.shapes.T @ whole.force.T)
+    resting = gaps[0] - whole.clearance  # of an open crack
+    pressed = solve_complementarity(lips, resting) if whole.n_pairs else np.zeros(0)
+    closed = pressed > 0.0
+    watched = [one.dof for one in study.watched]
+    largest, moved, breathes = 0.0, 0.0, False
+    for omega in _omegas(scene, np.concatenate([modes.omega, tied.omega])):
+        change = _dynamic_part(modes.omega, ratios, omega)
+        load = change * (loads[:, 1] - 1j * loads[:, 2])
+        motion = static[1] - 1j * static[2] + load @ modes.shapes.T
+        seen = whole.values_at(np.stack([motion.real, motion.imag]), watched)
+        largest = max(largest, float(np.hypot(*seen).max(initial=0.0)))
+        if not whole.n_pairs:
+            continue
+        gap = gaps[1] - 1j * gaps[2] + load @ psi
+        moved = max(moved, float(np.abs(gap).max()))
+        compliance = lips + (psi.T * change) @ psi
+        force = np.zeros(whole.n_pairs, dtype=complex)
+        force[closed] = np.linalg.lstsq(
+            compliance[np.ix_(closed, closed)], gap[closed], rcond=None
+        )[0]
+        opened = resting - lips @ pressed + np.abs(gap - compliance @ force) >= 0.0
+        breathes = breathes or bool(np.any(np.where(closed, pressed <= np.abs(force), opened)))
+    own = 1.0 / np.maximum(np.diagonal(lips), 1e-300)
+    stiffness = None if law is None or not np.all(np.isfinite(law.stiffness)) else law.stiffness
+    kept = reduction_of(scene, whole)
+    crack = whole.n_pairs > 0
+    return KeyFigures(
+        size=extents(whole.whole),
+        elements=_elements(scene, whole),
+        omega_open=modes.omega,
+        omega_tied=tied.omega,
+        omega_breathing=float(breathing.omega_bilinear[0]),
+        damping=ratios,
+        stiffening=_stiffening(whole, modes.shapes[:, 0]),
+        own_stiffness=own,
+        stiffness_ratio=None if stiffness is None else stiffness / own,
+        mean_opening=float(np.max(-resting, initial=0.0)) + 0.0,
+        static_motion=float(np.abs(gaps[1] - 1j * gaps[2]).max(initial=0.0)),
+        displacement=largest,
+        gap_motion=moved,
+        closed=int(closed.sum()),
+        breathes=breathes,
+        modes_below=count_below(whole, highest_omega(scene) ** 2) if crack else 0,
+        modes_kept=whole.n_dofs if kept is None else kept.modes,
+    )
+
+
+def _static(factor: Factor, modes: Modes, forces: np.ndarray) -> np.ndarray:
+    """Static responses to forces (m, n_local); of a structure that can move as a
+    rigid body the deformation alone, as it accelerates."""
+    whole, free = modes.structure, modes.shapes[:, modes.omega == 0.0]
+    left = ResidualFlexibility(whole, free, np.zeros(free.shape[1]), whole.gap)
+    return left.solve(factor, forces) if free.size else factor.solve(forces)
+
+
+def _stiffening(whole: Structure, shape: np.ndarray) -> float:
+    """d(w^2) / d(W^2) = phi^T (K_1 + K_2 + 2 W^2 K_3) phi of a mass-normalised mode (n_local,)."""
+    rotation = whole.rotation
+    if rotation is None:
+        return 0.0
+    second, third = rotation.displaced
+    parts = (rotation.stiffness, 1.0), (second, 1.0), (third, 2.0 * rotation.speed**2)
+    slope = sum(factor * times(matrix, shape[:, None])[:, 0] for matrix, factor in parts)
+    return float(whole.sum_over_ranks(shape @ slope))
+
+
+def _elements(scene: Scene, whole: Structure) -> int | None:
+    """Elements along the crack that has the fewest: its pairs by the order of the displacement,
+    rounded up, for tips are no pairs."""
+    if not whole.n_pairs:
+        return None
+    cracks = whole.pairs.cracks
+    fewest = whole.n_pairs if cracks is None else int(np.bincount(cracks).min())
+    return math.ceil(fewest / (1 if scene.mesh is None else scene.mesh.order))
+
+
+def extents(whole: Structure) -> tuple[float, ...]:
+    """Extents of the mesh of a whole structure [m] (collective)."""
+    if whole.nodes is None:
+        return np.nan, np.nan
+    return tuple(np.ptp(gather_rows(whole.comm, whole.nodes.points), axis=0).tolist())
+
+
+def damping_ratios(whole: Structure, omega: np.ndarray) -> np.ndarray:
+    """Ratios of critical damping of the lowest modes, by their frequencies (n,) [rad/s]."""
+    rule = whole.damping
+    if isinstance(rule, RayleighDamping):
+        twice = 2.0 * omega
+        return np.divide(rule.rate(omega**2), twice, out=np.zeros_like(omega), where=omega > 0.0)
+    found = np.zeros(len(omega))
+    if isinstance(rule, ModalDamping):
+        damped = min(check_damped_modes(whole), len(omega))
+        ratio = np.asarray(rule.ratio)
+        found[:damped] = ratio if ratio.ndim == 0 else ratio[:damped]
+    return found
+
+
+def _dynamic_part(natural: np.ndarray, ratios: np.ndarray, omega: float) -> np.ndarray:
+    """d_j(w) - 1 / w_j^2 of the modes; d_j(w) of rigid-body ones, which no static part holds."""
+    squares = natural**2
+    below = squares - omega**2 + 2j * ratios * natural * omega
+    static = np.divide(1.0, squares, out=np.zeros_like(squares), where=squares > 0.0)
+    return 1.0 / np.where(below == 0.0, 1e-12 * squares, below) - static
+
+
+# --- the frequencies that a scene requests --------------------------------------------------------
+
+
+def _omegas(scene: Scene, natural: np.ndarray) -> list[float]:
+    """Return the frequencies to compute at: ends of the requested ranges, resonances between."""
+    found = {scene.excitation.omega}
+    for low, high in (span_of(scene, "curve"), span_of(scene, "sweep")):
+        found |= {low, high, *(float(omega) for omega in natural if low <= omega <= high)}
+    return sorted(found)
+
+
+def span_of(scene: Scene, command: str) -> tuple[float, float]:
+    """Lowest and highest load frequency [rad/s] of "solve", "curve" or "sweep"."""
+    omegas = [scene.excitation.omega]
+    curve = scene.curve if command == "curve" else None
+    if curve is not None and curve.followed[0] == "omega":
+        omegas = [*curve.followed[1:]]
+    elif curve is not None and curve.followed[0] == "speed":
+        omegas = [(scene.excitation.order or 1) * speed for speed in curve.followed[1:]]
+    if command == "sweep":
+        omegas = [*scene.swept_omegas]
+    return min(omegas), max(omegas)
+
+
+def highest_omega(scene: Scene, command: str = "") -> float:
+    """H w: the highest frequency [rad/s] of the harmonics in "solve", "curve" or "sweep", by
+    default in any of them."""
+    if not command:
+        return max(highest_omega(scene, one) for one in ("solve", "curve", "sweep"))
+    harmonics = [scene.harmonic_balance.harmonics]
+    if command == "sweep":
+        harmonics = [*scene.swept.get("harmonic_balance.harmonics", harmonics)]
+    return span_of(scene, command)[1] * max(harmonics)
+
+
+# --- resonances and curves ------------------------------------------------------------------------
+
+WIDTHS = 3.0
+"""Half-power bandwidths from a resonance to the end of a curve: there the response is a sixth of
+the peak."""
+CURVE_UNITS = {"omega": (1.0, "rad/s"), "frequency": (TURN, "Hz"), "speed": (1.0, "rad/s"),
+               "rpm": (RPM, "rpm")}  # fmt: skip
+"""Factor to [rad/s] of a curve's parameter, and its unit."""
+
+
+def proposed_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
+    """Return a curve through the first resonance of the breathing crack; None where the scene's
+    holds one, or follows another parameter, or nothing is damped.
+
+    From below the resonance of the open crack to above that of the bonded one: a clearance, a mean
+    load or a rotor moves it between them. Ends are rounded outwards to three digits.
+    """
+    load, curve = scene.excitation, scene.curve
+    parameter = "rpm" if scene.in_rpm else "speed"
+    if load.order is None:
+        parameter = "frequency" if scene.in_hertz else "omega"
+    if curve is not None:
+        parameter = curve.parameter
+        held = _holds_resonance(scene, figures, *curve.followed, of_first=True)
+        if parameter not in CURVE_UNITS or held:
+            return None
+    opened, breathing = float(figures.omega_open[0]), figures.omega_breathing
+    beyond = 1.0 + WIDTHS * 2.0 * float(figures.damping[0])
+    if not (opened > 0.0 and breathing < 2.0 * opened and beyond > 1.0):
+        return None
+    bonded = 1.0 / (2.0 / breathing - 1.0 / opened)  # of the same mode
+    meets, unit = _meeting(scene, figures, parameter), CURVE_UNITS[parameter][0]
+    start, stop = (meets(omega, 1.0) / unit for omega in (opened / beyond, bonded * beyond))
+    if not 0.0 < start < stop < math.inf:
+        return None
+    return Curve(_rounded(start, math.floor), _rounded(stop, math.ceil), parameter)
+
+
+def _rounded(value: float, towards: Callable[[float], int]) -> float:
+    """To three digits."""
+    digits = 10.0 ** (2 - math.floor(math.log10(value)))
+    return towards(value * digits) / digits
+
+
+def _meeting(scene: Scene, figures: KeyFigures, parameter: str) -> Callable[[float, float], float]:
+    """Parameter of a curve [rad/s] at which a harmonic of the load meets a natural frequency."""
+    order = scene.excitation.order
+    if parameter in ("speed", "rpm") and order is not None:
+        return lambda omega, harmonic: figures.meeting_speed(harmonic * order, scene.speed, omega)
+    return lambda omega, harmonic: omega / harmonic
+
+
+def _holds_resonance(
+    scene: Scene,
+    figures: KeyFigures,
+    parameter: str,
+    start: float,
+    stop: float,
+    *,
+    of_first: bool = False,
+) -> bool:
+    """True if a range of load frequencies, or rotor speeds [rad/s], may hold a resonance: that of
+    the first mode with the load itself, or of any, also of a harmonic, or of one of half the
+    frequency. Modes are between open and bonded crack, but the
+    first at its breathing frequency where all forces and gaps are proportional to the load."""
+    low, high = sorted((start, stop))
+    meets = _meeting(scene, figures, parameter)
+    breathing = figures.omega_breathing, figures.omega_breathing
+    known = is_proportional(scene) and figures.closed == 0 and figures.mean_opening == 0.0
+    for mode, ends in enumerate(zip(figures.omega_open, figures.omega_tied, strict=False)):
+        for order in (1.0,) if of_first else (0.5, 1.0, 2.0, 3.0):
+            between = breathing if known and mode == 0 and order == 1.0 else ends
+            at_open, at_bonded = (meets(float(omega), order) for omega in between)
+            if low <= at_bonded and high >= at_open:
+                return True
+        if of_first:
+            return False
+    return high >= meets(float(figures.omega_tied[-1]), 1.0)
+
+
+# --- remarks --------------------------------------------------------------------------------------
+
+Remarks = Iterator["Remark"]
+
+YOUNG, DENSITY = (1e7, 1.5e12), (50.0, 25000.0)
+"""Plausible Young's modulus [Pa], from rubber to diamond, and density [kg/m^3], from foam to
+tungsten and osmium."""
+RATE = (1e-20, 1e-9)
+"""Plausible Paris C [m/cycle at 1 MPa m^0.5]: metals have 1e-13 to 1e-10, smaller for larger m."""
+LARGEST_SIDE = 20.0
+"""Maximum plausible side of a plate [m]."""
+MOST_DAMPING = 0.05
+"""Ratio of critical damping that structures hardly exceed; metals have 0.0001 to 0.01."""
+FASTEST = 1000.0
+"""Maximum plausible speed of a blade tip [m/s]; the longest blades have 700."""
+MOST_CORIOLIS = 0.01
+"""Relative change of a natural frequency by the Coriolis force above which there is a remark: the
+errors of usual meshes are as large."""
+AT_CLAMP = 0.01
+"""Distance of clamped nodes from y = 0 that is remarked, relative to the size of the mesh: radii
+are then wrong by that of a blade's length."""
+LEAST_FREQUENCY = 0.02
+"""Load frequency, relative to the first natural one, below which a scene is one of statics."""
+LARGEST_OF_MESH = 0.05
+"""Relative error of an amplitude due to the mesh above which there is a remark."""
+MEANT_FOR = 0.1
+"""Relative distance within which a load frequency is assumed to be meant for a natural one."""
+MM = {"mm": 1e-3}
+"""Millimetres in metres."""
+MANY_MODES = 2000
+"""Modes of a whole structure that take minutes."""
+SOFTEST = 1e-3
+"""Contact stiffness per area over that of a crack's faces, E / length, of which a deep crack has
+1/200 at its mouth."""
+AS_SOFT, AS_RIGID = 1.0, 1e6
+"""Contact stiffness over that of the crack faces: as soft as these, and indistinguishable from
+rigid."""
+
+
+@dataclass(frozen=True)
+class Remark:
+    """Something unusual: ``key = value: what is usual``."""
+
+    key: str
+    value: object
+    text: str
+
+    def __str__(self) -> str:
+        value = f"{self.value:g}" if isinstance(self.value, float) else str(self.value)
+        return f"{self.key} = {value}: {self.text}"
+
+
+def remarks_on_scene(scene: Scene) -> list[Remark]:
+    """Return the remarks on the scene alone, without any computation."""
+    of_plates = (
+        _material, _plate, _faces, _rotor, _damping, _load, _settling, _proportional, _growth,
+    )  # fmt: skip
+    of_matrices = () if scene.damping is None else (_damping, _settling)
+    chosen = of_plates if scene.structure is None else of_matrices
+    return [remark for rule in (*chosen, _probes) for remark in rule(scene)]
+
+
+def remarks_on_structure(scene: Scene, structure: Structure) -> list[Remark]:
+    """Return the remarks on the scene's structure, before it is reduced (collective)."""
+    rules = _between_nodes, _outermost, remarks_on_rotor, _bouncing
+    return [remark for rule in rules for remark in rule(scene, structure)]
+
+
+def remarks_on(scene: Scene, figures: KeyFigures) -> list[Remark]:
+    """Return the remarks on the scene and its key figures."""
+    rules = (_frequency, _curve, _response, _lips, _contact, _closing, _resolution, _modes)
+    of_matrices = (_frequency, _curve, _contact, _modes)
+    chosen = rules if scene.structure is None else of_matrices
+    own = [*remarks_on_scene(scene), *_size(scene, figures)]
+    firsts = "material.", "geometry.", "rotation.", "mesh.file", "structure.model"
+    if any(remark.key.startswith(firsts) for remark in own):
+        return own  # all else may follow from these
+    keys = {remark.key for remark in own}
+    found = [remark for rule in chosen for remark in rule(scene, figures)]
+    return own + [remark for remark in found if remark.key not in keys]
+
+
+def remarks_on_mesh(scene: Scene, figures: KeyFigures, errors: np.ndarray) -> Remarks:
+    """Yield a remark if the mesh changes the amplitude at the load's frequency w by more than is
+    usual, by its part in the errors of the bilinear frequencies w_j (m,), relative to them.
+
+    Of the nearest mode |1 - x^2 + 2 i xi x| changes with x = w / w_j; where the crack breathes, and
+    2 w meets a resonance, with x = 2 w / w_j."""
+    natural = 2.0 / (1.0 / figures.omega_open + 1.0 / figures.omega_tied)[: len(errors)]
+    omega, change, moved = scene.excitation.omega, 0.0, 0.0
+    for order in (1, 2) if figures.breathes else (1,):
+        mode = int(np.abs(order * omega / natural - 1.0).argmin())
+        x, error, ratio = order * omega / natural[mode], errors[mode], figures.damping[mode]
+        if order == 1 or abs(x - 1.0) <= ratio + error:
+            shifted = x * (1.0 + error * np.array([0.0, 1.0, -1.0]))
+            size = 1.0 / np.abs(1.0 - shifted**2 + 2j * ratio * shifted)
+            largest = float(np.abs(size / size[0] - 1.0).max())
+            change, moved = max((change, moved), (largest, error))
+    if change > LARGEST_OF_MESH:
+        key = {"grid": "columns", "file": "file"}.get(scene.mesh.layout, "size")
+        text = (
+            f"the mesh moves the resonance by about {percent(moved)}, which changes the amplitude "
+            f"at {omega / TURN:.4g} Hz by about {percent(change)}; smaller elements reduce it"
+        )
+        yield Remark(f"mesh.{key}", getattr(scene.mesh, key), text)
+
+
+# --- of the scene alone ---------------------------------------------------------------------------
+
+
+def _unless_usual(
+    key: str, value: float, usual: tuple[float, float], text: str, units: Mapping[str, float] = MM
+) -> Remarks:
+    """A remark on a value that is not a usual one; and the first unit in which it would be, by the
+    factor to that of the key."""
+    if usual[0] <= value <= usual[1]:
+        return
+    for unit, factor in units.items():
+        if usual[0] <= factor * value <= usual[1]:
+            text += f"; in {unit}? then {factor * value:g}"
+            break
+    yield Remark(key, value, text)
+
+
+def _material(scene: Scene) -> Remarks:
+    young, poisson, density = vars(scene.material).values()
+    text = "in Pa, steel has 2.1e11, and most solids from 1e7 to 1.5e12"
+    yield from _unless_usual("material.young", young, YOUNG, text, {"GPa": 1e9, "MPa": 1e6})
+    text = "in kg/m^3, steel has 7850, and most solids from 50 to 25000"
+    units = {"g/cm^3": 1e3, "t/mm^3": 1e12, "kg/mm^3": 1e9}
+    yield from _unless_usual("material.density", density, DENSITY, text, units)
+    text = "most solids have 0 to 0.49, steel 0.3"
+    yield from _unless_usual("material.poisson", poisson, (0.0, 0.49), text, {})
+
+
+def _plate(scene: Scene) -> Remarks:
+    geometry, kind = scene.geometry, scene.geometry.kind
+    sides = {"width": geometry.width, "height": geometry.height}
+    given = [(side, name) for name, side in sides.items() if side is not None]
+    for side, name in sorted(given)[-1:]:
+        largest = (0.0, LARGEST_SIDE)
+        yield from _unless_usual(f"geometry.{name}", side, largest, f"a {kind} of {side:g} m")
+    shortest = min((side for side, _ in given), default=np.inf)
+    thickness = geometry.thickness
+    customary = thickness == 1.0 and kind == "plate"  # in plane problems
+    if not (thickness is None or customary):
+        usual = 0.0, min(shortest, LARGEST_SIDE)
+        text = f"thicker than the {kind} is wide or high"
+        yield from _unless_usual("geometry.thickness", thickness or 0.0, usual, text)
+    for name, crack in scene.all_cracks.items():
+        for key, along in (("length", "width"), ("depth", "thickness")):
+            own, whole = getattr(crack, key), getattr(geometry, along)
+            share = (own or np.nan) / (whole or np.nan)
+            if share < 0.01 or share > 0.9:
+                text = f"{share:.3g} of the {kind}'s {along}; 0.01 to 0.9 are usual"
+                yield Remark(f"{name}.{key}", own, text)
+    size = scene.mesh.size
+    if size is not None:
+        text = f"longer than half the {kind}'s shorter side, {shortest:g} m"
+        units = MM if size > shortest else {}
+        yield from _unless_usual("mesh.size", size, (0.0, shortest / 2.0), text, units)
+
+
+def _faces(scene: Scene) -> Remarks:
+    """Gaps that no small motion closes, contact that is softer than any crack faces, and contact of
+    nothing."""
+    cracks, contact, geometry = scene.all_cracks, scene.contact, scene.geometry
+    if contact is not None and not cracks and scene.mesh.layout != "file":
+        text = "there is no [crack], so nothing touches and the response is linear"
+        yield Remark("contact.law", contact.law, text)
+    sides = [side for side in (geometry.width, geometry.height) if side is not None]
+    for name, crack in cracks.items():
+        largest = SMALL_MOTION * min(sides, default=np.inf)
+        text = f"more than {SMALL_MOTION:g} of the shorter side, beyond small displacements"
+        yield from _unless_usual(f"{name}.clearance", crack.clearance, (-largest, largest), text)
+    lengths = [crack.length for crack in cracks.values() if crack.length is not None]
+    area = None if contact is None else contact.stiffness_per_area
+    if area is not None and lengths:
+        ratio = area * max(lengths) / scene.material.young
+        if ratio < SOFTEST:
+            text = (
+                f"{ratio:.2g} of young / crack.length, softer than the crack faces: they "
+                "pass through each other"
+            )
+            yield Remark("contact.stiffness_per_area", area, text)
+
+
+def _rotor(scene: Scene) -> Remarks:
+    table = scene.rotation
+    if table is None or table.hub_radius is None:
+        return
+    hub = table.hub_radius
+    usual = 0.0, LARGEST_SIDE
+    yield from _unless_usual("rotation.hub_radius", hub, usual, f"a hub of {hub:g} m")
+    if hub <= LARGEST_SIDE and scene.geometry.height is not None:
+        yield from _tip_speed(scene, table, hub + scene.geometry.height)
+
+
+def _tip_speed(scene: Scene, table: Rotation, radius: float) -> Remarks:
+    """Yield remarks on the speed ``radius`` away from a rotor's axis, also along a run-up."""
+    given = [(*_speed_given(table), table.speed, "rotation.rpm")]
+    if scene.curve is not None and scene.curve.followed[0] == "speed":
+        ends = zip(("curve.start", "curve.stop"), scene.curve.followed[1:], strict=True)
+        key, speed = max(ends, key=lambda end: end[1])
+        value = speed / RPM if scene.curve.parameter == "rpm" else speed
+        given.append((key, value, speed, "curve.parameter = 'rpm'"))
+    for key, value, speed, instead in given:
+        if speed * radius > FASTEST:
+            text = f"the tip moves at {speed * radius:.3g} m/s, where the fastest have 700"
+            if value == speed and RPM * speed * radius <= FASTEST:
+                text += f"; in revolutions per minute? then use {instead}"
+            yield Remark(key, value, text)
+
+
+def _speed_given(table: Rotation) -> tuple[str, float]:
+    """A rotor's speed by the key by which it is given, and its value."""
+    return ("rotation.speed", table.speed) if table.rpm is None else ("rotation.rpm", table.rpm)
+
+
+def _probes(scene: Scene) -> Remarks:
+    table, rotation = scene.tip_timing, scene.rotation
+    if table is None:
+        return
+    if len(table.probes) > 1 and table.probes[-1] < TURN:
+        text = f"all of them within {np.ptp(table.probes):.3g} degrees; in rad?"
+        yield Remark("tip_timing.probes", list(table.probes), text)
+    height = None if scene.structure else scene.geometry.height
+    usual, text = (0.0, LARGEST_SIDE), "farther from the axis than a blade's tip"
+    if rotation is not None and rotation.hub_radius is not None and height is not None:
+        hub = rotation.hub_radius
+        usual = hub, hub + 2.0 * height
+        text = f"the {scene.geometry.kind} is {hub:g} to {hub + height:g} m from the axis"
+    yield from _unless_usual("tip_timing.tip_radius", table.tip_radius, usual, text)
+
+
+def _damping(scene: Scene) -> Remarks:
+    for key in ("ratio", "ratios"):
+        given = getattr(scene.damping, key)
+        largest = 0.0 if given is None else float(np.max(given))
+        if largest > MOST_DAMPING:
+            text = (
+                f"{100.0 * largest:g} % of critical damping, where metals have 0.01 to 1 %; "
+                f"in per cent? then {largest / 100.0:g}"
+            )
+            yield Remark(f"damping.{key}", largest if given == largest else given, text)
+
+
+def _growth(scene: Scene) -> Remarks:
+    if (law := scene.growth) is None:
+        return
+    text = "in m in a cycle at 1 MPa m^0.5, steels have 5e-12 to 1.4e-10"
+    units = {"mm in a cycle": 1e-3, "m at 1 Pa m^0.5": 1e6**law.exponent}
+    yield from _unless_usual("growth.rate", law.rate, RATE, text, units)
+
+
+def _load(scene: Scene) -> Remarks:
+    load = scene.excitation
+    if scene.has_other_loads:
+        return
+    if not np.any([load.force_sin, load.force_cos, load.force_mean]):
+        text = "no force at all: excitation.force_sin, force_cos and force_mean are zero"
+        yield Remark("excitation.force_sin", list(load.force_sin), text)
+
+
+def _settling(scene: Scene) -> Remarks:
+    """From rest a motion settles like exp(-xi w t)."""
+    table, ratio = scene.integration, scene.damping.ratio
+    least = 0.0 if ratio is None else float(np.min(ratio))
+    if table is None or table.free or not least > 0.0 or table.settle >= 1.0:
+        return
+    needed = -np.log(table.settle) / (TURN * least)
+    if table.periods < 0.5 * needed:
+        text = f"with a damping of {least:g} near resonance a motion from rest settles"
+        yield Remark("integration.periods", table.periods, f"{text} in about {needed:.0f}")
+
+
+def is_proportional(scene: Scene) -> bool:
+    """Return True if the response is proportional to the load: no clearance, smoothing, rotation.
+
+    Where forces and gaps are multiplied by a positive number, the equations of crack faces that
+    touch or not, at g = 0, are multiplied by it as a whole. The centrifugal load stays what it is.
+    """
+    if scene.speed > 0.0:
+        return False
+    rounded = scene.contact is not None and scene.contact.law == "smoothed"
+    if scene.structure is not None:
+        return not rounded and scene.structure.clearance == 0.0
+    return not rounded and all(c.clearance == 0.0 for c in scene.all_cracks.values())
+
+
+def _proportional(scene: Scene) -> Remarks:
+    text = (
+        "without a clearance or preload (crack.clearance) the response is proportional to the load"
+    )
+    if scene.curve is not None and scene.curve.parameter == "load" and is_proportional(scene):
+        yield Remark("curve.parameter", "load", f"{text}: such a curve is a straight line")
+    swept = scene.swept
+    loads = [name for name in FORCES if f"excitation.{name}" in swept]
+    others = [name for name in FORCES if np.any(getattr(scene.excitation, name))]
+    if (
+        any(key.endswith(".clearance") for key in swept)
+        or not is_proportional(scene)
+        or scene.has_other_loads
+        or {*loads, *others} != {*loads}
+    ):
+        return
+    if len(loads) == 1 and _of_one_direction(swept[f"excitation.{loads[0]}"]):
+        yield Remark(
+            "sweep.over", f"excitation.{loads[0]}", f"{text}: its size changes nothing else"
+        )
+
+
+def _of_one_direction(vectors: Sequence[Any]) -> bool:
+    """Return True if vectors are positive multiples of one of them."""
+    given = np.array(vectors, dtype=float)
+    sizes = np.linalg.norm(given, axis=1, keepdims=True)
+    return bool(np.allclose(given / np.where(sizes > 0.0, sizes, 1.0), given[-1] / sizes[-1]))
+
+
+# --- of the structure ---------------------------------------------------------------------------
+
+
+def _between_nodes(scene: Scene, structure: Structure) -> Remarks:
+    """A load that acts far from all nodes, for its elements; of a model from elsewhere at all."""
+    if structure.nodes is None:
+        return
+    nodes, comm = structure.nodes, structure.comm
+    points, cells = gather_rows(comm, nodes.points), gather_rows(comm, nodes.cells)
+    given = {f"loads.{number}": load.point for number, load in enumerate(scene.loads, 1)}
+    for name, point in {"excitation": scene.excitation.point, **given}.items():
+        if point is None:
+            continue
+        distance = np.linalg.norm(points - point, axis=1)
+        nearest = int(np.argmin(distance))
+        place = place_in_words(points[nearest])
+        if scene.structure is not None:
+            near = SAME * np.ptp(points, axis=0).max()
+            text = f"no node is there: the force acts on the nearest one, at {place}"
+        else:
+            corners = points[cells[np.any(cells == nearest, axis=1)]]
+            near = np.ptp(corners, axis=1).max(axis=1).min() / 2.0
+            text = (
+                f"more than half an element from the nearest node, at {place}: the "
+                "force acts on all nodes of its element; a smaller mesh.size brings one nearer"
+            )
+        if distance[nearest] > near:
+            yield Remark(f"{name}.point", list(point), text)
+
+
+def _outermost(scene: Scene, structure: Structure) -> Remarks:
+    """The speed of the tip, where the scene does not say how far from the axis it is."""
+    table, nodes = scene.rotation, structure.nodes
+    if table is None or nodes is None:
+        return
+    if table.hub_radius is not None and scene.geometry.height is not None:
+        return
+    point, axis = (vector[: nodes.points.shape[1]] for vector in table.place)
+    away = gather_rows(structure.comm, nodes.points) - point
+    across = away - np.outer(away @ axis, axis)
+    yield from _tip_speed(scene, table, float(np.linalg.norm(across, axis=1).max()))
+
+
+def remarks_on_rotor(scene: Scene, structure: Structure) -> Remarks:
+    """Yield the remarks on the structure's rotation (collective)."""
+    yield from _hub(scene, structure)
+    yield from _coriolis(scene, structure)
+
+
+def _hub(scene: Scene, structure: Structure) -> Remarks:
+    """A mesh file whose clamp is not where the radius of the hub is counted from."""
+    table, nodes = scene.rotation, structure.nodes
+    if table is None or table.hub_radius is None or scene.mesh.layout != "file" or nodes is None:
+        return
+    points, dofs = (gather_rows(structure.comm, rows) for rows in (nodes.points, nodes.dofs))
+    heights = points[np.all(dofs < 0, axis=1), 1]
+    if np.abs(heights).max(initial=0.0) > AT_CLAMP * np.ptp(points, axis=0).max():
+        where = ranging(heights.round(12) + 0.0, ".4g")
+        text = (
+            f"the axis goes through (0, {-table.hub_radius:g}) m, as for a clamp at y = 0; that of "
+            f"the mesh is at y = {where} m"
+        )
+        yield Remark("rotation.hub_radius", table.hub_radius, text)
+
+
+def _coriolis(scene: Scene, structure: Structure) -> Remarks:
+    """The force that is left out of solids."""
+    if scene.rotation is not None and structure.rotation is not None and scene.dimension == 3:
+        count = min(N_MODES, structure.n_modes)
+        turning = structure.rotation.speed * scene.rotation.place[1]
+        if text := coriolis_in_words(coriolis_shifts(solve_modes(structure, count), turning)):
+            yield Remark(*_speed_given(scene.rotation), text)
+
+
+def coriolis_in_words(shifts: np.ndarray) -> str:
+    """Describe the effect of the Coriolis force, by relative changes of the lowest natural
+    frequencies (m,); "" where it is small."""
+    if np.abs(shifts).max() <= MOST_CORIOLIS:
+        return ""
+    changes = ", ".join(f"{100.0 * shift:+.3g}" for shift in shifts)
+    modes = "mode 1" if len(shifts) == 1 else f"modes 1 to {len(shifts)}"
+    return f"the Coriolis force, which is left out, would move {modes} by about {changes} %"
+
+
+def _bouncing(scene: Scene, structure: Structure) -> Remarks:
+    """Rigid contact of pairs that keep their mass."""
+    table = reduction_of(scene, structure)
+    massless = table is not None and table.method == "massless"
+    if scene.contact is None or scene.contact.law != "unilateral" or massless:
+        return
+    if structure.n_pairs:
+        text = (
+            "rigid contact of pairs that keep their mass: solve gives no verdict on stability, and "
+            "curve needs 'penalty' or 'smoothed', or reduction.method = 'massless'"
+        )
+        yield Remark("contact.law", "unilateral", text)
+
+
+# --- of the key figures ---------------------------------------------------------------------------
+
+
+def _size(scene: Scene, figures: KeyFigures) -> Remarks:
+    if scene.structure is not None:
+        key, file = "structure.model", scene.structure.model
+    else:
+        key, file = "mesh.file", scene.mesh.file
+    if file is not None and max(figures.size) > LARGEST_SIDE:
+        sides = f"{min(figures.size):.3g} m x {max(figures.size):.3g} m"
+        yield Remark(key, file, f"a structure of {sides}; is the mesh in mm?")
+
+
+def _frequency(scene: Scene, figures: KeyFigures) -> Remarks:
+    load, first = scene.excitation, float(figures.omega_open[0])
+    natural = np.concatenate([figures.omega_open, figures.omega_tied])
+    if first <= 0.0 or load.order is not None or _is_near(load.omega, natural):
+        return
+    in_hertz = load.frequency is not None
+    key, value = ("frequency", load.frequency) if in_hertz else ("omega", load.omega)
+    share = (
+        f"{load.omega / first:.2g} times the first natural frequency, {first / TURN:.4g} Hz = "
+        f"{first:.4g} rad/s"
+    )
+    firsts, text = natural[[0, len(figures.omega_open)]], ""
+    if _is_near(TURN * load.omega, firsts) and not in_hertz:
+        text = "is it in Hz? then use excitation.frequency"
+    elif _is_near(load.omega / TURN, firsts) and in_hertz:
+        text = "is it in rad/s? then use excitation.omega"
+    elif load.omega < LEAST_FREQUENCY * first:
+        unit = "kHz" if in_hertz else "Hz? then use excitation.frequency. Or in kHz"
+        text = f"hardly a vibration; is it in {unit}?"
+    if text:
+        yield Remark(f"excitation.{key}", value, f"{share}; {text}")
+
+
+def _is_near(omega: float, natural: np.ndarray) -> bool:
+    return bool(np.any(np.abs(natural - omega) < MEANT_FOR * natural))
+
+
+def _curve(scene: Scene, figures: KeyFigures) -> Remarks:
+    """A range without a resonance, and one that holds the first."""
+    curve = scene.curve
+    if curve is None or curve.parameter not in CURVE_UNITS:
+        return
+    if _holds_resonance(scene, figures, *curve.followed):
+        return
+    first, last = float(figures.omega_open[0]), float(figures.omega_tied[-1])
+    proposed, unit = proposed_curve(scene, figures), CURVE_UNITS[curve.parameter][1]
+    text = (
+        f"no resonance from there to {curve.stop:g} {unit}: the first is near "
+        f"{figures.omega_breathing / TURN:.4g} Hz = {figures.omega_breathing:.4g} rad/s"
+    )
+    if proposed is not None:
+        text += f"; start = {proposed.start:g} and stop = {proposed.stop:g} hold it"
+    if curve.followed[0] == "speed":
+        yield Remark("curve.start", curve.start, text)
+        return
+    in_hertz, (low, high) = curve.parameter == "frequency", span_of(scene, "curve")
+    factor = TURN if in_hertz else 1.0 / TURN  # how much too large or too small
+    if low <= factor * last and high >= factor * first:
+        text += f"; are they in {'rad/s' if in_hertz else 'Hz'}? then use curve.parameter = "
+        text += "'omega'" if in_hertz else "'frequency'"
+    yield Remark("curve.start", curve.start, text)
+
+
+def _response(scene: Scene, figures: KeyFigures) -> Remarks:
+    load = scene.excitation
+    if scene.has_other_loads:
+        return
+    key = max(("force_sin", "force_cos"), key=lambda name: math.hypot(*getattr(load, name)))
+    force, kind = list(getattr(load, key)), scene.geometry.kind
+    if 0.0 < figures.displacement < 1e-12:
+        text = (
+            f"it moves the {kind} by {figures.displacement:.2g} m, less than a hundredth of an atom"
+        )
+        yield Remark(f"excitation.{key}", force, text)
+    if figures.displacement > SMALL_MOTION * min(figures.size) and figures.damping.min() > 0.0:
+        text = (
+            f"with an open crack it moves the {kind} by {figures.displacement:.2g} m, which has "
+            f"{min(figures.size):.2g} m: beyond small displacements; in N?"
+        )
+        yield Remark(f"excitation.{key}", force, text)
+
+
+def _lips(scene: Scene, figures: KeyFigures) -> Remarks:
+    """A slit of half an element is no crack; grids choose their elements."""
+    if figures.elements is None or scene.mesh.layout == "grid":
+        return
+    if scene.contact is not None and scene.contact.pairs == "mouth":
+        return
+    if figures.elements < 4:
+        key = "lip_elements" if scene.mesh.layout == "graded" else "file"
+        text = "elements longer than a quarter of the crack; 4 to 20 along each face are usual"
+        yield Remark(f"mesh.{key}", getattr(scene.mesh, key), text)
+
+
+def _contact(scene: Scene, figures: KeyFigures) -> Remarks:
+    ratio, contact = figures.stiffness_ratio, scene.contact
+    if contact is None or ratio is None:
+        return
+    key = "stiffness" if contact.stiffness is not None else "stiffness_per_area"
+    value, faces = getattr(contact, key), faces_in_words(scene)
+    if ratio.max() < AS_SOFT:
+        text = (
+            f"at most {ratio.max():.2g} of the {faces}' static stiffness: they penetrate each "
+            "other; 100 to 10000 times is usual, or contact.law = 'unilateral'"
+        )
+        yield Remark(f"contact.{key}", value, text)
+    if ratio.min() > AS_RIGID:
+        text = (
+            f"at least {ratio.min():.2g} times the {faces}' static stiffness: numerically rigid, "
+            "and hard to solve; contact.law = 'unilateral' is rigid contact"
+        )
+        yield Remark(f"contact.{key}", value, text)
+    if contact.sharpness is not None and contact.sharpness * figures.gap_motion < 10.0:
+        text = (
+            f"the law is rounded over {1.0 / contact.sharpness:.2g} m, and the {faces} move by "
+            f"{figures.gap_motion:.2g} m: contact acts on open {faces}"
+        )
+        yield Remark("contact.sharpness", contact.sharpness, text)
+
+
+def _closing(scene: Scene, figures: KeyFigures) -> Remarks:
+    if scene.contact is None or figures.gap_motion == 0.0:
+        return
+    clearances = {f"{name}.clearance": c.clearance for name, c in scene.all_cracks.items()}
+    key, value = max(clearances.items(), key=lambda item: abs(item[1]), default=("", 0.0))
+    if value == 0.0:
+        key, value = "excitation.force_mean", list(scene.excitation.force_mean)  # type: ignore[assignment]
+        if scene.rotation is not None and scene.speed > 0.0 and not np.any(value):
+            key, value = _speed_given(scene.rotation)
+    motion = f"the load moves open crack faces by {figures.gap_motion:.2g} m"
+    if not figures.breathes:
+        what = "opens" if figures.closed else "closes"
+        text = f"the crack never {what}: {motion} at most; the response is linear"
+        yield Remark(key, value, text)
+
+
+def _resolution(scene: Scene, figures: KeyFigures) -> Remarks:
+    rule = scene.damping
+    if rule.mass is not None or rule.stiffness is not None:
+        key = "mass" if rule.mass is not None else "stiffness"
+        if (ratio := float(figures.damping[0])) > MOST_DAMPING:
+            text = (
+                f"{100.0 * ratio:.3g} % of critical damping at the first natural frequency, where "
+                "metals have 0.01 to 1 %"
+            )
+            yield Remark(f"damping.{key}", getattr(rule, key), text)
+
+
+def _modes(scene: Scene, figures: KeyFigures) -> Remarks:
+    every = scene.damping is not None and scene.damping.of_all_modes
+    if every and scene.damping.ratio is not None and figures.modes_kept > MANY_MODES:
+        text = (
+            f"all {figures.modes_kept} modes of the structure are computed for their damping, "
+            "which takes minutes and more; damping.modes = 50, or a reduction, does not"
+        )
+        yield Remark("damping.ratio", scene.damping.ratio, text)
+    if figures.modes_below > figures.modes_kept:
+        text = (
+            f"harmonics up to H w reach {figures.modes_below} modes, and "
+            f"{figures.modes_kept} are kept: raise reduction.modes"
+        )
+        yield Remark("harmonic_balance.harmonics", scene.harmonic_balance.harmonics, text)

@@ -1,0 +1,676 @@
+"""Interpolation, likelihood and regions against closed forms and other methods."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import identification
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+from scipy.stats import kstest
+from test_identify import SPINNING
+
+import fenics_crack as fc
+from fenics_crack.monitoring.identification.identify import remarks_on
+from fenics_crack.monitoring.identification.interpolation import (
+    Cube,
+    Interpolation,
+    left_out_errors,
+)
+from fenics_crack.monitoring.identification.model import Passages, Prediction
+from fenics_crack.monitoring.identification.nuisance import act_as, whole_plate
+from fenics_crack.monitoring.identification.posterior import Likelihood, Posterior, explore
+from fenics_crack.monitoring.identification.result import Worth, advice, worth_of
+from fenics_crack.monitoring.tip_timing.scene_timing import mode_of, passed_in_words
+
+SQUARE = Cube((np.linspace(0.0, 2.0, 6), np.linspace(1.0, 3.0, 7)))
+
+
+def test_errors_at_nodes_left_out() -> None:
+    """Of a fifth power between the ends; a cubic has none."""
+    line = np.linspace(0.0, 1.0, 8) ** 1.3
+    errors = left_out_errors(line, np.column_stack([line**3 - line, line**5]))
+    np.testing.assert_allclose(errors[:, 0], 0.0, atol=1e-13)
+    others = np.delete(line, 3)
+    expected = line[3] ** 5 - CubicSpline(others, others**5)(line[3])
+    assert errors[3, 1] == pytest.approx(expected, rel=1e-9) and abs(expected) > 1e-5
+    assert errors[0, 1] == errors[1, 1] and errors[-1, 1] == errors[-2, 1]
+
+
+def test_order_of_the_interpolation() -> None:
+    """Fourth, also next to the ends, in two unknowns of different scales; cubics are exact, of
+    fewer values than a cubic needs quadratics."""
+
+    def worst(count: int) -> float:
+        cube = Cube((np.linspace(0.0, 2.0, count), np.linspace(1.0, 3.0, count)))
+        x = np.stack(np.meshgrid(np.linspace(0, 2, 41), np.linspace(1, 3, 41)), -1).reshape(-1, 2)
+        wave = np.sin(2.0 * cube.nodes[:, :1] + cube.nodes[:, 1:])
+        return float(
+            np.abs(Interpolation(cube, wave).at(x) - np.sin(2.0 * x[:, :1] + x[:, 1:])).max()
+        )
+
+    order = np.log2(worst(9) / worst(17))
+    assert 3.5 < order < 5.0
+    for shape, power in (((4, 4), 3), ((5, 6), 3), ((4, 5, 3), 2)):
+        cube = Cube(tuple(np.linspace(0.0, k + 1.0, n) for k, n in enumerate(shape)))
+        x = cube.high * np.random.default_rng(0).random((9, len(shape)))
+        found = Interpolation(cube, (1.0 + cube.nodes**power).prod(axis=1, keepdims=True)).at(x)
+        np.testing.assert_allclose(found[:, 0], (1.0 + x**power).prod(axis=1), rtol=1e-12)
+
+
+def test_stated_error_of_the_interpolation() -> None:
+    """Nine in ten errors are within three of the stated standard deviations, and nan
+    at some nodes leaves the others alone."""
+    nodes = SQUARE.nodes
+    values = np.column_stack([np.sin(2.0 * nodes[:, 0]) * nodes[:, 1], nodes[:, 0] + nodes[:, 1]])
+    values[5, 1] = np.nan
+    found = Interpolation(SQUARE, values)
+    x = SQUARE.low + (SQUARE.high - SQUARE.low) * np.random.default_rng(3).random((200, 2))
+    predicted, deviation = found.at(x), np.sqrt(np.sum(found.scatter(x) ** 2, axis=1))
+    exact = np.column_stack([np.sin(2.0 * x[:, 0]) * x[:, 1], x.sum(axis=1)])
+    assert np.mean(np.abs(predicted - exact)[:, 0] < 3.0 * deviation[:, 0]) > 0.9
+    np.testing.assert_allclose(predicted[:, 1], exact[:, 1], atol=1e-9)
+    too_few = Interpolation(SQUARE, np.where(np.arange(42)[:, None] < 3, 1.0, np.nan))
+    assert found.known.all() and not too_few.known.any()
+
+
+def test_what_failed_between_others() -> None:
+    """Is made up for, with an error that holds what is missed, unless fewer than half are left or
+    none of four may be spared; at an end it is told that nothing stands beyond."""
+    cube = Cube((np.linspace(0.0, 3.0, 8),))
+    values = np.exp(cube.nodes) * np.sin(2.0 * cube.nodes)
+    for lost in range(8):
+        found = Interpolation(cube, np.where(np.arange(8)[:, None] == lost, np.nan, values))
+        assert found.known.all() and found.between.all() == (0 < lost < 7)
+        at = cube.nodes[[lost]]
+        missed = abs(found.at(at) - values[lost]).item()
+        stated = np.sqrt(np.sum(found.scatter(at) ** 2)).item()
+        assert missed < 3.0 * stated or not found.between.all()
+    for count in (20, 21):
+        few = np.where(np.arange(42)[:, None] < count, 1.0, np.nan)
+        assert Interpolation(SQUARE, few).known.all() == (count == 21)
+    four = Cube((np.linspace(0.0, 3.0, 4),))
+    for count in (3, 4):
+        own = np.where(np.arange(4)[:, None] < count, 1.0, np.nan)
+        assert Interpolation(four, own).known.all() == (count == 4)
+    holes = np.ones((42, 3))
+    holes[[0, 3], [0, 1]] = np.nan  # a corner, and a place on a side
+    np.testing.assert_array_equal(Interpolation(SQUARE, holes).between, [False, True, True])
+
+
+@dataclass
+class Linear:
+    """Predictions s = A x + b without an error, in place of those of a forward model."""
+
+    matrix: np.ndarray
+    offset: np.ndarray
+    cube: Cube
+    keys: tuple[str, ...] = ("crack.length", "crack.height")
+
+    @property
+    def model(self) -> Any:
+        return self
+
+    rows: tuple[Any, ...] = ()
+
+    @property
+    def scene(self) -> fc.Scene:
+        return fc.Scene.from_text(identification.SCENE)
+
+    def act_as(self, x: np.ndarray) -> np.ndarray:
+        return np.zeros_like(x)
+
+    def quantities(self, rows: Any, more: Any = ()) -> Any:
+        places = [*range(len(self.matrix)), *range(len(more))]
+        return replace(self, matrix=self.matrix[places], offset=self.offset[places])
+
+    def __call__(self, x: np.ndarray) -> Prediction:
+        return exact(x @ self.matrix.T + self.offset)
+
+    def states(self, x: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, Prediction]]:
+        """One alone."""
+        yield np.arange(len(x)), np.ones(len(x)), self(x)
+
+
+def exact(values: np.ndarray) -> Prediction:
+    """Predictions (m, q) without an error."""
+    (m, q), known = values.shape, np.ones(values.shape[1], dtype=bool)
+    return Prediction(values, np.zeros((m, q, q)), np.zeros((m, q, 0)), known)
+
+
+def test_ridge_that_is_narrower_than_the_grid() -> None:
+    """One number of two unknowns: the grid holds the region of a wide ridge, of which it says so
+    little as of that of a bound, and not that of a thin one."""
+    cube = Cube((np.linspace(0.0, 10.0, 4), np.linspace(0.0, 20.0, 4)))
+    rng = np.random.default_rng(7)
+    for deviation, resolved in ((1.0, True), (0.4, True), (1e-2, False), (1e-4, False)):
+        model: Any = Linear(np.array([[1.0, 0.37]]), np.zeros(1), cube)
+        likelihood = Likelihood(np.array([9.13]), np.array([deviation]), model)
+        posterior = Posterior({"": explore(likelihood)})
+        assert (posterior.unresolved < 0.01) == resolved
+        assert (posterior.unresolved > 0.3) != resolved
+        # Of that posterior: along the ridge both are uniform.
+        y = rng.uniform(0.0, 20.0, 4000)
+        x = 9.13 + deviation * rng.standard_normal(4000) - 0.37 * y
+        inside = (x > 0.0) & (x < 10.0)
+        heights = likelihood(np.column_stack([x, y])[inside])
+        held = np.mean(heights >= posterior.level(0.95))
+        assert (abs(held - 0.95) < 0.03) == resolved
+
+
+def test_linear_model() -> None:
+    """Estimate, intervals, region, evidence and gain of a Gaussian posterior in closed form."""
+    matrix = np.array([[1.0, 0.2], [0.3, 1.0], [1.0, 1.0]])
+    cube = Cube((np.linspace(0.0, 10.0, 4), np.linspace(0.0, 20.0, 4)))
+    truth, deviations = np.array([3.0, 8.0]), np.array([0.1, 0.2, 0.15])
+    likelihood = Likelihood(
+        matrix @ truth + 5.0,
+        deviations,
+        Linear(matrix, np.full(3, 5.0), cube, rows=(None,) * 3),  # type: ignore[arg-type]
+    )
+    posterior = Posterior({"": explore(likelihood)})
+    weights = matrix / deviations[:, None]
+    covariance = np.linalg.inv(weights.T @ weights)
+    np.testing.assert_allclose(posterior.best[1], truth, atol=1e-6)
+    for place in range(2):
+        sigma = math.sqrt(covariance[place, place])
+        low, high = posterior.interval(place, 0.95)
+        assert low == pytest.approx(truth[place] - 1.96 * sigma, abs=0.05 * sigma)
+        assert high == pytest.approx(truth[place] + 1.96 * sigma, abs=0.05 * sigma)
+        assert posterior.spread(place) == pytest.approx(sigma, rel=0.02)
+    # Of two unknowns: chi^2 < 5.991 holds 95 %.
+    assert posterior.level(0.95) == pytest.approx(-0.5 * 5.991, rel=0.05)
+    volume = 2.0 * math.pi * math.sqrt(np.linalg.det(covariance))
+    assert posterior.log_evidence == pytest.approx(math.log(volume / 200.0), abs=0.02)
+    assert [round(part[2], 2) for part in posterior.parts(0.95, 0.03)] == [0.95]
+    again = fc.Measurement("harmonic_1", 1.0, 0.1, frequency=10.0)
+    worth = worth_of(likelihood, truth, [again], (1e-3, 0.05))
+    more = np.linalg.inv(
+        weights.T @ weights + np.outer(matrix[0], matrix[0]) / 0.01 + np.diag([0.12, 0.03])
+    )
+    assert worth.deviations["crack.length"][0] == pytest.approx(math.sqrt(more[0, 0]), rel=1e-3)
+    before = np.linalg.inv(weights.T @ weights + np.diag([0.12, 0.03]))
+    gain = 0.5 * math.log(np.linalg.det(before) / np.linalg.det(more))
+    assert worth.information[0] == pytest.approx(gain, rel=1e-3)
+
+
+def test_misfit_of_what_is_fitted() -> None:
+    """By chance its probability is as often small as large: chi^2 has as many degrees of freedom as
+    there are measurements more than unknowns. At the same place without one of them it is less by
+    the square of that one's residual."""
+    matrix = np.array([[1.0, 0.2], [0.3, 1.0], [1.0, 1.0], [-0.5, 1.0]])
+    cube = Cube((np.linspace(0.0, 10.0, 4), np.linspace(0.0, 20.0, 4)))
+    linear = Rows(matrix, np.zeros(4), cube, rows=(0, 1, 2, 3))
+    rng, chances = np.random.default_rng(8), []
+    for _ in range(150):
+        values = matrix @ [3.0, 8.0] + 0.1 * rng.normal(size=4)
+        likelihood = Likelihood(values, np.full(4, 0.1), linear)  # type: ignore[arg-type]
+        x = np.linalg.lstsq(matrix, values, rcond=None)[0]
+        total, chance = likelihood.misfit(x)
+        chances.append(chance)
+    assert kstest(chances, "uniform").pvalue > 0.01
+    posterior = Posterior({"": explore(likelihood)})
+    left = (total - ((values - matrix @ x) / 0.1) ** 2).tolist()
+    assert [one[0] for one in posterior.misfits_without_one] == pytest.approx(left, rel=1e-3)
+
+
+def test_picture_of_one_unknown() -> None:
+    """The density of a normal distribution, over its largest, and what is within 1.96 standard
+    deviations; of two unknowns that of each alone, and neither twice."""
+    cube = Cube((np.linspace(0.0, 0.1, 4), np.linspace(0.0, 0.2, 4)))
+    linear = Linear(np.eye(2), np.zeros(2), cube, rows=(None,) * 2)
+    likelihood = Likelihood(np.array([0.03, 0.08]), np.array([1e-3, 4e-3]), linear)  # type: ignore[arg-type]
+    posterior = Posterior({"": explore(likelihood)})
+    keys = ("crack.length", "crack.height")
+    found: Any = SimpleNamespace(
+        unknown=keys,
+        posterior=posterior,
+        estimate=dict(zip(keys, posterior.best[1].tolist(), strict=True)),
+        intervals={key: posterior.interval(place, 0.95) for place, key in enumerate(keys)},
+    )
+    for key, middle, sigma in (("crack.length", 0.03, 1e-3), ("crack.height", 0.08, 4e-3)):
+        [panel] = fc.draw_posterior(found, key).axes
+        x, density = np.transpose(panel.lines[0].get_xydata())
+        near = np.abs(x - middle) < 3.0 * sigma
+        expected = np.exp(-0.5 * ((x - middle) / sigma) ** 2)
+        assert near.sum() > 10
+        np.testing.assert_allclose(density[near], expected[near], atol=0.02)
+        shaded = panel.collections[0].get_paths()[0].vertices[:, 0]
+        assert np.ptp(shaded) == pytest.approx(2.0 * 1.96 * sigma, rel=0.05)
+        assert panel.get_xlabel() in ("crack length [mm]", "height of the crack [mm]")
+    for wrong in (("crack.length", "crack.length"), ("crack.depth",)):
+        with pytest.raises(fc.InputError, match="one or two different ones of "):
+            fc.draw_posterior(found, *wrong)
+
+
+class Advised(Linear):
+    """The same, with a plate without a crack: what may be measured has the slopes of the first
+    row."""
+
+    @property
+    def coarse(self) -> Any:
+        return SimpleNamespace(bare=True)
+
+    @property
+    def whole(self) -> Any:
+        return SimpleNamespace(frequencies=np.array([100.0]))
+
+
+@pytest.mark.parametrize("slope", [0.0, 1000.0])
+def test_advice_that_gains_nothing_is_not_given(slope: float) -> None:
+    """To the digits that are printed, of each unknown; neither of the plate before it had a crack
+    nor of what tells most."""
+    cube = Cube((np.linspace(0.01, 0.02, 4), np.linspace(0.1, 0.2, 4)))
+    matrix, offset = np.array([[slope, 0.0], [30.0, 40.0]]), np.zeros(2)
+    rows = (fc.Measurement("frequency_open", 100.0, 0.1, 1),) * 2
+    model = Advised(matrix, offset, cube, rows=rows)
+    likelihood = Likelihood(np.zeros(2), np.array([0.1, 0.1]), model)  # type: ignore[arg-type]
+    more, x = fc.Measurement("frequency_tied", 100.0, 1e-4, 1), np.array([0.015, 0.15])
+    told = advice(likelihood, x, worth_of(likelihood, x, [more], (1e-3, 0.05)))
+    assert len(told) == (2 if slope else 0)
+    for text in told:
+        assert "crack length to " in text and len(set(re.findall(r"[\d.]+ [mµ]m", text))) > 1
+    now = {"crack.length": 1.00001e-3, "crack.height": 2e-3}
+    left = {"crack.length": np.array([1e-3]), "crack.height": np.array([1e-3])}
+    [*_, text] = advice(likelihood, x, Worth((more,), np.ones(1), left, now))
+    assert text.endswith("the crack held closed: height of the crack to 1 mm in place of 2 mm")
+
+
+class Rows(Linear):
+    """Of some of the rows, which are numbers."""
+
+    def quantities(self, rows: Any, more: Any = ()) -> Any:
+        places = list(rows)
+        return replace(self, matrix=self.matrix[places], offset=self.offset[places], rows=rows)
+
+
+class Even(Linear):
+    """s = (x - 5)^2, which does not tell 2 from 8."""
+
+    def __call__(self, x: np.ndarray) -> Prediction:
+        return exact(np.column_stack([(x[:, 0] - 5.0) ** 2, x[:, 1]]))
+
+
+def test_two_that_cannot_be_told_apart() -> None:
+    """Both are reported, each with half of the probability."""
+    cube = Cube((np.linspace(0.0, 10.0, 4), np.linspace(0.0, 20.0, 4)))
+    even = Even(np.zeros((2, 2)), np.zeros(2), cube)
+    likelihood = Likelihood(np.array([9.0, 4.0]), np.array([0.3, 0.2]), even)  # type: ignore[arg-type]
+    parts = Posterior({"": explore(likelihood)}).parts(0.95, 0.03)
+    assert sorted(round(float(x[0]), 1) for _, x, _ in parts) == [2.0, 8.0]
+    assert all(mass == pytest.approx(0.475, abs=0.02) for *_, mass in parts)
+
+
+def test_soft_clamps() -> None:
+    """Of a slender beam one that turns takes as much from all natural frequencies, one that moves
+    (s b)^2: of the modes cosh bx - cos bx - s (sinh bx - sin bx) the moments and shear forces at
+    the clamp are as b^2 and s b^3, the frequencies as b^2."""
+    size = 0.006, 0.3
+    changes = {
+        "geometry.width": size[0], "geometry.height": size[1], "excitation.point": size,
+        "output": None, "crack": None, "contact": None, "mesh.lip_elements": None,
+        "mesh.layout": "grid", "mesh.size": None, "mesh.columns": 2, "mesh.rows": 60,
+    }  # fmt: skip
+    scene = fc.Scene.from_text(identification.SCENE)
+    table = scene.given("identify")
+    found = whole_plate(scene.replace(changes | {"identify": None}), table).since_at(1.0)[0]
+    roots, shares = np.array([1.8751041, 4.6940911, 7.8547574]), [0.7340955, 1.0184673, 0.9992245]
+    forces = (roots * shares) ** 2
+    for column, expected in ((0, 1.0), (1, forces / forces[0])):
+        bending = found[:3, column]
+        np.testing.assert_allclose(bending / bending[0], expected, rtol=0.03)
+    assert np.hypot(*found[0, :2]) == pytest.approx(table.before_deviation, rel=1e-12)
+
+
+def test_units_at_other_speeds() -> None:
+    """At 9000 rpm a blade has 1.3 times the frequency of 3000: no other unit, and no other mode. A
+    stiffer material moves what is elastic alone, by half of it: at rest all."""
+    scene = fc.Scene.from_text(SPINNING)
+    plain = scene.replace({"identify": None, "crack": None, "contact": None})
+
+    def hertz(**rotor: float | None) -> float:
+        turning = {f"rotation.{key}": one for key, one in rotor.items()}
+        structure = fc.build_structure(plain.replace(turning) if rotor else plain.at_rest())
+        return float(fc.solve_modes(structure, 1).omega[0]) / (2.0 * np.pi)
+
+    whole, fast = whole_plate(plain, scene.given("identify")), hertz(rpm=9000.0)
+    assert fast > 1.3 * whole.frequencies[0]
+    row = fc.Measurement("frequency_uncracked", fast, 0.1, 1, rpm=9000.0)
+    whole.check(fc.Measurements((row,)), [], other=False)
+    with pytest.raises(fc.InputError, match=r"seems to be in rad/s"):
+        wrong = replace(row, value=2.0 * np.pi * fast)
+        whole.check(fc.Measurements((wrong,)), [], other=False)
+    young = 0.5 * scene.given("identify").young_deviation
+    still, own, faster = (whole.changes_at(one)[0, 0] for one in (0.0, 1.0, 3.0))
+    assert still == pytest.approx(young)
+    assert own == pytest.approx(young * (hertz() / hertz(rpm=3000.0)) ** 2, rel=0.01)
+    assert faster == pytest.approx(young * (hertz() / fast) ** 2, rel=0.01)
+    # Of another modulus at another speed: all of the change to 1 %, at 0 that of the root.
+    softer = plain.replace({"material.young": 0.98 * plain.material.young, "rotation.rpm": 9000.0})
+    changed = fc.solve_modes(fc.build_structure(softer), 1).omega[0] / (2.0 * np.pi * fast) - 1.0
+    assert whole.stiffened(3.0, 0.98)[0] - 1.0 == pytest.approx(changed, rel=0.01)
+    assert whole.stiffened(0.0, 0.98)[0] == pytest.approx(np.sqrt(0.98), rel=1e-9)
+
+
+PASSED = fc.PassageFit(
+    order=5.0, omega=1500.0, omega_error=0.03, damping=2e-3, damping_error=1e-5, amplitude=6e-5,
+    forces=np.ones(1), ends=np.array([[0, 300]]), omegas=np.array([1500.0]),
+    omega_errors=np.array([0.03]), dampings=np.array([2e-3]), damping_errors=np.array([1e-5]),
+    steady_omegas=np.array([1500.0]), orders=np.array([5.0, 6.0]), margins=np.array([0.0, 50.0]),
+    probes=4, scatter=2e-6, whiteness=0.4,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changes", "opened", "tied", "why"),
+    [
+        ({}, (0.9, 2.0), (1.02, 2.1), ""),
+        ({}, (1.08, 2.0), (1.2, 2.1), ""),
+        ({}, (1.12, 2.0), (1.2, 2.1), "that of none of the blade's modes to 10%; mode 1 has 267.3"),
+        ({}, (0.9, 1.03), (1.02, 1.1), "mode 1 has 214.859 to 243.507 Hz there; mode 2 has 245.8"),
+        ({"margins": np.zeros(2)}, (0.9, 2.0), (1.02, 2.1), ""),
+        ({"margins": np.zeros(2)}, (0.9, 1.19), (1.02, 1.25), "order 6 explains it as well, and"),
+        ({"probes": 2}, (0.9, 2.0), (1.02, 2.1), ""),
+        ({"probes": 2}, (0.9, 1.19), (1.02, 1.25), "order 6 may be right, too: two probes"),
+    ],
+)  # fmt: skip
+def test_modes_of_resonances(
+    changes: dict[str, Any], opened: tuple[float, ...], tied: tuple[float, ...], why: str
+) -> None:
+    """That between whose frequencies with lips open and tied one is, or to a tenth; and why none is
+    used."""
+    fit = replace(PASSED, **changes)
+    both = 1500.0 * np.array([opened, tied])
+    diagram: Any = SimpleNamespace(between=lambda speed: both)
+    mode, told = mode_of(fit, diagram)
+    assert mode == (not why) and told.startswith(why) and bool(told) == bool(why)
+    words = passed_in_words(fit, mode, told)
+    where = "238.732 ± 0.0048 Hz, engine order 5 at 2864.79 rpm"
+    assert words == (f"not used: {where} ({told})" if why else f"mode 1: {where}")
+
+
+@pytest.mark.parametrize(
+    ("changes", "deviation", "why"),
+    [
+        ({"whiteness": 0.0}, 3.0, "another vibration is near it"),
+        (
+            {"omegas": np.array([1500.0, 1501.0]), "omega_errors": np.full(2, 0.05)},
+            0.5, "its passages differ more than errors do: by 0.07% in frequency",
+        ),
+        (
+            {"dampings": np.array([2e-3, 3e-3]), "damping_errors": np.full(2, 1e-4)},
+            0.03, "its passages differ more than errors do: in damping, 0.002 to 0.003",
+        ),
+    ],
+)  # fmt: skip
+def test_resonances_in_doubt(changes: dict[str, Any], deviation: float, why: str) -> None:
+    """Are known to half of their width, or to half of what their passages differ by, as those of a
+    crack may, and this is told."""
+    fit = replace(PASSED, **changes)
+    [row] = fc.Measurements.from_passages([fit, PASSED], [1, 0]).rows
+    assert row.deviation == pytest.approx(deviation / (2.0 * np.pi))
+    assert row.value == pytest.approx(1500.0 / (2.0 * np.pi))
+    assert passed_in_words(fit, 1, "").endswith(f"Hz, engine order 5 at 2864.79 rpm ({why})")
+
+
+# --- displacements at probes ----------------------------------------------------------------------
+
+
+def displaced(phases: np.ndarray, values: np.ndarray) -> list[fc.Measurement]:
+    """Displacements with a standard deviation of 1e-8 m."""
+    return [
+        fc.Measurement("displacement", value, 1e-8, frequency=100.0, phase=phase)
+        for phase, value in zip(phases.tolist(), values.tolist(), strict=True)
+    ]
+
+
+def test_displacements_whatever_the_load_is() -> None:
+    """A wave 1.7 times as large, 2.5 rad later and shifted by 3 um is that of the model; one with
+    another second harmonic is not. Slopes and free directions, by differences."""
+    rng = np.random.default_rng(2)
+    wave = 1e-5 * (rng.normal(size=6) + 1j * rng.normal(size=6)) / np.arange(1, 7) ** 2
+    wave[1] *= 6.0  # larger than the first one, as at a superharmonic resonance
+    phases = np.sort(rng.uniform(0.0, 2.0 * np.pi, 12))
+    orders = np.arange(1, 7)
+
+    def motion(waves: np.ndarray, size: float, shift: float) -> np.ndarray:
+        turns = np.exp(1j * np.multiply.outer(phases - shift, orders))
+        return np.asarray(size * (turns @ waves).real)
+
+    made = displaced(phases, motion(wave, 1.7, 2.5) + 3e-6)
+    found = Passages(range(12), made, []).aligned(np.stack([wave, wave * [1, 2, 1, 1, 1, 1]]))
+    left = np.abs(found.values - [row.value for row in made])
+    assert left[0].max() < 1e-9 and left[1].max() > 1e-6
+    more = 1.7 * 1e-3, 1e-3, 1e-8  # of size, phase and constant
+    expected = [motion(wave, 1.7 * 1.001, 2.5), motion(wave, 1.7, 2.501)]
+    for place, (step, after) in enumerate(zip(more, expected, strict=False)):
+        scale = (1.0 / 1.7, np.pi / np.sqrt(3.0))[place]
+        difference = (after - motion(wave, 1.7, 2.5)) / step
+        size = np.abs(difference).max()
+        np.testing.assert_allclose(
+            found.free[0, :, place] * (scale if place == 0 else 1.0 / scale), difference,
+            atol=2e-3 * size,
+        )  # fmt: skip
+    step = 1e-9 * (1.0 + 2.0j) * np.eye(6)[2]
+    np.testing.assert_allclose(
+        (found.turns[0] @ step).real, motion(wave + step, 1.7, 2.5) - motion(wave, 1.7, 2.5),
+        atol=1e-12,
+    )  # fmt: skip
+
+
+def test_arrivals_become_displacements(tmp_path: Path) -> None:
+    """At the phase of the arrival itself, with the standard error of the mean of each probe."""
+    probes, radius, speed, order = np.radians([10.0, 95.0, 200.0, 310.0]), 0.5, 100.0, 4
+    rng, marks = np.random.default_rng(4), 2.0 * np.pi / speed * np.arange(51)
+    angles = probes + np.zeros((50, 1))
+    for _ in range(60):  # u = 100 um cos(4 alpha) + 30 um sin(8 alpha)
+        u = 1e-4 * np.cos(order * angles) + 3e-5 * np.sin(2 * order * angles)
+        angles = probes - u / radius
+    time = marks[:-1, None] + angles / speed + 2e-8 * rng.normal(size=angles.shape)
+    arrivals = fc.ArrivalTimes(time, marks, probes, radius)
+    found = fc.Measurements.from_arrivals(arrivals, order, "tip.ux")
+    for row, angle, value in zip(found.rows, angles[0], u[0], strict=True):
+        assert row.deviation == pytest.approx(2e-8 * radius * speed / math.sqrt(50.0), rel=0.2)
+        assert abs(row.value - value) < 4.0 * row.deviation
+        assert row.phase == pytest.approx(order * angle % (2.0 * np.pi), abs=1e-5)
+        assert row.frequency == pytest.approx(400.0 / (2.0 * np.pi)) and row.point == "tip.ux"
+    wrong = time.copy()
+    wrong[[7, 20], 2] -= 2e-5  # another blade, or a pulse of something else
+    beside = fc.Measurements.from_arrivals(replace(arrivals, time=wrong), order)
+    for row, value in zip(beside.rows, u[0], strict=True):
+        assert row.deviation < 1.5 * found.rows[0].deviation
+        assert abs(row.value - value) < 4.0 * row.deviation
+    found.to_csv(tmp_path / "m.csv")
+    assert str(fc.Measurements.from_csv(tmp_path / "m.csv").rows) == str(found.rows)
+    [other, *_] = fc.Measurements.from_arrivals(
+        arrivals, order, against=True, noise=1e-6, angle_deviation=1e-5
+    ).rows
+    assert other.value == -found.rows[0].value
+    expected = radius * math.hypot(1e-6 * speed / math.sqrt(50.0), 1e-5)
+    assert other.deviation == pytest.approx(expected)
+    with pytest.raises(fc.InputError, match="noise is missing: must be given"):
+        fc.Measurements.from_arrivals(arrivals.between(3, 4), order)
+    with pytest.raises(fc.InputError, match="those of 4 probes or more"):
+        few = fc.ArrivalTimes(time[:, :3], marks, probes[:3], radius)
+        fc.Measurements.from_arrivals(few, order)
+    with pytest.raises(fc.InputError, match="those of a constant speed"):
+        fc.Measurements.from_arrivals(
+            fc.ArrivalTimes(time[:3], np.array([0.0, 0.06, 0.13, 0.19]), probes, radius), order
+        )
+
+
+@pytest.mark.parametrize("revolutions", [3, 6])
+def test_displacements_of_few_revolutions_have_true_errors(revolutions: int) -> None:
+    """Of 100 records their deviations are one of those stated in root mean square; they were 1.28
+    and 1.16, of tails that few arrivals have by chance, and of a scatter that they hardly tell."""
+    probes, radius, speed, order = np.radians([10.0, 95.0, 200.0, 310.0]), 0.5, 100.0, 4
+    marks = 2.0 * np.pi / speed * np.arange(revolutions + 1)
+    angles = probes + np.zeros((revolutions, 1))
+    for _ in range(60):
+        u = 1e-4 * np.cos(order * angles)
+        angles = probes - u / radius
+    off = []
+    for seed in range(100):
+        noise = 2e-8 * np.random.default_rng(seed).normal(size=angles.shape)
+        arrivals = fc.ArrivalTimes(marks[:-1, None] + angles / speed + noise, marks, probes, radius)
+        rows = fc.Measurements.from_arrivals(arrivals, order).rows
+        off += [(row.value - value) / row.deviation for row, value in zip(rows, u[0], strict=True)]
+    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1.0, abs=0.1)
+
+
+# --- measurements ---------------------------------------------------------------------------------
+
+TABLE = """\
+# measured on Monday
+quantity,value,deviation,mode,frequency [Hz],point
+frequency_bilinear,841.1,0.8,1,,
+ratio_2_1,0.02,0.001,,250,tip.ux
+"""
+
+
+def test_measurements_from_a_file(tmp_path: Path) -> None:
+    """Read, and as they are written; arrays make the same."""
+    path = tmp_path / "measured.csv"
+    path.write_text(TABLE)
+    found = fc.Measurements.from_csv(path)
+    assert [row.name for row in found.rows] == [
+        "frequency_bilinear of mode 1", "ratio_2_1 at 250 Hz of tip.ux",
+    ]  # fmt: skip
+    found.to_csv(path)
+    assert repr(fc.Measurements.from_csv(path).rows) == repr(found.rows)  # nan differs from nan
+    assert str(found.rows) == str(fc.Measurements.from_csv(path).rows)  # nan is not equal to nan
+    arrays = fc.Measurements.from_arrays("frequency_bilinear", [841.1], 0.8, mode=[1])
+    assert str(arrays.rows[0]) == str(found.rows[0])
+    own = fc.Measurements.from_arrays("frequency_open", [841.1, 5e3], 0.8, mode=np.array([1, 2]))
+    assert [row.mode for row in own.rows] == [1, 2]
+
+
+def test_phases_in_degrees() -> None:
+    """Are refused, and written as they should be."""
+    given = {"frequency": 100.0, "point": "tip.ux"}
+    fc.Measurement("displacement", -1e-5, 1e-7, phase=-2.0, **given)  # type: ignore[arg-type]
+    with pytest.raises(
+        fc.InputError, match=r"phase = 90.0: .* 0 to 2 pi; in degrees\? then 1.5708"
+    ):
+        fc.Measurement("displacement", -1e-5, 1e-7, phase=90.0, **given)  # type: ignore[arg-type]
+
+
+def test_one_value_of_each() -> None:
+    """Two of the same are refused, by name, with both values."""
+    one = fc.Measurement("frequency_open", 841.0, 0.8, 1)
+    other = fc.Measurement("frequency_open", 850.0, 0.8, 1)
+    with pytest.raises(fc.InputError) as error:
+        fc.Measurements((one, other))
+    told = "measurements, frequency_open of mode 1 = [841.0, 850.0]: must be one value, the mean"
+    assert told in str(error.value)
+
+
+def test_files_that_are_no_tables(tmp_path: Path) -> None:
+    """An empty file, and one of other columns, by their names."""
+    for text, found in (("", "nothing"), ("# none\n", "nothing"), ("a,b\n", "the columns a, b")):
+        path = tmp_path / "measured.csv"
+        path.write_text(text)
+        with pytest.raises(fc.InputError) as error:
+            fc.Measurements.from_csv(path)
+        assert f"measurements = '{path}: {found}': must be a CSV file with" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("frequency_bilinear,841,0.8,7,,", "measurements.mode = 7: must be a whole number"),
+        ("frequency_bilinear,841,0.8,,250,", "measurements.mode = 0"),
+        ("frequency_bilinear,841,0,1,,", "measurements.deviation = 0.0"),
+        (
+            "frequency_bilinear,841,1e-200,1,,",
+            "measurements.deviation = 1e-200: must be a number (0, or of",
+        ),
+        ("frequency_bilinear,1e300,1,1,,", "measurements.value = 1e+300: must be a number"),
+        ("frequency,841,1,1,,", "measurements.quantity = 'frequency': must be one of"),
+        ("ratio_2_1,x,1,,250,", "measurements.value = 'x': must be a finite number (line 3)"),
+        ("ratio_2_1,0.1,0.1,,,tip.ux", "measurements.frequency = nan"),
+        ("ratio_2_1,0.1,0.1", "measurements, line 3 = 'ratio_2_1,0.1,0.1': must be 6 cells"),
+        ("displacement,-1e-5,1e-7,,250,", "measurements.phase = nan: must be a finite number"),
+    ],
+)
+def test_lines_that_cannot_be_used(tmp_path: Path, line: str, message: str) -> None:
+    """One line says what is wrong."""
+    path = tmp_path / "measured.csv"
+    path.write_text("\n".join([*TABLE.splitlines()[:2], line]))
+    with pytest.raises(fc.InputError) as error:
+        fc.Measurements.from_csv(path)
+    assert message in str(error.value)
+
+
+def test_harmonics_that_the_model_does_not_have() -> None:
+    """A ratio of the third one is none of a scene with two; with a tolerance, which may choose two
+    for a case, it is not, either. A displacement is compared with what there is."""
+    scene = fc.Scene.from_text(identification.SCENE).replace({"harmonic_balance.harmonics": 2})
+    where = {"frequency": 700.0, "point": "tip.ux"}
+    third = fc.Measurement("ratio_3_1", 1e-3, 1e-4, **where)
+    for changed in (scene, scene.replace({"harmonic_balance.tolerance": 0.01})):
+        for row in (third, replace(third, quantity="harmonic_3")):
+            with pytest.raises(fc.InputError) as error:
+                fc.Measurements((row,)).check(changed)
+            told = f"harmonic_balance.harmonics = 2: must be at least 3 for {row.quantity}"
+            assert str(error.value) == told
+    fits = [fc.Measurement("ratio_2_1", 1e-3, 1e-4, **where), *displaced(np.zeros(1), np.ones(1))]
+    fc.Measurements(tuple(fits)).check(scene)
+    fc.Measurements((third,)).check(scene.replace({"harmonic_balance.harmonics": 3}))
+
+
+# --- what is said, and what is not known --------------------------------------------------------
+
+
+def test_remark_on_the_size_of_the_load() -> None:
+    """With a clearance or a steady force the shape of a motion depends on it; amplitudes always."""
+    scene = fc.Scene.from_text(identification.SCENE)
+    row = fc.Measurement("ratio_2_1", 0.1, 0.01, frequency=700.0)
+    assert remarks_on(scene, fc.Measurements((row,))) == ()
+    for key, value in {"crack.clearance": 1e-6, "excitation.force_mean": (0.0, 5.0)}.items():
+        changed = scene.replace({key: value})
+        [remark] = remarks_on(changed, fc.Measurements((row,)))
+        assert remark.startswith("a clearance or a steady load")
+        assert remarks_on(changed, fc.Measurements((replace(row, quantity="harmonic_1"),))) == ()
+
+
+def test_an_inclined_crack_acts_at_its_tip(tmp_path: Path) -> None:
+    """What 10 degrees change of four frequencies is what a straight crack at the height of the tip
+    changes; so much is its height less sure by an angle."""
+    scene = fc.Scene.from_text(identification.SCENE)
+    length, height, rise = 0.025, 0.1, np.tan(np.radians(10.0))
+    keys = ("geometry.width", "geometry.height", "crack.edge", "crack.height", "crack.length",
+            "mesh.size", "mesh.lip_elements", "identify", "output")  # fmt: skip
+    files = dict.fromkeys(keys) | {"mesh.layout": "file"}
+
+    def logs(changes: dict[str, object]) -> np.ndarray:
+        modes = fc.solve_modes(fc.build_structure(scene.replace(changes)), 4)
+        return np.log(modes.omega)
+
+    changed = []
+    for side in (1.0, -1.0):
+        path = tmp_path / "inclined.msh"
+        identification.inclined_mesh(np.array([length, height]), side * 10.0, path)
+        tilted = logs(files | {"mesh.file": str(path)})
+        straight = logs({"crack.length": length, "crack.height": height + side * rise * length})
+        changed.append((side * tilted, side * straight))
+    tilted, straight = np.sum(changed, axis=0)
+    assert 0.8 < tilted @ straight / (straight @ straight) < 1.15
+    spread = act_as(np.array([[length, height]]), ("crack.length", "crack.height"), scene)
+    assert spread[0, 1] == pytest.approx(length * np.tan(np.radians(5.0)))
+
+
+@pytest.mark.parametrize(("separator", "name"), [(";", "semicolons"), ("\t", "tabs")])
+def test_cells_that_commas_do_not_separate(tmp_path: Path, separator: str, name: str) -> None:
+    """A spreadsheet's own separators are named, of measurements and of arrivals."""
+    (path := tmp_path / "table.csv").write_text(f"quantity{separator}value\n")
+    for read in (fc.Measurements.read, fc.read_record):
+        with pytest.raises(fc.InputError, match=f"separated by {name}"):
+            read(path)
