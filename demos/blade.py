@@ -5,9 +5,9 @@ bends it so that the crack closes, rotation pulls the crack open, and engine ord
 The demo draws
 
 1. the Campbell diagram: where orders meet the breathing blade;
-2. a run-up through the crossing of order 10 with the first mode, and for which share of the period
-   the crack is closed on the way;
-3. where the crack breathes and where rotation holds it open: that share over speed and mean load,
+2. a run-up through the crossing of order 10 with the first mode, and the contact duty cycle of the
+   crack on the way;
+3. where the crack breathes and where rotation holds it open: duty cycle over speed and mean load,
    at each speed driven at its own first breathing frequency, as an order that meets it there would;
 4. what probes in the casing see of the run-up, and the vibration fitted to their signals.
 
@@ -56,15 +56,15 @@ def main(output: Path = Path("output/blade"), *, quick: bool = False) -> dict[st
     track = probes_see(run, order, output, 300 if quick else 1500)
     tangential = track.amplitudes[:, 0].max() / scene.tip_timing.tangential
     found = {
-        "order meets open lips [rpm]": meets["open"],
-        "order meets breathing lips [rpm]": meets["bilinear"],
-        "order meets tied lips [rpm]": meets["tied"],
+        "order meets open crack [rpm]": meets["open"],
+        "order meets breathing crack [rpm]": meets["bilinear"],
+        "order meets bonded crack [rpm]": meets["tied"],
         "largest amplitude [m]": float(seen.amplitude[peak]),
         "at [rpm]": float(curve.values[peak]) / RPM,
-        "share of the period closed there": float(seen.closed_share[peak]),
+        "contact duty cycle there": float(seen.closed_share[peak]),
         "largest amplitude by tip timing [m]": float(tangential),
-        "share closed, slow and pressed": float(shares[0, 0]),
-        "share closed, fast and free": float(shares[-1, -1]),
+        "duty cycle, slow and pressed": float(shares[0, 0]),
+        "duty cycle, fast and free": float(shares[-1, -1]),
         "seconds": time.perf_counter() - begun,
     }
     for name, value in found.items():
@@ -73,7 +73,7 @@ def main(output: Path = Path("output/blade"), *, quick: bool = False) -> dict[st
 
 
 def draw_run_up(run: fc.Run, order: int, output: Path) -> None:
-    """The tip's amplitude over the speed, and the share of the period for which lips are closed."""
+    """Draw the blade tip's amplitude and the contact duty cycle over the speed."""
     curve, tip = run.result, run.watched_dof
     title = f"Run-up, engine order {order}"
     fc.draw_curve(curve, tip, path=output / "run_up.png", title=title, in_hertz=True)
@@ -81,7 +81,7 @@ def draw_run_up(run: fc.Run, order: int, output: Path) -> None:
     fc.draw_response(
         curve.values / RPM,
         {"mean over the pairs": share},
-        quantity="closed share of the period",
+        quantity="contact duty cycle",
         unit="%",
         over="rotor speed [rpm]",
         path=output / "closed.png",
@@ -90,7 +90,7 @@ def draw_run_up(run: fc.Run, order: int, output: Path) -> None:
 
 
 def closing_map(scene: fc.Scene, output: Path, speeds: int, loads: int) -> np.ndarray:
-    """Share of the period for which lips are closed over mean load and speed: (speeds, loads)."""
+    """Draw and return the contact duty cycle over mean load and speed: (speeds, loads)."""
     rpm, mean = np.linspace(1000.0, 9000.0, speeds), np.linspace(-1000.0, 0.0, loads)
     shares = np.full((speeds, loads), np.nan)
     for column, force in enumerate(mean):
@@ -110,7 +110,7 @@ def closing_map(scene: fc.Scene, output: Path, speeds: int, loads: int) -> np.nd
         100.0 * shares,
         x_label="mean flow load at the tip [N]",
         y_label="rotor speed [rpm]",
-        value_label="closed share of the period [%]",
+        value_label="contact duty cycle [%]",
         path=output / "map.png",
         title="Breathing, and held open by rotation",
     )

@@ -1,8 +1,8 @@
-"""The paper's plate on a fine mesh, its crack closing pair by pair.
+"""The paper's plate on a fine mesh, with local contact along its crack.
 
 The plate of ``paper_plate.py`` with quadratic elements graded towards the tip; the crack's length
-is the one that gives the paper's first natural frequency, 2300 rad/s. All pairs of lip nodes may
-touch. It is small enough to run in seconds, also on several ranks that share the mesh:
+is the one that gives the paper's first natural frequency, 2300 rad/s. All pairs of nodes on
+the crack faces may touch. It runs in seconds, also on several ranks that share the mesh:
 
     python demos/breathing_plate.py [folder for the results]
     mpirun -n 2 python demos/breathing_plate.py
@@ -93,9 +93,9 @@ def main(output: Path = Path("output/breathing_plate")) -> dict[str, Any]:
             ],
             path=output / "gap.png",
             title=f"Breathing crack, {plate.n_pairs} pairs, H = {solution.harmonics}",
-            quantity="closing of the lips",
+            quantity="closing of the crack faces",
             period=solution.period,
-            zero="lips touch",
+            zero="crack faces touch",
         )
         fc.draw_contact_map(
             solution, path=output / "contact_map.png", title="Where and when the crack is closed"

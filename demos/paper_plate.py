@@ -6,8 +6,8 @@ The plate obeys
 
     M u'' + C u' + K u + B lambda(g) = f(t),      g = B^T u,
 
-and the crack breathes: the contact force lambda acts while its two faces, the lips, touch. This
-demo follows the paper of V. Kharyton and others, "Harmonic balance method implementation for crack
+and the crack breathes: the contact force lambda acts while its two faces touch. This demo follows
+the paper of V. Kharyton and others, "Harmonic balance method implementation for crack
 breathing process simulation" (about 2007): natural frequencies, linear solution, contact laws,
 harmonic balance, direct integration, and the comparison of the two. At the paper's own data
 (k = 1e11 N/m, xi = 0.001) the motion never settles; with k = 1e9 N/m and xi = 0.01 it does, and
@@ -200,8 +200,8 @@ def draw_case(
     """Figures 2, 3 and 5 to 8 of the paper for one case."""
     case = f"k = {stiffness:.0e} N/m, H = {harmonics}"
     period = float(t[-1])
-    quantity = {"gap": "closing of the lips", "corner": "horizontal displacement"}
-    zero = {"gap": "lips touch", "corner": None}
+    quantity = {"gap": "closing of the crack faces", "corner": "horizontal displacement"}
+    zero = {"gap": "crack faces touch", "corner": None}
     shown = slice(-min(20, len(folded["gap"])) * history.steps_per_period, None)
     fc.draw_waves(
         [fc.Wave("central differences", history.time[shown], history.gap[shown, 0], "green")],
@@ -212,11 +212,11 @@ def draw_case(
     )
     fc.draw_waves(
         [
-            fc.Wave("crack: closing of the lips", t, waves["gap"][0], "orange"),
+            fc.Wave("closing of the crack faces", t, waves["gap"][0], "orange"),
             fc.Wave("force point: horizontal displacement", t, waves["corner"][0], "blue", "--"),
         ],
         path=output / "fig3_linear.png",
-        title="Linear solution: the lips pass through each other",
+        title="Linear solution: the crack faces pass through each other",
         quantity="displacement",
         period=period,
     )

@@ -7,7 +7,7 @@ engine order 4 meets the first flap mode, near 6000 rpm, the vibration closes it
 1. the mesh with its clamp, its crack and its load;
 2. the first three modes: flap, flap with a node, and torsion;
 3. a run-up through the resonance, stable or not, which the closing crack bends to higher speeds;
-4. at its peak where on the crack the lips touch, how hard and for how long;
+4. at its peak where on the crack the faces touch, how hard and for how long;
 5. the blade as it vibrates there, as a GIF and for ParaView.
 
     python demos/solid_blade.py [folder for the results]
@@ -56,16 +56,16 @@ def main(output: Path = Path("output/solid_blade"), *, quick: bool = False) -> d
     fc.animate_period(motion, output / "breathing.gif", frames=24, material=scene.material)
     fc.write_period(motion, output / "breathing.pvd", frames=24, material=scene.material)
 
-    lips = fc.bilinear_frequencies(blade)
+    flap = fc.bilinear_frequencies(blade)
     found = {
         "degrees of freedom": blade.n_dofs,
         "pairs": blade.n_pairs,
-        "flap, lips open [Hz]": lips.omega_open[0] / (2.0 * np.pi),
-        "flap, lips tied [Hz]": lips.omega_tied[0] / (2.0 * np.pi),
-        "torsion, lips open [Hz]": modes.omega[2] / (2.0 * np.pi),
+        "flap, crack open [Hz]": flap.omega_open[0] / (2.0 * np.pi),
+        "flap, crack bonded [Hz]": flap.omega_tied[0] / (2.0 * np.pi),
+        "torsion, crack open [Hz]": modes.omega[2] / (2.0 * np.pi),
         "largest amplitude [m]": float(seen.amplitude[peak]),
         "at [rpm]": float(curve.values[peak]) / RPM,
-        "share of the period closed there": float(seen.closed_share[peak]),
+        "contact duty cycle there": float(seen.closed_share[peak]),
         "unstable share of the points": float(np.mean(~curve.stable)),
         "seconds": time.perf_counter() - begun,
     }

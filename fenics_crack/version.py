@@ -2,7 +2,7 @@
 
 from importlib import resources
 
-VERSION = "0.2.0"
+VERSION = "0.3.0"
 
 
 def packaged(path: str) -> str:

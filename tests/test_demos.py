@@ -149,14 +149,15 @@ def test_resonances(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_blade(tmp_path: Path) -> None:
-    """A cracked blade on a rotor, coarsely: the run-up peaks between open and tied lips, rotation
-    opens the crack, and tip timing finds most of the vibration."""
+    """A cracked blade on a rotor, coarsely: the run-up peaks between open and bonded crack,
+    rotation opens it, and tip timing finds most of the vibration."""
     found = load("blade").main(tmp_path, quick=True)
-    low, high = found["order meets open lips [rpm]"], found["order meets tied lips [rpm]"]
-    assert low < found["at [rpm]"] < high and low < found["order meets breathing lips [rpm]"] < high
-    assert found["share closed, slow and pressed"] > 0.3
-    assert found["share closed, fast and free"] == 0.0
-    assert 0.1 < found["share of the period closed there"] < 0.6
+    low, high = found["order meets open crack [rpm]"], found["order meets bonded crack [rpm]"]
+    assert low < found["at [rpm]"] < high
+    assert low < found["order meets breathing crack [rpm]"] < high
+    assert found["duty cycle, slow and pressed"] > 0.3
+    assert found["duty cycle, fast and free"] == 0.0
+    assert 0.1 < found["contact duty cycle there"] < 0.6
     seen = found["largest amplitude by tip timing [m]"] / found["largest amplitude [m]"]
     assert 0.5 < seen < 1.05  # groups of revolutions blur the peak
     for name in ("campbell", "run_up", "closed", "map", "arrivals", "probes"):
@@ -167,12 +168,12 @@ def test_solid_blade(tmp_path: Path) -> None:
     """A twisted blade on the coarse mesh: flap and torsion, a run-up whose peak the closing crack
     bends over a fold, and every picture."""
     found = load("solid_blade").main(tmp_path, quick=True)
-    flap = found["flap, lips open [Hz]"], found["flap, lips tied [Hz]"]
+    flap = found["flap, crack open [Hz]"], found["flap, crack bonded [Hz]"]
     assert flap == pytest.approx((398.3, 407.9), rel=2e-3)
-    assert found["torsion, lips open [Hz]"] == pytest.approx(1760.6, rel=2e-3)
+    assert found["torsion, crack open [Hz]"] == pytest.approx(1760.6, rel=2e-3)
     assert 4.0 * found["at [rpm]"] / 60.0 == pytest.approx(np.mean(flap), abs=0.4 * np.ptp(flap))
     assert 1e-3 < found["largest amplitude [m]"] < 4e-3
-    assert 0.1 < found["share of the period closed there"] < 0.3
+    assert 0.1 < found["contact duty cycle there"] < 0.3
     assert 0.05 < found["unstable share of the points"] < 0.4
     for name in ("mesh", "modes", "run_up", "contact", "spectrum"):
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
