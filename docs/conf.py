@@ -29,7 +29,7 @@ ENVIRONMENTS: dict[str, SandboxedEnvironment] = {}
 
 
 def one_environment(loader: BaseLoader) -> SandboxedEnvironment:
-    """Where numpydoc's template stays compiled: it makes one for each of 1,300 docstrings."""
+    """Keep numpydoc's template compiled: it makes one for each of 1,300 docstrings."""
     return ENVIRONMENTS.setdefault("numpydoc", SandboxedEnvironment(loader=loader))
 
 
@@ -63,14 +63,14 @@ autodoc_default_options = {"members": True}
 autosummary_generate = False
 add_module_names = False
 
-# What a text refers to must be there; but types are words too, such as "(n,) [m]".
+# References must exist, but types are words too, such as "(n,) [m]".
 nitpicky = True
 nitpick_ignore_regex = [("py:class", ".*")]
 
 
 def lead_outside(app: Sphinx, *place_and_text: object) -> None:
     """Lead links to the benchmarks, outside of this folder, to their page in the notebook;
-    those of the first page, which lies there, to what lies beside it."""
+    those of the first page to the files beside the README."""
     text = place_and_text[-1]
     assert isinstance(text, list)
     text[0] = text[0].replace("(../../benchmarks/README.md", "(benchmarks.md")
@@ -80,7 +80,7 @@ def lead_outside(app: Sphinx, *place_and_text: object) -> None:
 
 
 def write_the_scene(app: Sphinx, page: str, text: list[str]) -> None:
-    """``{{ new }}``: what ``fenics-crack new`` writes."""
+    """Replace ``{{ new }}`` by the scene that ``fenics-crack new`` writes."""
     scene = given.new_scene("plate.toml", "measured.csv", ())
     text[0] = text[0].replace("{{ new }}", scene.rstrip())
 
@@ -88,7 +88,7 @@ def write_the_scene(app: Sphinx, page: str, text: list[str]) -> None:
 def show_what_returns(
     app: Sphinx, what: str, name: str, thing: object, options: object, signature: str, _: object
 ) -> tuple[str, str | None]:
-    """The signature with its default values, and the type of what is returned."""
+    """Return the signature with its default values, and the type of the return value."""
     returned = getattr(thing, "__annotations__", {}).get("return")
     return signature, returned if what in ("function", "method") else None
 
@@ -96,7 +96,7 @@ def show_what_returns(
 def say_what_is_allowed(
     app: Sphinx, what: str, name: str, thing: object, options: object, lines: list[str]
 ) -> None:
-    """Below each key of a scene: the words of the error that any other value gets, and the unit."""
+    """Add the allowed values and the unit below each key of a scene, in the words of its error."""
     kind, _, key = name.removeprefix("fenics_crack.scene.tables.").partition(".")
     if field := getattr(getattr(tables, kind, None), "__dataclass_fields__", {}).get(key):
         unit = f" [{field.metadata['unit']}]" if field.metadata["unit"] else ""
@@ -104,7 +104,7 @@ def say_what_is_allowed(
 
 
 def typeset(page: HTML5Translator, node: nodes.Element) -> None:
-    """A formula as a drawing in the page: by matplotlib, without a network and without LaTeX."""
+    """Draw a formula in the page: by matplotlib, without a network and without LaTeX."""
     source, drawing = node.astext().strip(), io.StringIO()
     with matplotlib.rc_context({"mathtext.fontset": "stix", "svg.hashsalt": "formula"}):
         depth = math_to_image(f"${source}$", drawing, FontProperties(size=12), format="svg")
@@ -113,7 +113,8 @@ def typeset(page: HTML5Translator, node: nodes.Element) -> None:
     svg = svg[svg.index("<svg ") :].replace(
         "<svg ", f'<svg {look} style="overflow: visible; vertical-align: -{depth}pt" ', 1
     )
-    page.body.append(f"<p>{svg}</p>" if isinstance(node, nodes.math_block) else svg)
+    block = isinstance(node, nodes.math_block)
+    page.body.append(f'<p class="formula">{svg}</p>' if block else svg)
     raise nodes.SkipNode
 
 
