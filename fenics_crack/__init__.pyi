@@ -27,7 +27,6 @@ from fenics_crack.curves.stability import floquet as floquet
 from fenics_crack.curves.stability import shoot as shoot
 from fenics_crack.curves.verdicts import judge_curve as judge_curve
 from fenics_crack.draw.animation import animate_period as animate_period
-from fenics_crack.draw.animation import show_period as show_period
 from fenics_crack.draw.plot import Wave as Wave
 from fenics_crack.draw.plot import draw_contact_map as draw_contact_map
 from fenics_crack.draw.plot import draw_laws as draw_laws

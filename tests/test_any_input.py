@@ -560,7 +560,7 @@ def test_command_lines(folder: Path, seed: int) -> None:
         ["--output", str(folder / rng.choice(["out", "text.h5", "missing/of/all"]))],
         ["--count", rng.choice(["0", "-1", "2", "x", "1e3", "1000", "1" * 30])],
         ["--format", rng.choice(["text", "json", "csv", "xml"])],
-        ["--quiet"], ["--verbose"], ["--show"], ["--wrong"], [""], ["--help"], ["--version"],
+        ["--quiet"], ["--verbose"], ["--wrong"], [""], ["--help"], ["--version"],
     ]  # fmt: skip
     arguments += rng.sample(others, rng.choice([0, 0, 0, 1, 2]))
     rng.shuffle(arguments)

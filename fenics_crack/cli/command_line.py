@@ -285,7 +285,7 @@ COMMANDS = {
     ),
     "plot": (
         "pictures of a result, of several in one, or of a scene's mesh; files for ParaView",
-        "results --label --show --output --pictures",
+        "results --label --output --pictures",
     ),
     "report": (
         "one HTML page with all of some results, to be read anywhere",
@@ -364,7 +364,6 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
         "the .html file (default: report.html beside the first result)",
         {"type": path, "metavar": "FILE.html"},
     ),
-    "--show": ("also in a window (a solution; needs a screen)", {"action": "store_true"}),
     "--pictures": (
         "kind of the pictures; pdf and svg are vector graphics, for papers (default: png)",
         {"choices": ("png", "pdf", "svg"), "default": "png"},

@@ -117,19 +117,14 @@ def plot(given: Namespace, _: None, console: Console) -> None:
 
     def draw() -> list[Path]:
         stored = None if several or is_scene else read(first)
-        if given.show and (stored is None or stored.kind != PeriodicSolution.KIND):
-            raise InputError("--show", str(first), "used with one periodic solution")
         if several or labels:
             return _draw_several(results, labels, folder, console.pictures)
         if stored is None:
             return [_draw_scene(Scene.load(first), folder, kind=console.pictures)]
         result: Any = result_of(stored)
-        drawn = _draw_result(result, folder, console.pictures)
-        if given.show:
-            from fenics_crack.draw.animation import show_period  # VTK
-
-            show_period(result.result, material=result.scene.material)
-        return drawn + _for_paraview(result, folder, console)
+        return _draw_result(result, folder, console.pictures) + _for_paraview(
+            result, folder, console
+        )
 
     with console.stage("pictures"):
         files = on_root(console.comm, draw)

@@ -14,7 +14,7 @@ from textwrap import fill
 from typing import Any, TypedDict
 
 import numpy as np
-from matplotlib import colormaps, rc_context
+from matplotlib import colormaps, rc_context, rc_params_from_file
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
@@ -35,10 +35,10 @@ from fenics_crack.basics.tables import readable, with_unit
 COLOURS = {"blue": "#0072B2", "orange": "#D55E00", "green": "#009E73", "pink": "#CC79A7"}
 COLOURS["grey"] = "#5C5C5C"
 """Okabe and Ito's palette, which colour-blind readers can distinguish, and a grey."""
-FEW_DECADES = 1e5
-"""Ratio of the ends of a logarithmic axis beyond which its labels are powers of ten."""
-UNLABELLED = 1e2
-"""The same beyond which only decades have labels."""
+STYLE = rc_params_from_file(
+    Path(__file__).with_name("fenics_crack.mplstyle"), use_default_template=False
+)
+"""Settings of Matplotlib for new figures, legends and files."""
 LETTERS = 42
 """Maximum letters in a line of a label along the height of a panel."""
 NO_PREFIX = ("1", "-", "%", "Hz", "rad/s")
@@ -46,12 +46,6 @@ NO_PREFIX = ("1", "-", "%", "Hz", "rad/s")
 FIRST = "first in the legend"
 """Marks (``gid``) lines that come first in a legend, before those that explain styles."""
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-ROWS = 2
-"""Rows of a legend below a panel for which a figure has room."""
-BELOW, BELOW_TICKS = 4.2, 0.8
-"""Distance of a legend from a panel with a labelled horizontal axis, and with bare ticks [em]."""
-DPI = 150
-"""Dots per inch of a new figure."""
 
 
 class Where(TypedDict, total=False):
@@ -82,7 +76,7 @@ class Picture:
     count, columns : int
         Number of panels, and of those side by side in a new figure.
     size : (float, float) [in]
-        Of a new figure.
+        Of a new figure; default: that of the style sheet.
     sharex : bool
         The panels of a new figure have one horizontal axis.
     comm : MPI.Comm
@@ -102,7 +96,7 @@ class Picture:
         count: int = 1,
         *,
         columns: int = 1,
-        size: tuple[float, float] = (7.0, 4.2),
+        size: tuple[float, float] | None = None,
         sharex: bool = False,
         comm: MPI.Comm = MPI.COMM_SELF,
         axes: Any = None,
@@ -117,7 +111,8 @@ class Picture:
         self.legend = legend
         axes = given_axes(axes, ax)
         if axes is None:
-            figure = ShownFigure(figsize=size, dpi=DPI, layout="constrained")
+            with rc_context(STYLE):
+                figure = ShownFigure(figsize=size)
             FigureCanvasAgg(figure)
             rows = -(-count // columns)
             axes = figure.subplots(rows, columns, squeeze=False, sharex=sharex).ravel()
@@ -140,9 +135,10 @@ class Picture:
     def finished(self) -> Figure:
         """The figure with grids and legends, saved as by :meth:`saved`."""
         for panel in self:
-            panel.grid(alpha=0.3)
-            if self.legend:
-                _draw_legend(panel)
+            with rc_context(STYLE):
+                panel.grid(alpha=STYLE["grid.alpha"])
+                if self.legend:
+                    _draw_legend(panel)
         return self.saved()
 
     def saved(self) -> Figure:
@@ -161,7 +157,7 @@ class Picture:
                     written = png_of(self.figure)
                 else:
                     picture = BytesIO()
-                    with rc_context({"pdf.fonttype": 42}):  # publishers refuse Type 3 fonts
+                    with rc_context(STYLE):
                         self.figure.savefig(picture, format=file.suffix.removeprefix(".") or None)
                     written = picture.getvalue()
                 write_whole(file, written)
@@ -181,6 +177,12 @@ def png_of(figure: Figure) -> bytes:
 def drawn_on(canvas: FigureCanvasAgg) -> Image.Image:
     """Return the image on a canvas, without its alpha channel."""
     return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+
+
+def tenth(vectors: np.ndarray, size: float) -> float:
+    """Factor that makes the longest of some vectors (..., d) a tenth of a size; 1 if all are 0."""
+    largest = np.linalg.norm(vectors, axis=-1).max()
+    return float(0.1 * size / largest) if largest > 0.0 else 1.0
 
 
 def given_axes(axes: Any = None, ax: Any = None) -> Any:
@@ -212,14 +214,14 @@ def label_axis(axis: Axis, quantity: str, unit: str) -> None:
     low, high = axis.get_view_interval()
     if axis.get_scale() != "log":
         axis.set_major_formatter(FuncFormatter(lambda x, _: _plain(round(factor * x, 12))))
-    elif high > FEW_DECADES * low:
+    elif (decades := np.log10(high / low)) > 5.0:
         axis.set_minor_locator(NullLocator())
         axis.set_major_formatter(FuncFormatter(lambda x, _: _power(factor * x)))
     else:  # few decades: labels within them, too, or a few small ticks, of which each takes time
-        if high > UNLABELLED * low:
+        if decades > 2.0:
             axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
         axis.set_major_formatter(_Decades(factor))
-        axis.set_minor_formatter(_Decades(factor, minor_thresholds=(np.log10(UNLABELLED), 0.8)))
+        axis.set_minor_formatter(_Decades(factor, minor_thresholds=(2.0, 0.8)))
 
 
 def label_count(axis: Axis, things: str) -> None:
@@ -269,17 +271,17 @@ def _draw_legend(axes: Axes) -> None:
         longest = max(len(line) for label in lines for line in label)
         columns = max(1, min(len(named), int(letters / (longest + 8))))
         high, before = -(-len(named) // columns), axes.get_legend()
-        rows = max(sum(map(len, lines[top : top + high])) for top in range(0, len(lines), high))
-        more = max(rows, ROWS) - max(ROWS if before is None else int(before.get_gid()), ROWS)
+        tops = range(0, len(lines), high)
+        rows = max(2, *(sum(map(len, lines[top : top + high])) for top in tops))
+        more = rows - (2 if before is None else int(before.get_gid()))  # a figure has room for 2
         if alone:
             axes.figure.set_figheight(axes.figure.get_figheight() + 0.17 * more)
         labelled = axes.xaxis.get_major_ticks()[0].label1.get_visible()
-        pad = BELOW if labelled else BELOW_TICKS
-        below = {"bbox_to_anchor": (0.5, 0.0), "borderaxespad": pad}
+        below = {"bbox_to_anchor": (0.5, 0.0), "borderaxespad": 4.2 if labelled else 0.8}  # [em]
         where = {"loc": "upper center", "ncol": columns, "frameon": False, **below}
-        axes.legend(list(named.values()), list(named), fontsize=8, **where).set_gid(str(rows))
+        axes.legend(list(named.values()), list(named), **where).set_gid(str(rows))
     elif named:
-        axes.legend(list(named.values()), list(named), fontsize=8, loc="best", framealpha=0.9)
+        axes.legend(list(named.values()), list(named), loc="best")
         _make_room(axes)
 
 

@@ -10,6 +10,7 @@ from itertools import cycle, islice, product
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
@@ -22,6 +23,7 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.tables import readable
 from fenics_crack.draw.figure import (
     COLOURS,
+    STYLE,
     Picture,
     Where,
     distinct_colours,
@@ -39,22 +41,10 @@ from fenics_crack.numerics.fourier import to_complex
 if TYPE_CHECKING:  # which loads DOLFINx
     from fenics_crack.study.run import StressIntensity
 
-MARKED = 60
-"""Maximum points of a line that have a dot each: of more the dots would touch."""
 DOUBTFUL = f"not stable, or estimated error above {100 * LARGE_ERROR:g} %"
 HATCHED = "#ffffff"
-TWO_PANELS = (9.0, 3.4)
-"""Size of a picture of two panels [inch]."""
-LOGARITHMIC = 30.0
-"""Ratio of the values of a map from which its colours are logarithmic."""
 MISSING, OPEN = "#b5b5b5", "#e8e8e8"
 """Cells without a value; an open crack."""
-DECADES = 9
-"""Range of a spectrum below its largest amplitude; what is smaller is rounding."""
-MANY_STEMS = 150
-"""Harmonics beyond which a spectrum is points."""
-SHOWN_CLOSED = 0.01
-"""Fraction of the largest K_I below which a crack tip is shown as closed."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +58,6 @@ class Wave:
         style.
     time, values : (n,)
         [s], [m].
-    spread : (n,) [m] or None
-        Half-width of a band around the curve, for example the standard deviation of a mean wave.
     """
 
     label: str
@@ -77,7 +65,6 @@ class Wave:
     values: np.ndarray
     colour: str = "blue"
     style: str = "-"
-    spread: np.ndarray | None = None
 
 
 def draw_waves(
@@ -120,9 +107,6 @@ def draw_waves(
         time = wave.time / period if period else wave.time
         colour = COLOURS.get(wave.colour, wave.colour)
         panel.plot(time, wave.values, wave.style, color=colour, label=wave.label, lw=1.6)
-        if wave.spread is not None:
-            low, high = wave.values - wave.spread, wave.values + wave.spread
-            panel.fill_between(time, low, high, color=colour, alpha=0.2, lw=0)
     if zero is not None:
         panel.axhline(0.0, color=COLOURS["grey"], lw=0.8, label=zero)
     if period:
@@ -243,8 +227,7 @@ def _over_cracks(structure: Structure, shown: Mapping[str, np.ndarray], where: W
     of_pair = np.zeros(len(tree.data), dtype=int) if pairs.cracks is None else pairs.cracks
     of_crack = of_pair[tree.query(mesh.points[triangles].mean(axis=1))[1]]
     cracks = np.unique(of_pair)
-    width, height = TWO_PANELS
-    picture = Picture(2 * len(cracks), columns=2, size=(width, height * len(cracks)), **where)
+    picture = Picture(2 * len(cracks), columns=2, size=(9.0, 3.4 * len(cracks)), **where)
     for panel, (crack, label) in zip(picture, product(cracks, shown), strict=True):
         nodes, corners = np.unique(triangles[of_crack == crack], return_inverse=True)
         distance, pair = tree.query(mesh.points[nodes])
@@ -340,7 +323,7 @@ def draw_response(
         panel.set_yscale("log")
     there = sum(line.get_linestyle() != "None" for line in panel.lines)
     styles = islice(cycle(product((".-", ".--", ".:"), COLOURS.values())), there, None)
-    size = 4.0 if len(values) <= MARKED else 0.0
+    size = 4.0 if len(values) <= 60 else 0.0  # more dots would touch
     for (label, found), (style, colour) in zip(curves.items(), styles, strict=False):
         panel.plot(values, found, style, color=colour, label=label, lw=1.4, ms=size)
     marked = {label: np.asarray(mask, bool) for label, mask in (doubtful or {}).items()}
@@ -407,7 +390,7 @@ def draw_map(
     if not shown.count():
         raise InputError("values", "nan", "finite somewhere")
     low, high = float(shown.min()), float(shown.max())
-    scale = LogNorm if 0.0 < LOGARITHMIC * low <= high else Normalize
+    scale = LogNorm if 0.0 < 30.0 * low <= high else Normalize
     marked = np.zeros(shown.shape, bool) if doubtful is None else np.asarray(doubtful, bool)
     if marked.shape != shown.shape:
         raise InputError("doubtful", marked.shape, f"of the shape of values, {shown.shape}")
@@ -424,7 +407,8 @@ def draw_map(
     panel.set(xlabel=x_label, ylabel=y_label)
     if keys and picture.legend:
         below = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0), "borderaxespad": 4.2}
-        panel.legend(handles=keys, ncol=2, fontsize=8, handlelength=3.0, frameon=False, **below)
+        with rc_context(STYLE):
+            panel.legend(handles=keys, ncol=2, handlelength=3.0, frameon=False, **below)
     return picture.saved()
 
 
@@ -563,18 +547,18 @@ def _stems(axes: Axes, series: Series, quantity: str, unit: str) -> None:
     they are many, several series side by side."""
     seen = np.concatenate([values for values, _ in series.values()])
     top = float(seen.max()) or 1.0
-    lowest = np.min(seen, where=seen > 10.0**-DECADES * top, initial=0.1 * top)
+    lowest = np.min(seen, where=seen > 1e-9 * top, initial=0.1 * top)  # what is smaller is rounding
     bottom = 10.0 ** np.floor(np.log10(0.5 * lowest))
     highest = max((len(values) - 1) / loads for values, loads in series.values())
     most = max(len(values) for values, _ in series.values()) - 1
-    size = 4.5 if most < 25 else 3.0 if most <= MANY_STEMS else 1.5
+    size = 4.5 if most < 25 else 3.0 if most <= 150 else 1.5  # beyond, points without stems
     step = 0.5 / max(2, len(series))
     styles = zip(series.items(), distinct_colours(len(series)), cycle("osD^"), strict=False)
     for number, ((label, (values, loads)), colour, marker) in enumerate(styles):
         shift = step * (number - 0.5 * (len(series) - 1)) / loads
         kept = np.flatnonzero(values >= bottom)
         order, shown = kept / loads + shift, values[kept]
-        if most <= MANY_STEMS:
+        if size > 1.5:
             axes.vlines(order, bottom, shown, color=colour, lw=1.2)
         axes.plot(order, shown, marker, color=colour, ms=size, label=label)
     axes.set_xlim(-0.5, highest + 0.5)
@@ -706,7 +690,7 @@ def draw_stress_intensity(found: StressIntensity, **where: Unpack[Where]) -> Fig
         one, two = found.one[:, number], found.two[:, number]
         panel.plot(time, one, color=colour, lw=1.8, label=f"K_I, {tip}")
         panel.plot(time, two, color=colour, lw=1.0, ls="--", label=f"K_II, {tip}")
-        closed = np.where(one <= SHOWN_CLOSED * max(one.max(), 0.0), one, np.nan)
+        closed = np.where(one <= 0.01 * max(one.max(), 0.0), one, np.nan)  # to drawing accuracy
         if not np.all(np.isnan(closed)):
             panel.plot(time, closed, color=COLOURS["grey"], lw=4.0, label=shut)
             shut = "_" + shut.lstrip("_")  # once in the legend

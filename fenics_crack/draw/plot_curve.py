@@ -21,10 +21,6 @@ from fenics_crack.numerics.fourier import to_complex
 BEHIND = ("#8f8f8f", "#cc8fb1", "#6fb59a")
 """Other curves, drawn behind the one in question."""
 MARKERS = {"fold": "v", "branch_point": "s", "period_doubling": "D", "neimark_sacker": "^"}
-PER_MARK = 0.03
-"""Sides of a part of the picture that has one mark of a kind, relative to those of the picture."""
-FAINT = 0.3
-"""Opacity of points with a large estimated error."""
 STYLES = {"stable": "-", "unstable": "--", "undecided": ":"}
 INEXACT = f"faint: estimated error above {100 * LARGE_ERROR:g} %"
 
@@ -101,22 +97,22 @@ def _draw_parts(
     """Draw the parts of a curve by their stability and estimated error."""
     known = curve.multipliers is not None
     states = curve.verdicts if known else np.full(len(x), "stable")
-    inexact = curve.displacement_errors > LARGE_ERROR
+    inexact, faint = curve.displacement_errors > LARGE_ERROR, {"alpha": 0.3}
     if label:
         axes.plot([], [], color=ink, lw=1.8, label=label, gid=FIRST)
     for state, style in STYLES.items():
         if not np.any(states == state):
             continue
-        for faint in (False, True):
-            at = (states == state) & (inexact == faint)
+        for error, look in ((False, {}), (True, faint)):
+            at = (states == state) & (inexact == error)
             # the stretch between two points is in the state of the first
             shown = np.where(at | np.append(False, at[:-1]), y, np.nan)
-            axes.plot(x, shown, style, color=ink, lw=1.4, alpha=FAINT if faint else 1.0)
+            axes.plot(x, shown, style, color=ink, lw=1.4, **look)
         grey = COLOURS["grey"] if label else ink
         if known or not label:
             axes.plot([], [], style, color=grey, lw=1.4, label=state if known else "with contact")
     if inexact.any():
-        axes.plot([], [], color=ink, lw=1.4, alpha=FAINT, label=INEXACT)
+        axes.plot([], [], color=ink, lw=1.4, label=INEXACT, **faint)
 
 
 def _mark_peak(axes: Axes, curve: ResponseCurve, dof: int | None, in_hertz: bool, ink: str) -> None:
@@ -158,11 +154,11 @@ def _mark_bifurcations(
 
 
 def _apart(axes: Axes, x: np.ndarray, y: np.ndarray, kinds: np.ndarray) -> np.ndarray:
-    """Choose the places of a picture that are marked, so that marks of a kind do not pile up: (n,)
-    bool."""
+    """Choose the places of a picture that are marked, one of a kind in each 3 % of its width and
+    height, so that marks do not pile up: (n,) bool."""
     axes.autoscale_view()  # to what is drawn so far
     places = (axes.transData - axes.transAxes).transform(np.column_stack([x, y]))
-    cells = np.column_stack([np.floor(places / PER_MARK), np.unique(kinds, return_inverse=True)[1]])
+    cells = np.column_stack([np.floor(places / 0.03), np.unique(kinds, return_inverse=True)[1]])
     _, first = np.unique(cells, axis=0, return_index=True)
     return np.isin(np.arange(len(x)), first)
 
@@ -263,10 +259,6 @@ def draw_content(
     return picture.finished()
 
 
-HIGHEST = 2.0
-"""Largest modulus of a multiplier shown."""
-
-
 def draw_multipliers(
     curve: ResponseCurve, *, in_hertz: bool = False, **where: Unpack[Where]
 ) -> Figure:
@@ -321,8 +313,8 @@ def draw_multipliers(
         label = "undecided" if known.all() else "undecided; at 1 where unknown"
         shown = np.where(known, sizes[open_], 1.0)
         panel.plot(x[open_], shown, "x", ms=4.0, color=COLOURS["pink"], label=label)
-    if far := int(np.sum(sizes > HIGHEST)):  # else all others would be a line
-        panel.set_ylim(top=HIGHEST)
+    if far := int(np.sum(sizes > 2.0)):  # else all others would be a line
+        panel.set_ylim(top=2.0)
         panel.plot([], [], " ", label=f"{far} of {len(sizes)} lie above")
     _label_parameter(panel, curve, in_hertz)
     panel.set_ylabel("modulus of the largest multiplier [-]")

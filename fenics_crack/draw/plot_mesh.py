@@ -14,19 +14,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from fenics_crack.basics.errors import InputError, check_count
-from fenics_crack.draw.figure import COLOURS, Picture, Where, label_axis
+from fenics_crack.draw.figure import COLOURS, Picture, Where, label_axis, tenth
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.structure import Structure
-
-MOST_ARROWS = 40
-"""Arrows of a load, at most."""
-SOLID = (5.5, 6.5)
-"""Size of the picture of a solid's mesh [inch]."""
-DRAWN_LENGTH = 0.12
-"""Length of the arrows and of the displacements of modes, relative to the size of the structure."""
-ARROW = 0.2
-"""Length of the arrow of a load on a solid, likewise."""
 
 
 def draw_mesh(structure: Structure, **where: Unpack[Where]) -> Figure:
@@ -59,7 +50,7 @@ def draw_mesh(structure: Structure, **where: Unpack[Where]) -> Figure:
     mesh = NodalMesh(structure)
     load = mesh.field(mesh.structure.force)
     if mesh.dimension == 3:
-        picture = Picture(size=SOLID, **where)
+        picture = Picture(size=(5.5, 6.5), **where)
         _solid(picture, mesh, load)
         return picture.finished()
     ratio = float(np.clip(np.divide(*np.maximum(np.ptp(mesh.points, axis=0), 1e-300)), 0.4, 2.5))
@@ -102,8 +93,8 @@ def _arrows(axes: Axes, mesh: NodalMesh, load: np.ndarray, label: str, colour: s
     """Draw nodal forces (n_nodes, 2) as arrows that begin at their nodes, the largest as long."""
     sizes = np.linalg.norm(load, axis=1)
     loaded = np.flatnonzero(sizes > 1e-9 * sizes.max())
-    loaded = loaded[:: -(-len(loaded) // MOST_ARROWS)]
-    arrows = DRAWN_LENGTH * mesh.size / sizes.max() * load[loaded]
+    loaded = loaded[:: -(-len(loaded) // 40)]  # at most 40 arrows
+    arrows = tenth(load, mesh.size) * load[loaded]
     ends = mesh.points[loaded] + arrows
     look = {"color": colour, "angles": "xy", "scale_units": "xy", "scale": 1.0}
     axes.quiver(*mesh.points[loaded].T, *arrows.T, units="inches", width=0.03, zorder=4, **look)
@@ -149,7 +140,7 @@ def draw_modes(
     check_count("columns", columns, 1)
     columns = min(columns, len(numbers))
     mesh = NodalMesh(modes.structure)
-    across, up = np.ptp(mesh.points, axis=0)[:2] + 2.0 * DRAWN_LENGTH * mesh.size
+    across, up = np.ptp(mesh.points, axis=0)[:2] + 0.2 * mesh.size  # they move by a tenth
     row = 0.4 + 2.4 * float(np.clip(up / across, 0.3, 1.0))
     size = (2.7 * columns, row * -(-len(numbers) // columns))
     comm = mesh.structure.comm
@@ -164,7 +155,7 @@ def draw_modes(
 def _mode_shape(axes: Axes, mesh: NodalMesh, shape: np.ndarray) -> None:
     """Draw a displacement (n_nodes, d), magnified and coloured by its length."""
     amplitude = np.linalg.norm(shape, axis=1)
-    drawn = DRAWN_LENGTH * mesh.size / amplitude.max() * shape
+    drawn = tenth(shape, mesh.size) * shape
     if mesh.dimension == 3:
         _solid_shape(axes, mesh, drawn)
         return
@@ -209,7 +200,7 @@ def _solid(picture: Picture, mesh: NodalMesh, load: np.ndarray) -> None:
         total, share = part.sum(axis=0), np.abs(part).sum(axis=1)
         if np.linalg.norm(total) > 0.0:
             place = share @ points / share.sum()
-            length = ARROW * mesh.size
+            length = 0.2 * mesh.size
             start = place - length * total / np.linalg.norm(total)
             arrow = vtk.pyvista().Arrow(
                 start=start, direction=total, scale=length, shaft_radius=0.03, tip_radius=0.08
@@ -231,7 +222,7 @@ def _solid_shape(axes: Axes, mesh: NodalMesh, displacement: np.ndarray) -> None:
 
     plotter = vtk.off_screen_plotter()
     facets = mesh.boundary_facets
-    moved = vtk.pyvista().wrap(vtk.surface(mesh.points + displacement, facets))
+    moved = vtk.surface(mesh.points + displacement, facets)
     moved["amplitude"] = np.linalg.norm(displacement, axis=1)
     plotter.add_mesh(moved, scalars="amplitude", cmap="viridis", show_scalar_bar=False)
     edges = vtk.outline(mesh)

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from fenics_crack.basics.errors import InputError, check_count
 from fenics_crack.basics.tables import (
     QUANTITIES,
+    READ,
     RPM,
     TURN,
     frequency_axis,
@@ -47,11 +48,6 @@ if TYPE_CHECKING:  # which load SciPy's interpolation, and DOLFINx
 
 SHARES = (0.5, 0.95, 0.999)
 """Probabilities within the contours."""
-MARGIN = 0.35
-"""Margin around the outermost contour, over its size."""
-EMPTY = 1e-300
-LEAST_DRAWN = 1e-4
-"""Minimum contribution that is drawn [%]."""
 MARKS = "osD^v<>ph*"
 CAUSE_WORDS = {"shift": "mesh, shift of the resonance"}
 Looks = dict[str, dict[str, Any]]
@@ -110,7 +106,7 @@ def draw_posterior(
     for (name, (right, up, _, density)), colour in zip(
         grids.items(), distinct_colours(len(grids)), strict=True
     ):
-        shown = np.log(np.maximum(density.T, EMPTY))
+        shown = _log(density.T)
         if shown.max() <= levels[0]:
             continue
         look: dict[str, Any] = {"colors": colour}
@@ -159,7 +155,7 @@ def _draw_density(panel: Axes, found: Identification, x: str) -> None:
 def _levels(grids: list[tuple[np.ndarray, ...]]) -> list[float]:
     """log of the density at the borders of the regions, outermost first."""
     masses = np.concatenate([grid[2].ravel() for grid in grids])
-    logs = np.log(np.maximum(np.concatenate([grid[3].ravel() for grid in grids]), EMPTY))
+    logs = _log(np.concatenate([grid[3].ravel() for grid in grids]))
     order = np.argsort(-logs)
     held = np.cumsum(masses[order])
     places = np.minimum(np.searchsorted(held, SHARES), len(order) - 1)[::-1]
@@ -167,10 +163,15 @@ def _levels(grids: list[tuple[np.ndarray, ...]]) -> list[float]:
     return list(logs[order[places]] + rising)
 
 
+def _log(density: np.ndarray) -> np.ndarray:
+    """The logarithm of a density, which is finite also where it is zero."""
+    return np.log(np.maximum(density, np.finfo(float).tiny))
+
+
 def _set_limits(panel: Any, within: np.ndarray, axes: tuple[np.ndarray, np.ndarray]) -> None:
     """Show the regions, with their points (n, 2), and some room around them, within the bounds."""
     for values, axis, change in zip(within.T, axes, (panel.set_xlim, panel.set_ylim), strict=True):
-        room = MARGIN * np.ptp(values) + 0.02 * np.ptp(axis)
+        room = 0.35 * np.ptp(values) + 0.02 * np.ptp(axis)
         change(max(axis[0], values.min() - room), min(axis[-1], values.max() + room))
 
 
@@ -211,7 +212,7 @@ def draw_verification(found: Verification, **where: Unpack[Where]) -> Figure:
 
 def _draw_orders(panel: Axes, found: Verification, cause: str, looks: Looks) -> None:
     """|f_i - f| over h, relative to those of the scene's own choice."""
-    widest, largest = np.ones(1), LEAST_DRAWN
+    widest, largest = np.ones(1), 100.0 * READ
     for name, look in looks.items():
         part = found.parts[cause][name]
         away = np.abs(np.array(part.values) - part.extrapolated)
@@ -254,12 +255,12 @@ def _draw_contributions(panel: Axes, found: Verification, looks: Looks) -> None:
     colours = dict(zip(CAUSES, COLOURS.values(), strict=False))
     for place, name in enumerate(names):
         total = 100.0 * found.relative(name, found.total(name))
-        if total > LEAST_DRAWN:
+        if total > 100.0 * READ:
             panel.plot([total, total], [place - 0.32, place + 0.32], color="black", lw=1.6)
         for cause, error in found.contributions(name).items():
             inside = found.parts[cause][name].factor <= SAFE
             share = 100.0 * found.relative(name, error)
-            if share > LEAST_DRAWN:
+            if share > 100.0 * READ:
                 look = {"color": colours[cause], "mfc": colours[cause] if inside else "none"}
                 panel.plot(share, place, "o", ms=7, **look)
         if name in looks:

@@ -24,12 +24,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray, vtk_to_numpy
 from vtkmodules.vtkCommonCore import vtkPoints
-from vtkmodules.vtkCommonDataModel import (
-    vtkCellArray,
-    vtkDataObject,
-    vtkPolyData,
-    vtkUnstructuredGrid,
-)
+from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkDataObject, vtkUnstructuredGrid
 from vtkmodules.vtkFiltersGeneral import vtkGradientFilter
 from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
@@ -38,6 +33,7 @@ from fenics_crack.basics.atomic_files import write_together, write_whole
 from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import gather_rows, on_root
+from fenics_crack.draw.figure import tenth
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import Modes
@@ -50,13 +46,6 @@ from fenics_crack.version import packaged
 if TYPE_CHECKING:
     from fenics_crack.study.run import Run
 
-VIEW = (-1.3, 0.55, 1.6)
-"""Place of the camera, seen from the middle: y goes up, z where a solid is thinnest."""
-PIXELS = (900, 1000)
-"""Width and height of an image [pixels]."""
-BENT = 25.0
-"""Angle between facets at which there is an edge [degrees]."""
-
 
 def in_space(vectors: np.ndarray) -> np.ndarray:
     """Vectors (n, d) as VTK has them: (n, 3)."""
@@ -65,40 +54,13 @@ def in_space(vectors: np.ndarray) -> np.ndarray:
 
 def _grid_of(points: np.ndarray, cells: np.ndarray, vtk_type: int) -> vtkUnstructuredGrid:
     """Points (n, d) and cells of one type."""
-    grid = vtkUnstructuredGrid()
-    place(grid, points)
-    grid.SetCells(vtk_type, cells_of(cells))
-    return grid
-
-
-def surface(points: np.ndarray, facets: np.ndarray) -> vtkPolyData:
-    """Some facets."""
-    data = vtkPolyData()
-    place(data, points)
-    data.SetPolys(cells_of(facets))
-    return data
-
-
-def lines(points: np.ndarray, edges: np.ndarray) -> vtkPolyData:
-    """Some edges."""
-    data = vtkPolyData()
-    place(data, points)
-    data.SetLines(cells_of(edges))
-    return data
-
-
-def cells_of(nodes: np.ndarray) -> vtkCellArray:
-    """Cells with the same number of nodes each: (n, k)."""
-    cells = vtkCellArray()
-    cells.SetData(nodes.shape[1], numpy_to_vtkIdTypeArray(nodes.ravel().astype(np.int64), deep=1))
-    return cells
-
-
-def place(data: vtkPolyData | vtkUnstructuredGrid, points: np.ndarray) -> None:
-    """Put the points (n, d) of a data set where they are now."""
-    positions = vtkPoints()
+    grid, positions, of_type = vtkUnstructuredGrid(), vtkPoints(), vtkCellArray()
     positions.SetData(numpy_to_vtk(in_space(points), deep=1))
-    data.SetPoints(positions)
+    grid.SetPoints(positions)
+    nodes = numpy_to_vtkIdTypeArray(cells.ravel().astype(np.int64), deep=1)
+    of_type.SetData(cells.shape[1], nodes)
+    grid.SetCells(vtk_type, of_type)
+    return grid
 
 
 def add_values(fields: Any, name: str, values: np.ndarray) -> Any:
@@ -131,7 +93,8 @@ def look_from_corner(renderer: Any, points: np.ndarray) -> None:
     x, z = np.linalg.eigh(flat.T @ flat)[1][:, 0]  # where it is thinnest
     x, z = (x, z) if z > 0.0 else (-x, -z)
     camera.SetFocalPoint(0.0, 0.0, 0.0)
-    camera.SetPosition(VIEW[0] * z + VIEW[2] * x, VIEW[1], VIEW[2] * z - VIEW[0] * x)
+    across, up, along = -1.3, 0.55, 1.6  # along: where the solid is thinnest
+    camera.SetPosition(across * z + along * x, up, along * z - across * x)
     camera.SetViewUp(0.0, 1.0, 0.0)
     renderer.ResetCamera()
 
@@ -152,7 +115,7 @@ def pyvista() -> Any:
     return pyvista
 
 
-def off_screen_plotter(window_size: tuple[int, int] = PIXELS) -> Any:
+def off_screen_plotter(window_size: tuple[int, int] = (900, 1000)) -> Any:
     """A plotter that draws into memory."""
     without_screen()
     if not os.environ.get("DISPLAY"):
@@ -160,12 +123,23 @@ def off_screen_plotter(window_size: tuple[int, int] = PIXELS) -> Any:
     return pyvista().Plotter(off_screen=True, window_size=window_size)
 
 
+def surface(points: np.ndarray, facets: np.ndarray) -> Any:
+    """Some facets."""
+    return pyvista().PolyData.from_regular_faces(in_space(points), facets)
+
+
+def lines(points: np.ndarray, edges: np.ndarray) -> Any:
+    """Some edges."""
+    counted = np.insert(edges, 0, edges.shape[1], axis=1)
+    return pyvista().PolyData(in_space(points), lines=counted.ravel())
+
+
 def outline(mesh: NodalMesh) -> np.ndarray:
     """Edges at which the surface of a solid at rest bends: (n, 2) nodes."""
-    whole = pyvista().wrap(surface(mesh.points, mesh.boundary_facets))
+    whole = surface(mesh.points, mesh.boundary_facets)
     whole["node"] = np.arange(len(mesh.points))
     edges = whole.extract_feature_edges(
-        feature_angle=BENT, boundary_edges=False, non_manifold_edges=False, manifold_edges=False
+        feature_angle=25.0, boundary_edges=False, non_manifold_edges=False, manifold_edges=False
     )
     return np.asarray(edges["node"])[edges.lines.reshape(-1, 3)[:, 1:]]
 
@@ -185,8 +159,6 @@ def image_of(plotter: Any, points: np.ndarray) -> np.ndarray:
 
 COMPONENTS = {2: ("xx", "yy", "xy"), 3: ("xx", "yy", "zz", "xy", "yz", "xz")}
 """Stresses in a plane and in space."""
-STRESS_INSTANTS = 128
-"""Instants of a period at which stresses are found."""
 
 
 def grid_at_rest(mesh: NodalMesh) -> vtkUnstructuredGrid:
@@ -293,7 +265,7 @@ def stress_at(
             raise InputError("dofs", "some", "None, to record all displacements")
         moved = structure.expand(found.recorded)
     else:
-        time = np.arange(STRESS_INSTANTS) * found.period / STRESS_INSTANTS
+        time = np.linspace(0.0, found.period, 128, endpoint=False)
         moved = found.displacement_field(time)
     nodal = nodal_stress(mesh, mesh.field(moved), run.scene.material)
     grid, columns = pyvista().wrap(grid_at_rest(mesh)), np.moveaxis(nodal, -2, 0)
@@ -338,7 +310,7 @@ def write_modes(modes: Modes, path: str | Path) -> None:
     def write() -> None:
         grid = grid_at_rest(mesh)
         for number, (omega, shape) in enumerate(zip(modes.omega, shapes, strict=True), 1):
-            factor = _tenth(shape, mesh.size)
+            factor = tenth(shape, mesh.size)
             moved, name = in_space(factor * shape), f"mode {number}: {omega:.1f} rad/s"
             add_values(grid.GetPointData(), name, moved)
             add_values(grid.GetFieldData(), f"magnification of mode {number}", np.array([factor]))
@@ -389,7 +361,7 @@ class PeriodFields:
         assert structure.pair_areas is not None
         self.time = np.arange(frames) * solution.period / frames
         self.displacement = self.mesh.field(solution.displacement_field(self.time))
-        self.magnification = float(magnification or _tenth(self.displacement, self.mesh.size))
+        self.magnification = float(magnification or tenth(self.displacement, self.mesh.size))
         self.force, self.areas = solution.contact_force(self.time), structure.pair_areas
         parts = self.mesh.field(structure.force).reshape(3, -1)
         load = evaluate(parts, solution.omega, self.time)
@@ -586,9 +558,3 @@ def _of_patches(mesh: NodalMesh, places: np.ndarray) -> tuple[np.ndarray, np.nda
     there = distance <= near
     shares[others[there]] = own[ends[edge[there]]].mean(axis=1)
     return own, shares
-
-
-def _tenth(vectors: np.ndarray, size: float) -> float:
-    """Factor that makes the longest of some vectors (..., 2) a tenth of a size; 1 if all are 0."""
-    largest = np.linalg.norm(vectors, axis=-1).max()
-    return float(0.1 * size / largest) if largest > 0.0 else 1.0

@@ -97,7 +97,6 @@ def test_what_cannot_be_laid_over(results: Path, tmp_path: Path, capsys: Any) ->
         ([one, sweep], "result = "),
         ([one, two, "--label", "a"], "--label = "),
         ([one, one], "result = "),
-        ([one, two, "--show"], "--show = "),
         ([one, SCENE], "path = "),
     ):
         assert main(["plot", *words, "--output", str(tmp_path)]) == 2
