@@ -6,16 +6,13 @@ not exist or takes no files, as in containers and on clusters.
 
 from __future__ import annotations
 
-import logging
 import os
 import tempfile
 from functools import lru_cache
 from pathlib import Path
 
 from fenics_crack.basics.atomic_files import not_written
-
-ROOM = 2**22
-"""Minimum size of a cache [bytes]; the forms of a scene take 1 to 2 MiB."""
+from fenics_crack.basics.progress import LOGGER
 
 
 @lru_cache
@@ -51,8 +48,7 @@ def _replace(name: str, path: Path, why: str) -> None:
     except OSError as error:
         raise not_written(name, path, error, "a folder that can be written") from None
     os.environ[name] = str(own)
-    # Python prints warnings that no handler is set for, to standard error.
-    logging.getLogger(__name__).warning("remark: %s: %s; %s is used", path, why, own)
+    LOGGER.warning("%s: %s; %s is used", path, why, own)  # Python prints it without a handler
 
 
 def _check_room(folder: Path) -> None:
@@ -60,4 +56,4 @@ def _check_room(folder: Path) -> None:
     while not os.path.lexists(folder):
         folder = folder.parent
     with tempfile.TemporaryFile(dir=folder) as file:
-        os.posix_fallocate(file.fileno(), 0, ROOM)
+        os.posix_fallocate(file.fileno(), 0, 2**22)  # the forms of a scene take 1 to 2 MiB

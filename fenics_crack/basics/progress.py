@@ -1,11 +1,13 @@
-"""The stages of a long computation, reported to listeners while they begin.
+"""The stages of a long computation, logged while they begin.
 
-The library calls :func:`begin` where something starts that takes seconds with a large mesh. Without
-a listener nothing happens; the program's console is one (:class:`StageLines`).
+The library calls :func:`begin` where something starts that takes seconds with a large mesh: a
+message of the logger ``fenics_crack.progress``, at level DEBUG. The program's console shows them
+(:class:`StageLines`).
 """
 
 from __future__ import annotations
 
+import logging
 import sys
 import threading
 import time
@@ -13,20 +15,18 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-LONG = 1.0
-"""Minimum time of a stage that is reported again after its end [s]."""
 BEAT = 5.0
 """Time between progress messages [s]."""
-_listeners: list[Callable[[str], None]] = []
+LOGGER = logging.getLogger("fenics_crack")
+"""Notes, remarks and warnings for the user."""
+_stages = LOGGER.getChild("progress")
 _parts: list[str] = []
 _reached: list[Callable[[], str]] = []
 
 
 def begin(stage: str) -> None:
     """Report what is done from now on; "" ends a stage where a progress bar goes on."""
-    text = ": ".join([*_parts, stage]) if stage else ""
-    for listener in _listeners:
-        listener(text)
+    _stages.debug("%s", ": ".join([*_parts, stage]) if stage else "")
 
 
 @contextmanager
@@ -41,7 +41,7 @@ def within(part: str) -> Iterator[None]:
 
 @contextmanager
 def reaching(how_far: Callable[[], str]) -> Iterator[None]:
-    """Add to signs of life how far something has come: "38% of 780 to 880 Hz, 120 points"."""
+    """Add to progress messages how far something has come: "38% of 780 to 880 Hz, 120 points"."""
     _reached.append(how_far)
     try:
         yield
@@ -49,58 +49,68 @@ def reaching(how_far: Callable[[], str]) -> Iterator[None]:
         _reached.pop()
 
 
-@contextmanager
-def listening(listener: Callable[[str], None]) -> Iterator[None]:
-    """Call a function with the name of each stage that begins, and with "" at the end."""
-    _listeners.append(listener)
-    try:
-        yield
-    finally:
-        _listeners.remove(listener)
-        listener("")
+class StageLines(logging.Handler):
+    """Shows the stage that is being done, with a progress message every :data:`BEAT` seconds.
 
-
-class StageLines:
-    """Shows the stage that is being done, with a sign of life every :data:`BEAT` seconds.
-
-    On a terminal the stage is shown while it is being done; elsewhere a sign of life is a line.
+    On a terminal the stage is shown while it is being done; elsewhere a message is a line.
 
     Parameters
     ----------
     stream : text stream
         Standard error.
     kept : bool
-        Keep a line of each long stage; else only signs of life are shown.
+        Keep a line of each stage that took more than a second; else only messages are shown.
     """
 
     def __init__(self, stream: Any = None, *, kept: bool = True) -> None:
+        super().__init__()
         self._stream = stream or sys.stderr
         self._live, self._kept = bool(self._stream.isatty()), kept
-        self._stage, self._began = "", 0.0
-        self._writing, self._over = threading.Lock(), threading.Event()
+        self._stage, self._began, self._over = "", 0.0, threading.Event()
 
-    def __call__(self, stage: str) -> None:
-        """End the stage before, and begin this one."""
+    def __enter__(self) -> StageLines:
+        _stages.addHandler(self)
+        _stages.setLevel(logging.DEBUG)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        _stages.setLevel(logging.NOTSET)
+        _stages.removeHandler(self)
+        with self._writing():
+            self._show("")
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """End the stage before, and begin this one; the lock is held."""
+        self._show(record.getMessage())
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        self.acquire()
+        try:
+            yield
+        finally:
+            self.release()
+
+    def _show(self, stage: str) -> None:
         now = time.perf_counter()
-        with self._writing:
-            before, self._stage = self._stage, stage
-            if before:
-                self._write("\r\033[K" if self._live else "")
-                if self._kept and now - self._began > LONG:
-                    self._write(f"  {before}: {now - self._began:.1f} s\n")
-            self._began = now
-            if stage and self._live:
-                self._write(f"  {stage} ...")
+        before, self._stage = self._stage, stage
+        if before:
+            self._write("\r\033[K" if self._live else "")
+            if self._kept and now - self._began > 1.0:
+                self._write(f"  {before}: {now - self._began:.1f} s\n")
+        self._began = now
+        if stage and self._live:
+            self._write(f"  {stage} ...")
         if stage and not before:
             self._over = threading.Event()
-            threading.Thread(target=self._live_on, args=(self._over,), daemon=True).start()
+            threading.Thread(target=self._repeat, args=(self._over,), daemon=True).start()
         elif before and not stage:
             self._over.set()
 
-    def _live_on(self, over: threading.Event) -> None:
+    def _repeat(self, over: threading.Event) -> None:
         """Print every few seconds the current stage and its time."""
         while not over.wait(BEAT):
-            with self._writing:
+            with self._writing():
                 said = f"  {self._stage} ... {time.perf_counter() - self._began:.0f} s"
                 said = ", ".join([said, *(how_far() for how_far in _reached)])
                 if self._stage:
@@ -109,3 +119,32 @@ class StageLines:
     def _write(self, text: str) -> None:
         self._stream.write(text)
         self._stream.flush()
+
+
+class Messages(logging.StreamHandler):
+    """Prints the messages of the program on standard error: warnings, and unless ``quiet`` is
+    requested all others, while its block runs."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        super().__init__()
+        self.setLevel(logging.WARNING if quiet else logging.INFO)
+
+    def __enter__(self) -> Messages:
+        LOGGER.addHandler(self)
+        LOGGER.setLevel(logging.INFO)
+        LOGGER.propagate = False  # compilers of forms set up the root's handlers, too
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        LOGGER.removeHandler(self)
+        LOGGER.setLevel(logging.NOTSET)
+        LOGGER.propagate = True
+
+    def format(self, record: logging.LogRecord) -> str:
+        """The message; a warning says that it is one."""
+        warns = record.levelno >= logging.WARNING
+        return f"{'fenics-crack: warning: ' if warns else ''}{record.getMessage()}"
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Raise what keeps standard error from being written."""
+        raise

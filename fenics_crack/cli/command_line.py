@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 from fenics_crack.basics.atomic_files import FULL
 from fenics_crack.basics.errors import ConvergenceError, Exit, InputError, StoppedError, WriteError
+from fenics_crack.basics.progress import Messages
 from fenics_crack.basics.suggestions import in_other_words, meant, near
 from fenics_crack.basics.threads import LAUNCHERS, alone, check_modules, launched
 from fenics_crack.version import VERSION
@@ -204,7 +205,7 @@ def _run(given: argparse.Namespace) -> Exit:
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # else PETSc ends the program if a reader leaves
     for number in STOPS:
         signal.signal(number, signal.default_int_handler)
-    with alone():
+    with alone(), Messages(quiet=given.quiet):
         if launched():
             inputs = on_root(comm, lambda: read_inputs(given))
         console = Console(

@@ -28,7 +28,7 @@ import numpy as np
 
 from fenics_crack.basics.atomic_files import not_written, write_whole
 from fenics_crack.basics.errors import InputError, check_count
-from fenics_crack.basics.progress import StageLines, begin, listening
+from fenics_crack.basics.progress import LOGGER, StageLines, begin
 from fenics_crack.basics.tables import Table
 from fenics_crack.basics.untrusted_files import content_of
 from fenics_crack.scene.scene import Scene
@@ -180,10 +180,9 @@ class Console:
         print(table.formatted(self.form), end="", flush=True)
 
     def note(self, *texts: str) -> None:
-        """Print remarks, unless they are empty or quiet is requested."""
-        for text in texts:
-            if text and not self.quiet:
-                print(text, file=sys.stderr, flush=True)
+        """Print notes, unless they are empty or quiet is requested."""
+        for text in filter(None, texts):
+            LOGGER.info("%s", text)
 
     def remark(self, *remarks: object) -> None:
         """Print what is unusual about a scene, likewise."""
@@ -192,7 +191,7 @@ class Console:
     def warn(self, *texts: str) -> None:
         """Print warnings, even if quiet."""
         for text in texts:
-            print(f"fenics-crack: warning: {text}", file=sys.stderr, flush=True)
+            LOGGER.warning("%s", text)
 
     @contextmanager
     def timed(self, name: str) -> Iterator[None]:
@@ -200,15 +199,14 @@ class Console:
         started = time.perf_counter()
         yield
         if self.verbose:
-            print(f"{name}: {time.perf_counter() - started:.2f} s", file=sys.stderr, flush=True)
+            LOGGER.info("%s: %.2f s", name, time.perf_counter() - started)
 
     @contextmanager
     def stage(self, name: str, *, bars: bool = False) -> Iterator[None]:
-        """The same, and unless quiet is requested what is done in that part while it is done: where
-        no progress is shown, now and then, and nothing beside ``bars`` of all that is done."""
+        """The same, and unless quiet is requested the stages of that part while they are done:
+        where no progress is shown, now and then, and none beside ``bars`` of all that is done."""
         silent = self.quiet or (bars and self.progress)
-        lines = nullcontext() if silent else listening(StageLines(kept=self.progress))
-        with self.timed(name), lines:
+        with self.timed(name), nullcontext() if silent else StageLines(kept=self.progress):
             begin(name)
             yield
 

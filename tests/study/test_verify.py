@@ -19,7 +19,6 @@ from surroundings import main
 import fenics_crack as fc
 from fenics_crack import ConvergenceError, InputError, Scene, Study
 from fenics_crack.balance.solution import Solver
-from fenics_crack.basics import progress
 from fenics_crack.basics.errors import Exit
 
 PLATE: dict[str, Any] = {
@@ -283,13 +282,13 @@ def test_unstable_orbits_are_named(paper_scene: Scene) -> None:
     assert not any(part.is_asymptotic for part in [found.parts["mesh"]["ratio_2_1"]])
 
 
-def test_stages_name_the_run() -> None:
+def test_stages_name_the_run(caplog: pytest.LogCaptureFixture) -> None:
     """Each stage is that of a run."""
-    told: list[str] = []
-    with progress.listening(told.append):
-        fc.verify(plate())
-    assert "the scene's own choice: mesh" in told and "a mesh 1.5 times finer: mesh" in told
-    assert any(text.startswith("24 modes: ") for text in told)
+    caplog.set_level("DEBUG", "fenics_crack")
+    fc.verify(plate())
+    stages = caplog.messages
+    assert "the scene's own choice: mesh" in stages and "a mesh 1.5 times finer: mesh" in stages
+    assert any(text.startswith("24 modes: ") for text in stages)
 
 
 def test_command(
