@@ -114,7 +114,7 @@ import dolfinx.fem, gmsh, h5py, matplotlib, mpi4py.MPI, petsc4py.PETSc, scipy, s
 }
 everything_imports() {
     debian_imports "$here/.venv/bin/python" &&
-        (cd / && "$here/.venv/bin/python" -c 'import cffi, pyvista')
+        (cd / && "$here/.venv/bin/python" -c 'import cffi, jinja2, pyvista')
 }
 
 # These modules are found, and the program is that of this folder. Its code is not run: a mistake in

@@ -9,7 +9,6 @@ here, and VTK where a mesh is drawn: only these two commands come here.
 from __future__ import annotations
 
 import base64
-import html
 import itertools
 import platform
 import shlex
@@ -19,7 +18,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from string import Template
 from typing import Any
 
 import h5py
@@ -103,8 +101,7 @@ IN_SHORT = (
     "excitation", "loads", "base", "growth",
 )  # fmt: skip
 """Tables of a scene whose keys are listed above its text."""
-Section = tuple[str, str, list[str]]
-"""Name of a part of the page, which links lead to, its heading, and its blocks of HTML."""
+WHEN = "%d %B %Y, %H:%M %Z"
 
 
 def plot(given: Namespace, _: None, console: Console) -> None:
@@ -561,57 +558,66 @@ def _write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) -
     """
     if target.suffix.lower() not in (".html", ".htm"):
         raise InputError("--output", str(target), "a .html file")
+    from jinja2 import Environment  # which plots do without
+
     stored = [read(path) for path in dict.fromkeys(paths)]
     both = [(file, result_of(file)) for file in stored]
     both.sort(key=lambda one: list(RESULTS).index(one[0].kind))
-    kinds, scenes = [file.kind for file, _ in both], [result.scene for _, result in both]
-    sections: list[Section] = []
-    facts: list[str] = []
-    doubts: list[str] = []
+    kinds = [file.kind for file, _ in both]
+    own = differences([result.scene.replace({"reduction": None}) for _, result in both])
     with tempfile.TemporaryDirectory() as folder:
-        scene_part = _scene(both[0][1], Path(folder))
-        own = differences([scene.replace({"reduction": None}) for scene in scenes])
-        for number, ((file, result), differs) in enumerate(zip(both, own, strict=True), 1):
-            found = account_of(result)
-            place, heading = Path(folder) / str(number), RESULTS[file.kind][0]
-            place.mkdir()
-            if kinds.count(file.kind) > 1:
-                heading += f": {differs or file.path}"
-            sentences = [*found.facts]
-            blocks = [_paragraph(f"In this result {differs}.", "small")] if differs else []
-            doubtful = [f"{text[0].upper()}{text[1:]}" for text in found.warnings]
-            doubtful += map(str, found.remarks)  # which begin with a key
-            blocks += [_points(sentences), _points(doubtful, "doubtful")]
-            blocks += [_paragraph(*found.verdict)] if found.verdict else []
-            if _can_be_drawn(result):
-                blocks += [_picture(path) for path in _draw_result(result, place)]
-            blocks += [_table(rows, caption) for caption, rows in found.tables.items()]
-            blocks.append(_paragraph(f"From {file.path}, {_made(file.path)}.", "small"))
-            sections.append((f"result-{number}", heading, blocks))
-            closing = f"{found.closing[0].upper()}{found.closing[1:]}." if found.closing else ""
-            blocks += [_paragraph(closing)] if closing else []
-            facts += [*sentences[:1], *filter(None, [closing])]
-            doubts += [f"{heading}: {text}" for text in (*found.warnings, *found.remarks)]
-    short = [_points(facts), _points(doubts, "doubtful")]
-    if not doubts:
-        short.append(_paragraph("No warnings and no remarks.", "good"))
-    before: list[Section] = [("short", "In short", short), ("scene", "Scene", scene_part)]
-    after = "versions", "Versions", _versions([file for file, _ in both], command)
-    stem = both[0][0].path.resolve().parent.name
-    under = f"{datetime.now(UTC).astimezone():%d %B %Y, %H:%M %Z}, fenics_crack {VERSION}"
-    text = _page(f"Vibration of {stem}", under, [*before, *sections, after])
-    write_whole(target, text, "--output")
+        page = _scene(both[0][1], Path(folder))
+        parts = [
+            _part(file, result, Path(folder) / str(number))
+            for number, (file, result) in enumerate(both)
+        ]
+    for part, kind, differs in zip(parts, kinds, own, strict=True):
+        part["differs"] = differs
+        if kinds.count(kind) > 1:
+            part["heading"] += f": {differs or part['path']}"
+    page |= {
+        "title": f"Vibration of {both[0][0].path.resolve().parent.name}",
+        "under": f"{datetime.now(UTC).astimezone():{WHEN}}, fenics_crack {VERSION}",
+        "parts": parts,
+        "facts": [text for part in parts for text in (*part["facts"][:1], part["closing"]) if text],
+        "doubts": [f"{part['heading']}: {text}" for part in parts for text in part["said"]],
+        "versions": _versions([file for file, _ in both]),
+        "command": shlex.join(command),
+    }
+    form = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    write_whole(target, form.from_string(packaged("cli/report.html")).render(page), "--output")
 
 
-# --- parts ----------------------------------------------------------------------------------------
+def _part(file: Stored, result: Computed, folder: Path) -> dict[str, Any]:
+    """A result as the page shows it."""
+    found = account_of(result)
+    folder.mkdir()
+    drawn = _draw_result(result, folder) if _can_be_drawn(result) else []
+    written = datetime.fromtimestamp(file.path.stat().st_mtime, UTC).astimezone()
+    return {
+        "heading": RESULTS[file.kind][0],
+        "facts": [*found.facts],
+        "said": [*found.warnings, *map(str, found.remarks)],
+        "doubts": [*map(_sentence, found.warnings), *found.remarks],  # which begin with a key
+        "verdict": found.verdict,
+        "pictures": [*map(_picture, drawn)],
+        "tables": found.tables,
+        "closing": f"{_sentence(found.closing)}." if found.closing else "",
+        "path": file.path,
+        "written": f"{written:{WHEN}}",
+    }
 
 
-def _scene(result: Computed, folder: Path) -> list[str]:
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _scene(result: Computed, folder: Path) -> dict[str, Any]:
     """The scene of a result in short, its mesh if it has one, its text."""
-    scene, blocks = result.scene, []
+    scene, mesh = result.scene, None
     if scene.geometry is not None:
         own = result.structure.whole if isinstance(result, Run) else None
-        blocks.append(_picture(_draw_scene(scene, folder, own)))
+        mesh = _picture(_draw_scene(scene, folder, own))
     rows: list[tuple[str, object]] = [
         (key_in_words(key), _value(key, value))
         for table in IN_SHORT
@@ -621,10 +627,7 @@ def _scene(result: Computed, folder: Path) -> list[str]:
     if scene.excitation.order is not None:
         rows.append(("load frequency", frequency_in_words(scene, scene.excitation.omega)))
     rows.append(("harmonics", harmonics_in_words(scene)))
-    blocks.append(_table(Table(("quantity", "value"), rows), "The first result's scene"))
-    whole = f"<summary>The whole scene (TOML)</summary><pre>{html.escape(scene.as_toml())}</pre>"
-    beside = "\n".join(blocks)  # where there is room
-    return [f'<div class="beside">{beside}</div>', f"<details>{whole}</details>"]
+    return {"mesh": mesh, "scene": Table(("quantity", "value"), rows), "toml": scene.as_toml()}
 
 
 def _value(key: str, value: object) -> str:
@@ -634,7 +637,7 @@ def _value(key: str, value: object) -> str:
     return value_in_words(key, value)
 
 
-def _versions(files: Sequence[Stored], command: Sequence[str]) -> list[str]:
+def _versions(files: Sequence[Stored]) -> Table:
     """List the versions that made the results, and those that made the page."""
     rows = []
     for file in files:
@@ -642,51 +645,13 @@ def _versions(files: Sequence[Stored], command: Sequence[str]) -> list[str]:
         rows.append((str(file.path), made))
     drawn = f"Python {platform.python_version()}, {versions()}, h5py {h5py.__version__}"
     rows.append(("this page", f"fenics_crack {VERSION}, {drawn}"))
-    return [
-        _table(Table(("file", "made with"), rows), "What computed the results"),
-        _paragraph(f"Command: {shlex.join(command)}"),
-    ]
+    return Table(("file", "made with"), rows)
 
 
-def _made(path: Path) -> str:
-    """When a file was written."""
-    when = datetime.fromtimestamp(path.stat().st_mtime, UTC).astimezone()
-    return f"written on {when:%d %B %Y, %H:%M %Z}"
-
-
-# --- blocks of HTML -------------------------------------------------------------------------------
-
-
-def _page(title: str, under: str, sections: Sequence[Section]) -> str:
-    """A whole page: links to its sections, and these."""
-    links = (f'<a href="#{name}">{html.escape(heading)}</a>' for name, heading, _ in sections)
-    body = [f"<nav>{' '.join(links)}</nav>"]
-    for name, heading, blocks in sections:
-        inside = "\n".join([f"<h2>{html.escape(heading)}</h2>", *blocks])
-        body.append(f'<section id="{name}">{inside}\n</section>')
-    words = {"title": html.escape(title), "under": html.escape(under)}
-    return Template(packaged("cli/report.html")).substitute(words, body="\n".join(body))
-
-
-def _paragraph(text: str, kind: str = "") -> str:
-    """Some words; ``kind`` is "good", "bad" or "doubtful" for a verdict, "small", or empty."""
-    return f'<p class="{kind}">{html.escape(text)}</p>' if kind else f"<p>{html.escape(text)}</p>"
-
-
-def _points(texts: Sequence[str], kind: str = "") -> str:
-    """A list of words; empty without any."""
-    items = "".join(f"<li>{html.escape(text)}</li>" for text in texts)
-    return f'<ul class="{kind}">{items}</ul>' if texts else ""
-
-
-def _table(rows: Table, caption: str) -> str:
-    """A table, of a long one the first rows."""
-    return f'<div class="table">{rows.html(caption)}</div>'
-
-
-def _picture(path: Path) -> str:
+def _picture(path: Path) -> dict[str, str]:
     """A picture file with its caption, as it is."""
     data = base64.b64encode(path.read_bytes()).decode("ascii")
-    words = html.escape(CAPTIONS.get(path.stem, ""))
-    image = f'<img alt="{words}" src="data:image/{path.suffix[1:]};base64,{data}">'
-    return f"<figure>{image}<figcaption>{words}</figcaption></figure>"
+    return {
+        "words": CAPTIONS.get(path.stem, ""),
+        "data": f"data:image/{path.suffix[1:]};base64,{data}",
+    }
