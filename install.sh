@@ -154,7 +154,7 @@ pins=$(versions /usr/bin/python3 -I) ||
     fail "the versions of Debian's Python packages cannot be read"
 stamp=.venv/fenics_crack.stamp
 case $(cat "$stamp" 2>/dev/null) in *' test,docs') extras=test,docs ;; esac
-[ -z "$extras" ] || tools='furo hypothesis mypy myst_parser numpydoc pytest ruff sphinx xdist'
+[ -z "$extras" ] || tools='furo hypothesis mypy myst_parser numpydoc pytest ruff shtab sphinx xdist'
 
 # What .venv depends on: when any of it changes, pip runs again, and builds the kernel again.
 wanted=$({

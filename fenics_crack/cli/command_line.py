@@ -12,7 +12,7 @@ import resource
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
@@ -376,6 +376,14 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
 }
 
 
+KEYS_OF_SCENES = {"bash": "_fenics_crack_keys"}
+PATHS = {
+    "bash": "_shtab_compgen_files", "zsh": "_files",
+    "fish": "(__fish_complete_path (commandline -ct))",
+}  # fmt: skip
+"""Completion of ``--set`` and of paths, by shell, as shtab takes it."""
+
+
 class Parser(argparse.ArgumentParser):
     """Asks what may be meant by a command, or an option, that there is not."""
 
@@ -407,9 +415,14 @@ class Completion(argparse.Action):
         """Called by argparse: the namespace, the shell, and the option."""
         from fenics_crack.scene.scene import known_keys
 
-        chosen = {name: ARGUMENTS[name][1]["choices"] for name in ("--format", "--pictures")}
-        known = {"--set": known_keys(), **chosen}
-        sys.stdout.write(_script(given[1], known))
+        try:
+            import shtab
+        except ImportError:
+            parser.error("--completion needs shtab: python -m pip install shtab")
+        keys = " ".join(known_keys())
+        KEYS_OF_SCENES.update(zsh=f"({keys})", fish=keys)
+        preamble = {"bash": f'_fenics_crack_keys() {{ compgen -W "{keys}" -- "$1"; }}'}
+        print(shtab.complete(parser, given[1], preamble=preamble))
         parser.exit()
 
 
@@ -438,49 +451,11 @@ def parser() -> argparse.ArgumentParser:
         command = group.add_parser(name, help=text, description=text[0].upper() + text[1:])
         for argument in f"{own} --format".split():
             explained, options = ARGUMENTS[argument]
-            command.add_argument(argument.partition("=")[0], help=explained, **options)
+            added = command.add_argument(argument.partition("=")[0], help=explained, **options)
+            if argument == "--set" or options.get("type") is path:
+                shells = KEYS_OF_SCENES if argument == "--set" else PATHS
+                added.complete = shells  # type: ignore[attr-defined]
         loud = command.add_mutually_exclusive_group()
         loud.add_argument("--quiet", action="store_true", help="print the table and nothing else")
         loud.add_argument("--verbose", action="store_true", help="say how long each part took")
     return whole
-
-
-# --- what the shell completes ---------------------------------------------------------------------
-
-BASH = """\
-_fenics_crack() {{
-    local words=""
-    case "$3" in
-{before}
-        fenics-crack) words="{commands}" ;;
-        *) case "${{COMP_WORDS[1]}}" in
-{options}
-        esac
-        [[ "$2" == -* ]] || words="" ;;
-    esac
-    COMPREPLY=($(compgen -W "$words" -- "$2"))
-}}
-complete -o default -F _fenics_crack fenics-crack
-"""
-ZSH = "autoload -Uz compinit bashcompinit && compinit && bashcompinit\n"
-FISH = "complete -c fenics-crack -n "
-
-
-def _script(shell: str, known: Mapping[str, Sequence[str]]) -> str:
-    """Return the completion script that a shell reads once, so that nothing of the program runs
-    when a key is pressed: commands, their options, and the words that are known behind some
-    options. Zsh reads bash's."""
-    if shell == "fish":
-        return "".join(_fish(known))
-    before = [f'        {name}) words="{" ".join(words)}" ;;' for name, words in known.items()]
-    options = [f'            {name}) words="{" ".join(options_of(name))}" ;;' for name in COMMANDS]
-    parts = {"before": "\n".join(before), "options": "\n".join(options)}
-    return (ZSH if shell == "zsh" else "") + BASH.format(commands=" ".join(COMMANDS), **parts)
-
-
-def _fish(known: Mapping[str, Sequence[str]]) -> Iterator[str]:
-    for name, (text, _) in COMMANDS.items():
-        yield f"{FISH}__fish_use_subcommand -f -a {name} -d {text!r}\n"
-        for option in options_of(name):
-            words = f" -x -a {' '.join(known[option])!r}" if option in known else ""
-            yield f"{FISH}'__fish_seen_subcommand_from {name}' -l {option[2:]}{words}\n"

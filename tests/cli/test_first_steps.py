@@ -194,6 +194,7 @@ def test_wrong_words(
 
 
 def completion(shell: str, capsys: pytest.CaptureFixture[str]) -> str:
+    pytest.importorskip("shtab")
     with pytest.raises(SystemExit) as left:
         main(["--completion", shell])
     assert left.value.code == 0
@@ -208,18 +209,22 @@ def completion(shell: str, capsys: pytest.CaptureFixture[str]) -> str:
         (["new", "--bl"], ["--blade"]),
         (["solve", "plate.toml", "--set", "crack.l"], ["crack.length"]),
         (["solve", "plate.toml", "--format", "c"], ["csv"]),
-        (["solve", ""], []),
+        (["solve", "pypro"], ["pyproject.toml"]),
     ],
 )
 def test_bash_completes(
     typed: list[str], offered: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Commands, options, keys; where nothing fits bash itself offers files."""
+    """Commands, options, keys, files."""
     words = ["fenics-crack", *typed]
     ask = f"COMP_WORDS=({' '.join(map(repr, words))}); COMP_CWORD={len(typed)}; "
-    ask += f"_fenics_crack fenics-crack {words[-1]!r} {words[-2]!r}; echo ${{COMPREPLY[@]}}"
+    ask += f"_shtab_fenics_crack fenics-crack {words[-1]!r} {words[-2]!r}; echo ${{COMPREPLY[@]}}"
     done = subprocess.run(
-        ["bash", "-c", completion("bash", capsys) + ask], capture_output=True, text=True, check=True
+        ["bash", "-c", completion("bash", capsys) + ask],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     assert done.stdout.split() == offered and not done.stderr
 
