@@ -33,7 +33,6 @@ from fenics_crack.draw.plot import draw_laws as draw_laws
 from fenics_crack.draw.plot import draw_map as draw_map
 from fenics_crack.draw.plot import draw_orbits as draw_orbits
 from fenics_crack.draw.plot import draw_response as draw_response
-from fenics_crack.draw.plot import draw_spectra as draw_spectra
 from fenics_crack.draw.plot import draw_spectrum as draw_spectrum
 from fenics_crack.draw.plot import draw_stress_intensity as draw_stress_intensity
 from fenics_crack.draw.plot import draw_waves as draw_waves

@@ -5,14 +5,12 @@ from __future__ import annotations
 import contextlib
 import math
 import pickle
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from enum import IntEnum
 from numbers import Integral, Real
 from typing import Any
 
-LONGEST_VALUE = 1000
-"""Characters of a value shown in a message."""
-LARGEST_COUNT = 10**9
 FEW_MODES = 6
 """Lowest modes whose frequencies, crack open and bonded, are computed."""
 MAX_SAMPLES = 2**20
@@ -70,10 +68,7 @@ class InputError(ValueError):
             value = repr(self.value)
         except (ValueError, RecursionError):  # a number of thousands of digits, or such a nest
             value = f"({type(self.value).__name__} too long to be shown)"
-        key, value = (
-            text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]}..."
-            for text in (key, value)
-        )
+        key, value = (re.sub("(?s)(.{1000}).+", r"\1...", text) for text in (key, value))
         given = f"{key} is missing" if self.value is None else f"{key} = {value}"
         text = f"{given}: must be {self.allowed}".replace("must be left out", "not allowed")
         return text if text.isprintable() else " ".join(text.split())
@@ -144,8 +139,8 @@ def check_count(key: str, value: object, least: int) -> None:
     """Raise InputError unless a value is a whole number from ``least`` to 1e9."""
     if isinstance(value, bool) or not isinstance(value, Integral) or int(value) < least:
         raise InputError(key, value, f"a whole number >= {least}")
-    if int(value) > LARGEST_COUNT:
-        raise InputError(key, value, f"at most {LARGEST_COUNT:.0e}")
+    if int(value) > 10**9:
+        raise InputError(key, value, "at most 1e+09")
 
 
 def check_kind(key: str, value: object, kind: type) -> None:

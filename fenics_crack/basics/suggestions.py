@@ -21,8 +21,6 @@ LIKENESS = 0.7
 """Minimum likeness of a misspelt word and the suggested one (difflib's ratio)."""
 SAME_WORD = 0.85
 """Likeness of two forms of a word, as "eigenfrequency" and "eigenfrequencies"."""
-LEAST_LETTERS = 3
-"""Minimum letters of the beginning of a word that stands for it, as "tol" for "tolerance"."""
 WORDS = {
     "fc.solve(scene)": "solve steady periodic stationary forced vibration balance hbm run compute "
     "newton",
@@ -90,9 +88,9 @@ def near(word: object, known: Iterable[str], likeness: float = LIKENESS) -> list
 
 
 def near_or_longer(name: str, known: Collection[str], likeness: float = LIKENESS) -> list[str]:
-    """The same, or the known names in which a short one begins a word."""
+    """The same, or the known names in which a short one begins a word, as "tol" "tolerance"."""
     begun = re.compile(f"(^|_){re.escape(name)}", re.IGNORECASE)
-    longer = [other for other in known if begun.search(other) and len(name) >= LEAST_LETTERS]
+    longer = [other for other in known if begun.search(other) and len(name) >= 3]
     return near(name, known, likeness) or sorted(longer, key=len)
 
 

@@ -25,8 +25,10 @@ import numpy as np
 from fenics_crack.basics.atomic_files import write_whole
 from fenics_crack.basics.suggestions import Hinted
 
-SHOWN_ROWS, NOTEBOOK_ROWS = 40, 20
-"""Rows shown as text and in a notebook; files have all of them."""
+SHOWN_ROWS = 40
+"""Rows of a table shown as text and as HTML; files have all of them."""
+FEW_ROWS = 8
+"""Rows of a long result that are chosen to be printed: the largest, or spread evenly."""
 TURN = 2.0 * math.pi
 """Factor from Hz to rad/s."""
 RPM = TURN / 60.0
@@ -86,29 +88,28 @@ OF_CLAMP: dict[str, tuple[str, str]] = {
 SEEN: dict[str, tuple[str, str]] = {"seen_amplitude": ("half peak-to-peak that is seen", "m")}
 """Quantities of the watched point, in place of an unstable vibration; where a scene requests
 them."""
-QUANTITIES = OF_POINTS | OF_LIPS | OF_FREQUENCIES | OF_TIPS | OF_GROWTH | OF_CLAMP | SEEN
+QUANTITIES = {
+    **OF_POINTS, **OF_LIPS, **OF_FREQUENCIES, **OF_TIPS, **OF_GROWTH, **OF_CLAMP, **SEEN,
+}  # fmt: skip
 """All quantities."""
 SHORT = (
     "amplitude", "ratio_2_1", "ratio_3_1", "ratio_half_1", "ratio_largest", "mean_shift", "opening",
     "penetration", "contact_force", "crack_force", "closed_share", "over_open", "over_bilinear",
 )  # fmt: skip
 """Quantities printed where a scene does not choose."""
-UNITS = {name: unit for name, (_, unit) in QUANTITIES.items()} | {
-    name: unit
-    for unit, names in {
-        "rad/s": "omega omega_partly speed",
-        "Hz": "frequency frequency_open frequency_tied frequency_partly frequency_bilinear "
-        "frequency_error",
-        "rpm": "rpm",
-        "rad": "angle phase",
-        "s": "time mark next_mark arrival",
-        "m": "amplitude_error displacement response clearance crack_length tip_radius "
-        "rest_amplitude",
-        "m/cycle": "rate",
-        "J": "energy",
-    }.items()
-    for name in names.split()
+_UNITS = {
+    "rad/s": "omega omega_partly speed",
+    "Hz": "frequency frequency_open frequency_tied frequency_partly frequency_bilinear "
+    "frequency_error",
+    "rpm": "rpm",
+    "rad": "angle phase",
+    "s": "time mark next_mark arrival",
+    "m": "amplitude_error displacement response clearance crack_length tip_radius rest_amplitude",
+    "m/cycle": "rate",
+    "J": "energy",
 }
+UNITS = {name: unit for name, (_, unit) in QUANTITIES.items()}
+UNITS |= {name: unit for unit, names in _UNITS.items() for name in names.split()}
 """Units of the entries of ``to_dict``; all others have none."""
 
 
@@ -142,9 +143,9 @@ class Table:
     def html(self, caption: str) -> str:
         """The table for a notebook (the first rows of a long one)."""
         rows = [("th", self.columns)]
-        rows += [("td", [_words(value) for value in row]) for row in self.rows[:NOTEBOOK_ROWS]]
-        if len(self.rows) > NOTEBOOK_ROWS:
-            caption += f"; the first {NOTEBOOK_ROWS} of {len(self.rows)} rows"
+        rows += [("td", [_words(value) for value in row]) for row in self.rows[:SHOWN_ROWS]]
+        if len(self.rows) > SHOWN_ROWS:
+            caption += f"; the first {SHOWN_ROWS} of {len(self.rows)} rows"
         lines = ("".join(f"<{tag}>{html.escape(c)}</{tag}>" for c in cells) for tag, cells in rows)
         body = "".join(f"<tr>{line}</tr>" for line in lines)
         return f"<table><caption>{html.escape(caption)}</caption>{body}</table>"

@@ -31,16 +31,8 @@ import numpy as np
 
 MOST_BYTES = 2**31
 """Bytes of a file of a mesh, a matrix or a result, and of the numbers in it."""
-EXPANSION = 50
-"""Bytes of numbers for each byte of a file; ours have 1 to 10."""
-ALWAYS = 2**24
-"""Bytes that any file may expand to: 16 MiB of text take seconds, of numbers less."""
-MEMORY = 2**30
-"""Memory of a reader beside that for numbers [bytes]: gmsh and h5py need a quarter of it."""
 MOST_TEXT = 2**26
 """Bytes of a text that is read whole, such as a scene or a table: a million rows have 40 MiB."""
-WAITING = 4
-"""Waiting time for a reader over its processor time."""
 FOREIGN = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "HDF5_")
 """Variables that are hidden from a reader: it is no rank, and loads no plug-ins."""
 SURROUNDINGS = {
@@ -98,8 +90,9 @@ def content_of(path: str | Path, most: int = MOST_TEXT, *, links: bool = True) -
 
 
 def allowance(size: int) -> int:
-    """Bytes that the content of a compressed file of ``size`` bytes may take."""
-    return min(max(ALWAYS, EXPANSION * size), MOST_BYTES)
+    """Bytes that the content of a compressed file of ``size`` bytes may take: 50 times as many, of
+    ours it takes 1 to 10 times; of any file 16 MiB, of which text takes seconds."""
+    return min(max(2**24, 50 * size), MOST_BYTES)
 
 
 def sha256(path: str | Path) -> str:
@@ -159,8 +152,8 @@ def run_reader(reader: Path, path: Path, seconds: int) -> dict[str, np.ndarray] 
     """Let a program of its own (:mod:`fenics_crack.basics.untrusted_reader`) read a file in so much
     processor time; return its arrays, or why there are none: its array ``error``."""
     most = allowance(bytes_of(path, None))
-    asked = {"folder": os.getcwd(), "path": str(path), "memory": MEMORY + 4 * most}
-    asked |= {"seconds": seconds, "wait": WAITING * seconds, "most": most}
+    asked = {"folder": os.getcwd(), "path": str(path), "seconds": seconds, "wait": 4 * seconds}
+    asked |= {"most": most, "memory": 2**30 + 4 * most}  # gmsh and h5py need a quarter of 1 GiB
     with os.fdopen(os.memfd_create("numbers"), "w+b") as handed:  # a disk may be full
         ended = _asked(reader, json.dumps(asked).encode(), handed.fileno())
         if ended in (-signal.SIGXCPU, -signal.SIGALRM):

@@ -17,6 +17,7 @@ from fenics_crack.balance.error_report import LARGE_ERROR, PARTS, ErrorReport
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.basics.errors import MOST_HARMONICS, Exit
 from fenics_crack.basics.tables import (
+    FEW_ROWS,
     QUANTITIES,
     Table,
     counted,
@@ -83,8 +84,8 @@ IN_A_TEST = {
     "swells and falls slowly, and lines appear on both sides of the load's frequency",
 }
 """Meaning of bifurcations to somebody at a test rig, by their kinds."""
-WRITTEN_AS_ZERO, MEASURED = 1e-15, ("m", "N", "Pa m^0.5")
-"""Maximum length [m] or force [N] that is written as 0, and the units to which this applies."""
+MEASURED = ("m", "N", "Pa m^0.5")
+"""Units in which values up to 1e-15 are rounding, and written as 0."""
 
 
 @dataclass(frozen=True)
@@ -123,12 +124,12 @@ class Account:
     summary: Table
     rows: Table | None = None
     shown: Table | None = None
-    facts: Iterable[str] = ()
-    notes: Sequence[str] = ()
-    warnings: Sequence[str] = ()
+    facts: Iterable[str] = field(default_factory=list)
+    notes: Sequence[str] = field(default_factory=list)
+    warnings: Sequence[str] = field(default_factory=list)
     verdict: tuple[str, str] | None = None
     tables: Mapping[str, Table] = field(default_factory=dict)
-    remarks: Sequence[Remark] = ()
+    remarks: Sequence[Remark] = field(default_factory=list)
     closing: str = ""
     done: bool = True
     missed: bool = False
@@ -276,7 +277,7 @@ def _rounded(table: Table) -> Table:
 
     def rounded(value: Any, unit: str) -> Any:
         known = isinstance(value, float) and unit in MEASURED
-        return 0.0 if known and abs(value) <= WRITTEN_AS_ZERO else value
+        return 0.0 if known and abs(value) <= 1e-15 else value
 
     rows = []
     for row in table.rows:
@@ -328,10 +329,6 @@ def _readable(name: str, value: Any, unit: str) -> tuple[str, Any]:
 
 # --- convergence studies, growth ------------------------------------------------------------------
 
-SHOWN_LENGTHS = 9
-"""Printed rows; the file has all."""
-TERMINAL_WIDTH, SHOWN_CASES = 120, 12
-"""Printed columns and rows of a table of cases; the file has all."""
 SHORT_OF_SWEEP = ("response", "opening", "amplitude", "ratio_2_1")
 """Columns printed where the scene does not choose; the response is the amplitude at the load."""
 SPEEDS = ("rotation.speed", "rotation.rpm")
@@ -358,8 +355,7 @@ def account_of_verification(found: Verification) -> Account:
 def account_of_growth(found: Growth) -> Account:
     """The table, the life and how sure it is."""
     table, count = found.table(), len(found.length)
-    ends = SHOWN_LENGTHS - 1
-    places = sorted({round(n * (count - 1) / ends) for n in range(SHOWN_LENGTHS)})
+    places = sorted({*np.linspace(0, count - 1, FEW_ROWS).round().astype(int).tolist()})
     shown = in_one_unit(Table(table.columns, [table.rows[n] for n in places]), found.scene)
     hours = found.time[-1] / 3600.0
     first, last = (quantity(float(found.length[end]), "m") for end in (0, -1))
@@ -387,8 +383,8 @@ def account_of_growth(found: Growth) -> Account:
 # --- sweeps ---------------------------------------------------------------------------------------
 
 
-def account_of_sweep(found: SweepResult, note: str = "") -> Account:
-    """The cases of a sweep, with a note about its scene."""
+def account_of_sweep(found: SweepResult) -> Account:
+    """The cases of a sweep."""
     table = found.table()
     shown, how = few_cases(found)
     counts = {"converged": int(found.converged.sum()), "failed": len(found.failed)}
@@ -412,7 +408,7 @@ def account_of_sweep(found: SweepResult, note: str = "") -> Account:
             f"converged, {counts['failed']} failed.",
             *stepped,
         ],
-        notes=[note, f"cases: {states}{how}", higher, *(f"remark: {text}" for text in stepped)],
+        notes=[f"cases: {states}{how}", higher, *(f"remark: {text}" for text in stepped)],
         warnings=(warnings := [*warnings_of(found)]),
         tables=tables,
         remarks=(remarks := remarks_on_scene(found.scene)),
@@ -502,9 +498,9 @@ def few_cases(found: SweepResult) -> tuple[Table, str]:
     verdicts = set(found["verdict"][found.converged].tolist())
     if verdicts <= {""} or verdicts == {"undecided"}:
         columns.remove("verdict")
-    table, words = _fitting(found, columns)
-    if len(table.rows) <= SHOWN_CASES:
-        return table, words
+    table = found.table(*columns)
+    if len(table.rows) <= FEW_ROWS:
+        return table, ""
     along = int(np.argmax(found.shape))
     for key in FREQUENCIES:
         along = keys.index(key) if key in keys else along
@@ -513,25 +509,8 @@ def few_cases(found: SweepResult) -> tuple[Table, str]:
     highest = np.expand_dims(height.argmax(axis=along), along)
     places = np.take_along_axis(numbers, highest, along).ravel()
     words = f"; the table has the largest responses over {keys[along]}, {found.path.stem}.csv all"
-    if len(places) > SHOWN_CASES:
-        order = np.argsort(-height.ravel()[places], kind="stable")[:SHOWN_CASES]
-        words += f", {SHOWN_CASES} of {len(places)}"
+    if len(places) > FEW_ROWS:
+        order = np.argsort(-height.ravel()[places], kind="stable")[:FEW_ROWS]
+        words += f", {FEW_ROWS} of {len(places)}"
         places = np.sort(places[order])
     return Table(table.columns, [table.rows[place] for place in places]), words
-
-
-def _fitting(found: SweepResult, columns: list[str]) -> tuple[Table, str]:
-    """The table of some columns, without the last quantities if it is too wide; and that in words.
-
-    What a scene requests by ``output.quantities`` is printed, whatever its width.
-    """
-    left, chosen = [*found.quantities], found.scene.quantities is not None
-    while True:
-        table = found.table(*columns)
-        width = len(table.formatted("text").splitlines()[1])
-        if width <= TERMINAL_WIDTH or chosen or len(left) < 2:
-            break
-        columns = [name for name in columns if name != left[-1]]
-        left.pop()
-    whole = len(left) == len(found.quantities)
-    return table, "" if whole else f"; {found.path.stem}.csv has more columns"

@@ -30,9 +30,6 @@ if TYPE_CHECKING:
 ALONE = {"OMPI_MCA_pml": "ob1", "OMPI_MCA_ess_singleton_isolated": "1"}
 """Settings of Open MPI for one process: it looks for no network and starts no daemon, which would
 take as long as all else before the first command."""
-FEW_COLLECTIONS = 10_000
-"""Objects between two searches for garbage, of Python's own 700: what is loaded makes more than a
-hundred thousand that stay, which would be looked through again and again."""
 OUT_OF_MEMORY = ("PetscMalloc", "failed to map segment")
 """Texts by which PETSc, and the loader of a library, report too little memory."""
 TABLES = {
@@ -76,7 +73,7 @@ stopped by Ctrl-C; 1 a full disk, too little memory, or a fault of the program.
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return the exit code; the same on every rank."""
-    gc.set_threshold(FEW_COLLECTIONS)
+    gc.set_threshold(10_000)  # more than 100,000 objects stay, to be searched again and again
     atexit.register(gc.freeze)  # the system takes back what is left, garbage or not
     if any(os.environ.get(name, "0") != "0" for name in LAUNCHERS):
         _be_silent()
@@ -285,7 +282,7 @@ COMMANDS = {
         "scene measurements --arrivals --before --blade=N --modes --set --output --pictures",
     ),
     "plot": (
-        "pictures of a result, of several in one, or of a scene's mesh; files for ParaView",
+        "pictures of a result, of several curves in one, or of a scene's mesh; files for ParaView",
         "results --label --output --pictures",
     ),
     "report": (
@@ -339,8 +336,8 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
         {"type": path, "nargs": "?", "metavar": "source"},
     ),
     "results": (
-        "a .h5 file that another command has written, several of one kind to be drawn in one "
-        "picture, or a scene",
+        "a .h5 file that another command has written, several curves to be drawn in one picture, "
+        "or a scene",
         {"type": path, "nargs": "+", "metavar": "result"},
     ),
     "--label": (

@@ -1,5 +1,5 @@
-"""The commands ``plot`` and ``report``: pictures of results, of one and of several of a kind laid
-over each other, files for ParaView, and an HTML page with pictures, errors and verdicts in words.
+"""The commands ``plot`` and ``report``: pictures of a result, of several curves in one, files for
+ParaView, and an HTML page with pictures, errors and verdicts in words.
 
 Nothing is solved again: all of it follows from the files of the results, their scenes and their
 meshes. In the page stand the pictures themselves, and all words are escaped. Matplotlib is loaded
@@ -14,7 +14,7 @@ import platform
 import shlex
 import tempfile
 from argparse import Namespace
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -43,7 +43,6 @@ from fenics_crack.draw.plot import (
     draw_map,
     draw_orbits,
     draw_response,
-    draw_spectra,
     draw_spectrum,
     draw_stress_intensity,
     draw_waves,
@@ -67,14 +66,8 @@ from fenics_crack.sweep.result import SweepResult
 from fenics_crack.time.march import TimeHistory
 from fenics_crack.version import VERSION, packaged
 
-MOST_PICTURES = 12
-"""Results in one picture; pictures of a quantity of a sweep."""
-FEW_LINES, LEAST_OF_A_MAP = 6, 4
-"""Maximum lines in a picture of a sweep; values of each axis from which there is a map."""
 STYLES = (("orange", "--"), ("green", "-."), ("pink", ":"))
 """Colour and line of the closing of one crack after the other."""
-DRAWN_INSTANTS = 801
-"""Instants of a motion that is drawn."""
 
 File = Callable[..., Path]
 """Takes the name of a picture, and its kind if it has only one; remembers and returns its path."""
@@ -105,7 +98,7 @@ WHEN = "%d %B %Y, %H:%M %Z"
 
 
 def plot(given: Namespace, _: None, console: Console) -> None:
-    """Pictures of a result, of several in one, or of a scene's mesh; by rank 0."""
+    """Pictures of a result, of several curves in one, or of a scene's mesh; by rank 0."""
     results, labels = given.results, given.label
     first, several = results[0], len(results) > 1
     is_scene = first.suffix.lower() == ".toml"
@@ -115,7 +108,7 @@ def plot(given: Namespace, _: None, console: Console) -> None:
     def draw() -> list[Path]:
         stored = None if several or is_scene else read(first)
         if several or labels:
-            return _draw_several(results, labels, folder, console.pictures)
+            return [_draw_curves(results, labels, folder, console.pictures)]
         if stored is None:
             return [_draw_scene(Scene.load(first), folder, kind=console.pictures)]
         result: Any = result_of(stored)
@@ -246,7 +239,7 @@ def _tips(run: Run[Any], file: File) -> None:
 def _waves(run: Run, omega: float | None, **where: Any) -> None:
     """Draw the displacement of the load's dof and the gap at the mouths over time, in periods of a
     frequency [rad/s], else in seconds."""
-    found, styles = over_time(run, DRAWN_INSTANTS), itertools.cycle(STYLES)
+    found, styles = over_time(run), itertools.cycle(STYLES)
     time, touch = found.time - found.time[0], "crack faces touch" if found.closings else None
     waves = [Wave(run.watched_name, time, found.motion[:, 0])]
     for place, wave in found.closings.items():
@@ -318,7 +311,7 @@ def _sweep(found: SweepResult, file: File) -> None:
 
     doubtful = pages(found.converged & (found.not_stable | found.inexact))
     fixed = itertools.product(*(found.axes[place].values for place in others))
-    for number, at in enumerate(itertools.islice(fixed, MOST_PICTURES)):
+    for number, at in enumerate(itertools.islice(fixed, 12)):  # of each quantity
         keys = [found.axes[place].key for place in others]
         words = [f"{key_in_words(k)} {value_in_words(k, v)}" for k, v in zip(keys, at, strict=True)]
         for name, quantity in found.quantities.items():
@@ -370,7 +363,7 @@ def draw_swept(
     name, unit = quantity
     title = ", ".join([f"{name[0].upper()}{name[1:]}", *where])
     lines = values.shape[1]
-    if lines <= FEW_LINES:
+    if few := lines <= 6:
         labels = [name]
         if len(axes) > 1:
             key, at = axes[1].key, places[1][order[1]]
@@ -379,7 +372,7 @@ def draw_swept(
         how: dict[str, Any] = {"over": scaled[0][1], "doubtful": rings, "unit": unit}
         path = file(base)
         draw_response(scaled[0][0], curves, quantity=name, path=path, title=title, **how)
-    if lines > FEW_LINES or (len(axes) > 1 and min(values.shape) >= LEAST_OF_A_MAP):
+    if not few or (len(axes) > 1 and min(values.shape) >= 4):
         (x, x_label), (y, y_label) = scaled
         factor, prefixed = 1.0, unit
         if unit in ("m", "N"):
@@ -423,13 +416,11 @@ DRAW: dict[str, Callable[[Any, File], object]] = {
 }
 
 
-# --- several of one kind --------------------------------------------------------------------------
+# --- several curves -------------------------------------------------------------------------------
 
 
-def _draw_several(
-    paths: Sequence[Path], labels: Sequence[str], folder: Path, kind: str
-) -> list[Path]:
-    """Draw results of the same kind on the same axes; return the files.
+def _draw_curves(paths: Sequence[Path], labels: Sequence[str], folder: Path, kind: str) -> Path:
+    """Draw the responses of several curves on the same axes; return the file.
 
     ``labels`` name the results; without any they are called by what differs between their scenes,
     and by their files where nothing does.
@@ -437,103 +428,31 @@ def _draw_several(
     Raises
     ------
     InputError
-        The kinds differ or cannot be laid over each other, or the labels are not as many.
+        The files are no curves in the same parameter, or the labels are not as many.
     """
     if labels and len(labels) != len(paths):
         raise InputError("--label", list(labels), f"given {len(paths)} times, once for each result")
-    if len(paths) > MOST_PICTURES:
-        raise InputError("result", f"{len(paths)} files", f"at most {MOST_PICTURES} in one picture")
     stored = [read(path) for path in paths]
-    kinds = [file.kind for file in stored]
-    if len(set(kinds)) > 1:
-        raise InputError("result", kinds, "results of one kind, to be drawn in one picture")
-    if kinds[0] not in OVERLAY:
-        raise InputError("result", kinds[0], "solutions, curves or sweeps, where several are given")
-    found = [*map(result_of, stored)]
+    if {file.kind for file in stored} != {ResponseCurve.KIND}:
+        kinds = [file.kind for file in stored]
+        raise InputError("result", kinds, "curves, where several are drawn in one picture")
+    found: list[Any] = [*map(result_of, stored)]
     names = list(labels) or differences([one.scene for one in found])
     if len(set(names)) < len(names):
         places = [str(Path(path).with_suffix("")) for path in paths]
         names = [", ".join(filter(None, both)) for both in zip(names, places, strict=True)]
     if len(set(names)) < len(names):
         raise InputError("result", [str(path) for path in paths], "different files")
-    files: list[Path] = []
-    OVERLAY[kinds[0]](dict(zip(names, found, strict=True)), _file_in(folder, files, kind))
-    return files
-
-
-def _curves(runs: Mapping[str, Run[ResponseCurve]], file: File) -> None:
-    """The responses of curves in the same parameter."""
-    parameters = {run.result.parameter for run in runs.values()}
-    if len(parameters) > 1:
+    if len(parameters := {run.result.parameter for run in found}) > 1:
         raise InputError("result", sorted(parameters), "curves in one parameter")
-    title = _common(run.watched_name for run in runs.values())
-    [panel] = picture = Picture(size=(7.0, 4.6), path=file("overlay_curve"), title=title)
-    for (label, run), colour in zip(runs.items(), distinct_colours(len(runs)), strict=True):
+    watched = {run.watched_name for run in found}
+    title = watched.pop() if len(watched) == 1 else None
+    [panel] = picture = Picture(size=(7.0, 4.6), path=folder / f"overlay_curve.{kind}", title=title)
+    for label, run, colour in zip(names, found, distinct_colours(len(found)), strict=True):
         dof, in_hertz = run.watched_dof, run.scene.in_hertz
         draw_curve(run.result, dof, axes=panel, label=label, colour=colour, in_hertz=in_hertz)
     picture.saved()
-
-
-def _solutions(runs: Mapping[str, Run[PeriodicSolution]], file: File) -> None:
-    """The displacements, the gaps at the mouth and the spectra of solutions."""
-    motions, gaps, places = [], [], []
-    for (label, run), colour in zip(runs.items(), distinct_colours(len(runs)), strict=True):
-        found = over_time(run, DRAWN_INSTANTS)
-        loads = found.time * run.result.omega / (2.0 * np.pi)
-        motions.append(Wave(label, loads, found.motion[:, 0], colour))
-        for place, wave in itertools.islice(found.closings.items(), 1):
-            places.append(place)
-            gaps.append(Wave(label, loads, wave, colour))
-    name = _common(run.watched_name for run in runs.values())
-    how: dict[str, Any] = {"period": 1.0}
-    draw_waves(motions, quantity="displacement", path=file("overlay_waves"), title=name, **how)
-    if gaps:
-        title = f"Closing of the lips {_common(places) or ''}".rstrip()
-        path = file("overlay_gaps")
-        draw_waves(
-            gaps, quantity="closing", zero="crack faces touch", path=path, title=title, **how
-        )
-    both = {label: (run.result, run.watched_dof) for label, run in runs.items()}
-    draw_spectra(both, path=file("overlay_spectrum"), title=name)
-
-
-def _sweeps(sweeps: Mapping[str, SweepResult], file: File) -> None:
-    """The quantities of sweeps over the same single axis."""
-    for found in sweeps.values():
-        long = [axis.key for axis in found.axes if len(axis.values) > 1]
-        if len(long) != 1:
-            raise InputError("result", long, "sweeps over one quantity, to be drawn in one picture")
-    over = {label: found.axes[_shown_axes(found)[0]] for label, found in sweeps.items()}
-    if len(keys := {axis.key for axis in over.values()}) > 1:
-        raise InputError("result", sorted(keys), "sweeps over the same quantity")
-    [key] = keys
-    how: dict[str, Any] = {"over": with_unit(key_in_words(key), unit_of(key))}
-    first, *others = sweeps.values()
-    for name, (quantity, unit) in first.quantities.items():
-        if any(name not in other.columns for other in others):
-            continue
-        [panel] = picture = Picture(size=(7.0, 4.6), path=file(f"overlay_sweep_{name}"))
-        for label, found in sweeps.items():
-            place = np.array(over[label].values, dtype=float)
-            order = np.argsort(place)
-            values = {label: np.where(found.converged, found[name], np.nan).ravel()[order]}
-            rings = (found.converged & (found.not_stable | found.inexact)).ravel()[order]
-            how["doubtful"] = {label: rings}
-            draw_response(place[order], values, quantity=quantity, unit=unit, axes=panel, **how)
-        picture.saved()
-
-
-OVERLAY: dict[str, Callable[[Any, File], None]] = {
-    ResponseCurve.KIND: _curves,
-    PeriodicSolution.KIND: _solutions,
-    SweepResult.KIND: _sweeps,
-}
-
-
-def _common(names: Iterator[str] | Sequence[str]) -> str | None:
-    """The name that all have; None if they differ."""
-    found = set(names)
-    return found.pop() if len(found) == 1 else None
+    return folder / f"overlay_curve.{kind}"
 
 
 # --- the page -------------------------------------------------------------------------------------

@@ -17,6 +17,7 @@ from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.solution import Indicators, PeriodicSolution
 from fenics_crack.basics.errors import INTERRUPTED, ConvergenceError, InputError
 from fenics_crack.basics.tables import (
+    FEW_ROWS,
     OF_FREQUENCIES,
     OF_LIPS,
     OF_POINTS,
@@ -401,14 +402,14 @@ class Waves(NamedTuple):
     force: np.ndarray
 
 
-def over_time(run: Run[Any], instants: int = 401) -> Waves:
-    """Return a motion over time; of a solution at ``instants`` instants."""
+def over_time(run: Run[Any]) -> Waves:
+    """Return a motion over time."""
     found, dofs = run.result, [watched.dof for watched in run.watched]
     if isinstance(found, TimeHistory):
         time, motion, gap = found.time, found.displacement(dofs), found.gap
         force = found.contact_force
     else:
-        time = np.linspace(0.0, found.period, instants)
+        time = np.linspace(0.0, found.period, 401)
         motion, gap = found.displacement(time, dofs), found.gap(time)
         force = found.contact_force(time)
     whole = run.structure.whole
@@ -429,14 +430,6 @@ def _waves(run: Run, waves: Waves) -> Table:
 
 # --- a curve --------------------------------------------------------------------------------------
 
-ENDS = 3
-"""Rows of special points that are no bifurcations: start, end, largest."""
-SHOWN_POINTS = 5
-"""Special points that are printed besides these; the file has all."""
-LOOKED_AT = 8
-"""Points along a curve whose error is reported, besides the largest response."""
-KNOWN_SPEEDS = 9
-"""Speeds of a run-up at which natural frequencies are computed."""
 SHORT_OF_CURVE = ("amplitude", "ratio_2_1", "closed_share", "opening", "over_bilinear")
 """Indicators printed of the special points where the scene does not choose: no wider than a
 terminal."""
@@ -554,7 +547,7 @@ def _warnings_of_curve(run: Run[ResponseCurve]) -> Iterator[str]:
         yield f"the curve {early}was interrupted; its errors and stability were not examined"
         return
     peak = int(np.argmax(found.amplitude(run.watched_dof)))
-    looked_at = {peak, *np.linspace(0, len(found) - 1, LOOKED_AT).astype(int).tolist()}
+    looked_at = {peak, *np.linspace(0, len(found) - 1, 8).astype(int).tolist()}
     solutions = {index: found.solution(index) for index in sorted(looked_at)}
     reports = {index: one.report for index, one in solutions.items()}
     worst = max(reports, key=lambda index: reports[index].total)
@@ -564,14 +557,14 @@ def _warnings_of_curve(run: Run[ResponseCurve]) -> Iterator[str]:
         for said in of_more_modes(solutions[peak], found.verdicts[peak]):
             yield f"at the largest response, {said}"
     stretches = _undecided_stretches(found)
-    for first, last in stretches[:SHOWN_POINTS]:
+    for first, last in stretches[:1]:
         ends = found.values[[first, last]] if last > first else found.values[[first]]
         where = f"{'between ' if last > first else ''}{_place(run, *ends)}"
         reason = found.reason((first + last) // 2)
         count = counted(last + 1 - first, "point")
         yield f"the stability is undecided at {count}, {where}: {reason}"
-    if len(stretches) > SHOWN_POINTS:
-        more = sum(last + 1 - first for first, last in stretches[SHOWN_POINTS:])
+    if len(stretches) > 1:
+        more = sum(last + 1 - first for first, last in stretches[1:])
         yield (
             f"the stability is undecided at {counted(more, 'other point')}, each for its own "
             "reason: curve.reason(index) in Python"
@@ -664,7 +657,7 @@ def few_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table, in
     Where no point is decided, none changes.
     """
     found, rows = run.result, [*table.rows]
-    ends, others = rows[:ENDS], rows[ENDS:]
+    ends, others = rows[:3], rows[3:]  # start, end and largest come first
     points = found.bifurcations
     amplitude = next(n for n, name in enumerate(table.columns) if name.endswith("amplitude [m]"))
     if found.multipliers is not None and np.all(found.verdicts == "undecided"):
@@ -673,7 +666,7 @@ def few_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table, in
     def weight(place: int) -> tuple[bool, float]:
         return place < len(points), others[place][amplitude]
 
-    kept = sorted(sorted(range(len(others)), key=weight, reverse=True)[:SHOWN_POINTS])
+    kept = sorted(sorted(range(len(others)), key=weight, reverse=True)[: FEW_ROWS - 3])
     shown = [*ends, *(others[place] for place in kept)]
     return Table(table.columns, shown), len(others) - len(kept)
 
@@ -696,12 +689,12 @@ def _along(run: Run[ResponseCurve], curve: ResponseCurve) -> Columns:
 
 def _natural_along(run: Run[ResponseCurve], omega: np.ndarray) -> BilinearFrequencies:
     """Natural frequencies; of a run-up those at the speeds where the load has some frequencies
-    (...) [rad/s]: (..., n). Squares are linear in W^2 between :data:`KNOWN_SPEEDS` of them."""
+    (...) [rad/s]: (..., n). Squares are linear in W^2 between nine of them."""
     structure, found = run.structure, run.result
     if not isinstance(structure, RunUpStructure):
         return bilinear_frequencies(structure)
     speed = omega * (found.values[0] / found.omega[0])
-    known = np.linspace(speed.min(), speed.max(), min(speed.size, KNOWN_SPEEDS))
+    known = np.linspace(speed.min(), speed.max(), min(speed.size, 9))
     there = [bilinear_frequencies(structure.at_speed(float(one))) for one in known]
 
     def at_speeds(rows: list[np.ndarray]) -> np.ndarray:

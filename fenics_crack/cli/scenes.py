@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 from argparse import Namespace
 
 import numpy as np
-from mpi4py import MPI
 
 from fenics_crack.balance.problem import check_memory
-from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import RPM, TURN, Table, counted, percent, ranging
 from fenics_crack.cli.given import Console, Inputs
@@ -41,9 +38,6 @@ from fenics_crack.study.prepare import (
 )
 from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.plan import Plan
-
-MAX_CHECKED = 10_000
-"""Cases of a sweep that are checked before it is run."""
 
 
 def check(_: Namespace, inputs: Inputs, console: Console) -> None:
@@ -224,9 +218,9 @@ def _reduction(scene: Scene, whole: Structure) -> str:
 def _impossible(scene: Scene) -> str:
     """Return the number of cases that are not valid scenes, with the first one's reason."""
     plan = Plan(scene)
-    places = itertools.islice(np.ndindex(*plan.shape), MAX_CHECKED)
+    places = [*itertools.islice(np.ndindex(*plan.shape), 10_000)]  # others while they are run
     reasons = [case for case in map(plan.case, places) if isinstance(case, str)]
-    more = f" of the first {MAX_CHECKED}" if np.prod(plan.shape) > MAX_CHECKED else ""
+    more = f" of the first {len(places)}" if np.prod(plan.shape) > len(places) else ""
     return f"{len(reasons)}{more}" + (f": {reasons[0]}" if reasons else "")
 
 
@@ -257,17 +251,3 @@ def _remark_on_whole(scene: Scene, whole: Structure, highest: float) -> str:
         if np.ravel(ratio)[-1] > 0.0:  # that of all further modes that are kept
             return ""
     return remark_on(whole, highest)
-
-
-def remark_on_sweep(scene: Scene, comm: MPI.Comm) -> str:
-    """The same of a sweep, from the modes of the plate as the scene has it (collective)."""
-    if scene.contact is None or scene.damping is None or scene.damping.of_all_modes:
-        return ""
-
-    def remark() -> str:
-        with contextlib.suppress(InputError, ConvergenceError):  # its cases may be others
-            plate = prepare(scene, MPI.COMM_SELF, whole=True).structure
-            return _remark_on_whole(scene, plate, highest_omega(scene, "sweep"))
-        return ""
-
-    return on_root(comm, remark)

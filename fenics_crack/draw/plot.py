@@ -15,7 +15,6 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from mpi4py import MPI
 
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.solution import PeriodicSolution
@@ -457,111 +456,49 @@ def draw_spectrum(
     --------
     >>> figure = fc.draw_spectrum(solution, tip, path="spectrum.png")
     """
-    lengths: Series = {}
-    loads = solution.subharmonic
+    lengths = {}
     if solution.structure.n_pairs:
         time = np.linspace(0.0, solution.period, 257)
         pair = int(np.argmax(np.ptp(solution.gap(time), axis=0)))
-        gap = solution.gap_coefficients[:, pair]
-        lengths[f"gap {solution.structure.where(pair)}"] = _amplitudes(gap), loads
+        lengths[f"gap {solution.structure.where(pair)}"] = solution.gap_coefficients[:, pair]
     if dof is not None:
-        name = solution.structure.dof_name(dof)
-        lengths[name] = _amplitudes(solution.coefficients_at([dof])[:, 0]), loads
+        lengths[solution.structure.dof_name(dof)] = solution.coefficients_at([dof])[:, 0]
     if not lengths:
         raise InputError("dof", None, "given where there is no contact pair")
-    force = _amplitudes(solution.force_coefficients.sum(axis=1))
-    forces: Series = {"contact force, all pairs": (force, loads)}
-    parts = [(lengths, "displacement", "m"), (forces, "contact force", "N")]
-    return _spectra(parts, solution.structure.comm, where)
-
-
-def draw_spectra(
-    solutions: Mapping[str, tuple[PeriodicSolution, int]], **where: Unpack[Where]
-) -> Figure:
-    """Draw the amplitudes of the harmonics of several vibrations, side by side.
-
-    The upper panel shows the displacement of a dof of each, the lower one, if all have pairs, the
-    gap at the mouth (of the first crack; in the middle of a crack inside).
-
-    Parameters
-    ----------
-    solutions : mapping
-        By their labels: a solution and whose displacement.
-    **where
-        ``axes``, one or two, ``path`` and ``title``, as of :func:`draw_waves`.
-
-    Returns
-    -------
-    Figure
-        Of matplotlib, also where ``axes`` are given.
-
-    Raises
-    ------
-    InputError
-        The number of axes is wrong.
-
-    Examples
-    --------
-    >>> figure = fc.draw_spectra({"breathing": (solution, tip)}, path="spectra.png")
-    """
-    motions, gaps, places = {}, {}, set()
-    for label, (solution, dof) in solutions.items():
-        motions[label] = _amplitudes(solution.coefficients_at([dof])[:, 0]), solution.subharmonic
-        if solution.structure.n_pairs:
-            pair = solution.structure.first_watched
-            gaps[label] = _amplitudes(solution.gap_coefficients[:, pair]), solution.subharmonic
-            places.add(solution.structure.where(pair))
-    gap = f"gap {places.pop()}" if len(places) == 1 else "gap"
-    all_gaps = gaps if len(gaps) == len(motions) else {}
-    comm = next(iter(solutions.values()))[0].structure.comm
-    return _spectra([(motions, "displacement", "m"), (all_gaps, gap, "m")], comm, where)
-
-
-Series = dict[str, tuple[np.ndarray, int]]
-"""Amplitudes and the loads in a period, by their labels."""
-
-
-def _spectra(parts: Sequence[tuple[Series, str, str]], comm: MPI.Comm, where: Where) -> Figure:
-    """Draw series, each part with its quantity and unit in a panel: as many as there are axes, or
-    the first and those that are not zero."""
+    force = solution.force_coefficients.sum(axis=1)
     axes = given_axes(where.get("axes"), where.get("ax"))
-    first, *others = (part for part in parts if part[0])
-    if axes is None:
-        others = [part for part in others if any(np.any(found) for found, _ in part[0].values())]
-    shown = [first, *others][: None if axes is None else np.size(axes)]
-    size = (7.0, 2.4 + 2.2 * len(shown))
-    picture = Picture(len(shown), size=size, sharex=True, comm=comm, **where)
-    for panel, part in zip(picture, shown, strict=True):
-        _stems(panel, *part)
+    count = 1 + bool(np.any(force)) if axes is None else min(2, np.size(axes))
+    size, comm = (7.0, 2.4 + 2.2 * count), solution.structure.comm
+    picture = Picture(count, size=size, sharex=True, comm=comm, **where)
+    parts = (
+        (lengths, "displacement", "m"),
+        ({"contact force, all pairs": force}, "contact force", "N"),
+    )
+    for panel, part in zip(picture, parts, strict=False):
+        _stems(panel, solution.subharmonic, *part)
     picture.panels[-1].set_xlabel("order of the harmonic, in load frequencies (0: mean)")
     return picture.finished()
 
 
-def _amplitudes(column: np.ndarray) -> np.ndarray:
-    """|a0|, |X_1|, ... of coefficients a0, a1, b1, ...: (H+1,)."""
-    return np.abs(to_complex(column))
-
-
-def _stems(axes: Axes, series: Series, quantity: str, unit: str) -> None:
-    """Draw amplitudes, each with the loads in its period, as stems, or as points where
-    they are many, several series side by side."""
-    seen = np.concatenate([values for values, _ in series.values()])
-    top = float(seen.max()) or 1.0
+def _stems(
+    axes: Axes, loads: int, series: Mapping[str, np.ndarray], quantity: str, unit: str
+) -> None:
+    """Draw the amplitudes of series of coefficients over a period of so many loads, side by side as
+    stems, or as points where they are many."""
+    every = {label: np.abs(to_complex(column)) for label, column in series.items()}
+    seen = np.array([*every.values()])
+    top, most = float(seen.max()) or 1.0, seen.shape[1] - 1
     lowest = np.min(seen, where=seen > 1e-9 * top, initial=0.1 * top)  # what is smaller is rounding
     bottom = 10.0 ** np.floor(np.log10(0.5 * lowest))
-    highest = max((len(values) - 1) / loads for values, loads in series.values())
-    most = max(len(values) for values, _ in series.values()) - 1
     size = 4.5 if most < 25 else 3.0 if most <= 150 else 1.5  # beyond, points without stems
-    step = 0.5 / max(2, len(series))
-    styles = zip(series.items(), distinct_colours(len(series)), cycle("osD^"), strict=False)
-    for number, ((label, (values, loads)), colour, marker) in enumerate(styles):
-        shift = step * (number - 0.5 * (len(series) - 1)) / loads
+    styles = zip(every.items(), distinct_colours(len(every)), "os", strict=False)
+    for number, ((label, values), colour, marker) in enumerate(styles):
         kept = np.flatnonzero(values >= bottom)
-        order, shown = kept / loads + shift, values[kept]
+        order = (kept + 0.25 * (number - 0.5 * (len(every) - 1))) / loads
         if size > 1.5:
-            axes.vlines(order, bottom, shown, color=colour, lw=1.2)
-        axes.plot(order, shown, marker, color=colour, ms=size, label=label)
-    axes.set_xlim(-0.5, highest + 0.5)
+            axes.vlines(order, bottom, values[kept], color=colour, lw=1.2)
+        axes.plot(order, values[kept], marker, color=colour, ms=size, label=label)
+    axes.set_xlim(-0.5, most / loads + 0.5)
     axes.set_yscale("log")
     axes.set_ylim(bottom, top * (top / bottom) ** 0.08)
     axes.xaxis.get_major_locator().set_params(integer=True)

@@ -14,7 +14,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-MOST_ITEMS, MOST_TEXT = 10_000, 2**24
+MOST_ITEMS = 10_000
+"""Maximum datasets, attributes, and words of a list."""
 SWEEP = "sweep"
 """Kind of file that is filled in while it is read."""
 FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
@@ -53,7 +54,7 @@ def content(file: h5py.File, size: int, most: int) -> tuple[dict, list[np.ndarra
             head["arrays"].append(name)
             arrays.append(item[()])
         else:
-            head["words"][name] = words(item)
+            head["words"][name] = words(item, most)
     return head, arrays
 
 
@@ -61,7 +62,7 @@ def texts(item: h5py.File | h5py.Dataset) -> dict[str, str]:
     """Its attributes."""
     found = {}
     for name, value in item.attrs.items():
-        if not isinstance(value, str) or len(value) > MOST_TEXT:
+        if not isinstance(value, str):
             raise ValueError(f"its attribute {name!r} is no text")
         value.encode()  # what is no UTF-8 cannot be handed over
         found[name] = value
@@ -96,12 +97,12 @@ def stated_bytes(item: h5py.Dataset) -> int:
     return math.prod(item.shape) * item.dtype.itemsize
 
 
-def words(item: h5py.Dataset) -> str | list[str]:
-    """A word, or a list of words."""
+def words(item: h5py.Dataset, most: int) -> str | list[str]:
+    """A word, or a list of words, of at most so many bytes."""
     if item.ndim > 1 or item.size > MOST_ITEMS:
         raise ValueError(f"{item.name!r} is no list of words")
     found = item.asstr()[()]
     many = [found] if isinstance(found, str) else [str(word) for word in found]
-    if sum(map(len, many)) > MOST_TEXT:
+    if sum(map(len, many)) > most:
         raise ValueError(f"{item.name!r} is too long")
     return found if isinstance(found, str) else many

@@ -43,8 +43,6 @@ IDENTIFICATION = "identification"
 """Kind of the file of ``identify``, which draws its picture itself."""
 PROGRAM = "fenics_crack"
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
-QUICK, SLOWEST = 5, 10**7
-"""Processor time to read a small file [s], and bytes of a large one in a second."""
 
 
 def write(
@@ -309,7 +307,8 @@ def _read(path: Path) -> Stored:
         with path.open("rb") as file:
             if file.read(len(SIGNATURE)) != SIGNATURE:  # where it may also begin later
                 raise refusal("it does not begin as HDF5 files do")
-        found = run_reader(Path(__file__).with_name("h5_reader.py"), path, QUICK + size // SLOWEST)
+        seconds = 5 + size // 10**7  # of processor time: any file is read at 10 MB/s and more
+        found = run_reader(Path(__file__).with_name("h5_reader.py"), path, seconds)
     except FileNotFoundError:
         raise InputError("path", str(path), "a file that exists") from None
     except OSError as error:

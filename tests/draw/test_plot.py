@@ -78,7 +78,6 @@ DRAWN: dict[str, tuple[int, Callable[..., Figure]]] = {
     "content": (1, lambda of, **how: fc.draw_content(of["curve"], 1, **how)),
     "multipliers": (1, lambda of, **how: fc.draw_multipliers(of["curve"], **how)),
     "mesh": (1, lambda of, **how: fc.draw_mesh(of["solution"].structure, **how)),
-    "spectra": (2, lambda of, **how: fc.draw_spectra({"a": (of["solution"], 5)}, **how)),
     "spectrum": (2, lambda of, **how: fc.draw_spectrum(of["solution"], **how)),
     "orbits": (2, lambda of, **how: fc.draw_orbits(of["solution"], 5, **how)),
     "arrivals": (1, lambda of, **how: fc.draw_arrivals(of["arrivals"], **how)),
@@ -190,9 +189,7 @@ def test_many_lines_are_all_drawn(results: dict[str, Any]) -> None:
     behind = {f"curve {n}": (X, n * X) for n in range(1, 6)}
     points = {f"point {n}": (X[:1], n * X[:1]) for n in range(1, 5)}
     curve = fc.draw_curve(results["curve"], 1, behind=behind, points=points)
-    solution = fc.solve_linear(two_masses(), 1.0)
-    spectra = fc.draw_spectra({f"solution {n}": (solution, 1) for n in range(1, 15)})
-    for figure, count in ((many, 20), (laws, 8), (spectra, 14)):
+    for figure, count in ((many, 20), (laws, 8)):
         assert len(figure.axes[0].lines) == count
     labels = {text.get_text() for text in curve.axes[0].get_legend().get_texts()}
     assert labels >= {*behind, *points}
