@@ -26,17 +26,14 @@ from typing import Any, ClassVar
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.basics.errors import FEW_MODES, ConvergenceError, InputError, StoppedError
+from fenics_crack.basics.errors import ConvergenceError, InputError, StoppedError
 from fenics_crack.basics.ranks import StopRequest, on_root
 from fenics_crack.basics.suggestions import checked_call
 from fenics_crack.basics.tables import OF_GROWTH, OF_TIPS, TURN, Tabular, counted, with_frequency
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.files.store import Stored, check_shapes, read, write
-from fenics_crack.model.modes import solve_modes
 from fenics_crack.scene.scene import Scene, check_known, without_tips
 from fenics_crack.scene.tables import Growth as Law
-from fenics_crack.study.plausibility import damping_ratios
-from fenics_crack.study.prepare import prepare, reduction_of
 from fenics_crack.study.run import solve
 from fenics_crack.study.stated_errors import stated_errors
 from fenics_crack.sweep.file import NUMBERED
@@ -81,7 +78,7 @@ class Growth(Tabular):
     errors : dict of str to float
         Relative standard deviations of the cycles by the "rate", the "exponent", the "vibration"
         (mesh, modes and harmonics, where half of the cycles are over; also by what part of a
-        spectrum is above the threshold), and by "interpolation", between lengths and in a run-up.
+        spectrum is above the threshold), and by "interpolation" between lengths.
     remarks : tuple of str
         Doubts about the growth.
     """
@@ -118,7 +115,7 @@ class Growth(Tabular):
 
     @property
     def repeats(self) -> np.ndarray | None:
-        """Run-ups, or repeats of the spectrum, until then (n,); None without a spectrum."""
+        """Repeats of the spectrum until then (n,); None without a spectrum."""
         repeat = self.scene.given("growth").repeat
         return None if repeat is None else self.cycles / repeat[0]
 
@@ -203,42 +200,18 @@ _ARRAYS = [field.name for field in fields(Growth) if field.type == "np.ndarray"]
 
 # --- the growth -----------------------------------------------------------------------------------
 
-POINTS = 200
-"""Lengths of the table."""
-MEGA = 1e6
-"""Pa m^1/2 in which rates are measured."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)
 """Quadrature of the integral over each of the table's steps."""
-TURNS_ASIDE = math.radians(10.0)
-"""Angle [rad] above which a remark says that a crack does not grow straight on."""
-FIRST = 5
-"""Lengths of the first round, the fewest that a spline and every other one of them need."""
-ROUNDS = 6
-"""Maximum rounds in which an interval is halved: these 129 lengths are as close as meshes are
-similar."""
-REDUCED = 4.0
-"""Minimum factor by which an interval's error falls when it is halved; a spline's falls by 16."""
 ROUGH = 0.05
 """Error of ln delta K above which an interval is halved even where few cycles pass in it: the peak
 of a resonance that passes is seen."""
-LOGARITHMIC = ("driving", "coarser", "K_max", "delta_K_effective", "response")
+LOGARITHMIC = ("driving", "K_max", "delta_K_effective", "response")
 """Columns whose logarithm is smooth: resonances pass through them."""
 LINEAR = ("omega", "omega_open", "omega_bilinear", "K_min", "K_II_max")
 NO_COLUMNS = dict.fromkeys((*LOGARITHMIC, *LINEAR), np.zeros(0))
 READ = ("K_max", "delta_K_effective", "delta_K_equivalent", "response", *LINEAR)
 """Columns of the sweep: those of a spectrum are of the load that drives the crack most."""
-NOTHING = 1e-200
-"""Value below which a logarithmic column is zero."""
-LEAST = 1e-4
-"""Fraction of its largest value below which a logarithmic column counts as that: closed cracks."""
-SLICES = 16
-"""Slices of the range around a level of a run-up."""
-TOP = 1.12
-"""Largest range between two levels of a run-up over the larger one of theirs: of a resonance in
-their middle, half of its half width from both."""
-SETTLES = 2.0
-"""Minimum time, in 1 / (xi w), in which the run-up of a single mode passes the width 2 xi f: its
-growth with m = 3 is then 3 % below the steady one's."""
+TINY = np.finfo(float).tiny
 
 
 def grow(
@@ -294,24 +267,22 @@ def grow(
     law, alone = scene.given("growth"), scene.replace({"curve": None, "sweep": None})
     _at_length(alone, law.until, alone.excitation.omega)  # is refused before anything is solved
     where = None if folder is None else Path(folder)
-    path, missed = _solve_lengths(alone, where, comm, progress=progress)
+    path, missed, jumps = _solve_lengths(alone, where, comm, progress=progress)
     length, cycles, end = _integrated(path, law)
     half = float(np.interp(0.5 * cycles[-1], cycles, length))
     vibration, without = on_root(comm, lambda: _error_at(alone, path, half))
-    strength = np.log(path.at("driving", length) / MEGA)
     over = np.diff(cycles)
-    weights = _trapezoid(cycles) if cycles[-1] > 0.0 else None
-    mean = abs(float(np.average(strength, weights=weights)))
-    of_levels = _longer(path, path.columns["coarser"], law, length, cycles) / REDUCED
+    strength = np.log(np.maximum(_rate(path, law, length), TINY) / law.rate) / law.exponent
+    mean = 0.5 * (strength[1:] + strength[:-1]) @ over / cycles[-1] if cycles[-1] > 0.0 else 0.0
     errors = {
         "rate": law.rate_deviation,
-        "exponent": law.exponent_deviation * mean,
+        "exponent": law.exponent_deviation * abs(float(mean)),
         "vibration": law.exponent * vibration + _lost(path, law, length, cycles, vibration),
-        "interpolation": math.hypot(missed, of_levels),
+        "interpolation": missed,
     }
     seen = {name: path.at(name, length) for name in path.columns}
     for name in LOGARITHMIC:
-        seen[name][seen[name] <= NOTHING] = 0.0
+        seen[name][seen[name] <= TINY] = 0.0
     pace, rate = TURN / seen["omega"], _rate(path, law, length)
     rate[-1] *= end != "arrested"
     time = np.append(0.0, np.cumsum(0.5 * (pace[1:] + pace[:-1]) * over))
@@ -319,14 +290,8 @@ def grow(
         scene, length, cycles, time, seen["omega"], seen["omega_open"], seen["omega_bilinear"],
         seen["response"], seen["K_max"], seen["K_min"], seen["delta_K_effective"],
         seen["K_II_max"], rate, end, path.lengths, errors,
-        (*_remarks(scene, path, seen, length, vibration, end), *without),
+        (*_remarks(scene, path, jumps, seen, length, vibration, end), *without),
     )  # fmt: skip
-
-
-def _trapezoid(places: np.ndarray) -> np.ndarray:
-    """Weights (n,) of an integral by the trapezoidal rule, of values at some places."""
-    steps = np.diff(places)
-    return np.asarray(0.5 * (np.append(steps, 0.0) + np.append(0.0, steps)))
 
 
 def _checked(scene: Scene) -> Scene:
@@ -353,12 +318,13 @@ def _checked(scene: Scene) -> Scene:
 
 def _rate(path: LengthPath, law: Law, lengths: np.ndarray) -> np.ndarray:
     """da/dN [m] at some lengths."""
-    return np.asarray(law.rate * (path.at("driving", lengths) / MEGA) ** law.exponent)
+    in_mega = path.at("driving", lengths) / 1e6  # MPa m^0.5, of which the rate is
+    return np.asarray(law.rate * in_mega**law.exponent)
 
 
 def _integrated(path: LengthPath, law: Law) -> tuple[np.ndarray, np.ndarray, str]:
     """Lengths, the cycles until then, and how it ends."""
-    length = np.linspace(path.lengths[0], path.lengths[-1], POINTS)
+    length = np.linspace(path.lengths[0], path.lengths[-1], 200)
     arrested = path.at("delta_K_effective", length) < law.threshold
     arrested |= _rate(path, law, length) == 0.0  # nothing opens it
     broken = path.at("K_max", length) >= (law.toughness or math.inf)
@@ -388,9 +354,7 @@ def _error_at(scene: Scene, path: LengthPath, length: float) -> tuple[float, lis
     if drive == "spectrum":
         omega = float(path.leading[np.abs(path.lengths - length).argmin()])
     run = solve(_at_length(scene, length, omega), MPI.COMM_SELF)
-    # A list of frequencies stays where it is, as one frequency does.
-    of_peak = drive == "resonance" or scene.given("growth").run_up is not None
-    stated = stated_errors(run, run.result, of_peak=of_peak)
+    stated = stated_errors(run, run.result, of_peak=drive == "resonance")
     left_out = stated.left_out
     without = [f"vibration: {left_out}"] if left_out else []
     return stated.stated("delta_K_equivalent")[0], without
@@ -404,27 +368,20 @@ def _lost(
     if law.drive != "spectrum" or not law.threshold or not 0.0 < error < 1.0:
         return 0.0
     higher = replace(law, threshold=law.threshold / (1.0 - error))
-    less = LengthPath(np.zeros(0), NO_COLUMNS)
+    less = LengthPath(np.zeros(0), NO_COLUMNS, ())
     for table in path.tables:
-        less = less.joined(table, higher, _levels(law, path.damping)[1])
-    return _longer(path, less.columns["driving"], law, length, cycles)
-
-
-def _longer(
-    path: LengthPath, drive: np.ndarray, law: Law, length: np.ndarray, cycles: np.ndarray
-) -> float:
-    """Return the rise of ln N if another range (k,) drives the crack at the lengths of a path."""
+        less = less.joined(table, higher, _levels(law)[1])
     if not cycles[-1] > 0.0:
         return 0.0
-    other = replace(path, columns=path.columns | {"driving": drive})
     middle = 0.5 * (length[1:] + length[:-1])
-    ratio = path.at("driving", middle) / other.at("driving", middle)
+    ratio = path.at("driving", middle) / less.at("driving", middle)
     return math.log(float(np.average(ratio**law.exponent, weights=np.diff(cycles))))
 
 
 def _remarks(
     scene: Scene,
     path: LengthPath,
+    jumps: list[float],
     seen: Mapping[str, np.ndarray],
     length: np.ndarray,
     vibration: float,
@@ -432,9 +389,9 @@ def _remarks(
 ) -> list[str]:
     """Return the remarks that cast doubt on a crack's growth."""
     found = []
-    one, two = np.maximum(seen["K_max"], NOTHING), seen["K_II_max"]
+    one, two = np.maximum(seen["K_max"], TINY), seen["K_II_max"]
     turn = 2.0 * np.arctan(2.0 * two / (one + np.sqrt(one**2 + 8.0 * two**2)))
-    if np.any(turning := turn > TURNS_ASIDE):
+    if np.any(turning := turn > math.radians(10.0)):
         at = length[np.argmax(turning)]
         found.append(
             f"from {at:.4g} m on a straight crack is no longer right: it would turn by up to "
@@ -442,18 +399,8 @@ def _remarks(
             f"{np.max(two / one):.0%} of K_max"
         )
     law = scene.given("growth")
-    if law.run_up is not None:
-        start, stop, rate = law.run_up
-        lowest = max(start, float(seen["omega_bilinear"].min()) / TURN)
-        slow = 2.0 * TURN * (path.damping * lowest) ** 2 / rate
-        if lowest < stop and slow < SETTLES:
-            found.append(
-                f"the run-up is through the width of the resonance in {slow:.2g} of the times in "
-                "which a vibration settles: it becomes less than the steady one, which is taken, "
-                "and the crack grows less"
-            )
     unsure, jumps = (
-        [at for at in places if at <= length[-1]] for places in (path.not_stable, path.jumps)
+        [at for at in places if at <= length[-1]] for places in (path.not_stable, jumps)
     )
     if unsure:
         count = counted(len(unsure), "length")
@@ -488,21 +435,11 @@ class LengthPath:
     lengths : (k,) [m]
         Ascending.
     columns : dict of str to (k,)
-        The :data:`LOGARITHMIC` and the linear ones; of a run-up what drives the crack also
-        "coarser", by every second level.
-    failed : tuple of (float, str)
-        Lengths [m] that were not solved, and why.
-    not_stable : (j,) [m]
-        Lengths at which the vibration is unstable or its stability undecided.
-    jumps : (j,) [m]
-        Where the spline of ln delta K misses by more than :data:`ROUGH`, however close the lengths,
-        the most on the shortest way first.
-    leading : (k,) [rad/s]
-        Load frequencies at which most of the growth happens.
-    damping : float
-        Least ratio of critical damping of the lowest modes, with a run-up; else nan.
+        The :data:`LOGARITHMIC` and the linear ones.
     tables : tuple of SweepResult
         Of which they are.
+    leading : (k,) [rad/s]
+        Load frequencies at which most of the growth happens.
     mode : int or None
         Whose natural frequencies the columns have, from 0: the nearest to the leading load of the
         first length; None before there is one.
@@ -510,13 +447,21 @@ class LengthPath:
 
     lengths: np.ndarray
     columns: dict[str, np.ndarray]
-    failed: tuple[tuple[float, str], ...] = ()
-    not_stable: tuple[float, ...] = ()
-    jumps: tuple[float, ...] = ()
+    tables: tuple[SweepResult, ...]
     leading: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    damping: float = math.nan
-    tables: tuple[SweepResult, ...] = ()
     mode: int | None = None
+
+    @property
+    def failed(self) -> list[tuple[float, str]]:
+        """Lengths [m] that were not solved, and why."""
+        found = {t.axes[0].values[at[0]]: why for t in self.tables for at, why in t.failed}
+        return list(found.items())
+
+    @property
+    def not_stable(self) -> list[float]:
+        """Lengths [m] at which the vibration is unstable or its stability undecided."""
+        cases = ((t, at) for t in self.tables for at in np.argwhere(t.not_stable & t.converged))
+        return list(dict.fromkeys(t.axes[0].values[at[0]] for t, at in cases))
 
     def at(self, name: str, lengths: np.ndarray) -> np.ndarray:
         """A column at any lengths within."""
@@ -525,7 +470,7 @@ class LengthPath:
         values = self.columns[name]
         if name not in LOGARITHMIC:
             return np.asarray(CubicSpline(self.lengths, values)(lengths))
-        floor = LEAST * max(float(values.max()), 1e-300)
+        floor = 1e-4 * max(float(values.max()), TINY)  # closed cracks
         spline = CubicSpline(self.lengths, np.log(np.maximum(values, floor)))
         return np.asarray(np.exp(spline(lengths)))
 
@@ -539,11 +484,6 @@ class LengthPath:
         rows = {name: table[name].reshape(len(swept), -1)[solved] for name in READ}
         rows["response"] = np.nan_to_num(rows["response"])  # nan where nothing moves
         new, leading = _driving(rows, law, cycles)
-        new["coarser"] = new["driving"]
-        if law.run_up is not None:
-            few = {name: values[:, ::2] for name, values in rows.items()}
-            hertz = np.array(table.axes[1].values[::2])
-            new["coarser"] = _driving(few, law, hertz * _trapezoid(hertz))[0]["driving"]
         one, two = (
             np.array(
                 [table[f"omega_{lips}_{n}"].reshape(len(swept), -1)[solved, 0] for n in NUMBERED]
@@ -558,14 +498,10 @@ class LengthPath:
         columns = {
             name: np.append(values, new[name])[order] for name, values in self.columns.items()
         }
-        failed = {float(swept[at[0]]): reason for at, reason in table.failed}
-        unsure = table.not_stable.reshape(len(swept), -1).any(axis=1)
         return replace(
             self,
             lengths=lengths[order],
             columns=columns,
-            failed=self.failed + tuple(failed.items()),
-            not_stable=self.not_stable + tuple(swept[unsure & solved].tolist()),
             leading=np.append(self.leading, leading)[order],
             tables=(*self.tables, table),
             mode=mode,
@@ -581,18 +517,12 @@ def _driving(
 
         (sum n_i delta K_i^m / sum n_i)^(1 / m)
 
-    of the equivalent ranges, levels below the threshold left out where another is above it; of a
-    run-up the integral, and the parts above it."""
+    of the equivalent ranges, levels below the threshold left out where another is above it."""
     effective, drive = rows["delta_K_effective"], rows["delta_K_equivalent"]
     found = {name: rows[name].max(axis=1) for name in ("K_max", "delta_K_effective")}
-    if law.run_up is not None:
-        found = {name: _highest(rows[name]) for name in found}
     limit = np.minimum(law.threshold, found["delta_K_effective"])[:, None]
-    largest = np.maximum(drive.max(axis=1, keepdims=True), 1e-300)
-    if law.run_up is None:
-        grown = (effective >= limit) * (drive / largest) ** law.exponent
-    else:
-        grown = _grown_around(drive, effective, limit, law.exponent)
+    largest = np.maximum(drive.max(axis=1, keepdims=True), TINY)
+    grown = (effective >= limit) * (drive / largest) ** law.exponent
     shares = cycles / cycles.sum() * grown
     place = shares.argmax(axis=1)[:, None]
     of_place = {name: np.take_along_axis(rows[name], place, axis=1)[:, 0] for name in rows}
@@ -602,54 +532,13 @@ def _driving(
     return of_place | found, leading
 
 
-def _between_levels(ranges: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Ranges at places (j,) between the levels of a run-up, counted from 0, over the largest range:
-    (k, j) of ranges (k, levels). Their logarithms are Akima's splines, which do not ring behind a
-    jump."""
-    from scipy.interpolate import Akima1DInterpolator  # takes a while, and is needed here alone
-
-    largest = np.maximum(ranges.max(axis=1, keepdims=True), 1e-300)
-    known = np.log(np.maximum(ranges / largest, LEAST))
-    found = Akima1DInterpolator(np.arange(ranges.shape[1]), known, axis=1)(places)
-    left = np.minimum(places.astype(int), ranges.shape[1] - 2)
-    most = np.maximum(known[:, left], known[:, left + 1]) + math.log(TOP)
-    return np.asarray(np.exp(np.minimum(found, most)))
-
-
-def _highest(ranges: np.ndarray) -> np.ndarray:
-    """The largest range (k,) of a run-up, at its levels (k, levels) or between them."""
-    places = np.linspace(0.0, ranges.shape[1] - 1.0, SLICES * (ranges.shape[1] - 1) + 1)
-    within = np.maximum(_between_levels(ranges, places).max(axis=1), 1.0)  # closed: none > 0
-    return np.asarray(ranges.max(axis=1) * within)
-
-
-def _grown_around(
-    drive: np.ndarray, effective: np.ndarray, limit: np.ndarray, exponent: float
-) -> np.ndarray:
-    """The mean of what drives a crack, to the power of the exponent, around each level of a run-up,
-    (k, levels), over that of the largest at a level; of what is there the part whose effective
-    range is above a limit (k, 1), some of the largest at least."""
-    levels = drive.shape[1]
-    edges = np.clip(np.linspace(-0.5, levels - 0.5, SLICES * levels + 1), 0.0, levels - 1.0)
-    width = np.diff(edges)
-    limit = limit / np.maximum(effective.max(axis=1, keepdims=True), 1e-300)
-    ends = _between_levels(effective, edges)
-    low, high = np.minimum(ends[:, 1:], ends[:, :-1]), np.maximum(ends[:, 1:], ends[:, :-1])
-    above = np.clip((high - limit) / np.maximum(high - low, 1e-300), 0.0, 1.0)
-    above = np.where(low >= limit, 1.0, above)
-    power = width * _between_levels(drive, 0.5 * (edges[1:] + edges[:-1])) ** exponent
-    both = (part.reshape(-1, levels, SLICES).sum(axis=2) for part in (above * power, power))
-    largest = np.maximum(drive.max(axis=1, keepdims=True), 1e-300)
-    grown = (drive / largest) ** exponent * np.divide(*both)
-    return np.asarray(np.maximum(grown, (drive >= drive.max(axis=1, keepdims=True)) / SLICES))
-
-
 def _solve_lengths(
     scene: Scene, folder: Path | None, comm: MPI.Comm, *, progress: bool = False
-) -> tuple[LengthPath, float]:
+) -> tuple[LengthPath, float, list[float]]:
     """Solve a scene at lengths from its crack's to its growth's, until the cycles are known to
-    ``growth.life_tolerance``; and the error of the cycles by interpolation, relative to them
-    (collective). A folder keeps the sweeps, one for each round.
+    ``growth.life_tolerance``; the error of the cycles by interpolation, relative to them; and the
+    lengths [m] at which the spline of ln delta K misses by more than :data:`ROUGH`, however close
+    they are, the steepest first (collective). A folder keeps the sweeps, one for each round.
 
     Raises
     ------
@@ -658,11 +547,11 @@ def _solve_lengths(
     """
     law = scene.given("growth")
     start, stop = scene.given("crack").length, law.until
-    damping = math.nan if law.run_up is None else _least_damping(scene)
-    levels, cycles = _levels(law, damping)
-    wanted, missed, own = np.linspace(start, stop, FIRST), np.inf, np.zeros(0)
-    path = LengthPath(np.zeros(0), NO_COLUMNS, damping=damping)
-    for number in range(1, ROUNDS + 1):
+    levels, cycles = _levels(law)
+    # Five are the fewest of which a spline through every other one can be made.
+    wanted, missed, own = np.linspace(start, stop, 5), np.inf, np.zeros(0)
+    path = LengthPath(np.zeros(0), NO_COLUMNS, ())
+    for number in range(1, 7):  # 129 lengths are as close as meshes are similar
         file = None if folder is None else folder / f"growth_{number}.h5"
         swept = _swept(scene, wanted, levels)
         with StopRequest() as stop:
@@ -675,11 +564,11 @@ def _solve_lengths(
                 at, why = path.failed[0]
                 raise ConvergenceError(f"growth, a crack of {at:.4g} m: {why}")
             few = {name: values[::2] for name, values in path.columns.items()}
-            before, own = LengthPath(path.lengths[::2], few), np.zeros(FIRST // 2)
+            before, own = LengthPath(path.lengths[::2], few, ()), np.zeros(len(path.lengths) // 2)
         own = _missed(before, path, own)
         length, passed, _ = _integrated(path, law)
         steps = np.diff(np.interp(path.lengths, length, passed))
-        shares = law.exponent * own * steps / max(float(steps.sum()), 1e-300)
+        shares = law.exponent * own * steps / max(float(steps.sum()), TINY)
         missed = float(shares.sum())
         left = (shares > law.life_tolerance / len(shares)) & (missed > law.life_tolerance)
         wanted = (0.5 * (path.lengths[1:] + path.lengths[:-1]))[left | (own > ROUGH)]
@@ -688,35 +577,14 @@ def _solve_lengths(
             break
     sharpest = np.argsort(-own / np.diff(path.lengths))
     rough = path.lengths[:-1][sharpest[own[sharpest] > ROUGH]]
-    return replace(path, jumps=tuple(rough.tolist())), missed
+    return path, missed, rough.tolist()
 
 
-def _levels(law: Law, damping: float) -> tuple[np.ndarray, np.ndarray]:
-    """Load frequencies [rad/s] of a spectrum, none without one, and the cycles of each.
-
-    Those of a run-up are as close as sqrt(2 / m) of the half width of a resonance, and as that
-    where m < 2: over 1 / (1 + x^2)^(m / 2) even their sum is within 2 exp(-2 pi) of the integral.
-    They are an odd number, so that every second one gives the error."""
-    if law.frequencies is not None:
-        return TURN * np.array(law.frequencies), np.array(law.cycles)
-    if law.run_up is None:
+def _levels(law: Law) -> tuple[np.ndarray, np.ndarray]:
+    """Load frequencies [rad/s] of a spectrum, none without one, and the cycles of each."""
+    if law.frequencies is None:
         return np.zeros(0), np.ones(1)
-    start, stop, rate = law.run_up
-    step = damping / math.sqrt(max(0.5 * law.exponent, 1.0))
-    count = 2 * max(math.ceil(0.5 * math.log(stop / start) / math.log1p(step)), 1) + 1
-    found = np.geomspace(start, stop, count)
-    return TURN * found, found * _trapezoid(found) / rate
-
-
-def _least_damping(scene: Scene) -> float:
-    """Least ratio of critical damping of the lowest modes that are kept."""
-    whole = prepare(scene, MPI.COMM_SELF, whole=True).structure
-    kept = reduction_of(scene, whole)
-    count = min(FEW_MODES, whole.n_modes, kept.modes if kept is not None else FEW_MODES)
-    found = float(damping_ratios(whole, solve_modes(whole, count).omega).min())
-    if not found > 0.0:
-        raise InputError("damping", None, "a ratio of each mode, with growth.run_up")
-    return found
+    return TURN * np.array(law.frequencies), np.array(law.cycles)
 
 
 def _swept(scene: Scene, lengths: np.ndarray, levels: np.ndarray) -> Scene:
@@ -743,7 +611,8 @@ def _missed(before: LengthPath, path: LengthPath, missed: np.ndarray) -> np.ndar
         here, there = (one.at("driving", lengths) for one in (path, before))
         return np.abs(np.log(here / there))
 
-    at_ends, new = apart(path.lengths) / REDUCED, ~np.isin(path.lengths, before.lengths)
+    # Halved, a spline's error falls by 16, and here by 4 at least.
+    at_ends, new = apart(path.lengths) / 4.0, ~np.isin(path.lengths, before.lengths)
     middle = 0.5 * (path.lengths[1:] + path.lengths[:-1])
     known = missed[np.searchsorted(before.lengths, middle) - 1]
     old = np.maximum(known, apart(middle))

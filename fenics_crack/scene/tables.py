@@ -738,20 +738,14 @@ class Growth(Table):
     """K_max at which the plate breaks."""
     drive: str = choice("frequency", "resonance", "spectrum", default="frequency")
     """The load keeps the excitation's frequency, follows the largest response, or passes
-    through the frequencies of ``run_up`` or of ``frequencies`` again and again."""
-    run_up: Vector | None = holds(
-        "[start, stop, rate], three numbers > 0 with start < stop",
-        lambda given: len(given) == 3 and min(given) > 0.0 and given[0] < given[1],
-        None,
-    )
-    """Of one repeat: from a load frequency to another [Hz], and by how much a second [Hz/s]."""
+    through the ``frequencies`` again and again."""
     frequencies: tuple[float, ...] | None = holds(
         "a list of different numbers > 0",
         lambda given: len(set(given)) == len(given) > 0 and min(given) > 0.0,
         None,
         unit="Hz",
     )
-    """Of the load, instead of a run-up."""
+    """Of the load in a spectrum."""
     cycles: tuple[float, ...] | None = holds(
         "a list of numbers > 0", lambda given: len(given) > 0 and min(given) > 0.0, None
     )
@@ -766,26 +760,18 @@ class Growth(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given = ("run_up", "frequencies", "cycles")
         if self.drive != "spectrum":
-            self.leave_out(given, f"drive = {self.drive!r}")
-        elif self.run_up is not None:
-            self.leave_out(given[1:], "a run_up")
-        else:
-            allowed = (
-                "given with drive = 'spectrum': [start, stop, rate]; or frequencies and cycles"
-            )
-            self.require(self.frequencies is not None, "run_up", allowed)
-            same = self.cycles is not None and len(self.cycles) == len(self.frequencies or ())
-            self.require(same, "cycles", "as many numbers as there are frequencies")
+            self.leave_out(("frequencies", "cycles"), f"drive = {self.drive!r}")
+            return
+        for key in ("frequencies", "cycles"):
+            self.given(key, "given with drive = 'spectrum': frequencies and cycles of the load")
+        same = len(self.cycles or ()) == len(self.frequencies or ())
+        self.require(same, "cycles", "as many numbers as there are frequencies")
 
     @property
     def repeat(self) -> tuple[float, float] | None:
         """Cycles of the load in one repeat of the spectrum, and how long it takes [s]; None without
         one."""
-        if self.run_up is not None:
-            start, stop, rate = self.run_up
-            return 0.5 * (stop**2 - start**2) / rate, (stop - start) / rate
         if self.cycles is None or self.frequencies is None:
             return None
         lasting = sum(n / f for n, f in zip(self.cycles, self.frequencies, strict=True))
