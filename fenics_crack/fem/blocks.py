@@ -49,10 +49,6 @@ SMALLEST_CELL = 1e-7
 """Minimum cell size relative to the plate: gmsh and the matrices allow no smaller one."""
 GROWTH = 1.0 / 3.0
 """Maximum size of elements between two crack tips or two cracks over their distance from either."""
-MAX_CELLS = 5_000_000
-"""Maximum cells of a generated mesh; a mesh file may have any number."""
-ASSEMBLED = 1500.0
-"""Bytes of mesh and matrices for each degree of freedom."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +61,7 @@ class Interval:
     start: float
     stop: float
     count: int
-    progression: float = 1.0
+    progression: float
 
 
 @dataclass(frozen=True)
@@ -142,11 +138,13 @@ def _plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Sl
 def _check_cells(scene: Scene, key: str, cells: float, per_cell: int, shortest: str = "") -> None:
     """Raise InputError where there are too many cells for gmsh, or their matrices, of so many
     degrees of freedom per cell, or the factor of one would not fit."""
-    factor = factor_memory(per_cell * cells, solid=scene.dimension == 3)
-    needed, machine = max(ASSEMBLED * per_cell * cells, factor), machine_memory()
+    dofs, most = per_cell * cells, 5e6  # a mesh file may have any number of cells
+    factor = factor_memory(dofs, solid=scene.dimension == 3)
+    assembled = 1500.0 * dofs  # bytes of mesh and matrices
+    needed, machine = max(assembled, factor), machine_memory()
     reason = ""
-    if cells > MAX_CELLS:
-        reason = f"{cells:.2g} are more than {MAX_CELLS:.0e}"
+    if cells > most:
+        reason = f"{cells:.2g} are more than {most:.0e}"
     elif needed > machine:
         reason = (
             f"to solve {cells:.2g} takes about {needed / 2**30:.0f} GiB of this machine's "
@@ -171,7 +169,7 @@ def _equal(extent: float, count: int, cuts: list[float]) -> list[Interval]:
     """A side of equal elements, cut at places on its grid lines."""
     places = {round(cut / extent * count): cut for cut in cuts} | {0: 0.0, count: extent}
     return [
-        Interval(places[first], places[last], last - first)
+        Interval(places[first], places[last], last - first, 1.0)
         for first, last in pairwise(sorted(places))
     ]
 
@@ -190,7 +188,7 @@ def _graded_plate(
     (width, height), size = scene.geometry.sides, scene.mesh.given("size")
     if not spans:
         cells = [max(1, round(side / size)) for side in (width, height)]
-        return [Interval(0.0, width, cells[0])], [Interval(0.0, height, cells[1])]
+        return [Interval(0.0, width, cells[0], 1.0)], [Interval(0.0, height, cells[1], 1.0)]
     halves: list[_Half] = []
     fine: list[tuple[float, float]] = []
     for (left, right), level in zip(spans, levels, strict=True):
@@ -409,8 +407,6 @@ def _curve(start: int, end: int, division: Interval) -> int:
 
 # --- a box ----------------------------------------------------------------------------------------
 
-FRONT = 60
-"""Points on each front from which distances are measured while meshing."""
 PER_VOLUME = 5.0
 """Tetrahedra that gmsh makes of a volume h^3 where they are to be h long, of a fine mesh."""
 
@@ -590,15 +586,16 @@ def _front(
     crack: Crack, middle: float, half: float, thickness: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Coordinates x and z along the front of a crack, and of what goes on outside: (n,) each."""
-    share = np.linspace(0.0, 1.0, FRONT)
+    count = 60  # points from which distances are measured while meshing
+    share = np.linspace(0.0, 1.0, count)
     if crack.front == "elliptical":
         turn, depth = np.pi * share, crack.given("depth")
         x, z = middle + half * np.cos(turn), thickness - depth * np.sin(turn)
     else:
         depth = crack.depth or thickness
-        ends = [middle + sign * half * np.ones(FRONT) for sign in (-1.0, 1.0)]
+        ends = [middle + sign * half * np.ones(count) for sign in (-1.0, 1.0)]
         x, z = np.concatenate(ends), np.tile(thickness - depth * share, 2)
         if crack.depth is not None:
             x = np.append(x, middle + half * (2.0 * share - 1.0))
-            z = np.append(z, np.full(FRONT, thickness - depth))
+            z = np.append(z, np.full(count, thickness - depth))
     return x, z

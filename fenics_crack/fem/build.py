@@ -180,10 +180,6 @@ def _watched(lips: Lips, cracks: np.ndarray, positions: np.ndarray) -> dict[str,
     return found
 
 
-FOUND_AGAIN = 1e-9
-"""Relative difference of a frequency that is found again."""
-
-
 def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     """Mesh a scene whose crack length is known, and assemble its structure, or read its matrices
     (collective).
@@ -361,7 +357,7 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
         room, words = 2.0 * min(crack.center, width - crack.center), "room around its center"
     shortest, longest = 0.01 * room, 0.95 * room
     length, known = on_root(comm, lambda: _kept_length(scene))
-    if shortest <= length <= longest and abs(excess(length) - known) <= FOUND_AGAIN * target:
+    if shortest <= length <= longest and abs(excess(length) - known) <= 1e-9 * target:
         return length
     highest, lowest = target + excess(shortest), target + excess(longest)
     if not lowest <= target <= highest:

@@ -57,11 +57,6 @@ with _versions_by_metadata(), away():
 _NEW = hasattr(dolfinx.fem, "functionspace")
 _JIT = {"jit_options" if _NEW else "jit_params": {"timeout": 300}}
 """Waiting time [s] while another process compiles the same form."""
-THREAD = 150 * 2**20
-"""Addresses of a thread of SCOTCH, 8 MiB of stack and 128 MiB of heap, and some more [byte].
-
-Without them it ends with words of its own, or DOLFINx loops for ever.
-"""
 
 
 def gmsh_is_running() -> bool:
@@ -76,7 +71,9 @@ def model_to_mesh(model: Any, comm: MPI.Comm, dimension: int) -> tuple[Any, Any,
         from dolfinx.io import gmshio
     except ImportError:  # 0.10
         from dolfinx.io import gmsh as gmshio
-    if comm.allreduce(addresses_left() < THREAD, MPI.LOR):
+    # A thread of SCOTCH takes 8 MiB of stack, 128 MiB of heap and some more: without them it ends
+    # with words of its own, or DOLFINx loops for ever.
+    if comm.allreduce(addresses_left() < 150 * 2**20, MPI.LOR):
         raise MemoryError("no room for a thread")
     # DOLFINx 0.5 tries a call whose error, seen by nobody, shows all arrays.
     with np.printoptions(threshold=0, edgeitems=1):

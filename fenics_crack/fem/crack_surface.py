@@ -38,8 +38,6 @@ FACETS = {
     ),
 }
 """Facets of a cell of a solid by its number of corners, in turn."""
-ROOM = 2_000_000
-"""Distances that are computed at a time."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +72,8 @@ class CrackSurface:
         """Distance of points (n, 3) from the surface and from the front [m], equal for all without
         a front: two arrays (n,)."""
         off, position = np.empty(len(points)), np.empty(len(points))
-        step = max(1, ROOM // max(len(self.triangles), len(self.front)))
+        # Two million distances at a time.
+        step = max(1, 2_000_000 // max(len(self.triangles), len(self.front)))
         for first in range(0, len(points), step):
             some = slice(first, first + step)
             off[some] = np.linalg.norm(_to_triangles(points[some], self.triangles), axis=2).min(1)

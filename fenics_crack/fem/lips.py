@@ -19,8 +19,6 @@ from fenics_crack.basics.errors import InputError
 SAME = 1e-6
 """Distance within which two places are one, relative to the size of the mesh or the length of the
 crack: text files have six digits and more."""
-BESIDE = 1e-3
-"""Distance from the crack faces of a point to choose, over the crack's length."""
 COINCIDENT = 1e-3
 """Distance of nodes in the same place, relative to the shortest edge."""
 
@@ -88,7 +86,7 @@ def both_sides(
     point: Sequence[float], normal: np.ndarray, size: float
 ) -> tuple[list[float], list[float]]:
     """Points below and above one on a crack of some size, by the crack's normal there."""
-    across = BESIDE * size * upwards(normal) * normal / np.linalg.norm(normal)
+    across = 1e-3 * size * upwards(normal) * normal / np.linalg.norm(normal)
     return np.round(point - across, 9).tolist(), np.round(point + across, 9).tolist()
 
 

@@ -40,8 +40,6 @@ from fenics_crack.scene.tables import Structure as Table
 
 MATRICES = {"mass": "M", "stiffness": "K", "damping": "B"}
 """Matrices, and the letter by which a file with several of them calls each."""
-WEDGES = (13, 26)
-"""Cells that are not drawn, by VTK's number."""
 COLUMNS = ("gap", "force_sin", "force_cos", "force_mean")
 """Keys of files with a row for each dof."""
 
@@ -174,7 +172,7 @@ def _nodes(model: Model, dofs: np.ndarray, start: int, stop: int, comm: MPI.Comm
     cells where these are of one kind that can be drawn, and nodes carry all dofs."""
     every_dof = int(np.count_nonzero(dofs >= 0)) == comm.allreduce(stop - start)
     kind = next(iter(model.cells)) if len(model.cells) == 1 and every_dof else 0
-    kind = 0 if kind in WEDGES else kind
+    kind = 0 if kind in (13, 26) else kind  # VTK's wedges are not drawn
     cells = model.cells[kind] if kind else np.zeros((0, 1), dtype=int)
     highest = dofs.max(axis=1)
     used = highest >= 0

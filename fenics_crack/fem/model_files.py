@@ -24,10 +24,10 @@ MAKERS = ("NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY", "SYSTEM", "TRANSFORM", "N
 """Keywords of CalculiX and Abaqus that make nodes and cells, or turn them."""
 INCLUDE = re.compile(r"\*\s*INCLUDE\b", re.IGNORECASE).match
 """Include line of CalculiX and Abaqus."""
-SOLIDS = (
+SOLIDS = {
     5, 45, 46, 62, 64, 65, 72, 73, 92, 95, 98, 185, 186, 187, 190, 191, 215, 216, 217, 220, 221,
     226, 227, 285,
-)  # fmt: skip
+}  # fmt: skip
 """Ansys' solid elements; surfaces, contact, shells and springs are in the same blocks."""
 TOPS_LAST = {
     15: [*range(9), 12, 13, 14, 9, 10, 11],
@@ -253,7 +253,7 @@ def _of_ansys(path: Path, nodes: Nodes, cells: Cells) -> None:
             elif block == "EBLOCK":
                 own = [int(line[at : at + whole]) for at in range(0, len(line), whole)]
                 if not row:
-                    solid = types.get(own[1], SOLIDS[0]) in SOLIDS
+                    solid = own[1] not in types or types[own[1]] in SOLIDS
                     others |= set() if solid else {types[own[1]]}
                     count, own = own[8], own[11:]
                 row += own

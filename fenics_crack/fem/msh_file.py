@@ -52,16 +52,12 @@ LIPS = ("lower_lip", "upper_lip")
 CRACK = re.compile(r"crack([ _.-]?\d+)?$", re.IGNORECASE)
 """Names of curves and of surfaces that are cracks."""
 
-FARTHEST_NODE = 1e6
-"""Largest coordinate of a node [m]."""
-LONGEST_READING = 300
-"""Processor time allowed for reading a file [s]."""
 _BEGINNING = re.compile(rb"\$MeshFormat[ \t]*\r?\n[ \t]*(2|2\.[0-2]|4|4\.[01])[ \t]+[01][ \t]+8\s")
 """First bytes of a mesh file in gmsh's format 2 or 4, as text or in binary."""
 _KINDS = {2: {2: 1, 3: 1, 9: 8, 10: 8, 21: 26, 36: 26}, 3: {4: 2, 11: 9, 5: 3, 12: 10}}
 """gmsh's kinds of cells of a plate and of a solid that DOLFINx reads, and of their facets."""
-_POINT, _SERENDIPITY = 15, (17, 29)
-"""Kinds of points, and of hexahedra with 20 nodes, which are refused."""
+_POINT = 15
+"""gmsh's kind of points."""
 _LINEAR = {(2, 3): 2, (2, 4): 3, (3, 4): 4, (3, 8): 5}
 """Kinds of first order, by dimension and corners."""
 _GROUPS = {
@@ -158,11 +154,12 @@ def _groups_of(path: Path) -> Given:
         with copy.open("rb") as file:
             if not _BEGINNING.match(file.read(100)):
                 raise ValueError("it does not begin with $MeshFormat and version 2.2 or 4.1")
-        found = run_reader(Path(__file__).with_name("msh_reader.py"), copy, LONGEST_READING)
+        found = run_reader(Path(__file__).with_name("msh_reader.py"), copy, 300)
         if isinstance(found, str):
             raise ValueError(found.replace(str(copy), str(path)))
-    if not np.all(np.abs(found["positions"]) < FARTHEST_NODE):
-        allowed = f"a mesh whose nodes are within {FARTHEST_NODE:g} m of the origin"
+    farthest = 1e6  # [m]
+    if not np.all(np.abs(found["positions"]) < farthest):
+        allowed = f"a mesh whose nodes are within {farthest:g} m of the origin"
         raise InputError("mesh.file", str(path), allowed)
     return found["numbers"], found["positions"], named_groups(found)
 
@@ -200,7 +197,7 @@ def _one_kind(
         "one of tetrahedra, or of hexahedra with 27 nodes: the load of a unit pressure is negative "
         "at corners of these"
     )
-    _require(kinds.isdisjoint(_SERENDIPITY), "hexahedra with 20 nodes", allowed)
+    _require(kinds.isdisjoint((17, 29)), "hexahedra with 20 nodes", allowed)
     known = len(kinds) == 1 and kinds <= _KINDS[dimension].keys()
     _require(known, f"{len(kinds)} kinds of cells", f"one whose physical {held}")
     kind = kinds.pop()
@@ -325,11 +322,6 @@ def _filled(positions: np.ndarray, groups: list[Group]) -> None:
 
 DEGENERATE = 1e-9
 """Minimum determinant relative to its largest value or to the square of the cell's size."""
-STEPS = 8
-"""Steps of Newton's method for the place of a point in a cell."""
-BULGE = 3.0
-"""Maximum distance of a curved cell from the straight one with its corners, relative to that of its
-nodes: Lebesgue's constant is at most 1.63^2, that of quadrilaterals of third order."""
 
 
 def _refusal(found: str, place: np.ndarray, allowed: str) -> InputError:
@@ -482,14 +474,15 @@ def _in_cells(kind: int, n_corners: int, cells: np.ndarray, points: np.ndarray) 
     bent = cells - np.einsum("nc,icx->inx", linear, cells[:, :n_corners])
     low, high = cells.min(axis=1), cells.max(axis=1)
     size = (high - low).max(axis=1)
-    room = (SAME * size + BULGE * np.abs(bent).max(axis=(1, 2)))[:, None]
+    # Lebesgue's constant of cells of order 2 is at most 1.63^2.
+    room = (SAME * size + 3.0 * np.abs(bent).max(axis=(1, 2)))[:, None]
     found = np.all((points > low - room) & (points < high + room), axis=1)
     if not np.any(found):
         return found
     cells, points, size = cells[found], points[found], size[found]
     at = np.tile(_places_in(kind)[:n_corners].mean(axis=0), (len(points), 1))
     going = np.arange(len(at))  # in straight cells the first step ends there
-    for _ in range(STEPS):
+    for _ in range(8):
         off = points[going] - np.einsum("in,inx->ix", _functions(kind, at[going]), cells[going])
         far = np.abs(off).max(axis=1) > DEGENERATE * size[going]
         going, off = going[far], off[far]

@@ -28,8 +28,6 @@ SMALLEST, LARGEST = 1e-30, 1e30
 """Magnitudes allowed in a scene: their products and squares neither overflow nor underflow."""
 SIZES = f"{SMALLEST:g} to {LARGEST:g}"
 OR_ZERO = f"(0, or of size {SIZES})"
-MAX_VALUES = 1_000_000
-"""Values of one axis, at most."""
 
 
 @dataclass(frozen=True)
@@ -166,7 +164,7 @@ def _values(name: str, given: object) -> tuple[Any, ...]:
     spacing = span.get("spacing", "linear")
     try:
         start, stop, count = _float(span["start"]), _float(span["stop"]), _int(span["count"])
-        right = span.keys() <= {"start", "stop", "count", "spacing"} and 2 <= count <= MAX_VALUES
+        right = span.keys() <= {"start", "stop", "count", "spacing"} and 2 <= count <= 1_000_000
     except (KeyError, TypeError, OverflowError, InputError):
         right = False
     full_name = f'."{name}"'  # behind the name of the key: Table.checked

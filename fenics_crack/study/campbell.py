@@ -53,9 +53,6 @@ CHANGE = 1e-4
 """Relative accuracy of the speed at which the state changes, or an order meets a mode."""
 At = Callable[[float], tuple[np.ndarray, np.ndarray]]
 """Frequencies at a speed, and by how much the crack is held: (3, count) each."""
-SPARE = 2
-"""Bonded modes beyond the requested ones: that of an open mode's shape may come later, where the
-bond has taken it past others."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -303,7 +300,8 @@ def campbell(
     if count is not None and count > most:
         raise InputError("count", count, f"a whole number from 1 to {most}")
     count = min(few, most) if count is None else count
-    n_tied = min(count + SPARE, most) if top.n_pairs else 0
+    # That of an open mode's shape may come later, where the bond has taken it past others.
+    n_tied = min(count + 2, most) if top.n_pairs else 0
     small = Ritz.of_range(top.damped(None), wanted[0], wanted[-1], count, n_tied)
     load = _Load.of(scene, top, small)
 

@@ -27,8 +27,6 @@ from fenics_crack.study.plausibility import extents
 from fenics_crack.study.prepare import REFUSALS, Study, prepare
 from fenics_crack.study.verification import GridConvergence, Verification, grid_convergence
 
-COARSER = 2.0
-"""Ratio of the element lengths of the coarser mesh."""
 TIP, CLAMP = 1.0, 1.5
 """Orders of convergence at a crack tip and at a clamp's ends."""
 
@@ -69,8 +67,15 @@ def errors_of_natural(study: Study, natural: Mapping[str, np.ndarray]) -> Verifi
             (counts, expected("mesh", counts, stated.values, named(both), scene, ratio=ratio)),
         )
     except REFUSALS as error:
-        stated.unknown["mesh"] = str(error)
+        stated.unknown["mesh"] = why_failed("a coarser mesh", error)
     return stated
+
+
+def why_failed(run: str, error: Exception) -> str:
+    """Return why another run gives no error: the key that it cannot have, or no solution."""
+    if isinstance(error, InputError):
+        return f"{run} cannot be used, for its {error.key}"
+    return f"{run} has no solution"
 
 
 def coarser(study: Study) -> tuple[Study, tuple[int, int], float] | str:
@@ -89,7 +94,7 @@ def coarser(study: Study) -> tuple[Study, tuple[int, int], float] | str:
         coarse = scene.replace({"mesh.file": scene.mesh.coarser, "mesh.coarser": None})
     else:
         try:
-            made = finer_mesh(scene, 1.0 / COARSER)
+            made = finer_mesh(scene, 0.5)
         except InputError as error:
             return f"a grid of half as many columns and rows does not fit {error.key}"
         if made is None:
@@ -203,7 +208,7 @@ def finer_mesh(scene: Scene, factor: float) -> Scene | None:
 
     Elements along crack faces are counted up to the next whole number, and all others follow them,
     so that the mesh stays of one kind; three or more of a solid to that next to the factor
-    (:func:`_alike`). Where a solid becomes finer, a size counts as the shortest side if it is
+    (:func:`_similar`). Where a solid becomes finer, a size counts as the shortest side if it is
     longer; where it becomes coarser, it is as it is, for elements of a thin one may be longer. A
     grid becomes finer by the next whole factor, so that cracks stay on its lines; or coarser by 2,
     where that is possible.
@@ -216,7 +221,7 @@ def finer_mesh(scene: Scene, factor: float) -> Scene | None:
     if scene.dimension == 3 and size is not None and factor > 1.0:
         size = min(size, *scene.geometry.sides)
     if scene.dimension == 3 and lips is not None and lips > 2:
-        count, grading, factor = _alike(lips, mesh.grading, factor)
+        count, grading, factor = _similar(lips, mesh.grading, factor)
         changes |= {"mesh.lip_elements": count, "mesh.grading": grading}
     elif lips is not None:
         count = changes["mesh.lip_elements"] = math.ceil(factor * lips)
@@ -232,7 +237,7 @@ def finer_mesh(scene: Scene, factor: float) -> Scene | None:
     return scene.replace(changes)
 
 
-def _alike(count: int, grading: float, factor: float) -> tuple[int, float, float]:
+def _similar(count: int, grading: float, factor: float) -> tuple[int, float, float]:
     """Elements along a crack face of a solid and their grading so that the mesh is similar and
     about ``factor`` times as fine, and the factor that it is.
 

@@ -27,9 +27,6 @@ from fenics_crack.study.stated_errors import not_estimated
 from fenics_crack.study.verification import Verification
 from fenics_crack.time.march import TimeHistory
 
-LEAST_TOLD = 1e-4
-"""Minimum relative error whose largest cause is reported."""
-
 
 class Answer(Study):
     """Result with its study, as a conclusion needs it: a :class:`fenics_crack.study.run.Run`.
@@ -79,7 +76,7 @@ def known_to(run: Answer, name: str = "") -> str:
     error, cause = run.stated.stated(name or run.watched[0].column("amplitude"))
     if not 0.0 < error < np.inf:  # of a plate at rest, or of what no cause changes; or unknown
         return ""
-    by = f", mostly due to the {cause}" if error > LEAST_TOLD else ""
+    by = f", mostly due to the {cause}" if error > 1e-4 else ""
     return ", ".join(filter(None, (f"{error_in_words(error)}{by}", run.stated.left_out)))
 
 

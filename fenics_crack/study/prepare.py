@@ -40,10 +40,6 @@ REFUSALS = (InputError, ConvergenceError, np.linalg.LinAlgError)
 """Errors that fail one run while others go on."""
 FEW_DOFS = 100
 """Maximum dofs of a structure that is reduced only on request."""
-MEMORY_SHARE = 0.8
-"""Fraction of the machine's memory that may be used."""
-BASES = 3
-"""Bases of a run-up held at a time: the old one, the addition, and the result of both."""
 
 
 @dataclass(frozen=True)
@@ -252,10 +248,11 @@ def check_memory_of(scene: Scene, structure: Structure, *, run_up: bool = False)
         This machine has not so much.
     """
     needed, machine = _memory_needed(scene, structure, run_up), machine_memory()
-    if needed > MEMORY_SHARE * machine:
+    most = 0.8 * machine
+    if needed > most:
         give_back_freed()  # not before: what needs memory next would have to be given it again
         needed = _memory_needed(scene, structure, run_up)
-    if needed > MEMORY_SHARE * machine:
+    if needed > most:
         sizes = (
             f"{structure.n_dofs} degrees of freedom need {needed / 2**30:.3g} GiB of this "
             f"machine's {machine / 2**30:.3g}"
@@ -296,10 +293,11 @@ def whole_memory(structure: Structure, harmonics: int) -> float:
 
 def run_up_memory(structure: Structure, modes: int) -> float:
     """The same of :func:`run_up_structure`: the modes of another speed, with its stiffness, beside
-    the basis of the others, or the whole basis as it is made (collective)."""
+    the basis of the others; or three bases at a time, the old one, the addition, and the result of
+    both (collective)."""
     basis = 8.0 * structure.n_dofs * SPEEDS * (modes + structure.n_pairs + 1)
     of_modes = _factor_memory(structure) + _memory_for_modes(structure, modes) + basis
-    return _memory_held(structure) + _matrix_memory(structure) + max(of_modes, BASES * basis)
+    return _memory_held(structure) + _matrix_memory(structure) + max(of_modes, 3.0 * basis)
 
 
 def _memory_for_modes(structure: Structure, count: int) -> float:

@@ -48,13 +48,8 @@ from fenics_crack.study.stated_errors import (
 )
 from fenics_crack.study.verification import GridConvergence, Varied, Verification
 
-GRADED, GRID, COUNTS = (1.5, 2.0), (2.0, 3.0), (1, 2, 4)
-"""Refinement factors of graded meshes, of grids, and of counts."""
-EVEN = 1.56
-"""Maximum ratio of elements along a crack face after and before a refinement by 1.5: with more, by
-rounding up, the mesh would be of another kind."""
-SHIFT_STEPS = 2
-"""Steps in which the shift of a resonance is made."""
+COUNTS = (1, 2, 4)
+"""Refinement factors of counts."""
 OWN = "the scene's own choice"
 
 
@@ -110,17 +105,23 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
     study = replace(study, scene=_settled(own))
     numbers = numbers_of(own, own.result)
     runs = _Runs(study, own, numbers)
-    found = Verification(study.scene, numbers.values, numbers.units, verdicts=_doubtful(OWN, own))
+    found = Verification(
+        study.scene,
+        numbers.values,
+        numbers.units,
+        failures=runs.failures,
+        verdicts=_doubtful(OWN, own),
+    )
     for cause, part_of in PARTS.items():
         try:
             found.take(cause, part_of(runs))
-        except ConvergenceError as error:
-            found.unknown[cause] = str(error)
+        except ConvergenceError:
+            found.unknown[cause] = "no finer run has converged"
         if cause == "mesh" and cause in found.parts:
             many, parts = found.counts[cause], found.parts[cause]
             found.take("shift", (many[:: len(many) - 1], _carried(own, numbers, parts)))
     found.verdicts.update(runs.verdicts)
-    return replace(found, failures=tuple(runs.failures))
+    return found
 
 
 def _varied(study: Study, scene: Scene) -> Study:
@@ -199,7 +200,7 @@ class _Runs:
                 self.verdicts.update(_doubtful(name, run))
         many = tuple(count for count, _ in levels)
         if len(many) == 1:
-            raise ConvergenceError("no finer run has converged")
+            raise ConvergenceError(cause)
         if len(set(many)) < len(many):
             return "finer ones have as many elements, as mesh.size is that of the plate"
         found = [values for _, values in levels]
@@ -256,7 +257,7 @@ def _meshes(runs: _Runs) -> Varied:
         return "[structure] has matrices, and not the mesh that they are of"
     finer = {
         f"a mesh {factor:g} times finer": finer_mesh(scene, factor)
-        for factor in (GRADED if _even(scene) else GRID)
+        for factor in ((1.5, 2.0) if _even(scene) else (2.0, 3.0))
     }
     scenes = {name: found for name, found in finer.items() if found is not None}
     if not scenes:
@@ -270,11 +271,12 @@ def _meshes(runs: _Runs) -> Varied:
 
 
 def _even(scene: Scene) -> bool:
-    """Return True if a mesh 1.5 times finer is of the same kind."""
+    """Return True if a mesh 1.5 times finer is of the same kind: not where elements along a crack
+    face, rounded up, are many more than that."""
     if scene.mesh.layout != "graded":
         return False
-    finer, lips = finer_mesh(scene, GRADED[0]), scene.mesh.lip_elements
-    return finer is None or lips is None or finer.mesh.given("lip_elements") <= EVEN * lips
+    finer, lips = finer_mesh(scene, 1.5), scene.mesh.lip_elements
+    return finer is None or lips is None or finer.mesh.given("lip_elements") <= 1.56 * lips
 
 
 def _modes(runs: _Runs) -> Varied:
@@ -334,7 +336,7 @@ def _carried(
     at, resonance = numbers.values[numbers.resonance], by_mesh[numbers.resonance]
     known, error = math.isfinite(resonance.extrapolated), resonance.uncertainty(-1) / at
     softer = -1.0 if known and resonance.extrapolated > at else 1.0
-    shifts = [(1.0 + error * step / SHIFT_STEPS) ** softer for step in range(1, SHIFT_STEPS + 1)]
+    shifts = [(1.0 + error * part) ** softer for part in (0.5, 1.0)]  # one sought from the other
     if known:
         shifts.append(at / resonance.extrapolated)
     moved = shifted(own, own.result, numbers.mode, shifts)

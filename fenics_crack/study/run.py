@@ -174,7 +174,8 @@ class Run(Answer, Generic[Found]):
 def check_motion(run: object) -> None:
     """Raise InputError unless it is the run of a solution or of a time integration."""
     if not (isinstance(run, Run) and isinstance(run.result, PeriodicSolution | TimeHistory)):
-        raise InputError("run", repr(run), "what fc.solve(scene) or fc.integrate(scene) returns")
+        allowed = "what fc.solve(scene) or fc.integrate(scene) returns"
+        raise InputError("run", type(getattr(run, "result", run)).__name__, allowed)
 
 
 # --- the commands ---------------------------------------------------------------------------------

@@ -65,25 +65,19 @@ from fenics_crack.study.coarser_mesh import (
     errors_of_natural,
     expected,
     natural_name,
+    why_failed,
 )
 from fenics_crack.study.prepare import REFUSALS, Study
 from fenics_crack.study.tip_and_clamp import asked_of_motion
-from fenics_crack.study.verification import GridConvergence, Varied, Verification
+from fenics_crack.study.verification import UNCHANGED, GridConvergence, Varied, Verification
 
 ANSWER = (
     "amplitude", "ratio_2_1", "ratio_3_1", "ratio_largest", "mean_shift", "opening", "crack_force",
     "closed_share",
 )  # fmt: skip
 """Quantities whose errors are stated where the scene does not choose."""
-LOWEST_MODES = (1, 2, 3)
-"""Modes whose natural frequencies with the crack open are included."""
-TINY = 1e-9
-"""Ratio that counts as zero."""
 ORDERS = CLAMP, TIP
 """Orders of a mesh, the one that corrects less first."""
-UNSURE = 0.1
-"""Uncertain fraction of the smaller of two parts of one order, so that something is left where they
-cancel."""
 
 
 # --- the numbers of an answer ---------------------------------------------------------------------
@@ -126,7 +120,7 @@ def numbers_of(study: Study, found: PeriodicSolution, mode: int | None = None) -
                 column = watched.column(name) if name in OF_POINTS else name
                 value, unit = float(getattr(seen, name)), QUANTITIES[name][1]
                 least = rounding if unit == "m" and name in OF_LIPS else 0.0
-                if abs(value) > (TINY if unit == "1" else least):
+                if abs(value) > (UNCHANGED if unit == "1" else least):
                     values[column], units[column] = value, unit.replace("1", "")
     for name, value in asked_of_motion(study, found).items():
         if not math.isnan(value):  # what is seen may not be known
@@ -134,7 +128,7 @@ def numbers_of(study: Study, found: PeriodicSolution, mode: int | None = None) -
     natural = bilinear_frequencies(structure)
     mode = mode or int(natural.nearest(found.omega)["mode"])
     factor, _, unit = frequency_axis(scene.in_hertz)
-    wanted = {("open", number) for number in (*LOWEST_MODES, mode)}
+    wanted = {("open", number) for number in (1, 2, 3, mode)}
     if structure.n_pairs:
         wanted |= {("tied", mode), ("bilinear", mode)}
     for kind, number in sorted(wanted, key=lambda one: (KINDS.index(one[0]), one[1])):
@@ -187,7 +181,8 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
         try:
             stated.take(cause, other())
         except REFUSALS as error:
-            stated.unknown[cause] = str(error)
+            run = "a coarser mesh" if cause == "mesh" else f"a run with more {cause}"
+            stated.unknown[cause] = why_failed(run, error)
     for name in [*stated.values]:  # of some of the other runs it may be none
         if not all(name in parts for parts in stated.parts.values()):
             del stated.values[name]
@@ -379,7 +374,8 @@ def _coarser_mesh(study: Study, near: PeriodicSolution, own: Numbers, of_peak: b
         ]
         error = math.hypot(
             max(abs(shape + shift) for shape, shift in terms),
-            UNSURE * max(min(abs(shape), abs(shift)) for shape, shift in terms),
+            # So that something is left where two parts of one order cancel.
+            0.1 * max(min(abs(shape), abs(shift)) for shape, shift in terms),
             between.get(name, value) - value,
         )
         at = own.values.get(name, 0.0)
@@ -397,7 +393,7 @@ def _moving(study: Study, near: PeriodicSolution) -> int:
     harmonics = np.arange(1, near.harmonics + 1)
     omega = bilinear_frequencies(study.structure).omega_bilinear
     away = np.abs(1.0 - (harmonics * near.omega / omega[:, None]) ** 2)
-    return int(np.argmax((sizes / np.maximum(away, TINY)).max(axis=1))) + 1
+    return int(np.argmax((sizes / np.maximum(away, UNCHANGED)).max(axis=1))) + 1
 
 
 def _highest(study: Study, near: PeriodicSolution) -> int:

@@ -37,7 +37,7 @@ from typing import Any, ClassVar
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.basics.errors import InputError, check_choice, check_number
+from fenics_crack.basics.errors import TOLERANCE, InputError, check_choice, check_number
 from fenics_crack.basics.suggestions import checked_call
 from fenics_crack.basics.tables import (
     QUANTITIES,
@@ -55,13 +55,6 @@ from fenics_crack.scene.scene import Scene
 
 SAFE, CAUTIOUS = 1.25, 3.0
 """Factors of safety."""
-LEAST_ORDER, MOST_OVER_FORMAL = 0.5, 1.5
-"""Accepted observed orders: minimum; and maximum relative to that of theory, where no highest one
-is known."""
-AS_LARGE = 1.0
-"""Relative error from which a number is unknown: it may be of either sign."""
-HIGHEST_ORDER = 50.0
-"""Largest order that is reported."""
 UNCHANGED = 1e-9
 """Relative spread of values that differ by rounding only."""
 
@@ -76,8 +69,8 @@ class GridConvergence(Described):
         h_i, smallest first, and f_i.
     behaviour : str
         "asymptotic": the observed order is near that of theory, or between that and the highest;
-        "outside": it falls, with another order; "oscillating", "diverging" or "irregular" (too fast
-        to be an order): not in the asymptotic range; "two sizes": no order is observed;
+        "outside": it falls, with another order; "irregular": the values oscillate, come no closer,
+        or come closer too fast to show an order; "two sizes": no order is observed;
         "unchanged": the same to rounding; "carried": the values are those at a shifted resonance;
         "exact orbit": the first is the limit.
     order : float
@@ -101,7 +94,7 @@ class GridConvergence(Described):
     @property
     def is_asymptotic(self) -> bool:
         """True if something could be extrapolated."""
-        return self.behaviour in ("asymptotic", "outside", "two sizes", "unchanged", "exact orbit")
+        return self.behaviour not in ("irregular", "carried")
 
     def uncertainty(self, place: int = 0) -> float:
         """F abs(f_i - f) of a value, by default that of the smallest size; or F times their
@@ -186,17 +179,14 @@ def grid_convergence(
         return found("unchanged", math.nan, math.nan)
     if len(h) == 2:
         return found("two sizes", math.nan, formal)
-    if (f[2] - f[1]) * (f[1] - f[0]) < 0.0:
-        return found("oscillating", math.nan, math.nan)
-    order = _observed(h, f)
-    if order <= 0.0:
-        return found("diverging", order, math.nan)
-    if order > highest or math.isinf(order):
+    oscillates = (f[2] - f[1]) * (f[1] - f[0]) < 0.0
+    order = math.nan if oscillates else _observed(h, f)
+    if not 0.0 < order <= highest or math.isinf(order):
         return found("irregular", order, math.nan)
-    most = highest if math.isfinite(highest) else MOST_OVER_FORMAL * formal
-    if LEAST_ORDER <= order <= most:
+    least, most = 0.5, highest if math.isfinite(highest) else 1.5 * formal  # accepted orders
+    if least <= order <= most:
         return found("asymptotic", order, min(order, formal), SAFE)
-    return found("outside", order, min(max(order, LEAST_ORDER), formal))
+    return found("outside", order, min(max(order, least), formal))
 
 
 def _observed(h: np.ndarray, f: np.ndarray) -> float:
@@ -212,7 +202,7 @@ def _observed(h: np.ndarray, f: np.ndarray) -> float:
             return math.log(coarse / fine) - wanted
         return p * fine + math.log(math.expm1(p * coarse) / math.expm1(p * fine)) - wanted
 
-    steepest = HIGHEST_ORDER / max(fine, coarse)
+    steepest = 0.5 * math.log(np.finfo(float).max) / max(fine, coarse)  # else expm1 overflows
     if excess(steepest) < 0.0 or excess(-steepest) > 0.0:
         return math.copysign(math.inf, wanted)
     import scipy.optimize  # takes a while, and is needed here alone
@@ -230,20 +220,10 @@ ESTIMATED = ("harmonics", "modes")
 """Causes without whose part no error is known; the mesh may be left out by choice."""
 CAUSES = (*MESH, "modes", "harmonics", "samples")
 WORDS = ("units", "absent", "unknown", "verdicts")
-LEVELS = 3
-"""Maximum runs of a cause."""
-SHARE_TOLD, LEAST_OF_VALUE = 0.1, 1e-3
-"""Minimum shares of its total, and of a value, for which a doubtful contribution is reported."""
-DENTED = 0.01
-"""Minimum share of an amplitude for a warning that the displacement under a point force has no
-limit: of the size of requested errors."""
-SPREAD = "not in the asymptotic range, the uncertainty is 3 times their spread"
 DOUBTS = {
     "outside": "the observed order is not that of theory, the factor of safety is 3",
     "two sizes": "two runs show no order: that of theory is used, with a factor of safety of 3",
-    "oscillating": f"the values oscillate: {SPREAD}",
-    "diverging": f"the values do not converge: {SPREAD}",
-    "irregular": f"the values converge faster than any theoretical order: {SPREAD}",
+    "irregular": "the values show no order: the uncertainty is 3 times their spread",
 }
 """Sentence for each behaviour of :class:`GridConvergence` but "asymptotic"."""
 
@@ -273,7 +253,7 @@ class Verification(Tabular):
         Causes that contribute nothing, and why.
     unknown : dict of str to str
         Causes whose contribution is not known, and why: no total has it.
-    failures : tuple of str
+    failures : list of str
         Runs that were refused or did not converge.
     verdicts : dict of str to str
         Of the stability, by the run, where an orbit is not known to be stable.
@@ -286,7 +266,7 @@ class Verification(Tabular):
     counts: dict[str, tuple[int, ...]] = field(default_factory=dict)
     absent: dict[str, str] = field(default_factory=dict)
     unknown: dict[str, str] = field(default_factory=dict)
-    failures: tuple[str, ...] = ()
+    failures: list[str] = field(default_factory=list)
     verdicts: dict[str, str] = field(default_factory=dict)
 
     KIND: ClassVar[str] = "verification"
@@ -377,7 +357,7 @@ class Verification(Tabular):
         if total == 0.0 and self.unknown:
             return math.nan, ""
         cause = max(parts, key=lambda one: parts[one])
-        return math.inf if total >= AS_LARGE else total, cause
+        return math.inf if total >= 1.0 else total, cause
 
     def doubt(self, quantity: str) -> str:
         """Return why the error of a quantity is unknown; empty where it is known, or was left out
@@ -436,9 +416,8 @@ class Verification(Tabular):
         for cause, found in self.parts.items():
             part, counts = found[name], self.counts[cause]
             row: dict[str, Any] = shared | {"cause": cause, "behaviour": part.behaviour}
-            row |= {f"count_{n + 1}": math.nan for n in range(LEVELS)}
+            row |= {f"{key}_{n}": math.nan for key in ("count", "value") for n in (1, 2, 3)}
             row |= {f"count_{n}": count for n, count in enumerate(counts, 1)}
-            row |= {f"value_{n + 1}": math.nan for n in range(LEVELS)}
             by_count = dict(zip(sorted(counts, reverse=True), part.values, strict=True))
             row |= {f"value_{n}": by_count[count] for n, count in enumerate(counts, 1)}
             row |= {key: getattr(part, key) for key in ("order", "exponent", "factor")}
@@ -520,8 +499,8 @@ class Verification(Tabular):
 
     def _matters(self, name: str, cause: str) -> bool:
         """Return True if a contribution is so large that a doubt about it is reported."""
-        size = max(SHARE_TOLD * self.total(name), LEAST_OF_VALUE * abs(self.values[name]))
-        return self.contributions(name)[cause] >= size
+        size = max(self.total(name), TOLERANCE * abs(self.values[name]))
+        return self.contributions(name)[cause] >= 0.1 * size
 
     def _in_words(self, name: str) -> str:
         """A quantity with its uncertainty, and where most of that is from."""
@@ -561,7 +540,7 @@ def verification_of(stored: Stored) -> Verification | None:
         }
         words = ({n: str(w) for n, w in found[key].items()} for key in WORDS)
         units, absent, unknown, verdicts = words
-        failures = tuple(map(str, found["failures"]))
+        failures = list(map(str, found["failures"]))
         [units[name] for name in values]  # LookupError
         return Verification(
             scene, values, units, grids, counts, absent, unknown, failures, verdicts
@@ -571,7 +550,7 @@ def verification_of(stored: Stored) -> Verification | None:
 def _dents(scene: Scene, amplitude: float) -> tuple[str, ...]:
     """Warn of a displacement without limit, if elements half as long add much to it."""
     added = _dent(scene)
-    if scene.points or not added > DENTED * amplitude > 0.0:
+    if scene.points or not added > TOLERANCE * amplitude > 0.0:
         return ()
     growth = "log(1/h)" if scene.dimension == 2 else "1/h"
     return (

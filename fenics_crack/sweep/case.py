@@ -36,8 +36,6 @@ PEAK_HARMONICS = 10
 PEAK_STEPS = 4
 """Steps in half the width of a resonance there: a parabola's top is then known to a tenth of one,
 the response to 3e-4."""
-CLIMB = 8 * PEAK_STEPS
-"""Maximum steps to the top with all harmonics: few harmonics may place it some widths away."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +54,8 @@ class Asked:
         True if the stability of each case is assessed.
     judged : bool
         True if the error of the reduction is.
-    natural : frozenset of int
-        Places on the last axis at which natural frequencies alone are found.
-    count : int
-        Values on that axis.
+    natural : tuple of bool
+        For each place on the last axis, True if natural frequencies alone are found there.
     """
 
     unit_loads: bool
@@ -67,8 +63,7 @@ class Asked:
     at_resonance: bool = False
     verdicts: bool = True
     judged: bool = True
-    natural: frozenset[int] = frozenset()
-    count: int = 1
+    natural: tuple[bool, ...] = (False,)
 
 
 @dataclass(frozen=True)
@@ -186,7 +181,7 @@ def solve_chunk(
         harmonics = case.harmonic_balance.harmonics
         found: Found = {"crack_length": geometry.crack_length, "harmonics": harmonics}
         found |= _at(case.excitation.omega, geometry.natural) | _numbered(geometry.natural)
-        if number % asked.count in asked.natural:
+        if asked.natural[number % len(asked.natural)]:
             solved.append(found | {"status": ALONE, "seconds": time.perf_counter() - started})
             continue
         try:
@@ -257,9 +252,9 @@ class Cases:
             raise InputError("damping", ratio, allowed)
         self._take(case)
         assert self._law is not None
-        few = (
-            PEAK_HARMONICS if table.tolerance is not None else min(PEAK_HARMONICS, table.harmonics)
-        )
+        few = PEAK_HARMONICS
+        if table.tolerance is None:
+            few = min(few, table.harmonics)
         problem = Problem(self._structure, middle, self._law, few, table.samples)
         step = ratio * middle / PEAK_STEPS
         lowest = (1.0 - 2.0 * ratio) * float(nearest["omega_open"])
@@ -267,7 +262,7 @@ class Cases:
         seen = _around(problem, step, lowest, highest)
         top = self._first_of(case, sorted(seen, key=_response, reverse=True))
         problem = problem.with_harmonics(top.harmonics)
-        for _ in range(CLIMB):
+        for _ in range(8 * PEAK_STEPS):  # few harmonics may place it some widths away
             sides = [_beside(replace(problem, omega=top.omega + by), top) for by in (-step, step)]
             sizes = np.array([_response(one) for one in (sides[0], top, sides[1])])
             if sizes[1] >= sizes.max():
@@ -299,8 +294,8 @@ class Cases:
             return {}
         try:
             found = floquet(structure, solution)
-        except REFUSALS as error:
-            return {"verdict": "undecided", "remark": f"; {OPEN}{error}"}
+        except REFUSALS:
+            return {"verdict": "undecided", "remark": f"; {OPEN}no multipliers were found"}
         if found.reason:
             remark = f"; {OPEN}{found.reason}"
         elif structure.light_lips and (more := solution.assessment.more_modes):  # else collective

@@ -25,6 +25,7 @@ import math
 import os
 import zlib
 from collections.abc import Mapping, Sequence
+from enum import IntEnum
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -41,11 +42,16 @@ from fenics_crack.scene.words import differences
 from fenics_crack.version import VERSION
 
 KIND = "sweep"
-PENDING, CONVERGED, FAILED = 0, 1, 2
-"""The states of a case."""
-STATUS_BYTES = 400
-"""Bytes of a status with its remark on the verdict, 386 of the paper's plate; cut where it is
-longer."""
+
+
+class State(IntEnum):
+    """State of a case."""
+
+    PENDING = 0
+    CONVERGED = 1
+    FAILED = 2
+
+
 OPEN = "undecided: "
 """Beginning, in the status of a case, of the reason for undecided stability."""
 YET = "; yet "
@@ -92,21 +98,15 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "frequency": ("Hz", "f8"),
     "crack_length": ("m", "f8"),
     "seconds": ("s", "f8"),
-    "status": ("", f"S{STATUS_BYTES}"),
+    "status": ("", "S400"),  # and its remark on the verdict; cut where it is longer
 }
 """Unit and type of the columns of each case beside its state and the motion at points."""
-LATER = (
-    "ratio_largest", "largest_order", "crack_force", *(f"omega_bilinear_{n}" for n in NUMBERED),
-)  # fmt: skip
-"""Quantities that older files do not have, where they are nan."""
 UNUSED = dict.fromkeys(name for name in LOOKED_AT if name not in ("sweep", "output", "growth"))
 """Tables that no case depends on; without them."""
 WAVES = {"gap": "m", "force": "N"}
 """Coefficients kept of a case that converged, and their units."""
 WAVES_CHECKSUM, CHECKSUM = "waves_checksum", "checksum"
 """Columns: CRC-32 of the waves of a case; and of all its columns and its state, never 0."""
-BLOCK = 4096
-"""Cases whose checksums are found at once."""
 BLANKS: dict[str, Any] = {"f": np.nan, "i": 0, "S": b""}
 """Value of a case without one, by the kind of the type."""
 
@@ -138,7 +138,7 @@ class SweepFile:
     stored : Stored
         Where everything is in it.
     state : array of int
-        In the shape of the axes; of damaged cases PENDING.
+        In the shape of the axes; of damaged cases State.PENDING.
     """
 
     def __init__(
@@ -154,7 +154,7 @@ class SweepFile:
                 busy = _lock(self._file)
                 self.stored = made or _of_scene(path, scene)
                 self.state = _whole_cases(self.stored, scene)
-                if np.any(self.state == PENDING):  # else nothing is written
+                if np.any(self.state == State.PENDING):  # else nothing is written
                     if busy:
                         raise busy
                     _check_omitted(self.stored, omitted)
@@ -175,7 +175,7 @@ class SweepFile:
         InputError
             The disk is full, or the file is no longer where it was; what was written before stays.
         """
-        left = np.flatnonzero(self.state.flat[numbers] == PENDING)
+        left = np.flatnonzero(self.state.flat[numbers] == State.PENDING)
         if len(left):
             self.write(numbers[left], [cases[place] for place in left])
 
@@ -184,7 +184,7 @@ class SweepFile:
         if not self._is_there():
             allowed = "left alone while the sweep runs; it has been removed or replaced"
             raise WriteError("path", str(self._path), allowed)
-        state = np.array([CONVERGED if "gap" in case else FAILED for case in cases])
+        state = np.array([State.CONVERGED if "gap" in case else State.FAILED for case in cases])
         waves = {name: [case.get(name, np.zeros((0, 0))) for case in cases] for name in WAVES}
         columns = {}
         for name in self._columns:
@@ -195,7 +195,7 @@ class SweepFile:
         columns[WAVES_CHECKSUM] = np.array(checksums, "u4")
         columns[CHECKSUM] = _of_cases(columns, state)
         try:
-            self._put("state", places, np.full(len(state), PENDING))
+            self._put("state", places, np.full(len(state), State.PENDING))
             for name, arrays in waves.items():
                 if name in self.stored.columns:
                     self._put(name, places, _padded(arrays, self.stored.columns[name].shape[-1]))
@@ -335,9 +335,9 @@ def _of_waves(gap: np.ndarray, force: np.ndarray) -> int:
 
 def _of_cases(columns: Mapping[str, np.ndarray], state: np.ndarray) -> np.ndarray:
     """Checksums of cases (n,), of columns of theirs and a state each."""
-    found = np.zeros(len(state), dtype="u4")
-    for start in range(0, len(state), BLOCK):
-        block = slice(start, start + BLOCK)
+    found, count = np.zeros(len(state), dtype="u4"), 4096  # at once, for their rows take memory
+    for start in range(0, len(state), count):
+        block = slice(start, start + count)
         parts = [column[block] for column in (*columns.values(), state.astype("u1"))]
         rows = np.hstack([part.view("u1").reshape(len(part), -1) for part in parts])
         found[block] = [zlib.crc32(row) or 1 for row in rows]
@@ -396,8 +396,6 @@ def opened(path: Path) -> store.Stored:
     total = 0
     for name, (_, kind) in _kept(scene).items():
         column = stored.columns.get(name)
-        if column is None and name.rpartition(".")[2] in LATER:
-            continue
         if column is None:
             allowed = f"a sweep with a column {name!r}: this one is of an older version"
             raise InputError("path", str(path), f"{allowed}; solve it anew in another folder")
@@ -424,33 +422,29 @@ def _cases(stored: store.Stored, scene: Scene) -> tuple[dict[str, np.ndarray], n
 
 def _numbers(stored: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
     """All that is kept of each case (n,), beside its waves."""
-    found = {}
-    try:
-        for name in _kept(scene):  # the state first: what is written later counts as pending
-            if name in stored.columns:
-                found[name] = stored.columns[name].of(stored.path).ravel()
-    except (OSError, ValueError) as error:
-        raise InputError("path", str(stored.path), f"a whole sweep ({error})") from None
-    return found
+    try:  # the state first: what is written later counts as pending
+        return {name: stored.columns[name].of(stored.path).ravel() for name in _kept(scene)}
+    except (OSError, ValueError):
+        raise InputError("path", str(stored.path), "a whole sweep") from None
 
 
 def _confirmed(found: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """The columns of all cases with the state that the checksum confirms, and which it does not."""
     stated, known = found.pop("state"), found.pop(CHECKSUM)
-    begun, state = np.flatnonzero(known), np.full(len(stated), PENDING, stated.dtype)
+    begun, state = np.flatnonzero(known), np.full(len(stated), State.PENDING, stated.dtype)
     own = {name: values[begun] for name, values in found.items()}
-    for one in (CONVERGED, FAILED):
+    for one in (State.CONVERGED, State.FAILED):
         same = _of_cases(own, np.full(len(begun), one)) == known[begun]
         state[begun[same]] = one
-    return {"state": state} | found, (state == PENDING) & (stated != PENDING)
+    return {"state": state} | found, (state == State.PENDING) & (stated != State.PENDING)
 
 
 def _whole_cases(stored: store.Stored, scene: Scene) -> np.ndarray:
-    """The state of each case in the shape of the axes; of damaged ones PENDING."""
+    """The state of each case in the shape of the axes; of damaged ones State.PENDING."""
     state: np.ndarray = _cases(stored, scene)[0]["state"].reshape(scene.given("sweep").shape)
-    for index in np.argwhere(state == CONVERGED):
+    for index in np.argwhere(state == State.CONVERGED):
         if _waves(stored, tuple(map(int, index))) is None:
-            state[tuple(index)] = PENDING
+            state[tuple(index)] = State.PENDING
     return state
 
 
@@ -469,9 +463,9 @@ def read_columns(stored: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
         )
         raise InputError("path", str(stored.path), allowed)
     for name in ("state", *columns_of(scene)):
-        values = columns.get(name, np.full(math.prod(shape), np.nan))
+        values = columns[name]
         if name != "state":
-            values[columns["state"] == PENDING] = BLANKS[values.dtype.kind]
+            values[columns["state"] == State.PENDING] = BLANKS[values.dtype.kind]
         words = values.dtype.kind == "S"
         found[name] = np.char.decode(values, "utf-8", "replace") if words else values
         found[name] = found[name].reshape(shape)

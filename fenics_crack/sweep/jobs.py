@@ -2,8 +2,8 @@
 
 Every group of ranks has one job to do and one to go on with, so that none waits for rank 0, which
 hears what the others have found between two chunks of its own. Messages to a group are jobs, and
-one with the tag :data:`END`, on which it stops after the present chunk; those from it are what it
-has found of each chunk, and None behind a job.
+one with the tag ``END``, on which it stops after the present chunk; those from it are what it has
+found of each chunk, and None behind a job.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -25,13 +26,16 @@ from fenics_crack.files.store import Stored
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import REFUSALS
 from fenics_crack.sweep.case import ALONE, Asked, Found, Geometry, build, solve_chunk
-from fenics_crack.sweep.file import FAILED, PENDING, SweepFile
+from fenics_crack.sweep.file import State, SweepFile
 from fenics_crack.sweep.plan import Chunk, Plan
 
-JOB, END = 0, 1
-"""Tags of messages to a group."""
-IDLE = 0.002
-"""Time that a rank without work sleeps before it looks for a message again [s]."""
+
+class Tag(IntEnum):
+    """Tag of a message to a group."""
+
+    JOB = 0
+    END = 1
+
 
 Outcome = list[Found] | Exception
 """Values of the cases of a chunk, or the error that ends the sweep."""
@@ -140,12 +144,12 @@ def serve(worker: Worker, leaders: MPI.Comm) -> None:
 
     def go_on() -> bool:
         sent[:] = [request for request in sent if not request.Test()]
-        return not leaders.iprobe(source=0, tag=END)
+        return not leaders.iprobe(source=0, tag=Tag.END)
 
     status = MPI.Status()
-    while status.tag != END:
+    while status.tag != Tag.END:
         job = _received(leaders, status)
-        if status.tag == JOB:
+        if status.tag == Tag.JOB:
             sent += [leaders.isend(found, 0) for found in worker.work(job, go_on)]
             sent.append(leaders.isend(None, 0))
     MPI.Request.waitall(sent)
@@ -154,7 +158,7 @@ def serve(worker: Worker, leaders: MPI.Comm) -> None:
 def _received(leaders: MPI.Comm, status: MPI.Status) -> Any:
     """The next message; MPI itself would wait with all of a processor."""
     while not leaders.iprobe(status=status):
-        time.sleep(IDLE)
+        time.sleep(0.002)  # without work there is time
     return leaders.recv(source=status.source, tag=status.tag)
 
 
@@ -165,7 +169,7 @@ class Manager:
         self._error: BaseException | None = None
         self._plan, self._file, self._groups = plan, file, groups
         left = {
-            number: [chunk for chunk in chunks if np.any(file.state.flat[chunk] == PENDING)]
+            number: [chunk for chunk in chunks if np.any(file.state.flat[chunk] == State.PENDING)]
             for number, chunks in enumerate(plan.geometries)
         }
         # The longest jobs first: the last ones are what ranks wait for.
@@ -175,13 +179,13 @@ class Manager:
         """Geometry that each group has, or will have built."""
         self._given_out, self._recorded = 0, 0
         """Jobs at the other groups, and chunks written."""
-        self._failed = int(np.count_nonzero(file.state == FAILED))
+        self._failed = int(np.count_nonzero(file.state == State.FAILED))
         how = {"desc": "sweep", "unit": "case", "disable": not progress}
         self._bar = tqdm(total=file.state.size, initial=self._done, **how)
 
     @property
     def _done(self) -> int:
-        return int(np.count_nonzero(self._file.state != PENDING))
+        return int(np.count_nonzero(self._file.state != State.PENDING))
 
     def how_far(self) -> str:
         """Cases that are done, and all."""
@@ -223,7 +227,7 @@ class Manager:
                 self._fail(error)
         self._left.clear()
         for group in others:
-            leaders.send(None, group, tag=END)
+            leaders.send(None, group, tag=Tag.END)
         while self._given_out:
             self._hear(leaders)
         self._close()
@@ -232,7 +236,7 @@ class Manager:
         """Send a group a job, if there is one."""
         job = self._next_job(group)
         if job is not None:
-            leaders.send(job, group, tag=JOB)
+            leaders.send(job, group, tag=Tag.JOB)
             self._given_out += 1
 
     def _hear(self, leaders: MPI.Comm) -> None:

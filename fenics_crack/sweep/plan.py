@@ -20,8 +20,6 @@ from fenics_crack.fem.plate import build_mesh
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCES
 
-CHUNK = 16
-"""Most cases of a chunk."""
 FREQUENCIES = ("excitation.omega", "excitation.frequency")
 OF_FORCES = {f"excitation.{name}" for name in FORCES}
 SAME_GEOMETRY = {
@@ -75,7 +73,7 @@ class Plan:
         numbers = np.arange(math.prod(self.shape)).reshape(self.shape)
         numbers = numbers.transpose([*fixed, *inner, *along])
         rows = numbers.reshape(math.prod(self.shape[place] for place in fixed), -1, length)
-        pieces = -(-length // CHUNK)
+        pieces = -(-length // 16)  # cases of a chunk at most
         return [[c for row in of_one for c in np.array_split(row, pieces)] for of_one in rows]
 
     @property

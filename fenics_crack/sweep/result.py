@@ -63,12 +63,10 @@ from fenics_crack.study.conclusion import at_rest
 from fenics_crack.study.prepare import law_of
 from fenics_crack.sweep.case import Asked, build
 from fenics_crack.sweep.file import (
-    CONVERGED,
-    FAILED,
     KIND,
     OPEN,
-    PENDING,
     YET,
+    State,
     SweepFile,
     columns_of,
     of_load,
@@ -79,15 +77,12 @@ from fenics_crack.sweep.file import (
 from fenics_crack.sweep.jobs import Manager, Worker, serve
 from fenics_crack.sweep.plan import Plan
 
-SHOWN_REASONS = 4
-"""Maximum kinds of reasons, for failed or undecided cases, that are reported."""
-
 DRAWN = ("amplitude", "opening", "ratio_2_1", "ratio_3_1", "closed_share", "mean_shift")
 """Quantities that are drawn where the scene does not choose."""
 UNSOUGHT = "without contact, with [rotation], and where base has a displacement"
 """Scenes whose largest response over the load's frequency is not sought."""
-STATES = np.array(["pending", "converged", "failed"])
-"""Words for PENDING, CONVERGED and FAILED."""
+STATES = np.array([state.name.lower() for state in State])
+"""Words for the states."""
 
 
 def run_sweep(
@@ -158,15 +153,12 @@ def run_sweep(
         where = Path(path or _passing_file())
         file = SweepFile(where, scene, plan.harmonics, plan.pairs, omitted)
         managers.append(Manager(plan, file, comm.size // table.ranks, progress=progress))
-        hopeless = not plan.reduction_swept
         return Asked(
             plan.unit_loads,
-            hopeless,
-            table.at_resonance,
-            verdicts,
-            judged,
-            frozenset(natural),
-            count,
+            hopeless=not plan.reduction_swept,
+            at_resonance=table.at_resonance,
+            **wanted,
+            natural=tuple(place in natural for place in range(count)),
         )
 
     asked = on_root(comm, start)
@@ -287,12 +279,12 @@ class SweepResult(Tabular):
     @property
     def complete(self) -> bool:
         """True if every case was tried."""
-        return not np.any(self["state"] == PENDING)
+        return not np.any(self["state"] == State.PENDING)
 
     @property
     def converged(self) -> np.ndarray:
         """Cases that were solved: bool in the shape of the axes."""
-        return self["state"] == CONVERGED
+        return self["state"] == State.CONVERGED
 
     @property
     def errors(self) -> np.ndarray:
@@ -319,7 +311,7 @@ class SweepResult(Tabular):
     @property
     def failed(self) -> list[tuple[tuple[int, ...], str]]:
         """Index and reason of each case that could not be solved."""
-        return self._status_where(self["state"] == FAILED)
+        return self._status_where(self["state"] == State.FAILED)
 
     @property
     def undecided(self) -> list[tuple[tuple[int, ...], str]]:
@@ -480,12 +472,12 @@ def by_reason(
     kinds: dict[str, list[tuple[tuple[int, ...], str]]] = {}
     for index, reason in reasons:
         kinds.setdefault(re.sub(r"[-+]?\d[\d.e+-]*", "#", reason), []).append((index, reason))
-    ordered = sorted(kinds.values(), key=len, reverse=True)
-    for cases in ordered[:SHOWN_REASONS]:
+    ordered, shown = sorted(kinds.values(), key=len, reverse=True), 4
+    for cases in ordered[:shown]:
         index, reason = cases[0]
         number = f"{counted(len(cases), 'case')} {what}, the first at"
         yield f"{number} {in_words(found.axes, index)}: {reason}"
-    if more := ordered[SHOWN_REASONS:]:
+    if more := ordered[shown:]:
         left = sum(map(len, more))
         yield f"{counted(left, 'case')} {what} for other reasons: column status of the table"
 

@@ -240,29 +240,14 @@ def test_a_tip_along_a_run_up(parameter: str) -> None:
         assert remark.endswith("then use curve.parameter = 'rpm'")
 
 
-def test_a_tip_of_other_radii() -> None:
-    """[tip_timing] is judged by the plate's distance from the axis, where it is known."""
-    rotor = {"rotation.rpm": 100.0, "rotation.hub_radius": 0.2, "tip_timing.probes": [0.0, 90.0]}
-    for radius, words in ((0.3, ""), (300.0, "in mm? then 0.3"), (0.1, "0.2 to 0.3 m from")):
-        scene = PAPER.replace(rotor | {"tip_timing.tip_radius": radius})
-        told = " ".join(map(str, remarks_on_scene(scene)))
-        assert (words in told) if words else not told
+def test_a_rotor_that_keeps_its_crack_open() -> None:
+    """It is named by the key of its speed."""
     figures = figures_of(PAPER.replace({"excitation.force_sin": (1.0, 0.0)}))
     open_by_speed = replace(figures, breathes=False, closed=0)
     [remark] = remarks_on(
         PAPER.replace({"rotation.rpm": 100.0, "rotation.hub_radius": 0.2}), open_by_speed
     )
     assert remark.key == "rotation.rpm" and "never closes" in remark.text
-
-
-def test_all_modes_of_a_whole_structure() -> None:
-    """Damped one by one, they are computed one by one."""
-    whole = PAPER.replace({"reduction.method": "off", "damping.modes": "all"})
-    figures = replace(figures_of(GRID), modes_kept=5000, modes_below=1)
-    [remark] = remarks_on(whole, figures)
-    assert remark.key == "damping.ratio" and "all 5000 modes" in remark.text
-    assert not remarks_on(whole.replace({"damping.modes": 50}), figures)
-    assert not remarks_on(whole, replace(figures, modes_kept=500))
 
 
 def test_elements_along_each_lip() -> None:
@@ -330,7 +315,7 @@ def test_memory_that_is_freed_does_not_count(
     prepare.give_back_freed()
     before = prepare.check_memory_of(paper_scene, wide_plate)
     pieces = [np.ones(10_000) for _ in range(1000)]
-    machine = (before + 4e7) / prepare.MEMORY_SHARE
+    machine = (before + 4e7) / 0.8
     monkeypatch.setattr(prepare, "machine_memory", lambda: machine)
     with pytest.raises(fc.InputError, match=r"^mesh.columns = 2: "):
         prepare.check_memory_of(paper_scene, wide_plate)

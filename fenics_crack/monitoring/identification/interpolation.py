@@ -46,7 +46,7 @@ from fenics_crack.basics.tables import TURN
 from fenics_crack.monitoring.identification.measurements import Measurement
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
-from fenics_crack.sweep.file import CONVERGED, KEPT_ORDERS, NUMBERED
+from fenics_crack.sweep.file import KEPT_ORDERS, NUMBERED, State
 from fenics_crack.sweep.result import SweepResult
 
 DEGREE = 3
@@ -336,12 +336,12 @@ class Part:
         load = self.load(frequency)
         fewer = self.column("harmonics")[:, load] < order
         value = np.where(fewer, 0.0, (cosine - 1j * sine)[:, load])
-        return np.where(self.column("state")[:, load] == CONVERGED, value, np.nan)
+        return np.where(self.column("state")[:, load] == State.CONVERGED, value, np.nan)
 
     def harmonics(self, frequency: float) -> int:
         """How many harmonics all cases have at a load that were solved; 1 if none was."""
         load = self.load(frequency)
-        solved = self.column("state")[:, load] == CONVERGED
+        solved = self.column("state")[:, load] == State.CONVERGED
         return int(self.column("harmonics")[solved, load].min()) if solved.any() else 1
 
     def load(self, frequency: float) -> int:
