@@ -150,7 +150,7 @@ TABLE = [
     ("solve scene.toml sweep.over={'crack.clearance'={start=-1,stop=1,count=3,spacing='logarithmic'}}", "sweep.over.\"crack.clearance\" = {'start': -1, 'stop': 1, 'count': 3, 'spacing': 'logarithmic'}: must be of one sign from start to stop with that spacing"),
     ("solve scene.toml sweep.over={'crack.length'=[-1]}", "crack.length = -1: must be a finite number > 0 (1e-30 to 1e+30)"),
     ("solve scene.toml sweep.over={'crack.length'=[0.1,0.1]}", 'sweep.over."crack.length" = (0.1, 0.1): must be values, each given once'),
-    ("solve scene.toml sweep.ranks=0", "sweep.over is missing: must be given: a table of keys of the scene and the values that they take"),
+    ("solve scene.toml sweep.at_resonance=true", "sweep.over is missing: must be given: a table of keys of the scene and the values that they take"),
     ("solve scene.toml excitation.point=none base.acceleration_sin=[1,0]", "excitation.force_sin = (1.0, 0.0): not allowed without excitation.point"),
     ("solve scene.toml base.acceleration_sin=[0,0]", "base.acceleration_sin = (0.0, 0.0): must be given, or another part of the motion, not zero"),
     ("curve scene.toml base.displacement_cos=[1,0]", "base.displacement_cos = (1.0, 0.0): not allowed with a curve over the frequency or speed, which takes base.acceleration_sin or _cos"),

@@ -85,12 +85,7 @@ OF_CLAMP: dict[str, tuple[str, str]] = {
     "reaction_moment": ("largest moment of the clamp, about its centre", "N m"),
 }
 """Quantities of the clamp; available for meshes at rest, where a scene requests them."""
-SEEN: dict[str, tuple[str, str]] = {"seen_amplitude": ("half peak-to-peak that is seen", "m")}
-"""Quantities of the watched point, in place of an unstable vibration; where a scene requests
-them."""
-QUANTITIES = {
-    **OF_POINTS, **OF_LIPS, **OF_FREQUENCIES, **OF_TIPS, **OF_GROWTH, **OF_CLAMP, **SEEN,
-}  # fmt: skip
+QUANTITIES = OF_POINTS | OF_LIPS | OF_FREQUENCIES | OF_TIPS | OF_GROWTH | OF_CLAMP
 """All quantities."""
 SHORT = (
     "amplitude", "ratio_2_1", "ratio_3_1", "ratio_half_1", "ratio_largest", "mean_shift", "opening",

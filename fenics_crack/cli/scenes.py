@@ -20,13 +20,11 @@ from fenics_crack.study.coarser_mesh import errors_of_natural
 from fenics_crack.study.plausibility import (
     CURVE_UNITS,
     KeyFigures,
-    Remark,
     find_key_figures,
     highest_omega,
     is_proportional,
     proposed_curve,
     remarks_on,
-    remarks_on_mesh,
     remarks_on_structure,
 )
 from fenics_crack.study.prepare import (
@@ -82,7 +80,6 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
         rows["invalid cases"] = on_root(console.comm, lambda: _impossible(scene))
     remark = _remark_on_whole(scene, whole, highest_omega(scene))
     remarks = remarks_on(study.scene, figures) + remarks_on_structure(scene, whole)
-    remarks += _of_mesh(study.scene, figures, by_mesh)
     console.table(Table(("what", "value"), [*rows.items()]))
     console.note(remark)
     console.remark(*remarks)
@@ -138,15 +135,6 @@ def _known_by_mesh(found: Verification) -> dict[str, object]:
         return {"error of natural frequencies due to the mesh": f"unknown: {found.unknown['mesh']}"}
     ends = [percent(found.stated(name)[0]) for name in found.values if name.endswith("_1")]
     return {"error of first natural frequencies due to the mesh": " and ".join(ends)}
-
-
-def _of_mesh(scene: Scene, figures: KeyFigures, found: Verification) -> list[Remark]:
-    """Remarks on what these errors change of the answer."""
-    errors: dict[str, list[float]] = {}
-    for name in found.values if found.parts else ():
-        errors.setdefault(name.rpartition("_")[2], []).append(found.stated(name)[0])
-    means = np.array([np.mean(both) for both in errors.values()])
-    return [*remarks_on_mesh(scene, figures, means)] if errors else []
 
 
 def _rotation(scene: Scene, figures: KeyFigures) -> dict[str, object]:

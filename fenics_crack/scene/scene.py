@@ -27,7 +27,7 @@ from fenics_crack.basics.suggestions import (
     near_or_longer,
     written,
 )
-from fenics_crack.basics.tables import OF_CLAMP, OF_GROWTH, OF_TIPS, RPM, SEEN, TURN, frequency_axis
+from fenics_crack.basics.tables import OF_CLAMP, OF_GROWTH, OF_TIPS, RPM, TURN, frequency_axis
 from fenics_crack.basics.untrusted_files import text_of
 from fenics_crack.scene.fields import Axis, Point, Table, components, named
 from fenics_crack.scene.tables import (
@@ -364,7 +364,7 @@ def check_known(without: str, key: str, value: object = None) -> None:
 
 
 def asked_quantities(scene: Scene) -> tuple[str, ...]:
-    """Return the quantities of ``output.quantities`` at tips, clamp, and of the motion seen."""
+    """Return the quantities of ``output.quantities`` at tips and clamp."""
     return tuple(
         name for name in scene.quantities or () if any(name in names for names, _ in _ASKED)
     )
@@ -374,7 +374,6 @@ _ASKED: tuple[tuple[Mapping[str, object], Callable[[Scene], str]], ...] = (
     (OF_TIPS, without_tips),
     (OF_GROWTH, _without_growth),
     (OF_CLAMP, without_clamp),
-    (SEEN, lambda scene: ""),
 )
 """Quantities that cost something, and the function that returns why they are not available for a
 scene."""

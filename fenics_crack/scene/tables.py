@@ -697,8 +697,6 @@ class Sweep(Table):
         "a table of keys of the scene and the values that they take", lambda value: value
     )
     """Keys with a list of values, or start, stop, count and ``spacing = "logarithmic"``."""
-    ranks: int = at_least_one(1)
-    """Ranks that share the mesh of one case."""
     at_resonance: bool = holds("true or false", default=False)
     """Solve each case at the frequency of its own largest response, next to the bilinear frequency
     that is nearest to the excitation's."""

@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.basics.tables import RPM, TURN, percent, ranging
+from fenics_crack.basics.tables import RPM, TURN, ranging
 from fenics_crack.fem.lips import SAME
 from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.factor import Factor
@@ -457,31 +457,6 @@ def remarks_on(scene: Scene, figures: KeyFigures) -> list[Remark]:
     keys = {remark.key for remark in own}
     found = [remark for rule in chosen for remark in rule(scene, figures)]
     return own + [remark for remark in found if remark.key not in keys]
-
-
-def remarks_on_mesh(scene: Scene, figures: KeyFigures, errors: np.ndarray) -> Remarks:
-    """Yield a remark if the mesh changes the amplitude at the load's frequency w by more than is
-    usual, by its part in the errors of the bilinear frequencies w_j (m,), relative to them.
-
-    Of the nearest mode |1 - x^2 + 2 i xi x| changes with x = w / w_j; where the crack breathes, and
-    2 w meets a resonance, with x = 2 w / w_j."""
-    natural = 2.0 / (1.0 / figures.omega_open + 1.0 / figures.omega_tied)[: len(errors)]
-    omega, change, moved = scene.excitation.omega, 0.0, 0.0
-    for order in (1, 2) if figures.breathes else (1,):
-        mode = int(np.abs(order * omega / natural - 1.0).argmin())
-        x, error, ratio = order * omega / natural[mode], errors[mode], figures.damping[mode]
-        if order == 1 or abs(x - 1.0) <= ratio + error:
-            shifted = x * (1.0 + error * np.array([0.0, 1.0, -1.0]))
-            size = 1.0 / np.abs(1.0 - shifted**2 + 2j * ratio * shifted)
-            largest = float(np.abs(size / size[0] - 1.0).max())
-            change, moved = max((change, moved), (largest, error))
-    if change > 0.05:
-        key = {"grid": "columns", "file": "file"}.get(scene.mesh.layout, "size")
-        text = (
-            f"the mesh moves the resonance by about {percent(moved)}, which changes the amplitude "
-            f"at {omega / TURN:.4g} Hz by about {percent(change)}; smaller elements reduce it"
-        )
-        yield Remark(f"mesh.{key}", getattr(scene.mesh, key), text)
 
 
 # --- of the scene alone ---------------------------------------------------------------------------

@@ -1,24 +1,20 @@
 """Quantities of a scene's ``[output] quantities`` beside points, crack faces and frequencies: those
-of crack tips, of the clamp and of the motion seen in place of unstable vibrations, which cost
-something and are computed on request.
+of crack tips and of the clamp, which cost something and are computed on request.
 
 Stress intensities are found by rows that motions are multiplied by.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.errors import ConvergenceError, InputError
-from fenics_crack.basics.tables import OF_CLAMP, OF_GROWTH, OF_TIPS, SEEN, TURN
+from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.tables import OF_CLAMP, OF_GROWTH, OF_TIPS, TURN
 from fenics_crack.curves.curve import PHASES, ResponseCurve
-from fenics_crack.curves.stability import attractors, floquet
 from fenics_crack.fem.interaction_integral import Tip, tip_functionals
 from fenics_crack.model.factor import AT_A_TIME
 from fenics_crack.model.nodes import Clamp
@@ -48,8 +44,6 @@ def asked_of_motion(study: Study, motion: PeriodicSolution | TimeHistory) -> dic
         found |= _of_leading(seen, study.scene.growth, periods_of(motion))
     if OF_CLAMP.keys() & names:
         found |= numbers_at_clamp(*clamp_of_motion(motion)[1:])
-    if SEEN.keys() & names:
-        found |= dict.fromkeys(SEEN, _seen(motion, study.watched[0].dof))
     return {name: found[name] for name in names}
 
 
@@ -69,31 +63,7 @@ def asked_along_curve(study: Study, curve: ResponseCurve) -> dict[str, np.ndarra
             clamp, drag = _clamp(whole)
             held = clamp.of_waves(waves, omega, curve.subharmonic, drag, PHASES)
             found[index] |= numbers_at_clamp(*held)
-    if SEEN.keys() & names:
-        dof, judged = study.watched[0].dof, curve.multipliers is not None
-        sizes = np.where(judged and curve.verdicts == "stable", curve.amplitude(dof), np.nan)
-        for index in np.flatnonzero(judged and curve.verdicts == "unstable"):
-            sizes[index] = _seen(curve.solution(int(index)), dof)
-        for one, size in zip(found, sizes, strict=True):
-            one |= dict.fromkeys(SEEN, float(size))
     return {name: np.array([one[name] for one in found]) for name in names}
-
-
-# --- what is seen ---------------------------------------------------------------------------------
-
-
-def _seen(motion: PeriodicSolution | TimeHistory, dof: int) -> float:
-    """Half the peak-to-peak displacement of a stable vibration, of a time integration, or, in place
-    of an unstable vibration, of the largest motion that leaves it; nan where that is not known
-    (collective)."""
-    if isinstance(motion, TimeHistory):
-        return float(motion.indicators(dof).amplitude)
-    with suppress(ConvergenceError, InputError):
-        if floquet(motion.structure, motion).verdict == "stable":
-            return motion.amplitude(dof)
-        seen = attractors(motion.structure, motion)
-        return max(float(one.amplitudes(dof).max()) for one in seen)
-    return math.nan
 
 
 # --- the clamp ------------------------------------------------------------------------------------

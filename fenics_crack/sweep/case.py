@@ -122,7 +122,7 @@ def build(scene: Scene, comm: MPI.Comm, asked: Asked, last: Geometry | None = No
         method = "off" if scene.reduction is None else scene.reduction.method
         allowed = f"one that leaves fewer than {structure.n_dofs} coordinates"
         raise InputError("reduction.method", method, allowed)
-    prepare_asked(study)  # with all ranks of the group, for its cases
+    prepare_asked(study)
     lengths = [crack.length for crack in study.scene.all_cracks.values()]
     named = [watched for watched in study.watched if watched.name]
     rows = np.zeros((0, structure.n_dofs))
@@ -298,7 +298,7 @@ class Cases:
             return {"verdict": "undecided", "remark": f"; {OPEN}no multipliers were found"}
         if found.reason:
             remark = f"; {OPEN}{found.reason}"
-        elif structure.light_lips and (more := solution.assessment.more_modes):  # else collective
+        elif structure.light_lips and (more := solution.assessment.more_modes):
             said = more.contradicts(found.verdict, quick=True)
             remark = YET + said if said else ""
         return {"verdict": found.verdict, "multiplier": abs(found.multipliers[0]), "remark": remark}

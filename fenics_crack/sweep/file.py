@@ -188,7 +188,7 @@ class SweepFile:
         waves = {name: [case.get(name, np.zeros((0, 0))) for case in cases] for name in WAVES}
         columns = {}
         for name in self._columns:
-            kind = self.stored.columns[name].dtype  # older files have shorter words
+            kind = self.stored.columns[name].dtype
             given = [_stored(case.get(name, BLANKS[kind.kind]), kind.itemsize) for case in cases]
             columns[name] = np.array(given, kind)
         checksums = [_of_waves(*both) for both in zip(*waves.values(), strict=True)]
@@ -399,8 +399,7 @@ def opened(path: Path) -> store.Stored:
         if column is None:
             allowed = f"a sweep with a column {name!r}: this one is of an older version"
             raise InputError("path", str(path), f"{allowed}; solve it anew in another folder")
-        same = column.dtype == np.dtype(kind) or column.dtype.kind == kind[0] == "S"
-        if column.shape != scene.given("sweep").shape or not same:
+        if column.shape != scene.given("sweep").shape or column.dtype != np.dtype(kind):
             raise InputError("path", str(path), "a whole sweep")
         total += column.size
     if total > MOST_BYTES:

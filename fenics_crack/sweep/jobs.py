@@ -1,9 +1,9 @@
 """The jobs of a sweep: rank 0 hands them out, does some itself, and writes what is found.
 
-Every group of ranks has one job to do and one to go on with, so that none waits for rank 0, which
-hears what the others have found between two chunks of its own. Messages to a group are jobs, and
-one with the tag ``END``, on which it stops after the present chunk; those from it are what it has
-found of each chunk, and None behind a job.
+Every rank has one job to do and one to go on with, so that none waits for rank 0, which hears what
+the others have found between two chunks of its own. Messages to a rank are jobs, and one with the
+tag ``END``, on which it stops after the present chunk; those from it are what it has found of each
+chunk, and None behind a job.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from fenics_crack.sweep.plan import Chunk, Plan
 
 
 class Tag(IntEnum):
-    """Tag of a message to a group."""
+    """Tag of a message to a rank."""
 
     JOB = 0
     END = 1
@@ -50,54 +50,34 @@ class Job:
 
 
 class Worker:
-    """A group of one or more ranks that does jobs; it builds the geometries itself.
+    """A rank that does jobs; it builds the geometries itself.
 
     Parameters
     ----------
-    group : MPI.Comm
-        Its ranks.
     asked : Asked
         Request for each case.
     """
 
-    def __init__(self, group: MPI.Comm, asked: Asked) -> None:
-        self._group, self._asked = group, asked
+    def __init__(self, asked: Asked) -> None:
+        self._asked = asked
         self._number = -1
         self._built: Geometry | Exception | None = None
         """Geometry of that number, or the error that prevents it."""
 
-    def work(self, job: Job, go_on: Callable[[], bool]) -> Iterator[tuple[np.ndarray, Outcome]]:
-        """Do a job with the whole group, and yield what is found of each chunk; called by its
-        leader, whose wish to go on is received before each chunk, and before each of its cases."""
-        self._group.bcast(job)
-        return self._work(job, go_on)
-
-    def follow(self) -> None:
-        """Do the jobs of the group's leader, until it calls :meth:`end`."""
-        while (job := self._group.bcast(None)) is not None:
-            for _ in self._work(job, lambda: True):
-                pass
-
-    def end(self) -> None:
-        """Let the others of the group go; called by its leader."""
-        self._group.bcast(None)
-
     def free(self, *, stopped: bool) -> None:
-        """Let go of what was built while the group is still there to free it (collective)."""
+        """Let go of what was built."""
         self._built = None
         gc.collect()  # structures and their rotations know each other
-        collect_garbage(self._group, stopped=stopped)
+        collect_garbage(MPI.COMM_SELF, stopped=stopped)
 
-    def _work(self, job: Job, go_on: Callable[[], bool]) -> Iterator[tuple[np.ndarray, Outcome]]:
-        rank, size = self._group.rank, self._group.size
-        for first in range(0, len(job.chunks), size):
-            if not self._group.bcast(go_on()):
+    def work(self, job: Job, go_on: Callable[[], bool]) -> Iterator[tuple[np.ndarray, Outcome]]:
+        """Do a job, and yield what is found of each chunk; ``go_on`` is called before each of
+        them, and before each of its cases."""
+        for chunk in job.chunks:
+            if not go_on():
                 return
             self._build(job)
-            mine = job.chunks[first + rank : first + rank + 1]
-            found = self._group.gather([self._outcome(chunk, go_on) for chunk in mine])
-            for outcomes in found or ():
-                yield from outcomes
+            yield self._outcome(chunk, go_on)
 
     def _build(self, job: Job) -> None:
         """Build the geometry of a job, unless it is at hand or none of the cases is a scene."""
@@ -107,13 +87,10 @@ class Worker:
             return
         known = self._built if scene.speed and isinstance(self._built, Geometry) else None
         try:
-            self._built = build(scene, self._group, self._asked, known)
+            self._built = build(scene, MPI.COMM_SELF, self._asked, known)
         except REFUSALS as error:
             self._built = error
         except Exception:
-            if self._group.size > 1:  # the others may wait for this rank
-                traceback.print_exc()
-                self._group.Abort(1)
             self._built = _unforeseen()
         self._number = job.geometry
 
@@ -138,36 +115,36 @@ def _unforeseen() -> RuntimeError:
     return RuntimeError(f"a job of the sweep ended with\n{traceback.format_exc()}")
 
 
-def serve(worker: Worker, leaders: MPI.Comm) -> None:
+def serve(worker: Worker, comm: MPI.Comm) -> None:
     """Do the jobs that rank 0 sends, until the end."""
     sent: list[MPI.Request] = []
 
     def go_on() -> bool:
         sent[:] = [request for request in sent if not request.Test()]
-        return not leaders.iprobe(source=0, tag=Tag.END)
+        return not comm.iprobe(source=0, tag=Tag.END)
 
     status = MPI.Status()
     while status.tag != Tag.END:
-        job = _received(leaders, status)
+        job = _received(comm, status)
         if status.tag == Tag.JOB:
-            sent += [leaders.isend(found, 0) for found in worker.work(job, go_on)]
-            sent.append(leaders.isend(None, 0))
+            sent += [comm.isend(found, 0) for found in worker.work(job, go_on)]
+            sent.append(comm.isend(None, 0))
     MPI.Request.waitall(sent)
 
 
-def _received(leaders: MPI.Comm, status: MPI.Status) -> Any:
+def _received(comm: MPI.Comm, status: MPI.Status) -> Any:
     """The next message; MPI itself would wait with all of a processor."""
-    while not leaders.iprobe(status=status):
+    while not comm.iprobe(status=status):
         time.sleep(0.002)  # without work there is time
-    return leaders.recv(source=status.source, tag=status.tag)
+    return comm.recv(source=status.source, tag=status.tag)
 
 
 class Manager:
     """Remaining cases of a sweep, and its file; on rank 0."""
 
-    def __init__(self, plan: Plan, file: SweepFile, groups: int, *, progress: bool) -> None:
+    def __init__(self, plan: Plan, file: SweepFile, ranks: int, *, progress: bool) -> None:
         self._error: BaseException | None = None
-        self._plan, self._file, self._groups = plan, file, groups
+        self._plan, self._file, self._ranks = plan, file, ranks
         left = {
             number: [chunk for chunk in chunks if np.any(file.state.flat[chunk] == State.PENDING)]
             for number, chunks in enumerate(plan.geometries)
@@ -176,9 +153,9 @@ class Manager:
         largest = sorted(left, key=plan.sizes.__getitem__, reverse=True)
         self._left = {number: left[number] for number in largest if left[number]}
         self._given: dict[int, int] = {}
-        """Geometry that each group has, or will have built."""
+        """Geometry that each rank has, or will have built."""
         self._given_out, self._recorded = 0, 0
-        """Jobs at the other groups, and chunks written."""
+        """Jobs at the other ranks, and chunks written."""
         self._failed = int(np.count_nonzero(file.state == State.FAILED))
         how = {"desc": "sweep", "unit": "case", "disable": not progress}
         self._bar = tqdm(total=file.state.size, initial=self._done, **how)
@@ -198,59 +175,59 @@ class Manager:
             raise self._error
         return self._file.stored
 
-    def run(self, worker: Worker, leaders: MPI.Comm, stop: StopRequest) -> None:
+    def run(self, worker: Worker, comm: MPI.Comm, stop: StopRequest) -> None:
         """See that all jobs are done, and close the file; an error is kept."""
-        others = range(1, leaders.size)
+        others = range(1, comm.size)
 
         def go_on() -> bool:
-            while self._given_out and leaders.iprobe():
+            while self._given_out and comm.iprobe():
                 if stop.asked(MPI.COMM_SELF):
                     self._left.clear()  # no job is handed out any more
-                self._hear(leaders)
+                self._hear(comm)
             return self._error is None and not stop.asked(MPI.COMM_SELF)
 
         try:
-            for group in others:
-                self._send(leaders, group)
+            for rank in others:
+                self._send(comm, rank)
             job = self._next_job(0)
-            for group in others:  # to go on with
-                self._send(leaders, group)
+            for rank in others:  # to go on with
+                self._send(comm, rank)
             while job is not None and go_on():
                 for numbers, outcome in worker.work(job, go_on):
                     self._record(numbers, outcome)
                 job = self._next_job(0)
             while go_on() and self._given_out:
-                self._hear(leaders)
+                self._hear(comm)
         except BaseException as error:
             second = isinstance(error, KeyboardInterrupt) and stop.asked(MPI.COMM_SELF)
             if not second:  # else what is written is all
                 self._fail(error)
         self._left.clear()
-        for group in others:
-            leaders.send(None, group, tag=Tag.END)
+        for rank in others:
+            comm.send(None, rank, tag=Tag.END)
         while self._given_out:
-            self._hear(leaders)
+            self._hear(comm)
         self._close()
 
-    def _send(self, leaders: MPI.Comm, group: int) -> None:
-        """Send a group a job, if there is one."""
-        job = self._next_job(group)
+    def _send(self, comm: MPI.Comm, rank: int) -> None:
+        """Send a rank a job, if there is one."""
+        job = self._next_job(rank)
         if job is not None:
-            leaders.send(job, group, tag=Tag.JOB)
+            comm.send(job, rank, tag=Tag.JOB)
             self._given_out += 1
 
-    def _hear(self, leaders: MPI.Comm) -> None:
-        """Write what a group has found of a chunk, or send it a job where one is done."""
+    def _hear(self, comm: MPI.Comm) -> None:
+        """Write what a rank has found of a chunk, or send it a job where one is done."""
         status = MPI.Status()
-        found = _received(leaders, status)
+        found = _received(comm, status)
         if found is not None:
             self._record(*found)
             return
         self._given_out -= 1
-        self._send(leaders, status.source)
+        self._send(comm, status.source)
 
-    def _next_job(self, group: int) -> Job | None:
-        """Chunks of the geometry that a group has, or else of one that nobody has, or of the one of
+    def _next_job(self, rank: int) -> Job | None:
+        """Chunks of the geometry that a rank has, or else of one that nobody has, or of the one of
         which most is left; None where there is nothing left.
 
         A geometry is one job as long as the others have something to do meanwhile, and then is
@@ -259,13 +236,13 @@ class Manager:
         if not self._left:
             return None
         fresh = [number for number in self._left if number not in self._given.values()]
-        number = self._given.get(group, -1)
+        number = self._given.get(rank, -1)
         if number not in self._left:
             number = fresh[0] if fresh else max(self._left, key=lambda one: len(self._left[one]))
-        self._given[group] = number
+        self._given[rank] = number
         places = self._left[number]
-        alone = self._groups == 1 or len(fresh) > self._groups
-        count = len(places) if alone else -(-len(places) // (2 * self._groups))
+        alone = self._ranks == 1 or len(fresh) > self._ranks
+        count = len(places) if alone else -(-len(places) // (2 * self._ranks))
         self._left[number] = places[count:]
         if not self._left[number]:
             del self._left[number]

@@ -44,8 +44,6 @@ class Plan:
     def __init__(self, scene: Scene) -> None:
         table, self._swept = scene.given("sweep"), scene.swept
         self._base = scene.replace({"sweep": None})
-        if table.ranks > 1 and scene.reduction is None:  # on one rank too
-            self._base = self._base.replace({"reduction.method": None})
         self.shape: tuple[int, ...] = table.shape  # of the table of cases
         self.reduction_swept = "reduction.method" in self._swept
         free = _free_keys(scene, self._swept)

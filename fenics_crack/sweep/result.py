@@ -16,8 +16,7 @@ ranks change them, as long as the ranks share the cases and not a mesh.
 *Jobs.* A job is some chunks of a geometry. Rank 0 hands jobs to the other ranks, does some itself
 and writes what is found (:mod:`fenics_crack.sweep.jobs`). Geometries with many pairs and long
 cracks come first, a rank goes on with the geometry that it has built, and towards the end the ranks
-share what is left, so that all of them finish together. With ``sweep.ranks = s`` groups of s ranks
-build a geometry together and share its chunks.
+share what is left, so that all of them finish together.
 """
 
 from __future__ import annotations
@@ -109,7 +108,7 @@ def run_sweep(
         cases are kept, failed ones too; where some are missing, with the same ``verdicts``,
         ``judged`` and ``natural``. Default: a file that lasts as long as the program.
     comm : MPI.Comm
-        The ranks; with ``sweep.ranks = s`` a multiple of s.
+        The ranks that share the cases.
     progress : bool
         Show a bar.
     verdicts : bool
@@ -130,8 +129,8 @@ def run_sweep(
     Raises
     ------
     InputError
-        The scene has no sweep, no combination of its values is a scene, the number of ranks does
-        not fit, a structure is too large and not to be reduced, or the file cannot be used.
+        The scene has no sweep, no combination of its values is a scene, a structure is too
+        large and not to be reduced, or the file cannot be used.
 
     Examples
     --------
@@ -139,7 +138,7 @@ def run_sweep(
     >>> table = fc.run_sweep(swept, "sweep.h5").to_dict()
     """
     check_scene(scene)
-    table = _checked(scene, comm)
+    table = _checked(scene)
     count = table.shape[-1]
     if outside := [place for place in natural if place not in range(count)]:
         raise InputError("natural", outside, f"places on the last axis, 0 to {count - 1}")
@@ -152,7 +151,7 @@ def run_sweep(
         omitted += [f"vibration_{place}" for place in sorted(natural)]
         where = Path(path or _passing_file())
         file = SweepFile(where, scene, plan.harmonics, plan.pairs, omitted)
-        managers.append(Manager(plan, file, comm.size // table.ranks, progress=progress))
+        managers.append(Manager(plan, file, comm.size, progress=progress))
         return Asked(
             plan.unit_loads,
             hopeless=not plan.reduction_swept,
@@ -162,22 +161,15 @@ def run_sweep(
         )
 
     asked = on_root(comm, start)
-    group = comm.Split(comm.rank // table.ranks, comm.rank)
-    leaders = comm.Split(min(group.rank, 1), comm.rank)
-    worker = Worker(group, asked)
+    worker, shared = Worker(asked), comm.Dup()
     with StopRequest() as stop:
         if managers:
             with reaching(managers[0].how_far):
-                managers[0].run(worker, leaders, stop)
-        elif group.rank == 0:
-            serve(worker, leaders)
-        if group.rank == 0:
-            worker.end()
+                managers[0].run(worker, shared, stop)
         else:
-            worker.follow()
+            serve(worker, shared)
     worker.free(stopped=stop.asked(comm))
-    leaders.Free()
-    group.Free()
+    shared.Free()
     return on_root(comm, lambda: SweepResult.of(managers[0].stored))
 
 
@@ -195,16 +187,11 @@ def resonates(scene: Scene) -> bool:
     return scene.contact is not None and scene.speed == 0.0 and not moved
 
 
-def _checked(scene: Scene, comm: MPI.Comm) -> Sweep:
-    """The table of a sweep that these ranks can do."""
+def _checked(scene: Scene) -> Sweep:
+    """The table of a sweep that can be done."""
     table: Sweep = scene.given("sweep")
     if table.at_resonance and not resonates(scene):
         raise InputError("sweep.at_resonance", True, f"false {UNSOUGHT}")
-    if comm.size % table.ranks:
-        allowed = f"a divisor of the number of ranks, {comm.size}"
-        raise InputError("sweep.ranks", table.ranks, allowed)
-    if table.ranks > 1 and scene.reduction is not None and scene.reduction.method == "off":
-        raise InputError("reduction.method", "off", "a reduction where sweep.ranks > 1")
     return table
 
 

@@ -257,30 +257,3 @@ def test_what_is_seen_in_place_of_an_unstable_orbit(
     told = f"; it is unstable; after a disturbance the motion settles to between {sizes[0]} and "
     told += f"{sizes[1]} half"
     assert told in capsys.readouterr().err
-
-
-def test_amplitudes_that_are_seen(tmp_path: Path, leaning: fc.Scene) -> None:
-    """Where they are asked for: of stable solutions the amplitude, in place of unstable ones the
-    largest of their attractors, of a sweep and of a curve alike."""
-    asked = {
-        "output.quantities": ["amplitude", "seen_amplitude"],
-        "sweep.over": {"excitation.omega": [0.614, 0.65]},
-    }  # fmt: skip
-    words = [written(leaning.replace(asked), tmp_path), "--output", str(tmp_path)]
-    assert main(["sweep", *words]) == 0 and main(["curve", *words]) == 0
-    found = fc.SweepResult.load(tmp_path / "sweep.h5")
-    assert found["verdict"].tolist() == ["unstable", "stable"]
-    unstable = found.solution(0)
-    [seen] = fc.attractors(unstable.structure, unstable)
-    expected = seen.amplitudes().max(), found.solution(1).amplitude()
-    assert found["seen_amplitude"] == pytest.approx(expected, rel=1e-6)
-    assert expected[0] > 1.05 * unstable.amplitude()
-    with (tmp_path / "curve.csv").open(encoding="utf-8") as file:
-        rows = [*csv.DictReader(file)]
-    ratios = {"stable": [], "unstable": [], "undecided": []}
-    for row in rows:
-        ratio = float(row["seen_amplitude [m]"]) / float(row["amplitude [m]"])
-        ratios[row["verdict"]].append(ratio)
-    assert ratios["stable"] == pytest.approx(np.ones(len(ratios["stable"])), rel=1e-3)
-    assert np.isfinite(ratios["unstable"]).sum() > 2
-    assert np.isnan(ratios["undecided"]).all()

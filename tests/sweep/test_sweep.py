@@ -29,7 +29,6 @@ import fenics_crack.study.prepare
 from fenics_crack import Scene, SweepResult, prepare, run_sweep
 from fenics_crack.basics.errors import WriteError
 from fenics_crack.fem.build import assemble
-from fenics_crack.scene.tables import Sweep
 from fenics_crack.sweep import case as sweep_case
 from fenics_crack.sweep import jobs as sweep_jobs
 from fenics_crack.sweep import result as sweep
@@ -46,14 +45,13 @@ MASSLESS = GRADED | {"reduction.method": None, "crack.clearance": 1e-8}
 FAST = {"excitation.omega": [1900.0, 2000.0], "harmonic_balance.harmonics": [3, 5]}
 
 
-def swept(scene: fc.Scene, over: Over, changes: Over = SOFT, ranks: int = 1) -> fc.Scene:
+def swept(scene: fc.Scene, over: Over, changes: Over = SOFT) -> fc.Scene:
     """A scene with a sweep."""
     if "mesh.layout" in changes:
         mesh = {k.removeprefix("mesh."): v for k, v in changes.items() if k.startswith("mesh.")}
         changes = {k: v for k, v in changes.items() if not k.startswith("mesh.")}
         scene = dataclasses.replace(scene, mesh=dataclasses.replace(scene.mesh, **mesh))
-    table = Sweep.from_mapping({"over": over, "ranks": ranks})
-    return dataclasses.replace(scene.replace(dict(changes)), sweep=table)
+    return scene.replace(dict(changes) | {"sweep.over": over})
 
 
 def by_hand(scene: fc.Scene, values: Over) -> tuple[fc.Structure, fc.PeriodicSolution]:
@@ -362,11 +360,9 @@ def test_failures_are_recorded_and_the_others_go_on(paper_scene: fc.Scene, tmp_p
 
 
 def test_refused(paper_scene: fc.Scene, tmp_path: Path) -> None:
-    """No sweep, ranks that do not fit, nothing that can be used, a structure that stays large."""
+    """No sweep, nothing that can be used, a structure that stays large."""
     with pytest.raises(fc.InputError, match="sweep"):
         run_sweep(paper_scene, tmp_path / "a.h5")
-    with pytest.raises(fc.InputError, match=r"sweep\.ranks"):
-        run_sweep(swept(paper_scene, FAST, ranks=2), tmp_path / "a.h5")
     with pytest.raises(fc.InputError, match="grid cells"):
         run_sweep(swept(paper_scene, {"crack.length": [0.03, 0.04]}), tmp_path / "a.h5")
     fine = SOFT | {"mesh.columns": 16, "mesh.rows": 24, "reduction.method": "off"}
@@ -434,24 +430,17 @@ def test_two_programs_that_begin_at_once(
     assert [file.name for file in tmp_path.iterdir()] == ["sweep.h5"]
 
 
-def test_what_is_told_of_a_verdict_is_kept(
-    paper_scene: fc.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Behind the longest way to a solution; a file with shorter words goes on with these."""
+def test_what_is_told_of_a_verdict_is_kept(paper_scene: fc.Scene, tmp_path: Path) -> None:
+    """Behind the longest way to a solution."""
     way = "; then ".join(["full Newton steps: failed (28 iterations)"] * 4)
     reason = "no exact orbit was found next to it: " + 150 * "x"
     told = {"undecided": f"{way}; undecided: {reason}", "stable": f"{way}; yet it leaves"}
     waves = {name: np.ones((11, 1)) for name in ("gap", "force")}
     cases = [waves | {"harmonics": 5, "verdict": v, "status": text} for v, text in told.items()]
-    for path, kind in ((tmp_path / "old.h5", "S200"), (tmp_path / "new.h5", COLUMNS["status"][1])):
-        scene = swept(paper_scene, {"excitation.omega": [1900.0, 2000.0]})
-        with monkeypatch.context() as then:
-            then.setitem(COLUMNS, "status", ("", kind))
-            SweepFile(path, scene, 5, 1).close()
-        file = SweepFile(path, scene, 5, 1)
-        file.record(np.arange(2), cases)
-        file.close()
-        assert SweepResult.load(path).complete
+    scene, path = swept(paper_scene, {"excitation.omega": [1900.0, 2000.0]}), tmp_path / "new.h5"
+    file = SweepFile(path, scene, 5, 1)
+    file.record(np.arange(2), cases)
+    file.close()
     found = SweepResult.load(path)
     assert found.undecided == [((0,), reason)] and found.contradicted == [((1,), "it leaves")]
 
@@ -590,37 +579,17 @@ def sweep_on(scene: fc.Scene, path: Path, comm: MPI.Comm) -> None:
 
 
 @pytest.mark.mpi
-def test_ranks_and_groups_give_the_same_table(
-    paper_scene: fc.Scene, tmp_path: Path, on_ranks: Callable[..., Any], mpirun: Callable[..., str]
+@pytest.mark.parametrize("kind", [GRADED, MASSLESS], ids=["with mass", "massless"])
+def test_ranks_give_the_same_table(
+    paper_scene: fc.Scene, tmp_path: Path, on_ranks: Callable[..., Any], kind: Over
 ) -> None:
-    """1 and 2 ranks to the bit, also where one has more to do; two groups of 2, whose mesh is
-    divided, to 1e-9."""
+    """1 and 2 to the bit, also where one has more to do."""
     over = RANKS_OVER | {"excitation.omega": {"start": 1500.0, "stop": 2600.0, "count": 3}}
-    alone = run_sweep(swept(paper_scene, over, GRADED), tmp_path / "alone.h5")
+    scene = swept(paper_scene, over, kind)
+    alone = run_sweep(scene, tmp_path / "alone.h5")
     assert alone.converged.all()
-    for group, ranks in ((1, 2), (2, 4)):
-        scene = swept(paper_scene, over, GRADED, ranks=group)
-        path = tmp_path / f"{ranks}_in_groups_of_{group}.h5"
-        if ranks == 2:
-            on_ranks(sweep_on, scene, path)
-        else:
-            mpirun(program(scene, path), ranks)
-        tolerance = 0.0 if group == 1 else 1e-9
-        assert_same(alone, SweepResult.load(path), tolerance)
-
-
-@pytest.mark.mpi
-def test_lips_without_mass_on_two_ranks(
-    paper_scene: fc.Scene, tmp_path: Path, on_ranks: Callable[..., Any]
-) -> None:
-    """To the bit where they share the cases, to 1e-9 where they share the mesh."""
-    over = {"excitation.omega": [1600.0, 1700.0, 1800.0], "crack.length": [0.05, 0.06]}
-    alone = run_sweep(swept(paper_scene, over, MASSLESS), tmp_path / "alone.h5")
-    assert alone.converged.all()
-    for ranks, tolerance in ((1, 0.0), (2, 1e-9)):
-        path = tmp_path / f"{ranks}.h5"
-        on_ranks(sweep_on, swept(paper_scene, over, MASSLESS, ranks=ranks), path)
-        assert_same(alone, SweepResult.load(path), tolerance)
+    on_ranks(sweep_on, scene, tmp_path / "shared.h5")
+    assert_same(alone, SweepResult.load(tmp_path / "shared.h5"))
 
 
 def refused_and_broken(folder: Path, refused: fc.Scene, good: fc.Scene, comm: MPI.Comm) -> Any:
@@ -665,9 +634,9 @@ def test_errors_reach_every_rank(
 ) -> None:
     """Input that is refused; something unexpected on the other rank, with its traceback; and a disk
     that is full."""
-    scenes = (swept(paper_scene, RANKS_OVER, ranks=3), swept(paper_scene, RANKS_OVER))
+    scenes = paper_scene, swept(paper_scene, RANKS_OVER)
     for refused, unforeseen, unwritten in on_ranks(refused_and_broken, tmp_path, *scenes):
-        assert refused == "sweep.ranks"
+        assert refused == "sweep"
         assert "KeyError: 'unforeseen'" in unforeseen
         assert "(full)" in unwritten
     left = SweepResult.load(tmp_path / "sweep.h5")
