@@ -275,15 +275,15 @@ def whole(forward: Forward, scene: fc.Scene, seed: int, kinds: list[str], draws:
     rows = {name: exact(another(scene, name)) for name in PLATES}
     for kind in kinds:
         for known in (True, False):
-            rng, told = np.random.default_rng(2000 + seed), []
+            rng, claims = np.random.default_rng(2000 + seed), []
             for plate in rows.values():
                 claimed = 0
                 for _ in range(draws):
                     more = before(plate) if known else []
                     some = noisy([*plate, *more], (*KINDS[kind], BEFORE), rng)
                     claimed += infer(forward, some).verdict == "crack"
-                told.append(claimed)
-            counts = ", ".join(map(str, told))
+                claims.append(claimed)
+            counts = ", ".join(map(str, claims))
             name = f"none, {kind}{', and before' if known else ''}"
             print(f"{name}: claimed {counts} of {draws}", flush=True)
 

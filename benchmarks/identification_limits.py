@@ -7,8 +7,8 @@ clamps
     (own_plates.py): bilinear frequencies 1 to 3, 4, 5 or 6 and those before. Without a crack
     Young's modulus, width, height or clamp have changed since, which takes 0.1 to 1 % from the
     first frequency; or have cracks of 5, 10 and 20 to 40 % of the width.
-alike
-    The same plates without a crack, which differ from the scene's before and since alike.
+constant
+    The same plates without a crack, which differ from the scene's by the same before and since.
 beams
     Slender beams of Timoshenko's with springs for cracks, one or two of 15 to 45 % of the width:
     frequencies 1 to 3, 4 or 5, and those before.
@@ -18,7 +18,8 @@ softer
     clamp: what turning, moving and a common factor leave of how they change.
 peaks
     Response curves of plates with breathing cracks: where the first harmonic of the tip has its
-    peaks, less the bilinear frequencies, over what lies between those with lips tied and open.
+    peaks, less the bilinear frequencies, over the difference of those with the crack bonded and
+    open.
 others
     Five frequencies, open and bilinear, and those before, of plates with two cracks, with one above
     the heights where it is looked for, and with one inside the plate, from a finer mesh of the
@@ -93,7 +94,7 @@ def both(
 
 
 def conditional(found: fc.Identification) -> bool:
-    """Whether a crack is claimed on the condition that the clamp holds as before."""
+    """True if a crack is claimed on the condition that the clamp holds as before."""
     return found.verdict == "crack" and "IF ITS CLAMP HOLDS AS BEFORE" in repr(found)
 
 
@@ -126,8 +127,8 @@ def changed(kind: str, lower: float) -> np.ndarray:
 
 
 def bilinear(length: float, place: float) -> np.ndarray:
-    """Bilinear frequencies of a plate with a crack [Hz]: lips tied slide, and modes with lips open
-    have those of the same shape."""
+    """Bilinear frequencies of a plate with a crack [Hz]: bonded faces slide, and each mode of the
+    open crack is paired with the bonded one of the same shape."""
     plate = Plate((WIDE, TALL, THICKNESS), YOUNG, POISSON, DENSITY, length, place)
     stiffness, _, mass = plate.matrices
     rounded = np.round(plate.nodes, 9)
@@ -139,8 +140,8 @@ def bilinear(length: float, place: float) -> np.ndarray:
     tie = sparse.coo_matrix((np.ones(len(columns)), (np.arange(len(columns)), columns))).tocsr()
     open_squares, open_modes = _modes(stiffness, mass, 6)
     tied_squares, tied_modes = _modes(tie.T @ stiffness @ tie, tie.T @ mass @ tie, 8)
-    alike = (open_modes.T @ (mass @ (tie @ tied_modes))) ** 2
-    tied_squares = tied_squares[linear_sum_assignment(-alike)[1]]
+    similar = (open_modes.T @ (mass @ (tie @ tied_modes))) ** 2
+    tied_squares = tied_squares[linear_sum_assignment(-similar)[1]]
     first, second = np.sqrt(open_squares), np.sqrt(tied_squares)
     return first * second / (first + second) / np.pi
 
@@ -190,7 +191,7 @@ def clamps(folder: Path, rng: np.random.Generator, share: float) -> None:
         )
 
 
-def alike(folder: Path, rng: np.random.Generator, share: float) -> None:
+def constant(folder: Path, rng: np.random.Generator, share: float) -> None:
     """Print how often a crack is claimed where a plate differs from the scene's, before and
     since."""
     forward = solve_forward(fc.Scene.from_text(PLATE), (), folder)
@@ -204,7 +205,7 @@ def alike(folder: Path, rng: np.random.Generator, share: float) -> None:
                 measured = fc.Measurements(measured.rows[:modes])
             claimed += infer(forward, measured).verdict == "crack"
         total = len(CHANGES) * len(LOWER) * len(counts)
-        print(f"alike{', and before' if known else ''}: {total}, claimed {claimed}", flush=True)
+        print(f"constant{', and before' if known else ''}: {total}, claimed {claimed}", flush=True)
 
 
 @dataclass(frozen=True)
@@ -215,7 +216,7 @@ class LetGo(Plate):
 
     @cached_property
     def free(self) -> np.ndarray:
-        """Which dofs move: (2n,)."""
+        """True for the dofs that move: (2n,)."""
         found = Plate.free.func(self).reshape(-1, 2)
         found[np.isin(np.arange(len(found)), self._mesh[1]) & (self.nodes[:, 0] < self.gone)] = True
         return np.asarray(found.ravel())
@@ -367,7 +368,7 @@ def beams(folder: Path, rng: np.random.Generator, share: float) -> None:
     forward = solve_forward(fc.Scene.from_text(SLENDER), (), folder)
     many = max(1, round(share * BEAMS))
     for count in (2, 1):
-        told: Counter[str] = Counter()
+        counts: Counter[str] = Counter()
         for _ in range(many):
             young = YOUNG * (1.0 + PLATES * rng.standard_normal())
             lengths = rng.uniform(0.15, 0.45, count) * DEEP
@@ -382,13 +383,13 @@ def beams(folder: Path, rng: np.random.Generator, share: float) -> None:
                 claimed = found.verdict == "crack"
                 length, height = (found.intervals[key] for key in SIZES)
                 inside = [height[0] <= place <= height[1] for place in places]
-                told[f"{modes} modes, claimed"] += claimed
-                told[f"{modes} modes, claimed at no crack"] += claimed and not any(inside)
-                told[f"{modes} modes, interval of the place holds one"] += any(inside)
+                counts[f"{modes} modes, claimed"] += claimed
+                counts[f"{modes} modes, claimed at no crack"] += claimed and not any(inside)
+                counts[f"{modes} modes, interval of the place holds one"] += any(inside)
                 if count == 1:
                     holds = length[0] <= lengths[0] <= length[1]
-                    told[f"{modes} modes, interval of the length holds"] += holds
-        print(f"beams of {count} crack(s), of {many}: {dict(sorted(told.items()))}", flush=True)
+                    counts[f"{modes} modes, interval of the length holds"] += holds
+        print(f"beams of {count} crack(s), of {many}: {dict(sorted(counts.items()))}", flush=True)
 
 
 # --- other cracks than are looked for -------------------------------------------------------------
@@ -424,7 +425,7 @@ def others(folder: Path, rng: np.random.Generator, share: float) -> None:
     bare = before(natural(scene.replace(FINER | NO_CRACK)))
     for kind, count in (("two cracks", TWO), ("above", ABOVE), ("inside", INSIDE)):
         forward = solve_forward(lower if kind == "above" else scene, (), folder)
-        told: Counter[str] = Counter()
+        counts: Counter[str] = Counter()
         for changes in faults(rng, kind, max(1, round(share * count))):
             rows = natural(scene.replace(FINER | changes))
             measured = tuple(
@@ -432,12 +433,12 @@ def others(folder: Path, rng: np.random.Generator, share: float) -> None:
                 for row in (*rows, *bare)
             )
             found = infer(forward, fc.Measurements(measured))
-            told[found.verdict] += 1
+            counts[found.verdict] += 1
             alone = any("explains all but" in warning for warning in found.warnings)
-            told["crack, that one alone tells"] += found.verdict == "crack" and alone
+            counts["crack, by one measurement alone"] += found.verdict == "crack" and alone
             if found.verdict == "crack":
                 print(f"  {changes}: {found}", flush=True)
-        print(f"{kind}: {dict(told)}", flush=True)
+        print(f"{kind}: {dict(counts)}", flush=True)
 
 
 # --- blades whose pull holds a crack open ---------------------------------------------------------
@@ -496,7 +497,7 @@ def at_rest(scene: fc.Scene, quantity: str, rng: np.random.Generator) -> Rows:
 
 def blades(folder: Path, rng: np.random.Generator, share: float) -> None:
     """Print how cracks are found from arrivals under a load, and with a frequency beside them."""
-    told = {known: Counter[str]() for known in (False, True)}
+    counts = {known: Counter[str]() for known in (False, True)}
     beside = max(1, round(share * BESIDE))
     for number in range(max(1, round(share * LOADED))):
         force = SMALLEST * (LARGEST / SMALLEST) ** rng.random()
@@ -512,20 +513,20 @@ def blades(folder: Path, rng: np.random.Generator, share: float) -> None:
                 rows = alone + (frequency if known else [])
                 found = fc.identify(scene, fc.Measurements(tuple(rows)), folder=folder)
                 kind = "cracked" if length else "healthy"
-                told[known][f"{kind}: {found.verdict}"] += 1
+                counts[known][f"{kind}: {found.verdict}"] += 1
                 if not length:
                     continue
                 held = found.contains({"crack.length": length})
-                told[known]["held"] += held
-                told[known]["claimed and held"] += held and found.verdict == "crack"
-    for known, counts in told.items():
+                counts[known]["held"] += held
+                counts[known]["claimed and held"] += held and found.verdict == "crack"
+    for known, some in counts.items():
         name = "arrivals and the first frequency" if known else "arrivals alone"
-        print(f"blades, {name}: {dict(sorted(counts.items()))}", flush=True)
+        print(f"blades, {name}: {dict(sorted(some.items()))}", flush=True)
 
 
 PARTS_OF = {
     "clamps": clamps,
-    "alike": alike,
+    "constant": constant,
     "softer": softer,
     "peaks": peaks,
     "beams": beams,

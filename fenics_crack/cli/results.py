@@ -750,12 +750,16 @@ def _account_of_identified(found: Identified) -> Account:
     where = [f"{key} {value} (95 %: {low} to {high})" for key, value, low, high in rows if low]
     said = [*(where if values["verdict"] == "crack" else []), values["reason"]]
     facts = [f"{values['verdict']}: {'; '.join(said)}"]
-    facts += [] if values["mesh"] is None else [f"nearest mesh: {values['mesh']}"]
     facts += [f"remark: {remark}" for remark in values["remarks"]]
     facts += [f"next to measure: {advice}" for advice in values["advice"]]
+    priors = [
+        [key, value_in_words(f"identify.{key}", one)]
+        for key, one in values.get("priors", {}).items()
+    ]
     tables = {
         "Unknowns": summary,
-        "Measurements, and what the estimate predicts": Table(FITTED, values["measurements"]),
+        "Measurements and predictions of the estimate": Table(FITTED, values["measurements"]),
+        "Priors, keys of [identify]": Table(("key", "value"), priors),
     }
     return Account("identify", summary, facts=facts, warnings=values["warnings"], tables=tables)
 

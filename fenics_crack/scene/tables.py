@@ -838,6 +838,11 @@ class Identify(Table):
     """What the clamp takes from the first natural frequency before there was a crack against what
     it takes since: one that was opened holds otherwise. Likewise what rotation adds, by the seat of
     a blade or the measured speed. Temperatures have keys of their own."""
+    before_scatter: float = between("0", "1", 0.2)
+    """Part of that change that each mode has by itself. Of plates clamped deeper, let go at an end
+    of the clamp or on an elastic block, turning, moving and a common change leave up to 0.05 of the
+    largest change if 15 times as tall as wide, 0.07 if five times, 0.12 if three, 0.18 if two and
+    0.29 if square (benchmarks/identification_limits.py)."""
     temperature_deviation: float | None = holds(
         "a number from 0 to 1000", lambda value: 0.0 <= value <= 1000.0, None, unit="K"
     )
@@ -855,18 +860,34 @@ class Identify(Table):
     of a thermocouple of class 1 (IEC 60584-1: 1.5 K) at the blade or its root."""
     damping_deviation: float = between("0", "10", 0.3)
     """Ratio of damping: of joints and air, it differs by so much between assemblies."""
+    stiffening_deviation: float = between("0", "1", 0.05)
+    """What rotation adds to the square of a natural frequency: beams and plates differ by so much
+    in it."""
     angle_deviation: float = between("0", "45", 5.0, unit="degrees")
     """Angle of a crack with the horizontal, which moves its tip from the height of its mouth."""
     model_deviation: float = between("0", "1", 0.01)
     """Each natural frequency, the same with the crack and without it: models of spacecraft are to
     meet measured ones to 5 % (NASA-STD-5002), and the ratio of the first two of a plain beam is
     2 % off (docs/notebook/measured_beams.md)."""
+    first_resonance_deviation: float = between("0", "1", 0.04)
+    """Resonance of mode 1 with a breathing crack less the bilinear frequency, over the difference
+    between the frequencies with the crack bonded and open (benchmarks/identification_limits.py)."""
+    resonance_deviation: float = between("0", "1", 0.3)
+    """The same of other modes, whose neighbours open and close the crack, too, and of a crack that
+    is open for any part of the period; 12^-1/2 is that of a uniform distribution."""
     crack_deviation: float = between("0", "1", 0.15)
     """What a crack changes: two compliances in wide use, of the same crack from 0.1 to 0.3 of the
     depth, differ by 25 to 29 % (W. M. Ostachowicz and M. Krawczuk, Journal of Sound and Vibration
     150, 1991, 191; P. F. Rizos, N. Aspragathos and A. D. Dimarogonas, 138, 1990, 381); half of
     that. A slot changes more than a crack (P. Cawley and R. Ray, Journal of Vibration and
     Acoustics 110, 1988, 366)."""
+    crack_correlation: float = between("0", "1", 0.9)
+    """Correlation of that between modes, 1 for a compliance that is common to all."""
+    confidence: float = between("0.5", "0.9999", 0.95)
+    """Probability of the regions and intervals that are reported. A hypothesis explains the
+    measurements where the p-value of chi^2 is at least one minus that."""
+    log_bayes_factor: float = between("0", "1000", 3.0)
+    """Logarithm of the ratio of evidences beyond which a hypothesis is preferred: 20 to 1."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -922,14 +943,11 @@ class Identify(Table):
         ordered = sorted(self.meshes, key=lambda one: [dict(one.values)[name] for name in names])
         return tuple(one.key for one in ordered)
 
-    def nearest_mesh(self, values: Mapping[str, Any]) -> str | None:
-        """The mesh whose numbers are nearest to some values, over their ranges, if there is one."""
-
-        def distance(one: MeshFile) -> float:
-            spans = {axis.key: axis.values[-1] - axis.values[0] for axis in self.mesh_axes}
-            return sum(((value - values[name]) / spans[name]) ** 2 for name, value in one.values)
-
-        return min(self.meshes, key=distance).key if self.meshes else None
+    @property
+    def priors(self) -> dict[str, Any]:
+        """Priors and levels by their keys: all that does not define the forward model."""
+        forward = {"unknown", "meshes", "uncracked", "frequencies", "finer"}
+        return {key: getattr(self, key) for key in self.keys() if key not in forward}
 
 
 @dataclass(frozen=True)

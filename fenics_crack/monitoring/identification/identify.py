@@ -1,11 +1,11 @@
 """From measurements to the crack: one call.
 
-Sweeps over the unknowns, each in a file from which a killed run goes on, are all that is solved: of
-the scene, or of a coarser mesh; of a finer one at a few of the same values, which corrects the
-first; of the first again at a few values halfway between, where it is seen how far the
-interpolation is off; and these of the plate without its crack. A :class:`Model` interpolates
-between what they have solved. What else is not known has a prior, and moves the predictions by
-first-order changes (:mod:`fenics_crack.monitoring.identification.nuisance`).
+The forward model is solved by sweeps over the unknowns, each in a file from which a killed run goes
+on: of the scene, or of a coarser mesh; of a finer one at a few of the same values, which corrects
+the first; of the first again at a few values halfway between, where the interpolation is tested;
+and these of the plate without its crack. A :class:`Model` interpolates between their cases.
+Nuisance parameters have priors, and change the predictions to first order
+(:mod:`fenics_crack.monitoring.identification.nuisance`).
 """
 
 from __future__ import annotations
@@ -33,30 +33,20 @@ from fenics_crack.monitoring.identification.measurements import (
 )
 from fenics_crack.monitoring.identification.model import Model, is_free
 from fenics_crack.monitoring.identification.nuisance import Whole, whole_plate
+from fenics_crack.monitoring.identification.options import OPTIONS
 from fenics_crack.monitoring.identification.posterior import Likelihood, Posterior, explore, grid_of
 from fenics_crack.monitoring.identification.result import Identification
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import Identify, Sweep
+from fenics_crack.scene.tables import LEAST_OF_AN_UNKNOWN, Identify, Sweep
 from fenics_crack.scene.words import check_scene
 from fenics_crack.study.coarser_mesh import finer_mesh
 from fenics_crack.sweep.result import SweepResult, by_reason, run_sweep
 
-FEW_NODES = 4
-"""Values of each of one or two unknowns that the finer sweep takes, and that halfway between; of
-more unknowns one less."""
-RESOLVED = 2.0
-"""How many times larger a vibration may be between cases than at any of them."""
-MOST_INTERPOLATED = 0.2
-"""Of the variance of a measurement: what interpolation between cases may have of it, so that its
-standard deviation is at most 1.12 times as large."""
-ADDED = 8
-"""How many times more cracks are solved where that matters, or where one vibrates more, at most:
-with damping of 0.5 % five lengths become 9 to 37."""
-ASKED = ("sweep", "curve", "integration", "identify", "tip_timing")
+IRRELEVANT = ("sweep", "curve", "integration", "identify", "tip_timing")
 """Tables that do not matter to a sweep of the forward model."""
 Sweeps = tuple[SweepResult, SweepResult | None, SweepResult | None]
-"""Of all cases, of a finer mesh, and halfway between the cases."""
+"""Sweeps of all cases, of a finer mesh, and halfway between the cases."""
 
 
 def identify(
@@ -74,23 +64,23 @@ def identify(
     at a few places; files in ``folder`` keep both, and a killed run goes on from them. Natural
     frequencies of a rotor may be of several speeds, at each of which it is solved. Under a
     steady load or a clearance the grid gets denser where cracks between meet a resonance, and
-    around cracks that explain what is measured where interpolation is a large part of an error.
-    It is smooth, and has an error of its own, by cross-validation and a few cases halfway between
-    the others, which is added to that of the measurements. So is what may be left of the mesh's
-    error: where a mesh finer by f changes a quantity by d, d / (2 f - 2), which is added to the
-    correction d, too (of an error of first order d / (f - 1) is left, of one of high order
-    nothing). Least squares from several starts find the estimate, a posterior on a grid its
-    regions, and its integral over the prior says whether there is a crack at all.
+    around cracks that explain the measurements where interpolation is a large part of an error.
+    The interpolation has an error of its own, by cross-validation and a few cases halfway between
+    the others, which is added to that of the measurements. So is the remaining error of the mesh:
+    where a mesh finer by f changes a quantity by d, d / (2 f - 2), which is added to the correction
+    d, too (of an error of first order d / (f - 1) is left, of one of high order nothing). Least
+    squares from several starts find the estimate, a posterior on a grid its regions, and its
+    integral over the prior decides whether there is a crack.
 
     Parameters
     ----------
     scene : Scene
         The structure and its load; the values of the unknowns in it do not matter.
     measurements : Measurements or path
-        What was measured, or a file with it (:meth:`Measurements.read`).
+        Measurements, or a file of them (:meth:`Measurements.read`).
     unknown : mapping, optional
-        As the table ``[identify.unknown]``, which it replaces: keys of the scene with the values at
-        which it is solved. Their ends are the bounds, between which the prior is uniform.
+        Replaces the table ``[identify.unknown]``: keys of the scene with the values at which it is
+        solved. Their ends are the bounds, between which the prior is uniform.
     folder : path
         For the files of the sweeps.
     comm : MPI.Comm
@@ -122,7 +112,7 @@ def identify(
         changed = replace(table, unknown=Identify.checked("unknown", unknown))
         scene = replace(scene, identify=changed)
     if scene.identify is None:
-        raise InputError("identify", None, "given: a table with what is unknown")
+        raise InputError("identify", None, "given: a table with the unknowns")
     words = all(isinstance(axis.values[0], str) for axis in scene.identify.unknown)
     if words and not scene.identify.meshes:
         raise InputError("identify.unknown", "words alone", "also a key that holds a number")
@@ -160,7 +150,7 @@ def identify(
 
 
 def infer(forward: Forward, measurements: Measurements) -> Identification:
-    """Infer what measurements tell, by a forward model that is solved for their load frequencies.
+    """Infer the unknowns by a forward model that is solved for the loads of measurements.
 
     Raises
     ------
@@ -189,10 +179,10 @@ def infer(forward: Forward, measurements: Measurements) -> Identification:
 def _predicted(
     forward: Forward, measurements: Measurements
 ) -> tuple[Measurements, tuple[str, ...]]:
-    """Those that every model predicts, with a crack and without; and in words which cases failed
-    that were needed, and what cannot be used for that.
+    """Measurements that every model predicts, with a crack and without; and in words the failed
+    cases that were needed, and the measurements that are not used for that.
 
-    A measurement that one hypothesis leaves open would speak against the other alone.
+    A measurement that one hypothesis cannot predict would count against the other alone.
     """
     models = [*forward.cracked.values(), *forward.uncracked.values()]
     rows = measurements.rows
@@ -209,13 +199,12 @@ def _predicted(
             if solved[at[-1]] in loads or np.isnan(sweep["omega_open_1"][at])
         ]
         doubts += [f"{path.name}: {text}" for text in by_reason(sweep, failed, "failed")]
-    used = [row for row, tells in zip(rows, known, strict=True) if tells]
+    used = list(itertools.compress(rows, known))
     if all(row.quantity == "frequency_uncracked" for row in used):
-        told = "; ".join(doubts) or "no case has what was measured"
-        raise ConvergenceError(f"identification, no measurement can be predicted: {told}")
-    unused = (row for row, tells in zip(rows, known, strict=True) if not tells)
+        why = "; ".join(doubts) or "no case has the measured quantities"
+        raise ConvergenceError(f"identification, no measurement can be predicted: {why}")
     why = "too few cases have it, or only those on one side of what failed"
-    doubts += [f"{row.name} is not used: {why}" for row in unused]
+    doubts += [f"{row.name} is not used: {why}" for row in itertools.compress(rows, ~known)]
     return Measurements(tuple(used)), tuple(doubts)
 
 
@@ -227,7 +216,7 @@ def _likelihood(model: Model, measurements: Measurements) -> Likelihood:
 
 
 def remarks_on(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
-    """Say what cannot be told whatever the numbers are."""
+    """Return limits of measurements that do not depend on their values."""
     table = scene.given("identify")
     sides = any(axis.key == "crack.edge" for axis in table.unknown)
     crack, rows = scene.crack, measurements.rows
@@ -236,13 +225,12 @@ def remarks_on(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
         other = {"left": "right", "right": "left"}[crack.edge]
         if not sides:
             found.append(
-                f"a crack from the {other} edge has the same natural frequencies: they do not tell "
-                "the edges apart"
+                f"a crack from the {other} edge has the same natural frequencies: they do not "
+                "distinguish the edges"
             )
     if table.meshes:
         found.append(
-            "a file has one mesh: its error is in no interval; meshes twice as fine show how much "
-            "it changes what is found"
+            "a file has one mesh: its error is in no interval; compare with meshes twice as fine"
         )
     if any(row.shape for row in rows) and not is_free(scene):
         found.append(
@@ -253,28 +241,27 @@ def remarks_on(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
 
 
 def _unresolved(forward: Forward, measurements: Measurements) -> Iterator[str]:
-    """Loads under which a crack between those that were solved vibrates much more than any of them,
-    where steady loads let it breathe there as none of them does; in words."""
+    """Loads under which a crack between the solved cases vibrates much more than in any of them,
+    where steady loads let it breathe there as in none of them; in words."""
     if is_free(forward.scene):
         return
     places = dict.fromkeys((row.frequency, row.point) for row in measurements.rows if row.shape)
     for model, (load, point) in itertools.product(forward.cracked.values(), places):
         larger, where = _larger_between(model, load, point)
-        if larger > RESOLVED:
+        if larger > OPTIONS.magnification:
             near = ", ".join(
                 f"{key} = {one:.4g}" for key, one in zip(model.keys, where, strict=True)
             )
             yield (
-                f"between the cases that were solved, near {near}, the vibration at {load:.6g} Hz "
-                f"is up to {larger:.2g} times as large as at any of them, and steady loads let it "
-                "breathe there as none of these does: solve more of them there, or measure farther "
-                "from resonance"
+                f"between the solved cases, near {near}, the vibration at {load:.6g} Hz is up to "
+                f"{larger:.2g} times that at any of them, and steady loads let the crack breathe "
+                "there as in none of these: add values there, or measure farther from resonance"
             )
 
 
 def _larger_between(model: Model, load: float, point: str) -> tuple[float, np.ndarray]:
-    """How many times larger the vibration of a point at a load [Hz] is between the cases of a model
-    than at any of them, 0 where none is known; and at which values (d,)."""
+    """Maximum vibration of a point at a load [Hz] between the cases of a model over that at any of
+    them, 0 where none is known; and its values (d,) of the unknowns."""
     first = Measurement("harmonic_1", 1.0, 1.0, frequency=load, point=point)
     places = grid_of(model.cube)
     between = np.nan_to_num(model.quantities([first])(places).values[:, 0])
@@ -295,7 +282,7 @@ class Forward:
     scene : Scene
         With its table ``[identify]``.
     axes : sequence of Axis
-        The unknowns, with the values at which it was solved.
+        The unknowns, with the solved values.
     cracked : dict of str to Model
         A model for each combination of the unknowns that are words: "" or "right".
     uncracked : dict of str to Model
@@ -311,7 +298,7 @@ class Forward:
 def _whole(scene: Scene, comm: MPI.Comm) -> Whole:
     """The plate of a scene without its crack, on every rank (collective)."""
     table = scene.given("identify")
-    plain = scene.replace(dict.fromkeys(ASKED) | (without_crack(scene) or {}))
+    plain = scene.replace(dict.fromkeys(IRRELEVANT) | (without_crack(scene) or {}))
     begin("plate without its crack")
     return on_root(comm, lambda: whole_plate(plain, table))
 
@@ -327,7 +314,7 @@ def solve_forward(
     closer: Sequence[Axis] = (),
     progress: bool = False,
 ) -> Forward:
-    """Solve, or read, what the forward model is interpolated from (collective).
+    """Solve, or read, the cases of the forward model (collective).
 
     Parameters
     ----------
@@ -336,11 +323,11 @@ def solve_forward(
     frequencies : sequence of float
         Of the load [Hz]; the scene's further ones are added.
     folder : path
-        Where the files of the sweeps are; their names depend on the scene and the frequencies.
+        Folder of the files of the sweeps; their names depend on the scene and the frequencies.
     comm : MPI.Comm
         The ranks over which the cases are spread.
     further : sequence of float
-        Loads [Hz] at whose speeds of the rotor natural frequencies are known, and nothing else.
+        Loads [Hz] at whose speeds of the rotor only natural frequencies are needed.
     whole : Whole, optional
         The plate without its crack, if it is known already.
     closer : sequence of Axis
@@ -361,7 +348,7 @@ def solve_forward(
     loads = Loads.of(scene, [float(one) for one in wanted])
     shaken = (*frequencies, *table.frequencies, loads.frequencies[0])
     alone = [place for place, one in enumerate(loads.frequencies) if one not in shaken]
-    plain = scene.replace(dict.fromkeys(ASKED))
+    plain = scene.replace(dict.fromkeys(IRRELEVANT))
     coarse, fine = _meshes(plain, table.finer)
 
     def run(name: str, of: Scene, axes: Sequence[Axis]) -> SweepResult:
@@ -377,7 +364,7 @@ def solve_forward(
         return found
 
     numbers = sum(not isinstance(axis.values[0], str) for axis in table.unknown)
-    count = FEW_NODES - (numbers > 2)
+    count = LEAST_OF_AN_UNKNOWN - (numbers > 2)  # values of the finer sweep and of that between
     meshes = [Axis(MESH, table.mesh_files)] if table.meshes else []
 
     def others(
@@ -428,19 +415,20 @@ def _joined(one: SweepResult, other: SweepResult, place: int) -> SweepResult:
 
 
 def _most(scene: Scene) -> int:
-    """How many cases are solved at most."""
-    return ADDED * math.prod(len(axis.values) for axis in scene.given("identify").unknown)
+    """Maximum number of solved cases."""
+    unknown = scene.given("identify").unknown
+    return OPTIONS.most_added * math.prod(len(axis.values) for axis in unknown)
 
 
 def _denser(
     scene: Scene, models: Iterable[Model], loads: Sequence[float], axes: Sequence[Axis]
 ) -> Axis | None:
-    """The number with further values between those along which the vibration changes most;
-    None where none between vibrates much more than any that was solved, where that does not matter,
-    and where it would be too many cases."""
+    """The unknown along which the vibration changes most, with further values between; None where
+    no crack between vibrates much more than the solved ones, where that does not matter, and where
+    it would be too many cases."""
     seen = itertools.product(models, loads, scene.point_names or ("",))
     places = [] if is_free(scene) else [(_larger_between(*one)[0], *one) for one in seen]
-    if not places or max(place[0] for place in places) <= RESOLVED:
+    if not places or max(place[0] for place in places) <= OPTIONS.magnification:
         return None
     larger, model, load, point = max(places, key=lambda place: place[0])
     sizes = np.log(np.abs(model.coarse.harmonic(point, load, 1))).reshape(model.cube.shape)
@@ -452,9 +440,8 @@ def _denser(
     numbers = [axis for axis in axes if axis.key in steps and _is_divisible(axis)]
     for axis in sorted(numbers, key=lambda axis: -steps[axis.key]):
         count = len(axis.values)
-        parts = min(
-            math.ceil(larger / RESOLVED), (_most(scene) * count // cases - 1) // (count - 1)
-        )
+        most = (_most(scene) * count // cases - 1) // (count - 1)
+        parts = min(math.ceil(larger / OPTIONS.magnification), most)
         if parts > 1:
             at = np.arange((count - 1) * parts + 1) / parts
             between = np.interp(at, np.arange(count), axis.values).tolist()
@@ -465,8 +452,8 @@ def _denser(
 @dataclass(frozen=True)
 class Interpolated:
     """A measurement in whose variance interpolation between cases has a large share, on average
-    over the cracks that explain what is measured: the posterior falls as such an error grows, and
-    leaves some of them out.
+    over the cracks that explain the measurements: the posterior falls as such an error grows, and
+    excludes some of them.
 
     Attributes
     ----------
@@ -484,7 +471,7 @@ class Interpolated:
 
     @classmethod
     def of(cls, found: Identification) -> Interpolated | None:
-        """The one in which it has most; None where that is no more than MOST_INTERPOLATED."""
+        """The measurement with the largest share; None if it is small."""
         seen = [branch.interpolated() for branch in found.posterior.branches.values()]
         x, shares = (np.vstack(one) for one in zip(*seen, strict=True))
         if not shares.size:
@@ -492,20 +479,20 @@ class Interpolated:
         mean = shares.mean(axis=0)
         at = int(mean.sum(axis=0).argmax())
         own = cls(found.measurements.rows[at].name, mean[:, at], x)
-        return own if own.share.sum() > MOST_INTERPOLATED else None
+        return own if own.share.sum() > OPTIONS.interpolated else None
 
     @property
     def remark(self) -> str:
-        """What is left of it, in words."""
+        """The remaining share, in words."""
         return (
-            f"interpolation between the cases that were solved makes {self.share.sum():.0%} of the "
-            f"variance of {self.name}: more values in identify.unknown make regions narrower"
+            f"interpolation between the solved cases has {self.share.sum():.0%} of the variance of "
+            f"{self.name}: more values in identify.unknown make regions narrower"
         )
 
 
 def _closer(forward: Forward, found: Identification, worst: Interpolated) -> Axis | None:
     """The unknown along which interpolation adds most to the error of a measurement, with further
-    values halfway between those around the cracks that explain what is measured; None where it
+    values halfway between those around the cracks that explain the measurements; None where it
     would be too many cases, or has none between."""
     axes = {axis.key: axis for axis in forward.axes}
     for place in np.argsort(-worst.share):
@@ -546,7 +533,7 @@ def _thinned(axes: Sequence[Axis], count: int) -> tuple[Axis, ...]:
 
 
 def _is_divisible(axis: Axis) -> bool:
-    """Whether there are values between those of an unknown; not of words and whole numbers."""
+    """True if there are values between those of an unknown; not of words and whole numbers."""
     return any(isinstance(value, float) for value in axis.values)
 
 
@@ -567,8 +554,8 @@ def _models(
     sweeps: Sweeps,
     bare: tuple[SweepResult | None, ...] = (None, None, None),
 ) -> dict[str, Model]:
-    """Models of a sweep, of a finer one and of one between if there are, by the words that tell
-    them apart; and the sweeps of the plate without its crack, if there are."""
+    """Models of a sweep, with those of a finer mesh and between if there are, and of the plate
+    without its crack, by their values of the unknowns that are words."""
     meshes = scene.given("identify").mesh_axes
     axes = [axis for axis in sweeps[0].axes[:-1] if not (meshes and axis.key == MESH)]
     words = {axis.key: axis.values for axis in axes if isinstance(axis.values[0], str)}

@@ -1,32 +1,33 @@
-"""Smooth interpolation of many quantities over a few unknowns, with its own error.
+"""Smooth interpolation of many quantities over a few unknowns, with its error.
 
 A quantity known on a grid of the unknowns is interpolated by the tensor product of cubic splines
 without knots next to the ends (C. de Boor, A Practical Guide to Splines, 1978, chapters 4 and 17).
-What each node between the ends of an axis differs by from the spline through all others on its line
-tells the error, along each axis: it is that of twice the spacing, 16 times too large where a
-quantity is smooth, and 4/3 times where meshes make it uneven; 0.3 of it is taken. The errors at the
-nodes around a place, of all quantities together, are the covariance that predictions have there.
+The error along each axis is estimated from leave-one-out errors: the difference of each node
+between the ends from the spline through all others on its line, which is the error of twice the
+spacing, 16 times too large where a quantity is smooth, and 4/3 times where meshes make it uneven;
+0.3 of it is taken. The errors at the nodes around a point, of all quantities together, are the
+covariance of predictions there.
 
 Where a case has failed, a thin plate through the others takes its place, if half of the nodes are
-known, and one more than a quadratic polynomial needs: of four none may fail. What the nearest known
-node differs by from such a plate without it is the error there, in full. That holds between known
-nodes; beyond them a pole of a harmonic is missed.
+known, and one more than a quadratic polynomial needs: of four none may fail. The difference of the
+nearest known node from such a plate without it is the error there, in full. That holds between
+known nodes; beyond them a pole of a harmonic is missed.
 
-What is interpolated is made smooth. Smooth in the unknowns are the logarithms of natural
-frequencies without the crack, what it adds to them, over its size where that is unknown, and
-harmonics as complex numbers, a - i b of a cos + b sin. The amplitudes alone have kinks where they
-vanish, and both have poles, which move with the crack, where k times the load's frequency W meets a
-natural frequency w_j of the breathing crack with a damping ratio z. The first harmonic moves the
-lips that make the others: these have its poles, too, of the size p once and of the phase k times,
-as where all of a motion is as much larger and later. So of the k-th harmonic it is
+Smooth forms are interpolated: the logarithms of natural frequencies without the crack, its
+additions to them, over its size where that is unknown, and harmonics as complex numbers, a - i b of
+a cos + b sin. The amplitudes alone have kinks where they vanish, and both have poles, which move
+with the crack, where k times the load's frequency W meets a natural frequency w_j of the breathing
+crack with a damping ratio z. The first harmonic moves the crack faces that make the others: these
+have its poles, too, of the size p once and of the phase k times, as where all of a motion is as
+much larger and later. So of the k-th harmonic it is
 
     U_k p_k |p_1| exp(i k arg p_1) / s^n,      p_k = prod_j (1 - r^2 + 2 i z r),      r = k W / w_j,
 
 without p_1 of the first, with the bilinear frequencies w_j of the same nodes and the sum s over the
-modes of the relative differences between frequencies with lips tied and open, each times its static
-compliance over that of the first, 1 / w_j^2: as much as the load bends the plate at the crack, and
-the crack the plate. It is small for a short crack, whose lips close in half of each period: that
-makes even harmonics, n = 1, and odd ones of second order, n = 2.
+modes of the relative differences between frequencies with the crack bonded and open, each times its
+static compliance over that of the first, 1 / w_j^2: as much as the load bends the plate at the
+crack, and the crack the plate. It is small for a short crack, which closes in half of each period:
+that makes even harmonics, n = 1, and odd ones of second order, n = 2.
 """
 
 from __future__ import annotations
@@ -44,18 +45,11 @@ from scipy.spatial.distance import cdist
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.tables import TURN
 from fenics_crack.monitoring.identification.measurements import Measurement
+from fenics_crack.monitoring.identification.options import OPTIONS
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
 from fenics_crack.sweep.file import KEPT_ORDERS, NUMBERED, State
 from fenics_crack.sweep.result import SweepResult
-
-DEGREE = 3
-STATED = 0.3
-"""Of what is left with twice the spacing: between 1/16 and 3/4."""
-AVERAGED_OVER = 1.25
-"""Spacings of the nodes over which errors are averaged."""
-AROUND = 16
-"""Nodes over which errors are averaged, at most."""
 
 
 @dataclass(frozen=True)
@@ -100,16 +94,20 @@ class Cube:
         return np.stack(columns, axis=1)
 
 
+def _spline(line: np.ndarray, values: np.ndarray) -> Any:
+    """Cubic spline through values (n, ...) on a line (n,), of lower degree through fewer than
+    four."""
+    return make_interp_spline(line, values, k=min(3, len(line) - 1))
+
+
 def left_out_errors(line: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Difference of each value on a line (n,), but for the ends, from the spline through all
-    others: (n, ...) for values (n, ...). The ends, which are never left out, have the errors of
+    """Return the difference of each value on a line (n,), but for the ends, from the spline through
+    all others: (n, ...) for values (n, ...). The ends, which are never left out, have the errors of
     their neighbours."""
     found = np.zeros_like(values)
     for place in range(1, len(line) - 1):
         others = np.arange(len(line)) != place
-        degree = min(DEGREE, len(line) - 2)
-        spline = make_interp_spline(line[others], values[others], k=degree)
-        found[place] = values[place] - spline(line[place])
+        found[place] = values[place] - _spline(line[others], values[others])(line[place])
     found[0], found[-1] = found[1], found[-2]
     return found
 
@@ -127,9 +125,9 @@ class Interpolation:
     Attributes
     ----------
     known : (q,) bool
-        Whether a quantity is known at enough of the nodes.
+        True where a quantity is known at enough of the nodes.
     between : (q,) bool
-        Whether every node at which it is not known is between two others on a line.
+        True where every node at which it is not known is between two others on a line.
     """
 
     def __init__(self, cube: Cube, values: np.ndarray) -> None:
@@ -138,17 +136,14 @@ class Interpolation:
         values, self.known, of_filled = _filled(cube, values)
         self._values = values
         # Along each axis those that are 1 at one of its values and 0 at the others.
-        self._splines = [
-            make_interp_spline(line, np.eye(len(line)), k=min(DEGREE, len(line) - 1))
-            for line in cube.axes
-        ]
+        self._splines = [_spline(line, np.eye(len(line))) for line in cube.axes]
         if cube.axes:
             grid = values.reshape(*cube.shape, values.shape[1])
             left = (
                 np.moveaxis(left_out_errors(line, np.moveaxis(grid, k, 0)), 0, k)
                 for k, line in enumerate(cube.axes)
             )
-            self._errors = [STATED * one.reshape(values.shape) for one in left]
+            self._errors = [OPTIONS.left_out * one.reshape(values.shape) for one in left]
             if of_filled.any():
                 self._errors.append(of_filled)
 
@@ -173,8 +168,8 @@ class Interpolation:
         if not self.cube.axes:
             return []
         nodes = self.cube.places(self.cube.nodes)
-        exponent = -0.5 / AVERAGED_OVER**2 * cdist(self.cube.places(x), nodes, "sqeuclidean")
-        count = min(AROUND, len(nodes))
+        exponent = -0.5 / OPTIONS.averaging**2 * cdist(self.cube.places(x), nodes, "sqeuclidean")
+        count = min(OPTIONS.neighbours, len(nodes))
         near = np.argpartition(-exponent, count - 1, axis=1)[:, :count]
         exponent = np.take_along_axis(exponent, near, axis=1)
         weights = np.exp(exponent - exponent.max(axis=1, keepdims=True))
@@ -183,7 +178,7 @@ class Interpolation:
 
 
 def _between(cube: Cube, known: np.ndarray) -> np.ndarray:
-    """Whether all nodes (n, q) that are not known have known ones on both sides, on a line along
+    """True where all nodes (n, q) that are not known have known ones on both sides, on a line along
     some axis: (q,)."""
     grid = known.reshape(*cube.shape, known.shape[1])
     found = grid.copy()
@@ -195,8 +190,8 @@ def _between(cube: Cube, known: np.ndarray) -> np.ndarray:
 
 
 def _filled(cube: Cube, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Values (n, q) with those that are not known taken from a thin plate through the others,
-    whether enough of a quantity are known, (q,), 0 where not, and the errors of what was taken."""
+    """Values (n, q) with unknown ones taken from a thin plate through the others, 0 where too few
+    are known; True where enough are, (q,); and the errors of the values taken."""
     known, d = np.isfinite(values), len(cube.axes)
     least = max((d + 1) * (d + 2) // 2 + 1, len(values) / 2)
     enough = known.all(axis=0) | ((known.sum(axis=0) >= least) & (d > 0))
@@ -220,7 +215,7 @@ def _plate(nodes: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
     return np.asarray(RBFInterpolator(nodes, values, kernel="thin_plate_spline")(at))
 
 
-# --- what is interpolated -------------------------------------------------------------------------
+# --- interpolated quantities ----------------------------------------------------------------------
 
 MESH = "mesh.file"
 """The axis of meshes with numbers."""
@@ -228,11 +223,10 @@ MESH = "mesh.file"
 
 @dataclass(frozen=True)
 class Loads:
-    """The loads that a forward model is solved for, the last axis of its sweeps.
+    """Loads of a forward model, the last axis of its sweeps.
 
-    Where the load is an engine order, each has the speed of the rotor that it follows, and the
-    first is that of the scene's own speed, at which natural frequencies are measured that have no
-    speed of their own.
+    Where the load is an engine order, each has its speed of the rotor, and the first has that of
+    the scene, which is the default of natural frequencies.
 
     Attributes
     ----------
@@ -247,7 +241,7 @@ class Loads:
 
     @classmethod
     def of(cls, scene: Scene, frequencies: Sequence[float]) -> Loads:
-        """Those of some frequencies [Hz]; the scene's own where it follows the rotor, or there is
+        """Loads of some frequencies [Hz]; the scene's own where it follows the rotor, or there is
         no other."""
         order, others = scene.excitation.order, sorted(set(frequencies))
         own = float(f"{scene.excitation.omega / TURN:.9g}")  # as that of arrivals
@@ -259,22 +253,20 @@ class Loads:
 
     @property
     def turn(self) -> bool:
-        """Whether each has its own speed."""
+        """True if each has its own speed."""
         return self.axis.key == "rotation.rpm"
 
     @property
     def faster(self) -> np.ndarray:
-        """Speeds of the rotor over the scene's own, (n,); 1 where there is but that."""
+        """Speeds of the rotor over the scene's own, (n,); 1 where there is no other."""
         found = np.array(self.frequencies)
         return found / found[0] if self.turn else np.ones(len(found))
 
 
 @dataclass(frozen=True)
 class Part:
-    """Knowledge of a sweep, with its words chosen; and of that without the crack, if there is.
-
-    Its last axis is that of the loads.
-    """
+    """Solved cases of a sweep for one choice of the words, and those without the crack, if any. Its
+    last axis is that of the loads."""
 
     sweep: SweepResult
     keys: tuple[str, ...]
@@ -292,7 +284,7 @@ class Part:
         fixed: Mapping[str, Any],
         bare: Part | None = None,
     ) -> Part:
-        """Take a sweep, the numbers of its meshes if it has some, and the words that are chosen."""
+        """Take a sweep, the numbers of its meshes if it has some, and the chosen words."""
         numbers: list[Axis] = []
         index: list[Any] = []
         for axis in sweep.axes[:-1]:
@@ -310,8 +302,8 @@ class Part:
 
     def natural(self, lips: str, mode: int) -> np.ndarray:
         """A natural frequency at all nodes and loads [Hz]: (n, n_loads); without the crack
-        ("uncracked") the same for all cracks, and that with lips tied where it cannot be taken
-        out."""
+        ("uncracked") the same for all cracks, and with a bonded crack where it cannot be
+        removed."""
         if lips == "uncracked":
             if self.bare is None:
                 return self.natural("tied", mode)
@@ -339,14 +331,14 @@ class Part:
         return np.where(self.column("state")[:, load] == State.CONVERGED, value, np.nan)
 
     def harmonics(self, frequency: float) -> int:
-        """How many harmonics all cases have at a load that were solved; 1 if none was."""
+        """Minimum number of harmonics of the solved cases at a load; 1 if none was solved."""
         load = self.load(frequency)
         solved = self.column("state")[:, load] == State.CONVERGED
         return int(self.column("harmonics")[solved, load].min()) if solved.any() else 1
 
     def load(self, frequency: float) -> int:
-        """Place of a load frequency [Hz] among those of the sweep, of 0 the first; InputError if it
-        has none."""
+        """Index of a load frequency [Hz] among those of the sweep, 0 for 0 Hz; InputError if there
+        is none."""
         loads = self.loads.frequencies
         if frequency == 0.0:
             return 0
@@ -358,9 +350,9 @@ class Part:
 
     @cached_property
     def basis(self) -> np.ndarray:
-        """Root of s, the bilinear frequencies [Hz], which :func:`scales` needs, and those without
-        the crack, at all nodes and loads: (n, n_loads, 1 + 2 modes); 1 for s without a crack, nan
-        where there is no frequency."""
+        """Root of s, the bilinear frequencies [Hz], and those without the crack, at all nodes and
+        loads: (n, n_loads, 1 + 2 modes); 1 for s without a crack, nan where there is no
+        frequency."""
         tied, opened, breathing, bare = (
             np.stack([self.natural(lips, mode) for mode in NUMBERED], axis=2)
             for lips in ("tied", "open", "bilinear", "uncracked")
@@ -372,14 +364,14 @@ class Part:
         return np.concatenate([scale[..., None], breathing, bare], axis=2)
 
 
-LIPS = ("bilinear", "open", "tied")
-"""What they may do at a resonance: breathe, stay open, stay shut."""
+STATES = ("bilinear", "open", "tied")
+"""States of the crack faces at a resonance: breathing, open, closed."""
 
 
 @dataclass(frozen=True)
 class Feature:
-    """Something that is interpolated: a natural frequency at the speed of a load, 0 for the scene's
-    own, or a harmonic of a point at a load."""
+    """An interpolated quantity: a natural frequency at the speed of a load, 0 for the scene's own,
+    or a harmonic of a point at a load."""
 
     lips: str = ""
     mode: int = 0
@@ -392,19 +384,19 @@ class Feature:
         """Features of a measurement of a scene; of a ratio both harmonics, the one above first."""
         if row.natural:
             lips = row.quantity.removeprefix("frequency_")
-            states = LIPS if lips == "resonance" else (lips,)
+            states = STATES if lips == "resonance" else (lips,)
             return tuple(cls(state, row.mode, frequency=row.load(scene)) for state in states)
         orders = row.orders or KEPT_ORDERS
         return tuple(cls("", 0, row.point, row.load(scene), order) for order in orders)
 
     @property
     def together(self) -> tuple[float, float, float]:
-        """Features for which this is the same err alike: a mode's, and those of one contact."""
+        """Key of features with a common error: those of a mode, or of one contact."""
         return (self.mode, 0.0 if self.natural else self.frequency, self.order)
 
     @property
     def uncracked(self) -> Feature:
-        """That of a natural frequency without the crack."""
+        """The same natural frequency without the crack."""
         return replace(self, lips="uncracked")
 
     def values(self, part: Part) -> np.ndarray:
@@ -421,21 +413,21 @@ class Feature:
 
     @property
     def natural(self) -> bool:
-        """Tell whether it is a natural frequency."""
+        """True if it is a natural frequency."""
         return bool(self.lips)
 
     @property
     def of_crack(self) -> bool:
-        """Tell whether it is a natural frequency that the crack changes."""
+        """True if it is a natural frequency that the crack changes."""
         return self.lips in ("open", "tied", "bilinear")
 
 
 def poles(
     features: Sequence[Feature], damping: np.ndarray, basis: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """r of each mode, and 1 - r^2 + 2 i z r, at m places: (m, f, modes); of ratios of damping
-    (m, 1), and what :attr:`Part.basis` has there at the load of each feature (m, f, 1 + 2 modes);
-    0 and 1 of natural frequencies and where there is no mode."""
+    """Return r of each mode, and 1 - r^2 + 2 i z r, at m places: (m, f, modes); from ratios of
+    damping (m, 1), and :attr:`Part.basis` at the load of each feature (m, f, 1 + 2 modes); 0 and 1
+    of natural frequencies and where there is no mode."""
     own = basis[..., NUMBERED]
     loads = np.array([feature.order * feature.frequency for feature in features])
     r = loads[:, None] / np.where(np.isfinite(own), own, np.inf)
@@ -443,22 +435,23 @@ def poles(
 
 
 def turned(values: np.ndarray, features: Sequence[Feature]) -> np.ndarray:
-    """What harmonics (m, f, ...) have of logarithms of a first one that drives them: of its size
-    once, of its phase as often as their order; 0 of others."""
+    """Return parts of harmonics (m, f, ...) in the logarithms of the first one that drives them: of
+    its size once, of its phase as often as their order; 0 of others."""
     orders = np.array([feature.order if feature.order > 1 else 0 for feature in features])
     orders = orders.reshape(-1, *np.ones(values.ndim - 2, dtype=int))
     return np.where(orders > 0, values.real, 0.0) + 1j * orders * values.imag
 
 
 def driving(features: Sequence[Feature]) -> list[Feature]:
-    """The first harmonics that drive some features."""
+    """Return the first harmonics that drive some features."""
     return [replace(feature, order=int(feature.order > 1)) for feature in features]
 
 
 def scales(
     features: Sequence[Feature], damping: np.ndarray, basis: np.ndarray, size: np.ndarray
 ) -> np.ndarray:
-    """Factors that make the values smooth: (m, f), of the same and of sizes of the crack (m,)."""
+    """Return factors that make the values smooth: (m, f), from :func:`poles` and sizes of the crack
+    (m,)."""
     powers = np.array([feature.power for feature in features])
     changed = np.array([feature.of_crack for feature in features])
     found = poles(features, damping, basis)[1].prod(axis=2) / basis[..., 0] ** (2 * powers)

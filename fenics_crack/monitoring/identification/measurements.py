@@ -1,4 +1,4 @@
-"""What was measured of a cracked plate: frequencies and harmonics with standard deviations."""
+"""Measurements of a cracked plate: frequencies and harmonics with standard deviations."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from fenics_crack.basics.errors import (
 )
 from fenics_crack.basics.tables import RPM, TURN, Tabular, counted
 from fenics_crack.basics.untrusted_files import table_lines
+from fenics_crack.monitoring.identification.options import OPTIONS
 from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
 from fenics_crack.scene.fields import LARGEST, OR_ZERO, SMALLEST
 from fenics_crack.scene.scene import Scene
@@ -31,22 +32,11 @@ from fenics_crack.scene.scene import Scene
 if TYPE_CHECKING:
     from fenics_crack.monitoring.tip_timing.passages import PassageFit  # SciPy
 
-IN_WORDS = {
-    "frequency_open": "with the crack held open",
-    "frequency_tied": "with the crack held closed",
-    "frequency_bilinear": "by the bilinear formula",
-    "frequency_resonance": "at the resonance of the breathing crack",
-    "frequency_uncracked": "before there was a crack",
-    "harmonic_1": "first harmonic",
-    "harmonic_2": "second harmonic",
-    "harmonic_3": "third harmonic",
-    "ratio_2_1": "second harmonic over the first",
-    "ratio_3_1": "third harmonic over the first",
-    "displacement": "displacement",
-}
-"""What may be measured, in words: natural frequencies [Hz] by when they are, with the crack held
-open, held closed, breathing, by the formula and measured as a resonance, and of the plate before it
-had a crack; then what is of a point under a harmonic load, displacements as probes see them."""
+NATURAL = ("open", "tied", "bilinear", "resonance", "uncracked")
+"""States of a plate with natural frequencies: its crack held open, held closed, breathing by the
+bilinear formula, breathing at a measured resonance; and before it had a crack."""
+AT_LOADS = ("harmonic_1", "harmonic_2", "harmonic_3", "ratio_2_1", "ratio_3_1", "displacement")
+"""Quantities of a point under a harmonic load."""
 NEEDED = ("quantity", "value", "deviation")
 OPTIONAL = ("mode", "frequency", "point", "phase", "rpm", "temperature")
 SI = "Hz", "m", "-"
@@ -57,17 +47,9 @@ UNITS = {
     "deviation": SI,
     "temperature": ("K", "°C", "C"),
 }
-"""That headings may name, in brackets."""
+"""Units that headings may name, in brackets."""
 UNIVERSAL = (".uff", ".unv")
 """Endings of universal files."""
-LARGEST_PHASE = 4.0 * math.pi
-"""Of a period of 2 pi, for whoever begins it elsewhere [rad]; what is larger is in degrees."""
-MOST_MEASUREMENTS = 1000
-"""Measured numbers of one crack: a covariance of all is decomposed at each crack looked at."""
-FEWEST_PROBES = 4
-"""Probes of which displacements tell more than the size and phase of a load, and a constant."""
-AT_REST = 1e-3
-"""Of the rotor's speed: what stands for none, where a millionth is left of what rotation adds."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +63,7 @@ class Measurement:
         "frequency_bilinear" by its formula, "frequency_resonance", at which the breathing crack
         resonates, which is near that formula, or
         "frequency_uncracked" of the same plate before it had a crack, which calibrates the others
-        of its mode. Or what :class:`Indicators` calls "harmonic_1" to "harmonic_3" [m],
+        of its mode. Or, as in :class:`Indicators`, "harmonic_1" to "harmonic_3" [m],
         "ratio_2_1" or "ratio_3_1", of a point under the scene's load at ``frequency``. Or a
         "displacement" [m] of the point at ``phase``, as probes see it: all those of a point at a
         frequency are compared up to the load's size, its phase, and a constant.
@@ -100,7 +82,7 @@ class Measurement:
         Of the rotor, where a natural frequency was measured, 0 at rest; nan: the scene's own.
     temperature : float [K or °C]
         Of the structure when a natural frequency was measured, in one unit in all of them: their
-        differences are what tells; nan where it is not known.
+        differences enter; nan where it is not known.
 
     Raises
     ------
@@ -119,7 +101,8 @@ class Measurement:
     temperature: float = math.nan
 
     def __post_init__(self) -> None:
-        check_choice("measurements.quantity", self.quantity, IN_WORDS)
+        kinds = (*(f"frequency_{state}" for state in NATURAL), *AT_LOADS)
+        check_choice("measurements.quantity", self.quantity, kinds)
         at_probe = self.quantity == "displacement"
         check_number("measurements.value", self.value, -math.inf if at_probe else 0.0)
         check_number("measurements.deviation", self.deviation, 0.0, above=True)
@@ -131,7 +114,7 @@ class Measurement:
             check_number("measurements.frequency", self.frequency, 0.0, above=True)
         if at_probe:
             check_number("measurements.phase", self.phase)
-            if abs(self.phase) > LARGEST_PHASE:
+            if abs(self.phase) > 2.0 * TURN:  # a period that may begin elsewhere
                 allowed = f"of a period, 0 to 2 pi; in degrees? then {math.radians(self.phase):.5g}"
                 raise InputError("measurements.phase", self.phase, allowed)
         if not math.isnan(self.rpm):
@@ -151,50 +134,34 @@ class Measurement:
 
     @property
     def natural(self) -> bool:
-        """Tell whether it is a natural frequency."""
+        """True if it is a natural frequency."""
         return self.quantity.startswith("frequency_")
 
     @property
     def resonance(self) -> bool:
-        """Tell whether it is a natural frequency with lips that do what they do at resonance."""
+        """True if it is a natural frequency with the crack in its state at resonance."""
         return self.quantity == "frequency_resonance"
 
     @property
     def shape(self) -> bool:
-        """Tell whether it is that of a motion, whatever its size."""
+        """True if it depends on the shape of a motion, not on its size."""
         return not self.natural and not self.quantity.startswith("harmonic")
 
     @property
     def orders(self) -> tuple[int, ...]:
-        """Harmonics of which it is made, of a ratio the one above first; none of a natural
-        frequency, and of a displacement, which has all."""
+        """Orders of its harmonics, of a ratio the numerator first; none of a natural frequency, and
+        of a displacement, which has all."""
         return () if self.natural else tuple(map(int, self.quantity.split("_")[1:]))
 
     @property
     def name(self) -> str:
         """Name in words: "frequency_open of mode 2", "ratio_2_1 at 250 Hz of tip.ux"."""
         if self.natural:
-            return f"{self.quantity} of mode {self.mode}{self._speed}"
+            speed = "" if math.isnan(self.rpm) else f" at {self.rpm:g} rpm"
+            return f"{self.quantity} of mode {self.mode}{speed}"
         where = f" of {self.point}" if self.point else ""
         when = "" if math.isnan(self.phase) else f" and {self.phase:.3g} rad"
         return f"{self.quantity} at {self.frequency:g} Hz{when}{where}"
-
-    @property
-    def words(self) -> str:
-        """What it is, in a sentence: "natural frequency 2 with the crack held open"."""
-        if self.natural:
-            return f"natural frequency {self.mode} {IN_WORDS[self.quantity]}{self._speed}"
-        when = (
-            ""
-            if math.isnan(self.phase)
-            else f", {self.phase:.3g} rad after the load's period began"
-        )
-        where = self.point or "the point under the load"
-        return f"{IN_WORDS[self.quantity]} of {where} at {self.frequency:g} Hz{when}"
-
-    @property
-    def _speed(self) -> str:
-        return "" if math.isnan(self.rpm) else f" at {self.rpm:g} rpm"
 
     def load(self, scene: Scene) -> float:
         """The load of a scene under which it was measured [Hz]: its own, or that at the rotor's
@@ -205,7 +172,8 @@ class Measurement:
             return 0.0
         assert scene.excitation.order is not None  # checked
         own = scene.excitation.omega / TURN
-        found = max(scene.excitation.order * self.rpm / 60.0, AT_REST * own)
+        # At rest the load of a thousandth of the speed, which adds a millionth of its stiffening.
+        found = max(scene.excitation.order * self.rpm / 60.0, 1e-3 * own)
         return 0.0 if f"{found:.9g}" == f"{own:.9g}" else float(f"{found:.9g}")
 
     def check(self, scene: Scene) -> None:
@@ -228,7 +196,7 @@ class Measurement:
 
 @dataclass(frozen=True, repr=False)
 class Measurements(Tabular):
-    """Some measured numbers, of one crack.
+    """Measured numbers of one crack.
 
     Attributes
     ----------
@@ -282,12 +250,12 @@ class Measurements(Tabular):
         noise: float | None = None,
         angle_deviation: float = 0.0,
     ) -> Measurements:
-        """The mean displacement that each probe sees of a vibration of an engine order.
+        """Mean displacements at the probes, of a vibration of an engine order.
 
-        At the rotor's angle alpha of an arrival, where the tip is displaced by u
+        At the rotor's angle alpha of an arrival, where the blade tip is displaced by u
         (:class:`ArrivalTimes`), the load is at the phase p alpha of its period. No harmonic is
         fitted: they are left to the model. The means are those of :func:`fit_order`, in which
-        single wrong arrivals have no weight, beside vibrations that follow no order.
+        single wrong arrivals have no weight, without vibrations that follow no order.
 
         Parameters
         ----------
@@ -296,12 +264,12 @@ class Measurements(Tabular):
         order : int
             p, periods of the load in a revolution (:func:`fit_order` finds it).
         point : str
-            The tip: as ``point`` of :class:`Measurement`.
+            The blade tip: as ``point`` of :class:`Measurement`.
         against : bool
-            Whether the direction of the point is against the rotation.
+            True if the direction of the point is against the rotation.
         noise : float [s]
-            Standard deviation of an arrival; default: from the scatter between revolutions, and
-            from its correlation, which few revolutions tell less well.
+            Standard deviation of an arrival; default: from the scatter between revolutions and its
+            correlation, with a larger error from few revolutions.
         angle_deviation : float [rad]
             Standard deviation of the probes' angles, the same in every revolution.
 
@@ -310,7 +278,7 @@ class Measurements(Tabular):
         InputError
             A value cannot be used, the speed is not constant, arrivals are not where the probes
             are, there are fewer than four, or ``noise`` is left out where passages have no scatter,
-            or too little to tell it, as in one revolution alone.
+            or too few for an estimate, as in one revolution alone.
         """
         from fenics_crack.monitoring.tip_timing.fit_order import Means  # SciPy
         from fenics_crack.monitoring.tip_timing.harmonics import check_places, rounding
@@ -325,8 +293,8 @@ class Measurements(Tabular):
         check_places(arrivals)
         count = np.isfinite(arrivals.time).sum(axis=0)
         count, speed = count[count > 0], arrivals.mean_speed
-        if len(count) < FEWEST_PROBES:
-            raise InputError("arrivals", repr(arrivals), f"those of {FEWEST_PROBES} probes or more")
+        if len(count) < 4:  # one more than the load's size and phase, and a constant
+            raise InputError("arrivals", repr(arrivals), "those of 4 probes or more")
         means = Means(arrivals, 1, float(order), angle_deviation)
         places = arrivals.tip_radius * angle_deviation
         if noise is not None:
@@ -336,7 +304,7 @@ class Measurements(Tabular):
             raise InputError("noise", None, "given where passages have no scatter")
         elif np.isnan(larger := student(means.within)):
             found = counted(int(count.sum()), "arrival")
-            allowed = f"given for {found} at {counted(len(count), 'probe')}, too few to tell it"
+            allowed = f"given for {found} at {counted(len(count), 'probe')}, too few to estimate it"
             raise InputError("noise", None, allowed)
         else:
             own = np.diag(means.covariance) - places**2
@@ -360,15 +328,15 @@ class Measurements(Tabular):
         *,
         quantity: str = "frequency_resonance",
     ) -> Measurements:
-        """The natural frequencies of resonances that a rotor passes, at the speed of each, with
-        their :attr:`PassageFit.deviation`.
+        """Natural frequencies of resonances that a rotor passes, at the speed of each, with their
+        :attr:`PassageFit.deviation`.
 
         Parameters
         ----------
         passages : sequence of PassageFit
             As :func:`find_passages` finds them.
         modes : sequence of int
-            Of which mode each is, from 1; 0 leaves it out.
+            Mode of each, from 1; 0 leaves it out.
         quantity : str
             "frequency_resonance" of a blade as it is, or "frequency_uncracked" before it had a
             crack.
@@ -406,18 +374,18 @@ class Measurements(Tabular):
     def from_responses(
         cls, path: str | Path, modes: Sequence[int] = (), *, quantity: str = "frequency_resonance"
     ) -> Measurements:
-        """The natural frequencies that the frequency responses of a universal file show.
+        """Natural frequencies from the frequency responses of a universal file.
 
         Datasets 58 and 58b of one structure at the same frequencies (.uff, .unv), over the force or
-        whatever drives it; fitted around their peaks, all together. The standard deviation holds
-        the scatter, and what the fit changes by where less of a peak is fitted.
+        another excitation; fitted around their peaks, all together. The standard deviation includes
+        the scatter, and the change of the fit where less of a peak is fitted.
 
         Parameters
         ----------
         path : str or Path
             The file.
         modes : sequence of int
-            Numbers of the modes that it shows, from the lowest frequency up. Default: 1, 2, ....
+            Numbers of its modes, from the lowest frequency up. Default: 1, 2, ....
         quantity : str
             "frequency_resonance" of a plate as it is, or "frequency_uncracked" before it had a
             crack.
@@ -425,7 +393,7 @@ class Measurements(Tabular):
         Raises
         ------
         InputError
-            The file cannot be read or shows no modes, or others than so many.
+            The file cannot be read or has no modes, or another number of them.
         """
         from fenics_crack.monitoring.identification.responses import read_responses, resonances
 
@@ -448,7 +416,8 @@ class Measurements(Tabular):
         return cls.from_responses(path, modes) if universal else cls.from_csv(path)
 
     def check(self, scene: Scene) -> None:
-        """Raise InputError for what is none of a scene, or tells nothing of its crack."""
+        """Raise InputError for measurements that are none of a scene, or all from before its
+        crack."""
         if all(row.quantity == "frequency_uncracked" for row in self.rows):
             raise InputError("measurements", "frequency_uncracked", "also some of the plate as is")
         for row in self.rows:
@@ -471,19 +440,19 @@ class Measurements(Tabular):
 
     def _title(self) -> str:
         natural = sum(row.natural for row in self.rows)
-        parts = [(natural, "natural frequencies"), (len(self) - natural, "at loads")]
-        return ", ".join(f"{count} {what}" for count, what in parts if count) or counted(0, "row")
+        return f"{natural} natural frequencies, {len(self) - natural} at loads"
 
 
 def _check_count_of(rows: Sequence[object]) -> None:
     """Raise InputError for too many measurements."""
-    if len(rows) > MOST_MEASUREMENTS:
-        allowed = f"{MOST_MEASUREMENTS} at most; several of one quantity are one, their mean"
+    if len(rows) > OPTIONS.most_measurements:
+        most = f"{OPTIONS.most_measurements} at most"
+        allowed = f"{most}; several of one quantity are one, their mean"
         raise InputError("measurements", f"{len(rows)} rows", allowed)
 
 
 def without_crack(scene: Scene) -> dict[str, Any] | None:
-    """What is to be changed in a scene to take its crack out; None where that cannot be done."""
+    """Return changes of a scene that remove its crack; None where that is impossible."""
     changes: dict[str, Any] = dict.fromkeys(("crack", "cracks", "contact", "output.quantities"))
     if scene.identify is not None and scene.identify.uncracked is not None:
         return changes | {"mesh.file": scene.identify.uncracked}

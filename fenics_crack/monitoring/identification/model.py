@@ -1,9 +1,9 @@
-"""The forward model: what would be measured with given unknowns, and how far that may be wrong.
+"""The forward model: predictions of measurements from the unknowns, and their covariance.
 
-Errors of predictions are not independent. One sweep makes all of them, so they are taken as a
-covariance: of the interpolation from what each node differs by from the others, all quantities at
-once; of the mesh from what a finer one changes, half of it alike in all quantities; of what else is
-not as the scene says from its prior (:mod:`fenics_crack.monitoring.identification.nuisance`).
+Errors of predictions are not independent, because one sweep makes all of them. Their covariance is
+the sum of that of the interpolation, from leave-one-out errors of all quantities at once; of the
+mesh, from the changes by a finer one, half of the variance common to all quantities; and of the
+priors (:mod:`fenics_crack.monitoring.identification.nuisance`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 from fenics_crack.basics.errors import FEW_MODES, MOST_HARMONICS
 from fenics_crack.monitoring.identification.interpolation import (
-    LIPS,
+    STATES,
     Feature,
     Interpolation,
     Part,
@@ -41,23 +41,14 @@ from fenics_crack.sweep.file import NUMBERED
 
 # --- displacements at probes ----------------------------------------------------------------------
 
-TRIED = 64
-"""Phases of the load that are tried."""
-STEPS = 4
-"""Of Gauss and Newton from the best of them."""
-SIZE, PHASE, CONSTANT = 1.0, np.pi / np.sqrt(3.0), 10.0
-"""Standard deviations of what is not known: of the load's size over what is found, of its phase
-[rad], and of the constant over the largest displacement."""
 
-
-@dataclass(frozen=True)
-class Aligned:
-    """Displacements (m, n) of a model, fitted to those measured.
+class Aligned(NamedTuple):
+    """Displacements (m, n) of a model, fitted to measured ones.
 
     Attributes
     ----------
     values : (m, n) [m]
-        All of them; those that were not measured, too.
+        All of them, also those that were not measured.
     turns : (m, n, K) complex
         Their slopes by the harmonics U_k: values = Re sum_k turns_k U_k + c.
     free : (m, n, 3) [m]
@@ -73,27 +64,26 @@ class Aligned:
 
 
 class Passages:
-    """Displacements of one point under one load: what they tell whatever its size and phase are.
+    """Displacements of one point under one load of unknown size and phase.
 
-    Under a steady load the tip is, at a phase theta of the load's period,
+    Under a steady load the blade tip is, at a phase theta of the load's period,
 
         u = A Re sum_k U_k exp(i k (theta - psi)) + c,
 
-    with the harmonics U_k of the model and what nobody knows well of a blade in operation: the size
-    A and the phase psi of the load, and a constant c, of the probes' angles and of the steady
-    forces. For each value of the unknowns the three are fitted to the displacements; the
-    predictions are the fit, and the likelihood gets their derivatives by the three as directions in
-    which all displacements may be moved together. That is a fit of three numbers by the model's own
-    wave, of all its harmonics, in place of one of a few harmonics beforehand.
+    with the harmonics U_k of the model and three unknowns of a blade in operation: the size A and
+    the phase psi of the load, and a constant c, of the probes' angles and of the steady forces. For
+    each value of the unknowns the three are fitted to the displacements; the predictions are the
+    fit, and the likelihood gets their derivatives by the three as common errors of all
+    displacements. All harmonics of the model enter the fit.
 
     Parameters
     ----------
     rows : sequence of int
-        Their places among all measurements; first those that were made.
+        Their places among all measurements, those made first.
     made : sequence of Measurement
-        Those that were made.
+        Measurements made.
     more : sequence of Measurement
-        Those that might be.
+        Possible further measurements.
     """
 
     def __init__(
@@ -107,7 +97,7 @@ class Passages:
 
     @classmethod
     def among(cls, made: Sequence[Measurement], more: Sequence[Measurement]) -> list[Passages]:
-        """Those of each load and point among some measurements."""
+        """Group measurements by load and point."""
         groups: dict[tuple[float, str], list[int]] = {}
         rows = (*made, *more)
         for place, row in enumerate(rows):
@@ -135,22 +125,19 @@ class Passages:
         turned = turns * (size[:, None] * np.exp(-1j * np.outer(shift, orders)))[:, None, :]
         parts = turned * waves[:, None, :]
         motion = parts.sum(axis=2).real
-        largest = CONSTANT * np.max(np.abs(self._values), initial=0.0)
-        free = np.stack(
-            [
-                SIZE * motion,
-                PHASE * (orders * parts).sum(axis=2).imag,
-                np.full_like(motion, largest),
-            ],
-            axis=2,
-        )
+        # Priors that are wide: all of the size, a phase anywhere in the period, a constant of ten
+        # times the largest displacement.
+        phase = np.pi / np.sqrt(3.0) * (orders * parts).sum(axis=2).imag
+        largest = 10.0 * np.max(np.abs(self._values), initial=0.0)
+        free = np.stack([motion, phase, np.full_like(motion, largest)], axis=2)
         return Aligned(motion + constant[:, None], turned, free, size)
 
     def _fitted(
         self, waves: np.ndarray, turns: np.ndarray, orders: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Least squares of A > 0, psi and c: (m,) each."""
-        tried = 2.0 * np.pi * np.arange(TRIED) / TRIED
+        """Least squares of A > 0, psi and c, (m,) each, of all m at once: the best of 64 phases,
+        then four damped steps of Gauss and Newton."""
+        tried = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
         shifted = waves[:, None, :] * np.exp(-1j * np.multiply.outer(tried, orders))
         motion = (shifted @ turns.T).real  # (m, tried, n)
         share = self._weights**2 / np.sum(self._weights**2)
@@ -163,7 +150,7 @@ class Passages:
         each = np.arange(len(waves))
         size, shift = product[each, best] / square[each, best], tried[best]
         constant = share @ self._values - size * (motion[each, best] @ share)
-        for _ in range(STEPS):
+        for _ in range(4):
             parts = waves[:, None, :] * turns * np.exp(-1j * np.outer(shift, orders))[:, None, :]
             motion = parts.sum(axis=2).real
             slope = size[:, None] * (orders * parts).sum(axis=2).imag
@@ -181,48 +168,30 @@ class Passages:
 
 # --- the model ------------------------------------------------------------------------------------
 
-DEFAULT_RATIO = 0.01
-"""Of damping, where a scene's is a matrix."""
-OFF = {1: 0.04}
-OFTEN_OFF = 0.3
-"""Root of the mean square of what a resonance differs by from the bilinear frequency, over what
-lies between the frequencies with lips tied and open: of the first mode, and of others, near which
-the gap follows their neighbours, too; and of all where it may be anywhere between
-(1 / 12^(1/2))."""
 
-
-class Lips(NamedTuple):
-    """What lips do at resonances: they breathe, stay open or stay shut.
+class Faces(NamedTuple):
+    """State of the crack faces at resonances: they breathe, stay open or stay closed.
 
     Attributes
     ----------
-    what : str
-        Of LIPS.
-    alike, apart : float
-        Standard deviation of what resonances differ by from the frequency of that, over what lies
-        between the frequencies with lips tied and open, all alike and each by itself; where they
-        breathe those of a mode by that of OFF, too.
-    share : float
-        Probability; over that of others, until it is known which these are.
+    state : str
+        One of STATES.
+    common, apart : float
+        Standard deviation of resonances from the frequency of that state, over the difference
+        between the frequencies with the crack bonded and open, common to all and independent; for
+        breathing faces in addition to those of each mode.
+    weight : float
+        Prior probability, up to a common factor.
     """
 
-    what: str
-    alike: float = 0.0
+    state: str
+    common: float = 0.0
     apart: float = 0.0
-    share: float = 1.0
+    weight: float = 1.0
 
 
-BREATHE = Lips("bilinear")
-"""Half of the time."""
-PARTLY = (
-    Lips("bilinear", apart=OFTEN_OFF, share=0.5),
-    Lips("bilinear", alike=OFTEN_OFF, share=0.5),
-)
-"""For a part of it that is another at each resonance, or the same at all."""
-REST = 1e-9
-"""Of the largest harmonics of the nodes: what is rounding."""
-TOGETHER = 0.5
-"""Part of the variance left by the mesh, and of that of contact, which quantities have together."""
+BREATHING = Faces("bilinear")
+"""Open half of the period."""
 
 
 class Model:
@@ -250,44 +219,43 @@ class Model:
         *,
         fixed: Mapping[str, Any],
     ) -> None:
-        self.table, self._damping, self.whole = scene.given("identify"), scene.damping, whole
-        self.scene = scene
+        self.scene, self.table, self.whole = scene, scene.given("identify"), whole
         self.coarse, self.finer, self.between = coarse, finer, between
         self.fixed, self.keys, self.cube = dict(fixed), coarse.keys, coarse.cube
 
     def quantities(
         self, rows: Sequence[Measurement], more: Sequence[Measurement] = ()
     ) -> Quantities:
-        """Some measurements, ready to be predicted; and more that were not made, but might be."""
+        """Predictor of some measurements, and of possible further ones."""
         return Quantities(self, rows, more)
 
     def damping(self, x: np.ndarray) -> np.ndarray:
         """A ratio of damping at values (m, d) of the unknowns: (m, 1)."""
         if "damping.ratio" in self.keys:
             return x[:, [self.keys.index("damping.ratio")]]
-        ratio = None
-        if self._damping is not None:
-            ratio = self._damping.ratios if self._damping.ratio is None else self._damping.ratio
-        return np.full((len(x), 1), DEFAULT_RATIO if ratio is None else np.mean(ratio))
+        ratio, damping = None, self.scene.damping
+        if damping is not None:
+            ratio = damping.ratios if damping.ratio is None else damping.ratio
+        return np.full((len(x), 1), 0.01 if ratio is None else np.mean(ratio))  # of a matrix
 
     def size(self, x: np.ndarray) -> np.ndarray:
         """Length of the crack over the longest, times the same of its depth, at values (m, d) of
-        the unknowns: (m,); 1 of what is not unknown."""
+        the unknowns: (m,); 1 if it is no unknown."""
         places = [place for place, key in enumerate(self.keys) if key in OF_SIZE]
         return np.asarray(np.prod(x[:, places] / self.cube.high[places], axis=1))
 
     def act_as(self, x: np.ndarray) -> np.ndarray:
-        """How far a crack may be from the one that acts like it, at values (m, d) of the unknowns:
-        standard deviations (m, d)."""
+        """Standard deviations (m, d) of a crack from the equivalent one, at values (m, d) of the
+        unknowns."""
         return act_as(x, self.keys, self.scene)
 
     def candidates(self) -> tuple[Measurement, ...]:
-        """List what might be measured: natural frequencies, ratios of harmonics at the points and
+        """List possible measurements: natural frequencies, ratios of harmonics at the points and
         load frequencies of the sweep."""
-        kinds = [f"frequency_{lips}" for lips in ("open", "tied", "resonance")]
+        kinds = ["frequency_open", "frequency_tied", "frequency_resonance"]
         if self.coarse.bare is not None:
             kinds.append("frequency_uncracked")
-        rows = [Measurement(k, 1.0, 1.0, mode=mode + 1) for k in kinds for mode in range(FEW_MODES)]
+        rows = [Measurement(k, 1.0, 1.0, mode + 1) for k in kinds for mode in range(FEW_MODES)]
         loads, ratios = self.coarse.loads.frequencies, ("ratio_2_1", "ratio_3_1")
         seen = ["", *self.coarse.sweep.scene.point_names]
         for load, point, ratio in itertools.product(loads, seen, ratios):
@@ -305,10 +273,9 @@ class Prediction:
     covariance : (m, q, q)
         Of their errors.
     free : (m, q, s)
-        How much they change with what is not known of the load and the probes, by a standard
-        deviation of each.
+        Their changes by a standard deviation of each unknown of the load and the probes.
     known : (q,) bool
-        Whether the model tells anything of a measurement.
+        True where a measurement can be predicted.
     """
 
     values: np.ndarray
@@ -318,7 +285,7 @@ class Prediction:
 
     @property
     def deviations(self) -> np.ndarray:
-        """Standard deviations of the model: (m, q); inf where it knows nothing."""
+        """Standard deviations of the model: (m, q); inf without a prediction."""
         squares = np.diagonal(self.covariance, axis1=1, axis2=2)
         return np.where(self.known, np.sqrt(squares), np.inf)
 
@@ -331,15 +298,15 @@ class Place(NamedTuple):
     damping : (m, 1)
         Ratios.
     basis : (m, f, 1 + 2 modes)
-        What :attr:`Part.basis` has there at the load of each feature.
+        :attr:`Part.basis` there at the load of each feature.
     scale : (m, f)
-        Factors that have made features smooth.
+        Factors that make features smooth.
     waves : (m, f)
         The features.
     unsure : (m, f)
         Mean squares of their errors by the interpolation.
     covariance : (m, 2f, 2f)
-        Of their smooth forms, real and imaginary parts, one beside the other.
+        Of their smooth forms, real and imaginary parts in turn.
     """
 
     damping: np.ndarray
@@ -351,14 +318,14 @@ class Place(NamedTuple):
 
 
 class Quantities:
-    """Predictions of some measurements, and of some ``more`` that were not made, by a model.
+    """Predictions of some measurements, and of possible ``more``, by a model.
 
     Attributes
     ----------
     known : (q,) bool
-        Whether the model tells anything of a measurement.
+        True where a measurement can be predicted.
     changed : Since
-        What may have changed since there was no crack.
+        Possible changes since there was no crack.
     """
 
     def __init__(
@@ -374,7 +341,7 @@ class Quantities:
         plain = [(at[one], at[one.uncracked]) for one in at if one.of_crack]
         self._own, self._plain = map(list, zip(*plain, strict=True)) if plain else ([], [])
         self._passages = Passages.among(rows, more)
-        self._alike = _alike(self._features)
+        self._groups = _groups(self._features)
         self._is_plain = np.array([one.lips == "uncracked" for one in self._features])
         basis = model.coarse.basis
         self._basis = Interpolation(model.cube, basis.reshape(len(basis), -1))
@@ -386,7 +353,7 @@ class Quantities:
         self.changed = Since.of(self.rows, of_rows, model.whole)
         self._higher, still = _stillness(model.coarse, self._features, self._loads)
         self._still = RegularGridInterpolator(model.cube.axes, still) if len(still) else None
-        self._lips = _lips(model) if any(row.resonance for row in self.rows) else (BREATHE,)
+        self._faces = _faces(model) if any(row.resonance for row in self.rows) else (BREATHING,)
         self._is_free_at_rest = is_proportional(model.scene.at_rest())
         self._coarse = Interpolation(model.cube, self._smooth(model.coarse))
         self._understated = self._missed()
@@ -407,20 +374,22 @@ class Quantities:
         self.known = np.array([bool(of_features[places].all()) for places in self._places])
 
     def since(self, *, clamp: float, warmer: float) -> Quantities:
-        """The same where the clamp may have changed so many times as much since there was no crack,
-        and an unknown temperature."""
+        """The same with the priors of how much the clamp and an unknown temperature have changed
+        since there was no crack multiplied by factors."""
         found = copy(self)
         found.changed = self.changed.scaled(clamp, warmer)
         return found
 
     def states(self, x: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, Prediction]]:
-        """What the lips may do under the loads at values (m, d) of the unknowns: places among them,
-        (n,), where they may, its probability there, (n,), and the predictions.
+        """Possible states of the crack faces under the loads at values (m, d) of the unknowns:
+        places among them, (n,), where each is possible, its probability there, (n,), and the
+        predictions.
 
-        Under a steady load, a preload or a clearance a crack may stay open or shut, and the motion
-        has no harmonics at all; between nodes where it does and where it does not, either may be.
-        So may it at a resonance, or breathe, half of the time or for a part of it that is the same
-        at all resonances or another at each: each of the four as probable.
+        Under a steady load, a preload or a clearance a crack may stay open or closed, and the
+        motion has no harmonics at all; between nodes where it does and where it does not, both are
+        possible. At a resonance it may stay open or closed, too, or breathe, half of the period or
+        for a part of it that is the same at all resonances or another at each: the four have the
+        same probability.
         """
         rests = np.zeros((len(x), 0))
         if self._still is not None:
@@ -432,20 +401,19 @@ class Quantities:
             still = np.any(higher, axis=0) if higher else None
             if len(at):
                 place = self._place(x[at])
-                for lips in self._lips:
-                    yield at, lips.share * share[at], self._predicted(place, still, lips)
+                for faces in self._faces:
+                    yield at, faces.weight * share[at], self._predicted(place, still, faces)
 
     def _smooth(self, part: Part) -> np.ndarray:
-        """The smooth forms of all features at the nodes of a sweep: (n, 2f), real and imaginary
-        parts, one beside the other."""
+        """Smooth forms of all features at the nodes of a sweep: (n, 2f), real and imaginary parts
+        in turn."""
         values = np.stack([feature.values(part) for feature in self._features], axis=1)
         values[:, self._own] -= values[:, self._plain]
         return _pairs(values * self._scales(part.cube.nodes, self._basis_at(part.cube.nodes)))
 
     def _missed(self) -> np.ndarray:
-        """How many times larger errors of the interpolation are halfway between the nodes than
-        those that it states, 1 at least: (2f,). What has more waves than the nodes can tell, as
-        higher modes along the height, is smooth to them."""
+        """Interpolation errors halfway between nodes over the estimated ones, at least 1: (2f,).
+        Features with more waves than nodes, as of higher modes along the height, look smooth."""
         part = self.model.between
         if part is None:
             return np.ones(2 * len(self._features))
@@ -458,28 +426,29 @@ class Quantities:
         return np.repeat(np.sqrt(np.maximum(ratio, 1.0)), 2)
 
     def _scales(self, x: np.ndarray, basis: np.ndarray) -> np.ndarray:
-        """Factors that have made features smooth: (m, f), for both sweeps from the coarse one."""
+        """Factors that make features smooth: (m, f), for both sweeps from the coarse one."""
         return scales(self._features, self.model.damping(x), basis, self.model.size(x))
 
     def _basis_at(self, x: np.ndarray) -> np.ndarray:
-        """What :attr:`Part.basis` has at the load of each feature, at values (m, d) of the
-        unknowns: (m, f, 1 + 2 modes)."""
+        """:attr:`Part.basis` at the load of each feature, at values (m, d) of the unknowns:
+        (m, f, 1 + 2 modes)."""
         found = np.where(self._basis.known, self._basis.at(x), np.nan)
         return found.reshape(len(x), *self.model.coarse.basis.shape[1:])[:, self._loads]
 
     def __call__(self, x: np.ndarray) -> Prediction:
-        """Predictions at some values (m, d) of the unknowns, with lips of which the least is known
-        at resonances."""
-        return self._predicted(self._place(x), None, self._lips[0])
+        """Predictions at some values (m, d) of the unknowns, in the least certain state of the
+        crack faces at resonances."""
+        return self._predicted(self._place(x), None, self._faces[0])
 
     def by_interpolation(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Variances of predictions at values (m, d) of the unknowns by what is interpolated between
-        the nodes along each unknown, (m, d, q), and by everything, (m, q)."""
+        """Variances of predictions at values (m, d) of the unknowns by interpolation along each
+        unknown, (m, d, q), and in total, (m, q)."""
         place, none = self._place(x), np.zeros((len(x), 2 * len(self._features)))
 
         def variances(covariance: np.ndarray) -> np.ndarray:
-            told = self._predicted(place._replace(covariance=covariance), None, self._lips[0])
-            return np.diagonal(told.covariance, axis1=1, axis2=2)
+            own = place._replace(covariance=covariance)
+            predicted = self._predicted(own, None, self._faces[0])
+            return np.diagonal(predicted.covariance, axis1=1, axis2=2)
 
         rest, found = variances(np.zeros_like(place.covariance)), []
         for scatter in self._coarse.along(x)[: x.shape[1]]:
@@ -504,12 +473,13 @@ class Quantities:
         errors = np.concatenate([self._errors(smooth, left, scatter), unknown], axis=2)
         return Place(damping, basis, scale, waves, unsure, errors @ errors.transpose(0, 2, 1))
 
-    def _predicted(self, place: Place, still: np.ndarray | None, lips: Lips) -> Prediction:
-        """Predictions by features, some of which vanish, (f,), and what lips do at resonances."""
+    def _predicted(self, place: Place, still: np.ndarray | None, faces: Faces) -> Prediction:
+        """Predictions by features, some of which vanish, (f,), and the state of the crack faces at
+        resonances."""
         damping, scale, waves, unsure = place.damping, place.scale, place.waves, place.unsure
         if still is not None:
             waves, unsure = (np.where(still, 0.0, one) for one in (waves, unsure))
-        values, turns, alike, rest = self._of_numbers(damping, waves, scale, lips)
+        values, turns, common, rest = self._of_numbers(damping, waves, scale, faces)
         values *= self.changed.factors
         free = [np.zeros((*values.shape, 0))]
         left_out = np.zeros((len(waves), len(self.rows), len(self.rows)))
@@ -533,7 +503,7 @@ class Quantities:
             turns[..., still] = 0.0
         slopes = _pairs(turns.conj())
         total = slopes @ place.covariance @ slopes.transpose(0, 2, 1) + left_out
-        errors = np.concatenate([values[..., None] * self.changed.columns, alike], axis=2)
+        errors = np.concatenate([values[..., None] * self.changed.columns, common], axis=2)
         total += errors @ errors.transpose(0, 2, 1) + rest[:, :, None] * np.eye(len(self.rows))
         values = np.where(self.known, values, np.nan)
         return Prediction(values, total, np.concatenate(free, axis=2), self.known)
@@ -563,39 +533,41 @@ class Quantities:
         return np.arange(kept + 1, last + 1), strength[:, None] * moved[:, kept:]
 
     def _of_numbers(
-        self, damping: np.ndarray, waves: np.ndarray, scale: np.ndarray, lips: Lips
+        self, damping: np.ndarray, waves: np.ndarray, scale: np.ndarray, faces: Faces
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Values (m, q) of all measurements but displacements, their slopes t (m, q, f) by the
-        smooth forms S, ds = Re sum t dS, and of what no feature tells changes of all together and
-        of those of each mode, (m, q, 1 + modes), and variances of each (m, q)."""
+        smooth forms S, ds = Re sum t dS, and errors of the state of the crack faces: common to all
+        and to each mode, (m, q, 1 + modes), and independent variances (m, q)."""
         natural = np.array([feature.natural for feature in self._features])
         with np.errstate(divide="ignore", invalid="ignore"):
             sizes = np.where(natural, np.exp(np.where(natural, waves.real, 0.0)), np.abs(waves))
             turned = np.where(np.abs(waves) > 0.0, np.conj(waves) / np.abs(waves), 1.0) / scale
         turned = np.where(natural, sizes / scale, turned)
         values, rest = np.zeros((2, len(waves), len(self.rows)))
-        alike = np.zeros((*values.shape, 1 + FEW_MODES))
+        common = np.zeros((*values.shape, 1 + FEW_MODES))
         turns = np.zeros((*values.shape, len(self._features)), dtype=complex)
+        table, off = self.model.table, self.model.table.resonance_deviation
         for place, (row, at) in enumerate(zip(self.rows, self._places, strict=True)):
             if row.quantity == "displacement" or not self.known[place]:
                 continue
-            own = BREATHE if row.rpm == 0.0 and self._is_free_at_rest else lips
-            state = LIPS.index(own.what) if row.resonance else 0
+            own = BREATHING if row.rpm == 0.0 and self._is_free_at_rest else faces
+            state = STATES.index(own.state) if row.resonance else 0
             values[:, place], weights = _together(row, sizes[:, at], state)
             turns[:, place, at] = weights * turned[:, at]
             if row.resonance:
                 _, opened, tied = sizes[:, at].T
                 split, shift = tied - opened, values[:, place] * damping[:, 0] ** 2
-                alike[:, place, 0] = own.alike * split
-                alike[:, place, row.mode] = (state == 0) * OFF.get(row.mode, OFTEN_OFF) * split
+                common[:, place, 0] = own.common * split
+                of_mode = table.first_resonance_deviation if row.mode == 1 else off
+                common[:, place, row.mode] = (state == 0) * of_mode * split
                 rest[:, place] = (own.apart * split) ** 2 + shift**2
         for own, plain in zip(self._own, self._plain, strict=True):
             turns[:, :, plain] += turns[:, :, own] * scale[:, None, own]
-        return values, turns, alike, rest
+        return values, turns, common, rest
 
     def _of_features(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
-        """Smooth forms as pairs of columns, what the mesh may have left of an error, (m, 2f) each,
-        and errors at the nodes around, (m, k, 2f) of each sweep."""
+        """Smooth forms as pairs of columns, the remaining errors of the mesh, (m, 2f) each, and
+        errors at the nodes around, (m, k, 2f) of each sweep."""
         smooth, scatter = self._coarse.at(x), [self._understated * self._coarse.scatter(x)]
         left = np.zeros_like(smooth)
         if self._correction is not None:
@@ -608,14 +580,15 @@ class Quantities:
     def _errors(
         self, smooth: np.ndarray, left: np.ndarray, scatter: list[np.ndarray]
     ) -> np.ndarray:
-        """Errors of the smooth forms, each independent of the others: (m, 2f, r)."""
-        together, apart = np.sqrt(TOGETHER), np.sqrt(1.0 - TOGETHER)
+        """Independent errors of the smooth forms, half of each variance common to several of them:
+        (m, 2f, r)."""
+        half = np.sqrt(0.5)
         every, eye = np.concatenate(scatter, axis=1), np.eye(smooth.shape[1])
         found = [
-            together * every.transpose(0, 2, 1),
-            apart * np.sqrt(np.sum(every**2, axis=1))[:, None, :] * eye,
-            together * left[..., None],
-            apart * left[..., None] * self._alike,
+            half * every.transpose(0, 2, 1),
+            half * np.sqrt(np.sum(every**2, axis=1))[:, None, :] * eye,
+            half * left[..., None],
+            half * left[..., None] * self._groups,
         ]
         uneven = self.model.table.harmonic_deviation
         if uneven:
@@ -624,63 +597,66 @@ class Quantities:
             each = np.kron(np.eye(len(self._features)), np.ones((2, 1)))
             for part in (smooth, turned):
                 of_contact = uneven * (part * upper)[..., None]
-                found += [together * of_contact * self._alike, apart * of_contact * each]
+                found += [half * of_contact * self._groups, half * of_contact * each]
         return np.concatenate(found, axis=2)
 
 
 def _stillness(
     part: Part, features: Sequence[Feature], loads: Sequence[int]
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """Of the loads at which the lips of some nodes touch or part, and those of others do not: which
-    features are higher harmonics there, (f,) bool each; and which nodes are still, on the cube,
-    (..., n)."""
+    """Loads at which the crack faces of some nodes touch or part, and those of others do not: the
+    features that are higher harmonics there, (f,) bool each; and the nodes without such harmonics,
+    on the cube, (..., n)."""
     groups, still = [], []
     above = np.array([feature.order > 1 for feature in features], dtype=bool)
     for load in np.unique(np.array(loads)[above]):
         own = above & (np.array(loads) == load)
         values = [features[place].values(part) for place in np.flatnonzero(own)]
         moved = np.fmax.reduce(np.abs(values))
-        rests = moved <= REST * np.fmax.reduce(moved)
+        rests = moved <= 1e-9 * np.fmax.reduce(moved)  # rounding
         if rests.any() and not rests.all():
             groups.append(own)
             still.append(rests.reshape(part.cube.shape))
     return groups, np.moveaxis(np.array(still, dtype=float), 0, -1) if groups else np.zeros(0)
 
 
-def _alike(features: Sequence[Feature]) -> np.ndarray:
-    """Groups of columns that err alike by the mesh, or by contact on it: (2f, groups), 0 or 1."""
+def _groups(features: Sequence[Feature]) -> np.ndarray:
+    """Groups of columns with a common error by the mesh, or by contact on it: (2f, groups), 0 or
+    1."""
     groups = list(dict.fromkeys(feature.together for feature in features))
     own = [[float(feature.together == group) for group in groups] for feature in features]
     return np.repeat(own, 2, axis=0)
 
 
 def _pairs(values: np.ndarray) -> np.ndarray:
-    """Complex columns (..., f) as real and imaginary ones, one beside the other: (..., 2f)."""
+    """Complex columns (..., f) as real and imaginary ones in turn: (..., 2f)."""
     return np.stack([values.real, values.imag], axis=-1).reshape(*values.shape[:-1], -1)
 
 
-def _lips(model: Model) -> tuple[Lips, ...]:
-    """What they may do at resonances: breathe, and if that depends on the size of the motion, for
-    any part of the time, stay open or stay shut, but for what they never do in the cases that were
-    solved."""
+def _faces(model: Model) -> tuple[Faces, ...]:
+    """Possible states at resonances: breathing, and if that depends on the size of the motion, for
+    any part of the period, open or closed, unless no solved case is."""
     if is_free(model.scene):
-        return (BREATHE,)
+        return (BREATHING,)
+    off = model.table.resonance_deviation
     closed = model.coarse.sweep["closed_share"][model.coarse.index]
     least, most = (one.reduce(closed, axis=None) for one in (np.fmin, np.fmax))
-    held = itertools.compress((Lips("open"), Lips("tied")), (least < 1.0, most > 0.0))
-    every = (*PARTLY, BREATHE, *held)
-    total = sum(one.share for one in every)
-    return tuple(one._replace(share=one.share / total) for one in every)
+    held = itertools.compress((Faces("open"), Faces("tied")), (least < 1.0, most > 0.0))
+    # Breathing for another part of the period at each resonance, or for the same at all.
+    partly = Faces("bilinear", apart=off, weight=0.5), Faces("bilinear", common=off, weight=0.5)
+    every = (*partly, BREATHING, *held)
+    total = sum(one.weight for one in every)
+    return tuple(one._replace(weight=one.weight / total) for one in every)
 
 
 def is_free(scene: Scene) -> bool:
-    """Whether the shape of a motion does not depend on the size of the load."""
+    """Return True if the shape of a motion does not depend on the size of the load."""
     return is_proportional(scene) and not any(scene.excitation.force_mean)
 
 
 def _together(row: Measurement, parts: np.ndarray, state: int) -> tuple[np.ndarray, np.ndarray]:
     """A quantity (m,) from its parts (m, k), and its slopes by them (m, k); a resonance is near the
-    frequency of what the lips do."""
+    frequency of the state of the crack faces."""
     if row.natural or parts.shape[1] == 1:
         return parts[:, state], np.eye(1, parts.shape[1], state).repeat(len(parts), axis=0)
     one, two = parts.T

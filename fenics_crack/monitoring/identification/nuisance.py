@@ -1,4 +1,4 @@
-"""What else is not as the scene says: the material, the clamp, damping, and the model itself.
+"""Nuisance parameters: the material, the clamp, damping, and the error of the model itself.
 
 Each has a prior, a normal distribution about what the scene says, whose width is in ``[identify]``
 with its source. To first order a standard deviation of it changes the natural frequency of mode j
@@ -8,14 +8,13 @@ by a relative a_j, the size of harmonics by a relative b, and through their pole
     d ln U_k = b - sum_j (2 r^2 - 2 i z r) / (1 - r^2 + 2 i z r) a_j,      r = k W / w_j,
 
 and by those of the first harmonic, which drives the k-th. Nothing is solved again for it. These
-changes are directions in which predictions may be wrong together: of the plate with its crack, of
-the same plate without it, and of its frequencies before it had one, which is how these take away
-what is not known of the plate.
+changes are common errors of predictions: of the plate with its crack, of the same plate without it,
+and of its frequencies before it had one, so that measuring those calibrates the plate.
 
-A crack that is inclined acts like a straight one at the height of its tip (0.87 to 1.11 of that, of
-ten edge cracks inclined by 10 degrees); a wider or softer one like a sharp one that is longer or
-shorter: it is this that measurements tell of. What is stated of the real one is less sure by that
-(:func:`act_as`).
+A crack that is inclined acts like a straight one at the height of its crack tip (0.87 to 1.11 of
+that, of ten edge cracks inclined by 10 degrees); a wider or softer one like a sharp one that is
+longer or shorter. Measurements determine this equivalent crack; the real one has a larger standard
+deviation (:func:`act_as`).
 
 Young's modulus E and density change the part e_j of w_j^2 that is elastic, not what rotation adds:
 
@@ -32,10 +31,10 @@ that of a clamp that is as soft everywhere, with a radius of gyration q about it
 together, by what they take from the first mode.
 
 Modes at other speeds, and of another modulus, are those of a K_0 + s (K - K_0), s the square of the
-speed over the scene's, in the space of the modes at rest and at the scene's speed. That is how what
-changes between the record before there was a crack and the one since, temperature and clamp, moves
-each mode at each speed. What rotation adds may change, too, by the blade's seat or the measured
-speed: with a temperature that makes a change of all frequencies alike.
+speed over the scene's, in the space of the modes at rest and at the scene's speed. So temperature
+and clamp, which change between the record before there was a crack and the one since, move each
+mode at each speed. The stiffening by rotation may change, too, by the blade's seat or the measured
+speed: with a temperature that makes the same relative change of all frequencies.
 """
 
 from __future__ import annotations
@@ -58,35 +57,15 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Identify
 from fenics_crack.study.prepare import prepare
 
-STIFFENING = 0.05
-"""Relative standard deviation of what rotation adds to the square of a natural frequency: beams and
-plates differ by so much in it."""
-OF_ALL_MODES = 0.9
-"""Part of the variance of what a crack changes that all modes have together: a compliance."""
-OF_ONE_MODE = 0.2
-"""Part of what changes between the plate before it had a crack and now that each mode has by
-itself. Of plates clamped deeper, let go at an end of the clamp or on an elastic block, turning,
-moving and a common change leave so much of the largest change: up to 0.05 if 15 times as tall as
-wide, 0.07 if five times, 0.12 if three, 0.18 if two and 0.29 if square
-(``benchmarks/identification_limits.py``)."""
-AT_REST, OF_A_ROTOR = 10.0, 25.0
-"""Standard deviation of the temperature between two records [K], where none is stated: of a room;
-and of blades, which their gas or their drag warms (engineering judgement)."""
-SAME = 1e-8
-"""Of the square of a motion at another speed, what is left of it beside the others: rounding."""
-POWER = 2.0
-"""Of a crack's length, like which it changes natural frequencies."""
 OF_SIZE = ("crack.length", "crack.depth")
 """Keys of a crack's size."""
 FACTORS = {"rad/s": 2.0 * np.pi, "kHz": 1e-3, "mHz": 1e3}
-"""What numbers in other units are multiples of."""
-LIKE_A_MULTIPLE = 0.3
-"""Of the logarithm of such a multiple: no crack halves a frequency or doubles it."""
+"""Numbers in these units over those in Hz."""
 
 
 @dataclass(frozen=True)
 class Whole:
-    """The plate without its crack: natural frequencies, and how they change with what is not known.
+    """The plate without its crack: natural frequencies and their sensitivities to the priors.
 
     Attributes
     ----------
@@ -95,10 +74,10 @@ class Whole:
     stiffness : (2, r, r) [1/s^2]
         At rest, and what rotation adds at that speed, by mass-normalised motions.
     reactions : (r, d)
-        Moments and forces at the clamp by these, each over what a clamp that is as soft everywhere
-        would give; none where it is not known what is clamped.
+        Forces and moments at the clamp by these, each over that of a clamp of uniform compliance;
+        none where the clamped nodes are not known.
     turning : int
-        How many of these are forces; the others are moments.
+        Number of these that are forces; the others are moments.
     table : Identify
         With the widths of the priors.
     """
@@ -111,7 +90,7 @@ class Whole:
 
     @cached_property
     def frequencies(self) -> np.ndarray:
-        """Natural frequencies, with lips tied where a crack cannot be taken out: (n,) [Hz]."""
+        """Natural frequencies, with a bonded crack where it cannot be removed: (n,) [Hz]."""
         return self.modes_at(1.0)[0] / TURN
 
     def modes_at(self, faster: float, stiffer: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
@@ -133,8 +112,8 @@ class Whole:
 
     def by_clamp(self, faster: float) -> np.ndarray:
         """Relative changes of natural frequencies at a speed over the rotor's by a clamp that turns
-        and one that moves, over that of the first at the rotor's by both: (n, 2); all alike by
-        turning, as of a slender beam, where nothing is known of the clamp."""
+        and one that moves, over that of the first at the rotor's by both: (n, 2); the same for all
+        modes and by turning only, as of a slender beam, where the clamp is not known."""
         if not self.reactions.shape[1]:
             return np.outer(self.elastic_at(faster), [1.0, 0.0])
 
@@ -158,54 +137,50 @@ class Whole:
                 np.outer(elastic, [0.5 * young, -0.5 * density, 0.0]),
                 -self.table.clamp_deviation * self.by_clamp(faster),
                 self.table.model_deviation * elastic * every,
-                0.5 * STIFFENING * (1.0 - elastic) * every,
+                0.5 * self.table.stiffening_deviation * (1.0 - elastic) * every,
             ]
         )
 
     @property
     def sizes(self) -> np.ndarray:
-        """Likewise of the size of harmonics: (s,)."""
+        """Relative changes of the size of harmonics by a standard deviation of each: (s,)."""
         young, _, thickness = self._widths
         found = np.zeros(self.changes_at(1.0).shape[1])
         found[[0, 2]] = -young, -thickness
         return found
 
     @property
-    def _widths(self) -> tuple[float, float, float]:
-        """Standard deviations of Young's modulus, density and thickness, 0 of what is unknown."""
+    def _widths(self) -> list[float]:
+        """Standard deviations of Young's modulus, density and thickness, 0 if it is an unknown."""
         table, unknown = self.table, {axis.key for axis in self.table.unknown}
-        young, density, thickness = (
-            0.0 if key in unknown else width
-            for key, width in (
-                ("material.young", table.young_deviation),
-                ("material.density", table.density_deviation),
-                ("geometry.thickness", table.thickness_deviation),
-            )
-        )
-        return young, density, thickness
+        keys = ("material.young", "material.density", "geometry.thickness")
+        widths = (table.young_deviation, table.density_deviation, table.thickness_deviation)
+        pairs = zip(keys, widths, strict=True)
+        return [0.0 if key in unknown else width for key, width in pairs]
 
     @property
     def warmer(self) -> float:
-        """Standard deviation of the temperature since there was no crack against before [K]."""
+        """Standard deviation of the temperature since there was no crack against before [K]: by
+        default that of a room, or of blades that their gas or their drag warms."""
         stated = self.table.temperature_deviation
-        return (OF_A_ROTOR if self.speed else AT_REST) if stated is None else stated
+        return (25.0 if self.speed else 10.0) if stated is None else stated
 
     def since_at(self, faster: float) -> tuple[np.ndarray, np.ndarray]:
         """Relative changes at a speed over the rotor's between the plate before it had a crack and
-        now: (n, 3 + n) by its clamp, that turns and that moves, by what rotation adds to all modes,
-        and of each mode by itself, a standard deviation each; and (n, 1 + n) by a kelvin, and what
-        is not known of that as far as rotation is not known."""
+        now: (n, 3 + n) by its clamp, that turns and that moves, by the stiffening of all modes, and
+        of each mode by itself, a standard deviation each; and (n, 1 + n) by a kelvin, and the
+        uncertainty of that by rotation."""
         table, elastic = self.table, self.elastic_at(faster)
         every = np.eye(len(elastic))
         clamp = np.column_stack(
-            [self.by_clamp(faster), 1.0 - elastic, OF_ONE_MODE * elastic * every]
+            [self.by_clamp(faster), 1.0 - elastic, table.before_scatter * elastic * every]
         )
         kelvin = 0.5 * table.temperature_coefficient * elastic
-        unsure = STIFFENING * (1.0 - elastic) * kelvin * every
+        unsure = table.stiffening_deviation * (1.0 - elastic) * kelvin * every
         return table.before_deviation * clamp, np.column_stack([kelvin, unsure])
 
     def _frequencies_at(self, rpm: float) -> np.ndarray:
-        """Those at another speed, nan for the rotor's own: (n,) [Hz]."""
+        """Natural frequencies at another speed, nan for the rotor's own: (n,) [Hz]."""
         faster = 1.0 if np.isnan(rpm) else RPM * rpm / self.speed
         return self.modes_at(faster)[0] / TURN
 
@@ -242,15 +217,16 @@ class Whole:
 
 
 def _unit(ratio: float) -> str:
-    """The unit of a number that is so many times what it would be in Hz; empty: Hz, or none."""
-    near = (u for u, factor in FACTORS.items() if abs(np.log(ratio / factor)) < LIKE_A_MULTIPLE)
+    """Unit of a number by its ratio to that in Hz; empty: Hz, or none."""
+    # No crack changes a frequency by a factor of exp(0.3).
+    near = (unit for unit, factor in FACTORS.items() if abs(np.log(ratio / factor)) < 0.3)
     return next(near, "")
 
 
 @dataclass(frozen=True)
 class Since:
-    """What has changed between the record before there was a crack and the one since, of q
-    measurements: 0 of what is no natural frequency, and of modes that are not known.
+    """Changes between the record before there was a crack and the one since, of q measurements: 0
+    of those that are no natural frequency, and of modes that are not known.
 
     Attributes
     ----------
@@ -259,9 +235,9 @@ class Since:
     clamp : (q, s)
         Relative changes by the clamp, a standard deviation each.
     warmer : (q, s)
-        Likewise by a temperature that is not known, the first, and what is unsure of that.
+        The same by a temperature that is not known, the first, and its uncertainty.
     known : (q, s)
-        Likewise of temperatures that are known: by the coefficient, the thermometer and rotation.
+        The same of temperatures that are known: by the coefficient, the thermometer and rotation.
     """
 
     factors: np.ndarray
@@ -273,8 +249,8 @@ class Since:
     def of(cls, rows: Sequence[Measurement], faster: Sequence[float], whole: Whole) -> Since:
         """Changes of measurements, each at a speed over the rotor's.
 
-        Those since are at the mean of the temperatures that are stated of them, if any is; those
-        before at what is stated of each, or at one that is not known.
+        Records since are at the mean of their stated temperatures, if any is; those before at the
+        stated one, or at one that is not known.
         """
         table, count = whole.table, len(whole.frequencies)
         before = np.array([row.quantity == "frequency_uncracked" for row in rows])
@@ -306,17 +282,17 @@ class Since:
         return np.hstack([self.warmer, self.clamp, self.known])
 
     def scaled(self, clamp: float, warmer: float) -> Since:
-        """The same with so many times as large ones by the clamp, and by an unknown temperature."""
+        """The same with the changes by the clamp and by an unknown temperature multiplied."""
         return replace(self, clamp=clamp * self.clamp, warmer=warmer * self.warmer)
 
 
 def whole_plate(scene: Scene, table: Identify) -> Whole:
-    """Find the modes of a plate without a crack, lips tied if it has some, on this rank alone."""
+    """Find the modes of a plate without a crack, or with a bonded one, on this rank alone."""
     modes = _modes(scene)
     still = _modes(scene.at_rest()) if scene.speed > 0.0 else modes
     every = np.hstack([still.shapes, modes.shapes]) if scene.speed > 0.0 else modes.shapes
     squares, vectors = eigh(every.T @ times(modes.structure.mass, every))
-    kept = squares > SAME * squares[-1]
+    kept = squares > np.sqrt(np.finfo(float).eps) * squares[-1]  # independent motions
     basis = every @ (vectors[:, kept] / np.sqrt(squares[kept]))
     at_rest = times(still.structure.stiffness, basis)
     elastic = basis.T @ at_rest
@@ -332,9 +308,8 @@ def _modes(scene: Scene) -> Modes:
 
 
 def _held(modes: Modes) -> tuple[np.ndarray, int]:
-    """Rigid motions about the clamp's middle, (n, d), those in straight lines first, times its
-    radius of gyration, and how many these are; none where no node is clamped or it is not known
-    which are."""
+    """Rigid motions about the clamp's middle, (n, d), translations first, times its radius of
+    gyration, and the number of these; none where no node is clamped or the nodes are not known."""
     nodes = modes.structure.nodes
     clamped = np.zeros((0, 0)) if nodes is None else nodes.points[(nodes.dofs < 0).all(axis=1)]
     if nodes is None or len(clamped) < 2:
@@ -356,8 +331,8 @@ def relative_changes(
     changes: np.ndarray,
     sizes: np.ndarray,
 ) -> np.ndarray:
-    """Relative changes of features by a standard deviation of each unknown, (m, f, s): of natural
-    frequencies without the crack, of what it adds to their logarithms, and of harmonics.
+    """Return relative changes of features by a standard deviation of each prior, (m, f, s): of
+    natural frequencies without the crack, of its additions to their logarithms, and of harmonics.
 
     Parameters
     ----------
@@ -365,13 +340,13 @@ def relative_changes(
     damping : (m, 1)
         Ratios.
     basis : (m, f, 1 + 2 n)
-        What :attr:`Part.basis` has there at the load of each feature.
+        :attr:`Part.basis` there at the load of each feature.
     scene : Scene
         With the widths of the priors.
     changes : (f, n, s)
         Of the plate without a crack at the speed of each feature, :meth:`Whole.changes_at`.
     sizes : (s,)
-        Likewise of the size of harmonics.
+        The same of the size of harmonics.
     """
     table, count = scene.given("identify"), changes.shape[1]
     natural, cracked = (
@@ -392,7 +367,7 @@ def relative_changes(
         by_mode = np.where(natural, by_mode, slopes)
         by_crack = np.where(natural, by_crack, slopes * shifts)
         by_damping = (by_ratio + turned(ratio, features)).sum(axis=2)[..., None]
-    own = table.crack_deviation * np.sqrt(1.0 - OF_ALL_MODES)
+    own = table.crack_deviation * np.sqrt(1.0 - table.crack_correlation)
     known = any(axis.key == "damping.ratio" for axis in table.unknown)
     columns = [
         np.einsum("mfn,fns->mfs", by_mode * ~cracked, changes) + ~natural * sizes,
@@ -406,22 +381,22 @@ def _of_poles(
     features: Sequence[Feature], damping: np.ndarray, basis: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Slopes of logarithms of harmonics by those of natural frequencies and of the ratio of
-    damping, as their poles have them: (m, f, modes)."""
+    damping, from their poles: (m, f, modes)."""
     r, pole = poles(features, damping, basis)
     found = 2j * damping[..., None] * r / pole
     return found - 2.0 * r**2 / pole, -found
 
 
 def act_as(x: np.ndarray, keys: Sequence[str], scene: Scene) -> np.ndarray:
-    """How far a crack may be from the straight and sharp one that acts like it, at values (m, d) of
-    the unknowns: standard deviations (m, d)."""
+    """Return standard deviations (m, d) of a crack from the equivalent straight and sharp one, at
+    values (m, d) of the unknowns."""
     table, found, into = scene.given("identify"), np.zeros_like(x), np.zeros(len(x))
     for key in OF_SIZE:  # that of a part-through crack is its depth
         size = np.full(len(x), getattr(scene.crack, key.removeprefix("crack."), None) or 0.0)
         if key in keys:
             size = x[:, keys.index(key)]
-            own = table.crack_deviation * np.sqrt(OF_ALL_MODES) / POWER * size
-            found[:, keys.index(key)] = own
+            common = table.crack_deviation * np.sqrt(table.crack_correlation)
+            found[:, keys.index(key)] = common / 2.0 * size  # frequencies change with its square
         into = np.where(size > 0.0, size, into)
     if "crack.height" in keys:
         tilt = np.tan(np.radians(table.angle_deviation))

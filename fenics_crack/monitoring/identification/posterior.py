@@ -1,4 +1,4 @@
-"""How likely each value of the unknowns is: least squares, and the posterior on a grid.
+"""Posterior of the unknowns: maxima of the likelihood by least squares, and values on a grid.
 
 Measured numbers m with standard deviations e are compared with predictions s(x), whose own errors
 have a covariance T(x):
@@ -9,11 +9,12 @@ As det V is no less than that of diag(e^2), both terms are squares, and least sq
 maxima. Where a crack may breathe or not, L is the sum over both, each with its probability
 (:meth:`fenics_crack.monitoring.identification.model.Quantities.states`).
 
-The prior is uniform between the bounds. A crack differs from the straight and sharp one that acts
-like it: L is spread on the grid by what is known of that (:func:`fenics_crack.identification.
-nuisance.act_as`). Regions hold a share of the posterior's mass, the densest
-parts first; the integral of L over the prior is a hypothesis' evidence (D. J. C. MacKay,
-Information Theory, Inference, and Learning Algorithms, 2003, chapter 28).
+The prior is uniform between the bounds. A crack differs from the equivalent straight and sharp one:
+L is convolved on the grid with the distribution of that difference
+(:func:`fenics_crack.monitoring.identification.nuisance.act_as`). Regions hold a share of the
+posterior's mass, the densest parts first; the integral of L over the prior is a hypothesis'
+evidence (D. J. C. MacKay, Information Theory, Inference, and Learning Algorithms, 2003, chapter
+28).
 """
 
 from __future__ import annotations
@@ -33,39 +34,17 @@ from scipy.special import chdtrc, logsumexp
 
 from fenics_crack.monitoring.identification.interpolation import Cube
 from fenics_crack.monitoring.identification.model import Prediction, Quantities
+from fenics_crack.monitoring.identification.options import OPTIONS
 
 LOOK = {1: 200, 2: 45, 3: 17}
 """Values of each unknown of the first grid, by the number of unknowns; of more, 9."""
 CLOSER = {1: 101, 2: 31, 3: 13}
 """Further ones around each optimum; of more, 7."""
-PRIOR = 12.0
-"""Information of a uniform prior on an unknown, over its range: one over its variance."""
-STARTS = 8
-"""Of least squares, at most."""
-GRADIENT_STEP = 1e-6
-"""Of an unknown, over its range, for derivatives."""
-FTOL = 1e-5
-"""Relative change of log L with which least squares end: of no weight for a probability."""
-WIDTHS = 5.0
-"""Standard deviations around an optimum that are looked at closer."""
-WORSE = 8.0
-"""Difference of log L beyond which an optimum is none."""
-DEEP = 300.0
-"""Difference of log L beyond which places matter to no probability."""
-AT_ONCE = 500
-"""Places at which a likelihood is computed together."""
-SPREAD_FROM = 0.1
-"""Of the distance of points: less than that nothing is spread by."""
-STEEP = 2.0
-"""Fall of log L from a point of the grid to those on both sides beyond which these are farther away
-than two standard deviations: sums over such points are no integrals."""
-IMPOSSIBLE = -1e4
-"""Difference of log L, where there is nothing."""
-EXPLAINS = 0.05
-"""Probability of more misfit by chance from which a crack, or a plate without one, explains what is
-measured."""
-VAGUE = 10.0
-"""Standard deviation, over the measured value, where the model knows nothing."""
+
+
+def with_prior(information: np.ndarray) -> np.ndarray:
+    """Fisher information (d, d) of unknowns over their ranges, with that of a uniform prior."""
+    return np.asarray(information + 12.0 * np.eye(len(information)))  # 1 / variance of a uniform
 
 
 @dataclass(frozen=True)
@@ -77,9 +56,9 @@ class Likelihood:
     quantities: Quantities
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
-        """At values (m, d) of the unknowns: (m, q + 1). L^-1 (m - s) / e, of which the squares are
-        chi^2, V = diag(e) L L^T diag(e); and the root of log(det L L^T / p^2), of the state of the
-        lips that is likeliest, with its probability p."""
+        """Residuals at values (m, d) of the unknowns: (m, q + 1). L^-1 (m - s) / e, whose squares
+        sum to chi^2, V = diag(e) L L^T diag(e); and the root of log(det L L^T / p^2), in the most
+        probable state of the crack faces, with its probability p."""
         found = np.full((len(x), len(self.values) + 1), np.inf)
         for at, rows, _ in self._of_states(x):
             nearer = np.sum(rows**2, axis=1) < np.sum(found[at] ** 2, axis=1)
@@ -94,13 +73,14 @@ class Likelihood:
         return found
 
     def likeliest(self, x: np.ndarray) -> Prediction:
-        """Predictions at values (d,) of the unknowns, in the likeliest state of the lips."""
-        found = ((np.sum(rows**2), told) for _, rows, told in self._of_states(x[None]))
-        return min(found, key=lambda one: one[0])[1]
+        """Predictions at values (d,) of the unknowns, in the most probable state of the crack
+        faces."""
+        states = self._of_states(x[None])
+        return min(states, key=lambda state: np.sum(state[1] ** 2))[2]
 
     def _of_states(self, x: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, Prediction]]:
-        """Residuals of each state of the lips, where it may be: places among x, rows, and what is
-        predicted there."""
+        """Residuals of each possible state of the crack faces: places among x, rows, and the
+        predictions there."""
         for at, share, predicted in self.quantities.states(x):
             factor = np.linalg.cholesky(scaled_covariance(predicted, self.values, self.deviations))
             differences = (self.values - predicted.values) / self.deviations
@@ -110,8 +90,8 @@ class Likelihood:
             yield at, np.column_stack([rows, root]), predicted
 
     def warmer(self, x: np.ndarray) -> float:
-        """Mean of what is not known of the temperature since there was no crack, at values (d,) of
-        the unknowns, in standard deviations of its prior."""
+        """Posterior mean of the unknown change of temperature since there was no crack, at values
+        (d,) of the unknowns, in standard deviations of its prior."""
         predicted = self.likeliest(x)
         column = predicted.values[0] * self.quantities.changed.warmer[:, 0] / self.deviations
         left = (self.values - predicted.values[0]) / self.deviations
@@ -119,25 +99,30 @@ class Likelihood:
         return float(column @ np.linalg.solve(covariance, left))
 
     def explains(self, x: np.ndarray) -> np.ndarray:
-        """Whether values (m, d) of the unknowns, given before anything was measured, would explain
-        it: (m,) bool."""
-        return np.asarray(self._fit(x, 0)[1] >= EXPLAINS)
+        """True where values (m, d) of the unknowns, chosen before measuring, would explain the
+        measurements: (m,) bool."""
+        return np.asarray(self._fit(x, 0)[1] >= 1.0 - self.confidence)
+
+    @property
+    def confidence(self) -> float:
+        """Probability of the regions that are reported."""
+        return self.quantities.model.table.confidence
 
     def misfit(self, x: np.ndarray) -> tuple[float, float]:
-        """chi^2 at values (d,) of the unknowns that fit best, and the probability of more by chance
-        with as many measurements less the unknowns and what else is fitted."""
+        """chi^2 at the best values (d,) of the unknowns, and its p-value with as many degrees of
+        freedom as there are measurements more than fitted numbers."""
         total, chance = self._fit(x[None], len(x))
         return float(total[0]), float(chance[0])
 
     def _fit(self, x: np.ndarray, fitted: int) -> tuple[np.ndarray, np.ndarray]:
-        """chi^2 at values (m, d) of the unknowns, so many of which are fitted, and the probability
-        of more by chance: (m,) each."""
+        """chi^2 at values (m, d) of the unknowns, some of which are fitted, and its p-value:
+        (m,) each."""
         total = np.sum(self.residuals(x)[:, :-1] ** 2, axis=1)
         spare = len(self.values) - fitted - self.quantities(x[:1]).free.shape[2]
         return total, np.asarray(chdtrc(max(spare, 1), total))
 
     def without(self, place: int) -> Likelihood:
-        """That of all measurements but one."""
+        """Likelihood of all measurements but one."""
         left = np.arange(len(self.values)) != place
         rows = [row for row, kept in zip(self.quantities.rows, left, strict=True) if kept]
         quantities = self.quantities.model.quantities(rows)
@@ -147,11 +132,11 @@ class Likelihood:
 def scaled_covariance(
     predicted: Prediction, values: np.ndarray, deviations: np.ndarray
 ) -> np.ndarray:
-    """V of measured values (q,) with standard deviations (q,), over these: (m, q, q). Where the
-    model knows nothing, a multiple of the value."""
+    """Return V of measured values (q,) over their standard deviations (q,): (m, q, q). Quantities
+    without a prediction get a standard deviation of ten times the value."""
     both = np.outer(predicted.known, predicted.known)
     own = predicted.covariance + predicted.free @ predicted.free.transpose(0, 2, 1)
-    vague = np.where(predicted.known, 0.0, VAGUE * (np.abs(values) + deviations))
+    vague = np.where(predicted.known, 0.0, 10.0 * (np.abs(values) + deviations))
     own = np.where(both, own, 0.0) + np.diag(vague**2)
     return np.asarray(np.eye(len(values)) + own / np.outer(deviations, deviations))
 
@@ -179,7 +164,7 @@ class Branch:
     height : array
         log L on the grid, spread.
     weight : array
-        Parts of the prior that the points of the grid stand for; their sum is 1.
+        Prior mass of each grid point; their sum is 1.
     """
 
     likelihood: Likelihood
@@ -206,8 +191,8 @@ class Branch:
         return float(RegularGridInterpolator(self.axes, self.height)(within)[0])
 
     def interpolated(self) -> tuple[np.ndarray, np.ndarray]:
-        """Values (m, d) of the unknowns, of the first grid and the optima, that would explain what
-        is measured, and the share that interpolation along each unknown has in the variance of each
+        """Values (m, d) of the unknowns, of the first grid and the optima, that would explain the
+        measurements, and the share of interpolation along each unknown in the variance of each
         measurement there: (m, d, q)."""
         likelihood, every = self.likelihood, [np.zeros((0, len(self.axes)))]
         shares = [np.zeros((0, len(self.axes), len(likelihood.values)))]
@@ -233,8 +218,8 @@ def explore(likelihood: Likelihood) -> Branch:
     optima = _optima(likelihood, first, height)
     act_as = likelihood.quantities.model.act_as
     few = optima[:3]
-    reaches = [WIDTHS * np.sqrt(np.diag(one.covariance)) for one in few]
-    wider = [WIDTHS * act_as(one.x[None])[0] for one in few]
+    reaches = [OPTIONS.reach * np.sqrt(np.diag(one.covariance)) for one in few]
+    wider = [OPTIONS.reach * act_as(one.x[None])[0] for one in few]
     axes = []
     for place, (axis, low, high) in enumerate(zip(first, cube.low, cube.high, strict=True)):
         pieces = [axis]
@@ -248,9 +233,9 @@ def explore(likelihood: Likelihood) -> Branch:
     for own in weights:
         weight = np.multiply.outer(weight, own)
     points = _points(axes)
-    # Where all of the first grid around is far below the best, what it has is near enough.
+    # Interpolate on the first grid where all of it around a point is far below the maximum.
     around = maximum_filter(height, size=3, mode="nearest")
-    near = RegularGridInterpolator(first, around)(points) > optima[0].height - DEEP
+    near = RegularGridInterpolator(first, around)(points) > optima[0].height - OPTIONS.skipped
     for optimum, reach in zip(few, reaches, strict=True):
         near |= np.all(np.abs(points - optimum.x) < reach, axis=1)
     closer = RegularGridInterpolator(first, height)(points)
@@ -262,20 +247,20 @@ def explore(likelihood: Likelihood) -> Branch:
 def _spread(
     height: np.ndarray, axes: list[np.ndarray], weights: list[np.ndarray], widths: np.ndarray
 ) -> np.ndarray:
-    """log L on a grid with each point spread along the axes by standard deviations (n, d)."""
+    """Return log L on a grid, convolved along the axes with normal distributions of standard
+    deviations (n, d)."""
     most = height.max()
     found = np.exp(height - most)
     for place, (axis, weight) in enumerate(zip(axes, weights, strict=True)):
         width = np.moveaxis(widths[:, place].reshape(height.shape), place, -1)
         if not width.any():
             continue
-        width = np.maximum(width, np.gradient(axis) * SPREAD_FROM)[..., None]
+        width = np.maximum(width, 0.1 * np.gradient(axis))[..., None]  # no effect below
         shares = weight * np.exp(-0.5 * ((axis - axis[:, None]) / width) ** 2)
         shares /= shares.sum(axis=-1, keepdims=True)
         masses = np.moveaxis(found, place, -1) * weight
         found = np.moveaxis(np.einsum("...j,...ji->...i", masses, shares) / weight, -1, place)
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.maximum(np.log(found), IMPOSSIBLE) + most)
+    return np.asarray(np.log(np.maximum(found, np.finfo(float).tiny)) + most)
 
 
 def _even(cube: Cube) -> list[np.ndarray]:
@@ -285,12 +270,12 @@ def _even(cube: Cube) -> list[np.ndarray]:
 
 
 def grid_of(cube: Cube) -> np.ndarray:
-    """Points of the first grid: (n, d)."""
+    """Return the points of the first grid: (n, d)."""
     return _points(_even(cube))
 
 
 def _points(axes: list[np.ndarray]) -> np.ndarray:
-    """Those of a grid, the last unknown fastest: (n, d)."""
+    """Points of a grid, the last unknown fastest: (n, d)."""
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
 
@@ -300,21 +285,21 @@ def _heights(likelihood: Likelihood, points: np.ndarray) -> np.ndarray:
 
 
 def _pieces(points: np.ndarray) -> list[np.ndarray]:
-    """Points (n, d) in pieces that take little memory."""
-    return np.array_split(points, -(-len(points) // AT_ONCE))
+    """Points (n, d) in batches."""
+    return np.array_split(points, -(-len(points) // OPTIONS.batch))
 
 
 def _trapezoid(axis: np.ndarray) -> np.ndarray:
-    """Weights of points that are not equally far apart, of sum 1."""
+    """Weights of the trapezoidal rule on unequal points, of sum 1."""
     steps = np.diff(axis)
     weights = 0.5 * (np.append(steps, 0.0) + np.insert(steps, 0, 0.0))
     return np.asarray(weights / weights.sum())
 
 
 def _optima(likelihood: Likelihood, axes: list[np.ndarray], height: np.ndarray) -> list[Optimum]:
-    """Least squares from the highest places of a grid; what is much worse or the same left out."""
+    """Least squares from the highest points of a grid, without duplicates and much worse ones."""
     summits = np.argwhere(height == maximum_filter(height, size=3, mode="nearest"))
-    best = sorted(summits, key=lambda at: -height[tuple(at)])[:STARTS]
+    best = sorted(summits, key=lambda at: -height[tuple(at)])[: OPTIONS.starts]
     found: list[Optimum] = []
     cube = likelihood.quantities.model.cube
     low, span = cube.low, cube.high - cube.low
@@ -325,14 +310,13 @@ def _optima(likelihood: Likelihood, axes: list[np.ndarray], height: np.ndarray) 
             return likelihood.residuals((low + span * unit)[None])[0]
 
         def slopes(unit: np.ndarray) -> np.ndarray:
-            steps = np.diag(np.where(unit < 0.5, GRADIENT_STEP, -GRADIENT_STEP))
+            steps = np.diag(np.where(unit < 0.5, 1e-6, -1e-6))  # of the ranges, inwards
             rows = likelihood.residuals(low + span * np.vstack([unit, unit + steps]))
             return np.asarray((rows[1:] - rows[0]).T / np.diag(steps))
 
         unit = np.clip((start - low) / span, 1e-6, 1.0 - 1e-6)
-        fit = least_squares(residuals, unit, slopes, bounds=(0.0, 1.0), x_scale=0.1, ftol=FTOL)
-        information = fit.jac.T @ fit.jac + PRIOR * np.eye(len(span))
-        covariance = np.linalg.inv(information) * np.outer(span, span)
+        fit = least_squares(residuals, unit, slopes, bounds=(0.0, 1.0), x_scale=0.1, ftol=1e-5)
+        covariance = np.linalg.inv(with_prior(fit.jac.T @ fit.jac)) * np.outer(span, span)
         found.append(Optimum(low + span * fit.x, -float(fit.cost), covariance))
     found.sort(key=lambda optimum: -optimum.height)
     kept: list[Optimum] = []
@@ -340,7 +324,7 @@ def _optima(likelihood: Likelihood, axes: list[np.ndarray], height: np.ndarray) 
         near = (
             np.max(np.abs(one.x - two.x) / np.sqrt(np.diag(two.covariance))) < 1.0 for two in kept
         )
-        if one.height > found[0].height - WORSE and not any(near):
+        if one.height > found[0].height - OPTIONS.worse and not any(near):
             kept.append(one)
     return kept
 
@@ -351,7 +335,7 @@ class Posterior:
     Parameters
     ----------
     branches : mapping of str to Branch
-        By the words that tell them from each other.
+        By their values of the unknowns that are words.
     """
 
     def __init__(self, branches: Mapping[str, Branch]) -> None:
@@ -363,7 +347,7 @@ class Posterior:
             name: np.exp(branch.height - total) * branch.weight
             for name, branch in self.branches.items()
         }
-        """Of each point of the grids; all together 1."""
+        """Probability of each point of the grids; their sum is 1."""
         self._heights = np.concatenate([b.height.ravel() for b in self.branches.values()])
         self._masses = np.concatenate([mass.ravel() for mass in self.mass.values()])
 
@@ -375,7 +359,7 @@ class Posterior:
 
     @cached_property
     def misfit(self) -> tuple[float, float]:
-        """chi^2 where L is largest, and the probability of more by chance."""
+        """chi^2 where L is largest, and its p-value."""
         name, x = self.best
         return self.branches[name].likelihood.misfit(x)
 
@@ -387,8 +371,8 @@ class Posterior:
         return [likelihood.without(at).misfit(x) for at in range(len(likelihood.values))]
 
     def misfit_since(self, *, clamp: float = 1.0, warmer: float = 1.0) -> tuple[float, float]:
-        """The same, at the same place, where the clamp may have changed so many times as much since
-        there was no crack, and an unknown temperature."""
+        """The same, at the same place, with the priors of how much the clamp and an unknown
+        temperature have changed since there was no crack multiplied by factors."""
         name, x = self.best
         likelihood = self.branches[name].likelihood
         quantities = likelihood.quantities.since(clamp=clamp, warmer=warmer)
@@ -396,22 +380,22 @@ class Posterior:
 
     @cached_property
     def warmer(self) -> float:
-        """How much warmer the structure likeliest is since there was no crack, where L is largest,
+        """Posterior mean of the change of temperature since there was no crack, where L is largest,
         in standard deviations of the prior."""
         name, x = self.best
         return self.branches[name].likelihood.warmer(x)
 
     @cached_property
     def unresolved(self) -> float:
-        """Part of the mass that is narrower than the grid: at points next to which L is next to
-        nothing along one of the unknowns, as on a thin ridge across the grid."""
+        """Probability that the grid does not resolve: points whose neighbours along an unknown are
+        all more than two standard deviations away, log L having fallen by 2, as on a thin ridge."""
         lost = 0.0
         for name, branch in self.branches.items():
             falls = np.zeros(branch.height.shape, dtype=bool)
             for axis in np.eye(falls.ndim, dtype=int):
                 sides = np.reshape([1, 0, 1], 1 + 2 * axis)
-                beside = maximum_filter(branch.height, None, sides, None, "constant", -np.inf)
-                falls |= branch.height - beside > STEEP
+                around = maximum_filter(branch.height, None, sides, None, "constant", -np.inf)
+                falls |= branch.height - around > 2.0
             lost += float(np.sum(self.mass[name][falls]))
         return lost
 
@@ -423,8 +407,8 @@ class Posterior:
         return float(self._heights[order[at]])
 
     def cut(self, share: float) -> Iterator[tuple[int, str, float]]:
-        """The bounds that the region goes on to which holds a share of the mass: the place of the
-        unknown, "below" or "above", and the bound."""
+        """Bounds that the region with a share of the mass reaches: the place of the unknown,
+        "below" or "above", and the bound."""
         level, branches = self.level(share), [*self.branches.values()]
         for place, end in product(range(len(branches[0].axes)), (0, -1)):
             cut = [one for one in branches if np.any(one.height.take(end, axis=place) >= level)]
@@ -432,7 +416,7 @@ class Posterior:
                 yield place, "above" if end else "below", float(cut[0].axes[place][end])
 
     def marginal(self, place: int) -> tuple[np.ndarray, np.ndarray]:
-        """Values of an unknown, and how much of the mass is at each: (n,) each."""
+        """Values of an unknown, and their probabilities: (n,) each."""
         values, masses = [], []
         for name, branch in self.branches.items():
             others = tuple(k for k in range(len(branch.axes)) if k != place)
@@ -442,7 +426,7 @@ class Posterior:
         return np.concatenate(values)[order], np.concatenate(masses)[order]
 
     def interval(self, place: int, share: float) -> tuple[float, float]:
-        """Bounds of an unknown, with that probability, as much above as below."""
+        """Equal-tailed interval of an unknown with a probability."""
         values, masses = self.marginal(place)
         middle = np.cumsum(masses) - 0.5 * masses
         tail = 0.5 * (1.0 - share)

@@ -7,7 +7,7 @@ keeps SDRC's description of the format). Of a file all functions of type 4 are r
 response functions; its other datasets are left out.
 
 Around each peak of all responses together, H_j in the form of displacements over a force, a mode
-and what lies beside it are fitted by least squares,
+and the neighbouring ones are fitted by least squares,
 
     H_j(w) (a + i b r - r^2) = p_j + q_j (r - 1),        r = w / w_peak,
 
@@ -35,22 +35,12 @@ from fenics_crack.basics.tables import TURN
 from fenics_crack.basics.untrusted_files import MOST_BYTES, content_of
 
 BORDER = b"-1"
-HEADING = 11
-"""Lines before the numbers."""
-RESPONSE = 4
-"""Type of a function that is a frequency response."""
 COMPLEX = {5: "f4", 6: "f8"}
 """Types of complex numbers, single and double."""
 NUMBER = re.compile(rb"[+-]?(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+|[+-]\d{3}(?![\d.]))?")
-"""Of text; Fortran leaves out the E of an exponent of three digits."""
+"""A number in text; Fortran leaves out the E of an exponent of three digits."""
 MOTIONS = {8: 0, 11: 1, 12: 2}
-"""How often a displacement, a velocity or an acceleration is derived by time."""
-HALF = 0.5
-"""Of a peak's power: down to it on both sides a peak is one, and its damping is told."""
-FITTED_DOWN_TO = 0.1
-"""Of a peak's power, down to which it is fitted; and, for the error, down to half of it."""
-WEIGHINGS = 10
-"""By turns with the weights."""
+"""Time derivatives of a displacement, a velocity or an acceleration, by their codes."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +71,7 @@ def read_responses(path: Path) -> list[FrequencyResponse]:
     found = []
     for heading, numbers, order in _functions(BytesIO(content_of(path, MOST_BYTES))):
         lines = [line.decode("latin-1") for line in heading]
-        if int(lines[6][:5]) == RESPONSE:
+        if int(lines[6][:5]) == 4:  # frequency response functions
             found.append(_response(lines, numbers, order))
     if not found:
         raise ValueError("it has no frequency response: no dataset 58 with a function of type 4")
@@ -89,14 +79,14 @@ def read_responses(path: Path) -> list[FrequencyResponse]:
 
 
 def _functions(file: BytesIO) -> Iterator[tuple[list[bytes], bytes, str]]:
-    """Of each dataset 58 its lines up to the numbers, from that with its own number; the numbers;
-    and the order of bytes, "" of text."""
+    """Each dataset 58: its lines up to the numbers, from the one with the dataset's number; the
+    numbers; and the order of bytes, "" of text."""
     while line := file.readline():
         if line.strip() != BORDER:
             continue
         own, order, numbers = file.readline().rstrip(), "", b""
         response = own[:6].strip() == b"58"
-        heading = [own, *(file.readline().rstrip() for _ in range(response * HEADING))]
+        heading = [own, *(file.readline().rstrip() for _ in range(11 * response))]
         if response and own[6:7].lower() == b"b":
             order, size = {1: "<", 2: ">"}[int(own[7:13])], int(own[31:43].strip() or 0)
             if (stored := int(heading[7][:10])) in COMPLEX and int(heading[7][20:30]):
@@ -119,7 +109,7 @@ def _functions(file: BytesIO) -> Iterator[tuple[list[bytes], bytes, str]]:
 
 
 def _numbers(text: bytes) -> np.ndarray:
-    """Numbers, between which there is no blank where one takes all of its field."""
+    """Numbers of fixed width, perhaps without blanks between them."""
     if left := NUMBER.sub(b" ", text).split():
         raise ValueError(f"{left[0][:20].decode('latin-1')!r} instead of a number")
     words = [re.sub(rb"(?<=[0-9.])([+-])", rb"E\1", word) for word in NUMBER.findall(text)]
@@ -156,8 +146,8 @@ def _response(heading: list[str], numbers: bytes, order: str) -> FrequencyRespon
 
 
 def resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
-    """Find the modes that responses show: rows of frequency [Hz], its standard deviation, and the
-    ratio of damping, in ascending order.
+    """Find the modes of frequency responses: rows of frequency [Hz], its standard deviation, and
+    the ratio of damping, in ascending order.
 
     Raises
     ------
@@ -171,20 +161,21 @@ def resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
     omega = TURN * lines[kept]
     values = np.stack([one.values[kept] / (1j * omega) ** one.derived for one in responses])
     power, found = omega**2 * np.sum(np.abs(values) ** 2, axis=0), []
-    # A peak falls to half of its power on both sides, before that is higher there.
+    # A peak falls to half of its power on both sides before the power is larger there. It is fitted
+    # down to a tenth of its power, and for the error down to half of it.
     peaks, seen = find_peaks(power, prominence=0.0)
-    for peak in peaks[seen["prominences"] > HALF * power[peaks]].tolist():
+    for peak in peaks[seen["prominences"] > 0.5 * power[peaks]].tolist():
         wide, half = (
             _fitted(omega, values, peak, _around(power, peak, share * power[peak]))
-            for share in (FITTED_DOWN_TO, HALF)
+            for share in (0.1, 0.5)
         )
         if wide is None or half is None:
             continue
         frequency, error, damping = wide
         error = float(np.hypot(error, frequency - half[0]))
-        # Noise has peaks, too, but no mode there that is known to a tenth of its width.
+        # Peaks of noise do not give a frequency to a tenth of the width.
         width, off = damping * frequency, abs(frequency - omega[peak] / TURN)
-        if error < FITTED_DOWN_TO * width and off < width:
+        if error < 0.1 * width and off < width:
             found.append((frequency, error, damping))
     if not found:
         allowed = "with peaks that fall to half their power on both sides, of 4 lines or more"
@@ -193,7 +184,7 @@ def resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
 
 
 def _around(power: np.ndarray, peak: int, least: float) -> slice:
-    """The lines around a peak that have so much power, and no more than it."""
+    """Lines around a peak with at least a given power, and no more than the peak's."""
     ends = np.flatnonzero((power < least) | (power > power[peak]))
     before, after = ends[ends < peak], ends[ends > peak]
     return slice(before[-1] + 1 if len(before) else 0, after[0] if len(after) else len(power))
@@ -202,7 +193,8 @@ def _around(power: np.ndarray, peak: int, least: float) -> slice:
 def _fitted(
     omega: np.ndarray, values: np.ndarray, peak: int, lines: slice
 ) -> tuple[float, float, float] | None:
-    """Frequency [Hz], its standard deviation and the damping of a mode; None of too few lines."""
+    """Frequency [Hz], its standard deviation and the ratio of damping of a mode, by ten iterations
+    of Sanathanan and Koerner; None of too few lines."""
     r, seen = omega[lines] / omega[peak], values[:, lines]
     count, size = seen.shape
     if 2 * seen.size <= 2 + 4 * count:
@@ -210,7 +202,7 @@ def _fitted(
     own = np.kron(np.eye(count), np.column_stack([np.ones(size), r - 1.0]))
     flat, every = seen.ravel(), np.tile(r, count)
     weights = np.ones(len(flat))
-    for _ in range(WEIGHINGS):
+    for _ in range(10):
         columns = np.column_stack([flat, 1j * every * flat, -own, -1j * own]) * weights[:, None]
         right = flat * every**2 * weights
         stacked, wanted = (np.concatenate([part.real, part.imag]) for part in (columns, right))

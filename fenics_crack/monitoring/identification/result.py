@@ -1,11 +1,11 @@
-"""What measurements tell of a crack, and how much one more of them would.
+"""Result of an identification, and the information of further measurements.
 
 With predictions s and the covariance V of measurements and predictions, the Fisher information of
 the unknowns x is
 
     F = (ds / dx)^T V^-1 (ds / dx) + P,
 
-where P is that of the prior. One more measurement, with which it is F', tells in nats
+where P is that of the prior. One more measurement, with which it is F', adds in nats
 
     log(det F' / det F) / 2
 
@@ -31,29 +31,21 @@ from fenics_crack.files.store import IDENTIFICATION, write
 from fenics_crack.monitoring.identification.measurements import Measurement, Measurements
 from fenics_crack.monitoring.identification.model import Model, Quantities
 from fenics_crack.monitoring.identification.nuisance import OF_SIZE, Whole
+from fenics_crack.monitoring.identification.options import OPTIONS
 from fenics_crack.monitoring.identification.posterior import (
-    EXPLAINS,
-    PRIOR,
     Branch,
     Likelihood,
     Posterior,
     scaled_covariance,
+    with_prior,
 )
 from fenics_crack.scene.scene import Scene, unit_of
-from fenics_crack.scene.tables import Identify
 from fenics_crack.scene.words import key_in_words, value_in_words
 
 # --- where to measure -----------------------------------------------------------------------------
 
 FITTED = "measurement", "value", "deviation", "predicted", "of the model", "residual"
-"""What is said of each measurement."""
-BASELINE = 1e-3
-"""Relative standard deviation of frequencies that are advised, if nothing else is said."""
-
-PROBES = 24
-"""Phases of the load's period at which one more probe is considered."""
-WORTH_STEP = 1e-3
-"""Of an unknown, over its range, for derivatives."""
+"""Columns of the table of measurements and predictions."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -65,11 +57,11 @@ class Worth(Tabular):
     measurements : tuple of Measurement
         With the predicted values and the standard deviations assumed.
     information : (n,)
-        What each would tell beside what is known [nats].
+        Information gained by each [nats].
     deviations : dict of str to (n,)
-        The standard deviation that each unknown would have.
+        Standard deviation of each unknown with it.
     now : dict of str to float
-        The one that it has.
+        Standard deviation of each unknown without it.
     """
 
     measurements: tuple[Measurement, ...]
@@ -95,7 +87,7 @@ class Worth(Tabular):
     def _title(self) -> str:
         if not self.measurements:
             return "nothing to measure"
-        return f"{self.measurements[0].name} tells {self.information[0]:.3g} nats"
+        return f"{self.measurements[0].name} adds {self.information[0]:.3g} nats"
 
 
 def worth_of(
@@ -104,7 +96,7 @@ def worth_of(
     measurements: Sequence[Measurement] | None,
     deviations: tuple[float, float],
 ) -> Worth:
-    """Judge what more measurements would tell at an estimate x (d,) from some measurements.
+    """Return the worth of further measurements at an estimate x (d,) from some measurements.
 
     Raises
     ------
@@ -134,57 +126,54 @@ def worth_of(
     seen, first = _seen(quantities, x, every), np.arange(count)
     before, now = _known(model, x, seen, first)
     each = [_known(model, x, seen, np.append(first, count + at)) for at in range(len(rows))]
-    told = 0.5 * np.maximum([after - before for after, _ in each], 0.0)  # below 0 by rounding
-    best = [int(at) for at in np.argsort(-told, kind="stable") if fit[at]]
+    gains = 0.5 * np.maximum([after - before for after, _ in each], 0.0)  # below 0 by rounding
+    best = [int(at) for at in np.argsort(-gains, kind="stable") if fit[at]]
     return Worth(
         tuple(
             replace(rows[at], value=float(values[count + at]), deviation=float(noise[at]))
             for at in best
         ),
-        told[best],
+        gains[best],
         {key: np.array([each[at][1][key] for at in best]) for key in model.keys},
         now,
     )
 
 
 def advice(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> list[str]:
-    """What to measure next, in words: the frequencies of the plate before it had a crack where they
-    are missing, and what else tells most; nothing that does not change what is printed."""
+    """Return in words the next measurements: missing frequencies of the plate before it had a
+    crack, and the most informative other one; none that changes no printed digit."""
     model, rows = likelihood.quantities.model, likelihood.quantities.rows
     measured = {row.mode for row in rows if row.natural} or {1, 2}
     known = {row.mode for row in rows if row.quantity == "frequency_uncracked"}
-    found = []
+    found, relative = [], OPTIONS.frequency_deviation
     if model.coarse.bare is not None and (missing := sorted(measured - known)):
         more = [
-            Measurement("frequency_uncracked", hertz, BASELINE * hertz, mode=mode)
+            Measurement("frequency_uncracked", hertz, relative * hertz, mode=mode)
             for mode, hertz in enumerate(model.whole.frequencies.tolist(), 1)
             if mode in missing
         ]
         modes = f"{'ies' if len(missing) > 1 else 'y'} {', '.join(map(str, missing))}"
         what = f"natural frequenc{modes} before there was a crack (frequency_uncracked)"
         if gained := _gained(worth.now, _left_with(likelihood, x, more)):
-            found.append(f"{what}, to {BASELINE:.1%}: {gained}")
+            found.append(f"{what}, to {relative:.1%}: {gained}")
     if worth.measurements:
         left = {key: float(values[0]) for key, values in worth.deviations.items()}
         if gained := _gained(worth.now, left):
-            found.append(f"{worth.measurements[0].words}: {gained}")
+            found.append(f"{worth.measurements[0].name}: {gained}")
     return found
 
 
 def _gained(now: Mapping[str, float], after: Mapping[str, float]) -> str:
-    """What measuring brings, in words: "crack length to 0.2 mm in place of 1 mm"; of the unknowns
-    that it makes more sure in the digits that are printed, empty without any."""
+    """Gain of a measurement, in words: "crack length to 0.2 mm in place of 1 mm", of the unknowns
+    whose printed standard deviations change."""
     pairs = ((key, value_in_words(key, after[key]), value_in_words(key, now[key])) for key in now)
-    told = (
-        f"{key_in_words(key)} to {new} in place of {old}" for key, new, old in pairs if new != old
-    )
-    return ", ".join(told)
+    return ", ".join(f"{key_in_words(k)} to {a} in place of {b}" for k, a, b in pairs if a != b)
 
 
 def _left_with(
     likelihood: Likelihood, x: np.ndarray, more: Sequence[Measurement]
 ) -> dict[str, float]:
-    """Standard deviation of each unknown, with some measurements more, all of them."""
+    """Standard deviation of each unknown with some further measurements, all of them."""
     model = likelihood.quantities.model
     quantities = model.quantities(likelihood.quantities.rows, more)
     every = np.concatenate([likelihood.deviations, [row.deviation for row in more]])
@@ -194,10 +183,10 @@ def _left_with(
 def _known(
     model: Model, x: np.ndarray, seen: tuple[np.ndarray, np.ndarray], places: np.ndarray
 ) -> tuple[float, dict[str, float]]:
-    """log det F of the measurements in some places (n,), by the covariance and the derivatives of
-    all; and the standard deviation that each unknown has by them."""
+    """log det F of some (n,) of the measurements, from the covariance and the derivatives of all;
+    and the standard deviation of each unknown by them."""
     covariance, slopes = seen[0][np.ix_(places, places)], seen[1][places]
-    information = slopes.T @ np.linalg.solve(covariance, slopes) + PRIOR * np.eye(len(x))
+    information = with_prior(slopes.T @ np.linalg.solve(covariance, slopes))
     own = np.sqrt(np.diag(np.linalg.inv(information))) * (model.cube.high - model.cube.low)
     left = np.hypot(own, model.act_as(x[None])[0])
     volume = float(np.linalg.slogdet(information)[1])
@@ -205,12 +194,12 @@ def _known(
 
 
 def _more_probes(made: Sequence[Measurement]) -> list[Measurement]:
-    """One more probe anywhere in the period, beside those whose displacements were measured."""
+    """Possible displacements of one more probe, at 24 phases of the period."""
     groups: dict[tuple[float, str], list[float]] = {}
     for row in made:
         if row.quantity == "displacement":
             groups.setdefault((row.frequency, row.point), []).append(row.deviation)
-    phases = 2.0 * np.pi * np.arange(PROBES) / PROBES
+    phases = 2.0 * np.pi * np.arange(24) / 24
     return [
         Measurement(
             "displacement", 0.0, float(np.median(own)), frequency=frequency, point=point,
@@ -224,11 +213,11 @@ def _more_probes(made: Sequence[Measurement]) -> list[Measurement]:
 def _seen(
     quantities: Quantities, x: np.ndarray, deviations: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance (q, q) of measurements and predictions, over standard deviations (q,), and the
-    derivatives of these by the unknowns over their ranges (q, d); 0 of what is not known."""
+    """Covariance (q, q) of measurements and predictions, over standard deviations (q,), and their
+    derivatives by the unknowns over their ranges (q, d); 0 without a prediction."""
     predicted, cube = quantities(x[None]), quantities.model.cube
     covariance = scaled_covariance(predicted, np.nan_to_num(predicted.values[0]), deviations)[0]
-    steps = np.diag(WORTH_STEP * (cube.high - cube.low))
+    steps = np.diag(1e-3 * (cube.high - cube.low))
     above, below = np.minimum(x + steps, cube.high), np.maximum(x - steps, cube.low)
     distance = np.diag(above - below) / (cube.high - cube.low)
     difference = quantities(above).values - quantities(below).values
@@ -239,44 +228,27 @@ def _seen(
 
 # --- the result -----------------------------------------------------------------------------------
 
-SHARE = 0.95
-"""Probability of the regions and intervals that are stated."""
-LEAST_PART = 0.03
-"""Probability of a part of the region that is mentioned."""
 NO_CRACK = "no crack"
-SINCE = (
-    "before_deviation",
-    "temperature_deviation",
-    "temperature_coefficient",
-    "coefficient_deviation",
-    "thermometer_deviation",
-)
-"""Keys of what may have changed since there was no crack."""
-KNOWN_TO = 1e-5
-"""Relative standard deviation of a natural frequency that a warning says to be too small: a tenth
-of a degree changes that of steel by more."""
-STRONG = 3.0
-"""Logarithm of the ratio of evidences, 20 to 1, from which a hypothesis is preferred."""
 
 
 @dataclass(frozen=True, repr=False)
 class Identification(Tabular):
-    """The unknowns, how sure they are, and whether there is a crack at all.
+    """Unknowns with their intervals, and the verdict on whether there is a crack.
 
     Attributes
     ----------
     scene : Scene
         The scene with its table ``[identify]``.
     measurements : Measurements
-        What was measured, without what the forward model could not predict.
+        The measurements, without those that the forward model could not predict.
     posterior : Posterior
         The probability of the unknowns, on a grid.
     plain : Posterior, optional
         That of the plate without its crack; None where there is no such plate.
     remarks : tuple of str
-        What these measurements cannot tell.
+        Limits of these measurements.
     doubts : tuple of str
-        Which cases of the forward model failed, and measurements that are not used for that.
+        Failed cases of the forward model, and measurements that are not used for that.
     """
 
     scene: Scene
@@ -284,16 +256,27 @@ class Identification(Tabular):
     posterior: Posterior
     plain: Posterior | None
     remarks: tuple[str, ...]
-    doubts: tuple[str, ...] = ()
+    doubts: tuple[str, ...]
 
     @property
     def unknown(self) -> tuple[str, ...]:
         """The unknowns that are numbers."""
         return self._at[0].likelihood.quantities.model.keys
 
+    @property
+    def priors(self) -> dict[str, float]:
+        """Priors and levels of confidence by their keys of ``[identify]``."""
+        return self.scene.given("identify").priors | {
+            "temperature_deviation": _whole_of(self).warmer
+        }
+
+    @property
+    def _confidence(self) -> float:
+        return self.scene.given("identify").confidence
+
     @cached_property
     def _parts(self) -> list[tuple[str, np.ndarray, float]]:
-        return self.posterior.parts(SHARE, LEAST_PART)
+        return self.posterior.parts(self._confidence, OPTIONS.least_part)
 
     @cached_property
     def _at(self) -> tuple[Branch, np.ndarray]:
@@ -303,80 +286,67 @@ class Identification(Tabular):
 
     @property
     def estimate(self) -> dict[str, Any]:
-        """The unknowns in the middle of where they most probably are, words too."""
+        """Mean of the unknowns over the most probable part of the region, words too."""
         branch, x = self._at
         return branch.values(x)
 
     @property
-    def mesh(self) -> str | None:
-        """Of meshes with numbers the file whose are nearest to the estimate."""
-        assert self.scene.identify is not None
-        return self.scene.identify.nearest_mesh(self.estimate)
-
-    @property
     def intervals(self) -> dict[str, tuple[float, float]]:
-        """Bounds of each unknown with a probability of 95 %."""
-        found = self.posterior.interval
-        return {key: found(place, SHARE) for place, key in enumerate(self.unknown)}
+        """Interval of each unknown with the probability ``identify.confidence``."""
+        found, share = self.posterior.interval, self._confidence
+        return {key: found(place, share) for place, key in enumerate(self.unknown)}
 
     @property
     def log_bayes_factor(self) -> float:
-        """log of the evidence of a crack over that of none; nan where none was not considered."""
+        """log of the evidence of a crack over that of none; nan without a plate without a crack."""
         other = np.nan if self.plain is None else self.plain.log_evidence
         return self.posterior.log_evidence - other
 
     @property
     def verdict(self) -> str:
-        """The word "crack" or "no crack" where one is 20 times as likely as the other, else, and
-        where :attr:`reason` says why, "cannot be told"."""
-        return self._judged[0]
+        """The word "crack" or "no crack" where the evidence prefers it by
+        ``identify.log_bayes_factor``, else, and by :attr:`reason`, "undecided"."""
+        return self._assessed[0]
 
     @property
     def reason(self) -> str:
         """Reason for the verdict, in words."""
-        return self._judged[1]
+        return self._assessed[1]
 
     @cached_property
-    def _judged(self) -> tuple[str, str]:
+    def _assessed(self) -> tuple[str, str]:
         return _verdict_of(self)
 
     @property
     def since_before(self) -> dict[str, float]:
-        """Standard deviations of what may have changed since there was no crack, by their keys of
-        ``[identify]``, and the likeliest difference of temperature without a crack and with one
-        [K]."""
-        table, whole = self.scene.given("identify"), _whole_of(self)
-        found = {name: getattr(table, name) for name in SINCE}
-        found["temperature_deviation"] = whole.warmer
-        for name, one in (("without", self.plain), ("with", self.posterior)):
-            if one is not None:
-                found[f"warmer_{name}_a_crack"] = whole.warmer * one.warmer
-        return found
+        """Posterior mean of the change of temperature since there was no crack, without a crack and
+        with one [K]."""
+        kinds, kelvin = (("without", self.plain), ("with", self.posterior)), _whole_of(self).warmer
+        return {f"warmer_{name}_a_crack": kelvin * one.warmer for name, one in kinds if one}
 
     @property
     def misfit(self) -> tuple[float, float]:
-        """chi^2 where the likelihood is largest, and the probability of more, by chance, with as
-        many measurements less the unknowns (and of displacements three, for what is not known of
-        the load)."""
+        """chi^2 where the likelihood is largest, and its p-value with as many degrees of freedom as
+        there are measurements more than unknowns (and three of the load of displacements)."""
         return self.posterior.misfit
 
     @property
     def advice(self) -> list[str]:
-        """What to measure next, in words: the frequencies of the plate before it had a crack where
-        they are missing, and what else tells most."""
+        """The next measurements, in words: missing frequencies of the plate before it had a crack,
+        and the most informative other one."""
         branch, x = self._at
         return advice(branch.likelihood, x, self.where_to_measure())
 
     @property
     def alternatives(self) -> list[tuple[dict[str, Any], float]]:
-        """The separate cracks that explain the measurements, best first, with probabilities; more
-        than one: they cannot be told apart."""
+        """Separate cracks that explain the measurements, best first, with probabilities; more than
+        one cannot be distinguished."""
         branches = self.posterior.branches
         return [(branches[name].values(x), mass) for name, x, mass in self._parts]
 
-    def contains(self, values: Mapping[str, Any], share: float = SHARE) -> bool:
-        """Tell whether given values of all unknowns are in the region that holds a share of
-        the probability.
+    def contains(self, values: Mapping[str, Any], share: float | None = None) -> bool:
+        """Return True if given values of all unknowns are in the region with a probability, by
+        default ``identify.confidence``.
 
         Raises
         ------
@@ -390,14 +360,14 @@ class Identification(Tabular):
                 raise InputError("values", dict(values), f"with {', '.join(missing)}")
             if all(values[key] == word for key, word in model.fixed.items()):
                 x = np.array([float(values[key]) for key in model.keys])
-                return branch.at(x) >= self.posterior.level(share)
+                return branch.at(x) >= self.posterior.level(share or self._confidence)
         return False
 
     def where_to_measure(
         self,
         measurements: Sequence[Measurement] | None = None,
         *,
-        frequency_deviation: float = BASELINE,
+        frequency_deviation: float = OPTIONS.frequency_deviation,
         harmonic_deviation: float = 0.05,
     ) -> Worth:
         """Worth of one more measurement, from the Fisher information at the estimate.
@@ -405,7 +375,7 @@ class Identification(Tabular):
         Parameters
         ----------
         measurements : sequence of Measurement, optional
-            What might be measured; the values do not matter. Default: natural frequencies, and
+            Possible measurements; the values do not matter. Default: natural frequencies, and
             ratios of harmonics at all load frequencies and points of the forward model, with the
             two deviations below.
         frequency_deviation, harmonic_deviation : float
@@ -451,7 +421,7 @@ class Identification(Tabular):
             "reason": self.reason,
             "log_bayes_factor": None if np.isnan(ratio) else ratio,
             "estimate": self.estimate,
-            "mesh": self.mesh,
+            "priors": self.priors,
             "intervals": {key: list(ends) for key, ends in self.intervals.items()},
             "since_before": self.since_before,
             "alternatives": [
@@ -478,8 +448,8 @@ class Identification(Tabular):
         }
 
     def fit_table(self) -> Table:
-        """Each measurement with what the estimate predicts, both standard deviations, and the
-        difference in units of both together."""
+        """Each measurement with the prediction of the estimate, both standard deviations, and the
+        residual over both together."""
         branch, x = self._at
         likelihood = branch.likelihood
         found = likelihood.likeliest(x)
@@ -503,12 +473,12 @@ class Identification(Tabular):
                 + f" ({mass:.0%})"
                 for values, mass in others
             ]
-            found.append(f"these cracks cannot be told apart: {'; '.join(cracks)}")
+            found.append(f"these cracks cannot be distinguished: {'; '.join(cracks)}")
         found += _of_fit(self)
-        for place, beyond, bound in self.posterior.cut(SHARE):
+        for place, beyond, bound in self.posterior.cut(self._confidence):
             key = self.unknown[place]
             where = f"{beyond} {value_in_words(key, bound)}"
-            found.append(f"{key_in_words(key)} may be {where}, where it was not looked for")
+            found.append(f"{key_in_words(key)} may be {where}, outside the bounds of the search")
         return found
 
     def _title(self) -> str:
@@ -526,37 +496,38 @@ class Identification(Tabular):
 
 
 def _too_sure(measurements: Measurements) -> list[str]:
-    """Natural frequencies that are said to be known better than any is."""
-    rows = [row for row in measurements.rows if row.natural]
-    rows = [row for row in rows if row.deviation < KNOWN_TO * row.value]
-    if not rows:
-        return []
-    name, value, deviation = rows[0].name, rows[0].value, rows[0].deviation
-    told = f"{name} is said to be known to {deviation:.3g} Hz; a tenth of a degree changes it more"
-    return [f"{told}: if that is meant over its value, it is {deviation * value:.3g} Hz"]
+    """Natural frequencies whose standard deviation is smaller than their change by 0.1 K."""
+    rows = [row for row in measurements.rows if row.natural and row.deviation < 1e-5 * row.value]
+    return [
+        f"{row.name} has a standard deviation of {row.deviation:.3g} Hz, less than its change by "
+        f"0.1 K: if a relative one is meant, it is {row.deviation * row.value:.3g} Hz"
+        for row in rows[:1]
+    ]
 
 
 def _of_fit(found: Identification) -> list[str]:
-    """Probabilities that are not resolved; that no crack explains the measurements, and without
-    which one it would be nearest; or that one alone is not explained without a crack."""
+    """Warnings of a posterior that the grid does not resolve; of measurements that no crack
+    explains, with the one without which chi^2 is smallest; and of one alone that only a crack
+    explains."""
     (total, chance), rows, said = found.misfit, found.measurements.rows, []
-    if found.posterior.unresolved > LEAST_PART:
+    least = 1.0 - found.priors["confidence"]
+    if found.posterior.unresolved > OPTIONS.least_part:
         said.append(
-            "what is measured leaves less than the places at which probabilities are computed tell "
-            f"apart ({found.posterior.unresolved:.0%} of it): the intervals may be far too small; "
-            "state all that is not known of the plate (identify.*_deviation), or measure more"
+            f"the grid does not resolve {found.posterior.unresolved:.0%} of the probability: the "
+            "intervals may be far too small; use larger priors (identify.*_deviation), or measure "
+            "more"
         )
     now = sum(row.quantity != "frequency_uncracked" for row in rows)
-    if chance < EXPLAINS:
-        told = f"chi^2 = {total:.3g} of {len(rows)}"
+    if chance < least:
+        misfit = f"chi^2 = {total:.3g} of {len(rows)}"
         if now > 1:
             left = [one[0] for one in found.posterior.misfits_without_one]
             at = int(np.argmin(left))
-            told += f", {left[at]:.3g} without {rows[at].name}"
-        said.append(f"no crack of this kind explains the measurements: {told}")
-    if now > 1 and found.plain is not None and found.plain.misfit[1] < EXPLAINS:
+            misfit += f", {left[at]:.3g} without {rows[at].name}"
+        said.append(f"no crack of this kind explains the measurements: {misfit}")
+    if now > 1 and found.plain is not None and found.plain.misfit[1] < least:
         pairs = zip(rows, found.plain.misfits_without_one, strict=True)
-        if names := [row.name for row, (_, without) in pairs if without >= EXPLAINS]:
+        if names := [row.name for row, (_, without) in pairs if without >= least]:
             that = "these" if len(names) > 1 else "that"
             alone = f"a plate without a crack explains all but {' or '.join(names)}"
             said.append(f"{alone}: measure {that} again")
@@ -564,61 +535,63 @@ def _of_fit(found: Identification) -> list[str]:
 
 
 def _verdict_of(found: Identification) -> tuple[str, str]:
-    """The verdict and its reason, by what both hypotheses explain, the logarithm of the ratio of
-    their evidences, and where a crack would be."""
-    open_question = "cannot be told"
+    """Verdict and reason, from the misfits of both hypotheses, the logarithm of the ratio of their
+    evidences, and the interval of a crack."""
+    undecided, priors = "undecided", found.priors
     if found.plain is None:
-        return open_question, "there is no plate without a crack to compare with"
+        return undecided, "there is no plate without a crack to compare with"
+    least, strong = 1.0 - priors["confidence"], priors["log_bayes_factor"]
     fits, healthy, ratio = found.misfit[1], found.plain.misfit[1], found.log_bayes_factor
-    told = f"log Bayes factor {ratio:.3g}, crack over no crack"
-    if max(fits, healthy) < EXPLAINS:
+    factor = f"log Bayes factor {ratio:.3g}, crack over no crack"
+    if max(fits, healthy) < least:
         why = "neither a crack of this kind nor a plate without one explains the measurements"
         other = "two cracks, one of another kind or elsewhere, or a wrong measurement might"
-        return open_question, f"{why}; {other} ({told})"
-    if ratio > STRONG and healthy >= EXPLAINS:
-        why = "a plate without a crack explains the measurements, as little as is known of it"
-        return open_question, f"{why} ({told}){_if_as_before(found)}"
-    if ratio < -STRONG:
-        unseen = f"{told}; one that is not seen would be at {_where(found)}"
+        return undecided, f"{why}; {other} ({factor})"
+    if ratio > strong and healthy >= least:
+        why = "a plate without a crack explains the measurements within its priors"
+        return undecided, f"{why} ({factor}){_if_as_before(found)}"
+    if ratio < -strong:
+        unseen = f"{factor}; an undetected one would be at {_where(found)}"
         return NO_CRACK, unseen + _if_as_before(found)
     conditions = _if_alone(found) + _if_as_before(found)
-    if ratio > STRONG:
-        return "crack", told + _if_warmer(found) + conditions
-    return open_question, f"{told}; if there is one it is at {_where(found)}{conditions}"
+    if ratio > strong:
+        return "crack", factor + _if_warmer(found) + conditions
+    return undecided, f"{factor}; if there is one it is at {_where(found)}{conditions}"
 
 
 def _conditions(found: Identification) -> list[str]:
-    """Conditions of what is stated, as the title has them."""
+    """Conditions of the verdict in the title."""
     claimed = found.verdict == "crack" and _if_as_before(found)
     alone = ["IF IT IS ONE CRACK"] if _if_alone(found) else []
     return alone + (["IF ITS CLAMP HOLDS AS BEFORE"] if claimed else [])
 
 
 def _if_alone(found: Identification) -> str:
-    """Condition of what is stated, in words, where two cracks have as many unknowns as there are
-    measured modes, or more, so that no misfit speaks against two; else empty."""
+    """Condition of the verdict, in words, where two cracks have as many unknowns as there are
+    measured modes, or more, so that no misfit excludes two; else empty."""
     table, rows = found.scene.given("identify"), found.measurements.rows
     keys = [axis.key for axis in table.unknown if not isinstance(axis.values[0], str)]
     numbers = len(table.mesh_axes) + sum(key.startswith("crack.") for key in keys)
     modes = {row.mode for row in rows if row.quantity != "frequency_uncracked"}
     if not all(row.natural for row in rows) or len(modes) > 2 * numbers:
         return ""
-    told = f"may have the same frequencies of {counted(len(modes), 'mode')}"
-    return f"; place and size are those of one crack: two of them, or one elsewhere, {told}"
+    same = f"may have the same frequencies of {counted(len(modes), 'mode')}"
+    return f"; place and size are those of one crack: two of them, or one elsewhere, {same}"
 
 
 def _if_as_before(found: Identification) -> str:
-    """Condition of what is stated, in words, where a plate without a crack does not explain what is
-    measured, but would if as much has changed since before as a clamp may take at all; or where it
-    does, but only by what is said to have changed; else empty."""
+    """Condition of the verdict, in words, where a plate without a crack does not explain the
+    measurements, but would with changes since before as large as a clamp can make; or where it
+    does, but only by the prior of changes since before; else empty."""
     table, rows = found.scene.given("identify"), found.measurements.rows
     plain, known = found.plain, any(row.quantity == "frequency_uncracked" for row in rows)
-    heat = _by_temperature(table, _whole_of(found).warmer)
+    heat = abs(0.5 * table.temperature_coefficient * _whole_of(found).warmer)  # of frequencies
+    least = 1.0 - table.confidence
     stated, most = max(table.before_deviation, heat), table.clamp_deviation
     if plain is None or not known or stated == 0.0:
         return ""
-    healthy = plain.misfit[1] >= EXPLAINS
-    if healthy and plain.misfit_since(warmer=0.0)[1] < EXPLAINS:
+    healthy = plain.misfit[1] >= least
+    if healthy and plain.misfit_since(warmer=0.0)[1] < least:
         return (
             f"; {_modulus(found, plain)}, explains the measurements without a crack: measure the "
             "temperature, too, before and since (temperature), or open the clamp, close it, "
@@ -629,7 +602,7 @@ def _if_as_before(found: Identification) -> str:
         for one in (table.before_deviation, heat)
     ]
     other = plain.misfit_since(clamp=factors[0], warmer=factors[1])
-    if (other[1] >= EXPLAINS) == healthy:
+    if (other[1] >= least) == healthy:
         return ""
     such = f", or {_modulus(found, plain)}," if healthy else ""
     return (
@@ -641,16 +614,11 @@ def _if_as_before(found: Identification) -> str:
 
 
 def _if_warmer(found: Identification) -> str:
-    """The change of Young's modulus without which a crack does not explain what is measured, in
+    """The change of Young's modulus without which a crack does not explain the measurements, in
     words; else empty."""
-    if found.posterior.misfit_since(warmer=0.0)[1] >= EXPLAINS:
+    if found.posterior.misfit_since(warmer=0.0)[1] >= 1.0 - found.priors["confidence"]:
         return ""
     return f"; with {_modulus(found, found.posterior)}"
-
-
-def _by_temperature(table: Identify, kelvin: float) -> float:
-    """Relative change of all natural frequencies at rest by so many kelvin."""
-    return abs(0.5 * table.temperature_coefficient * kelvin)
 
 
 def _whole_of(found: Identification) -> Whole:
@@ -659,8 +627,8 @@ def _whole_of(found: Identification) -> Whole:
 
 
 def _modulus(found: Identification, posterior: Posterior) -> str:
-    """How Young's modulus likeliest differs from before, in words, "a modulus 1 % lower than
-    before, as about 25 K make it"."""
+    """Posterior mean of the change of Young's modulus, in words: "a Young's modulus 1 % lower than
+    before, as about 25 K more make it"."""
     whole = _whole_of(found)
     kelvin = whole.warmer * posterior.warmer
     change = whole.table.temperature_coefficient * kelvin
@@ -670,11 +638,11 @@ def _modulus(found: Identification, posterior: Posterior) -> str:
 
 
 def _where(found: Identification) -> str:
-    """Bounds of the unknowns with a probability of 95 %, in words, and what is not in the prior."""
+    """Intervals of the unknowns, in words, and sizes below the bounds of the search."""
     cube = found.posterior.branches[found.posterior.best[0]].likelihood.quantities.model.cube
-    told = []
+    places = []
     for (key, ends), least in zip(found.intervals.items(), cube.low, strict=True):
         low, high = (value_in_words(key, end) for end in ends)
-        shorter = f", or below {value_in_words(key, least)}, where it was not looked for"
-        told.append(f"{key_in_words(key)} {low} to {high}{shorter * (key in OF_SIZE)}")
-    return "; ".join(told)
+        shorter = f", or below {value_in_words(key, least)}, outside the bounds of the search"
+        places.append(f"{key_in_words(key)} {low} to {high}{shorter * (key in OF_SIZE)}")
+    return "; ".join(places)

@@ -1,10 +1,12 @@
-"""Interpolation, likelihood and regions against closed forms and other methods."""
+"""Interpolation, likelihood and regions against closed forms; and failures inside of sweeps."""
 
 from __future__ import annotations
 
+import json
 import math
 import re
-from collections.abc import Iterator
+import signal
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,11 +15,14 @@ from typing import Any
 import identification
 import numpy as np
 import pytest
+from helpers import wrap
 from scipy.interpolate import CubicSpline
 from scipy.stats import kstest
-from test_identify import SPINNING
+from surroundings import main
+from test_identify import PROBES, SPINNING, command_of_one_unknown
 
 import fenics_crack as fc
+from fenics_crack import SweepResult
 from fenics_crack.monitoring.identification.identify import remarks_on
 from fenics_crack.monitoring.identification.interpolation import (
     Cube,
@@ -83,7 +88,7 @@ def test_stated_error_of_the_interpolation() -> None:
 
 def test_what_failed_between_others() -> None:
     """Is made up for, with an error that holds what is missed, unless fewer than half are left or
-    none of four may be spared; at an end it is told that nothing stands beyond."""
+    none of four may be spared; at an end it is said that nothing stands beyond."""
     cube = Cube((np.linspace(0.0, 3.0, 8),))
     values = np.exp(cube.nodes) * np.sin(2.0 * cube.nodes)
     for lost in range(8):
@@ -266,21 +271,21 @@ class Advised(Linear):
 @pytest.mark.parametrize("slope", [0.0, 1000.0])
 def test_advice_that_gains_nothing_is_not_given(slope: float) -> None:
     """To the digits that are printed, of each unknown; neither of the plate before it had a crack
-    nor of what tells most."""
+    nor of the most informative one."""
     cube = Cube((np.linspace(0.01, 0.02, 4), np.linspace(0.1, 0.2, 4)))
     matrix, offset = np.array([[slope, 0.0], [30.0, 40.0]]), np.zeros(2)
     rows = (fc.Measurement("frequency_open", 100.0, 0.1, 1),) * 2
     model = Advised(matrix, offset, cube, rows=rows)
     likelihood = Likelihood(np.zeros(2), np.array([0.1, 0.1]), model)  # type: ignore[arg-type]
     more, x = fc.Measurement("frequency_tied", 100.0, 1e-4, 1), np.array([0.015, 0.15])
-    told = advice(likelihood, x, worth_of(likelihood, x, [more], (1e-3, 0.05)))
-    assert len(told) == (2 if slope else 0)
-    for text in told:
+    said = advice(likelihood, x, worth_of(likelihood, x, [more], (1e-3, 0.05)))
+    assert len(said) == (2 if slope else 0)
+    for text in said:
         assert "crack length to " in text and len(set(re.findall(r"[\d.]+ [mµ]m", text))) > 1
     now = {"crack.length": 1.00001e-3, "crack.height": 2e-3}
     left = {"crack.length": np.array([1e-3]), "crack.height": np.array([1e-3])}
     [*_, text] = advice(likelihood, x, Worth((more,), np.ones(1), left, now))
-    assert text.endswith("the crack held closed: height of the crack to 1 mm in place of 2 mm")
+    assert text == "frequency_tied of mode 1: height of the crack to 1 mm in place of 2 mm"
 
 
 class Rows(Linear):
@@ -389,11 +394,11 @@ def test_modes_of_resonances(
     fit = replace(PASSED, **changes)
     both = 1500.0 * np.array([opened, tied])
     diagram: Any = SimpleNamespace(between=lambda speed: both)
-    mode, told = mode_of(fit, diagram)
-    assert mode == (not why) and told.startswith(why) and bool(told) == bool(why)
-    words = passed_in_words(fit, mode, told)
+    mode, said = mode_of(fit, diagram)
+    assert mode == (not why) and said.startswith(why) and bool(said) == bool(why)
+    words = passed_in_words(fit, mode, said)
     where = "238.732 ± 0.0048 Hz, engine order 5 at 2864.79 rpm"
-    assert words == (f"not used: {where} ({told})" if why else f"mode 1: {where}")
+    assert words == (f"not used: {where} ({said})" if why else f"mode 1: {where}")
 
 
 @pytest.mark.parametrize(
@@ -412,7 +417,7 @@ def test_modes_of_resonances(
 )  # fmt: skip
 def test_resonances_in_doubt(changes: dict[str, Any], deviation: float, why: str) -> None:
     """Are known to half of their width, or to half of what their passages differ by, as those of a
-    crack may, and this is told."""
+    crack may, and this is said."""
     fit = replace(PASSED, **changes)
     [row] = fc.Measurements.from_passages([fit, PASSED], [1, 0]).rows
     assert row.deviation == pytest.approx(deviation / (2.0 * np.pi))
@@ -568,8 +573,8 @@ def test_one_value_of_each() -> None:
     other = fc.Measurement("frequency_open", 850.0, 0.8, 1)
     with pytest.raises(fc.InputError) as error:
         fc.Measurements((one, other))
-    told = "measurements, frequency_open of mode 1 = [841.0, 850.0]: must be one value, the mean"
-    assert told in str(error.value)
+    said = "measurements, frequency_open of mode 1 = [841.0, 850.0]: must be one value, the mean"
+    assert said in str(error.value)
 
 
 def test_files_that_are_no_tables(tmp_path: Path) -> None:
@@ -619,8 +624,8 @@ def test_harmonics_that_the_model_does_not_have() -> None:
         for row in (third, replace(third, quantity="harmonic_3")):
             with pytest.raises(fc.InputError) as error:
                 fc.Measurements((row,)).check(changed)
-            told = f"harmonic_balance.harmonics = 2: must be at least 3 for {row.quantity}"
-            assert str(error.value) == told
+            said = f"harmonic_balance.harmonics = 2: must be at least 3 for {row.quantity}"
+            assert str(error.value) == said
     fits = [fc.Measurement("ratio_2_1", 1e-3, 1e-4, **where), *displaced(np.zeros(1), np.ones(1))]
     fc.Measurements(tuple(fits)).check(scene)
     fc.Measurements((third,)).check(scene.replace({"harmonic_balance.harmonics": 3}))
@@ -674,3 +679,133 @@ def test_cells_that_commas_do_not_separate(tmp_path: Path, separator: str, name:
     for read in (fc.Measurements.read, fc.read_record):
         with pytest.raises(fc.InputError, match=f"separated by {name}"):
             read(path)
+
+
+# --- sweeps that end early, and comparisons by the command --------------------------------------
+
+
+@pytest.fixture
+def little(not_laid_out: None, tmp_path: Path) -> list[str]:
+    """The words of a command for one unknown and a frequency; its results are in "out"."""
+    return command_of_one_unknown(tmp_path)
+
+
+def test_stops_at_ctrl_c(
+    little: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Nothing is inferred from a part of a sweep, and no other sweep begins; the same call goes on
+    with it."""
+    left = 2
+
+    def interrupted(record: Callable[..., None], *arguments: Any) -> None:
+        nonlocal left
+        left -= 1
+        if left == 0:
+            signal.raise_signal(signal.SIGINT)
+        record(*arguments)
+
+    wrap(monkeypatch, "fenics_crack.sweep.file.SweepFile.record", interrupted)
+    assert main(little) == 3
+    said = capsys.readouterr().err
+    assert "fenics-crack: identification was stopped; the same command goes on" in said
+    [path] = (tmp_path / "out").iterdir()  # no file of what was found
+    assert np.count_nonzero(SweepResult.load(path)["state"]) == 2
+    left = 1
+    with pytest.raises(fc.ConvergenceError, match="identification was stopped"):
+        scene = fc.Scene.load(tmp_path / "plate.toml")
+        fc.identify(scene, tmp_path / "m.csv", folder=tmp_path / "out")
+    assert np.count_nonzero(SweepResult.load(path)["state"]) == 3
+    left = 1  # in the sweep's last case
+    assert main(little) == 3
+    assert SweepResult.load(path).complete and [*(tmp_path / "out").iterdir()] == [path]
+    assert main(little) == 0
+    assert (tmp_path / "out" / "identify.json").exists()
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize(("lost", "used"), [([2], True), ([4], False), ([1, 2], False)])
+def test_cases_that_failed(
+    lost: list[int],
+    used: bool,
+    little: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """They are said, and the exit code is that of a sweep with failed cases. The harmonics of one
+    between others are made up for; of one at an end, or of too many, what needs them is left out,
+    and the answer, with its evidences, is that of the other measurements."""
+
+    def failing(
+        record: Callable[..., None], file: Any, numbers: np.ndarray, cases: list[dict[str, Any]]
+    ) -> None:
+        for case in (one for at, one in zip(numbers, cases, strict=True) if at in lost):
+            for name in [name for name in case if not name.startswith("omega_")]:
+                del case[name]
+            case["status"] = "no luck"
+        record(file, numbers, cases)
+
+    wrap(monkeypatch, "fenics_crack.sweep.file.SweepFile.record", failing)
+    scene = fc.Scene.load(tmp_path / "plate.toml").replace(
+        {"identify.unknown": {"crack.length": [0.01, 0.015, 0.02, 0.025, 0.03]}}
+    )
+    (tmp_path / "plate.toml").write_text(scene.as_toml())
+    alone = fc.Measurements.read(tmp_path / "m.csv")
+    ratio = fc.Measurements.from_arrays("ratio_2_1", [0.01], 1e-3, frequency=[700.0])
+    (alone + ratio).to_csv(tmp_path / "m.csv")
+    assert main(little) == 3
+    said = capsys.readouterr().err
+    value = (0.01, 0.015, 0.02, 0.025, 0.03)[lost[0]]
+    assert f"failed, the first at length = {value}, frequency = 700.0: no luck" in said
+    assert ("ratio_2_1 at 700 Hz is not used: too few" in said) == (not used)
+    assert ("ratio_2_1" in (tmp_path / "out" / "fit.csv").read_text()) == used
+    written = (tmp_path / "out" / "identify.json").read_text()
+    summary = json.loads(written)
+    assert "no luck" in summary["warnings"][0] and "NaN" not in written
+    found = fc.identify(scene, alone, folder=tmp_path / "out")
+    same = (found.estimate, found.log_bayes_factor) == (
+        summary["estimate"], summary["log_bayes_factor"]
+    )  # fmt: skip
+    assert same == (not used) and not found.doubts
+    if not used:
+        with pytest.raises(fc.ConvergenceError, match=r"no measurement can be .* no luck"):
+            fc.identify(scene, ratio, folder=tmp_path / "out")
+
+
+def test_arrivals_of_a_solid_are_its_circumferential_motion(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A box that turns about x passes the probes along z: what is compared with them."""
+    tables = {
+        "rotation": {"rpm": 1500.0, "hub_radius": 0.2},
+        "excitation": {"order": 12},
+        "tip_timing": {"probes": [0.0], "tip_radius": 0.29},
+        "output": {"points": {"tip": [0.03, 0.09, 0.0]}},
+        "identify": {"unknown": {"crack.depth": {"start": 0.001, "stop": 0.004, "count": 4}}},
+        "crack": {"edge": "left", "height": 0.03, "length": 0.02, "depth": 0.002},
+        "contact": {"law": "unilateral"},
+        "loads": [{"edge": "front", "pressure_cos": 100.0}],
+        "geometry": {"kind": "solid", "width": 0.03, "height": 0.09, "thickness": 0.006},
+        "material": {"young": 2.1e11, "poisson": 0.3, "density": 7850.0},
+        "damping": {"ratio": 0.005},
+        "mesh": {"layout": "graded", "order": 2, "size": 0.008, "lip_elements": 3},
+        "reduction": {"modes": 10},
+    }
+    (tmp_path / "box.toml").write_text(fc.Scene.from_mapping(tables).as_toml())
+    turn, rng = 60.0 / 1500.0, np.random.default_rng(0)
+    marks = turn * np.arange(6.0)
+    time = marks[:-1, None] + turn * PROBES / (2.0 * np.pi) + 1e-8 * rng.normal(size=(5, 9))
+    fc.ArrivalTimes(time, marks, PROBES, 0.29).to_csv(tmp_path / "a.csv")
+    compared: list[str] = []
+
+    def identify(_: fc.Scene, rows: fc.Measurements, **__: object) -> None:
+        compared.extend(row.point for row in rows.rows)
+        raise fc.InputError("identify", None, "asked for no more")
+
+    monkeypatch.setattr("fenics_crack.monitoring.identification.identify.identify", identify)
+    words = ["identify", str(tmp_path / "box.toml"), "--arrivals", str(tmp_path / "a.csv")]
+    assert main([*words, "--output", str(tmp_path)]) == 2
+    assert compared == ["tip.uz"] * len(PROBES)

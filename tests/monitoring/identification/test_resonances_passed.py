@@ -86,7 +86,7 @@ def test_a_softer_blade_than_before(scene: fc.Scene, folder: Path) -> None:
     found = fc.identify(scene, record("frequency_open", 1.0, np.nan) + before, folder=folder)
     assert found.verdict != "crack" and "Young's modulus" in found.reason
     assert found.since_before["warmer_without_a_crack"] == pytest.approx(25.0, rel=0.3)
-    assert found.summary()["since_before"]["temperature_deviation"] == 25.0
+    assert found.priors["temperature_deviation"] == 25.0
     higher = [
         replace(row, quantity="frequency_open", value=1.005 * row.value) for row in before.rows
     ]
@@ -115,8 +115,8 @@ def _hertz(blade: fc.Scene, rpm: float, kind: str) -> float:
 
 @pytest.mark.parametrize("kind", ["open", "bilinear"])
 def test_lips_at_resonances(scene: fc.Scene, folder: Path, kind: str) -> None:
-    """Open at all speeds, or breathing half of the time at all: either is told by no frequency, so
-    that both lengths are in the region; at rest the crack breathes in any case, and that tells."""
+    """Open at all speeds, or breathing half of the time at all: no frequency distinguishes them, so
+    that both lengths are in the region; at rest the crack breathes in any case, which decides."""
     speeds = dict.fromkeys((1500.0, 3000.0, 4000.0), kind)
     found = fc.identify(scene, rows(scene, "frequency_resonance", speeds), folder=folder)
     assert found.verdict == "crack" and found.contains(TRUE)
@@ -129,7 +129,7 @@ def test_lips_at_resonances(scene: fc.Scene, folder: Path, kind: str) -> None:
 def test_speeds_that_mean_nothing(scene: fc.Scene) -> None:
     """Refused: those of a load of its own frequency, of a harmonic, and below none."""
     row = fc.Measurement("frequency_open", 300.0, 0.1, 1, rpm=1500.0)
-    assert row.words == "natural frequency 1 with the crack held open at 1500 rpm"
+    assert row.name == "frequency_open of mode 1 at 1500 rpm"
     for changes in ({"excitation.order": None, "excitation.frequency": 250.0}, {"rotation": None}):
         lone = {"excitation.order": None, "excitation.frequency": 250.0} | changes
         with pytest.raises(fc.InputError, match=r"rpm = 1500.0: not allowed unless the load"):
@@ -176,9 +176,9 @@ def test_record_of_a_run_up(scene: fc.Scene, tmp_path: Path, capsys: Any) -> Non
     swept(stiff.replace({"crack": None, "contact": None}), "open", before, (6, 7))
     words = ["identify", str(tmp_path / "blade.toml"), "--output", str(tmp_path / "found")]
     assert main([*words, "--arrivals", str(now), "--before", str(before)]) == 0
-    told = capsys.readouterr()
+    said = capsys.readouterr()
     used = re.findall(
-        r"mode 1: ([\d.]+) ± ([\d.]+) Hz, engine order (\d) at ([\d.]+) rpm", told.err
+        r"mode 1: ([\d.]+) ± ([\d.]+) Hz, engine order (\d) at ([\d.]+) rpm", said.err
     )
     kinds = dict(zip(used, ("open", "open", "bare", "bare"), strict=True))
     assert sorted(int(order) for *_, order, _ in kinds) == [5, 6, 6, 7]
@@ -188,8 +188,8 @@ def test_record_of_a_run_up(scene: fc.Scene, tmp_path: Path, capsys: Any) -> Non
             assert float(hertz) == pytest.approx(
                 natural(stiff, float(rpm), kind), abs=4.0 * float(error)
             )
-    assert "crack: log Bayes factor" in told.err
-    length = float(told.out.splitlines()[2].split()[1])
+    assert "crack: log Bayes factor" in said.err
+    length = float(said.out.splitlines()[2].split()[1])
     assert length == pytest.approx(0.008, rel=0.1)
     # A record of constant speed shows no natural frequency, and none without a resonance.
     rows(stiff, "frequency_open", {3000.0: "open"}).to_csv(tmp_path / "rows.csv")
