@@ -16,7 +16,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -129,24 +129,22 @@ def identify(
     whole.check(measurements, [load for load in known if load > 0.0], other=others)
     closer: list[Axis] = []
     while True:
-        forward = solve_forward(
-            scene,
-            shaken,
-            Path(folder),
-            comm,
-            further=further,
-            whole=whole,
-            closer=closer,
-            progress=progress,
-        )
+        more: dict[str, Any] = {"further": further, "whole": whole, "closer": closer}
+        forward = solve_forward(scene, shaken, Path(folder), comm, progress=progress, **more)
         begin("inference")
         found = infer(forward, measurements)
-        worst = Interpolated.of(found)
+        worst = _interpolated(found)
         axis = None if worst is None else _closer(forward, found, worst)
         if axis is None:
             break
         closer.append(axis)
-    return found if worst is None else replace(found, remarks=(*found.remarks, worst.remark))
+    if worst is None:
+        return found
+    remark = (
+        f"interpolation between the solved cases has {worst.share.sum():.0%} of the variance of "
+        f"{worst.name}: more values in identify.unknown make regions narrower"
+    )
+    return replace(found, remarks=(*found.remarks, remark))
 
 
 def infer(forward: Forward, measurements: Measurements) -> Identification:
@@ -449,8 +447,7 @@ def _denser(
     return None
 
 
-@dataclass(frozen=True)
-class Interpolated:
+class Interpolated(NamedTuple):
     """A measurement in whose variance interpolation between cases has a large share, on average
     over the cracks that explain the measurements: the posterior falls as such an error grows, and
     excludes some of them.
@@ -469,25 +466,18 @@ class Interpolated:
     share: np.ndarray
     x: np.ndarray
 
-    @classmethod
-    def of(cls, found: Identification) -> Interpolated | None:
-        """The measurement with the largest share; None if it is small."""
-        seen = [branch.interpolated() for branch in found.posterior.branches.values()]
-        x, shares = (np.vstack(one) for one in zip(*seen, strict=True))
-        if not shares.size:
-            return None
-        mean = shares.mean(axis=0)
-        at = int(mean.sum(axis=0).argmax())
-        own = cls(found.measurements.rows[at].name, mean[:, at], x)
-        return own if own.share.sum() > OPTIONS.interpolated else None
 
-    @property
-    def remark(self) -> str:
-        """The remaining share, in words."""
-        return (
-            f"interpolation between the solved cases has {self.share.sum():.0%} of the variance of "
-            f"{self.name}: more values in identify.unknown make regions narrower"
-        )
+def _interpolated(found: Identification) -> Interpolated | None:
+    """The measurement with the largest share; None if it is small."""
+    seen = [branch.interpolated() for branch in found.posterior.branches.values()]
+    x, shares = (np.vstack(one) for one in zip(*seen, strict=True))
+    if not shares.size:
+        return None
+    mean = shares.mean(axis=0)
+    at = int(mean.sum(axis=0).argmax())
+    share = mean[:, at]
+    few = share.sum() <= OPTIONS.interpolated
+    return None if few else Interpolated(found.measurements.rows[at].name, share, x)
 
 
 def _closer(forward: Forward, found: Identification, worst: Interpolated) -> Axis | None:

@@ -210,7 +210,10 @@ class Measurements(Tabular):
         object.__setattr__(self, "rows", tuple(self.rows))
         if not self.rows or not all(isinstance(row, Measurement) for row in self.rows):
             raise InputError("measurements", list(self.rows), "one Measurement or more")
-        _check_count_of(self.rows)
+        if len(self.rows) > OPTIONS.most_measurements:
+            most = f"{OPTIONS.most_measurements} at most"
+            allowed = f"{most}; several of one quantity are one, their mean"
+            raise InputError("measurements", f"{len(self.rows)} rows", allowed)
         names = Counter(row.name for row in self.rows if row.quantity != "displacement")
         if twice := [name for name, count in names.items() if count > 1]:
             found = [row.value for row in self.rows if row.name == twice[0]]
@@ -443,14 +446,6 @@ class Measurements(Tabular):
         return f"{natural} natural frequencies, {len(self) - natural} at loads"
 
 
-def _check_count_of(rows: Sequence[object]) -> None:
-    """Raise InputError for too many measurements."""
-    if len(rows) > OPTIONS.most_measurements:
-        most = f"{OPTIONS.most_measurements} at most"
-        allowed = f"{most}; several of one quantity are one, their mean"
-        raise InputError("measurements", f"{len(rows)} rows", allowed)
-
-
 def without_crack(scene: Scene) -> dict[str, Any] | None:
     """Return changes of a scene that remove its crack; None where that is impossible."""
     changes: dict[str, Any] = dict.fromkeys(("crack", "cracks", "contact", "output.quantities"))
@@ -461,27 +456,23 @@ def without_crack(scene: Scene) -> dict[str, Any] | None:
 
 
 def _table(path: str | Path) -> list[Measurement]:
-    """The lines of a CSV file; raises InputError."""
+    """Measurements of a CSV file; raises InputError."""
     with reading("measurements", path, "a CSV file"):
-        lines = table_lines(path)
-        _check_count_of(lines[1:])
-        table = list(csv.reader(line for _, line in lines))
-    headings = table[0] if table else []
+        lines = table_lines(path)[: OPTIONS.most_measurements + 2]  # enough to be too many
+    headings, *table = [next(csv.reader([line])) for _, line in lines] or [[]]
     names = [cell.partition("[")[0].strip() for cell in headings]
     for cell, name in zip(headings, names, strict=True):
         unit = cell.partition("[")[2].partition("]")[0].strip()
         if unit and unit not in (units := UNITS.get(name, ())):
             allowed = f"in {' or '.join(units)}" if units else "without a unit"
             raise InputError("measurements", f"{path}: the column {cell.strip()}", allowed)
-    if len(lines) != len(table):
-        raise InputError("measurements", str(path), "a CSV file without line breaks in cells")
     known = (*NEEDED, *OPTIONAL)
     if not set(NEEDED) <= set(names) <= set(known) or len(set(names)) != len(names):
         allowed = f"a CSV file with the columns {', '.join(known)}, the first three of them needed"
         found = f"the columns {', '.join(names)}" if names else "nothing"
         raise InputError("measurements", f"{path}: {found}", allowed)
     rows = []
-    for (number, line), cells in zip(lines[1:], table[1:], strict=True):
+    for (number, line), cells in zip(lines[1:], table, strict=True):
         try:
             rows.append(_row(dict(zip(names, map(str.strip, cells), strict=True))))
         except InputError as error:
@@ -494,7 +485,7 @@ def _table(path: str | Path) -> list[Measurement]:
 
 
 def _row(cells: Mapping[str, str]) -> Measurement:
-    """A line of the table; raises InputError."""
+    """Measurement of a line of the table; raises InputError."""
     given: dict[str, Any] = {name: text for name, text in cells.items() if text}
     for name in [name for name in given if name not in ("quantity", "point")]:
         with contextlib.suppress(ValueError):

@@ -283,12 +283,6 @@ class Prediction:
     free: np.ndarray
     known: np.ndarray
 
-    @property
-    def deviations(self) -> np.ndarray:
-        """Standard deviations of the model: (m, q); inf without a prediction."""
-        squares = np.diagonal(self.covariance, axis1=1, axis2=2)
-        return np.where(self.known, np.sqrt(squares), np.inf)
-
 
 class Place(NamedTuple):
     """Features at m values of the unknowns.

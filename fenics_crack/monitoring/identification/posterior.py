@@ -357,24 +357,28 @@ class Posterior:
         name = max(self.branches, key=lambda name: self.branches[name].optima[0].height)
         return name, self.branches[name].optima[0].x
 
+    @property
+    def _most_probable(self) -> tuple[Likelihood, np.ndarray]:
+        """The likelihood and the unknowns (d,) where L is largest."""
+        name, x = self.best
+        return self.branches[name].likelihood, x
+
     @cached_property
     def misfit(self) -> tuple[float, float]:
         """chi^2 where L is largest, and its p-value."""
-        name, x = self.best
-        return self.branches[name].likelihood.misfit(x)
+        likelihood, x = self._most_probable
+        return likelihood.misfit(x)
 
     @cached_property
     def misfits_without_one(self) -> list[tuple[float, float]]:
         """The same, at the same place, without each of the measurements."""
-        name, x = self.best
-        likelihood = self.branches[name].likelihood
+        likelihood, x = self._most_probable
         return [likelihood.without(at).misfit(x) for at in range(len(likelihood.values))]
 
     def misfit_since(self, *, clamp: float = 1.0, warmer: float = 1.0) -> tuple[float, float]:
         """The same, at the same place, with the priors of how much the clamp and an unknown
         temperature have changed since there was no crack multiplied by factors."""
-        name, x = self.best
-        likelihood = self.branches[name].likelihood
+        likelihood, x = self._most_probable
         quantities = likelihood.quantities.since(clamp=clamp, warmer=warmer)
         return replace(likelihood, quantities=quantities).misfit(x)
 
@@ -382,8 +386,8 @@ class Posterior:
     def warmer(self) -> float:
         """Posterior mean of the change of temperature since there was no crack, where L is largest,
         in standard deviations of the prior."""
-        name, x = self.best
-        return self.branches[name].likelihood.warmer(x)
+        likelihood, x = self._most_probable
+        return likelihood.warmer(x)
 
     @cached_property
     def unresolved(self) -> float:

@@ -318,13 +318,6 @@ class Identification(Tabular):
         return _verdict_of(self)
 
     @property
-    def since_before(self) -> dict[str, float]:
-        """Posterior mean of the change of temperature since there was no crack, without a crack and
-        with one [K]."""
-        kinds, kelvin = (("without", self.plain), ("with", self.posterior)), _whole_of(self).warmer
-        return {f"warmer_{name}_a_crack": kelvin * one.warmer for name, one in kinds if one}
-
-    @property
     def misfit(self) -> tuple[float, float]:
         """chi^2 where the likelihood is largest, and its p-value with as many degrees of freedom as
         there are measurements more than unknowns (and three of the load of displacements)."""
@@ -423,7 +416,6 @@ class Identification(Tabular):
             "estimate": self.estimate,
             "priors": self.priors,
             "intervals": {key: list(ends) for key, ends in self.intervals.items()},
-            "since_before": self.since_before,
             "alternatives": [
                 {"values": values, "probability": mass} for values, mass in self.alternatives
             ],
@@ -453,7 +445,8 @@ class Identification(Tabular):
         branch, x = self._at
         likelihood = branch.likelihood
         found = likelihood.likeliest(x)
-        predicted, spread = found.values[0], found.deviations[0]
+        predicted = found.values[0]
+        spread = np.where(found.known, np.sqrt(np.diag(found.covariance[0])), np.inf)
         residuals = (likelihood.values - predicted) / np.hypot(likelihood.deviations, spread)
         columns = (likelihood.values, likelihood.deviations, predicted, spread, residuals)
         names = [row.name for row in likelihood.quantities.rows]
