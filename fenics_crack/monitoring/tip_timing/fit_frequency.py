@@ -11,8 +11,8 @@ other, which see every second alias alike. The vibration is one in time,
 so the speed may vary. Its constant is that of all probes, but for errors of their angles; or each
 probe's own, which then holds all that follows the speed. The scan is a periodogram of what the
 constants leave, summed over the harmonics (Lomb, Astrophysics and Space Science 39, 1976, 447), at
-unevenly spaced times by the FFT (Greengard and Lee, SIAM Review 46, 2004, 443). Gauss-Newton then
-fits frequency, harmonics and constants to its best peaks (Zechmeister and Kürster, Astronomy and
+unevenly spaced times by the FFT (Greengard and Lee, SIAM Review 46, 2004, 443). Least squares then
+fit frequency, harmonics and constants to its best peaks (Zechmeister and Kürster, Astronomy and
 Astrophysics 496, 2009, 577), and the best of them with the weights of
 :mod:`fenics_crack.monitoring.tip_timing.robust`.
 """
@@ -38,7 +38,7 @@ from fenics_crack.monitoring.tip_timing.harmonics import (
     rounding,
     taken,
 )
-from fenics_crack.monitoring.tip_timing.robust import Noise, reweighted, student
+from fenics_crack.monitoring.tip_timing.robust import Noise, refined, reweighted, student
 from fenics_crack.numerics.fourier import waves
 
 FINER = 4
@@ -57,8 +57,6 @@ CHANCE = 1e-5
 """Probability of a vibration in the noise, above which there is none."""
 GRID_NEIGHBOURS = 8
 """Neighbours on each side to which the FFT's grid gets a time: eleven digits."""
-GAUSS_NEWTON, GAIN = 8, 1e-6
-"""Steps of Gauss-Newton from a peak, and the relative gain of one that is worth it."""
 
 
 def fit_frequency(
@@ -234,30 +232,29 @@ class _Sought:
         slope = self._without(time * (turned @ self._multiples), weights)
         return found, left - columns @ found, np.column_stack([columns, slope])
 
-    def _moved(
-        self, omega: float, weights: np.ndarray, left: np.ndarray, columns: np.ndarray
-    ) -> float:
-        """The frequency after a step of Gauss and Newton."""
-        root = np.sqrt(weights)
-        step = np.linalg.lstsq(root[:, None] * columns, root * left, rcond=1e-10)[0][-1]
-        step = np.clip(step, -np.pi / self._span, np.pi / self._span)
-        return float(np.clip(omega + step, *self._ends))
+    def _refined(self, omega: float, weights: np.ndarray) -> float:
+        """Return the frequency near one with the least sum of squares."""
+        unit, root = np.pi / self._span, np.sqrt(weights)[:, None]
+
+        def residuals(step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            moved = omega + unit * float(step[0])
+            _, left, columns = self._fitted(moved, weights, self._values, self._time)
+            given, slope = root * columns[:, :-1], -unit * root * columns[:, -1:]
+            slope -= given @ np.linalg.lstsq(given, slope, rcond=1e-10)[0]
+            return root[:, 0] * left, slope
+
+        low, high = ((end - omega) / unit for end in self._ends)
+        return float(omega + unit * refined(residuals, [low], [high])[0])
 
     def best(self) -> tuple[TipFit, float]:
         """The vibration that explains most, or as much with the smallest amplitude; and the
         probability that noise has one as large."""
         tried: list[tuple[bool, float, float]] = []
         weights = self._none.weights
-        for omega in self._peaks():
-            best = True, np.inf, float(omega)
-            for _ in range(GAUSS_NEWTON):
-                _, left, columns = self._fitted(omega, weights, self._values, self._time)
-                held, least = self._held(columns), float(weights @ left**2)
-                if held > best[0] or least >= (1.0 - GAIN) * best[1]:
-                    break
-                best = held, least, float(omega)
-                omega = self._moved(omega, weights, left, columns)
-            tried.append(best)
+        for peak in self._peaks().tolist():
+            omega = self._refined(peak, weights)
+            _, left, columns = self._fitted(omega, weights, self._values, self._time)
+            tried.append((self._held(columns), float(weights @ left**2), omega))
         kept: list[float] = []
         for _, _, omega in sorted(tried):
             if all(abs(omega - other) >= APART * TURN / self._span for other in kept):
@@ -301,13 +298,11 @@ class _Sought:
 
     def _settle(self) -> None:
         """Fit frequency, harmonics and constants by turns with weights."""
-        following = self.omega
 
         def solve(weights: np.ndarray) -> np.ndarray:
-            nonlocal following
-            self.omega = following
-            self.found, left, columns = self._fitted(self.omega, weights, self._values, self._time)
-            self.columns, following = columns, self._moved(self.omega, weights, left, columns)
+            self.omega = self._refined(self.omega, weights)
+            fit = self._fitted(self.omega, weights, self._values, self._time)
+            self.found, left, self.columns = fit
             return left
 
         self.noise = reweighted(solve, np.ones(len(self._values)), self._unknowns, self._least)

@@ -16,10 +16,12 @@ revolutions, as far as it is seen in the residuals.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
+from scipy.optimize import least_squares
 from scipy.special import gammaln, ndtr
 
 FREEDOMS = np.array([3.0, 5.0, 10.0, 30.0, 1e6])
@@ -213,6 +215,38 @@ def reweighted(
         if change[0] < settled and change[1] < settled * noise.scale:
             break
     return noise
+
+
+def refined(
+    function: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    low: Sequence[float] | np.ndarray,
+    high: Sequence[float] | np.ndarray,
+    settled: float = ROBUST_SETTLED,
+) -> np.ndarray:
+    """Return the unknowns (m,) of least squares, from 0 on.
+
+    Parameters
+    ----------
+    function : callable
+        Residuals (n,) and their derivatives (n, m) at unknowns, whose natural size is 1.
+    low, high : (m,)
+        Bounds of the unknowns.
+    settled : float
+        Relative change of the unknowns, and root of that of the sum of squares, below which they
+        are final.
+    """
+    both = lru_cache(maxsize=1)(lambda key: function(np.frombuffer(key)))
+    found = least_squares(
+        lambda x: both(x.tobytes())[0],
+        np.zeros(len(low)),
+        lambda x: both(x.tobytes())[1],
+        bounds=(np.minimum(low, 0.0), np.maximum(high, 0.0)),
+        method="dogbox",
+        ftol=settled**2,
+        xtol=settled,
+        gtol=None,
+    )
+    return np.asarray(found.x)
 
 
 def _cost(square: np.ndarray, scale: np.ndarray, freedom: np.ndarray) -> np.ndarray:

@@ -31,7 +31,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -42,12 +42,10 @@ from fenics_crack.monitoring.tip_timing.arrival_times import (
     between,
 )
 from fenics_crack.monitoring.tip_timing.harmonics import rounding
-from fenics_crack.monitoring.tip_timing.robust import ROBUST_ROUNDS, ROBUST_SETTLED, reweighted
+from fenics_crack.monitoring.tip_timing.robust import refined, reweighted
 
 WIDTH = 0.035
 """Of the speed, on both sides of a resonance, that is fitted."""
-STRIDE = 2e-3, 0.5
-"""Longest steps of Gauss-Newton, relative."""
 DAMPED = 1e-5, WIDTH / 2.0
 """Ends of the damping ratios; a wider resonance is not told from drift."""
 SETTLED = 1e-2
@@ -274,23 +272,20 @@ class Mode:
         """At which the order meets the frequency [rad/s]."""
         return self.omega / self.order
 
-    def changes(self, wave: np.ndarray, by_root: np.ndarray) -> np.ndarray:
-        """Changes by ln w_n and ln zeta of zeta w_n times an analytic function of lambda, (n,), of
-        which zeta w_n times the change by ln lambda is (n,): (2, n)."""
-        return np.stack([wave + by_root, wave + self.root.real / self.root * by_root])
+    def moved(self, step: np.ndarray) -> Mode:
+        """Return the mode after a step of ln w_n, in units of zeta, and ln zeta."""
+        omega = self.omega * math.exp(self.damping * step[0])
+        return Mode(self.order, complex(pole(omega, self.damping * math.exp(step[1]))))
 
-    def moved(self, step: np.ndarray, ends: np.ndarray) -> Mode:
-        """The mode after a step of ln w_n and ln zeta, its frequency within ends [rad/s]."""
-        moves = [
-            min(max(one, -most), most) for one, most in zip(step.tolist(), STRIDE, strict=True)
-        ]
-        omega = min(max(self.omega * (1.0 + moves[0]), ends[0]), ends[1])
-        damping = min(max(self.damping * math.exp(moves[1]), DAMPED[0]), DAMPED[1])
-        return Mode(self.order, complex(pole(omega, damping)))
+    def steps(self, omega: float, damping: float) -> list[float]:
+        """Return the step to a natural frequency [rad/s] and a damping ratio."""
+        apart = math.log(omega / self.omega) / self.damping
+        return [apart, math.log(damping / self.damping)]
 
 
 class Fit:
-    """Gauss-Newton of frequencies, dampings and what is linear, by turns with weights.
+    """Least squares of frequencies and dampings, by turns with the weights of arrivals; what is
+    linear is fitted within (variable projection).
 
     Parameters
     ----------
@@ -321,53 +316,63 @@ class Fit:
         *,
         steady: bool = False,
     ) -> None:
-        self._runs, self._next, self._steady = runs, tuple(modes), steady
-        self._around = [mode.root.imag * np.array([1.0 - WIDTH, 1.0 + WIDTH]) for mode in modes]
+        self._runs, self.modes, self._steady = runs, tuple(modes), steady
+        self._omegas = [mode.omega for mode in modes]
+        self._waves = lru_cache(maxsize=1)(self._waves_of)
         pairs = zip(runs, weights, strict=True)
         begin = np.concatenate([weight[run.seen] for run, weight in pairs])
         unknowns = 2 * len(modes) + sum(2 * len(modes) + 2 * run.probes for run in runs)
         if not steady:
             self.noise = reweighted(self._solve, begin, unknowns, runs[0].least, SETTLED)
-            return
-        for _ in range(ROBUST_ROUNDS):
+        else:
             self._solve(begin)
-            changed = abs(self._next[0].root - self.modes[0].root)
-            if changed < ROBUST_SETTLED * abs(self.modes[0].root.real):
-                break
 
     def _solve(self, weights: np.ndarray) -> np.ndarray:
-        """Residuals (n,) of the linear fit, after a step of frequencies and dampings."""
-        self.modes = self._next
-        count, first = 2 * len(self.modes), 0
-        columns = np.zeros((len(weights), count * (1 + len(self._runs))))
-        forces, total = [], np.empty(len(weights))
-        for place, (run, weight) in enumerate(
-            zip(self._runs, self._spread(weights), strict=True), 1
-        ):
-            given = [run.sloped(one.order, one.root, steady=self._steady) for one in self.modes]
-            waves = run.without_drifts(np.concatenate([run.values[None], *given]), weight)
-            values, *waves = waves[:, run.seen]
-            rows, values = slice(first, first := first + len(values)), values.real
-            parts = columns[rows, count * place : count * (place + 1)]
-            for wave, pair in zip(waves[::2], itertools.count(step=2)):
-                parts[:, pair], parts[:, pair + 1] = wave.real, -wave.imag
-            found = np.linalg.lstsq(parts.T @ parts, parts.T @ values, rcond=None)[0]
+        """Fit with weights (n,) of the arrivals, and return the residuals (n,)."""
+        begin, spread = self.modes, self._spread(weights)
+        ends = [
+            [mode.steps(omega * (1.0 + side * WIDTH), DAMPED[side > 0]) for side in (-1, 1)]
+            for mode, omega in zip(begin, self._omegas, strict=True)
+        ]
+
+        def residuals(steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            pairs = zip(begin, steps.reshape(-1, 2), strict=True)
+            self.modes = tuple(mode.moved(step) for mode, step in pairs)
+            units = np.array([unit for mode in begin for unit in (mode.damping, 1.0)])
+            left, self._slopes = self._linear(spread)
+            return left, self._slopes * units
+
+        low, high = np.concatenate(ends, axis=1)
+        found = refined(residuals, low, high, SETTLED)
+        return residuals(found)[0] / np.sqrt(weights)
+
+    def _waves_of(self, modes: tuple[Mode, ...]) -> list[np.ndarray]:
+        """Return what :meth:`Run.sloped` has of modes in each run."""
+        return [
+            np.concatenate([run.sloped(one.order, one.root, steady=self._steady) for one in modes])
+            for run in self._runs
+        ]
+
+    def _linear(self, weights: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Fit the forces with weights (R, P), and return residuals (n,) and their derivatives by
+        ln w_n and ln zeta of each mode (n, m), all times the roots of the weights."""
+        forces, parts = [], []
+        for run, waves, weight in zip(self._runs, self._waves(self.modes), weights, strict=True):
+            given = run.without_drifts(np.concatenate([run.values[None], waves]), weight)
+            values, *waves = given[:, run.seen]
+            columns = np.stack([part for one in waves[::2] for part in (one.real, -one.imag)], 1)
+            inverse = np.linalg.pinv(columns.T @ columns, hermitian=True)
+            found = inverse @ (columns.T @ values.real)
             forces.append(found[0::2] + 1j * found[1::2])
-            total[rows] = values - parts @ found
-            changes = zip(self.modes, forces[-1], waves[::2], waves[1::2], strict=True)
-            columns[rows, :count] = np.concatenate(
-                [(force * mode.changes(*wave)).real for mode, force, *wave in changes]
-            ).T
-        self.forces, self._columns = np.array(forces).T, columns
-        square, seen = columns.T @ columns, columns.T @ total
-        sizes = np.sqrt(np.maximum(np.diag(square), TINY))
-        steps = np.linalg.lstsq(square / np.outer(sizes, sizes), seen / sizes, rcond=None)[0]
-        pairs = (steps / sizes)[:count].reshape(-1, 2)
-        self._next = tuple(
-            mode.moved(step, ends)
-            for mode, step, ends in zip(self.modes, pairs, self._around, strict=True)
-        )
-        return np.asarray(total / np.sqrt(weights))
+            changes = [values.real]
+            for mode, force, change in zip(self.modes, forces[-1], waves[1::2], strict=True):
+                changes += [
+                    -(force * turn * change).real for turn in (1.0, mode.root.real / mode.root)
+                ]
+            both = np.stack(changes, 1)
+            parts.append(both - columns @ (inverse @ (columns.T @ both)))
+        self.forces, both = np.array(forces).T, np.concatenate(parts)
+        return both[:, 0], both[:, 1:]
 
     def _spread(self, values: np.ndarray) -> list[np.ndarray]:
         """Values (n,) of the arrivals in each run, 0 where there is none: (R, P)."""
@@ -392,7 +397,7 @@ class Fit:
     @cached_property
     def errors(self) -> np.ndarray:
         """Standard errors of frequency [rad/s] and damping of the first mode."""
-        columns = self._columns / np.sqrt(self.noise.weights)[:, None]
+        columns = self._slopes / np.sqrt(self.noise.weights)[:, None]
         spread = self.noise.covariance(columns, self.places)
         return np.sqrt(np.diag(spread)[:2]) * [self.mode.omega, self.mode.damping]
 
