@@ -717,7 +717,7 @@ def call(words: list[str]) -> tuple[int, str]:
     return code, errors.getvalue()
 
 
-def judged(code: int, errors: str, noise: str) -> tuple[str, str]:
+def outcome_of(code: int, errors: str, noise: str) -> tuple[str, str]:
     """The outcome of a call, and what was said."""
     lines = errors.strip().splitlines()
     last = lines[-1] if lines else ""
@@ -766,7 +766,7 @@ def work(connection: Connection, base: Path, folder: Path) -> None:
         code, errors = call(words)
         seconds, peak = _processor_time() - begun, _memory("VmHWM:") - at_rest
         noise = os.pread(log, 10_000, 0).decode(errors="replace")
-        outcome, message = judged(code, errors, noise)
+        outcome, message = outcome_of(code, errors, noise)
         if outcome == "refused" and part == "structures":
             key = expected(FORMS[case % len(FORMS)])
             if not (key and message.startswith(f"fenics-crack: {key}")):

@@ -389,7 +389,7 @@ class ReferenceFlow:
         rate = -(turn * np.sin(angle)) @ rows[1::2] + (turn * np.cos(angle)) @ rows[2::2]
         return np.hstack([self.scale * shape, rate])
 
-    def _set(self, closed: np.ndarray) -> ClosedSet:
+    def closed_set(self, closed: np.ndarray) -> ClosedSet:
         key = closed.tobytes()
         if key not in self._sets:
             if len(self._sets) >= MOST_SETS:
@@ -399,7 +399,7 @@ class ReferenceFlow:
 
     def contact(self, slow: np.ndarray, guess: np.ndarray | None = None) -> np.ndarray:
         """The set of closed pairs at gaps s: a guess if it is right, else by least squares."""
-        if guess is not None and np.all(self._set(guess).signs @ slow <= 0.0):
+        if guess is not None and np.all(self.closed_set(guess).signs @ slow <= 0.0):
             return guess
         scaled = slow / self._size
         size = float(np.abs(scaled).max(initial=0.0))
@@ -426,7 +426,7 @@ class ReferenceFlow:
         while done < duration:
             if len(passage.pieces) > MOST_EVENTS:
                 raise NoOrbit("events without end")
-            piece = Piece(self._set(closed), omega, start + done, passage.state)
+            piece = Piece(self.closed_set(closed), omega, start + done, passage.state)
             left = duration - done
             event = piece.first_event(left)
             piece.length = left if event is None else event[0]

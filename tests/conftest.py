@@ -13,12 +13,15 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy: results to the bi
 import gc
 import importlib
 import subprocess
+import zlib
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from random import Random
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from ranks import Ranks, command, environment
+from ranks import LIMIT, Ranks, command, environment
 from surroundings import DEMOS
 
 import fenics_crack as fc
@@ -31,10 +34,17 @@ gc.set_threshold(10_000)
 gc.disable()  # until all is collected
 
 
+PARTS = 8
+"""Of the nightly tests, each at most 8 minutes on two idle processors."""
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Let the verification book be written anew."""
+    """Let the verification book be written anew, and a part of the tests be run."""
     parser.addoption(
         "--write-book", action="store_true", help="write the pages of docs/verification"
+    )
+    parser.addoption(
+        "--part", type=int, choices=range(PARTS), help=f"one of {PARTS} parts of what is selected"
     )
 
 
@@ -43,7 +53,7 @@ def pytest_configure(config: pytest.Config) -> None:
     in every run."""
     if config.getoption("dist", "no") != "no":
         return
-    importlib.import_module("fenics_crack.basics.ranks")
+    importlib.import_module("mpi4py.MPI")
     from hypothesis import settings
     from hypothesis.internal.conjecture import providers
 
@@ -55,11 +65,42 @@ def pytest_configure(config: pytest.Config) -> None:
     providers._get_local_constants = lambda: providers._local_constants
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files whose tests share two ranks come first, so that one of two processes starts these and
-    not both: the first half of all tests is one's."""
+@pytest.hookimpl(tryfirst=True)  # before the selection by marks
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark the cases that are not drawn, deselect other parts, and put files whose tests share two
+    ranks first, so that one of two processes starts these: the first half of all tests is one's."""
+    mark_cases_not_drawn(items)
+    if (part := config.getoption("part")) is not None:
+        others = [item for item in items if part_of(item) != part]
+        config.hook.pytest_deselected(items=others)
+        items[:] = [item for item in items if part_of(item) == part]
     sharing = {item.path for item in items if "on_ranks" in getattr(item, "fixturenames", ())}
     items.sort(key=lambda item: item.path not in sharing)
+
+
+def mark_cases_not_drawn(items: list[pytest.Item]) -> None:
+    """Mark as nightly all but a few cases of each test with ``drawn(count)``: the same ones in each
+    run, as its name is the seed."""
+    grids = defaultdict[str, list[pytest.Item]](list)
+    for item in items:
+        if item.get_closest_marker("drawn") is not None:
+            grids[function_of(item)].append(item)
+    for name, cases in grids.items():
+        (count,) = cases[0].get_closest_marker("drawn").args  # type: ignore[union-attr]
+        drawn = Random(name).sample(cases, min(count, len(cases)))
+        for case in cases:
+            if case not in drawn:
+                case.add_marker("nightly")
+
+
+def function_of(item: pytest.Item) -> str:
+    """Return a test's file and function, without the parameters."""
+    return item.nodeid.partition("[")[0]
+
+
+def part_of(item: pytest.Item) -> int:
+    """Return the part that a test belongs to, with all cases of its function."""
+    return zlib.crc32(function_of(item).encode()) % PARTS
 
 
 def pytest_collection_finish() -> None:
@@ -174,18 +215,18 @@ def mpirun() -> Callable[..., str]:
     The program can import the test files. Where it fails, so does the test, and shows its output.
     """
 
-    def run(program: str | Path, ranks: int, timeout: float = 180.0) -> str:
+    def run(program: str | Path, ranks: int) -> str:
         process = subprocess.Popen(
             command(program, ranks), env=environment(), stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
         try:
-            output, errors = process.communicate(timeout=timeout)
+            output, errors = process.communicate(timeout=LIMIT)
             ended = f"exit code {process.returncode}"
         except subprocess.TimeoutExpired:
             process.terminate()  # mpirun ends its ranks
             output, errors = process.communicate()
-            ended = f"not finished after {timeout:g} s"
+            ended = f"not finished after {LIMIT:g} s"
         assert ended == "exit code 0", f"{ended}\n--- stdout\n{output}\n--- stderr\n{errors}"
         return output
 

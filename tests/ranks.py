@@ -22,8 +22,9 @@ from typing import Any
 import pytest
 from surroundings import MPI_ENVIRONMENT, ROOT
 
-PATIENCE = 180.0
-"""Seconds for a start, and for a call."""
+LIMIT = 900.0
+"""Wall-clock seconds after which a start or a call counts as hanging: each takes some seconds on an
+idle machine, and a hundred times as long on one with a hundred other processes."""
 
 
 def command(program: str | Path, ranks: int) -> list[str]:
@@ -53,13 +54,13 @@ def kill(process: subprocess.Popen[bytes], pids: Sequence[int]) -> None:
         except ProcessLookupError:
             pass
     process.wait()
-    deadline = time.monotonic() + PATIENCE
-    while any(_is_running(pid) for pid in pids):
+    deadline = time.monotonic() + LIMIT
+    while any(is_running(pid) for pid in pids):
         assert time.monotonic() < deadline
         time.sleep(0.01)
 
 
-def _is_running(pid: int) -> bool:
+def is_running(pid: int) -> bool:
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
@@ -70,9 +71,9 @@ class Ranks:
     """Two ranks, started by the first call, and anew by that after one that failed."""
 
     def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._process: subprocess.Popen[bytes] | None = None
-        self._lines: list[Connection] = []
+        self.folder = folder
+        self.process: subprocess.Popen[bytes] | None = None
+        self.lines: list[Connection] = []
 
     def call(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """Call a function of a test file on both; return what it returned on the first.
@@ -80,62 +81,62 @@ class Ranks:
         Its last argument is the communicator. What goes wrong on either rank fails the test.
         """
         try:
-            if self._process is None:
-                self._start()
-            for line in self._lines:
+            if self.process is None:
+                self.start()
+            for line in self.lines:
                 line.send_bytes(pickle.dumps((function, arguments)))
-            return self._answers()[0]
+            return self.answers()[0]
         except BaseException:
-            self.end(patience=0.0)  # the other rank may be waiting for ever
+            self.end(grace=0.0)  # the other rank may be waiting for ever
             raise
 
-    def _start(self) -> None:
+    def start(self) -> None:
         """Let both call back."""
-        place = self._folder / "socket"
+        place = self.folder / "socket"
         place.unlink(missing_ok=True)
-        with socket.socket(socket.AF_UNIX) as door, open(self._folder / "said", "wb") as said:
+        with socket.socket(socket.AF_UNIX) as door, open(self.folder / "said", "wb") as said:
             door.bind(str(place))
             door.listen()
-            door.settimeout(PATIENCE)
-            self._process = subprocess.Popen(
+            door.settimeout(LIMIT)
+            self.process = subprocess.Popen(
                 command(f"import ranks; ranks.serve({str(place)!r})", 2),
                 env=environment(), stdin=subprocess.DEVNULL, stdout=said, stderr=said,
             )  # fmt: skip
-            self._lines = [Connection(door.accept()[0].detach()) for _ in range(2)]
+            self.lines = [Connection(door.accept()[0].detach()) for _ in range(2)]
 
-    def _answers(self) -> list[Any]:
+    def answers(self) -> list[Any]:
         """What the ranks return, the first one's first."""
         found: dict[int, Any] = {}
-        until = time.monotonic() + PATIENCE
-        waiting = list(self._lines)
+        until = time.monotonic() + LIMIT
+        waiting = list(self.lines)
         while waiting:
             ready = wait(waiting, max(0.0, until - time.monotonic()))
-            assert ready, f"not finished after {PATIENCE:g} s{self._said()}"
+            assert ready, f"not finished after {LIMIT:g} s{self.printed()}"
             for line in ready:
                 waiting.remove(line)  # type: ignore[arg-type]
                 try:
                     rank, returned, failure = line.recv()  # type: ignore[union-attr]
                 except EOFError:
-                    raise AssertionError(f"a rank has ended{self._said()}") from None
-                assert not failure, f"on rank {rank}:\n{failure}{self._said()}"
+                    raise AssertionError(f"a rank has ended{self.printed()}") from None
+                assert not failure, f"on rank {rank}:\n{failure}{self.printed()}"
                 found[rank] = returned
         return [found[rank] for rank in sorted(found)]
 
-    def _said(self) -> str:
+    def printed(self) -> str:
         """The end of what both have printed."""
-        return "\n--- printed\n" + (self._folder / "said").read_text(errors="replace")[-3000:]
+        return "\n--- printed\n" + (self.folder / "said").read_text(errors="replace")[-3000:]
 
-    def end(self, patience: float = 10.0) -> None:
+    def end(self, grace: float = 10.0) -> None:
         """Let them go: idle ranks end by themselves within some seconds, others by ``mpirun``."""
-        for line in self._lines:
+        for line in self.lines:
             line.close()
-        if self._process is not None:
+        if self.process is not None:
             try:
-                self._process.wait(patience)
+                self.process.wait(grace)
             except subprocess.TimeoutExpired:
-                self._process.terminate()
-                self._process.wait()
-        self._process, self._lines = None, []
+                self.process.terminate()
+                self.process.wait()
+        self.process, self.lines = None, []
 
 
 def serve(place: str) -> None:

@@ -22,7 +22,13 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize(("part", "count"), [("inputs", 30), ("structures", 20)])
+@pytest.mark.parametrize(
+    ("part", "count"),
+    [
+        ("inputs", 30), ("structures", 20), pytest.param("inputs", 400, marks=pytest.mark.nightly),
+        pytest.param("structures", 200, marks=pytest.mark.nightly),
+    ],
+)  # fmt: skip
 def test_every_input_ends_well(part: str, count: int, base: Path, tmp_path: Path) -> None:
     """With a result, a line about the input, or what did not converge."""
     found = [*fuzzing.attempts(part, range(count), 1, base, tmp_path)]
@@ -68,12 +74,12 @@ def test_what_the_process_does_is_seen(
 
 
 JUDGED: dict[str, tuple[Callable[[], tuple[str, str]], str]] = {
-    "a result": (lambda: fuzzing.judged(0, "remark: a\nremark: b\n", ""), "done"),
-    "one line": (lambda: fuzzing.judged(2, "fenics-crack: a = 1\n", ""), "refused"),
-    "no word": (lambda: fuzzing.judged(2, "", ""), "RAW"),
-    "two lines": (lambda: fuzzing.judged(2, "fenics-crack: a\nfenics-crack: b\n", ""), "RAW"),
-    "a fault": (lambda: fuzzing.judged(1, "Traceback\nValueError: x\n", ""), "RAW"),
-    "a library": (lambda: fuzzing.judged(0, "", "HDF5-DIAG: error\n"), "RAW"),
+    "a result": (lambda: fuzzing.outcome_of(0, "remark: a\nremark: b\n", ""), "done"),
+    "one line": (lambda: fuzzing.outcome_of(2, "fenics-crack: a = 1\n", ""), "refused"),
+    "no word": (lambda: fuzzing.outcome_of(2, "", ""), "RAW"),
+    "two lines": (lambda: fuzzing.outcome_of(2, "fenics-crack: a\nfenics-crack: b\n", ""), "RAW"),
+    "a fault": (lambda: fuzzing.outcome_of(1, "Traceback\nValueError: x\n", ""), "RAW"),
+    "a library": (lambda: fuzzing.outcome_of(0, "", "HDF5-DIAG: error\n"), "RAW"),
 }
 
 

@@ -158,7 +158,7 @@ def test_functions_take_few_parameters() -> None:
 
 def test_laws_answer_for_themselves() -> None:
     """No module but that of the laws asks for a law's class."""
-    home = "fenics_crack.model.contact"
+    home = module_name(PACKAGE / "model" / "contact.py")
     laws = {node.name for node in MODULES[home].body if isinstance(node, ast.ClassDef)}
     asked = {
         f"{module}:{node.lineno}"
@@ -201,7 +201,7 @@ def test_unknown_name_is_no_attribute() -> None:
 def test_mpi_is_imported_before_petsc() -> None:
     """PETSc would start MPI for one thread, and MPI read settings of the working folder: a folder
     that uses them imports ``basics.ranks`` first, as the program does."""
-    ranks = "fenics_crack.basics.ranks"
+    ranks = module_name(PACKAGE / "basics" / "ranks.py")
     order = packages(MODULES[ranks])
     assert order.index("mpi4py") < order.index("petsc4py")
     for module in MODULES.keys() - {ranks}:

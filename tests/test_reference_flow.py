@@ -67,7 +67,7 @@ def test_energy_of_free_motion_is_kept(plate: fc.Study) -> None:
         slow = q / flow.scale @ flow.system.pairs
         closed = flow.contact(slow)
         elastic = flow.system.squares @ (q / flow.scale) ** 2
-        return float(v @ v + elastic + slow @ flow._set(closed).forces @ slow)
+        return float(v @ v + elastic + slow @ flow.closed_set(closed).forces @ slow)
 
     period = 2.0 * np.pi / np.sqrt(flow.system.squares[0])
     passage = flow.advance(state, 1.0, 0.0, period)
@@ -92,7 +92,7 @@ def test_tangent_is_that_of_the_motion(plate: fc.Study) -> None:
     assert relative(passage.tangent() @ towards, difference) < 1e-5
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_plate_that_only_looked_stable(plate: fc.Study) -> None:
     """The gap does not enter, complementarity holds, and the multiplier is 1.0089331506."""
     omega = plate.scene.excitation.omega

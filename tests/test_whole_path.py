@@ -154,13 +154,14 @@ def test_answers_have_three_lines() -> None:
 
 
 @pytest.fixture
-def coarse(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The scenes that are loaded are coarse and short, and there is a pandas."""
-    load = fc.Scene.load
+def coarse(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The new scene is coarse and short, and there is a pandas."""
     short = {"curve.stop": 781.0, "integration.periods": 2} | dict(
         zip(("mesh.size", "mesh.lip_elements", "reduction.modes"), (0.05, 2, 8), strict=True)
     )
-    monkeypatch.setattr(fc.Scene, "load", lambda path: load(path).replace(short))
+    scene = fc.Scene.load(folder / "plate.toml").replace(short)
+    (tmp_path / "plate.toml").write_text(scene.as_toml())
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=dict))
 
 

@@ -48,6 +48,7 @@ LAWS = {
 }
 
 
+@pytest.mark.drawn(10)
 @pytest.mark.usefixtures("predicted_errors")
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("damping", DAMPINGS)
@@ -385,7 +386,7 @@ def test_without_any_stiffness_is_an_error() -> None:
     ("form", "off"),
     [
         ("condensed", 0.0), ("condensed", 1e-14), ("condensed", 1e-8),
-        ("full", 0.0), pytest.param("full", 1e-14, marks=pytest.mark.slow), ("full", 1e-8),
+        ("full", 0.0), pytest.param("full", 1e-14, marks=pytest.mark.nightly), ("full", 1e-8),
     ],
 )  # fmt: skip
 def test_close_to_an_undamped_resonance(form: str, off: float) -> None:

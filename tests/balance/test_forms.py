@@ -332,6 +332,7 @@ CASES = [
 ]
 
 
+@pytest.mark.drawn(10)
 @pytest.mark.parametrize(("law", "samples"), CASES)
 @pytest.mark.parametrize("damping", DAMPINGS)
 @pytest.mark.parametrize("subharmonic", [1, 2])

@@ -403,7 +403,7 @@ def test_means_by_quadrature() -> None:
 # --- addresses ------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_with_checks_of_addresses(tmp_path: Path) -> None:
     """The tests above with a kernel that ends the process where it reads outside its arrays."""
     build = ROOT / "fenics_crack" / "kernel" / "build.py"

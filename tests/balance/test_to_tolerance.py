@@ -55,7 +55,7 @@ def solved(name: str, tolerance: float) -> fc.PeriodicSolution:
     ("name", "tolerance"),
     [
         ("one mass", 1e-2), ("three masses", 1e-2), ("three masses", 1e-3),
-        pytest.param("one mass", 1e-3, marks=pytest.mark.slow),
+        pytest.param("one mass", 1e-3, marks=pytest.mark.nightly),
     ],
 )  # fmt: skip
 def test_error_is_what_was_asked_for(name: str, tolerance: float) -> None:

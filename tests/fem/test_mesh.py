@@ -171,6 +171,7 @@ def test_area_is_that_of_the_plate(layout: str, cells: str, edge: str) -> None:
             np.testing.assert_allclose(found, WIDTH * HEIGHT, rtol=1e-12)
 
 
+@pytest.mark.drawn(10)
 @pytest.mark.parametrize("cells", ["triangle", "quadrilateral"])
 @pytest.mark.parametrize("length", [0.01, 0.03, 0.2, 0.77, 0.95])
 @pytest.mark.parametrize("height", [0.03, 0.5, 0.97])
@@ -256,6 +257,7 @@ def test_written_mesh_gives_the_same_structure(tmp_path: Path) -> None:
 
 
 # --- point load -----------------------------------------------------------------------------------
+@pytest.mark.drawn(10)
 @pytest.mark.parametrize(
     "point",
     [

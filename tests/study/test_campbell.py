@@ -98,7 +98,7 @@ def test_a_crack_that_is_held_partly_open() -> None:
     assert "frequency_partly" not in louder.to_dict()
 
 
-@pytest.mark.parametrize("top", [pytest.param(430.0, marks=pytest.mark.slow), 700.0])
+@pytest.mark.parametrize("top", [pytest.param(430.0, marks=pytest.mark.nightly), 700.0])
 def test_states_follow_each_other(top: float) -> None:
     """A crack that rotation opens pair by pair is held shut, partly open and open, and changes from
     one to another only with a range of breathing, or none that matters, between."""

@@ -423,7 +423,7 @@ def test_resonances_are_near_bilinear_frequencies(scene: fc.Scene, mode: int, sh
     assert low < peak < high
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(n, marks=pytest.mark.nightly) for n in (1, 2))])
 def test_no_crack_is_claimed(scene: fc.Scene, folder: Path, seed: int) -> None:
     """On plates without one."""
     rows = measured(scene, {"crack": None, "contact": None}, seed)
