@@ -23,8 +23,8 @@ import pytest
 from surroundings import MPI_ENVIRONMENT, ROOT
 
 LIMIT = 900.0
-"""Wall-clock seconds after which a start or a call counts as hanging: each takes some seconds on an
-idle machine, and a hundred times as long on one with a hundred other processes."""
+"""Wall-clock seconds after which a process that tests start counts as hanging: each takes seconds
+on an idle machine, and fifty times as long beside a hundred others."""
 
 
 def command(program: str | Path, ranks: int) -> list[str]:

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 from helpers import MPI_ENVIRONMENT, ROOT
+from ranks import LIMIT
 from surroundings import main
 
 import fenics_crack as fc
@@ -113,7 +114,7 @@ def test_job_script_runs(tmp_path: Path) -> None:
     program.chmod(0o755)
     activate.write_text(f'PATH="{tmp_path}:$PATH"\n')
     own = {"HOME": str(tmp_path), "SLURM_NTASKS": "2", "PYTHONPATH": str(ROOT)}
-    how: dict[str, Any] = {"capture_output": True, "text": True, "timeout": 300}
+    how: dict[str, Any] = {"capture_output": True, "text": True, "timeout": LIMIT}
     how |= {"cwd": tmp_path, "env": os.environ | MPI_ENVIRONMENT | own}
     done = subprocess.run(["bash", "job.sh"], **how)
     assert done.returncode == 0, done.stderr
@@ -129,7 +130,7 @@ def in_a_process(words: list[str]) -> tuple[int, str, str]:
     program = words.index("fenics-crack")
     words[program : program + 1] = [sys.executable, "-m", "fenics_crack"]
     environment = os.environ | MPI_ENVIRONMENT | {"PYTHONPATH": str(ROOT)}
-    done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=LIMIT)
     return done.returncode, done.stdout, done.stderr
 
 
@@ -279,7 +280,7 @@ def test_readme_starts_with_the_two_commands() -> None:
 def test_install_answers_a_wrong_option(option: str, code: int, tmp_path: Path) -> None:
     """In one line, before it does anything."""
     script = shutil.copy(ROOT / "install.sh", tmp_path)
-    done = subprocess.run(["sh", script, option], capture_output=True, text=True, timeout=60)
+    done = subprocess.run(["sh", script, option], capture_output=True, text=True, timeout=LIMIT)
     assert done.returncode == code and len((done.stdout + done.stderr).splitlines()) == 1
     assert [*tmp_path.iterdir()] == [Path(script)]
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from helpers import DEMOS, ROOT
+from ranks import LIMIT
 
 import fenics_crack as fc
 
@@ -19,7 +20,7 @@ ALL = (*HEAVY, "numpy", "scipy", "mpi4py", "petsc4py", "slepc4py", "h5py")
 def fresh(program: str) -> str:
     """What a program says in a process of its own, without what this one has imported."""
     done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=120,
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=LIMIT,
         env=os.environ | {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}", "OMP_NUM_THREADS": "1"},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

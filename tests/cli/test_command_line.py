@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import MPI_ENVIRONMENT, ROOT, wrap
+from ranks import LIMIT
 from surroundings import main
 
 import fenics_crack as fc
@@ -37,7 +38,7 @@ def run(folder: Path, *words: str, ranks: int = 1) -> subprocess.CompletedProces
     start = [] if ranks == 1 else ["mpirun", "-n", str(ranks)]
     return subprocess.run(
         [*start, *PROGRAM, *words], cwd=folder, env=ENVIRONMENT, capture_output=True, text=True,
-        timeout=300,
+        timeout=LIMIT,
     )  # fmt: skip
 
 
@@ -399,7 +400,7 @@ def test_a_signal_to_mpirun_alone(tmp_path: Path, number: int) -> None:
         time.sleep(0.1)
         done = path.exists() and np.count_nonzero(fc.SweepResult.load(path)["state"])
     program.send_signal(number)
-    code = program.wait(60.0)
+    code = program.wait(LIMIT)
     assert 0 < np.count_nonzero(fc.SweepResult.load(path)["state"]) < 600
     if number == signal.SIGUSR1:
         assert code == 3 and (tmp_path / "sweep.csv").exists()

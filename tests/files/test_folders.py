@@ -11,7 +11,7 @@ from itertools import chain
 from pathlib import Path
 
 import pytest
-from ranks import command
+from ranks import LIMIT, command
 from surroundings import DEMOS, MPI_ENVIRONMENT
 
 SCENE = DEMOS / "paper_plate.toml"
@@ -44,7 +44,7 @@ def run(folder: Path, words: list[str], **surroundings: str) -> str:
     before = {*folder.iterdir()}
     done = subprocess.run(
         words, cwd=folder, env=os.environ | surroundings, capture_output=True, text=True,
-        timeout=120,
+        timeout=LIMIT,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert {*folder.iterdir()} == before

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 from helpers import MPI_ENVIRONMENT, changed, relative
 from mpi4py import MPI
-from ranks import kill
+from ranks import LIMIT, kill
 from rotating import cracked
 
 import fenics_crack as fc
@@ -683,7 +683,7 @@ class Run:
 
     def wait_for(self, cases: int) -> None:
         """Wait until the file has more than so many cases, or the program has ended."""
-        deadline = time.monotonic() + 120.0
+        deadline = time.monotonic() + LIMIT
         while self.process.poll() is None and self.done() <= cases:
             assert time.monotonic() < deadline
             time.sleep(0.05)  # each look starts a reader
@@ -781,7 +781,7 @@ def test_stops_at_ctrl_c(paper_scene: fc.Scene, tmp_path: Path, undisturbed: Swe
     run = Run(scene, path)
     run.wait_for(0)
     run.process.send_signal(signal.SIGINT)
-    assert run.process.wait(60.0) == 1  # the program's assertion: not complete
+    assert run.process.wait(LIMIT) == 1  # the program's assertion: not complete
     assert 0 < run.done() < undisturbed["state"].size
     assert_same(undisturbed, run_sweep(scene, path))
 

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from helpers import MPI_ENVIRONMENT, ROOT
 from mpi4py import MPI
-from ranks import kill
+from ranks import LIMIT, kill
 from scipy.special import chdtri
 from surroundings import main
 from test_responses import file_of as universal_file
@@ -741,7 +741,7 @@ def test_killed_sweep_goes_on(scene: fc.Scene, tmp_path: Path) -> None:
         words, env=os.environ | MPI_ENVIRONMENT | {"PYTHONPATH": str(ROOT)},
         stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
-    deadline = time.monotonic() + 120.0
+    deadline = time.monotonic() + LIMIT
     done = 0
     while done < 3:
         assert time.monotonic() < deadline and started.poll() is None
