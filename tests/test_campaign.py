@@ -134,7 +134,7 @@ def test_smooth_law_with_few_harmonics_has_no_verdict() -> None:
 
 CURVES = [
     # Two masses: at a fold the orbits of both sides are as near as the wave's own error.
-    pytest.param(74, 736, id="at a fold"),
+    pytest.param(74, 736, id="at a fold", marks=pytest.mark.nightly),
     # 18 rigid pairs, 0.16 %: three pairs of multipliers leave the circle between two nodes.
     pytest.param(74, 742, id="between two nodes", marks=pytest.mark.nightly),
     # Newton's method leads from no wave of 5 harmonics to its orbit.
@@ -242,6 +242,7 @@ def test_points_next_to_a_missing_part_of_the_branch_are_judged_by_their_own_orb
     assert row.judgement == campaign.RIGHT and row.exact == pytest.approx(1.444, abs=1e-3)
 
 
+@pytest.mark.nightly
 def test_points_between_two_folds_are_unstable() -> None:
     """A plate: by harmonic balance one was called stable by the orbit on the other side."""
     case = campaign.draw(71, 555, family="plate")
@@ -383,7 +384,10 @@ def test_large_error_is_stated_as_predicted() -> None:
     assert reason.startswith("the truncated harmonics change it by") and "use more" in reason
 
 
-@pytest.mark.parametrize(("family", "number"), [("smooth", 1), ("whole", 2), ("rigid", 6)])
+@pytest.mark.parametrize(
+    ("family", "number"),
+    [("smooth", 1), pytest.param("whole", 2, marks=pytest.mark.nightly), ("rigid", 6)],
+)
 def test_answers_without_an_exact_flow(family: str, number: int) -> None:
     """A smoothed law against SciPy's integrator, its verdict with it; all dofs of a plate
     against 100 modes, and a rigid stop, of which no error is known: no verdict, but what to do."""
@@ -399,6 +403,7 @@ def test_answers_without_an_exact_flow(family: str, number: int) -> None:
         assert row["exact"] > 2.0
 
 
+@pytest.mark.nightly
 def test_next_to_grazing_the_orbit_is_farther_away_than_predicted() -> None:
     """Ten times as far, of 39 rigid pairs; twice the harmonics leave a fortieth of it. The error
     was unknown. The verdict is open: the reason has that of the orbit."""
@@ -412,6 +417,7 @@ def test_next_to_grazing_the_orbit_is_farther_away_than_predicted() -> None:
     assert row.true == pytest.approx(row.estimate, rel=1e-3) and row.true > 5.0 * row.pred
 
 
+@pytest.mark.nightly
 def test_fold_as_narrow_as_the_error() -> None:
     """A curve that turns back over 6e-4 of its frequency, where three orbits are within 1e-3 of
     each other: by short steps it is found, and no point is wrong."""

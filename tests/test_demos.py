@@ -6,6 +6,7 @@ import csv
 import importlib.util
 import io
 import json
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -31,6 +32,14 @@ def load(name: str) -> ModuleType:
     sys.modules[name] = module
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.mark.parametrize("name", [path.stem for path in sorted(DEMOS.glob("*.py"))])
+def test_demo_names_what_there_is(name: str) -> None:
+    """Each can be imported, and the names of the package in it exist."""
+    assert callable(load(name).main)
+    text = (DEMOS / f"{name}.py").read_text()
+    assert set(re.findall(r"\bfc\.(\w+)", text)) <= set(fc.__all__)
 
 
 def test_paper_plate(tmp_path: Path) -> None:
@@ -64,6 +73,7 @@ def test_paper_plate(tmp_path: Path) -> None:
         assert (tmp_path / name).exists()
 
 
+@pytest.mark.nightly
 def test_breathing_plate(tmp_path: Path) -> None:
     """The fine mesh: about 4000 dofs, 18 pairs, a crack of about 0.0431 m, under 1 GB."""
     summary = load("breathing_plate").main(tmp_path)
@@ -104,6 +114,7 @@ def test_sweep_over_two_ranks(on_ranks: Callable[..., str], tmp_path: Path) -> N
     assert (tmp_path / "table.csv").read_bytes() == before and (tmp_path / "map.png").exists()
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("predicted_errors")
 def test_resonances(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The curves through the first resonance: peaks between the open and the uncracked one.
@@ -148,6 +159,7 @@ def test_resonances(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert {name: (tmp_path / name).read_bytes() for name in pictures} == before
 
 
+@pytest.mark.nightly
 def test_blade(tmp_path: Path) -> None:
     """A cracked blade on a rotor, coarsely: the run-up peaks between open and bonded crack,
     rotation opens it, and tip timing finds most of the vibration."""
@@ -164,6 +176,7 @@ def test_blade(tmp_path: Path) -> None:
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
 
 
+@pytest.mark.nightly
 def test_solid_blade(tmp_path: Path) -> None:
     """A twisted blade on the coarse mesh: flap and torsion, a run-up whose peak the closing crack
     bends over a fold, and every picture."""
@@ -196,6 +209,7 @@ def test_growth(tmp_path: Path) -> None:
         assert (tmp_path / drive / "growth_1.h5").exists()
 
 
+@pytest.mark.nightly
 def test_first_notebook(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each cell that ends with a value shows a picture or a table; the file keeps no output."""
     monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=str))

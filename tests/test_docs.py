@@ -50,12 +50,17 @@ def programs(page: Path) -> list[str]:
     return found
 
 
+DEAR = ("fc.identify(", "output/pictures/")
+"""Parts of programs that take long: cracks that are found, pictures of the gallery."""
 BLOCKS = [
-    pytest.param(code, id=f"{page.name} {number}")
+    pytest.param(
+        code, id=f"{page.name} {number}",
+        marks=[pytest.mark.nightly] if any(part in code for part in DEAR) else [],
+    )
     for page in PAGES
     if page.name != "short_answers.md"  # in the folder of its scene: tests/test_whole_path.py
     for number, code in enumerate(programs(page))
-]
+]  # fmt: skip
 
 COARSER = {
     "size = 0.005, lip_elements = 4 }\n[identify]\nfiner = 1.5": (
@@ -99,6 +104,7 @@ def test_gallery_draws_its_pictures() -> None:
     assert all((ROOT / "docs" / "pictures" / name).stat().st_size < 100_000 for name in shown)
 
 
+@pytest.mark.nightly
 @pytest.mark.mpi
 def test_job_script_runs(tmp_path: Path) -> None:
     """That of a cluster: a sweep, and again, where it finds nothing left."""

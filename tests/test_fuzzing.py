@@ -25,8 +25,8 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("part", "count"),
     [
-        ("inputs", 30), ("structures", 20), pytest.param("inputs", 400, marks=pytest.mark.nightly),
-        pytest.param("structures", 200, marks=pytest.mark.nightly),
+        ("inputs", 12), ("structures", 20), pytest.param("inputs", 200, marks=pytest.mark.nightly),
+        pytest.param("structures", 150, marks=pytest.mark.nightly),
     ],
 )  # fmt: skip
 def test_every_input_ends_well(part: str, count: int, base: Path, tmp_path: Path) -> None:

@@ -170,6 +170,7 @@ print(places == sorted(places), "pkg_resources" in sys.modules)
     assert fresh(program).splitlines()[-1] == "True False"
 
 
+@pytest.mark.drawn(2)
 @pytest.mark.parametrize(
     "line",
     [

@@ -54,6 +54,7 @@ def test_motion_is_that_of_a_general_integrator(damping: str) -> None:
     assert relative(passage.state, flow.state(u, v)) < 1e-8
 
 
+@pytest.mark.nightly
 def test_energy_of_free_motion_is_kept(plate: fc.Study) -> None:
     """Rigid lips without mass, no load and no damping: 1/2 q'^2 + 1/2 q Lambda q + 1/2 s lambda
     over a period, to 1e-11."""

@@ -66,6 +66,7 @@ def column(rows: list[dict[str, str]], ending: str) -> np.ndarray:
     return np.array([float(row[name]) for row in rows])
 
 
+@pytest.mark.nightly
 def test_from_a_new_scene_to_a_report(folder: Path, ask: object) -> None:
     assert callable(ask)
     results = folder / "output/plate"

@@ -203,6 +203,7 @@ def assert_on_the_circle(one: fc.Bifurcation) -> None:
         assert np.abs(np.abs(pair) - 1.0).min() < 1e-5
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize(
     ("span", "expected"),
     [
@@ -243,6 +244,7 @@ SOFT_PLATE = {
 """The paper's plate with 1 %, k = 1e9: by exact orbits that 20 and 40 harmonics led to."""
 
 
+@pytest.mark.drawn(2)
 @pytest.mark.parametrize("span", SOFT_PLATE)
 def test_paper_plate(soft_plate: fc.Structure, span: tuple[float, float]) -> None:
     """Doublings that truncated equations lack, two bifurcations within 0.1 rad/s, and one fold for

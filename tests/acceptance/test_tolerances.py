@@ -47,6 +47,7 @@ def test_plate_without_mass() -> None:
     assert true == sorted(true, reverse=True)
 
 
+@pytest.mark.nightly
 def test_modes_given_are_enough() -> None:
     """The error is that of the whole: with twice the modes the orbit is within the tolerance."""
     whole, law, asked = judged.plate().whole, fc.UnilateralPenalty(1e9), 2e-2

@@ -208,6 +208,7 @@ def test_slope_of_a_smoothed_law(sharpness: float) -> None:
         assert relative((after - before) / (2.0 * step), slope[:, :, pair]) < 1e-5
 
 
+@pytest.mark.nightly
 def test_hertz_law_is_solved_at_all_instants_together() -> None:
     """lambda = k g^(3/2), whose steps from the penalty law's solution go too far: law and force
     agree at every instant, and 1500 instants take hardly more calls of the law than 15."""

@@ -333,6 +333,7 @@ def test_folds_of_a_stiff_curve() -> None:
         assert abs(first) < 1e-3 * 1e-5 or second == pytest.approx(4.0 * first, rel=0.5)
 
 
+@pytest.mark.nightly
 def test_path_of_many_unknowns() -> None:
     """144 unknowns, so that solutions take products with J: points and tangents are on the path,
     and each is where equations in Python, whose J is factored at every iteration, have one."""

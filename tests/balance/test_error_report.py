@@ -280,6 +280,7 @@ def test_tolerance_out_of_reach(soft_plate: fc.Structure, monkeypatch: pytest.Mo
     assert 1e-5 < best.report.total < 1e-2
 
 
+@pytest.mark.nightly
 def test_tolerance_on_a_large_structure(large_plate: fc.Structure) -> None:
     """8 pairs, k = 1e8: harmonics and modes are chosen; error against the whole with H = 80."""
     assert large_plate.n_dofs > 600 and large_plate.n_pairs == 8
@@ -314,7 +315,10 @@ def test_tolerance_of_a_smoothed_law() -> None:
         assert found.report.total <= tolerance and f"H = {found.harmonics}" in found.status
 
 
-@pytest.mark.parametrize("contact", [fc.UnilateralPenalty(1e9), fc.UnilateralConstraint()])
+@pytest.mark.parametrize(
+    "contact",
+    [fc.UnilateralPenalty(1e9), pytest.param(fc.UnilateralConstraint(), marks=pytest.mark.nightly)],
+)
 def test_tolerance_with_several_stiff_pairs(
     large_plate: fc.Structure, contact: fc.UnilateralPenalty | fc.UnilateralConstraint
 ) -> None:

@@ -58,6 +58,7 @@ LAWS: dict[str, ContactLaw] = {
 }
 
 
+@pytest.mark.drawn(5)
 @pytest.mark.parametrize("form", ["condensed", "full"])
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("subharmonic", [1, 2])
@@ -182,6 +183,7 @@ def test_duffing_with_spurious_roots() -> None:
     assert np.all(nearest.min(axis=1) < 1e-9) and len(set(nearest.argmin(axis=1))) == 9
 
 
+@pytest.mark.nightly
 def test_spurious_roots_of_two_harmonics() -> None:
     """More harmonics bring more of them: 23 of the 243 complex roots are real; classical 3."""
     roots = collocation_roots(2)

@@ -133,6 +133,7 @@ QUIET = {line.split()[0]: line for line, expected in reversed(REMARKS) if expect
 """The first line of each command that has a remark."""
 
 
+@pytest.mark.drawn(10)
 @pytest.mark.parametrize(("line", "expected"), REMARKS, ids=[line for line, _ in REMARKS])
 def test_harmonics_that_nothing_damps(
     line: str, expected: str, tmp_path: Path, capsys: pytest.CaptureFixture
@@ -249,7 +250,7 @@ def test_check_proposes_a_curve_through_the_resonance(
     assert not [name for name in rows if name.startswith("proposed")] and "curve.start" not in told
 
 
-@pytest.mark.parametrize("kind", [[], ["--blade"]])
+@pytest.mark.parametrize("kind", [pytest.param([], marks=pytest.mark.nightly), ["--blade"]])
 def test_the_sweep_of_a_new_scene_meets_its_tolerance(kind: list[str], tmp_path: Path) -> None:
     """The cases of the template whose errors by harmonics, and by modes, are the largest."""
     path, key = tmp_path / "plate.toml", "rotation.rpm" if kind else "excitation.frequency"

@@ -102,6 +102,7 @@ def test_another_motion_attracts_from_rest(two_masses: Path, tmp_path: Path) -> 
     assert loaded.result.stability.rest_amplitude == seen
 
 
+@pytest.mark.nightly
 def test_a_crack_that_a_mean_load_holds_open(tmp_path: Path) -> None:
     """Is no breathing one, in the file, in Python and on the page; the remark of ``check`` comes
     with it."""

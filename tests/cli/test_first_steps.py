@@ -67,6 +67,7 @@ def test_every_command_runs_on_what_new_wrote(
     assert float(row.split()[1]) == pytest.approx(0.025, rel=0.05)
 
 
+@pytest.mark.nightly
 def test_commands_run_on_the_solid_that_new_wrote(
     here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

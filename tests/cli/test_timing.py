@@ -234,6 +234,7 @@ def followed(folder: Path, captured: Any, changes: dict[str, Any]) -> tuple[str,
     return scene, fc.load_run(folder / "curve.h5")
 
 
+@pytest.mark.nightly
 def test_a_run_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A curve's arrivals; the known order tracked through them, largest where the curve is."""
     run_up = {"curve.start": 1500.0, "curve.stop": 2300.0, "tip_timing.revolutions": 150}

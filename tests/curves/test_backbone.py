@@ -165,6 +165,7 @@ def backbone_of_chain(seed: int, clearance: float, *, throw: bool = True) -> fc.
     return fc.follow_backbone(structure, law, 1, 1e-6, 1e6, harmonics=15, throw=throw)
 
 
+@pytest.mark.drawn(3)
 @pytest.mark.parametrize("seed", [1, 2, 3, 5, 6, 7, 10, 12, 13])
 def test_small_and_large_motions_of_random_chains(seed: int) -> None:
     """Two to six masses: small motions are the modes with the pair open, or closed by preload.
@@ -203,6 +204,7 @@ def test_mixed_clearances_return() -> None:
         assert max(errors) < 3e-5
 
 
+@pytest.mark.nightly
 def test_tongues_of_internal_resonances() -> None:
     """Two tongues, passed over or followed through their folds: the same motion at the end.
 

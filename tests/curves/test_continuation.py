@@ -24,6 +24,7 @@ def folds(curve: fc.ResponseCurve) -> list[float]:
     return [b.omega for b in curve.bifurcations if b.kind == "fold"]
 
 
+@pytest.mark.drawn(5)
 @pytest.mark.parametrize("harmonics", [5, 10, 20])
 @pytest.mark.parametrize("stiffness", [1.0, 10.0, 100.0, 1000.0])
 def test_bilinear_oscillator_runs_through(stiffness: float, harmonics: int) -> None:
@@ -46,6 +47,7 @@ def test_bilinear_oscillator_runs_through(stiffness: float, harmonics: int) -> N
     assert max(solution.report.residual for solution in sharp) < 1e-7
 
 
+@pytest.mark.drawn(4)
 @pytest.mark.parametrize("span", [(2.0, 0.3), (0.3, 2.0)])
 @pytest.mark.parametrize("longest", [0.05, 0.1, 0.2, 0.275, 0.4])
 def test_long_steps_reach_the_end(span: tuple[float, float], longest: float) -> None:
@@ -187,6 +189,7 @@ def test_frequency_derivative() -> None:
         assert np.allclose(slope, exact, rtol=1e-6, atol=1e-7 * np.abs(exact).max())
 
 
+@pytest.mark.nightly
 def test_paper_plate_over_three_resonances(soft_plate: fc.Structure) -> None:
     """k = 1e9 and 1e11, xi = 0.01, past the third natural frequency; reduced equals whole."""
     corner = soft_plate.find_dof((0.1, 0.1), "x")

@@ -58,6 +58,7 @@ def test_a_linear_mode(masses: fc.ResponseCurve) -> None:
     assert str(masses.peak(0)) == str(peak) and masses.peak(1).amplitude < 1e-3 * peak.amplitude
 
 
+@pytest.mark.drawn(4)
 @pytest.mark.parametrize("ratio", [1.2, 10.0, 1000.0])
 @pytest.mark.parametrize("damping", [5e-3, 1e-3])
 @pytest.mark.parametrize("other", [False, True])
@@ -233,6 +234,7 @@ def looked_at(scene: fc.Scene, comm: MPI.Comm) -> list[float]:
     ]
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.mpi
 @pytest.mark.parametrize("changes", [{}, POINT], ids=["load", "point"])
 def test_two_ranks(changes: dict[str, Any], on_ranks: Callable[..., Any]) -> None:

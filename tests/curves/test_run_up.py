@@ -80,6 +80,7 @@ def test_derivative_by_the_speed() -> None:
     assert rate == pytest.approx((high - low) / 0.02, rel=1e-3, abs=1e-5 * np.abs(rate).max())
 
 
+@pytest.mark.nightly
 def test_a_crack_that_rotation_holds_open() -> None:
     """By far more than it vibrates, and further at each speed: what holds it open does not make
     steps short, nor long; the peak is that of a linear structure, proportional to the load."""

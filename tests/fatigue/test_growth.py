@@ -72,6 +72,7 @@ def plate(**growth: Any) -> fc.Scene:
     )
 
 
+@pytest.mark.nightly
 def test_closed_integral_of_a_strip() -> None:
     """Under constant amplitude without contact, by Walker's law with R = 1/2: cycles from one
     length to another to 1 %. Paris' law: ``test_full_reversal_takes_the_open_half``."""
@@ -474,6 +475,7 @@ def test_a_blade_with_a_run_up_grows(tmp_path: Path) -> None:
     assert found.scene.curve is not None and found.scene.curve.parameter == "rpm"
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("errors_left_out")
 def test_a_resonance_between_two_lengths_is_seen() -> None:
     """Lengths 5 mm apart on both sides of it miss each other's spline by little."""

@@ -181,6 +181,7 @@ def test_axes_that_cannot_be(key: str, rotation: dict[str, Any], kind: str) -> N
     assert caught.value.key == key
 
 
+@pytest.mark.nightly
 def test_check_tells_where_the_order_meets_a_twisted_blade() -> None:
     """S is the slope of w^2 over W^2, as between two speeds next to the blade's; at the speed told,
     two thirds of its own, the breathing frequency is that of the order to three thousandths."""

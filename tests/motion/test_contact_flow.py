@@ -52,6 +52,7 @@ def energy(flow: ContactFlow, motion: Motion) -> np.ndarray:
     ).sum(axis=1)
 
 
+@pytest.mark.nightly
 @settings(max_examples=40, deadline=None)
 @given(
     st.sampled_from([*DAMPINGS, "gyroscopic"]), st.integers(1, 3), st.integers(0, 2**31),

@@ -98,7 +98,8 @@ def test_a_crack_that_is_held_partly_open() -> None:
     assert "frequency_partly" not in louder.to_dict()
 
 
-@pytest.mark.parametrize("top", [pytest.param(430.0, marks=pytest.mark.nightly), 700.0])
+@pytest.mark.nightly
+@pytest.mark.parametrize("top", [430.0, 700.0])
 def test_states_follow_each_other(top: float) -> None:
     """A crack that rotation opens pair by pair is held shut, partly open and open, and changes from
     one to another only with a range of breathing, or none that matters, between."""
@@ -113,6 +114,7 @@ def test_states_follow_each_other(top: float) -> None:
             assert fc.campbell(scene, [middle, top], 1).kind[0, 0] == kind
 
 
+@pytest.mark.drawn(2)
 @pytest.mark.parametrize(
     ("mean", "does"), [(0.0, "open"), (-300.0, "changes"), (-600.0, "bilinear"), (-900.0, "tied")]
 )

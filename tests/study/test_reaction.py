@@ -170,6 +170,7 @@ def test_lips_without_mass_and_few_modes() -> None:
         np.testing.assert_allclose(one, other, atol=0.01 * np.abs(other).max())
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("predicted_errors")
 def test_far_below_the_resonance_it_is_the_load() -> None:
     """A slow load passes through to the clamp, while the crack opens and closes."""
@@ -252,6 +253,7 @@ def numbers_on(scene: fc.Scene, comm: MPI.Comm) -> np.ndarray:
     return np.array([*fc.reaction(fc.solve(scene, comm)).numbers.values()])
 
 
+@pytest.mark.nightly
 def test_same_on_two_ranks(on_ranks: Callable[..., Any]) -> None:
     """A mesh that is spread over ranks has the same."""
     scene = plate(reduction__modes=10)

@@ -111,6 +111,7 @@ def test_the_largest_force_is_that_of_the_exact_orbit(scene: fc.Scene) -> None:
     assert exact - found == pytest.approx(part, rel=0.2)
 
 
+@pytest.mark.nightly
 def test_elements_longer_than_a_solid_is_thick() -> None:
     """The coarser mesh is coarser away from the crack, too: between a tenth and the whole of what
     is stated of natural frequencies is seen on a finer one (up to 11 times it was)."""
@@ -305,6 +306,7 @@ def test_without_the_mesh(scene: fc.Scene) -> None:
     assert fc.integrate(scene.replace({"integration.periods": 2}), MPI.COMM_SELF).errors is None
 
 
+@pytest.mark.nightly
 def test_far_too_few_harmonics(tmp_path: Path) -> None:
     """What 5 and 10 of them say of bricks that chatter is the same by chance, to 0.5 %; 80 say a
     third more."""

@@ -26,11 +26,14 @@ LARGE = {"mesh.columns": 8, "mesh.rows": 16, "mesh.order": 2}
     ("mesh", "reduction", "tolerance"),
     [
         (SMALL, {"damping.modes": 2}, 0.03),
-        (SMALL, {"damping.modes": 2, "reduction.method": "free_interface"}, 0.03),
+        pytest.param(
+            SMALL, {"damping.modes": 2, "reduction.method": "free_interface"}, 0.03,
+            marks=pytest.mark.nightly,
+        ),
         (LARGE, {}, 0.05),
     ],
     ids=["small", "with mass", "large"],
-)
+)  # fmt: skip
 def test_modes_are_chosen(
     paper_scene: fc.Scene,
     tmp_path: Path,

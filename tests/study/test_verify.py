@@ -170,6 +170,7 @@ def test_dent(place: tuple[float, float], share: float) -> None:
     assert sizes[1] - sizes[0] == pytest.approx(added * sizes[1], rel=share)
 
 
+@pytest.mark.nightly
 def test_samples_of_a_smoothed_law() -> None:
     """Those of the scene, or of the solver; a tolerance chooses harmonics first."""
     smoothed = plate({"contact.law": "smoothed", "contact.sharpness": 1e8})
@@ -237,6 +238,7 @@ def test_meshes_of_a_solid_are_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [mesh.size for mesh in meshes[1:]] == pytest.approx([thick / f for f in factors[1:]])
 
 
+@pytest.mark.nightly
 def test_failed_runs_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """One that does not converge leaves two sizes and a factor of 3; two leave a cause unknown: of
     a smoothed law, which has no exact orbit."""

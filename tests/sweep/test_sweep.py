@@ -578,6 +578,7 @@ def sweep_on(scene: fc.Scene, path: Path, comm: MPI.Comm) -> None:
     assert result.complete and result.converged.any()
 
 
+@pytest.mark.nightly
 @pytest.mark.mpi
 @pytest.mark.parametrize("kind", [GRADED, MASSLESS], ids=["with mass", "massless"])
 def test_ranks_give_the_same_table(
@@ -703,6 +704,7 @@ def undisturbed(paper_scene: fc.Scene, tmp_path_factory: pytest.TempPathFactory)
     return run_sweep(swept(paper_scene, LONG_OVER), tmp_path_factory.mktemp("sweep") / "sweep.h5")
 
 
+@pytest.mark.nightly
 @pytest.mark.mpi
 def test_killed_at_any_moment(
     paper_scene: fc.Scene, tmp_path: Path, undisturbed: SweepResult
@@ -723,6 +725,7 @@ def test_killed_at_any_moment(
     assert_same(undisturbed, run_sweep(scene, path))
 
 
+@pytest.mark.nightly
 def test_killed_while_the_file_is_made_and_written(paper_scene: fc.Scene, tmp_path: Path) -> None:
     """A sweep whose program does nothing but write, read meanwhile and killed."""
     many = {"start": 1000.0, "stop": 4000.0, "count": 2_000}
@@ -811,6 +814,7 @@ def test_speeds_share_a_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert found["response"][1, 1] == pytest.approx(expected, rel=1e-5)
 
 
+@pytest.mark.nightly
 def test_sweeps_leave_no_memory(tmp_path: Path) -> None:
     """PETSc frees what Python has deleted when it is asked to, of a communicator that is still
     there: each sweep left its last plate, of 15 MB."""

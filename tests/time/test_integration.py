@@ -398,6 +398,7 @@ def test_a_stopped_run_loses_nothing(
         fc.load(tmp_path / "other.h5", structure)
 
 
+@pytest.mark.nightly
 def test_created_energy_of_a_smoothed_law() -> None:
     """It stores another energy than half of force times gap, by which 3e-3 of the energy put in was
     told to be created whatever the step: like dt^2, too."""

@@ -14,9 +14,15 @@ from book import CASES, PAGES, differences, index
 
 pytestmark = pytest.mark.verification
 FILES = (oscillators, impacts, plates, beams, elements, fronts, calculix, programs, uncertainties)
+DEAR = (
+    "energy_release_on_three_meshes", "rotor_with_a_crack", "stress_intensity_along_a_front",
+    "stress_intensity_factors", "true_errors_over_stated_ones",
+)  # fmt: skip
+"""Of a crack's tip on meshes that are refined, and of many references."""
+NAMES = [pytest.param(name, marks=[pytest.mark.nightly] * (name in DEAR)) for name in CASES]
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", NAMES)
 def test_book(name: str, request: pytest.FixtureRequest) -> None:
     """The rows hold, and the committed page shows them; --write-book writes it instead."""
     case = CASES[name]

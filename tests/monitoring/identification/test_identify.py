@@ -103,6 +103,7 @@ EXACT = {
 CRACKS = [(0.008, 0.08), (0.015, 0.11), (0.03, 0.09)]
 
 
+@pytest.mark.nightly
 def test_cracks_are_found(scene: fc.Scene, folder: Path) -> None:
     """In a plate that is known exactly, to 3 % of the width and 5 % of the height; two of three, or
     more, in the stated regions (benchmarks/identification.py has sixty). With the priors all are in
@@ -127,9 +128,21 @@ def test_cracks_are_found(scene: fc.Scene, folder: Path) -> None:
     assert held >= 2
 
 
+def test_a_crack_is_found_on_five_lengths(scene: fc.Scene, tmp_path: Path) -> None:
+    """At a height that is known, from natural frequencies."""
+    rows = natural_of(measured(scene, {"crack.length": 0.022}, 3))
+    lengths = {"crack.length": [0.008, 0.014, 0.02, 0.026, 0.032]}
+    found = fc.identify(scene, rows, lengths, folder=tmp_path)
+    assert found.verdict == "crack" and found.contains({"crack.length": 0.022})
+    worth = found.where_to_measure()
+    assert np.all(np.diff(worth.information) <= 0.0) and worth.information[0] > 0.0
+    assert np.all(worth.deviations["crack.length"] <= worth.now["crack.length"] * 1.000001)
+
+
 FEW_HEIGHTS = [(0.028, 0.048), (0.029, 0.056), (0.013, 0.262)]
 
 
+@pytest.mark.nightly
 def test_higher_modes_on_few_heights(scene: fc.Scene, tmp_path: Path) -> None:
     """Natural frequencies 4 and 5 of a longer plate have more waves along it than six heights tell:
     between these the interpolation is as far off as it says, and regions hold the cracks."""
@@ -148,6 +161,7 @@ def test_higher_modes_on_few_heights(scene: fc.Scene, tmp_path: Path) -> None:
         assert found.contains(truth) and found.misfit[1] > 1e-3
 
 
+@pytest.mark.nightly
 def test_warmer_than_before(scene: fc.Scene, folder: Path) -> None:
     """A plate without a crack whose frequencies are all 0.3 % lower than before, as after fifteen
     degrees, has no crack; where nothing is allowed to differ there is one."""
@@ -161,6 +175,7 @@ def test_warmer_than_before(scene: fc.Scene, folder: Path) -> None:
         assert (found.verdict == "crack") == claimed
 
 
+@pytest.mark.nightly
 def test_one_measurement_alone(scene: fc.Scene, folder: Path) -> None:
     """A crack that rests on one measurement, of a mode that was taken for another or is wrong, is
     reported; one that all of them show is not."""
@@ -288,6 +303,7 @@ def of_tip(scene: fc.Scene, noise: float, **true: float) -> fc.Measurements:
     return fc.Measurements.from_arrivals(arrivals, 5, "tip.ux")
 
 
+@pytest.mark.nightly
 def test_cases_are_added_next_to_resonance(tmp_path: Path) -> None:
     """Between lengths of 6 and 8 mm the resonance meets the load, and the pull of the rotor lets a
     crack breathe as at none of these: with the five lengths that are asked for one of 7.3 mm was
@@ -346,6 +362,7 @@ def test_resonances_of_cracks_that_a_load_holds(folder: Path, lips: str, verdict
     assert np.max(np.abs(residuals)) < 0.5
 
 
+@pytest.mark.nightly
 def test_harmonics_above_those_of_the_model(scene: fc.Scene, folder: Path) -> None:
     """The tenth is near a natural frequency, and larger than the fifth, the model's last one: chi^2
     of three records of the model's own plate is no larger than by chance. It was twice as large,
@@ -363,6 +380,7 @@ def test_harmonics_above_those_of_the_model(scene: fc.Scene, folder: Path) -> No
     assert np.mean(heights) == pytest.approx(0.07, rel=0.2)
 
 
+@pytest.mark.nightly
 def test_damping_is_found_near_a_resonance(folder: Path, scene: fc.Scene) -> None:
     """Length, height and damping from five frequencies and first harmonics (2 % of noise) of a
     plate that is known exactly: the
@@ -430,6 +448,7 @@ def test_no_crack_is_claimed(scene: fc.Scene, folder: Path, seed: int) -> None:
     assert fc.identify(scene, rows, folder=folder).verdict != "crack"
 
 
+@pytest.mark.nightly
 def test_coarser_mesh_for_most(scene: fc.Scene, tmp_path: Path) -> None:
     """With finer = 0.5, the default, the few have the scene's mesh; all others, and those halfway
     between them, have a coarser one. What that changes is corrected."""
@@ -474,6 +493,7 @@ def natural_of(rows: fc.Measurements) -> fc.Measurements:
     return fc.Measurements(tuple(row for row in rows.rows if row.natural))
 
 
+@pytest.mark.nightly
 def test_a_stiffer_plate(scene: fc.Scene, folder: Path) -> None:
     """1 % higher in frequency than the model: who takes that for exact does not find its crack;
     with the priors it is held, and nearer with the plate's own frequencies, which is advised."""
@@ -494,6 +514,7 @@ def test_a_stiffer_plate(scene: fc.Scene, folder: Path) -> None:
     assert "before there was a crack" not in found.advice[0]
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize(
     "changes", [{"material.young": 2.1e11 * 0.99}, {"geometry.height": 0.2014}]
 )
@@ -522,6 +543,7 @@ def exactly(scene: fc.Scene, changes: dict[str, object], noise: float) -> fc.Mea
 WHOLE: dict[str, object] = {"crack": None, "contact": None, "output": None}
 
 
+@pytest.mark.nightly
 def test_another_clamp_than_before(scene: fc.Scene, folder: Path) -> None:
     """Clamped 0.3 or 0.5 mm deeper than before, which takes 0.26 or 0.44 % from the first natural
     frequency: no crack is claimed, though noise is 1e-5. One is of 0.9 %, more than is said to
@@ -584,6 +606,7 @@ def test_two_cracks(scene: fc.Scene, folder: Path) -> None:
         assert found.verdict == "undecided" and 1e-3 * (count == 3) < found.misfit[1] < 0.01
 
 
+@pytest.mark.nightly
 def test_as_few_modes_as_two_cracks_have_unknowns(scene: fc.Scene, folder: Path) -> None:
     """Let a crack be claimed, and where only if it is one, in the same sentence; more do not need
     that."""
@@ -694,6 +717,7 @@ def test_command(
     assert "tip_timing is missing: must be given for this command" in capsys.readouterr().err
 
 
+@pytest.mark.nightly
 def test_arrivals_from_the_shell(
     scene: fc.Scene, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -729,6 +753,7 @@ fc.identify(scene, folder / "m.csv", folder=folder)
 """
 
 
+@pytest.mark.nightly
 def test_killed_sweep_goes_on(scene: fc.Scene, tmp_path: Path) -> None:
     """kill -9 of both ranks: what was solved stays as it is, the rest is added."""
     measured(scene, {"crack.length": 0.015}, 1).to_csv(tmp_path / "m.csv")

@@ -511,7 +511,7 @@ def test_arrivals_become_displacements(tmp_path: Path) -> None:
         )
 
 
-@pytest.mark.parametrize("revolutions", [3, 6])
+@pytest.mark.parametrize("revolutions", [3, pytest.param(6, marks=pytest.mark.nightly)])
 def test_displacements_of_few_revolutions_have_true_errors(revolutions: int) -> None:
     """Of 100 records their deviations are one of those stated in root mean square; they were 1.28
     and 1.16, of tails that few arrivals have by chance, and of a scatter that they hardly tell."""

@@ -67,6 +67,7 @@ def rows() -> fc.Measurements:
     return fc.Measurements.from_arrays("frequency_bilinear", hertz, 1e-3 * hertz, mode=modes)
 
 
+@pytest.mark.nightly
 def test_as_the_program_s_own_meshes(own: Path, rows: fc.Measurements, tmp_path: Path) -> None:
     """From the same meshes in files the same crack is found as from those that the program makes;
     paths are those of the scene's folder. Between meshes of one's

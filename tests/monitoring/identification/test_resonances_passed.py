@@ -50,6 +50,7 @@ def rows(scene: fc.Scene, quantity: str, kinds: dict[float, str]) -> fc.Measurem
     return fc.Measurements.from_arrays(quantity, hertz, 2e-4 * hertz, **where)
 
 
+@pytest.mark.nightly
 def test_each_at_its_own_speed(scene: fc.Scene, folder: Path) -> None:
     """Of lips open at 1500, 3000 and 4000 rpm and at rest: the length to less than the crack's own
     2.5 %. Each taken for one of 3000 rpm excludes it but the one that is."""
@@ -65,6 +66,7 @@ def test_each_at_its_own_speed(scene: fc.Scene, folder: Path) -> None:
         assert wrong.contains(TRUE) == (row.rpm == 3000.0)
 
 
+@pytest.mark.nightly
 def test_a_softer_blade_than_before(scene: fc.Scene, folder: Path) -> None:
     """A modulus 1 % lower since, to 2e-5, which takes more from a slow blade than from a fast one:
     no crack, and the reason says what it is; nor where all frequencies are 0.5 % higher. A crack is
@@ -114,6 +116,7 @@ def _hertz(blade: fc.Scene, rpm: float, kind: str) -> float:
     return float(fc.solve_modes(own, 1).omega[0]) / TURN
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize("kind", ["open", "bilinear"])
 def test_lips_at_resonances(scene: fc.Scene, folder: Path, kind: str) -> None:
     """Open at all speeds, or breathing half of the time at all: no frequency distinguishes them, so
@@ -165,6 +168,7 @@ def swept(scene: fc.Scene, kind: str, path: Path, orders: tuple[int, ...]) -> No
     fc.ArrivalTimes(np.interp(targets, moved, grid), marks, PROBES, radius).to_csv(path)
 
 
+@pytest.mark.nightly
 def test_record_of_a_run_up(scene: fc.Scene, tmp_path: Path, capsys: Any) -> None:
     """From the arrivals of two run-ups, before there was a crack and now, to its length."""
     lightly: dict[str, Any] = {"damping.ratio": 0.002, "excitation.force_sin": (0.3, 0.0)}
@@ -192,16 +196,6 @@ def test_record_of_a_run_up(scene: fc.Scene, tmp_path: Path, capsys: Any) -> Non
     assert "crack: log Bayes factor" in said.err
     length = float(said.out.splitlines()[2].split()[1])
     assert length == pytest.approx(0.008, rel=0.1)
-    # A record of constant speed shows no natural frequency, and none without a resonance.
-    rows(stiff, "frequency_open", {3000.0: "open"}).to_csv(tmp_path / "rows.csv")
-    turns, steady = TURN * np.arange(41), str(tmp_path / "steady.csv")
-    for rise, told_of in ((0.0, "those of a run-up, or"), (0.5, "a run-up through a resonance of")):
-        time = (turns[:-1, None] + PROBES) / 300.0, turns / 300.0
-        seen, marks = (one / (1.0 + rise * one / time[1][-1]) for one in time)
-        fc.ArrivalTimes(seen, marks, PROBES, 0.5).to_csv(steady)
-        assert main([*words[:2], str(tmp_path / "rows.csv"), "--before", steady, *words[2:]]) == 2
-        assert "--before = 'ArrivalTimes(40 revol" in (err := capsys.readouterr().err)
-        assert told_of in err
     # In Python.
     [fit, *others] = fc.find_passages(fc.ArrivalTimes.from_csv(now), [5, 6], stiffening=0.11)
     seen = fc.Measurements.from_passages([fit, *others], [1, 0])
@@ -210,3 +204,22 @@ def test_record_of_a_run_up(scene: fc.Scene, tmp_path: Path, capsys: Any) -> Non
     ]
     with pytest.raises(fc.InputError, match="one of each of 2 passages"):
         fc.Measurements.from_passages([fit, *others], [1])
+
+
+@pytest.mark.parametrize(
+    ("rise", "reason"), [(0.0, "those of a run-up, or"), (0.5, "a run-up through a resonance of")]
+)
+def test_a_record_without_a_resonance(
+    scene: fc.Scene, rise: float, reason: str, tmp_path: Path, capsys: Any
+) -> None:
+    """One of constant speed shows no natural frequency, and a run-up none without a resonance."""
+    (tmp_path / "blade.toml").write_text(scene.as_toml(), encoding="utf-8")
+    rows(scene, "frequency_open", {3000.0: "open"}).to_csv(tmp_path / "rows.csv")
+    turns, steady = TURN * np.arange(41), str(tmp_path / "steady.csv")
+    time = (turns[:-1, None] + PROBES) / 300.0, turns / 300.0
+    seen, marks = (one / (1.0 + rise * one / time[1][-1]) for one in time)
+    fc.ArrivalTimes(seen, marks, PROBES, 0.5).to_csv(steady)
+    words = ["identify", str(tmp_path / "blade.toml"), str(tmp_path / "rows.csv")]
+    assert main([*words, "--before", steady, "--output", str(tmp_path / "found")]) == 2
+    assert "--before = 'ArrivalTimes(40 revol" in (error := capsys.readouterr().err)
+    assert reason in error

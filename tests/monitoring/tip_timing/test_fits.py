@@ -48,6 +48,7 @@ def measured(solution: fc.PeriodicSolution, noise: float = 1e-5, **how: Any) -> 
 # --- engine orders --------------------------------------------------------------------------------
 
 
+@pytest.mark.drawn(2)
 @pytest.mark.parametrize("order", [4, 5, 6, 13])
 def test_order_and_amplitude_from_four_probes(order: int, sine: fc.PeriodicSolution) -> None:
     """1 % noise: the order among 24, and 1 % of the amplitude, in every one of ten tries."""
@@ -60,6 +61,7 @@ def test_order_and_amplitude_from_four_probes(order: int, sine: fc.PeriodicSolut
         assert np.abs(fit.coefficients - wave).max() < 1e-5
 
 
+@pytest.mark.nightly
 def test_standard_errors_and_misfit_are_what_they_say(sine: fc.PeriodicSolution) -> None:
     """Over 60 tries: deviations in units of the error like a normal distribution's, the misfit's
     probability uniform."""
@@ -381,6 +383,7 @@ def test_probes_that_are_swapped(sine: fc.PeriodicSolution) -> None:
     assert fc.fit_order(replace(arrivals, time=arrivals.time + lean)).order == 5
 
 
+@pytest.mark.nightly
 def test_outliers_wander_and_errors_of_probes_and_marks(sine: fc.PeriodicSolution) -> None:
     """A frequency at a speed that wanders by 0.5 %, marks with errors of 5 ns, 1 % of arrivals
     wrong; and an order beside it whose interval knows of the probes' errors."""
@@ -422,6 +425,7 @@ def test_outliers_wander_and_errors_of_probes_and_marks(sine: fc.PeriodicSolutio
     assert blind.does_not_fit and blind.amplitude_errors[0] > 1e-5
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize(("second", "doubted"), [(3e-4, (36, 40)), (0.0, (0, 4))])
 def test_a_second_harmonic_that_is_left_out(second: float, doubted: tuple[int, int]) -> None:
     """30 % of it, and probes out of place: by five of them an amplitude is more than three errors
@@ -479,6 +483,7 @@ def test_a_run_up_whose_fifth_harmonic_is_folded() -> None:
     assert fc.track_order(record(0.0), 10, harmonics=3).in_doubt
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize("revolutions", [1, 4])
 def test_errors_of_a_run_up_hold_what_is_folded(revolutions: int) -> None:
     """One per cent of a fourth harmonic, at probes within 150 degrees that fold it 5 times larger

@@ -33,6 +33,7 @@ def blade() -> fc.ArrivalTimes:
     return found
 
 
+@pytest.mark.nightly
 def test_the_record_of_a_blisk(blade: fc.ArrivalTimes) -> None:
     """Order 8 with its margin; up and down the same; a steady fit is not; the other resonances of
     the family of modes near 125 Hz."""

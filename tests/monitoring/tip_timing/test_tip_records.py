@@ -7,6 +7,7 @@ import pytest
 import tip_records
 
 
+@pytest.mark.drawn(1)
 @pytest.mark.parametrize("number", [2, 6, 9])
 def test_orders_and_lines_of_generated_records(number: int) -> None:
     """Each order right or declared, each vibration of no order found, most intervals hold."""
@@ -18,6 +19,7 @@ def test_orders_and_lines_of_generated_records(number: int) -> None:
     assert count.covered >= 5 and count.also >= 5 and count.unwarned <= 1
 
 
+@pytest.mark.nightly
 def test_no_order_is_excluded_by_a_harmonic_left_out() -> None:
     """Five probes and a sine fitted to a wave of four harmonics: where the order is wrong, the
     right one is said to fit as well."""
