@@ -24,8 +24,7 @@ def folds(curve: fc.ResponseCurve) -> list[float]:
     return [b.omega for b in curve.bifurcations if b.kind == "fold"]
 
 
-@pytest.mark.drawn(5)
-@pytest.mark.parametrize("harmonics", [5, 10, 20])
+@pytest.mark.parametrize("harmonics", [5, 10, pytest.param(20, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("stiffness", [1.0, 10.0, 100.0, 1000.0])
 def test_bilinear_oscillator_runs_through(stiffness: float, harmonics: int) -> None:
     """From 2.0 down to 0.3 without intervention; at kc = 1 with the two true folds only."""

@@ -234,9 +234,10 @@ def looked_at(scene: fc.Scene, comm: MPI.Comm) -> list[float]:
     ]
 
 
-@pytest.mark.drawn(1)
 @pytest.mark.mpi
-@pytest.mark.parametrize("changes", [{}, POINT], ids=["load", "point"])
+@pytest.mark.parametrize(
+    "changes", [{}, pytest.param(POINT, marks=pytest.mark.nightly)], ids=["load", "point"]
+)
 def test_two_ranks(changes: dict[str, Any], on_ranks: Callable[..., Any]) -> None:
     """They share the mesh, and speak of the same dof."""
     scene = fc.Scene.load(STEEL).replace(COARSE | changes)

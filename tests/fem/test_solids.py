@@ -401,6 +401,7 @@ def test_cases_of_a_sweep_are_known_without_a_mesh(monkeypatch: pytest.MonkeyPat
     assert plan.sizes[2] == (0, 0.0)
 
 
+@pytest.mark.nightly
 def test_forces_of_a_solid_are_swept(tmp_path: Path) -> None:
     """In three directions, a mean one beside one that changes, each case as solved by itself."""
     changes = {"reduction.modes": 8, "harmonic_balance.harmonics": 4, "curve": None}

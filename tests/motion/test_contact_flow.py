@@ -226,7 +226,7 @@ def test_motions_do_not_depend_on_earlier_ones(
         assert np.array_equal(one, other)
 
 
-@pytest.mark.parametrize("pairs", [1, 6, 40])
+@pytest.mark.parametrize("pairs", [1, 6, pytest.param(40, marks=pytest.mark.nightly)])
 def test_answers_of_sets(pairs: int) -> None:
     """Forces and openings at instants by NumPy's solution for the closed pairs."""
     structure = fc.reduce_structure(chain("modal", 125, pairs, seed=1), modes=8, method="massless")

@@ -621,7 +621,9 @@ def test_as_few_modes_as_two_cracks_have_unknowns(scene: fc.Scene, folder: Path)
         assert ("IF IT IS ONE CRACK" in repr(found)) == few
 
 
-@pytest.mark.parametrize(("height", "cut"), [(0.148, True), (0.2 / 2, False)])
+@pytest.mark.parametrize(
+    ("height", "cut"), [(0.148, True), pytest.param(0.2 / 2, False, marks=pytest.mark.nightly)]
+)
 def test_intervals_that_the_bounds_cut(
     scene: fc.Scene, folder: Path, height: float, cut: bool
 ) -> None:

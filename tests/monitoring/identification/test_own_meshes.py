@@ -168,6 +168,7 @@ def write_box(path: Path, length: float) -> None:
         gmsh.finalize()
 
 
+@pytest.mark.nightly
 def test_numbers_of_one_s_own_in_space(tmp_path: Path) -> None:
     """Solids, and a number that is no key of a crack; what is unknown beside it, too."""
     solid = """
