@@ -1,6 +1,6 @@
 """Cases of benchmarks/campaign.py whose answers were wrong and passed for right.
 
-Of several that show the same the dearest are marked slow.
+Of several that show the same the dearest are marked nightly.
 """
 
 import json
