@@ -392,7 +392,7 @@ SETTINGS = [
     "reduction.modes=100", "reduction.method=off", "reduction.method=craig_bampton", "curve=none",
     "curve.parameter=load", "curve.parameter=clearance", "curve.parameter=damping",
     "curve.start=0", "curve.stop=0", "curve.stop=2000", "curve.stability=false",
-    "integration.method=events", "integration.method=implicit", "integration.method=euler",
+    "integration.method=events", "integration.method=euler",
     "integration.method=exponential", "reduction.method=massless",
     "integration.steps_per_period=1", "integration.steps_per_period=100", "integration.settle=none",
     "sweep.over={}", "sweep.over={'crack.length'=[1]}", "mesh.file=a.msh", "mesh.layout=file",

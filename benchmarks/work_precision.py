@@ -14,9 +14,8 @@ Methods
     harmonic balance, always from a cold start and with its error report: exact integrals, 128 or
     1024 samples a period, collocation at 2H+1 instants, the full form (all dofs), the reduced
     structure;
-    in time, from rest: central differences (full and reduced), the implicit scheme, exponential
-    steps, the exact flow from one switching instant to the next, and SciPy's `solve_ivp` (DOP853)
-    on one mass.
+    in time, from rest: central differences (full and reduced), exponential steps, the exact flow
+    from one switching instant to the next, and SciPy's `solve_ivp` (DOP853) on one mass.
 
 The error is the relative L2 difference of the gaps over one period from a reference: the exact
 orbit by shooting (oscillator, paper), or harmonic balance with 40 harmonics, whose own estimate is
@@ -58,8 +57,6 @@ LOOKS = {
     "harmonic balance, reduced": ("green", "o-"),
     "central differences": ("orange", "^-"),
     "central differences, reduced": ("orange", "v--"),
-    "implicit scheme": ("pink", "P-"),
-    "implicit scheme, reduced": ("pink", "X--"),
     "exponential steps": ("blue", "v:"),
     "exponential steps, reduced": ("blue", "1:"),
     "exact flow": ("green", "*"),
@@ -109,7 +106,6 @@ def oscillator(arguments: common.Arguments) -> None:
     rows += balance(scene, "collocation", (5, 10, 20, 40, 80), balance="collocation")
     steps = (100, 400, 1600) if arguments.quick else (50, 100, 200, 400, 800, 1600, 3200)
     rows += in_time(scene, "central differences", structure, steps)
-    rows += in_time(scene, "implicit scheme", structure, steps)
     rows += in_time(scene, "exponential steps", structure, steps)
     rows.append(by_events(scene, structure))
     rows += by_solve_ivp(
@@ -135,7 +131,6 @@ def paper(arguments: common.Arguments) -> None:
     steps = [int(np.ceil(share * least)) for share in shares]
     rows += in_time(scene, "central differences", plate, steps)
     rows += in_time(scene, "central differences, reduced", reduced, steps)
-    rows += in_time(scene, "implicit scheme", plate, (128, 256, 512))
     rows += in_time(scene, "exponential steps", plate, (128, 256, 512) if arguments.quick else
                     (64, 128, 256, 512, 1024, 2048, 4096))  # fmt: skip
     rows.append(by_events(scene, plate))
@@ -157,7 +152,6 @@ def breathing(arguments: common.Arguments) -> None:
     rows = balance(scene, "reduced", (3, 5, 10) if arguments.quick else (3, 5, 10, 15, 20, 30),
                    structure=reduced)  # fmt: skip
     rows += balance(scene, "full form", (3, 5) if arguments.quick else (3, 5, 10, 20), form="full")
-    rows += in_time(scene, "implicit scheme, reduced", reduced, (128, 256, 512), most=100)
     rows += in_time(scene, "exponential steps, reduced", reduced, (128, 256, 512), most=100)
     least = fc.stable_steps_per_period(reduced, 2000.0, law)
     steps = [int(np.ceil(share * least)) for share in (1.3, 2.6)]
@@ -165,7 +159,6 @@ def breathing(arguments: common.Arguments) -> None:
     if not arguments.quick:
         least = fc.stable_steps_per_period(plate, 2000.0, law)
         steps = [int(share * least) for share in (1.3, 2.6)]
-        rows += in_time(scene, "implicit scheme", plate, (128, 256, 512), most=100)
         rows += in_time(scene, "central differences", plate, steps, most=100)
     finish(arguments.folder, scene, rows)
 
@@ -321,7 +314,6 @@ def balance(
 
 SCHEMES: dict[str, Callable[..., fc.TimeHistory]] = {
     "central differences": fc.integrate_central_difference,
-    "implicit scheme": fc.integrate_implicit,
     "exponential steps": fc.integrate_exponential,
 }
 

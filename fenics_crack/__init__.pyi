@@ -121,7 +121,6 @@ from fenics_crack.time.central_differences import (
 from fenics_crack.time.central_differences import stable_steps_per_period as stable_steps_per_period
 from fenics_crack.time.flows import integrate_events as integrate_events
 from fenics_crack.time.flows import integrate_exponential as integrate_exponential
-from fenics_crack.time.implicit import integrate_implicit as integrate_implicit
 from fenics_crack.time.march import TimeHistory as TimeHistory
 
 __all__: list[str]

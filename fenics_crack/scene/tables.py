@@ -653,9 +653,7 @@ class Integration(Table):
     """Direct integration in time: from rest, from the end of an earlier motion, or from a static
     deflection; under the load, or as a free decay."""
 
-    method: str | None = choice(
-        "exponential", "central_difference", "implicit", "events", default=None
-    )
+    method: str | None = choice("exponential", "central_difference", "events", default=None)
     """"events": exact from one switching instant to the next. Default: "exponential" where crack
     faces have no mass, else "central_difference"."""
     periods: int = at_least_one(600)

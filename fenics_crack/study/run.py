@@ -69,7 +69,6 @@ from fenics_crack.time.central_differences import (
     stable_steps_per_period,
 )
 from fenics_crack.time.flows import integrate_events, integrate_exponential
-from fenics_crack.time.implicit import integrate_implicit
 from fenics_crack.time.march import TimeHistory, initial_state
 
 Found = TypeVar("Found", bound=Result, covariant=True)
@@ -470,7 +469,6 @@ def integrate(
     }
     marches: dict[str, tuple[Callable[..., TimeHistory], int]] = {  # and usual steps per period
         "events": (integrate_events, 256),
-        "implicit": (integrate_implicit, 512),
         "exponential": (integrate_exponential, 512),
         "central_difference": (integrate_central_difference, 512),
     }
@@ -539,7 +537,8 @@ def _method(study: Study, table: Integration, law: ContactLaw) -> str:
     elif closed_form and not is_small(structure):
         allowed = f"another with {structure.n_dofs} dofs, or reduction.method = 'massless'"
     elif closed_form and is_rigid(law) and not lips:
-        allowed = "'implicit' with contact.law = 'unilateral', or reduction.method = 'massless'"
+        allowed = "'central_difference' with contact.law = 'unilateral', or reduction.method = "
+        allowed += "'massless'"
     if allowed:
         raise InputError("integration.method", method, allowed)
     if closed_form and not is_unilateral(law):

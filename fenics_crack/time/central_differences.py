@@ -10,13 +10,12 @@ integrated in increments d_n = u_n - u_{n-1} with r = f - K u - B lambda:
 
     (M + dt/2 C) (d_{n+1} - d_n) = dt^2 r_n - dt C d_n.
 
-Modal damping C = M Phi diag(c) Phi^T M is inverted exactly (:class:`LoopedSteps`): a step costs a
-product with K and one with M, a solution with M and three products with Phi. Small structures are
-integrated in the coordinates of all their modes instead, by the kernel
-(:mod:`fenics_crack.time.modal_march`). The scheme is second order. Steps beyond dt = 2 / omega_max,
-omega_max the largest natural frequency with every pair closed, are unstable and refused. Below that
-the scheme conserves energy as long as no pair changes its state; a contact from step a to step b
-creates
+Modal damping C = M Phi diag(c) Phi^T M is inverted exactly: a step costs a product with K and one
+with M, a solution with M and three products with Phi. Small structures are integrated in the
+coordinates of all their modes instead, by the kernel. The scheme is second order. Steps beyond dt =
+2 / omega_max, omega_max the largest natural frequency with every pair closed, are unstable and
+refused. Below that the scheme conserves energy as long as no pair changes its state; a contact from
+step a to step b creates
 
     1/2 k (g_b |g_{b+1}| - g_a |g_{a-1}|),
 
@@ -41,10 +40,11 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from petsc4py import PETSc
 
-from fenics_crack.basics.errors import InputError, check_omega
+from fenics_crack.basics.errors import ConvergenceError, InputError, check_omega
 from fenics_crack.basics.ranks import collect_garbage
-from fenics_crack.kernel import Struct, kernel
+from fenics_crack.kernel import Struct, kernel, pointer
 from fenics_crack.model.contact import (
     ActiveSets,
     ContactLaw,
@@ -54,12 +54,12 @@ from fenics_crack.model.contact import (
     potential,
     solve_complementarity,
 )
-from fenics_crack.model.modal import all_modes, is_small
-from fenics_crack.model.modes import largest_frequency
+from fenics_crack.model.factor import Factor, weighted_sum
+from fenics_crack.model.modal import CACHED, all_modes, is_small
+from fenics_crack.model.modes import damped_modes, largest_frequency, times
 from fenics_crack.model.reduced import INSTEAD, check_mass
-from fenics_crack.model.structure import Structure
-from fenics_crack.time.march import LoopedSteps, March, TimeHistory, Window, march
-from fenics_crack.time.modal_march import ModalSteps, times_by_mode
+from fenics_crack.model.structure import RayleighDamping, Structure
+from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
 
 NAME, REMEDY = "central differences", "take more steps per period"
 
@@ -199,29 +199,78 @@ def _last_velocity(
     return velocity
 
 
-class _ModalDifferences(ModalSteps):
-    """State of a small structure in modal coordinates, integrated by the kernel."""
+# --- small structures, by the kernel --------------------------------------------------------------
+
+
+class _ModalDifferences(Scheme):
+    """State of a small structure in modal coordinates, integrated by the kernel.
+
+    What acts on the modes is "by mode": an array (n,) where the damping leaves them uncoupled, and
+    a matrix (n, n) where it couples them.
+    """
 
     name, remedy = NAME, REMEDY
 
     def __init__(self, asked: March) -> None:
-        super().__init__(asked)
-        modes, dt, velocity = self._modes, asked.step_size, self._begin()
-        count, pairs = modes.pairs.shape
-        inverse = self._inverse(np.ones(count), 0.5 * dt)
-        push = dt**2 * times_by_mode(inverse, modes.pairs)
+        self._asked, self._modes, dt = asked, all_modes(asked.structure), asked.step_size
+        modes, (count, pairs) = self._modes, self._modes.pairs.shape
+        springs = None
+        if not asked.rigid:
+            springs = np.broadcast_to(np.asarray(asked.contact.stiffness, float), pairs).copy()
+        self._shape, velocity = (modes.inverse @ part for part in asked.start)
+        gap = self._gap()
+        if asked.rigid and np.any(gap > 0.0):  # by the least change in the norm of M
+            self._shape -= modes.pairs @ solve_complementarity(modes.pairs.T @ modes.pairs, gap)
         self._increment = dt * velocity - 0.5 * dt**2 * self._acceleration(velocity)
-        self._energy = _ContactEnergy(asked, self._energy_of(velocity))
+        energy = 0.5 * float(modes.squares @ self._shape**2 + velocity @ velocity)
+        self._energy = _ContactEnergy(asked, energy)
+        inverse, one = _inverse(0.5 * dt * modes.damping), np.ones(count)
+        push = dt**2 * (
+            inverse[:, None] * modes.pairs if inverse.ndim == 1 else inverse @ modes.pairs
+        )
+        rows = np.ascontiguousarray
+        body = Struct(
+            "vibration", modes=count, pairs=pairs, coupled=modes.damping.ndim == 2,
+            squares=rows(modes.squares), rows=rows(modes.pairs.T),
+            clearance=np.broadcast_to(np.asarray(asked.structure.clearance, float), pairs).copy(),
+            springs=springs, load=rows(asked.structure.force @ modes.shapes), waves=asked.waves,
+            room=np.empty(2 * count + pairs),
+        )  # fmt: skip
         self._known = Struct(
-            "central_differences", body=self._body(room=np.empty(2 * count + pairs)),
-            keep=2.0 * inverse - (1.0 if inverse.ndim == 1 else np.eye(count)),
-            gain=dt**2 * inverse, push=np.ascontiguousarray(push.T),
+            "central_differences", body=body,
+            keep=2.0 * inverse - (one if inverse.ndim == 1 else np.diag(one)),
+            gain=dt**2 * inverse, push=rows(push.T),
             contact=ActiveSets(modes.pairs.T @ push).handle if asked.rigid else None,
             shape=self._shape, increment=self._increment, closed=np.zeros(pairs, bool),
         )  # fmt: skip
 
+    def _gap(self) -> np.ndarray:
+        """Gap at the end of the integration."""
+        return np.asarray(self._shape @ self._modes.pairs - self._asked.structure.clearance)
+
+    def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
+        """f - w^2 q - P lambda - c v at phase zero of the load; forces of a constraint, which
+        belong to the next step, are left out."""
+        modes, mean_and_cosine = self._modes, self._asked.structure.force[:2].sum(axis=0)
+        found = mean_and_cosine @ modes.shapes - modes.squares * self._shape
+        if not self._asked.rigid:
+            found -= modes.pairs @ self._asked.contact.force(self._gap())
+        return np.asarray(found - modes.damped(velocity))
+
     def fill(self, window: Window, number: int) -> None:
-        self._march(window, kernel.march_central)
+        modes, asked, count = self._modes, self._asked, len(window.gap)
+        some = max(1, CACHED // len(modes.squares))
+        for first in range(0, count, some):
+            place = slice(first, min(first + some, count))
+            shape = np.empty((place.stop - first, len(modes.squares)))
+            made = kernel.march_central(
+                self._known.at, first, len(shape), pointer(window.gap[place]),
+                pointer(window.force[place]), pointer(shape),
+            )  # fmt: skip
+            if made < len(shape):
+                raise ConvergenceError(f"contact: no forces of step {first + made} were found")
+            window.motion[place] = shape @ modes.shapes[asked.recorded_dofs].T
+            window.load_motion[place] = shape @ modes.shapes[asked.load_rows].T
         self.book(*self._energy.of(window))
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
@@ -229,17 +278,52 @@ class _ModalDifferences(ModalSteps):
         return self._modes.shapes @ self._shape, self._modes.shapes @ velocity
 
 
-class _CentralDifferences(LoopedSteps):
-    """State and one step of the scheme."""
+def _inverse(dashpots: np.ndarray) -> np.ndarray:
+    """Return the inverse of 1 + c, by mode."""
+    if dashpots.ndim == 1:
+        return np.asarray(1.0 / (1.0 + dashpots))
+    return np.linalg.inv(np.eye(len(dashpots)) + dashpots)
+
+
+# --- step by step ---------------------------------------------------------------------------------
+
+
+class _CentralDifferences(Scheme):
+    """State of a structure and one step of the scheme, with A = M + dt/2 C factored (collective).
+
+    Modal damping C = M Phi diag(c) Phi^T M enters by its low rank: with d = 1 + dt/2 c,
+
+        A^-1 = M^-1 + Phi diag(1/d - 1) Phi^T,     A^-1 C = Phi diag(c/d) Phi^T M.
+    """
 
     name, remedy = NAME, REMEDY
 
     def __init__(self, asked: March) -> None:
-        dt = asked.step_size
-        super().__init__(asked, 1.0, 0.0, 0.5 * dt)
+        self.structure, dt = asked.structure, asked.step_size
+        structure = self.structure
+        self.contact, self.rigid, self.step_size = asked.contact, asked.rigid, dt
+        self.load, self.load_rows = asked.load, asked.load_rows
+        self.force = np.zeros(structure.n_pairs)
+        # Only few rows of B are not zero.
+        self._gap_rows = np.flatnonzero(np.diff(structure.gap.indptr))
+        self._gap_block = structure.gap[self._gap_rows].toarray()
+        self._columns = asked.recorded_dofs - structure.first_dof
+        self._modes, self._damping = damped_modes(structure), structure.damping_matrix
+        self._x, self._y = structure.mass.createVecs()
+        matrix = structure.mass
+        if self._damping is not None:
+            matrix = weighted_sum(structure.mass, 0.5 * dt, self._damping)
+        # A C that was given need not be symmetric.
+        symmetric = self._damping is None or isinstance(structure.damping, RayleighDamping)
+        self._inverse = Factor(matrix, symmetric=symmetric, definite=True)
+        own = () if self._damping is None else (matrix,)
+        self.owned = self._x, self._y, self._inverse, *own
+        if self._modes is not None:
+            damped = 1.0 + 0.5 * dt * self._modes.rate
+            self._correction, self._decay = 1.0 / damped - 1.0, self._modes.rate / damped
         if self.rigid:
-            self._push = dt**2 * self._answers(self.structure.gap.toarray())
-            self._compliance = self.structure.apply_bt(self._push.T).T
+            self._push = dt**2 * self._answers(structure.gap.toarray())
+            self._compliance = structure.apply_bt(self._push.T).T
         displacement, velocity = asked.start
         self.displacement = self._admissible(displacement)
         # The step before from u_{-1} = u - dt v + dt^2 a / 2.
@@ -247,7 +331,12 @@ class _CentralDifferences(LoopedSteps):
         self._energy = _ContactEnergy(asked, self._linear_energy(velocity))
 
     def fill(self, window: Window, number: int) -> None:
-        self.record(window)
+        for step in range(len(window.gap)):
+            before = self.displacement
+            self.advance(step)
+            window.gap[step], window.force[step] = self.gap, self.force
+            window.load_motion[step] = before[self.load_rows]
+            window.motion[step] = before[self._columns]
         self.book(*self._energy.of(window))
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
@@ -255,6 +344,7 @@ class _CentralDifferences(LoopedSteps):
         return self.displacement.copy(), velocity
 
     def advance(self, step: int) -> None:
+        """Integrate from an instant, ``step`` of the period, to the next."""
         dt = self.step_size
         self.gap = self._measured(self.displacement)
         pull = -self._times(self.structure.stiffness, self.displacement)  # f - K u - B lambda
@@ -267,5 +357,76 @@ class _CentralDifferences(LoopedSteps):
             reached = self.gap + self._closing(self.increment)
             self.force = solve_complementarity(self._compliance, reached, self.force > 0.0)
             self.increment -= self._push @ self.force
-        self.before = self.displacement
         self.displacement = self.displacement + self.increment
+
+    def _closing(self, motion: np.ndarray) -> np.ndarray:
+        """B^T of a motion (n_local,)."""
+        return self.structure.sum_over_ranks(motion[self._gap_rows] @ self._gap_block)
+
+    def _measured(self, displacement: np.ndarray) -> np.ndarray:
+        """Gap of a displacement (n_local,)."""
+        return self._closing(displacement) - self.structure.clearance
+
+    def _applied(self, operator: Callable[[Any, Any], None], rows: np.ndarray) -> np.ndarray:
+        """Apply an operator of PETSc's to a vector (n_local,)."""
+        self._x.array_w[:] = rows
+        operator(self._x, self._y)
+        return self._y.array_r.copy()
+
+    def _times(self, matrix: PETSc.Mat, rows: np.ndarray) -> np.ndarray:
+        """A matrix times (n_local,)."""
+        return self._applied(matrix.mult, rows)
+
+    def _answer(self, right: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """A^-1 (r - C v)."""
+        modes = self._modes
+        if modes is None:
+            return self._applied(self._inverse.apply, right - self._damped(velocity))
+        moved = self._times(self.structure.mass, velocity)
+        both = np.stack([right @ modes.shapes, moved @ modes.shapes])
+        pushed, speed = self.structure.sum_over_ranks(both)
+        found = self._applied(self._inverse.apply, right)
+        return found + modes.shapes @ (self._correction * pushed - self._decay * speed)
+
+    def _answers(self, columns: np.ndarray) -> np.ndarray:
+        """A^-1 X of columns (n_local, m)."""
+        still = np.zeros(len(columns))
+        found = [self._answer(one, still) for one in columns.T]
+        return np.array(found).reshape(columns.T.shape).T
+
+    def _damped(self, velocity: np.ndarray) -> np.ndarray:
+        """C v."""
+        if self._damping is not None:
+            return self._times(self._damping, velocity)
+        if self._modes is None:
+            return np.zeros_like(velocity)
+        modal = self.structure.sum_over_ranks(velocity @ self._modes.mass_shapes)
+        return self._modes.mass_shapes @ (self._modes.rate * modal)
+
+    def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
+        """M^-1 (f - K u - B lambda - C v) at phase zero of the load; forces of a constraint, which
+        belong to the next step, are left out."""
+        right = -self._times(self.structure.stiffness, self.displacement) - self._damped(velocity)
+        right[self.load_rows] += self.load[0]
+        if not self.rigid:
+            force = self.contact.force(self._measured(self.displacement))
+            right[self._gap_rows] -= self._gap_block @ force
+        with Factor(self.structure.mass, definite=True) as factor:
+            found: np.ndarray = factor.solve(right[None])[0]
+        return found
+
+    def _linear_energy(self, velocity: np.ndarray) -> float:
+        """(u^T K u + v^T M v) / 2: [J]."""
+        structure = self.structure
+        parts = (structure.stiffness, self.displacement), (structure.mass, velocity)
+        energy = 0.5 * sum(rows @ times(matrix, rows[:, None])[:, 0] for matrix, rows in parts)
+        return float(structure.sum_over_ranks(np.array([energy]))[0])
+
+    def _admissible(self, displacement: np.ndarray) -> np.ndarray:
+        """Displacement closest in the norm of M without penetration, with a constraint."""
+        gap = self._measured(displacement)
+        if not self.rigid or not np.any(gap > 0.0):
+            return displacement
+        with Factor(self.structure.mass, definite=True) as factor:
+            push = factor.solve(self.structure.gap.T.toarray())
+        return displacement - solve_complementarity(self.structure.apply_bt(push), gap) @ push

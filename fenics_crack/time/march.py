@@ -1,5 +1,4 @@
-"""Motion in time: the request for a time integration, the loop over its periods, its record, and
-what schemes share that go step by step with PETSc's matrices."""
+"""Motion in time: the request for a time integration, the loop over its periods, and its record."""
 
 from __future__ import annotations
 
@@ -14,7 +13,6 @@ from inspect import signature
 from typing import Any, ClassVar
 
 import numpy as np
-from petsc4py import PETSc
 from tqdm import tqdm
 
 from fenics_crack.balance.solution import (
@@ -35,11 +33,10 @@ from fenics_crack.basics.progress import begin, reaching
 from fenics_crack.basics.ranks import StopRequest, raise_together
 from fenics_crack.basics.suggestions import check_options
 from fenics_crack.basics.tables import Tabular, counted
-from fenics_crack.model.contact import ContactLaw, check_law, is_rigid, solve_complementarity
-from fenics_crack.model.factor import Factor, weighted_sum
+from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
 from fenics_crack.model.matrices import numbers
-from fenics_crack.model.modes import NEGLIGIBLE, damped_modes, times
-from fenics_crack.model.structure import RayleighDamping, Structure
+from fenics_crack.model.modes import NEGLIGIBLE
+from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import balanced, derivative, evaluate, waves
 from fenics_crack.numerics.newton import moving_size
 
@@ -188,8 +185,8 @@ class TimeHistory(Tabular):
         Relative to what moves: means over the period count no more than all else.
     created_energy : float
         Net energy created, relative to the energy put in by the load and the initial state. Central
-        differences: by contact that opens and closes between steps; it vanishes like dt^2. The
-        implicit scheme: what is missing in the energy balance at the end of the last period.
+        differences: by contact that opens and closes between steps; it vanishes like dt^2.
+        Exponential steps: what is missing in the energy balance at the end of the last period.
         Negative: lost; with a constraint impacts lose energy whatever the step.
     periods : int
         Load periods integrated; fewer than requested where the motion settled, or Ctrl-C stopped it
@@ -491,137 +488,3 @@ def initial_state(
     )
     raise_together(structure.comm, None if right else error)
     return state[0], state[1]
-
-
-# --- step by step ---------------------------------------------------------------------------------
-
-
-class LoopedSteps(Scheme):
-    """State of a structure, and what acts on it, with A = inertia M + spring K + dashpot C factored
-    (collective).
-
-    Modal damping C = M Phi diag(c) Phi^T M enters by its low rank: with D the part of A without
-    damping, d_j the value of A on mode j and d0_j that of D,
-
-        A^-1 = D^-1 + Phi diag(1/d - 1/d0) Phi^T,     A^-1 C = Phi diag(c/d) Phi^T M.
-    """
-
-    displacement: np.ndarray
-    """(n_local,)"""
-    before: np.ndarray
-    """Displacement (n_local,) at the instant from which :meth:`advance` has started."""
-    gap: np.ndarray
-    """(n_pairs,) [m], at the same instant."""
-    force: np.ndarray
-    """(n_pairs,) [N], at the same instant; with a constraint the mean until the next."""
-
-    def __init__(self, asked: March, inertia: float, spring: float, dashpot: float) -> None:
-        self.structure = structure = asked.structure
-        self.contact, self.rigid, self.step_size = asked.contact, asked.rigid, asked.step_size
-        self.load, self.load_rows = asked.load, asked.load_rows
-        self.force = np.zeros(structure.n_pairs)
-        # Only few rows of B are not zero.
-        self._gap_rows = np.flatnonzero(np.diff(structure.gap.indptr))
-        self._gap_block = structure.gap[self._gap_rows].toarray()
-        self._columns = asked.recorded_dofs - structure.first_dof
-        self._modes, self._damping = damped_modes(structure), structure.damping_matrix
-        self._x, self._y = structure.mass.createVecs()
-        matrix = structure.mass.copy()
-        matrix.scale(inertia)
-        for weight, part in ((spring, structure.stiffness), (dashpot, self._damping)):
-            if weight > 0.0 and part is not None:
-                total = weighted_sum(matrix, weight, part)
-                matrix.destroy()
-                matrix = total
-        # A C that was given need not be symmetric.
-        symmetric = self._damping is None or isinstance(structure.damping, RayleighDamping)
-        self._inverse = Factor(matrix, symmetric=symmetric, definite=True)
-        self.owned = self._x, self._y, self._inverse, matrix
-        if self._modes is not None:
-            undamped = inertia + spring * self._modes.omega**2
-            damped = undamped + dashpot * self._modes.rate
-            self._correction, self._decay = 1.0 / damped - 1.0 / undamped, self._modes.rate / damped
-
-    @abstractmethod
-    def advance(self, step: int) -> None:
-        """Integrate from an instant, ``step`` of the period, to the next."""
-
-    def record(self, window: Window) -> None:
-        """Integrate a period."""
-        for step in range(len(window.gap)):
-            self.advance(step)
-            window.gap[step], window.force[step] = self.gap, self.force
-            window.load_motion[step] = self.before[self.load_rows]
-            window.motion[step] = self.before[self._columns]
-
-    def _closing(self, motion: np.ndarray) -> np.ndarray:
-        """B^T of a motion (n_local,)."""
-        return self.structure.sum_over_ranks(motion[self._gap_rows] @ self._gap_block)
-
-    def _measured(self, displacement: np.ndarray) -> np.ndarray:
-        """Gap of a displacement (n_local,)."""
-        return self._closing(displacement) - self.structure.clearance
-
-    def _applied(self, operator: Callable[[Any, Any], None], rows: np.ndarray) -> np.ndarray:
-        """Apply an operator of PETSc's to a vector (n_local,)."""
-        self._x.array_w[:] = rows
-        operator(self._x, self._y)
-        return self._y.array_r.copy()
-
-    def _times(self, matrix: PETSc.Mat, rows: np.ndarray) -> np.ndarray:
-        """A matrix times (n_local,)."""
-        return self._applied(matrix.mult, rows)
-
-    def _answer(self, right: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """A^-1 (r - C v)."""
-        modes = self._modes
-        if modes is None:
-            return self._applied(self._inverse.apply, right - self._damped(velocity))
-        moved = self._times(self.structure.mass, velocity)
-        both = np.stack([right @ modes.shapes, moved @ modes.shapes])
-        pushed, speed = self.structure.sum_over_ranks(both)
-        found = self._applied(self._inverse.apply, right)
-        return found + modes.shapes @ (self._correction * pushed - self._decay * speed)
-
-    def _answers(self, columns: np.ndarray) -> np.ndarray:
-        """A^-1 X of columns (n_local, m)."""
-        still = np.zeros(len(columns))
-        found = [self._answer(one, still) for one in columns.T]
-        return np.array(found).reshape(columns.T.shape).T
-
-    def _damped(self, velocity: np.ndarray) -> np.ndarray:
-        """C v."""
-        if self._damping is not None:
-            return self._times(self._damping, velocity)
-        if self._modes is None:
-            return np.zeros_like(velocity)
-        modal = self.structure.sum_over_ranks(velocity @ self._modes.mass_shapes)
-        return self._modes.mass_shapes @ (self._modes.rate * modal)
-
-    def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
-        """M^-1 (f - K u - B lambda - C v) at phase zero of the load; forces of a constraint, which
-        belong to the next step, are left out."""
-        right = -self._times(self.structure.stiffness, self.displacement) - self._damped(velocity)
-        right[self.load_rows] += self.load[0]
-        if not self.rigid:
-            force = self.contact.force(self._measured(self.displacement))
-            right[self._gap_rows] -= self._gap_block @ force
-        with Factor(self.structure.mass, definite=True) as factor:
-            found: np.ndarray = factor.solve(right[None])[0]
-        return found
-
-    def _linear_energy(self, velocity: np.ndarray) -> float:
-        """(u^T K u + v^T M v) / 2: [J]."""
-        structure = self.structure
-        parts = (structure.stiffness, self.displacement), (structure.mass, velocity)
-        energy = 0.5 * sum(rows @ times(matrix, rows[:, None])[:, 0] for matrix, rows in parts)
-        return float(structure.sum_over_ranks(np.array([energy]))[0])
-
-    def _admissible(self, displacement: np.ndarray) -> np.ndarray:
-        """Displacement closest in the norm of M without penetration, with a constraint."""
-        gap = self._measured(displacement)
-        if not self.rigid or not np.any(gap > 0.0):
-            return displacement
-        with Factor(self.structure.mass, definite=True) as factor:
-            push = factor.solve(self.structure.gap.T.toarray())
-        return displacement - solve_complementarity(self.structure.apply_bt(push), gap) @ push

@@ -145,8 +145,8 @@ def test_no_verdict_without_penetration_where_lips_have_mass(
             "integrate_exponential",
         ),
         (
-            {"reduction.method": "craig_bampton", "integration.method": "implicit"},
-            "integrate_implicit",
+            {"reduction.method": "free_interface", "integration.method": "central_difference"},
+            "integrate_central_difference",
         ),
         ({"reduction.method": "off", "integration.method": "events"}, "integrate_events"),
     ],

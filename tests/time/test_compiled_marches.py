@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import fenics_crack as fc
 from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.modal import all_modes
-from fenics_crack.time import central_differences, implicit
+from fenics_crack.time import central_differences
 from fenics_crack.time.exponential import ExponentialFlow
 from fenics_crack.time.march import March, march
 
@@ -80,26 +80,6 @@ def test_central_differences(dofs: int, pairs: int, damping: str, rigid: bool, s
         central_differences._ModalDifferences, central_differences._CentralDifferences
     )  # fmt: skip
     same(*(march(asked, made(asked)) for made in makers), 1e-10)  # type: ignore[misc]
-
-
-RADII = st.sampled_from([0.0, 0.5, 0.8, 1.0])
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.integers(1, 9), st.integers(0, 4), KINDS, st.booleans(), RADII, SEEDS)
-def test_implicit(
-    dofs: int, pairs: int, damping: str, rigid: bool, radius: float, seed: int
-) -> None:
-    """The same of the implicit scheme, by steps long and short."""
-    rng = np.random.default_rng(seed)
-    pairs = min(pairs, dofs)
-    structure = random_structure(rng, dofs, pairs, damping)
-    stiffness = 10.0 ** rng.uniform(0.0, 4.0, pairs) if pairs else 1.0
-    law: Any = fc.UnilateralConstraint() if rigid else fc.UnilateralPenalty(stiffness)
-    start = 0.3 * rng.normal(size=(2, dofs))
-    asked = March(structure, 1.1, law, 2, int(rng.integers(8, 80)), initial=(start[0], start[1]))
-    makers: tuple[Any, ...] = (implicit._ModalAlpha, implicit._GeneralisedAlpha)
-    same(*(march(asked, made(asked, radius)) for made in makers), 1e-10)  # type: ignore[misc]
 
 
 # --- exponential steps ----------------------------------------------------------------------------

@@ -271,7 +271,7 @@ def breathing() -> dict[str, tuple[np.ndarray, np.ndarray]]:
         return np.array([np.interp(time, instants, wave) for wave in waves])
 
     rest = np.zeros(structure.n_dofs)
-    march = fc.integrate_implicit(
+    march = fc.integrate_central_difference(
         structure, omega, law, periods=PERIODS, steps_per_period=8 * STEPS
     )
     ours = np.array([march.gap[::8, 0], march.displacement(corner)[::8, 0]])
@@ -312,9 +312,9 @@ def calculix_breathing_plate() -> list[Row]:
     planes with the constants of [natural frequencies](calculix_frequencies.md), and integrates
     the contact's pressure over the bricks' faces (`SURFACE TO SURFACE`), where we have springs
     between nodes: the same law, spread otherwise. First both programs start from rest,
-    ours by `fc.integrate_implicit`, 1600 steps a period. Then CalculiX starts with displacement and
-    velocity of our harmonic balance (H = 40, all modes) at t = 0, and has to stay on its orbit: its
-    second period gives the harmonics below.
+    ours by `fc.integrate_central_difference`, 1600 steps a period. Then CalculiX starts with
+    displacement and velocity of our harmonic balance (H = 40, all modes) at t = 0, and has to stay
+    on its orbit: its second period gives the harmonics below.
 
     Each difference is the largest of two periods over the largest value; allowed is 2 %. Shorter
     steps leave it as it is. With a contact stiffness of 0.8 or 1.25 times CalculiX's, ours on the
