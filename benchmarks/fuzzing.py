@@ -389,7 +389,7 @@ SETTINGS = [
     "contact.stiffness_per_area=1e9", "contact.sharpness=1e6", "contact.law=smoothed",
     "contact.pairs=mouth", "harmonic_balance.harmonics=1", "harmonic_balance.harmonics=100000000",
     "harmonic_balance.samples=13", "harmonic_balance.samples=2000000000", "reduction.modes=2",
-    "reduction.modes=100", "reduction.method=off", "reduction.method=craig_bampton", "curve=none",
+    "reduction.modes=100", "reduction.method=off", "curve=none",
     "curve.parameter=load", "curve.parameter=clearance", "curve.parameter=damping",
     "curve.start=0", "curve.stop=0", "curve.stop=2000", "curve.stability=false",
     "integration.method=events", "integration.method=euler",

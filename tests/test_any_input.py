@@ -216,7 +216,7 @@ def wild_scene(rng: random.Random) -> dict[str, Any]:
     cells = rng.choice(["triangle", "quadrilateral"])
     tables["mesh"] = layout | {"cells": cells, "order": rng.choice([1, 1, 2])}
     if rng.random() < 0.4:
-        methods = [None, "massless", "free_interface", "craig_bampton", "off"]
+        methods = [None, "massless", "free_interface", "off"]
         tables["reduction"] = {"method": rng.choice(methods)}
         if rng.random() < 0.7:
             tables["reduction"]["modes"] = rng.choice([1, 2, 5, 1000])

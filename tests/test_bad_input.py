@@ -128,7 +128,7 @@ TABLE = [
     ("solve scene.toml mesh.file=a", "mesh.file = 'a': not allowed with layout = 'grid'"),
     ("solve scene.toml mesh.file=1", "mesh.file = 1: must be the path of a .msh file"),
     ("solve scene.toml mesh.layout=file", "mesh.columns = 2: not allowed with layout = 'file'"),
-    ("solve scene.toml reduction.method=a", "reduction.method = 'a': must be one of 'massless', 'free_interface', 'craig_bampton', 'off'"),
+    ("solve scene.toml reduction.method=a", "reduction.method = 'a': must be one of 'massless', 'free_interface', 'off'"),
     ("solve scene.toml reduction.modes=0", "reduction.modes = 0: must be a whole number >= 1"),
     ("solve scene.toml reduction.modes=1000", "reduction.modes = 1000: must be a whole number from 1 to n_dofs = 14"),
     ("solve scene.toml curve.parameter=a", "curve.parameter = 'a': must be one of 'omega', 'frequency', 'load', 'stiffness', 'damping', 'clearance'"),

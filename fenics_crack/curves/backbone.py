@@ -36,7 +36,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, TypedDict, Unpack
+from typing import Any, ClassVar
 
 import numpy as np
 from tqdm import tqdm
@@ -52,7 +52,6 @@ from fenics_crack.basics.errors import (
     check_count,
     check_number,
 )
-from fenics_crack.basics.suggestions import check_options
 from fenics_crack.basics.tables import Tabular, counted, with_frequency
 from fenics_crack.curves.curve import PHASES
 from fenics_crack.curves.free_motion import (
@@ -217,27 +216,6 @@ class Backbone(Tabular):
         return ", ".join([*parts, "complete" if self.complete else "NOT COMPLETE"])
 
 
-class BackboneOptions(TypedDict, total=False):
-    """Options of :func:`.follow_backbone`.
-
-    initial : PeriodicSolution
-        Start from the motion next to this solution, scaled to ``energy_start``, and not from the
-        linear mode: for example from a peak of the response with little damping.
-    internal_resonances : bool
-        Follow all tongues that the steps resolve; a path need not come out of them again. Default:
-        pass over them where a motion of the same shape is found beyond.
-    longest_step : float
-        Longest step, relative to the size of the motion's shape and in ln E; default: 0.2.
-    most_points : int
-        Give up after so many; default: 2000.
-    """
-
-    initial: PeriodicSolution | None
-    internal_resonances: bool
-    longest_step: float
-    most_points: int
-
-
 def follow_backbone(
     structure: Structure,
     contact: ContactLaw,
@@ -247,9 +225,9 @@ def follow_backbone(
     *,
     harmonics: int = 10,
     samples: int | None = None,
+    most_points: int = 2000,
     progress: bool = False,
     throw: bool = True,
-    **options: Unpack[BackboneOptions],
 ) -> Backbone:
     """Follow a nonlinear normal mode over its energy: the backbone of its resonance.
 
@@ -271,14 +249,13 @@ def follow_backbone(
         Energy of the motion [J], above that of the equilibrium; the end is above the start.
     harmonics, samples : int, int or None
         As in :func:`solve_harmonic_balance`.
+    most_points : int
+        Give up after so many.
     progress : bool
         Show a progress bar.
     throw : bool
         Raise if the end is not reached; else return what was found, ``complete`` being False.
         Ctrl-C always returns what was found.
-    **options
-        As :class:`.BackboneOptions` lists them: initial, internal_resonances, longest_step,
-        most_points.
 
     Returns
     -------
@@ -296,10 +273,8 @@ def follow_backbone(
     --------
     >>> backbone = fc.follow_backbone(mass, fc.UnilateralPenalty(1.0), 1, 0.1, 1.0)
     """
-    check_options("follow_backbone", options, BackboneOptions.__annotations__)
-    longest, most = options.get("longest_step", 0.2), options.get("most_points", 2000)
-    check_number("longest_step", longest, 0.0, above=True)
-    check_count("most_points", most, 1)
+    longest = 0.2  # relative to the size of the motion's shape, and in ln E
+    check_count("most_points", most_points, 1)
     check_number("energy_start", energy_start, 0.0, above=True)
     check_number("energy_end", energy_end, energy_start, above=True)
     check_count("harmonics", harmonics, 1)
@@ -314,14 +289,13 @@ def follow_backbone(
     rest = Equilibrium(structure, contact)
     integrals = contact_integrals(contact, harmonics, samples)
     family = FreeMotion(rest, integrals, float(rest.frequencies[mode - 1]))
-    first, note = first_motion(family, mode, energy_start, options.get("initial"))
+    first, note = first_motion(family, mode, energy_start)
     path = MotionPath(
         family, first, math.log(energy_end), lowest=first.parameter - longest,
-        max_step=longest, max_steps=most,
-        pass_over=not options.get("internal_resonances", False),
+        max_step=longest, max_steps=most_points,
     )  # fmt: skip
     found, ended = _collected(path, progress and structure.whole.comm.rank == 0)
-    ended = ended or path.in_words(most)
+    ended = ended or path.in_words(most_points)
     energy = np.exp([point.parameter for point in found])
     if throw and not path.complete and ended != INTERRUPTED:
         raise ConvergenceError(

@@ -23,7 +23,6 @@ from fenics_crack.curves.harmonic_curve import HarmonicCurve
 from fenics_crack.curves.verdicts import judge_curve
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.motion.flow import exact_flow
-from fenics_crack.numerics.fourier import stretched
 from fenics_crack.numerics.path import BranchPoint, Fold
 
 
@@ -47,11 +46,9 @@ class Continuation(Growing):
         added to that of every pair [m]; "speed": of the rotor [rad/s], which ``omega`` follows.
     start, end : float
         Its values; the end may be below the start.
-    initial : PeriodicSolution, HarmonicCurve or Bifurcation, optional
-        Where to start. A solution: near the first point. A curve that did not reach its end: from
-        its last point; ``start`` is then its own, or for a branch ``start`` and ``end`` bound the
-        parameter. A bifurcation: on the branch that begins there; ``start`` and ``end`` bound the
-        parameter on either side (:func:`follow_branch`).
+    initial : PeriodicSolution or Bifurcation, optional
+        Where to start. A solution: near the first point. A bifurcation: on the branch that begins
+        there; ``start`` and ``end`` bound the parameter on either side (:func:`follow_branch`).
     tolerance : float, optional
         Without ``samples``. Choose H, between the problem's ``harmonics`` and 100, so that the
         estimated truncation error of the first point is below this.
@@ -91,7 +88,7 @@ class Continuation(Growing):
         start: float,
         end: float,
         *,
-        initial: PeriodicSolution | HarmonicCurve | Bifurcation | None = None,
+        initial: PeriodicSolution | Bifurcation | None = None,
         tolerance: float | None = None,
         stability: bool = False,
         **steps: Unpack[Steps],
@@ -110,16 +107,11 @@ class Continuation(Growing):
         if stability and is_rigid(problem.contact):
             exact_flow(problem.structure, problem.contact)
 
-        if isinstance(initial, HarmonicCurve | Bifurcation):
+        if isinstance(initial, Bifurcation):
             self._family = FAMILIES[parameter](problem, start, end)
-            if isinstance(initial, HarmonicCurve):
-                self._resume(initial.unjudged())
-            else:
-                point = initial.point
-                assert isinstance(point, HarmonicCurve)
-                factor = problem.harmonics // initial.problem.harmonics
-                unknown = stretched(point.unknowns[0], factor)
-                self._begin_on_branch(initial.kind, initial.value, unknown)
+            point = initial.point
+            assert isinstance(point, HarmonicCurve)
+            self._begin_on_branch(initial.kind, initial.value, point.unknowns[0])
             return
         if initial is not None:
             check_initial(problem, initial)

@@ -49,8 +49,6 @@ PARAMETERS = {
 
 PHASES = 2.0 * np.pi * np.arange(256) / 256
 """Phases of the period at which points of a curve are evaluated."""
-SPREAD = 40
-"""Points along its range that a picture of a curve resolves: as many errors are found first."""
 
 
 def parameter_axis(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
@@ -81,8 +79,7 @@ class Bifurcation(Described):
     kind : str
         "fold": the curve turns back; "branch_point": another branch crosses; "period_doubling": a
         multiplier leaves the unit circle through -1; "neimark_sacker": a pair of them leaves it
-        anywhere else. Of harmonic balance the last two are found with ``stability=True``, and only
-        under laws without exact orbits.
+        anywhere else. The last two are bifurcations of exact orbits.
     point : HarmonicCurve or OrbitCurve
         The curve that has no other point.
     multipliers : (m,) complex or None
@@ -333,13 +330,6 @@ class ResponseCurve(Tabular):
         wide = float(np.ptp(self.values)) or 1.0
         return int(np.argmin(np.hypot(off, (self.values - bifurcation.value) / wide)))
 
-    def followed_by(self, other: Self) -> Self:
-        """The points and bifurcations of both, whose last and first point are the same one, and how
-        the other one ended."""
-        columns = _joined(self.part(slice(-1)), other)
-        special = self.bifurcations + other.bifurcations
-        return replace(other, **columns, bifurcations=special, structure=self.structure)
-
     def indicators(self, dof: int | None = None) -> Indicators:
         """Return the crack indicators at a dof, or the watched one, and at the crack faces at every
         point, from 256 instants."""
@@ -426,7 +416,7 @@ class ResponseCurve(Tabular):
         harmonics and modes left out, of exact orbits of modes; elsewhere it is interpolated.
         """
         known: dict[int, float] = {}
-        asked = set(np.linspace(0, len(self) - 1, SPREAD).astype(int).tolist())
+        asked = set(np.linspace(0, len(self) - 1, 40).astype(int).tolist())  # as a picture shows
         while asked:
             for place in asked:
                 known[place] = self._displacement_error(place)

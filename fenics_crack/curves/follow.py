@@ -52,10 +52,6 @@ class CurveOptions(TypedDict, total=False):
         with as many harmonics as the truncation error of the first point requires.
     stability, longest_step, most_points, turning_back
         As in :class:`.Continuation`; exact orbits always have their stability.
-    resume
-        Go on from the last point of a curve that did not reach its end. ``start`` is then its own,
-        or for a branch ``start`` and ``end`` bound the parameter; harmonics, samples, subharmonic
-        and initial are left out.
     """
 
     harmonics: int | None
@@ -67,7 +63,6 @@ class CurveOptions(TypedDict, total=False):
     longest_step: float
     most_points: int
     turning_back: float
-    resume: ResponseCurve | None
 
 
 def continue_frequency(
@@ -104,7 +99,7 @@ def continue_frequency(
         Ctrl-C always returns what was found.
     **options
         As :class:`.CurveOptions` lists them: harmonics, samples, subharmonic, initial, tolerance,
-        stability, longest_step, most_points, turning_back, resume.
+        stability, longest_step, most_points, turning_back.
 
     Returns
     -------
@@ -179,7 +174,7 @@ def continue_parameter(
     check_options("continue_parameter", options, CurveOptions.__annotations__)
     if options.get("tolerance") is not None and not is_small(structure):
         structure = reduce_structure(structure, method="massless")
-    elsewhere = options.get("initial") is not None or options.get("resume") is not None
+    elsewhere = options.get("initial") is not None
 
     def grow(origin: float, goal: float, **changes: Any) -> Growing:
         span = parameter, origin, goal
@@ -241,9 +236,9 @@ def follow_branch(
 ) -> ResponseCurve:
     """Follow the branch that begins at a period doubling, or crosses at a branch point.
 
-    The doubled branch has twice the period, and of harmonic balance twice as many harmonics. It is
-    followed in one direction, until the parameter leaves the range or the branch joins the old one
-    again; the other direction of a doubled branch is the same orbits half a period later.
+    The doubled branch, of exact orbits, has twice the period. A branch is followed in one
+    direction, until the parameter leaves the range or it joins the old one again; the other
+    direction of a doubled branch is the same orbits half a period later.
 
     Parameters
     ----------
@@ -279,7 +274,7 @@ def follow_branch(
         kind = getattr(bifurcation, "kind", type(bifurcation).__name__)
         raise InputError("bifurcation", kind, "a Bifurcation of kind " + " or ".join(kinds))
     check_options("follow_branch", options, CurveOptions.__annotations__)
-    for key in ("harmonics", "samples", "subharmonic", "initial", "tolerance", "resume"):
+    for key in ("harmonics", "samples", "subharmonic", "initial", "tolerance"):
         if key in options:
             raise InputError(key, options.get(key), "left out: it follows from the curve")
     start = float(curve.values.min()) if start is None else start
@@ -292,7 +287,6 @@ def follow_branch(
         structure=bifurcation.problem.structure if curve.parameter == "speed" else curve.structure,
         omega=bifurcation.omega,
         harmonics=doubled * curve.problem.harmonics,
-        samples=curve.problem.samples and doubled * curve.problem.samples,
         subharmonic=doubled * curve.subharmonic,
     )
     exact, span = isinstance(curve, OrbitCurve), (curve.parameter, start, end)
@@ -307,18 +301,10 @@ def _continuation(
     span: tuple[str, float, float],
     options: Mapping[str, Any],
 ) -> Growing:
-    """The continuation that options request, from the start or of an unfinished curve."""
+    """The continuation that options request."""
     given: dict[str, Any] = dict(options)
-    resume, tolerance = given.pop("resume", None), given.get("tolerance")
-    keys = "harmonics", "samples", "subharmonic", "initial"
-    harmonics, samples, subharmonic, initial = asked = [given.pop(key, None) for key in keys]
-    if resume is not None:
-        for key, value in zip(keys, asked, strict=True):
-            if value is not None and (key, value) != ("subharmonic", 1):
-                raise InputError(key, value, "left out where a curve is resumed")
-        check_kind("resume", resume, ResponseCurve)
-        problem = replace(resume.problem, structure=structure, omega=omega, contact=contact)
-        return _grown(isinstance(resume, OrbitCurve), problem, span, resume, given)
+    tolerance, keys = given.get("tolerance"), ("harmonics", "samples", "subharmonic", "initial")
+    harmonics, samples, subharmonic, initial = (given.pop(key, None) for key in keys)
     if tolerance is not None and harmonics is not None:
         raise InputError("tolerance", tolerance, "left out where harmonics are given")
     subharmonic = 1 if subharmonic is None else subharmonic

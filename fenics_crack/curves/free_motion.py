@@ -15,18 +15,13 @@ from fenics_crack.balance.compliance import DEFLATION_BAND, ModalCompliance
 from fenics_crack.balance.contact_integrals import CoupledIntegrals, PairIntegrals, apply_to_pairs
 from fenics_crack.balance.contact_system import SOFT
 from fenics_crack.balance.problem import halved, rounding_left
-from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import ContactLaw, gauss
 from fenics_crack.model.modal import AllModes, all_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import Linearisation, determinant_sign
-from fenics_crack.numerics.fourier import resized, to_complex
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_at
 from fenics_crack.numerics.path import ARRIVED, STRAIGHT, Ended, Path, PathOptions, Target
-
-NEAR = 0.05
-"""Relative distance to resonance below which entries are not predicted."""
 
 
 class Equilibrium:
@@ -120,8 +115,9 @@ class FreeMotion:
         return (self.rest.modes.squares - self.order * unknown[-1] ** 2) * self.scale
 
     def near(self, unknown: np.ndarray) -> np.ndarray:
-        """Return the entries of x that are close to resonance, without the fundamental ones."""
-        close = np.abs(self.stiffness(unknown)) < NEAR
+        """Return the entries of x that are too close to resonance to be predicted, nearer than 5 %,
+        without the fundamental ones."""
+        close = np.abs(self.stiffness(unknown)) < 0.05
         close[1] = False
         return np.append(close.ravel(), False)
 
@@ -269,10 +265,7 @@ class MotionPoint(Linearisation):
 
 
 ELSEWHERE = "the path ended in the motion of another mode"
-HELPS = (
-    "fewer harmonics have fewer internal resonances, and another energy, or a solution given as "
-    "initial, starts elsewhere"
-)
+HELPS = "fewer harmonics have fewer internal resonances, and another energy starts elsewhere"
 
 
 def solve_motion(family: FreeMotion, guess: np.ndarray, parameter: float) -> PathPoint | None:
@@ -284,8 +277,8 @@ def solve_motion(family: FreeMotion, guess: np.ndarray, parameter: float) -> Pat
 class MotionPath:
     """The motions that follow one, up to that at a parameter: iterate over it once.
 
-    Steps in the parameter itself pass over tongues, unless these are to be followed; where there is
-    none to a motion of the same shape, arc-length leads on. ``crosses_branch`` marks where a tongue
+    Steps in the parameter itself pass over tongues; where there is none to a motion of the same
+    shape, arc-length leads on. ``crosses_branch`` marks where a tongue
     was passed over. ``ended`` is as of a :class:`Path`, and ``complete`` whether it met the end and
     not another mode's motion.
     """
@@ -299,11 +292,9 @@ class MotionPath:
         lowest: float,
         max_step: float,
         max_steps: int,
-        pass_over: bool = True,
     ) -> None:
         self.family, self.last, self.end = family, start, end
         self._lowest, self._max_step, self._left = lowest, max_step, max_steps
-        self._pass_over = pass_over
         self.ended: Ended | None = None
 
     @property
@@ -321,7 +312,7 @@ class MotionPath:
         step = 0.2 * self._max_step
         while self.ended is None:
             before = self.last
-            ahead = self._step(before, step) if self._pass_over else None
+            ahead = self._step(before, step)
             if ahead is None:
                 yield from self._along()
                 step = 0.2 * self._max_step
@@ -351,7 +342,7 @@ class MotionPath:
             yield point
             outside = point.tangent.p > 0.0 and point.parameter > here.parameter
             whole = family.is_fundamental(point.unknown)
-            if self._pass_over and outside and whole and path.ended is None:
+            if outside and whole and path.ended is None:
                 return
         self.ended = path.ended
 
@@ -395,49 +386,18 @@ def same_shape(unknown: np.ndarray, other: np.ndarray, cosine: float) -> bool:
     return bool(one @ two > cosine * np.linalg.norm(one) * np.linalg.norm(two))
 
 
-def first_motion(
-    family: FreeMotion, mode: int, energy: float, initial: PeriodicSolution | None
-) -> tuple[PathPoint, str]:
-    """Return the first point of a backbone, from a solution or the linear mode, and a note about
-    it."""
-    note = ""
-    if initial is None:
-        rest, integrals = family.rest, family.integrals
-        stiff = FreeMotion(rest, integrals, family.reference, energy)
-        try:
-            found = _from_linear_mode(stiff, mode)
-        except ConvergenceError:
-            begun = _from_fewer_harmonics(stiff, mode)
-            if begun is None:
-                raise
-            found, note = begun
-    else:
-        found = _next_to(family, initial, mode, energy)
+def first_motion(family: FreeMotion, mode: int, energy: float) -> tuple[PathPoint, str]:
+    """Return the first point of a backbone, from the linear mode, and a note about it."""
+    stiff, note = FreeMotion(family.rest, family.integrals, family.reference, energy), ""
+    try:
+        found = _from_linear_mode(stiff, mode)
+    except ConvergenceError:
+        begun = _from_fewer_harmonics(stiff, mode)
+        if begun is None:
+            raise
+        found, note = begun
     start = replace(found, parameter=math.log(energy), iterations=0, crosses_branch=False, at=None)
     return start, note
-
-
-def _next_to(family: FreeMotion, initial: PeriodicSolution, mode: int, energy: float) -> PathPoint:
-    """The motion next to a solution, whose mode is made a cosine in the first harmonic."""
-    rest, order = family.rest, np.arange(family.harmonics + 1)
-    if not isinstance(initial, PeriodicSolution):
-        raise InputError("initial", initial, "a PeriodicSolution or None")
-    rows, count = initial.displacement_coefficients, len(rest.frequencies)
-    if rows.shape[1:] != (count,):
-        raise InputError("initial", rows.shape[1:], f"of shape ({count},)")
-    modal = to_complex(resized(rows, family.harmonics)) @ np.linalg.inv(rest.modes.shapes).T
-    modal[0] -= rest.modal
-    phase = np.angle(modal[1, mode - 1]) + (0.0 if _opens(rest, mode) else np.pi)
-    z = (modal * np.exp(-1j * phase * order)[:, None]).real * rest.frequencies
-    start = math.log(energy)
-    guess = np.append(z.ravel() / math.sqrt(2.0 * energy), initial.base_omega / family.reference)
-    ratio = 1.0 + float(family.linearise(guess, start).residual[-1])
-    if ratio > 0.0:
-        guess[:-1] /= math.sqrt(ratio)
-        found = solve_motion(family, guess, start)
-        if found is not None and same_shape(found.unknown, guess, 0.7):
-            return found
-    raise ConvergenceError(f"backbone of mode {mode}: no motion next to the initial solution")
 
 
 def _opens(rest: Equilibrium, mode: int) -> bool:

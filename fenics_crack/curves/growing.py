@@ -1,11 +1,11 @@
 """Curves that grow point by point: what those of harmonic balance and of exact orbits share.
 
 A curve is a path (:mod:`fenics_crack.numerics.path`) of the equations of a family over a parameter
-(:mod:`family`, :mod:`orbit_family`). It begins at a solution, on a branch that leaves another curve
-at a bifurcation, or where a curve ends that has not reached its end.
+(:mod:`family`, :mod:`orbit_family`). It begins at a solution, or on a branch that leaves another
+curve at a bifurcation.
 
-Branches are entered along the null vector of [J, F_p] across the old one; at a period doubling
-along that of the equations of twice the period.
+Branches are entered along the null vector of [J, F_p] across the old one; at a period doubling of
+exact orbits along that of the equations of twice the period.
 
 Sources: Keller, in Applications of Bifurcation Theory, 1977; Seydel, Practical Bifurcation and
 Stability Analysis, chapters 4, 5 and 7.
@@ -38,7 +38,6 @@ from fenics_crack.curves.orbit_family import OrbitFamily
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
-from fenics_crack.motion.orbit import KNOWN
 from fenics_crack.numerics.equations import System
 from fenics_crack.numerics.newton import (
     PathPoint,
@@ -66,9 +65,6 @@ from fenics_crack.numerics.path import (
     observed,
 )
 
-ASIDE = 0.1, 0.03, 0.3, 0.01, 1.0
-"""Distances from a bifurcation at which its branch is entered, in longest steps, tried in turn."""
-
 
 class Steps(TypedDict, total=False):
     """Length and number of steps of a curve, as in :class:`fenics_crack.Continuation`."""
@@ -80,7 +76,7 @@ class Steps(TypedDict, total=False):
 
 class Growing(ABC):
     """A curve that grows, as :class:`fenics_crack.Continuation`: iterate over it, or :meth:`run`
-    it. ``points`` are all so far, from the last one of a resumed curve on."""
+    it. ``points`` are all so far."""
 
     def __init__(
         self, problem: Problem, parameter: str, start: float, end: float, *,
@@ -103,7 +99,6 @@ class Growing(ABC):
         self._longest, self.most_points, self._back = longest_step, most_points, turning_back
         self.points: list[CurvePoint] = []
         self._special: list[tuple[str, float, np.ndarray, np.ndarray | None]] = []
-        self._known: ResponseCurve | None = None
         self._branch = False
         self._towards: Tangent | None = None
         self._origin: PathPoint | None = None
@@ -147,39 +142,6 @@ class Growing(ABC):
         self._towards = found.tangent
         self._begin(family.value(found.parameter), found.unknown, found.iterations)
 
-    def _resume(self, curve: ResponseCurve) -> None:
-        """Resume at the end of a curve.
-
-        Raises
-        ------
-        InputError
-            It is complete, or one of another problem.
-        """
-        family, last = self._family, float(curve.values[-1])
-        if curve.complete:
-            raise InputError("resume", "a complete curve", "one that is not complete")
-        same = curve.structure.n_pairs == self._problem.structure.n_pairs
-        if curve.parameter != family.name or not same:
-            raise InputError("resume", f"curve in {curve.parameter}", "a curve of this problem")
-        first, span = float(curve.values[0]), (family.start, family.end)
-        if curve.branch and not min(span) < last < max(span):
-            raise InputError("start, end", span, f"on either side of {last:g}")
-        if not curve.branch and not math.isclose(span[0], first, rel_tol=1e-9):
-            raise InputError("start", span[0], f"where the resumed curve starts, {first:g}")
-        [(_, unknown)], parameter = points_of(family, curve, [-1]), family.parameter(last)
-        residual = math.inf
-        if unknown.shape == family.shape:
-            residual = float(np.linalg.norm(family.linearise(unknown, parameter).residual))
-        if not residual <= max(KNOWN, family.rounding(parameter)) * np.linalg.norm(unknown):
-            raise InputError("resume", "a curve of another problem", "of this structure and law")
-        self._known, self._branch = curve, curve.branch
-        self._begin(last, unknown, int(curve.iterations[-1]))
-        if len(curve) > 1:
-            there = points_of(family, curve, [0, 1, -2, -1])
-            self._towards = chord(family, *there[2:])
-            away = chord(family, *there[:2])
-            self._origin = point_on_path(family, there[0][1], family.parameter(first), away)
-
     # --- what there is so far ---------------------------------------------------------------------
 
     @property
@@ -205,8 +167,7 @@ class Growing(ABC):
             found.bifurcation(kind, value, state(unknown, value), multipliers)
             for kind, value, unknown, multipliers in self._special
         )
-        found = replace(found, bifurcations=special)
-        return found if self._known is None else self._known.followed_by(found)
+        return replace(found, bifurcations=special)
 
     @property
     def curve(self) -> ResponseCurve:
@@ -218,11 +179,6 @@ class Growing(ABC):
         """Unknowns of a point."""
         return int(np.prod(self._family.shape))
 
-    @property
-    def _count(self) -> int:
-        """Points so far."""
-        return len(self.points) + (0 if self._known is None else len(self._known) - 1)
-
     def progress(self) -> float:
         """Return the fraction of the way from start to end that is done, 0 to 1."""
         return min(1.0, max(0.0, self._family.parameter(self.points[-1].value)))
@@ -231,12 +187,14 @@ class Growing(ABC):
         """The same in words, with the range and how many points there are."""
         family = self._family
         ends = in_unit(parameter_axis(family.name, True), family.start, family.end)
-        return f"{self.progress():.0%} of the way between {ends}, {counted(self._count, 'point')}"
+        return (
+            f"{self.progress():.0%} of the way between {ends}, {counted(len(self.points), 'point')}"
+        )
 
     # --- how it goes on ---------------------------------------------------------------------------
 
     def __iter__(self) -> Iterator[CurvePoint]:
-        """Yield the first point, or the last one of a resumed curve, and all that follow."""
+        """Yield the last point so far, at first the first one, and all that follow."""
         yield self.points[-1]
         for part in self._parts():
             for one in part.singly():
@@ -265,7 +223,7 @@ class Growing(ABC):
             initial_step=0.2 * self._longest,
             max_step=self._longest,
             min_step=max(ARRIVED, family.rounding(here.parameter)),
-            max_steps=self.most_points + 1 - self._count,
+            max_steps=self.most_points + 1 - len(self.points),
             at_once=max(1, min(PathOptions.at_once, self._at_once)),
             span=(-self._back, np.inf),
         )
@@ -373,13 +331,16 @@ def branch_start(
     ConvergenceError
         No point of another branch was found.
     """
-    if doubled := kind == "period_doubling":
+    doubled = kind == "period_doubling"
+    if doubled:
+        assert isinstance(family, OrbitFamily)
         away = _doubling(family, unknown, parameter)
     else:
         away = _across(family, unknown, parameter, old)
     start = PathPoint(unknown, parameter, 0, away)
     sharp = max(PathOptions.rtol, family.rounding(parameter))
-    for step in (share * longest_step for share in ASIDE):
+    # Distances from the bifurcation, in longest steps, tried in turn.
+    for step in (share * longest_step for share in (0.1, 0.03, 0.3, 0.01, 1.0)):
         with suppress(ConvergenceError):
             found = correct(family, start, step, sharp, reach=longest_step)
             if found is None or STRAIGHT * distance(family, start, found) > step:
@@ -395,7 +356,7 @@ def branch_start(
     )
 
 
-def _doubling(family: Family | OrbitFamily, unknown: np.ndarray, parameter: float) -> Tangent:
+def _doubling(family: OrbitFamily, unknown: np.ndarray, parameter: float) -> Tangent:
     """Unit direction of the branch of twice the period at a period doubling."""
     weight, of_means = norm_at(family, unknown)
     change = family.doubling(unknown, parameter)

@@ -3,8 +3,8 @@
 A path (:mod:`growing`) of the equations of :class:`fenics_crack.curves.orbit_family.OrbitFamily`.
 Newton's method forms the monodromy matrix of each point for its tangent: multipliers, steps that
 resolve them, and all bifurcations (:mod:`orbit_events`) cost its eigenvalues. A curve begins at an
-orbit that harmonic balance with few harmonics leads to, at a given one, at the last orbit of a
-curve that has not reached its end, or on a branch that leaves another curve.
+orbit that harmonic balance with few harmonics leads to, at a given one, or on a branch that leaves
+another curve.
 """
 
 from __future__ import annotations
@@ -27,11 +27,8 @@ from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import FORMED, PeriodicOrbit, too_slow
 from fenics_crack.numerics.path import BranchPoint, Fold
 
-Beginning = PeriodicSolution | PeriodicOrbit | OrbitCurve | tuple[OrbitCurve, Bifurcation]
+Beginning = PeriodicSolution | PeriodicOrbit | tuple[OrbitCurve, Bifurcation]
 """Possible beginnings of a curve of exact orbits."""
-AT_ONCE = 2**13
-"""Numbers of monodromy matrices that are found at a time: those behind a rejected step are lost,
-and of large ones few pay for the time between calls."""
 
 
 def has_orbits(problem: Problem, parameter: str, start: float, end: float) -> bool:
@@ -52,7 +49,7 @@ class OrbitContinuation(Growing):
     ----------
     problem, parameter, start, end, longest_step, most_points, turning_back
         As of :class:`fenics_crack.Continuation`; the problem's harmonics play no part.
-    initial : PeriodicSolution, PeriodicOrbit, OrbitCurve, (OrbitCurve, Bifurcation), optional
+    initial : PeriodicSolution, PeriodicOrbit or (OrbitCurve, Bifurcation), optional
         Where to start, likewise; or at an orbit at ``start``.
     tolerance : float, optional
         As of :class:`OrbitCurve`; default: that of ``initial``, or 0.01.
@@ -77,17 +74,14 @@ class OrbitContinuation(Growing):
         **steps: Unpack[Steps],
     ) -> None:
         if tolerance is None:
-            known = initial[0] if isinstance(initial, tuple) else initial
-            tolerance = known.tolerance if isinstance(known, OrbitCurve) else TOLERANCE
+            tolerance = initial[0].tolerance if isinstance(initial, tuple) else TOLERANCE
         check_number("tolerance", tolerance, 0.0, above=True)
         problem = problem.with_harmonics(FEWEST * problem.subharmonic)
         super().__init__(problem, parameter, start, end, **steps)
         self._tolerance = tolerance
         self._family = family = OrbitFamily(self._problem, parameter, start, end)
         self._control = MultiplierControl(self._longest)
-        if isinstance(initial, OrbitCurve):
-            self._resume(initial)
-        elif isinstance(initial, tuple):
+        if isinstance(initial, tuple):
             curve, at = initial
             # J is singular: the old branch goes on as its points on both sides do.
             around = np.clip(curve.nearest(at) + np.array([-1, 1]), 0, len(curve) - 1).tolist()
@@ -108,7 +102,9 @@ class OrbitContinuation(Growing):
 
     @property
     def _at_once(self) -> int:
-        return AT_ONCE // self._family.records
+        # Monodromy matrices of 8192 numbers together: those behind a rejected step are lost, and
+        # of large ones few pay for the time between calls.
+        return 2**13 // self._family.records
 
 
 def _first_orbit(

@@ -25,10 +25,6 @@ from fenics_crack.numerics.equations import CLOSE, System
 from fenics_crack.numerics.newton import PathPoint
 from fenics_crack.numerics.path import Ends, Event, StepControl, Stretch, zero_between
 
-LEADING = 8
-"""Multipliers of largest modulus that points keep."""
-RESOLVED = 0.5
-"""Maximum change of ln |mu| in a step, relative to its distance to zero."""
 LEAST = 0.01
 """Change of ln |mu| that is always allowed, and shortest step to resolve it, relative to the
 longest."""
@@ -44,7 +40,7 @@ def counted(values: np.ndarray) -> np.ndarray:
     (n, k + 3) complex, k = 8, or N where that is less. Those within 1e-6 of the circle are not
     outside."""
     size = np.abs(values)
-    order = np.argsort(-size, axis=1, kind="stable")[:, :LEADING]
+    order = np.argsort(-size, axis=1, kind="stable")[:, :8]
     rows = np.arange(len(order))[:, None]
     values, large = values[rows, order], size[rows, order] > 1.0 + KNOWN
     found = np.empty((len(order), order.shape[1] + 3), dtype=complex)
@@ -78,7 +74,7 @@ class MultiplierControl(StepControl):
     def too_long(self, points: Stretch) -> np.ndarray:
         logs = np.log(np.maximum(np.abs(points.observed[:, :-3]), KNOWN))
         change, lengths = np.diff(logs, axis=0), points.lengths[1:]
-        allowed = np.maximum(RESOLVED * np.abs(logs[:-1]), LEAST)
+        allowed = np.maximum(0.5 * np.abs(logs[:-1]), LEAST)
         far = np.any(np.abs(change) > allowed, axis=1)
         if len(change) > 1:
             ratio = (lengths[1:] / lengths[:-1])[:, None]

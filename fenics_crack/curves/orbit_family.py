@@ -31,7 +31,7 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.curves.family import FAMILIES
 from fenics_crack.curves.orbit_events import observe
-from fenics_crack.motion.flow import Budget, ContactFlow, Motion, exact_flow
+from fenics_crack.motion.flow import ContactFlow, Motion, exact_flow
 from fenics_crack.motion.shooting import OrbitPoint, ShootingEquations
 from fenics_crack.numerics.equations import EPSILON, ROUNDING
 
@@ -49,16 +49,9 @@ class OrbitFamily:
     where there is no exact flow.
     """
 
-    def __init__(
-        self,
-        problem: Problem,
-        parameter: str,
-        start: float,
-        end: float,
-        budget: Budget | None = None,
-    ) -> None:
+    def __init__(self, problem: Problem, parameter: str, start: float, end: float) -> None:
         self.problem, self.name, self.start, self.end = problem, parameter, start, end
-        self.subharmonic, self.budget = problem.subharmonic, budget or Budget()
+        self.subharmonic = problem.subharmonic
         self._along = FAMILIES[parameter](problem, start, end)
         first = self.at(start)
         self._first = exact_flow(first.structure, first.contact)
@@ -120,7 +113,7 @@ class OrbitFamily:
         value = self.value(parameter)
         omega, state = self.omega(value), self.state(unknown, value)
         period = 2.0 * np.pi * self.subharmonic / omega
-        return self.flow(value).advance(state, omega, part * period, budget=self.budget)
+        return self.flow(value).advance(state, omega, part * period)
 
     def moved(self, unknown: np.ndarray, parameter: float, part: float = 1.0) -> np.ndarray:
         """x after a part of the period."""
@@ -169,7 +162,7 @@ class OrbitFamily:
             origin = max(self.start, self.end) if self.name == "damping" else self.start
             problem = self.at(origin)  # its own flow: it changes
             flow = exact_flow(problem.structure, problem.contact)
-        return ShootingEquations(flow, self.scale, omega, self.subharmonic, self.budget, **changed)
+        return ShootingEquations(flow, self.scale, omega, self.subharmonic, **changed)
 
     def rounding(self, parameter: float) -> float:
         """Return the rounding error of |F| / |x|."""

@@ -49,11 +49,6 @@ from fenics_crack.numerics.fourier import resized, sampled
 from fenics_crack.numerics.newton import moving_size, solve_at
 from fenics_crack.time.march import initial_state
 
-MOST_STEPS = 2**13
-"""Maximum steps of the linear flow in a period."""
-DISTURBANCE = 0.01
-"""Initial distance of motions from an unstable orbit, relative to its moving part."""
-
 
 def monodromy(
     structure: Structure,
@@ -78,7 +73,7 @@ def monodromy(
     count = 1 << (4 * len(gap)).bit_length()
     coarse = found = _product(modes, contact, gap, base_omega, count)
     change = whole = np.inf
-    while count < MOST_STEPS and not change <= KNOWN * whole < np.inf:
+    while count < 2**13 and not change <= KNOWN * whole < np.inf:
         count *= 2
         fine = _product(modes, contact, gap, base_omega, count)
         before, found, coarse = found, fine + (fine - coarse) / 3.0, fine
@@ -308,7 +303,7 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     leading = int(np.abs(values).argmax())
     mu, change = values[leading], vectors[:, leading].real
     moved = moving_size(orbits.scale * orbit.sampled.states) / np.sqrt(len(orbit.sampled.states))
-    change *= DISTURBANCE * moved / np.linalg.norm(change)
+    change *= 0.01 * moved / np.linalg.norm(change)
     found: list[Attractor] = []
     for start in (orbits.start + change, orbits.start - change)[: 2 if mu == abs(mu) else 1]:
         one = in_the_long_run(orbits, start)

@@ -29,13 +29,6 @@ AT_A_TIME = 16
 TOLERATED = 1e-10
 """Asymmetry relative to a matrix's size; eigenvalues of K and M that are none, to K_ii / M_ii; sums
 of a mass's rows that are zero, to the largest."""
-PLANE = 40
-"""Entries a row: matrices of a plane have 18 to 32, of solids 45 or more. With rows ordered for
-minimum fill the former are factored in 0.6 of MUMPS's own time, the latter in more, and larger."""
-FACTOR = 60.0
-"""Bytes of a factor over n log2 n."""
-SOLID_FACTOR = 130.0
-"""Bytes of a solid's factor over n^(4/3)."""
 PREFIX, ORDER, QUIET = "crack_factor_", "mat_mumps_icntl_7", "mat_cholmod_print"
 
 
@@ -50,8 +43,8 @@ def factor_memory(dofs: float, *, solid: bool) -> float:
     210 to 233 in cubes.
     """
     if solid:
-        return float(SOLID_FACTOR * dofs ** (4.0 / 3.0))
-    return float(FACTOR * dofs * np.log2(dofs + 1.0))
+        return float(130.0 * dofs ** (4.0 / 3.0))
+    return float(60.0 * dofs * np.log2(dofs + 1.0))
 
 
 def distributed(rows: Any, comm: MPI.Comm) -> Any:
@@ -148,9 +141,11 @@ class Factor:
 
     @property
     def _is_plane(self) -> bool:
-        """True if rows have as few entries as those of a plane (collective)."""
+        """True if rows have as few entries as those of a plane, 18 to 32; of solids they have 45 or
+        more (collective). With rows ordered for minimum fill the former are factored in 0.6 of
+        MUMPS's own time, the latter in more, and larger."""
         entries = self._matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
-        return bool(entries < PLANE * self._matrix.size[0])
+        return bool(entries < 40 * self._matrix.size[0])
 
     @property
     def null_pivots(self) -> int:

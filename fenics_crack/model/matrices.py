@@ -45,8 +45,6 @@ from fenics_crack.basics.untrusted_files import allowance, bytes_of, lines_of
 from fenics_crack.model.factor import TOLERATED, Factor, distributed, factored_sum, weighted_sum
 from fenics_crack.scene.fields import LARGEST
 
-CLAMPED = 1e36
-"""Diagonal entry by which Abaqus marks a dof that is held."""
 DIRECTIONS = {"UX": 1, "UY": 2, "UZ": 3, "ROTX": 4, "ROTY": 5, "ROTZ": 6}
 """Ansys' numbers of directions."""
 SHORTEST = {"coordinate": 4, "array": 2}
@@ -227,7 +225,8 @@ def _of_abaqus(path: Path) -> LabelledMatrix:
         entries[:, :4].astype(np.int64).reshape(-1, 2, 2), entries[:, 4], whole=False
     )
     assert found.labels is not None
-    free = np.flatnonzero(is_free := found.matrix.diagonal() < CLAMPED)
+    # Abaqus marks a dof that is held by 1e36 on the diagonal.
+    free = np.flatnonzero(is_free := found.matrix.diagonal() < 1e36)
     held = found.labels[~is_free]
     return LabelledMatrix(found.matrix[free][:, free], found.labels[free], held)
 

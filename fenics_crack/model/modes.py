@@ -44,9 +44,6 @@ of directions in a Gram matrix, gaps of crack faces that the load presses togeth
 MULTIPLE = math.sqrt(NEGLIGIBLE)
 """Relative difference of frequencies that count as one of several modes, as that of their squares
 where missing ones are looked for; and what an order of numbers counts beside a shape."""
-SAME_SHAPE = 0.9
-"""Minimum modal assurance criterion of two shapes of one mode: a bond that mixes modes leaves less,
-and then none is another's."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -614,9 +611,9 @@ def tied_modes(structure: Structure, count: int) -> Modes:
 def partners(is_open: Modes, tied: Modes) -> np.ndarray:
     """Return the bonded mode of the shape of each open mode: (n,) numbers from 0.
 
-    Each is taken once: as many as there are of (phi_open^T M phi_tied)^2 above
-    :data:`SAME_SHAPE`, and the others in the order of their numbers; no tie makes a mode slower
-    (Rayleigh). The shapes of several modes of one frequency are any of a space, so squares are
+    Each is taken once: as many as there are of (phi_open^T M phi_tied)^2 above 0.9 (a bond that
+    mixes modes leaves less, and then none is another's), and the others in the order of their
+    numbers; no tie makes a mode slower (Rayleigh). The shapes of several modes of one frequency are any of a space, so squares are
     summed over it (collective).
 
     Parameters
@@ -631,7 +628,7 @@ def partners(is_open: Modes, tied: Modes) -> np.ndarray:
         for omega in (is_open.omega, tied.omega)
     )
     slower = tied.omega < (1.0 - MULTIPLE) * is_open.omega[:, None]
-    same = (of_open @ overlaps @ of_tied > SAME_SHAPE) & ~slower
+    same = (of_open @ overlaps @ of_tied > 0.9) & ~slower
     rows, columns = np.indices(overlaps.shape)
     weights = 1.0 + same - MULTIPLE * (rows - columns) ** 2  # all > 0, which are matches
     matched = min_weight_full_bipartite_matching(sparse.csr_matrix(weights), maximize=True)

@@ -13,11 +13,7 @@ The displacement is sought in the span of a basis T, u = T q:
 
       Psi = (K^-1 - Phi Lambda^-1 Phi^T) [B, f];
 
-  the compliance seen by the pairs is then exact at w = 0 together with its derivative by w^2;
-- ``craig_bampton``: the static shapes of unit gaps and of the load, and the lowest modes with every
-  pair bonded;
-- ``truncation``: the lowest modes alone, which leaves out the static compliance of all others: a
-  contact pair then looks far too stiff.
+  the compliance seen by the pairs is then exact at w = 0 together with its derivative by w^2.
 
 With mass, T is made M-orthonormal and K-diagonal: the reduced structure is diagonal. Its
 *reference* has in addition the static response to the inertia of Psi, K^-1 M Psi, the next term of
@@ -29,7 +25,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
@@ -45,9 +40,7 @@ from fenics_crack.model.modes import (
     damped_modes,
     damping_in,
     independent_part,
-    independent_ties,
     modes_by,
-    n_tied_modes,
     times,
 )
 from fenics_crack.model.reduced import (
@@ -58,7 +51,7 @@ from fenics_crack.model.reduced import (
 )
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 
-METHODS = ("massless", "free_interface", "craig_bampton", "truncation")
+METHODS = ("massless", "free_interface")
 MODES = 50
 """Modes kept of a large structure whose modes are all damped."""
 
@@ -75,9 +68,7 @@ def reduce_structure(
     The displacement is sought as u = T q. T holds the lowest modes with an open crack, and what
     differs with the method. "massless": what the modes leave out answers quasi-statically, so crack
     faces have no mass (:class:`MasslessStructure`); for contact on many pairs. "free_interface":
-    the static response to each pair's force and to the load. "craig_bampton": static shapes of unit
-    gaps and of the load, the modes being those with bonded pairs. "truncation": nothing else, so
-    contact looks far too stiff.
+    the static response to each pair's force and to the load.
 
     Where one ratio damps all modes, it damps all coordinates: these are the modes of the reduced
     structure. Rayleigh damping keeps its coefficients. Any other damping is projected; but with
@@ -91,7 +82,7 @@ def reduce_structure(
     modes : int, optional
         Number of the lowest modes to keep; default: those that are damped, but 50 if all of more
         than 600 are; without damping, or with a matrix, 20.
-    method : "massless", "free_interface", "craig_bampton" or "truncation"
+    method : "massless" or "free_interface"
         Columns of T beside the modes.
     judged : bool
         Keep what estimates the error of the reduction, too: twice the modes, or more static shapes.
@@ -104,8 +95,7 @@ def reduce_structure(
     Raises
     ------
     InputError
-        Unknown method, fewer modes than requested, more than 600 dofs with a ratio for each, or
-        with "craig_bampton" bonded pairs that leave no motion.
+        Unknown method, fewer modes than requested, or more than 600 dofs with a ratio for each.
 
     Examples
     --------
@@ -130,53 +120,33 @@ def reduce_structure(
     if modal:  # more modes at once, which are kept
         damped_modes(structure)
     begin("reduction")
-    ties, count = None, int(modes)
-    if method == "craig_bampton" and structure.n_pairs:
-        ties, count = independent_ties(structure), min(count, n_tied_modes(structure))
-        if count == 0:
-            raise InputError("method", method, "another one: the bonded pairs leave no motion")
-    with Factor(structure.stiffness, definite=True, border=ties) as own:
-        found = modes_by(own, structure, count, ties)
-        kept, squares = found.shapes[:, :count], found.omega[:count] ** 2
-        with _regular(own, structure, ties, held=bool(squares[0] > 0.0)) as factor:
-            static = _static_shapes(structure, factor, kept, squares, ties)
+    with Factor(structure.stiffness, definite=True) as own:
+        found = modes_by(own, structure, int(modes))
+        kept, squares = found.shapes[:, :modes], found.omega[:modes] ** 2
+        with _regular(own, structure, held=bool(squares[0] > 0.0)) as factor:
+            static = _static_shapes(structure, factor, kept, squares)
             static = independent_part(structure, structure.mass, kept, static)
-            extra = static[:, :0] if method == "truncation" else static
-            if ties is not None:  # no modes of the structure with free crack faces
-                extra, kept, squares = np.hstack([kept, static]), kept[:, :0], squares[:0]
             if not judged:
-                return _reduced(structure, kept, squares, extra, None)
-            following = [extra, static, factor.solve(times(structure.mass, static).T).T]
+                return _reduced(structure, kept, squares, static, None)
+            following = [static, factor.solve(times(structure.mass, static).T).T]
             if rule is None and structure.damping_matrix is not None:
-                damping = times(structure.damping_matrix, np.hstack([kept, extra, static]))
+                damping = times(structure.damping_matrix, np.hstack([kept, static]))
                 following.append(factor.solve(damping.T).T)
     reference = _reduced(structure, kept, squares, np.hstack(following), None)
-    return _reduced(structure, kept, squares, extra, reference)
+    return _reduced(structure, kept, squares, static, reference)
 
 
 def _static_shapes(
-    structure: Structure, factor: Factor, kept: np.ndarray, squares: np.ndarray, ties: Any
+    structure: Structure, factor: Factor, kept: np.ndarray, squares: np.ndarray
 ) -> np.ndarray:
     """Static response to each pair's force and to each part of the load, without the part of the
-    kept modes: (n_local, m) (collective).
-
-    By the factor with bonded pairs, shapes of the same span: the response to the load while these
-    are held, and those of gaps B^T x that are given, x = B - K_t^-1 K B. Where one soft motion
-    carries all pairs their responses are equal but for rounding, and these shapes are not.
-    """
+    kept modes: (n_local, m) (collective)."""
     loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
-    forces = structure.force[loaded]
-    if ties is None:
-        forces = np.vstack([structure.gap.T.toarray(), forces])
+    forces = np.vstack([structure.gap.T.toarray(), structure.force[loaded]])
     static = ResidualFlexibility(structure, kept, squares, forces.T)
     found = static.solve(factor, forces).T
     left = structure.sum_over_ranks((forces.T * found).sum(axis=0))
-    found = found[:, ~_rounding(left, static.modal.T, squares)]
-    if ties is None:
-        return found
-    given = ties.toarray()
-    moved = given - factor.solve(times(structure.stiffness, given).T).T
-    return np.hstack([moved, found])
+    return found[:, ~_rounding(left, static.modal.T, squares)]
 
 
 def _massless(structure: Structure, modes: int, *, judged: bool) -> MasslessStructure:
@@ -292,17 +262,14 @@ def _rule_of_all(structure: Structure) -> DampingRule | None:
 
 
 @contextmanager
-def _regular(factor: Factor, structure: Structure, ties: Any, *, held: bool) -> Iterator[Factor]:
+def _regular(factor: Factor, structure: Structure, *, held: bool) -> Iterator[Factor]:
     """The factor of K; of a structure that nothing holds that of K + s M, s one of its lowest
     eigenvalues."""
     if held:
         yield factor
         return
-    count = min(structure.n_dofs if ties is None else n_tied_modes(structure), 10)
-    elastic = modes_by(factor, structure, count, ties).omega[-1] ** 2 or 1.0
-    with factored_sum(
-        structure.stiffness, elastic, structure.mass, definite=True, border=ties
-    ) as regular:
+    elastic = modes_by(factor, structure, min(structure.n_dofs, 10)).omega[-1] ** 2 or 1.0
+    with factored_sum(structure.stiffness, elastic, structure.mass, definite=True) as regular:
         yield regular
 
 

@@ -15,8 +15,6 @@ from fenics_crack.numerics.equations import LOCATED
 
 SETTLED = 1e-3
 """Maximum relative change of a motion that has settled."""
-SHOWN = 100
-"""Last periods of a motion that does not settle, from which its amplitudes are."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -27,7 +25,7 @@ class Attractor:
     ----------
     orbit : PeriodicOrbit or None
         The stable orbit to which it settles, perhaps one of several periods; None where it has not.
-    told : str
+    description : str
         Outcome in words.
     periods : int
         Of the load, that it was followed for.
@@ -38,13 +36,13 @@ class Attractor:
     """
 
     orbit: PeriodicOrbit | None
-    told: str
+    description: str
     periods: int
     orbits: FlowOrbits
     last: np.ndarray
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({self.told})"
+        return f"{type(self).__name__}({self.description})"
 
     def amplitudes(self, dof: int | None = None) -> np.ndarray:
         """Half the peak-to-peak displacement of a dof, or of the watched one, in each period of the
@@ -57,7 +55,7 @@ class Attractor:
         """
         flow, omega = self.orbits.flow, self.orbits.omega
         period = 2.0 * np.pi * self.orbits.subharmonic / omega
-        state, count = self.orbits.state(self.last), SHOWN
+        state, count = self.orbits.state(self.last), 100
         if self.orbit is not None:
             state, count = self.orbit.state, self.orbit.subharmonic // self.orbits.subharmonic
         time = np.arange(count * INSTANTS) * period / INSTANTS

@@ -49,11 +49,6 @@ FLOWS, SHORTEST = 20, 1e-3
 PIECES = 20_000
 """Search budget in Taylor pieces: a second, with many pairs; more where M is formed and a period of
 a slow load has many by itself."""
-HURRIED = 0.1
-"""Shortest damped step by products."""
-SHRINKING = 0.1
-"""Maximum ratio of residuals after and before a Newton step for another one with the same
-derivative."""
 FORMED = 240
 """Maximum size of a state for which M is formed."""
 PRODUCTS, BLUNT = 60, 0.25
@@ -359,13 +354,12 @@ def find_orbit(
     state: np.ndarray,
     *,
     subharmonic: int = 1,
-    budget: Budget | None = None,
     inverse: Inverse | None = None,
 ) -> PeriodicOrbit | None:
     """The orbit that Newton's method leads to from a state at phase zero, closed to 1e-6; None
     where it leads to none, or takes more than the budget allows: pieces of all motions together,
     and intervals of each. It may begin with the inverse of a motion nearby."""
-    search = _Search(flow, omega, subharmonic, state, budget)
+    search = _Search(flow, omega, subharmonic, state)
     try:
         if not search.leads_to_orbit(inverse):
             return None
@@ -389,15 +383,14 @@ class _Search:
     """
 
     def __init__(
-        self, flow: ContactFlow, omega: float, subharmonic: int, state: np.ndarray,
-        budget: Budget | None,
-    ) -> None:  # fmt: skip
+        self, flow: ContactFlow, omega: float, subharmonic: int, state: np.ndarray
+    ) -> None:
         self._flow, self._omega = flow, omega
         self._period = 2.0 * np.pi * subharmonic / omega
         most = PIECES
         if flow.size <= FORMED and not too_slow(flow, omega, subharmonic):
             most = max(most, math.ceil(FLOWS * flow.pieces(self._period)))
-        self._left = budget or Budget(pieces=most)
+        self._left = Budget(pieces=most)
         self._weights = flow.weights(omega / subharmonic)
         self.state, self.flows = state, 0
 
@@ -408,7 +401,7 @@ class _Search:
     def leads_to_orbit(self, inverse: Inverse | None) -> bool:
         """Return True if the search ends with an orbit."""
         formed = self._flow.size <= FORMED
-        closed, shortest = (LOCATED, SHORTEST) if formed else (CLOSE, HURRIED)
+        closed, shortest = (LOCATED, SHORTEST) if formed else (CLOSE, 0.1)
         self.motion = self._follow(self.state)
         share, own = 1.0, False  # whether the derivative is that of the motion here
         steps: list[np.ndarray] = []  # with one derivative
@@ -440,7 +433,7 @@ class _Search:
             self.state, self.motion, own = trial, moved, False
             if after <= goal:
                 return True
-            if formed and share == 1.0 and after <= SHRINKING * before:
+            if formed and share == 1.0 and after <= 0.1 * before:  # once more with this derivative
                 steps.append(simplified / (1.0 - self._part(simplified, step)))
                 continue
             steps = []
@@ -460,16 +453,10 @@ class _Search:
 
 
 def orbit_from(
-    flow: ContactFlow,
-    omega: float,
-    state: np.ndarray,
-    subharmonic: int,
-    iterations: int = 0,
-    *,
-    budget: Budget | None = None,
+    flow: ContactFlow, omega: float, state: np.ndarray, subharmonic: int, iterations: int = 0
 ) -> PeriodicOrbit:
     """The orbit of a state at phase zero (2 n_modes,), which is followed over its period."""
-    motion = flow.advance(state, omega, 2.0 * np.pi * subharmonic / omega, budget=budget)
+    motion = flow.advance(state, omega, 2.0 * np.pi * subharmonic / omega)
     weights = flow.weights(omega / subharmonic)
     size = float(np.linalg.norm(weights * state)) or 1.0
     residual = float(np.linalg.norm(weights * (motion.state - state))) / size

@@ -79,8 +79,6 @@ class ShootingEquations(Equations):
         Of the load at p = 0, and its rate [rad/s].
     subharmonic : int
         The load's periods in one of the orbit.
-    budget : Budget, optional
-        Of each motion.
     load : (force, gap), optional
         Rates of the flow's own load, (3, n_modes) and (3, n_pairs); the flow, at p = 0 when it is
         given, follows p.
@@ -92,13 +90,13 @@ class ShootingEquations(Equations):
 
     def __init__(
         self, flow: ContactFlow, scale: np.ndarray, omega: tuple[float, float],
-        subharmonic: int = 1, budget: Budget | None = None,
+        subharmonic: int = 1,
         load: tuple[np.ndarray, np.ndarray] | None = None,
         damping: tuple[np.ndarray, np.ndarray] | None = None,
         rest: np.ndarray | None = None,
     ) -> None:  # fmt: skip
         self.flow, self.scale, self.shape = flow, scale, scale.shape
-        self.subharmonic, self.budget = subharmonic, budget or Budget()
+        self.subharmonic = subharmonic
         changed: dict[str, Any] = {}
         if load is not None:
             changed = {
@@ -112,8 +110,8 @@ class ShootingEquations(Equations):
         self._given = Struct(
             "shooting_equations", flow=flow.handle, modes=flow.size // 2,
             pairs=len(flow.softness), base=omega[0], rate=omega[1],
-            turns=2.0 * np.pi * subharmonic, scale=scale, pieces=self.budget.pieces,
-            intervals=self.budget.intervals, **changed,
+            turns=2.0 * np.pi * subharmonic, scale=scale, pieces=Budget.pieces,
+            intervals=Budget.intervals, **changed,
         )  # fmt: skip
         self._point = owned(kernel.new_shooting_point(self._given.at), kernel.free_shooting_point)
         self.table = kernel.equations_of_shooting(self._point)
@@ -190,8 +188,6 @@ class FlowOrbits(ShootingEquations):
         omega_0, of the load [rad/s].
     subharmonic : int
         Its periods in one of the orbit.
-    budget : Budget
-        Of each motion.
     scale : (2 n_modes,)
         x / z.
     start : (2 n_modes,)
@@ -199,17 +195,12 @@ class FlowOrbits(ShootingEquations):
     """
 
     def __init__(
-        self,
-        flow: ContactFlow,
-        omega: float,
-        state: np.ndarray,
-        subharmonic: int = 1,
-        budget: Budget | None = None,
+        self, flow: ContactFlow, omega: float, state: np.ndarray, subharmonic: int = 1
     ) -> None:
         weights = flow.weights(omega / subharmonic)
         weights /= np.tile(weights[: flow.size // 2], 2)
         scale = weights / (float(np.linalg.norm(weights * state)) or 1.0)
-        super().__init__(flow, scale, (0.0, omega), subharmonic, budget)
+        super().__init__(flow, scale, (0.0, omega), subharmonic)
         self.omega, self.start = omega, scale * state
 
     def state(self, unknown: np.ndarray) -> np.ndarray:
@@ -234,6 +225,4 @@ class FlowOrbits(ShootingEquations):
     def orbit(self, found: PathPoint) -> PeriodicOrbit:
         """The orbit of a solution of the equations."""
         omega, state = found.parameter * self.omega, self.state(found.unknown)
-        return orbit_from(
-            self.flow, omega, state, self.subharmonic, found.iterations, budget=self.budget
-        )
+        return orbit_from(self.flow, omega, state, self.subharmonic, found.iterations)

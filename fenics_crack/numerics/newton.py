@@ -218,9 +218,9 @@ MAX_ITERATIONS = 8
 """Maximum iterations of one correction."""
 MIN_DAMPING = 0.05
 """Minimum damping factor of a Newton step."""
-FULL_STEPS, LEAST_STEP, STALL = 20, 0.01, 8
-"""Budget of full steps from a guess at a given parameter: their number, the shortest one, and those
-that may together fail to halve the residual."""
+FULL_STEPS, STALL = 20, 8
+"""Budget of full steps from a guess at a given parameter: their number, and those that may together
+fail to halve the residual."""
 STRAY = 3.0
 """Maximum distance of the parameter from its prediction, in steps."""
 
@@ -439,7 +439,7 @@ def solve_near(
     found = solve_at(system, unknown, parameter, tolerance=tolerance) if full else None
     return found or solve_in_plane(
         system, unknown, parameter, None,
-        tolerance=tolerance, iterations=FULL_STEPS, least_damping=LEAST_STEP, stall=STALL,
+        tolerance=tolerance, iterations=FULL_STEPS, least_damping=0.01, stall=STALL,
     )  # fmt: skip
 
 

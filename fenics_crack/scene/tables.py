@@ -595,7 +595,7 @@ class Reduction(Table):
 
     WORD = "method"
 
-    method: str | None = choice("massless", "free_interface", "craig_bampton", "off", default=None)
+    method: str | None = choice("massless", "free_interface", "off", default=None)
     """Default: "massless" (modes, and crack faces without mass) with contact, unless all modes are
     kept; without contact "free_interface"."""
     modes: int | None = at_least_one(None)

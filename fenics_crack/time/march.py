@@ -40,8 +40,6 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import balanced, derivative, evaluate, waves
 from fenics_crack.numerics.newton import moving_size
 
-HARMONICS = 10
-"""Harmonics of a time integration that are among its indicators."""
 MEMORY_LIMIT = 2**31
 """Bytes of history on one rank beyond which recording is refused."""
 
@@ -318,7 +316,7 @@ class TimeHistory(Tabular):
         """Return the crack indicators at a dof, or the watched one, and at the crack faces: its
         harmonics, as many as the instants of a period allow, and mean in the last period, extremes
         of the last four, where so many are recorded (collective)."""
-        known = min(HARMONICS, (self.steps_per_period - 1) // 2)
+        known = min(10, (self.steps_per_period - 1) // 2)
         last = slice(-RECORDED_PERIODS * self.steps_per_period, None)
         motion = self.displacement([dof])[last, 0]
         return indicators_of(

@@ -188,7 +188,7 @@ def test_hint_to_damp_more_modes(
             "massless, 7 modes, crack faces without mass",
         ),
         ("mesh.columns=8", "massless, 50 modes, crack faces without mass"),
-        ("reduction.method=craig_bampton", "craig_bampton, 50 modes"),
+        ("reduction.method=free_interface", "free_interface, 50 modes"),
         ("mesh.columns=8 crack=none contact=none", "free_interface, 50 modes"),
         ("mesh.columns=8 reduction.method=off", "none"),
     ],

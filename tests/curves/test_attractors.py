@@ -43,7 +43,7 @@ def test_two_that_are_told_apart_by_the_unstable_one(omega: float) -> None:
     assert fc.floquet(two_masses(), middle).verdict == "unstable"
     found = fc.attractors(two_masses(), middle)
     seen = sorted(float(size) for one in found for size in one.amplitudes())
-    assert all(one.told == "settles to a periodic orbit" for one in found)
+    assert all(one.description == "settles to a periodic orbit" for one in found)
     assert seen == pytest.approx([below.amplitude(), above.amplitude()], rel=2e-3)
 
 
@@ -52,7 +52,7 @@ def test_one_of_twice_the_period() -> None:
     large, in both of its periods."""
     [above, *_] = solutions(0.75)
     [found] = fc.attractors(two_masses(), above)
-    assert found.told == "settles to an orbit of 2 periods of the load"
+    assert found.description == "settles to an orbit of 2 periods of the load"
     assert found.orbit is not None and found.orbit.subharmonic == 2
     history = fc.integrate_central_difference(
         two_masses(), 0.75, STOP, periods=300, record_periods=2, steps_per_period=2000,
@@ -65,7 +65,9 @@ def test_what_swells_and_falls() -> None:
     """Behind a Neimark-Sacker point: the motion from rest in time has the same range of sizes."""
     [unstable] = solutions(0.614)
     [found] = fc.attractors(two_masses(), unstable)
-    assert found.orbit is None and found.told.startswith("does not settle: followed for 1000")
+    assert found.orbit is None and found.description.startswith(
+        "does not settle: followed for 1000"
+    )
     history = fc.integrate_events(two_masses(), 0.614, STOP, periods=900, record_periods=300)
     sizes, seen = sizes_of(history), found.amplitudes()
     assert len(seen) == 100 and np.ptp(seen) > 0.05 * seen.max()

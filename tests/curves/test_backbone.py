@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.special
-from helpers import Cubic, chain_stiffness, dense, log_slope, oscillator, wrap
+from helpers import Cubic, chain_stiffness, log_slope, oscillator, wrap
 
 import fenics_crack as fc
 
@@ -206,27 +206,14 @@ def test_mixed_clearances_return() -> None:
 
 @pytest.mark.nightly
 def test_tongues_of_internal_resonances() -> None:
-    """Two tongues, passed over or followed through their folds: the same motion at the end.
-
-    That of the third mode leads back to small energies, and is reported so.
-    """
+    """Two tongues are passed over: the motion keeps its shape. That of the third mode leads back to
+    small energies, and is reported so."""
     structure, law = five_masses(), fc.UnilateralPenalty(5.0)
-    over, into = (
-        fc.follow_backbone(
-            structure, law, 1, 1e-3, 10.0, harmonics=20, internal_resonances=followed
-        )
-        for followed in (False, True)
-    )
+    over = fc.follow_backbone(structure, law, 1, 1e-3, 10.0, harmonics=20)
     assert np.all(np.diff(over.energy) > 0.0) and np.count_nonzero(over.jumps) == 2
-    assert np.any(np.diff(into.energy) < 0.0) and not into.jumps.any()
-    assert into.omega[-1] == pytest.approx(over.omega[-1], rel=1e-9)
-    assert np.allclose(into.cosines[-1], over.cosines[-1], atol=1e-8)
-    assert into.fundamental.min() < 0.5 < over.fundamental.min()
-    for curve in (over, into):
-        reports = [curve.solution(i).report for i in range(len(curve.omega))]
-        assert max(report.residual for report in reports) < 1e-9
-    with pytest.raises(fc.ConvergenceError, match=r"turned back .* fewer harmonics .* initial"):
-        fc.follow_backbone(structure, law, 3, 1e-3, 10.0, harmonics=20, internal_resonances=True)
+    assert over.fundamental.min() > 0.5
+    reports = [over.solution(i).report for i in range(len(over.omega))]
+    assert max(report.residual for report in reports) < 1e-9
 
 
 def test_paper_plate(paper_structure: fc.Structure) -> None:
@@ -253,31 +240,6 @@ def test_paper_plate(paper_structure: fc.Structure) -> None:
     assert distances[-1] < 5e-4
 
 
-def test_both_pieces_of_the_paper_plate(paper_structure: fc.Structure) -> None:
-    """Two peaks of the response lie on motions whose second harmonics have opposite signs.
-
-    From the lower peak Newton's method finds the motion that the path from the linear mode finds.
-    """
-    law = fc.UnilateralPenalty(1e9)
-    damped = paper_structure.damped(fc.ModalDamping(0.002))
-    first = fc.follow_backbone(damped, law, 1, 1e-4, 1e-3, harmonics=5)
-    found = []
-    for start, end in ((2500.0, 2680.0), (2850.0, 3050.0)):
-        response = fc.continue_frequency(damped, start, end, law, harmonics=5, throw=False)
-        peak = int(np.argmax(response.amplitude(damped.find_dof((0.1, 0.1), "x"))))
-        curve = fc.follow_backbone(
-            damped, law, 1, 1e-4, 1e-3, harmonics=5, initial=response.solution(peak)
-        )
-        assert curve.omega[-1] == pytest.approx(response.omega[peak], rel=5e-4)
-        found.append(curve)
-    assert found[0].omega[-1] == pytest.approx(first.omega[-1], rel=1e-9)
-    assert found[1].omega[-1] == pytest.approx(2956.25, abs=0.1)  # measured, not from elsewhere
-    shapes = fc.solve_modes(damped, 2).shapes
-    weights = shapes.T @ dense(damped.mass)
-    second = [(weights @ curve.cosines[-1, 2])[1] for curve in found]
-    assert second[0] * second[1] < 0.0
-
-
 def test_start_past_internal_resonances(paper_structure: fc.Structure) -> None:
     """H = 10: the path in the contact stiffness ends at a third of it; fewer harmonics lead to the
     motion next to the peak of the response with little damping."""
@@ -288,8 +250,6 @@ def test_start_past_internal_resonances(paper_structure: fc.Structure) -> None:
     response = fc.continue_frequency(damped, 2500.0, 2680.0, law, harmonics=10, throw=False)
     peak = int(np.argmax(response.amplitude(damped.find_dof((0.1, 0.1), "x"))))
     near = response.solution(peak)
-    other = fc.follow_backbone(damped, law, 1, 1e-4, 2e-4, harmonics=10, initial=near)
-    assert curve.omega[0] == pytest.approx(other.omega[0], rel=1e-9)
     assert curve.omega[0] == pytest.approx(near.omega, rel=1e-3)
 
 
@@ -332,19 +292,13 @@ def test_bad_arguments_and_unfinished_backbones() -> None:
         ("energy_end", (1, 1.0, 1.0), {}),
         ("harmonics", (1, 1.0, 2.0), {"harmonics": 0}),
         ("samples", (1, 1.0, 2.0), {"samples": 40}),
-        ("longest_step", (1, 1.0, 2.0), {"longest_step": 0.0}),
         ("most_points", (1, 1.0, 2.0), {"most_points": 0}),
-        ("points", (1, 1.0, 2.0), {"points": 5}),
     ):
         with pytest.raises(fc.InputError) as caught:
             fc.follow_backbone(structure, law, *arguments, **options)  # type: ignore[arg-type]
         assert caught.value.key == key
     with pytest.raises(fc.InputError, match="contact"):
         fc.follow_backbone(structure, fc.UnilateralConstraint(), 1, 1.0, 2.0)  # type: ignore[arg-type]
-    other = fc.solve_linear(two_masses(), 1.0, harmonics=1)
-    for wrong in (other, 1.0):
-        with pytest.raises(fc.InputError, match="initial"):
-            fc.follow_backbone(structure, law, 1, 1.0, 2.0, initial=wrong)  # type: ignore[arg-type]
     loose = fc.Structure.from_matrices(
         np.eye(2), [[1.0, -1.0], [-1.0, 1.0]], [1.0, -1.0], clearance=1.0
     )

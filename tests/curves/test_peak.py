@@ -78,25 +78,6 @@ def test_no_resonance_is_stepped_over(ratio: float, damping: float, other: bool)
     assert other or set(curve.verdicts) == {"stable"}
 
 
-def test_a_curve_that_is_resumed_beside_a_fold_goes_on() -> None:
-    """Between stops that are far away: its last two points say where it was going."""
-    one = np.ones((1, 1))
-    structure = fc.Structure.from_matrices(
-        one, one, np.array([[1.0, -1.0]]), force_cos=[1.0], clearance=[3.0, 1000.0],
-        damping=0.03 * one,
-    )  # fmt: skip
-    law = fc.UnilateralPenalty([5.0, 5.0])
-    whole = fc.continue_frequency(structure, 0.5, 2.5, law, harmonics=6)
-    turns = np.flatnonzero(np.diff(np.sign(np.diff(whole.omega)))) + 1
-    for place in [near for turn in turns for near in (turn, turn + 1, turn + 2)]:
-        part = replace(
-            whole, complete=False, bifurcations=(),
-            **{name: getattr(whole, name)[: place + 1] for name in COLUMNS},
-        )  # fmt: skip
-        again = fc.continue_frequency(structure, 0.5, 2.5, law, resume=part)
-        assert again.complete and again.omega[-1] == whole.omega[-1]
-
-
 def test_half_power_whichever_way_the_curve_was_followed(masses: fc.ResponseCurve) -> None:
     """Frequency, height and damping of the mode."""
     peak, known = followed(120.0, 80.0).peak(), masses.peak()

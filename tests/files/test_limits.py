@@ -114,34 +114,6 @@ def test_matrices_without_values(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "structure.mass" in line and "pattern" in line
 
 
-def test_pairs_that_leave_no_motion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """As many as there are dofs, with tied pairs: no mode is left for Craig and Bampton."""
-    one = "%%MatrixMarket matrix array real general\n2 2\n1\n0\n0\n1\n"
-    (tmp_path / "one.mtx").write_text(one)
-    (tmp_path / "force.mtx").write_text("%%MatrixMarket matrix array real general\n2 1\n1\n0\n")
-    (tmp_path / "scene.toml").write_text(
-        """
-[structure]
-mass = "one.mtx"
-stiffness = "one.mtx"
-gap = "one.mtx"
-force_sin = "force.mtx"
-[damping]
-ratio = 0.05
-[excitation]
-omega = 0.9
-[contact]
-stiffness = 10.0
-[reduction]
-method = "craig_bampton"
-modes = 2
-"""
-    )
-    assert main(["solve", str(tmp_path / "scene.toml"), "--output", str(tmp_path)]) == 2
-    [line] = capsys.readouterr().err.splitlines()
-    assert "reduction.method" in line
-
-
 @pytest.mark.parametrize(
     ("key", "changes"),
     [

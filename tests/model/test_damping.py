@@ -151,21 +151,20 @@ def test_equals_the_matrix() -> None:
     assert abs(one) == pytest.approx(abs(other), rel=1e-9)
 
 
-@pytest.mark.parametrize("method", ["free_interface", "craig_bampton", "truncation"])
-def test_reduced(method: str) -> None:
+def test_reduced() -> None:
     """Its coordinates have the same coefficients, exactly; it moves as with the matrix."""
     structure = chain("rayleigh", 60)
-    reduced = fc.reduce_structure(structure, modes=20, method=method)
+    reduced = fc.reduce_structure(structure, modes=20)
     assert reduced.damping == RAYLEIGH and reduced.reference.damping == RAYLEIGH
     modes = all_modes(reduced)
     np.testing.assert_array_equal(modes.damping, RAYLEIGH.rate(modes.squares))
     np.testing.assert_allclose(
         projected_damping(structure, reduced.basis), dense(reduced.damping_matrix), atol=1e-12
     )
-    same = fc.reduce_structure(with_matrix(structure), modes=20, method=method)
+    same = fc.reduce_structure(with_matrix(structure), modes=20)
     one, other = (fc.solve_harmonic_balance(s, 0.4, LAW, harmonics=9) for s in (reduced, same))
     assert relative(one.gap_coefficients, other.gap_coefficients) < 1e-9
-    later = fc.reduce_structure(structure.damped(None), modes=20, method=method).damped(RAYLEIGH)
+    later = fc.reduce_structure(structure.damped(None), modes=20).damped(RAYLEIGH)
     np.testing.assert_array_equal(all_modes(later).damping, RAYLEIGH.rate(all_modes(later).squares))
     assert later.varied(damping=2.0).damping == RAYLEIGH.scaled(2.0)
 
@@ -241,14 +240,13 @@ def test_range_of_damped_modes() -> None:
     assert damped_range(chain("modal").varied(damping=0.0)) == (0, 0.0)
 
 
-@pytest.mark.parametrize("method", ["free_interface", "craig_bampton"])
-def test_range_of_a_reduced_structure(method: str) -> None:
+def test_range_of_a_reduced_structure() -> None:
     """That of the whole where its damping is projected; nothing is left out where all is damped."""
     structure = chain("none", 60)
     few = structure.damped(fc.ModalDamping(0.02, 8))
     last = fc.solve_modes(structure, 8).omega[-1]
     for modes in (5, 8, 20):
-        reduced = fc.reduce_structure(few, modes=modes, method=method)
+        reduced = fc.reduce_structure(few, modes=modes)
         assert damped_range(reduced) == pytest.approx((8, last), rel=1e-9)
         assert damped_range(reduced.damped(fc.ModalDamping(0.02))) is None
         assert damped_range(reduced.damped(None)) == (0, 0.0)

@@ -412,7 +412,7 @@ def test_the_least_periods_after_which_a_motion_is_where_it_was() -> None:
     flow = known(two_masses(), fc.UnilateralPenalty(100.0))
     orbits = FlowOrbits(flow, 0.614, np.zeros(flow.size), 40)
     found = in_the_long_run(orbits, orbits.start)
-    assert found.told == "settles to an orbit of 160 periods of the load"
+    assert found.description == "settles to an orbit of 160 periods of the load"
     assert found.orbit is not None and abs(found.orbit.multipliers[0]) < 0.01
 
 

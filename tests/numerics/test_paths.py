@@ -20,7 +20,7 @@ from fenics_crack.balance.contact_integrals import contact_integrals
 from fenics_crack.curves import free_motion
 from fenics_crack.curves.family import FAMILIES
 from fenics_crack.curves.stability import orbits_near
-from fenics_crack.motion.flow import Budget, flow_of
+from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import find_orbit
 from fenics_crack.motion.shooting import FlowOrbits
 from fenics_crack.numerics.equations import DenseLinearisation, System
@@ -278,20 +278,6 @@ def test_equations_of_a_path(light: bool) -> None:
         orbit = find_orbit(flow, point.parameter * 0.6, point.unknown / system.scale)
         assert orbit is not None
         assert relative(point.unknown, system.scale * orbit.state) < 1e-6
-
-
-def test_budget() -> None:
-    """Motions that take more end a path, and a search."""
-    flow = flow_of(chain(pairs=3, seed=2), fc.UnilateralPenalty(20.0))
-    assert flow is not None
-    few = Budget(intervals=3)
-    system = FlowOrbits(flow, 0.6, np.ones(flow.size), budget=few)
-    with pytest.raises(fc.ConvergenceError, match="cannot be followed"):
-        system.linearise(system.start, 1.0)
-    settled = flow.advance(np.zeros(flow.size), 0.6, 30 * 2.0 * np.pi / 0.6).state
-    assert find_orbit(flow, 0.6, settled) is not None
-    assert find_orbit(flow, 0.6, settled, budget=few) is None
-    assert find_orbit(flow, 0.6, settled, budget=Budget(pieces=60)) is None
 
 
 def test_point_between_two_is_judged_once() -> None:

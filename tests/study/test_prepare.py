@@ -62,7 +62,6 @@ def test_reduction_stands_in_the_scene(scene: fc.Scene) -> None:
         ({"reduction.method": "massless"}, "massless"),
         ({"damping.modes": "all"}, "massless"),
         ({"reduction.method": "free_interface"}, "free_interface"),
-        ({"reduction.method": "craig_bampton"}, "craig_bampton"),
         ({"reduction.method": "off"}, "off"),
         ({"crack": None, "contact": None, "mesh.size": 0.01}, "free_interface"),
         ({"crack": None, "contact": None, "reduction.modes": 3}, "free_interface"),

@@ -279,10 +279,9 @@ def test_reduced_structure_speaks_of_the_dofs_of_the_whole(soft_plate: fc.Struct
         assert np.abs(difference).max() < 1e-6 * np.abs(whole.displacement([corner])).max()
 
 
-@pytest.mark.parametrize("method", ["free_interface", "craig_bampton"])
-def test_reduced_structure_moves_as_the_whole(wide_plate: fc.Structure, method: str) -> None:
+def test_reduced_structure_moves_as_the_whole(wide_plate: fc.Structure) -> None:
     """Few coordinates against all dofs of a plate with four pairs, step by step."""
-    reduced = fc.reduce_structure(wide_plate, modes=60, method=method)
+    reduced = fc.reduce_structure(wide_plate, modes=60)
     assert reduced.n_dofs < 0.6 * wide_plate.n_dofs
     corner = wide_plate.find_dof((0.1, 0.1), "x")
     whole, small = (
@@ -297,11 +296,10 @@ def test_reduced_structure_moves_as_the_whole(wide_plate: fc.Structure, method: 
 
 
 @pytest.mark.parametrize("modes", [20, 40])
-@pytest.mark.parametrize("method", ["free_interface", "craig_bampton"])
-def test_reduced_structure_against_the_exact_flow(method: str, modes: int) -> None:
+def test_reduced_structure_against_the_exact_flow(modes: int) -> None:
     """Order 2 against its own exact flow; with all modes, against that of the whole chain."""
     whole, law = chain("modal", n=40), fc.UnilateralPenalty(4.0)
-    reduced = fc.reduce_structure(whole, modes=modes, method=method)
+    reduced = fc.reduce_structure(whole, modes=modes)
     exact = fc.integrate_events(
         whole if modes == whole.n_dofs else reduced, 0.8, law, periods=2, steps_per_period=64
     )
