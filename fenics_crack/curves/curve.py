@@ -79,7 +79,8 @@ class Bifurcation(Described):
     kind : str
         "fold": the curve turns back; "branch_point": another branch crosses; "period_doubling": a
         multiplier leaves the unit circle through -1; "neimark_sacker": a pair of them leaves it
-        anywhere else. The last two are bifurcations of exact orbits.
+        anywhere else. Of harmonic balance the last two are found with ``stability=True``, and only
+        under laws without exact orbits.
     point : HarmonicCurve or OrbitCurve
         The curve that has no other point.
     multipliers : (m,) complex or None

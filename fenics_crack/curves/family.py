@@ -14,6 +14,7 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
+import scipy.linalg
 
 from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, respond
@@ -157,11 +158,23 @@ class Family(ABC):
             largest = float(np.abs(moving).sum(axis=2).max())
         return least_residual(4.0 * largest * self.steepest_force)
 
+    def doubling(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
+        """Return the direction that grows at a period doubling, of equations with twice its period:
+        a null vector of J in the odd harmonics, of unit size."""
+        places = np.flatnonzero(np.repeat(self._odd, unknown.shape[1]))
+        jacobian, found = self.linearise(unknown, parameter).jacobian, np.zeros(unknown.size)
+        found[places] = scipy.linalg.svd(jacobian[np.ix_(places, places)])[2][-1]
+        return found.reshape(unknown.shape)
+
     def half_off(self, unknown: np.ndarray, parameter: float) -> float:
         """Change of a motion over half its period, relative to its size: twice what its odd
         harmonics are."""
-        odd = (np.arange(self.shape[0]) + 1) // 2 % 2 == 1
-        return float(2.0 * np.linalg.norm(unknown[odd]) / (np.linalg.norm(unknown) or 1.0))
+        return float(2.0 * np.linalg.norm(unknown[self._odd]) / (np.linalg.norm(unknown) or 1.0))
+
+    @property
+    def _odd(self) -> np.ndarray:
+        """Rows of the odd harmonics: (2H+1,) bool."""
+        return (np.arange(self.shape[0]) + 1) // 2 % 2 == 1
 
     def _with_modes(
         self, first: ContactSystem, omega: tuple[float, float], damping: tuple[float, float]

@@ -236,9 +236,9 @@ def follow_branch(
 ) -> ResponseCurve:
     """Follow the branch that begins at a period doubling, or crosses at a branch point.
 
-    The doubled branch, of exact orbits, has twice the period. A branch is followed in one
-    direction, until the parameter leaves the range or it joins the old one again; the other
-    direction of a doubled branch is the same orbits half a period later.
+    The doubled branch has twice the period, and of harmonic balance twice as many harmonics. It is
+    followed in one direction, until the parameter leaves the range or the branch joins the old one
+    again; the other direction of a doubled branch is the same orbits half a period later.
 
     Parameters
     ----------
@@ -287,6 +287,7 @@ def follow_branch(
         structure=bifurcation.problem.structure if curve.parameter == "speed" else curve.structure,
         omega=bifurcation.omega,
         harmonics=doubled * curve.problem.harmonics,
+        samples=curve.problem.samples and doubled * curve.problem.samples,
         subharmonic=doubled * curve.subharmonic,
     )
     exact, span = isinstance(curve, OrbitCurve), (curve.parameter, start, end)

@@ -4,8 +4,8 @@ A curve is a path (:mod:`fenics_crack.numerics.path`) of the equations of a fami
 (:mod:`family`, :mod:`orbit_family`). It begins at a solution, or on a branch that leaves another
 curve at a bifurcation.
 
-Branches are entered along the null vector of [J, F_p] across the old one; at a period doubling of
-exact orbits along that of the equations of twice the period.
+Branches are entered along the null vector of [J, F_p] across the old one; at a period doubling
+along that of the equations of twice the period.
 
 Sources: Keller, in Applications of Bifurcation Theory, 1977; Seydel, Practical Bifurcation and
 Stability Analysis, chapters 4, 5 and 7.
@@ -331,9 +331,7 @@ def branch_start(
     ConvergenceError
         No point of another branch was found.
     """
-    doubled = kind == "period_doubling"
-    if doubled:
-        assert isinstance(family, OrbitFamily)
+    if doubled := kind == "period_doubling":
         away = _doubling(family, unknown, parameter)
     else:
         away = _across(family, unknown, parameter, old)
@@ -356,7 +354,7 @@ def branch_start(
     )
 
 
-def _doubling(family: OrbitFamily, unknown: np.ndarray, parameter: float) -> Tangent:
+def _doubling(family: Family | OrbitFamily, unknown: np.ndarray, parameter: float) -> Tangent:
     """Unit direction of the branch of twice the period at a period doubling."""
     weight, of_means = norm_at(family, unknown)
     change = family.doubling(unknown, parameter)

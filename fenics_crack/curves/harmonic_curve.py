@@ -18,6 +18,9 @@ from fenics_crack.curves.family import FAMILIES, Family
 from fenics_crack.model.modal import all_modes
 from fenics_crack.numerics.fourier import evaluate
 
+FOLLOWED = "fold", "branch_point"
+"""Kinds of bifurcations that a curve has before its stability is assessed."""
+
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class HarmonicCurve(ResponseCurve):
@@ -94,7 +97,8 @@ class HarmonicCurve(ResponseCurve):
 
     def unjudged(self) -> HarmonicCurve:
         """As it was followed: without verdicts, and without what was found with them."""
-        return replace(self, multipliers=None, undecided=None)
+        special = tuple(one for one in self.bifurcations if one.kind in FOLLOWED)
+        return replace(self, bifurcations=special, multipliers=None, undecided=None)
 
     @cached_property
     def equations(self) -> Family:

@@ -5,13 +5,19 @@ Each point is assessed as a single solution is (:mod:`fenics_crack.balance.asses
 and branch points are those of its own equations. Where none of its first, middle and last point has
 an orbit of its own, none is sought at the others: the curve costs what its harmonic balance costs.
 
-With laws without an exact flow it is the linearised flow. Period doublings and Neimark-Sacker
-points are bifurcations of exact orbits (:mod:`orbit_events`); harmonic balance has none.
+With laws without an exact flow it is the linearised flow. Between two points lies
+a period doubling or a Neimark-Sacker point where the numbers of multipliers outside the unit circle
+say so (:mod:`orbit_events`); it is located on the path between them
+(:class:`fenics_crack.numerics.path.Crossing`).
+
+Source: Seydel, Practical Bifurcation and Stability Analysis, chapters 4 and 7.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -19,16 +25,22 @@ from fenics_crack.balance.assessment import MAX_ERROR
 from fenics_crack.basics.errors import check_kind
 from fenics_crack.basics.progress import begin
 from fenics_crack.curves.curve import leading
+from fenics_crack.curves.growing import chord, points_of
 from fenics_crack.curves.harmonic_curve import HarmonicCurve
-from fenics_crack.curves.stability import floquet, stability_of
+from fenics_crack.curves.orbit_events import about_minus_one, beyond_circle, changes, counted
+from fenics_crack.curves.stability import floquet, monodromy, stability_of
 from fenics_crack.model.contact import is_unilateral
+from fenics_crack.motion.orbit import eigenvalues
+from fenics_crack.numerics.newton import PathPoint, point_on_path
+from fenics_crack.numerics.path import Crossing
 
 
 def judge_curve(curve: HarmonicCurve) -> HarmonicCurve:
     """Assess the points of a curve over any parameter by their nearest exact orbits.
 
     Laws that are not linear in contact have no exact orbits: their points are assessed as
-    :func:`floquet` does.
+    :func:`floquet` does, and period doublings and Neimark-Sacker points are where multipliers of
+    the linearised flow leave the unit circle.
 
     Parameters
     ----------
@@ -54,14 +66,7 @@ def judge_curve(curve: HarmonicCurve) -> HarmonicCurve:
     """
     check_kind("curve", curve, HarmonicCurve)
     if not is_unilateral(curve.contact):
-        begin("stability of each point")
-        solutions = (curve.solution(place, search=False) for place in range(len(curve)))
-        found = [floquet(one.structure, one) for one in solutions]
-        return replace(
-            curve,
-            multipliers=np.array([leading(one.multipliers) for one in found]),
-            undecided=np.array([one.verdict == "undecided" for one in found]),
-        )
+        return judged_by_waves(curve)
     begin("stability by exact orbits")
     multipliers = np.full(len(curve), np.nan + 0j)
     first = {0, len(curve) // 2, len(curve) - 1}
@@ -81,3 +86,51 @@ def _decides(curve: HarmonicCurve, place: int, multipliers: np.ndarray) -> bool:
         return False
     multipliers[place] = leading(found.multipliers)
     return True
+
+
+def judged_by_waves(curve: HarmonicCurve) -> HarmonicCurve:
+    """The same curve with verdicts, and with bifurcations where multipliers of the flow
+    linearised along it leave the unit circle."""
+    begin("stability of each point")
+    solutions = (curve.solution(place, search=False) for place in range(len(curve)))
+    found = [floquet(one.structure, one) for one in solutions]
+    special = [*curve.unjudged().bifurcations]
+    values = np.array([one.multipliers for one in found])
+    rows = counted(values)
+    crossed = changes(rows)[:, 1:] != 0.0
+    crossed &= np.isfinite(values[1:] + values[:-1]).all(axis=1)[:, None]
+    for place, which in np.argwhere(crossed).tolist():
+        kind, pairs = ("period_doubling", "neimark_sacker")[which], rows[place : place + 2, -1]
+        test = (
+            partial(beyond_circle, number=int(pairs.real.max()) - 1) if which else about_minus_one
+        )
+        special.append(curve.bifurcation(kind, *_located(curve, place, test)))
+    special.sort(key=curve.nearest)
+    return replace(
+        curve,
+        bifurcations=tuple(special),
+        multipliers=np.array([leading(one.multipliers) for one in found]),
+        undecided=np.array([one.verdict == "undecided" for one in found]),
+    )
+
+
+def _located(
+    curve: HarmonicCurve, place: int, test: Callable[[np.ndarray], float]
+) -> tuple[float, np.ndarray]:
+    """Value of the parameter and unknown behind a point where a function of multipliers is zero."""
+    family = curve.equations
+    ends = points_of(family, curve, [place, place + 1])
+    way = chord(family, *ends)
+    first, last = (
+        point_on_path(family, unknown, family.parameter(value), way) for value, unknown in ends
+    )
+
+    def value(at: PathPoint) -> float:
+        problem = family.at(family.value(at.parameter))
+        above, omega = problem.static_cutoff, problem.base_omega
+        matrix = monodromy(problem.structure, problem.contact, at.unknown, omega, above)
+        return test(eigenvalues(matrix))
+
+    found = Crossing(value).locate(family, (first, last), family.rounding(last.parameter))
+    assert found is not None
+    return family.value(found.parameter), found.unknown

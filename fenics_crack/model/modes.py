@@ -613,8 +613,8 @@ def partners(is_open: Modes, tied: Modes) -> np.ndarray:
 
     Each is taken once: as many as there are of (phi_open^T M phi_tied)^2 above 0.9 (a bond that
     mixes modes leaves less, and then none is another's), and the others in the order of their
-    numbers; no tie makes a mode slower (Rayleigh). The shapes of several modes of one frequency are any of a space, so squares are
-    summed over it (collective).
+    numbers; no tie makes a mode slower (Rayleigh). The shapes of several modes of one frequency are
+    any of a space, so squares are summed over it (collective).
 
     Parameters
     ----------
