@@ -23,6 +23,7 @@ from fenics_crack.curves.harmonic_curve import HarmonicCurve
 from fenics_crack.curves.verdicts import judge_curve
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.motion.flow import exact_flow
+from fenics_crack.numerics.fourier import stretched
 from fenics_crack.numerics.path import BranchPoint, Fold
 
 
@@ -111,7 +112,9 @@ class Continuation(Growing):
             self._family = FAMILIES[parameter](problem, start, end)
             point = initial.point
             assert isinstance(point, HarmonicCurve)
-            self._begin_on_branch(initial.kind, initial.value, point.unknowns[0])
+            factor = problem.harmonics // initial.problem.harmonics
+            unknown = stretched(point.unknowns[0], factor)
+            self._begin_on_branch(initial.kind, initial.value, unknown)
             return
         if initial is not None:
             check_initial(problem, initial)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -197,26 +196,11 @@ def test_neimark_sacker_point_of_a_smooth_law() -> None:
         assert np.abs(np.abs(pair) - 1.0).min() < 1e-4
 
 
-def test_judged_again_and_resumed(doubling: fc.ResponseCurve, tmp_path: Path) -> None:
-    """The same verdicts and bifurcations, each once; also of a curve that was stopped and saved."""
+def test_judged_again(doubling: fc.ResponseCurve) -> None:
+    """The same verdicts and bifurcations, each once."""
     again = fc.judge_curve(doubling)
     assert np.array_equal(again.verdicts, doubling.verdicts)
     assert [one.value for one in again.bifurcations] == [one.value for one in doubling.bifurcations]
-    part = fc.continue_frequency(
-        oscillator(), 1.5, 3.0, doubling.contact, harmonics=12, stability=True, throw=False,
-        most_points=40,
-    )  # fmt: skip
-    assert not part.complete and part.bifurcations
-    fc.save(part, tmp_path / "part.h5")
-    loaded = fc.load(tmp_path / "part.h5", oscillator(), doubling.contact)
-    assert isinstance(loaded, fc.ResponseCurve)
-    whole = fc.continue_frequency(
-        oscillator(), 1.5, 3.0, doubling.contact, stability=True, resume=loaded
-    )
-    assert whole.complete
-    assert [(one.kind, one.value) for one in whole.bifurcations] == [
-        (one.kind, pytest.approx(one.value, rel=1e-6)) for one in doubling.bifurcations
-    ]
 
 
 def test_rigid_contact_of_pairs_with_mass_has_no_verdicts() -> None:
