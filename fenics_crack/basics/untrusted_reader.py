@@ -33,7 +33,7 @@ def serve(reader: str, line: socket.socket) -> None:
             end = 1
             try:
                 line.close()  # no file answers for the next one
-                attempt(reader, handed[0], **json.loads(words))
+                attempt(reader, handed[0], json.loads(words))
                 end = 0
             finally:
                 os._exit(end)
@@ -41,26 +41,18 @@ def serve(reader: str, line: socket.socket) -> None:
         line.send(str(os.waitstatus_to_exitcode(os.waitpid(copy, 0)[1])).encode())
 
 
-def attempt(
-    reader: str,
-    handed: int,
-    folder: str,
-    path: str,
-    memory: int,
-    seconds: int,
-    wait: int,
-    most: int,
-) -> None:
+def attempt(reader: str, handed: int, asked: dict) -> None:
     """Read a file, and hand over what it holds."""
-    os.chdir(folder)
-    signal.alarm(wait)
-    resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+    os.chdir(asked["folder"])
+    signal.alarm(asked["wait"])
+    seconds = asked["seconds"]
+    resource.setrlimit(resource.RLIMIT_AS, (asked["memory"], asked["memory"]))
     room = resource.getrlimit(resource.RLIMIT_FSIZE)[1]  # what is handed over lies in memory
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
     read = runpy.run_path(reader)["read"]
     try:
-        found = read(path, most)
+        found = read(asked["path"], asked["most"])
     except Exception as error:  # whatever a damaged file leads a library to
         found = {"error": np.array(str(error) or type(error).__name__)}
     with os.fdopen(handed, "wb") as out:

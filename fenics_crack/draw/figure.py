@@ -254,9 +254,8 @@ def _power(value: float) -> str:
 def _draw_legend(axes: Axes) -> None:
     """Give a panel its legend.
 
-    It never hides what is drawn: it stands below the panel where the figure has a
-    constrained layout, which grows by the rows of a long one, in lines as wide as the figure, else
-    where nothing is, with room made above the data where there is no such place.
+    It stands below the panel where the figure has a constrained layout, which grows by the rows of
+    a long one, in lines as wide as the figure; else where it hides least.
     """
     handles, labels = axes.get_legend_handles_labels()
     both = sorted(zip(labels, handles, strict=True), key=lambda one: _gid(one[1]) != FIRST)
@@ -282,7 +281,6 @@ def _draw_legend(axes: Axes) -> None:
         axes.legend(list(named.values()), list(named), **where).set_gid(str(rows))
     elif named:
         axes.legend(list(named.values()), list(named), loc="best")
-        _make_room(axes)
 
 
 def _in_lines(label: str, letters: int) -> str:
@@ -293,19 +291,3 @@ def _in_lines(label: str, letters: int) -> str:
 def _gid(handle: Any) -> str | None:
     """The mark of a line in a legend; of a container, which has none, None."""
     return handle.get_gid() if isinstance(handle, Artist) else None
-
-
-def _make_room(axes: Axes) -> None:
-    """Move the upper end of an axis away from the data where the legend lies on them."""
-    box = axes.get_legend().get_window_extent()
-    points = [line.get_path().vertices for line in axes.lines if len(line.get_xdata()) > 2]
-    if not points:
-        return
-    seen = axes.transData.transform(np.concatenate(points))
-    inside = (seen > (box.x0, box.y0)) & (seen < (box.x1, box.y1))
-    if not np.any(inside.all(axis=1)):
-        return
-    share = min(0.6, (box.height / axes.bbox.height) + 0.08)
-    low, high = axes.transScale.transform([(1.0, end) for end in axes.get_ylim()])[:, 1]
-    top = axes.transScale.inverted().transform((1.0, low + (high - low) / (1.0 - share)))[1]
-    axes.set_ylim(top=float(top))

@@ -1,8 +1,5 @@
-"""Drawing and writing by VTK: points, cells and values from arrays, the camera that looks at them,
+"""Drawing and writing by VTK and pyvista: points, cells and values, the camera that looks at them,
 stresses, and files for ParaView (VTK XML): mode shapes and one period of the breathing crack.
-
-pyvista does the same as the first parts and more, but loads in 0.2 s: it is left to the pictures of
-solids, to the window, and to values at points.
 
 Stresses at the nodes of a mesh, and at points of it, follow from the gradient of the displacement
 in the cells at each node, averaged; the crack faces have nodes of their own, so nothing is averaged
@@ -22,10 +19,6 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from scipy.sparse import csr_matrix
-from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray, vtk_to_numpy
-from vtkmodules.vtkCommonCore import vtkPoints
-from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkDataObject, vtkUnstructuredGrid
-from vtkmodules.vtkFiltersGeneral import vtkGradientFilter
 from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
 from fenics_crack.balance.solution import PeriodicSolution
@@ -52,32 +45,6 @@ def in_space(vectors: np.ndarray) -> np.ndarray:
     return np.pad(vectors, ((0, 0), (0, 3 - vectors.shape[1])))
 
 
-def _grid_of(points: np.ndarray, cells: np.ndarray, vtk_type: int) -> vtkUnstructuredGrid:
-    """Points (n, d) and cells of one type."""
-    grid, positions, of_type = vtkUnstructuredGrid(), vtkPoints(), vtkCellArray()
-    positions.SetData(numpy_to_vtk(in_space(points), deep=1))
-    grid.SetPoints(positions)
-    nodes = numpy_to_vtkIdTypeArray(cells.ravel().astype(np.int64), deep=1)
-    of_type.SetData(cells.shape[1], nodes)
-    grid.SetCells(vtk_type, of_type)
-    return grid
-
-
-def add_values(fields: Any, name: str, values: np.ndarray) -> Any:
-    """Add an array to the point data or the field data of a data set, or put it in the place of the
-    one with this name; return it."""
-    array = numpy_to_vtk(np.ascontiguousarray(values), deep=1)
-    array.SetName(name)
-    fields.AddArray(array)
-    return array
-
-
-def without_screen() -> None:
-    """Spare VTK the search for a screen where there is none, and its warning."""
-    if not os.environ.get("DISPLAY"):
-        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
-
-
 def seen_parallel(renderer: Any) -> Any:
     """The camera of a renderer, which draws on white and makes nothing smaller that is far."""
     renderer.SetBackground(1.0, 1.0, 1.0)
@@ -99,9 +66,6 @@ def look_from_corner(renderer: Any, points: np.ndarray) -> None:
     renderer.ResetCamera()
 
 
-# --- by pyvista -----------------------------------------------------------------------------------
-
-
 def pyvista() -> Any:
     """The package, loaded without mypy, which it would load for a plugin of its own where that is
     installed: a third of the time that it takes to load."""
@@ -116,11 +80,18 @@ def pyvista() -> Any:
 
 
 def off_screen_plotter(window_size: tuple[int, int] = (900, 1000)) -> Any:
-    """A plotter that draws into memory."""
-    without_screen()
+    """A plotter that draws into memory, without a search for a screen where there is none."""
     if not os.environ.get("DISPLAY"):
+        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
         os.environ.setdefault("ALLOW_PLOTTING", "true")  # pyvista would open a window to know
     return pyvista().Plotter(off_screen=True, window_size=window_size)
+
+
+def _grid_of(points: np.ndarray, cells: np.ndarray, vtk_type: int) -> Any:
+    """Points (n, d) and cells of one type."""
+    counted = np.insert(cells, 0, cells.shape[1], axis=1)
+    types = np.full(len(cells), vtk_type)
+    return pyvista().UnstructuredGrid(counted.ravel(), types, in_space(points))
 
 
 def surface(points: np.ndarray, facets: np.ndarray) -> Any:
@@ -161,7 +132,7 @@ COMPONENTS = {2: ("xx", "yy", "xy"), 3: ("xx", "yy", "zz", "xy", "yz", "xz")}
 """Stresses in a plane and in space."""
 
 
-def grid_at_rest(mesh: NodalMesh) -> vtkUnstructuredGrid:
+def grid_at_rest(mesh: NodalMesh) -> Any:
     """The cells where they are."""
     return _grid_of(mesh.points, mesh.cells, mesh.vtk_type)
 
@@ -192,13 +163,9 @@ def _slopes(mesh: NodalMesh) -> list[csr_matrix]:
     """
     of_cell = mesh.cells.shape[1]
     places = np.reshape(grid_at_rest(mesh).GetCell(0).GetParametricCoords(), (of_cell, 3))
-    unit, slopes = _grid_of(places, np.arange(of_cell)[None], mesh.vtk_type), vtkGradientFilter()
-    add_values(unit.GetPointData(), "shape", np.eye(of_cell))
-    slopes.SetInputData(unit)
-    slopes.SetInputScalars(vtkDataObject.FIELD_ASSOCIATION_POINTS, "shape")
-    slopes.SetResultArrayName("gradient")
-    slopes.Update()
-    found = vtk_to_numpy(slopes.GetOutput().GetPointData().GetArray("gradient"))
+    unit = _grid_of(places, np.arange(of_cell)[None], mesh.vtk_type)
+    unit.point_data["shape"] = np.eye(of_cell)
+    found = np.asarray(unit.compute_derivative("shape")["gradient"])
     shape = found.reshape(of_cell, of_cell, 3)[..., : mesh.dimension]  # node, function, axis
     mapped = np.einsum("cbx,nbX->cnxX", mesh.points[mesh.cells], shape)
     slope = np.einsum("nbX,cnXx->xcnb", shape, np.linalg.inv(mapped))
@@ -268,7 +235,7 @@ def stress_at(
         time = np.linspace(0.0, found.period, 128, endpoint=False)
         moved = found.displacement_field(time)
     nodal = nodal_stress(mesh, mesh.field(moved), run.scene.material)
-    grid, columns = pyvista().wrap(grid_at_rest(mesh)), np.moveaxis(nodal, -2, 0)
+    grid, columns = grid_at_rest(mesh), np.moveaxis(nodal, -2, 0)
     grid["stress"] = columns.reshape(len(columns), -1)
     seen = pyvista().PolyData(in_space(places)).sample(grid)
     off = np.flatnonzero(np.asarray(seen["vtkValidPointMask"]) == 0)
@@ -312,8 +279,8 @@ def write_modes(modes: Modes, path: str | Path) -> None:
         for number, (omega, shape) in enumerate(zip(modes.omega, shapes, strict=True), 1):
             factor = tenth(shape, mesh.size)
             moved, name = in_space(factor * shape), f"mode {number}: {omega:.1f} rad/s"
-            add_values(grid.GetPointData(), name, moved)
-            add_values(grid.GetFieldData(), f"magnification of mode {number}", np.array([factor]))
+            grid.point_data[name] = moved
+            grid.field_data[f"magnification of mode {number}"] = [factor]
         write_whole(path, _vtu(grid))
 
     on_root(mesh.structure.comm, write)
@@ -409,7 +376,7 @@ class PeriodFields:
         assert self.material is not None
         return nodal_stress(self.mesh, self.displacement, self.material)
 
-    def grid(self, frame: int) -> vtkUnstructuredGrid:
+    def grid(self, frame: int) -> Any:
         """The magnified mesh of a frame with the point fields of :func:`write_period`."""
         force, displacement = self.force[frame], self.displacement[frame]
         grid = _grid_of(self.moved[frame], self.mesh.cells, self.mesh.vtk_type)
@@ -425,12 +392,11 @@ class PeriodFields:
             fields["stress"] = self.stress[frame]
             fields["von Mises stress"] = von_mises(self.stress[frame])
         for name, values in fields.items():
-            # as VTK's own, in half the time and space
-            array = add_values(grid.GetPointData(), name, values.astype(np.float32))
-            if name == "stress":
-                for component, axes in enumerate(COMPONENTS[self.mesh.dimension]):
-                    array.SetComponentName(component, axes)
-        add_values(grid.GetFieldData(), "magnification", np.array([self.magnification]))
+            grid.point_data[name] = values.astype(np.float32)  # in half the time and space
+        if self.material is not None:
+            for component, axes in enumerate(COMPONENTS[self.mesh.dimension]):
+                grid.GetPointData().GetArray("stress").SetComponentName(component, axes)
+        grid.field_data["magnification"] = [self.magnification]
         return grid
 
 
@@ -518,7 +484,7 @@ CAMERAS = {2: "view.ResetActiveCameraToNegativeZ()", 3: "view.ApplyIsometricView
 """ParaView's view of a plate and of a solid."""
 
 
-def _vtu(grid: vtkUnstructuredGrid) -> str:
+def _vtu(grid: Any) -> str:
     """The text of a .vtu file; VTK itself says nothing of a file that it cannot finish."""
     fields, writer = grid.GetPointData(), vtkXMLUnstructuredGridWriter()
     fields.SetActiveScalars(fields.GetArrayName(0))  # what is coloured by at first
