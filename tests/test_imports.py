@@ -252,19 +252,3 @@ with tempfile.TemporaryDirectory() as folder:
         print(error)
 """
     assert fresh(program) == "structure = 'made from matrices': must be made from a mesh"
-
-
-def test_plates_are_drawn_without_pyvista() -> None:
-    """It takes as long to load as a GIF of a plate takes: solids and windows alone need it."""
-    program = f"""
-import sys, tempfile
-import fenics_crack as fc
-scene = fc.Scene.load({str(DEMOS / "paper_plate.toml")!r})
-plate = fc.build_structure(scene.replace({{"mesh.columns": 4, "mesh.rows": 4}}))
-solution = fc.solve_linear(plate, 2000.0)
-with tempfile.TemporaryDirectory() as folder:
-    fc.write_period(solution, f"{{folder}}/period.pvd", frames=2, material=scene.material)
-    fc.animate_period(solution, f"{{folder}}/period.gif", frames=2, material=scene.material)
-print([name for name in ("pyvista", "matplotlib.pyplot") if name in sys.modules])
-"""
-    assert fresh(program) == "[]"

@@ -8,7 +8,6 @@ import importlib
 import json
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -20,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import MPI_ENVIRONMENT, ROOT, wrap
+from helpers import MPI_ENVIRONMENT, ROOT
 from ranks import LIMIT
 from surroundings import main
 
@@ -149,33 +148,6 @@ def test_harmonics_that_nothing_damps(
     if line in QUIET:
         assert main([*words, "--quiet"]) == 0
         assert "H w =" not in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        ("", False),
-        ("damping.modes=3", True),
-        (f"damping.modes=3 reduction.modes=10 {FREE}", True),
-        ("damping.modes=3 reduction.modes=10", False),  # without mass all that are kept are damped
-    ],
-)
-def test_hint_to_damp_more_modes(
-    changes: str,
-    expected: bool,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture,
-) -> None:
-    """Of an undecided orbit, where there are modes without damping."""
-    undecided = fc.Stability(np.array([1.0 + 0j]), "undecided", np.nan)
-    monkeypatch.setattr("fenics_crack.study.run.floquet", lambda structure, solution: undecided)
-    words = ["solve", str(PAPER), "--output", str(tmp_path), "--set", "contact.stiffness=1e9"]
-    words += [word for change in changes.split() for word in ("--set", change)]
-    assert main(words) == 0
-    answer = capsys.readouterr().err
-    assert "the stability of the orbit is undecided" in answer and "; more harmonics " in answer
-    assert ("or damping of all modes" in answer) == expected
 
 
 @pytest.mark.parametrize(
@@ -436,30 +408,6 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_an_interrupted_curve_is_beside_a_complete_one(
-    results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
-    """It takes its place nowhere, and the point where Ctrl-C came is no largest response."""
-    shutil.copy(results / "curve.h5", tmp_path)
-    points = iter(range(3))
-
-    def progress(_: fc.Continuation) -> float:
-        if next(points, None) is None:
-            raise KeyboardInterrupt
-        return 0.5
-
-    monkeypatch.setattr(fc.Continuation, "progress", progress)
-    changes = ["contact.stiffness=1e9", "damping.ratio=0.02", "curve.start=2200.0",
-               "curve.stop=2300.0"]  # fmt: skip
-    words = ["curve", str(PAPER), "--verbose", "--output", str(tmp_path)]
-    assert main([*words, *(word for change in changes for word in ("--set", change))]) == 3
-    said = capsys.readouterr()
-    assert (tmp_path / "curve.h5").read_bytes() == (results / "curve.h5").read_bytes()
-    assert not fc.load_run(tmp_path / "curve_interrupted.h5").result.complete
-    assert "largest so far" in said.out and "The response grows up to where" in said.err
-    assert "The largest response" not in said.err
-
-
 @pytest.mark.parametrize(("stop", "at_end"), [(12.0, False), (8.5, True)])
 def test_a_largest_response_is_one_peak_or_still_rising(
     stop: float, at_end: bool, tmp_path: Path, capsys: pytest.CaptureFixture
@@ -484,59 +432,6 @@ def test_a_largest_response_is_one_peak_or_still_rising(
     assert f"{peak.frequency:.6g} Hz" in said
     assert main(["report", str(tmp_path / "curve.h5"), "--quiet"]) == 0
     assert f"{peak.frequency:.6g} Hz" in (tmp_path / "report.html").read_text()
-
-
-def test_ctrl_c_during_the_errors(
-    results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The solution is saved beside an older one, whatever comes meanwhile."""
-    shutil.copy(results / "solution.h5", tmp_path)
-
-    def stopped(*_: Any) -> None:
-        raise KeyboardInterrupt
-
-    def again(save: Callable[..., None], *given: Any) -> None:
-        signal.raise_signal(signal.SIGINT)
-        save(*given)
-
-    handler = signal.getsignal(signal.SIGINT)
-    with monkeypatch.context() as patch:
-        patch.setattr("fenics_crack.study.run.errors_of", stopped)
-        wrap(patch, "fenics_crack.study.run.on_root", again)
-        words = ["--output", str(tmp_path), "--set", "contact.stiffness=1e9"]
-        assert main(["solve", str(PAPER), *words, "--set", "damping.ratio=0.02"]) == 3
-    assert signal.getsignal(signal.SIGINT) == handler
-    assert (tmp_path / "solution.h5").read_bytes() == (results / "solution.h5").read_bytes()
-    found = fc.load_run(tmp_path / "solution_interrupted.h5")
-    assert found.result.converged and found.stated is None
-
-
-@pytest.mark.parametrize(
-    ("command", "changes", "said"),
-    [
-        (
-            "curve",
-            "curve.start=1e3 curve.stop=3e3 curve.stability=false harmonic_balance.harmonics=40",
-            r"\d+% .* \d+ points?",
-        ),
-        ("sweep", "sweep.over={'excitation.omega'=[1e3,1.1e3,1.2e3]}", "[0-3] of 3 cases"),
-        ("integrate", "integration.periods=200", r"\d+ of 200 periods"),
-    ],
-)
-def test_signs_of_life_say_how_far(
-    command: str,
-    changes: str,
-    said: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture,
-) -> None:
-    """On what is no terminal, a line each."""
-    monkeypatch.setattr("fenics_crack.basics.progress.BEAT", 0.01)
-    settings = ["damping.ratio=0.02", "contact.stiffness=1e9", *changes.split()]
-    words = [word for one in settings for word in ("--set", one)]
-    assert main([command, str(PAPER), "--output", str(tmp_path), *words]) in (0, 3)
-    assert re.search(rf"^  .* \d+ s, {said}", capsys.readouterr().err, re.MULTILINE)
 
 
 def test_points_of_a_curve(results: Path) -> None:

@@ -141,24 +141,6 @@ def test_another_result_is_kept_as_the_one_before(here: Path) -> None:
     assert {path.name for path in out.iterdir()} == names | {"before", "modes.toml", "notes.txt"}
 
 
-def test_a_result_is_kept_where_another_one_is_stopped(
-    here: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """While it is written; the earlier one is whole in its folder."""
-    assert main(["new", "own.toml", "--quiet"]) == 0
-    out, words = Path("output/own"), ["modes", "own.toml", *sets(*COARSE), "--quiet"]
-    assert main(words) == 0
-    first = omega(out)
-
-    def stop(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr("fenics_crack.cli.commands.runs.Run.save", stop)
-        assert main([*words, *sets("crack.length=0.02")]) == 130
-    assert omega(out / "before") == first
-
-
 def test_a_link_is_no_folder_to_keep_in(here: Path) -> None:
     """Nothing is written where it leads."""
     assert main(["new", "own.toml", "--quiet"]) == 0

@@ -2,6 +2,9 @@
 and values in words, and pictures of sweeps."""
 
 import json
+import re
+import signal
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,7 +17,6 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack import ErrorReport, ResponseCurve, SweepResult
-from fenics_crack.basics.errors import Exit
 from fenics_crack.basics.tables import Table
 from fenics_crack.cli import pictures
 from fenics_crack.cli.account import (
@@ -32,6 +34,7 @@ from fenics_crack.study.plausibility import remarks_on_scene
 from fenics_crack.sweep import result
 from fenics_crack.sweep.file import COLUMNS, State
 
+PAPER = DEMOS / "paper_plate.toml"
 ZERO = {"residual": 0.0, "truncation": 0.0, "sampling": 0.0, "reduction": 0.0, "penetration": 0.0}
 FIXED = {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 15}
 COARSE = {"mesh.size": 0.03, "mesh.lip_elements": 6}
@@ -205,7 +208,7 @@ def test_sweep_of_few_modes(
     at_third = ["--set", "excitation.frequency=4232.0", "--output", str(tmp_path)]
     lines = []
     for command, given in (("solve", at_third), ("sweep", at_third[2:])):
-        assert main([command, str(path), *given]) == Exit.MISSED  # the error is unknown
+        assert main([command, str(path), *given]) == 4  # the error is unknown
         err = capsys.readouterr().err.splitlines()
         lines += [line.partition("warning: ")[2] for line in err if "more modes" in line]
     where = "3 cases with an error above 5 %, the largest at modes = 2, frequency = 4232.0"
@@ -480,3 +483,125 @@ def test_rounding_is_no_high_harmonic(
     assert found["largest_order"][0] > 3.0 and np.isnan(found["largest_order"][1:]).all()
     assert np.all(found["ratio_largest"][1:] < 1e-9)
     assert "in 1 case the largest higher harmonic is above the third" in capsys.readouterr().err
+
+
+# --- what ends a command, and what it says meanwhile ----------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ("", False),
+        ("damping.modes=3", True),
+        ("damping.modes=3 reduction.modes=10 reduction.method=free_interface", True),
+        ("damping.modes=3 reduction.modes=10", False),  # without mass all that are kept are damped
+    ],
+)
+def test_hint_to_damp_more_modes(
+    changes: str,
+    expected: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+) -> None:
+    """Of an undecided orbit, where there are modes without damping."""
+    undecided = fc.Stability(np.array([1.0 + 0j]), "undecided", np.nan)
+    monkeypatch.setattr("fenics_crack.study.run.floquet", lambda structure, solution: undecided)
+    words = ["solve", str(PAPER), "--output", str(tmp_path), "--set", "contact.stiffness=1e9"]
+    words += [word for change in changes.split() for word in ("--set", change)]
+    assert main(words) == 0
+    answer = capsys.readouterr().err
+    assert "the stability of the orbit is undecided" in answer and "; more harmonics " in answer
+    assert ("or damping of all modes" in answer) == expected
+
+
+def test_an_interrupted_curve_is_beside_a_complete_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    """It takes its place nowhere, and the point where Ctrl-C came is no largest response."""
+    (tmp_path / "curve.h5").write_bytes(b"complete")
+    points = iter(range(3))
+
+    def progress(_: fc.Continuation) -> float:
+        if next(points, None) is None:
+            raise KeyboardInterrupt
+        return 0.5
+
+    monkeypatch.setattr(fc.Continuation, "progress", progress)
+    changes = ["contact.stiffness=1e9", "damping.ratio=0.02", "curve.start=2200.0",
+               "curve.stop=2300.0"]  # fmt: skip
+    words = ["curve", str(PAPER), "--verbose", "--output", str(tmp_path)]
+    assert main([*words, *(word for change in changes for word in ("--set", change))]) == 3
+    said = capsys.readouterr()
+    assert (tmp_path / "curve.h5").read_bytes() == b"complete"
+    assert not fc.load_run(tmp_path / "curve_interrupted.h5").result.complete
+    assert "largest so far" in said.out and "The response grows up to where" in said.err
+    assert "The largest response" not in said.err
+
+
+def test_ctrl_c_during_the_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The solution is saved beside an older one, whatever comes meanwhile."""
+    (tmp_path / "solution.h5").write_bytes(b"older")
+
+    def stopped(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    def again(save: Callable[..., None], *given: Any) -> None:
+        signal.raise_signal(signal.SIGINT)
+        save(*given)
+
+    handler = signal.getsignal(signal.SIGINT)
+    with monkeypatch.context() as patch:
+        patch.setattr("fenics_crack.study.run.errors_of", stopped)
+        wrap(patch, "fenics_crack.study.run.on_root", again)
+        words = ["--output", str(tmp_path), "--set", "contact.stiffness=1e9"]
+        assert main(["solve", str(PAPER), *words, "--set", "damping.ratio=0.02"]) == 3
+    assert signal.getsignal(signal.SIGINT) == handler
+    assert (tmp_path / "solution.h5").read_bytes() == b"older"
+    found = fc.load_run(tmp_path / "solution_interrupted.h5")
+    assert found.result.converged and found.stated is None
+
+
+@pytest.mark.parametrize(
+    ("command", "changes", "said"),
+    [
+        (
+            "curve",
+            "curve.start=1e3 curve.stop=3e3 curve.stability=false harmonic_balance.harmonics=40",
+            r"\d+% .* \d+ points?",
+        ),
+        ("sweep", "sweep.over={'excitation.omega'=[1e3,1.1e3,1.2e3]}", "[0-3] of 3 cases"),
+        ("integrate", "integration.periods=200", r"\d+ of 200 periods"),
+    ],
+)
+def test_signs_of_life_say_how_far(
+    command: str,
+    changes: str,
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+) -> None:
+    """On what is no terminal, a line each."""
+    monkeypatch.setattr("fenics_crack.basics.progress.BEAT", 0.01)
+    settings = ["damping.ratio=0.02", "contact.stiffness=1e9", *changes.split()]
+    words = [word for one in settings for word in ("--set", one)]
+    assert main([command, str(PAPER), "--output", str(tmp_path), *words]) in (0, 3)
+    assert re.search(rf"^  .* \d+ s, {said}", capsys.readouterr().err, re.MULTILINE)
+
+
+def test_a_result_is_kept_where_another_one_is_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While it is written; the earlier one is whole in its folder."""
+    words = ["modes", str(PAPER), "--output", str(tmp_path), "--quiet"]
+    assert main(words) == 0
+    first = (tmp_path / "modes.h5").read_bytes()
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("fenics_crack.cli.commands.runs.Run.save", stop)
+        assert main([*words, "--set", "material.young=2e11"]) == 130
+    assert (tmp_path / "before" / "modes.h5").read_bytes() == first

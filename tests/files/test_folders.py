@@ -113,11 +113,13 @@ def test_own_settings_act(tmp_path: Path) -> None:
             (folder / name).write_text(json.dumps(text))
     program = """
 import os
-from fenics_crack.fem import compat
+import fenics_crack as fc
+fc.build_structure  # loads DOLFINx
+import dolfinx.jit, ffcx
 from petsc4py import PETSc
 options = PETSc.Options("crack_")
 print([options.getInt(name, 0) for name in "abcd"], os.environ["PETSC_OPTIONS"])
-for tool in (compat.dolfinx.jit, compat.ffcx):
+for tool in (dolfinx.jit, ffcx):
     get = getattr(tool, "get_options", None) or tool.get_parameters
     print(get().get("cffi_verbose"), get().get("epsilon"))
 """

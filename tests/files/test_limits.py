@@ -7,7 +7,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from pathlib import Path
 
@@ -15,9 +14,6 @@ import numpy as np
 import pytest
 from helpers import DEMOS, ROOT
 from surroundings import main
-
-import fenics_crack as fc
-from fenics_crack.basics.caches import settle_caches
 
 SECONDS, MEMORY = 20.0, 2 * 2**30
 """In which a command answers, and with which [byte]."""
@@ -136,33 +132,6 @@ def test_contact_that_nothing_makes(
 
 
 # --- caches ---------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder that takes the place of caches, not yet made."""
-    place = tmp_path / "temporary"
-    place.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(place))
-    for name in ("HOME", "XDG_CACHE_HOME", "MPLCONFIGDIR"):  # to be put back
-        monkeypatch.setenv(name, os.environ.get(name, str(tmp_path)))
-    return place / f"fenics-crack-{os.geteuid()}"
-
-
-@pytest.mark.parametrize("lost", ["HOME", "XDG_CACHE_HOME"])
-def test_a_home_that_takes_no_files(
-    lost: str, tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A file in its place; a folder of this user's alone is used, and no other."""
-    (tmp_path / "file").touch()
-    monkeypatch.delenv("XDG_CACHE_HOME")
-    monkeypatch.setenv(lost, str(tmp_path / "file"))
-    settle_caches.__wrapped__()
-    assert os.environ[lost] == str(temporary) and temporary.stat().st_mode & 0o777 == 0o700
-    temporary.chmod(0o755)
-    monkeypatch.setenv(lost, str(tmp_path / "file"))
-    with pytest.raises(fc.InputError, match=lost):
-        settle_caches.__wrapped__()
 
 
 def test_a_cache_that_cannot_be_written(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import os
 import random
 import shutil
 import signal
+import tempfile
 import time
 import zlib
 from collections.abc import Callable
@@ -21,6 +22,7 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack import SweepResult, run_sweep
+from fenics_crack.basics.caches import settle_caches
 from fenics_crack.basics.untrusted_files import run_reader, sha256
 from fenics_crack.files.store import header, read
 from fenics_crack.scene.tables import Sweep
@@ -445,3 +447,33 @@ def test_byte_order_marks(home: Path) -> None:
         (home / name).write_text(text, encoding="utf-16")
         with pytest.raises(fc.InputError, match=r"byte order mark \(BOM\) of UTF-16"):
             reader(name)
+
+
+# --- caches ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder that takes the place of caches, not yet made."""
+    place = tmp_path / "temporary"
+    place.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(place))
+    for name in ("HOME", "XDG_CACHE_HOME", "MPLCONFIGDIR"):  # to be put back
+        monkeypatch.setenv(name, os.environ.get(name, str(tmp_path)))
+    return place / f"fenics-crack-{os.geteuid()}"
+
+
+@pytest.mark.parametrize("lost", ["HOME", "XDG_CACHE_HOME"])
+def test_a_home_that_takes_no_files(
+    lost: str, tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file in its place; a folder of this user's alone is used, and no other."""
+    (tmp_path / "file").touch()
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv(lost, str(tmp_path / "file"))
+    settle_caches.__wrapped__()
+    assert os.environ[lost] == str(temporary) and temporary.stat().st_mode & 0o777 == 0o700
+    temporary.chmod(0o755)
+    monkeypatch.setenv(lost, str(tmp_path / "file"))
+    with pytest.raises(fc.InputError, match=lost):
+        settle_caches.__wrapped__()

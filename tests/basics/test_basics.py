@@ -1,0 +1,594 @@
+"""The parts that all folders use: progress, tables, files that are written whole, threads."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import logging
+import os
+import pickle
+import re
+import resource
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import DEMOS, ROOT, two_masses
+from surroundings import main
+
+import fenics_crack as fc
+from fenics_crack import InputError
+from fenics_crack.basics import progress, threads
+from fenics_crack.basics.atomic_files import write_together, write_whole
+from fenics_crack.basics.errors import WriteError
+from fenics_crack.basics.tables import (
+    Described,
+    Table,
+    Tabular,
+    percent,
+    quantity,
+    ranging,
+    readable,
+)
+from fenics_crack.fem import compat
+from fenics_crack.scene.tables import Sweep
+from fenics_crack.scene.words import differences, value_in_words
+from fenics_crack.sweep.file import COLUMNS
+
+# --- stages and messages --------------------------------------------------------------------------
+
+
+class Terminal(io.StringIO):
+    """A stream that says it is one."""
+
+    def isatty(self) -> bool:
+        """It is."""
+        return True
+
+
+@pytest.mark.parametrize("stream", [Terminal(), io.StringIO()], ids=["terminal", "file"])
+def test_long_stages_leave_a_line(stream: io.StringIO, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A terminal shows each as it begins; only what took more than a second stays."""
+    clock = iter([0.0, 0.5, 3.0, 3.1])
+    monkeypatch.setattr(progress.time, "perf_counter", lambda: next(clock))
+    with progress.StageLines(stream):
+        progress.begin("mesh")
+        progress.begin("natural modes")
+        progress.begin("solution")
+    clear = "\r\033[K"
+    live = (
+        f"  mesh ...{clear}  natural modes ...{clear}  natural modes: 2.5 s\n  solution ...{clear}"
+    )
+    assert stream.getvalue() == (live if stream.isatty() else "  natural modes: 2.5 s\n")
+    progress.begin("nobody listens")
+
+
+def test_stages_are_logged(paper_scene: fc.Scene, caplog: pytest.LogCaptureFixture) -> None:
+    """Mesh, matrices, modes and attempts, in the order in which they happen."""
+    caplog.set_level(logging.DEBUG, "fenics_crack")
+    study = fc.prepare(paper_scene.replace({"mesh.columns": 8, "contact.stiffness": 1e9}))
+    fc.solve_harmonic_balance(study.structure, 2000.0, study.contact, harmonics=5)
+    assert caplog.messages[:2] == ["mesh", "matrices"]
+    assert any(stage.endswith("natural modes") for stage in caplog.messages)
+    assert "from fewer harmonics" in caplog.messages
+
+
+@pytest.mark.parametrize("stream", [Terminal(), io.StringIO()], ids=["terminal", "file"])
+@pytest.mark.parametrize("kept", [True, False], ids=["kept", "brief"])
+def test_signs_of_life(stream: io.StringIO, kept: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What takes long says so now and then, while it computes, and not after its end."""
+    monkeypatch.setattr(progress, "BEAT", 0.05)
+    stream.seek(0)
+    stream.truncate()
+    with progress.StageLines(stream, kept=kept):
+        progress.begin("path")
+        time.sleep(0.3)
+    shown = stream.getvalue()
+    signs = shown.count("\r\033[K  path ... 0 s" if stream.isatty() else "  path ... 0 s\n")
+    assert 3 <= signs <= 6
+    time.sleep(0.1)
+    assert stream.getvalue() == shown
+
+
+# --- tables ---------------------------------------------------------------------------------------
+
+TABLES = ("modes", "curve", "backbone", "sweep")
+RESULTS = ("solution", "judged", "linear", "report", "stability", "bifurcation", "orbit", *TABLES)
+
+
+@pytest.fixture(scope="module")
+def results(paper_scene: fc.Scene) -> dict[str, Any]:
+    """One result of each kind, of two masses with a stop."""
+    masses, law = two_masses(), fc.UnilateralPenalty(1.0)
+    solution = fc.solve_harmonic_balance(masses, 1.0, law)
+    stability = fc.floquet(masses, solution)
+    curve = fc.continue_frequency(masses, 0.5, 1.2, law, harmonics=3, stability=True)
+    return {
+        "solution": solution,
+        "judged": replace(solution, stability=stability),
+        "linear": fc.solve_linear(masses, 1.0),
+        "report": solution.report,
+        "stability": stability,
+        "bifurcation": curve.bifurcations[0],
+        "orbit": fc.shoot(masses, solution),
+        "modes": fc.solve_modes(masses, 2),
+        "curve": curve,
+        "backbone": fc.follow_backbone(masses, law, 1, 1.0, 10.0, harmonics=3),
+        "sweep": made_sweep(paper_scene),
+    }
+
+
+def made_sweep(scene: fc.Scene) -> fc.SweepResult:
+    """Two lengths by three frequencies, one case failed, one pending."""
+    over = {"crack.length": [0.03, 0.05], "excitation.omega": [1900.0, 2000.0, 2100.0]}
+    numbers = np.arange(6.0).reshape(2, 3)
+    columns: dict[str, np.ndarray] = {
+        name: numbers.astype(str if kind.startswith("S") else kind)
+        for name, (_, kind) in COLUMNS.items()
+    }
+    columns["state"] = np.array([[1, 1, 2], [1, 1, 0]])
+    swept = replace(scene, sweep=Sweep.from_mapping({"over": over}))
+    return fc.SweepResult(Path("sweep.h5"), swept, columns)
+
+
+def plain(value: object) -> bool:
+    """Whether a value is one of Python's own kinds."""
+    return type(value) in (int, float, str, bool)
+
+
+@pytest.mark.parametrize("name", RESULTS)
+def test_results_describe_themselves(name: str, results: dict[str, Any]) -> None:
+    """One short line, a table in a notebook, and a dict as pandas takes it."""
+    result = results[name]
+    assert isinstance(result, Described)
+    line = repr(result)
+    assert line.startswith(f"{type(result).__name__}(") and line.endswith(")")
+    assert "\n" not in line and len(line) < 140 and "array" not in line
+    page = result._repr_html_()
+    assert page.startswith("<table>") and page.count("<table>") == page.count("</table>") == 1
+    found = result.to_dict()
+    assert all(type(key) is str for key in found)
+    if name in TABLES:
+        assert isinstance(result, Tabular)
+        assert len({len(column) for column in found.values()}) == 1
+        assert all(plain(value) for column in found.values() for value in column)
+    else:
+        assert all(map(plain, found.values()))
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_read_back(name: str, results: dict[str, Any], tmp_path: Path) -> None:
+    """The file has the columns of the dict, to the last digit, with their units."""
+    path = tmp_path / "new" / f"{name}.csv"
+    results[name].to_csv(path)
+    with open(path, newline="") as file:
+        header, *rows = csv.reader(file)
+    found = results[name].to_dict()
+    assert [column.split(" [")[0] for column in header] == list(found)
+    assert any("[rad/s]" in column for column in header)
+    for column, values in zip(zip(*rows, strict=True), found.values(), strict=True):
+        for text, value in zip(column, values, strict=True):
+            assert text == str(value)
+    with pytest.raises(fc.InputError, match="path"):
+        results[name].to_csv(path / "no folder.csv")
+
+
+def test_what_the_lines_say(results: dict[str, Any]) -> None:
+    """Frequency, harmonics, pairs, opening and error; counts; how it ended."""
+    solution = results["solution"]
+    opening = -solution.gap(np.linspace(0.0, solution.period, 1024, endpoint=False)).min()
+    assert repr(solution) == (
+        f"PeriodicSolution(1 rad/s, H = 5, 1 pair, opening {opening:.4g} m, "
+        f"error {solution.report.total:.2g}, converged)"
+    )
+    assert results["stability"].verdict in repr(results["judged"])
+    assert "linear, converged" in repr(results["linear"])
+    assert "NOT CONVERGED" in repr(replace(solution, converged=False))
+    assert "period of 2 loads" in repr(replace(solution, subharmonic=2))
+    assert f"{len(results['curve'])} points" in repr(results["curve"])
+    assert "fold at " in repr(results["bifurcation"]) or "doubling" in repr(results["bifurcation"])
+    assert repr(results["sweep"]) == (
+        "SweepResult(2 crack.length x 3 excitation.omega, 1 pending, 4 converged, 1 failed)"
+    )
+    assert repr(results["modes"]).startswith("Modes(2 modes, ")
+
+
+def test_dicts_say_what_the_results_are(results: dict[str, Any]) -> None:
+    """Values are those of the attributes."""
+    curve, sweep = results["curve"].to_dict(), results["sweep"].to_dict()
+    seen = results["curve"].indicators(results["curve"].structure.watched_dof)
+    assert list(curve)[:5] == ["omega", "frequency", "iterations", "multiplier", "verdict"]
+    assert curve["amplitude"] == seen.amplitude.tolist()
+    assert curve["ratio_2_1"] == seen.ratio_2_1.tolist()
+    assert curve["omega"] == results["curve"].omega.tolist()
+    assert sweep["excitation.omega"] == 2 * [1900.0, 2000.0, 2100.0]
+    assert sweep["crack.length"] == 3 * [0.03] + 3 * [0.05]
+    assert sweep["state"][2] == "failed" and sweep["response"] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    solution = results["judged"].to_dict()
+    assert solution["multiplier"] == results["stability"].to_dict()["modulus"]
+    assert solution["total_error"] == results["report"].to_dict()["total"]
+
+
+def test_entries_of_contact(results: dict[str, Any]) -> None:
+    """Extremes over the period as sampled by hand; without pairs there is no entry of contact."""
+    solution = results["bifurcation"].solution
+    time = np.linspace(0.0, solution.period, 1024, endpoint=False)
+    gap, force = solution.gap(time), solution.contact_force(time)
+    found = solution.to_dict()
+    assert found["penetration"] == gap.max() > 0.0 and found["contact_force"] == force.max()
+    assert found["closed_share"] == np.mean(force > 0.0)
+    assert solution.amplitude(1) == np.ptp(solution.displacement(time, [1])) / 2.0
+    free = fc.solve_linear(fc.Structure.from_matrices(np.eye(1), np.eye(1), None), 0.5)
+    assert found.keys() - free.to_dict().keys() == {
+        "opening", "penetration", "contact_force", "closed_share", "crack_force",
+    }  # fmt: skip
+    table = solution.table("contact_force", "omega")
+    assert table.rows == [("contact_force [N]", force.max()), ("omega [rad/s]", solution.omega)]
+
+
+def test_long_tables_are_cut_for_eyes_only() -> None:
+    """In text and in a notebook; CSV and JSON have all rows."""
+    table = Table(("n [<m>]", "word"), [[n, "<b>"] for n in range(50)])
+    assert table.formatted("text").endswith("... and 10 more\n")
+    page = table.html("a & b")
+    assert page.count("<tr>") == 41 and "a &amp; b; the first 40 of 50 rows" in page
+    assert "&lt;b&gt;" in page and "<b>" not in page and "n [&lt;m&gt;]" in page
+    assert len(table.formatted("csv").splitlines()) == 51
+    assert len(json.loads(table.formatted("json"))) == 50
+
+
+def test_quantities() -> None:
+    """A number with a prefix that suits it."""
+    shown = {1.4514e-6: "1.451 µm", 0.0: "0 m", -2e-9: "-2 nm", 999.97e-6: "1000 µm", 12.0: "12 m"}
+    assert {value: quantity(value, "m") for value in shown} == shown
+
+
+@pytest.mark.parametrize(
+    ("share", "words"),
+    [(0.0, "0 %"), (0.0238, "2.4 %"), (0.994, "99 %"), (0.997, "100 %"), (1.4, "140 %")],
+)
+def test_shares_in_per_cent(share: float, words: str) -> None:
+    """Without an exponent, also of an error as large as its number."""
+    assert percent(share) == words
+
+
+def test_ranges_in_words() -> None:
+    """Ends that read alike are said once."""
+    assert ranging(np.array([9, 9])) == "9" and ranging(np.array([40, 5, 7])) == "5 to 40"
+    assert ranging(np.array([0.12, 0.1204]), ".2g") == "0.12"
+
+
+def test_units_that_read_well() -> None:
+    """Three digits before the point at most."""
+    for largest, unit, factor, found in (
+        (2e-7, "m", 1e9, "nm"), (1.7e-6, "m", 1e6, "µm"), (0.0, "m", 1.0, "m"),
+        (3.3e4, "Pa", 1e-3, "kPa"), (5e-14, "m", 1e15, "10^-15 m"),
+    ):  # fmt: skip
+        assert readable(largest, unit) == (pytest.approx(factor), found)
+
+
+def test_values_of_keys_in_words() -> None:
+    """With the prefix that is usual; none of degrees, which were 500 mdegrees."""
+    assert value_in_words("crack.length", 0.035) == "35 mm"
+    assert value_in_words("excitation.omega", 2000.0) == "2000 rad/s"
+    assert value_in_words("loads.1.phase", 0.5) == "0.5 degrees"
+
+
+def test_a_default_of_a_listed_table_is_told(paper_scene: fc.Scene) -> None:
+    """As that of any other: it was "none"."""
+    one = paper_scene.replace({"loads.1.edge": "top", "loads.1.traction_sin": [1.0, 0.0]})
+    lagging = one.replace({"loads.1.phase": 30.0})
+    told = ["loads.1.phase = 0 degrees", "loads.1.phase = 30 degrees"]
+    assert differences([one, lagging]) == told
+    assert differences([paper_scene, one])[0].startswith("loads.1.edge = none")
+
+
+# --- files, whole or not at all -------------------------------------------------------------------
+
+SMALL = [
+    "--set", "harmonic_balance.harmonics=3", "--set", "curve.stop=7.5", "--set",
+    'sweep.over={"excitation.frequency"=[8.0,9.0]}', "--quiet",
+]  # fmt: skip
+COMMANDS = {
+    "solve": ["solution.h5", "solution.csv", "solution.json"],
+    "curve": ["curve.h5", "curve.csv", "curve.json"],
+    "sweep": ["sweep.csv", "sweep.json"],
+    "plot": ["solution_waves.png", "solution_spectrum.png", "solution_orbits.png"],
+    "report": ["report.html"],
+}
+"""What each writes, but for the file of the sweep, which is continued."""
+
+
+@contextmanager
+def room_for(size: int) -> Iterator[None]:
+    """No file of this process can grow beyond a size, as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.fixture(scope="module")
+def chain_result(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A solution of the chain of demos/."""
+    folder = tmp_path_factory.mktemp("chain")
+    assert main(["solve", str(DEMOS / "chain.toml"), *SMALL, "--output", str(folder)]) == 0
+    return folder / "solution.h5"
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_full_disk(
+    command: str, chain_result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One line with a file's name, exit code 1; what was there stays, and the next run is whole."""
+    words = [command, str(DEMOS / "chain.toml"), *SMALL, "--output", str(tmp_path)]
+    if command in ("plot", "report"):
+        page = "report.html" if command == "report" else ""
+        words = [command, str(chain_result), "--quiet", "--output", str(tmp_path / page)]
+    for name in COMMANDS[command]:
+        (tmp_path / name).write_text("before")
+    capsys.readouterr()
+    with room_for(100):
+        assert main(words) == 1
+    told = capsys.readouterr()
+    (line,) = told.err.splitlines()
+    assert re.search(r"= '/.*\.(h5|json|png)': must be a file that can be written \(.", line), line
+    assert {file.name for file in tmp_path.iterdir()} - {"before"} == {*COMMANDS[command]}
+    assert all((tmp_path / name).read_text() == "before" for name in COMMANDS[command])
+    assert main(words) == 0
+    assert all((tmp_path / name).stat().st_size > 100 for name in COMMANDS[command])
+
+
+@pytest.mark.skipif(os.geteuid() != 0 or not shutil.which("unshare"), reason="cannot mount")
+def test_full_tmpfs(chain_result: Path, tmp_path: Path) -> None:
+    """A disk that is full, not a limit: the same line, and nothing of libhdf5."""
+    shell = f'mount -t tmpfs -o size=20k tmpfs {tmp_path} || exit 99; exec "$@"'
+    words = ["sweep", str(DEMOS / "chain.toml"), *SMALL, "--output", str(tmp_path / "new")]
+    program = [sys.executable, "-m", "fenics_crack", *words]
+    done = subprocess.run(
+        ["unshare", "-m", "sh", "-c", shell, "sh", *program],
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    if done.returncode == 99 or done.stderr.startswith("unshare: "):  # as in a chroot
+        pytest.skip("cannot mount")
+    line, *more = done.stderr.splitlines()
+    assert not more, done.stderr
+    assert done.returncode == 1 and "sweep.h5" in line and "No space left" in line
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_links_in_the_folder_lead_nowhere(command: str, chain_result: Path, tmp_path: Path) -> None:
+    """A file takes the place of a link, and what the link leads to stays as it was."""
+    own, victim = tmp_path / "own", tmp_path / "victim"
+    own.mkdir()
+    victim.write_text("before")
+    for name in COMMANDS[command]:
+        (own / name).symlink_to(victim)
+    words = [command, str(DEMOS / "chain.toml"), *SMALL, "--output", str(own)]
+    if command in ("plot", "report"):
+        page = "report.html" if command == "report" else ""
+        words = [command, str(chain_result), "--quiet", "--output", str(own / page)]
+    assert main(words) == 0
+    assert victim.read_text() == "before"
+    assert not any((own / name).is_symlink() for name in COMMANDS[command])
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_a_sweep_through_a_link_is_refused(
+    there: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One line, whether the link leads to another sweep of the same scene or to nothing yet."""
+    words = ["sweep", str(DEMOS / "chain.toml"), *SMALL, "--output"]
+    victim, own = tmp_path / "victim", tmp_path / "own"
+    if there:
+        assert main([*words, str(victim)]) == 0
+    own.mkdir()
+    (own / "sweep.h5").symlink_to(victim / "sweep.h5")
+    capsys.readouterr()
+    assert main([*words, str(own)]) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert "regular file" in line and (victim / "sweep.h5").exists() == there
+
+
+def test_links_devices_and_folders(tmp_path: Path) -> None:
+    """A link is replaced, a device is written to as it is, a folder is refused."""
+    file, link = tmp_path / "file", tmp_path / "link"
+    file.write_text("before")
+    link.symlink_to(file)
+    write_whole(link, "after")
+    assert not link.is_symlink() and file.read_text() == "before" and link.read_text() == "after"
+    write_whole("/dev/null", "anything")
+    assert Path("/dev/null").is_char_device()
+    with pytest.raises(WriteError, match="/dev/full"):
+        write_whole("/dev/full", "anything")
+    with pytest.raises(fc.InputError, match="can be written") as refused:
+        write_whole(tmp_path, "anything")
+    assert not isinstance(refused.value, WriteError)
+    assert sorted(tmp_path.iterdir()) == [file, link]
+
+
+def test_all_or_none(tmp_path: Path) -> None:
+    """Files that belong together, of which one is too long."""
+    names = [tmp_path / name for name in ("new/a", "new/b", "new/c")]
+    write_together((name, "before") for name in names)
+    with room_for(100), pytest.raises(WriteError, match="new/b"):
+        write_together(zip(names, ("after", "after" * 100, "after"), strict=True))
+    assert [name.read_text() for name in names] == ["before"] * 3
+    assert len(list((tmp_path / "new").iterdir())) == 3
+
+
+def test_mesh_file_is_whole(paper_scene: fc.Scene, tmp_path: Path) -> None:
+    """gmsh itself does not notice that a file is cut."""
+    path = tmp_path / "plate.msh"
+    with room_for(500), pytest.raises(WriteError, match=r"plate\.msh"):
+        fc.write_msh(paper_scene, path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_full_output(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    """The table cannot be printed, or there is nowhere to print it."""
+    with open("/dev/full", "w") as full:
+        for output in (full, None):
+            monkeypatch.setattr(sys, "stdout", output)
+            assert main(["check", str(DEMOS / "chain.toml"), "--quiet"]) == 1
+        monkeypatch.undo()
+    assert capfd.readouterr().err.splitlines() == [
+        "fenics-crack: standard output cannot be written (No space left on device)",
+        "fenics-crack: standard output is closed",
+    ]
+
+
+def test_too_little_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """One line; without the question SCOTCH prints words of its own, or DOLFINx never ends."""
+    plate = tmp_path / "plate.toml"
+    assert main(["new", str(plate), "--quiet"]) == 0
+    monkeypatch.setattr(compat, "addresses_left", lambda: 1e8)
+    capfd.readouterr()
+    assert main(["check", str(plate)]) == 1
+    assert capfd.readouterr().err == "fenics-crack: memory was not enough\n"
+
+
+# --- threads --------------------------------------------------------------------------------------
+
+THREADS = """
+import logging, threading
+import fenics_crack as fc
+logging.disable(logging.INFO)
+scene, found = fc.Scene.load("demos/paper_plate.toml"), []
+
+def work(columns):
+    study = fc.prepare(scene.replace({"mesh.columns": columns}))
+    solution = fc.solve_linear(study.structure, 2000.0)
+    found.append((study.structure.n_dofs, solution.converged))
+
+threads = [threading.Thread(target=work, args=(columns,)) for columns in (2, 4, 6)]
+for step in ("start", "join"):
+    for thread in threads:
+        getattr(thread, step)()
+print(sorted(found))
+"""
+
+
+class Pool:
+    """Takes the place of a loaded OpenBLAS, and keeps what it is told."""
+
+    def __init__(self, threads: int) -> None:
+        self.threads, self.told = threads, list[int]()
+
+    def __call__(self, name: str, *values: int) -> int:
+        if name == "set_num_threads":
+            self.told += values
+            self.threads = values[0]
+        return self.threads
+
+
+@pytest.fixture
+def pool(monkeypatch: pytest.MonkeyPatch) -> Pool:
+    """The only OpenBLAS, of a user who has said nothing, on 8 processors."""
+    found = Pool(8)
+    monkeypatch.setattr(threads, "_pools", lambda modules: [(found, 8)])
+    for name in threads.SETTINGS:
+        monkeypatch.delenv(name, raising=False)
+    return found
+
+
+def test_one_thread_of_openblas(pool: Pool) -> None:
+    """In functions of the package and in `from_matrices`; restored afterwards, errors or not."""
+    make, solve = fc.Structure.from_matrices, fc.solve_modes
+    pool.told.clear()  # by imports
+    structure = make(np.eye(1), np.eye(1), None)
+    assert pool.told == [1, 8]
+    with pytest.raises(InputError):
+        solve(structure, 2)
+    assert pool.told == [1, 8] * 2
+    with threads.alone(), threads.alone():
+        assert pool.threads == 1
+    assert pool.told == [1, 8] * 3
+
+
+@pytest.mark.parametrize("name", threads.SETTINGS)
+def test_the_user_decides(pool: Pool, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By a variable, or by a number other than that with which OpenBLAS begins."""
+    pool.threads = 3
+    with threads.alone():
+        assert pool.threads == 3
+    pool.threads = 8
+    monkeypatch.setenv(name, "8")
+    with threads.alone():
+        assert pool.threads == 8
+    assert pool.told == []
+
+
+def test_loaded_libraries_are_found() -> None:
+    """Debian's, which NumPy, SciPy and PETSc share, in a program without settings."""
+    program = """
+import sys
+from unittest.mock import patch
+import fenics_crack as fc
+from fenics_crack.basics import threads
+from surroundings import main
+fc.prepare, fc.Scene
+
+def counted():
+    pools = threads._pools(len(sys.modules))
+    return len(pools), {pool("get_num_threads") == begin for pool, begin in pools}, {
+        pool("get_num_threads") for pool, _ in pools}
+
+print(counted()[:2])
+with patch("fenics_crack.cli.command_line._command", lambda *_: print(counted()[::2])):
+    main(["check", "demos/paper_plate.toml"])
+print(counted()[:2])
+"""
+    assert run(program).splitlines() == ["(1, {True})", "(1, {1})", "(1, {True})"]
+
+
+@pytest.mark.parametrize("chosen", [{}, {"OMP_NUM_THREADS": "1"}])
+def test_no_thread_of_openmp(chosen: dict[str, str]) -> None:
+    """CHOLMOD begins none, which asks for four whatever is set; the limit is restored."""
+    program = """
+import os, sys
+import fenics_crack as fc
+from fenics_crack.basics import threads
+study = fc.prepare(fc.Scene.load("demos/breathing_plate.toml"), whole=True)
+library, = threads._openmp(len(sys.modules))
+print(library.omp_get_max_active_levels() > 0)
+before = len(os.listdir("/proc/self/task"))
+fc.solve_modes(study.structure, 2)
+print(len(os.listdir("/proc/self/task")) - before, library.omp_get_max_active_levels() > 0)
+"""
+    assert run(program, chosen).splitlines() == ["True", "0 True"]
+
+
+def test_three_threads_at_once() -> None:
+    """Each waits for the others: gmsh would end the process."""
+    assert run(THREADS) == "[(50, True), (54, True), (84, True)]"
+
+
+def test_functions_can_be_pickled() -> None:
+    """For processes of multiprocessing."""
+    assert pickle.loads(pickle.dumps(fc.prepare)) is fc.prepare
+
+
+def run(program: str, chosen: dict[str, str] | None = None) -> str:
+    """What a program prints in a process of its own, with these settings of threads alone."""
+    settings = dict.fromkeys(threads.SETTINGS)
+    environment = {name: value for name, value in os.environ.items() if name not in settings}
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=120, cwd=ROOT,
+        env=environment | {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}"} | (chosen or {}),
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
