@@ -1,2 +1,2 @@
-"""What every folder uses: errors, tables, progress, ranks, threads, and files read and written
-safely."""
+"""Parts that every folder uses: errors, tables, progress, ranks, threads, and files that are read
+and written safely."""

@@ -197,7 +197,7 @@ def of_error(
 def of_stability(
     scene: Scene, run: Run, stability: Stability | None, seen: str = ""
 ) -> Iterator[str]:
-    """A warning of an orbit that is not known to be stable; and what is seen in place of it."""
+    """A warning of an orbit that is unstable or undecided, with the motion seen in place of it."""
     if stability is None or stability.verdict == "stable":
         return
     because = f" ({stability.reason})" if stability.reason else ""
@@ -364,7 +364,7 @@ def account_of_growth(found: Growth) -> Account:
         way += f", {found.repeats[-1]:.4g} repeats of the spectrum"
     fact = f"{way if count > 1 else first}: {ENDS[found.end]}"
     causes = [f"{name} {error:.2g}" for name, error in found.errors.items() if error > 0.0]
-    known = f"the cycles are known within a factor of {found.factor:.3g}"
+    known = f"the cycles are uncertain by a factor of {found.factor:.3g}"
     known += f", standard deviations of their logarithm: {', '.join(causes)}" if causes else ""
     drop = f"the natural frequency of the breathing crack falls by {found.frequency_drop[-1]:.2%}"
     facts = [fact, known, drop] if count > 1 else [fact]

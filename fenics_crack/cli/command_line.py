@@ -261,7 +261,7 @@ COMMANDS = {
     ),
     "solve": ("steady vibration at excitation.omega", SOLVED),
     "verify": (
-        "what mesh, modes, harmonics and samples contribute to the error of solve: observed "
+        "contributions of mesh, modes, harmonics and samples to the error of solve: observed "
         "orders, extrapolated values, grid-convergence indices, and a picture",
         f"{SOLVED} --pictures",
     ),
@@ -321,9 +321,9 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
         {"type": int, "nargs": "+", "default": (), "metavar": "N"},
     ),
     "--arrivals": (
-        "what probes have seen, at constant speed or in a run-up through resonances: a CSV file of "
-        "arrivals (docs/tip_timing.md) or the .h5 file of a solution or a curve; [tip_timing] says "
-        "how the tip moves past them",
+        "arrivals at probes, at constant speed or in a run-up through resonances: a CSV file "
+        "(docs/tip_timing.md) or the .h5 file of a solution or a curve; [tip_timing] describes the "
+        "probes",
         {"type": path, "metavar": "FILE"},
     ),
     "--blade=N": (
@@ -331,7 +331,7 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
         {"type": int, "metavar": "N"},
     ),
     "arrivals": (
-        "what makes the arrivals: the .h5 file of a solution or a curve; or a CSV file of them, "
+        "source of the arrivals: the .h5 file of a solution or a curve; or a CSV file of them, "
         "measured or computed (default: the scene, solved)",
         {"type": path, "nargs": "?", "metavar": "source"},
     ),
@@ -349,7 +349,7 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
         {"action": "append", "default": [], "metavar": "KEY=VALUE"},
     ),
     "--output": (
-        "for the results (default: output/NAME of the scene; for plot, beside the result)",
+        "for the results (default: output/NAME of the scene; for plot, the folder of the result)",
         {"type": path, "metavar": "FOLDER"},
     ),
     "--count": ("how many modes (default: 6, or all of fewer)", {"type": int}),
@@ -359,7 +359,7 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
         {"type": float, "nargs": 3, "metavar": ("START", "STOP", "COUNT")},
     ),
     "--output=FILE": (
-        "the .html file (default: report.html beside the first result)",
+        "the .html file (default: report.html in the folder of the first result)",
         {"type": path, "metavar": "FILE.html"},
     ),
     "--pictures": (
@@ -454,5 +454,5 @@ def parser() -> argparse.ArgumentParser:
                 added.complete = shells  # type: ignore[attr-defined]
         loud = command.add_mutually_exclusive_group()
         loud.add_argument("--quiet", action="store_true", help="print the table and nothing else")
-        loud.add_argument("--verbose", action="store_true", help="say how long each part took")
+        loud.add_argument("--verbose", action="store_true", help="report how long each part took")
     return whole

@@ -178,7 +178,7 @@ def verify(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     return tell(account_of(found), inputs.folder, console, draw, save)
 
 
-def _told_by(
+def _measured_by(
     source: ArrivalTimes | Path, scene: Scene, console: Console, *, before: bool = False
 ) -> Measurements:
     """Return the measurements that follow from arrivals: displacements, or in a run-up the natural
@@ -205,7 +205,7 @@ def _told_by(
     held = scene.speed > 0.0 and scene.excitation.order is None
     if held and abs(times.mean_speed / scene.speed - 1.0) > STEADY:
         seen, own = (speed_in_words(v, scene.in_rpm) for v in (times.mean_speed, scene.speed))
-        allowed = f"at {own}, as [rotation] says, unless the load is an excitation.order"
+        allowed = f"at {own}, the speed of [rotation], unless the load is an excitation.order"
         raise InputError(key, seen, allowed)
     order = timing.engine_order(scene.given("tip_timing"), scene)
     tip, against = timing.probed_displacement(scene)
@@ -222,9 +222,9 @@ def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     scene, folder = inputs.scene, inputs.folder
     parts = [] if inputs.measurements is None else [inputs.measurements]
     if inputs.arrivals is not None:
-        parts.append(_told_by(inputs.arrivals, scene, console))
+        parts.append(_measured_by(inputs.arrivals, scene, console))
     if inputs.before is not None:
-        parts.append(_told_by(inputs.before, scene, console, before=True))
+        parts.append(_measured_by(inputs.before, scene, console, before=True))
     rows = sum(parts[1:], parts[0])
     with console.stage("identification", bars=True):
         how = {"comm": console.comm, "progress": console.progress}

@@ -108,8 +108,8 @@ def _measurements(given: Namespace, scene: Scene, before: Path | None) -> Measur
 
 
 def _arrivals(scene: Scene, given: Namespace, source: Path | None) -> ArrivalTimes | Path | None:
-    """Arrivals as they are measured, of the blade that is given if the file has several; a result
-    as it is."""
+    """Measured arrivals, of the blade that is given if the file has several; of a result its
+    path."""
     if source is None or source.suffix.lower() == ".h5":
         return source
     table = scene.given("tip_timing")
@@ -279,7 +279,7 @@ def new(given: Namespace, _: None, console: Console) -> None:
     path: Path = given.file
     kinds = [kind for kind in KINDS if vars(given)[kind]]
     if given.solid and kinds:
-        raise InputError("--solid", f"with --{kinds[0]}", "asked for alone: the others are plates")
+        raise InputError("--solid", f"with --{kinds[0]}", "used alone: the others are plates")
     rows = path.with_name(f"{path.stem}_measured.csv")
     if given.solid:
         files = {path: packaged("cli/new_solid.toml").replace("SCENE", path.name)}

@@ -173,7 +173,7 @@ def _in_numbers(table: Table, scene: Scene) -> dict[str, Table]:
     """All numbers, of which a page shows the first ones; before them those that are requested."""
     chosen = scene.quantities or ()
     rows = [row for row in table.rows if str(row[0]).rpartition(".")[2] in chosen]
-    first = {"What the scene asks for": readable_rows(Table(table.columns, rows))} if rows else {}
+    first = {"Requested by the scene": readable_rows(Table(table.columns, rows))} if rows else {}
     return first | {"In numbers": readable_rows(table)}
 
 
@@ -194,7 +194,7 @@ def _facts(run: Run[PeriodicSolution]) -> Iterator[str]:
             f" and is closed for {values['closed_share']:.0%} of the period."
         )
     else:
-        held = "open" if values["closed_share"] == 0.0 else "as it is, closed in part or whole,"
+        held = "open" if values["closed_share"] == 0.0 else "partly or wholly closed"
         yield f"{fact}; the crack stays {held} over the period: the vibration is linear."
     if unknown := unknown_error(run):
         yield f"The error is unknown: {unknown}."
@@ -731,7 +731,7 @@ def _identified(stored: Stored) -> Identified:
     with suppress(OSError):
         drawn = content_of(picture, links=False)
     if not drawn.startswith(PNG):
-        raise InputError("result", str(stored.path), f"with {picture.name} beside it")
+        raise InputError("result", str(stored.path), f"with {picture.name} in its folder")
     return Identified(scene, summary, picture)
 
 
@@ -767,7 +767,7 @@ def _account_of_identified(found: Identified) -> Account:
 # --- all of them ----------------------------------------------------------------------------------
 
 Computed = Run[Any] | SweepResult | Verification | Growth | Identified
-"""What commands write."""
+"""Results that commands write."""
 RESULTS: dict[str, tuple[str, Callable[[Any], Account]]] = {
     Modes.KIND: ("Natural frequencies and modes", _account_of_modes),
     PeriodicSolution.KIND: ("Steady vibration", _account_of_solution),

@@ -228,7 +228,7 @@ def test_numbers_of_tips_that_a_scene_asks_for(tmp_path: Path) -> None:
     assert main(["plot", files[0]]) == 0
     assert main(["report", *files, "--output", str(tmp_path / "page.html"), "--quiet"]) == 0
     words = Page((tmp_path / "page.html").read_text()).words
-    first = words[words.index("What the scene asks for") :]
+    first = words[words.index("Requested by the scene") :]
     first = first[: first.index("In numbers")]
     for name in ("largest stress intensity K_I", "K_II, of either sign", "force of the clamp"):
         assert name in first
