@@ -210,6 +210,11 @@ def test_growth(tmp_path: Path) -> None:
 
 
 @pytest.mark.nightly
+def displayed(value: object, kind: str) -> Any:
+    """A value as a notebook asks for it."""
+    return getattr(value, f"_repr_{kind}_")()
+
+
 def test_first_notebook(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each cell that ends with a value shows a picture or a table; the file keeps no output."""
     monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=str))
@@ -227,12 +232,12 @@ def test_first_notebook(monkeypatch: pytest.MonkeyPatch) -> None:
         exec(compile(ast.Module(lines, []), "notebook", "exec"), names)
         shown.append(names.pop("shown", None))
     assert shown.pop(0) is None  # the import
-    figures = [value._repr_png_() for value in shown if isinstance(value, Figure)]
+    figures = [displayed(value, "png") for value in shown if isinstance(value, Figure)]
     assert len(figures) == 5 and all(png.startswith(b"\x89PNG") for png in figures)
     assert not pyplot.get_fignums()  # nothing that pyplot would show again
     [frame] = [value for value in shown if isinstance(value, str)]
     assert "'amplitude': [" in frame
-    tables = [value._repr_html_() for value in shown if not isinstance(value, Figure | str)]
+    tables = [displayed(value, "html") for value in shown if not isinstance(value, Figure | str)]
     assert len(tables) == 4 and all(page.startswith("<table>") for page in tables)
     assert names["curve"].peak().omega == pytest.approx(2.0 * np.pi * 832.2, rel=1e-3)
 
