@@ -45,6 +45,7 @@ html_theme = "furo"
 html_title = f"fenics_crack {release}"
 html_theme_options = {"light_css_variables": {"code-font-size": "0.72rem"}}
 html_copy_source = False
+html_domain_indices = False  # it would name one module
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_js_files = [("copy.js", {"defer": "defer"})]
