@@ -74,21 +74,20 @@ File = Callable[..., Path]
 CAPTIONS = {
     "mesh": "The mesh with its named parts.",
     "modes": "Mode shapes with the crack open. Without contact, so the crack faces may overlap.",
-    "solution_waves": "The watched displacement, and the closing of the crack faces.",
-    "solution_spectrum": "Amplitudes of the harmonics. There are enough of them where they have "
-    "fallen far.",
+    "solution_waves": "Displacement at the output point, and closing of the crack faces.",
+    "solution_spectrum": "Amplitudes of the harmonics; enough are kept if the last are small.",
     "solution_orbits": "The motion in the phase plane; thick where the crack faces touch.",
     "solution_contact_map": "Contact of the crack faces along the crack and over the period.",
     "solution_breathing_crack": "One period, slowed down and magnified as stated above the plate.",
-    "solution_tips": "What opens the tips of the crack, over the period.",
+    "solution_tips": "Stress intensity at the crack tips over the period.",
     "curve": "Response. Dashed: unstable; dotted: undecided; faint: large estimated error.",
     "curve_content": "Amplitudes of the lowest harmonics.",
     "curve_multipliers": "The orbit is stable where the largest multiplier is below 1.",
     "growth": "The crack over the cycles; dots are the lengths that were solved.",
     "integration_waves": "The motion in time, its last periods or a free decay.",
-    "posterior": "How probable cracks are by the measurements.",
+    "posterior": "Probability of cracks, given the measurements.",
 }
-"""Below the pictures, by the names of their files; others speak for themselves."""
+"""Captions of pictures by the names of their files; others have none."""
 IN_SHORT = (
     "geometry", "structure", "material", "damping", "crack", "cracks", "contact", "rotation",
     "excitation", "loads", "base", "growth",

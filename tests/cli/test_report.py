@@ -104,11 +104,11 @@ def test_nothing_is_external(folder: Path) -> None:
     ("kind", "begin"), [pytest.param("pdf", b"%PDF", marks=pytest.mark.nightly), ("svg", b"<?xml")]
 )
 def test_vector_graphics(folder: Path, tmp_path: Path, kind: str, begin: bytes) -> None:
-    """Every picture but the animation, of every result, of a scene and of several results."""
+    """Every picture but the animation, of every result, of a scene and of several curves."""
     for name in FILES:
         words = [str(folder / f"{name}.h5"), "--output", str(tmp_path / name)]
         assert main(["plot", *words, "--pictures", kind, "--quiet"]) == 0
-    twice = 2 * [str(folder / "solution.h5")]
+    twice = 2 * [str(folder / "curve.h5")]
     shutil.copy(twice[0], tmp_path / "again.h5")
     both = [twice[0], str(tmp_path / "again.h5"), "--output", str(tmp_path / "both")]
     assert main(["plot", *both, "--pictures", kind, "--quiet"]) == 0
