@@ -399,7 +399,7 @@ SETTINGS = [
     "crack.first_omega=2000", "crack.clearance=1e-6", "crack.clearance=-1e-6", "\ud800=1",
     "excitation.frequency=300", "curve.parameter=frequency", "loads.1.edge=top",
     "loads.1.pressure_sin=1", "loads.1.point=[0.05,0.1]", "loads.2.force_cos=[1,0]", "loads=none",
-    "base.acceleration_sin=[1,0]", "base.displacement_cos=[1e-6,0]", "structure.mass=a",
+    "base.acceleration_sin=[1,0]", "base.acceleration_cos=[1e-6,0]", "structure.mass=a",
     "structure.stiffness=b", "structure.force_sin=c", "reduction=off",
     "harmonic_balance.tolerance=0.1", "excitation.point=none",
     "mesh.file=\udcff", "crack.edge=a\nb", "geometry.width=1e-7", "geometry.thickness=none",

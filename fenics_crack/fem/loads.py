@@ -76,8 +76,10 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
                 watched = _middle_of(dofs, str(load.edge), own)
     if scene.base is not None:
         if watched is None:
-            watched = _farthest(dofs, scene.base.direction)
-        for row, acceleration in enumerate(scene.base.accelerations(excitation.omega), 1):
+            middle = gather_rows(dofs.comm, dofs.points[dofs.nodes_on("clamp")]).mean(axis=0)
+            every = np.arange(dofs.n_nodes)  # the farthest from the clamp
+            watched = _one_of(dofs, every, middle, -1, scene.base.direction)
+        for row, acceleration in enumerate(scene.base.accelerations, 1):
             force[row] -= _inertia(mass, np.tile(acceleration, dofs.n_nodes))
     if watched is None and point is not None and not any(map(any, parts)):
         along_x = [np.eye(dofs.dimension)[0].tolist()]
@@ -215,12 +217,6 @@ def _inertia(mass: Any, acceleration: np.ndarray) -> np.ndarray:
     moved.destroy()
     made.destroy()
     return found
-
-
-def _farthest(dofs: Dofs, direction: Vector) -> np.ndarray:
-    """1 at the dof, in the direction, of the node that is farthest from the clamp: (n_local,)."""
-    middle = gather_rows(dofs.comm, dofs.points[dofs.nodes_on("clamp")]).mean(axis=0)
-    return _one_of(dofs, np.arange(dofs.n_nodes), middle, -1, direction)
 
 
 def _one_of(

@@ -202,6 +202,11 @@ _READERS: dict[str, Callable[[object], Any]] = {
 """Function that reads a value, by the type of a field that is not None."""
 
 
+_JSON = {"bool": "boolean", "float": "number", "int": "integer", "str": "string"}
+_JSON |= dict.fromkeys(("Pair", "Vector", "tuple[float, ...]", "tuple[str, ...]"), "array")
+"""JSON's words for types; axes and points are objects."""
+
+
 def _reader(item: Field[Any]) -> Callable[[object], Any]:
     """Return the function that reads a key's value, by its type."""
     return _READERS[str(item.type).removesuffix(" | None")]
@@ -393,6 +398,24 @@ class Table(Hinted):
     def keys(cls) -> dict[str, Field[Any]]:
         """The keys of the table."""
         return {item.name: item for item in fields(cls)}  # type: ignore[arg-type]
+
+    @classmethod
+    def schema(cls) -> dict[str, Any]:
+        """The table as a JSON schema."""
+        found: dict[str, Any] = {}
+        for name, item in cls.keys().items():
+            kinds = str(item.type).removesuffix(" | None").split(" | ")
+            found[name] = {"type": [_JSON.get(kind, "object") for kind in kinds]}
+            words = f"{item.metadata['allowed']} [{item.metadata['unit']}]"
+            found[name]["description"] = words.removesuffix(" []")
+            if "words" in item.metadata:
+                found[name]["enum"] = item.metadata["words"]
+            if item.default not in (MISSING, None, ()):
+                found[name]["default"] = item.default
+        needed = [name for name, item in cls.keys().items() if item.default is MISSING]
+        table: dict[str, Any] = {"type": "object", "properties": found, "required": needed}
+        table["additionalProperties"] = False
+        return table if cls.WORD is None else {"anyOf": [table, found[cls.WORD]]}
 
     @classmethod
     def twins(cls) -> dict[str, str]:

@@ -207,6 +207,24 @@ class Scene(Hinted):
                 raise InputError("scene", name, allowed) from error
         return cls.from_mapping(tables, folder, changes)
 
+    @classmethod
+    def schema(cls) -> dict[str, Any]:
+        """All tables and keys as a JSON schema, by which editors of TOML complete and check them.
+
+        Examples
+        --------
+        >>> sorted(fc.Scene.schema()["properties"]["material"]["required"])
+        ['density', 'poisson', 'young']
+        """
+        tables = {name: kind.schema() for name, kind in _TABLES.items()}
+        lists = {name: {"type": "array", "items": tables[name]} for name in _LISTS}
+        return {
+            "$schema": "http://json-schema.org/draft-07/schema#",
+            "type": "object",
+            "properties": tables | lists,
+            "additionalProperties": False,
+        }
+
     @property
     def dimension(self) -> int:
         """3 for a solid, and for a model of another program; else 2."""

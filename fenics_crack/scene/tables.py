@@ -252,8 +252,7 @@ class Excitation(Table):
     @property
     def force_given(self) -> str:
         """The first key of a force that is not zero; empty if there is none."""
-        names = ("force_sin", "force_cos", "force_mean")
-        return next((name for name in names if any(getattr(self, name))), "")
+        return next((name for name in FORCES[::-1] if any(getattr(self, name))), "")
 
 
 @dataclass(frozen=True)
@@ -318,42 +317,30 @@ class Load(Table):
 class Base(Table):
     """A clamp that moves as a whole, as on a shaker: u(t) = cos (omega t) + sin (omega t) parts.
 
-    Displacements are then relative to the clamp. Given by its acceleration or its displacement, at
-    the frequency of the excitation.
+    Given by its acceleration, at the frequency of the excitation; displacements are then relative
+    to the clamp. Of a clamp that moves by U it is -omega^2 U.
     """
 
     acceleration_sin: Vector | None = vector("a", unit="m/s^2")
     acceleration_cos: Vector | None = vector("a", unit="m/s^2")
-    displacement_sin: Vector | None = vector("u", unit="m")
-    displacement_cos: Vector | None = vector("u", unit="m")
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        parts = (self.acceleration_cos, self.acceleration_sin)
-        if self.moves_by_displacement:
-            self.leave_out(("acceleration_sin", "acceleration_cos"), "a displacement")
-            parts = (self.displacement_cos, self.displacement_sin)
-        moving = any(any(part) for part in parts if part is not None)
-        self.require(moving, "acceleration_sin", "given, or another part of the motion, not zero")
+        moving = any(any(part) for part in (self.acceleration_cos, self.acceleration_sin) if part)
+        self.require(moving, "acceleration_sin", "given, or acceleration_cos, not zero")
 
     @property
-    def moves_by_displacement(self) -> bool:
-        """True if the displacement is given, whose acceleration grows with omega^2."""
-        return self.displacement_cos is not None or self.displacement_sin is not None
-
-    def accelerations(self, omega: float) -> tuple[Vector, Vector]:
-        """Cosine and sine part at an angular frequency [rad/s]: a = -omega^2 u, [m/s^2]."""
-        factor, parts = 1.0, (self.acceleration_cos, self.acceleration_sin)
-        if self.moves_by_displacement:
-            factor, parts = -(omega**2), (self.displacement_cos, self.displacement_sin)
+    def accelerations(self) -> tuple[Vector, Vector]:
+        """Cosine and sine part [m/s^2]."""
+        parts = (self.acceleration_cos, self.acceleration_sin)
         size = max(len(part) for part in parts if part is not None)
-        cosine, sine = (tuple(factor * value for value in part or (0.0,) * size) for part in parts)
+        cosine, sine = (part or (0.0,) * size for part in parts)
         return cosine, sine
 
     @property
     def direction(self) -> Vector:
         """(1, 0), (0, 1) or, of a solid, (0, 0, 1): the direction of the largest motion."""
-        along = np.abs(self.accelerations(1.0)).max(axis=0)
+        along = np.abs(self.accelerations).max(axis=0)
         return tuple(np.eye(len(along))[int(np.argmax(along))].tolist())
 
 

@@ -303,7 +303,7 @@ def campbell(
     # That of an open mode's shape may come later, where the bond has taken it past others.
     n_tied = min(count + 2, most) if top.n_pairs else 0
     small = Ritz.of_range(top.damped(None), wanted[0], wanted[-1], count, n_tied)
-    load = _Load.of(scene, top, small)
+    load = _Load(small.force[1] - 1j * small.force[2], top)
 
     @cache
     def at(speed: float) -> tuple[np.ndarray, np.ndarray]:
@@ -354,38 +354,22 @@ def _in_words(speed: float) -> str:
 
 @dataclass(frozen=True)
 class _Load:
-    """Load of a structure, f(w) = f_0 + w^2 s, and its damping.
-
-    A base whose displacement is given shakes it by M R w^2 U, where its modes resonate by that of
-    their own frequencies.
+    """Load of a structure, and its damping.
 
     Attributes
     ----------
-    constant, growing : (n,) [N], [kg m]
-        f_0 and s of the small structure, complex: cosine less i times sine part.
+    force : (n,) [N]
+        Of the small structure, complex: cosine less i times sine part.
     whole : Structure
         With the damping.
     """
 
-    constant: np.ndarray
-    growing: np.ndarray
+    force: np.ndarray
     whole: Structure
-
-    @classmethod
-    def of(cls, scene: Scene, whole: Structure, small: Ritz) -> _Load:
-        """Return the load of a scene, whose structure has it at its own frequency (collective)."""
-        force, growing = small.force[1:], np.zeros_like(small.force[1:])
-        if scene.base is not None and scene.base.moves_by_displacement:
-            assert whole.clamp is not None  # there is a mesh
-            motion = np.array(scene.base.accelerations(1.0))
-            carried = -motion @ whole.clamp.inertia[: scene.dimension]
-            growing = whole.sum_over_ranks(carried @ small.basis)
-        force = force - scene.excitation.omega**2 * growing
-        return cls(force[0] - 1j * force[1], growing[0] - 1j * growing[1], whole)
 
     def at_resonance(self, modes: Modes) -> np.ndarray:
         """Amplitudes of modes at their own resonances, inf without damping: (n,)."""
-        size = np.abs(self.constant @ modes.shapes + modes.omega**2 * (self.growing @ modes.shapes))
+        size = np.abs(self.force @ modes.shapes)
         below = 2.0 * damping_ratios(self.whole, modes.omega) * modes.omega**2
         return np.divide(size, below, out=np.where(size > 0.0, np.inf, 0.0), where=below > 0.0)
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -93,10 +94,9 @@ def coarser(study: Study) -> tuple[Study, tuple[int, int], float] | str:
             return "mesh.coarser is not given"
         coarse = scene.replace({"mesh.file": scene.mesh.coarser, "mesh.coarser": None})
     else:
-        try:
+        made = None
+        with suppress(InputError):  # its lines miss the crack
             made = finer_mesh(scene, 0.5)
-        except InputError as error:
-            return f"a grid of half as many columns and rows does not fit {error.key}"
         if made is None:
             return "a grid of half as many columns and rows has no lines along the crack"
         coarse = made
@@ -160,24 +160,20 @@ def expected(
 ) -> dict[str, GridConvergence]:  # fmt: skip
     """The part of a cause, of order 1 in :func:`_size_of`, or by a ratio of sizes, without a factor
     of safety."""
-    sizes = [_size_of(cause, count, scene) for count in counts]
-    if ratio is not None:
-        sizes[1] = ratio * sizes[0]
-    return {
-        name: replace(
-            grid_convergence(sizes, [value, other.get(name, 0.0)], formal=1.0), factor=1.0
-        )
-        for name, value in own.items()
-    }
+    parts = parts_of(cause, counts, [own, other], scene, formal=1.0, ratio=ratio)
+    return {name: replace(part, factor=1.0) for name, part in parts.items()}
 
 
 def parts_of(
     cause: str, counts: Sequence[int], levels: Sequence[Mapping[str, float]], scene: Scene,
-    *, formal: float, highest: float = math.inf,
+    *, formal: float, highest: float = math.inf, ratio: float | None = None,
 ) -> dict[str, GridConvergence]:  # fmt: skip
     """The part of a cause in each number, which is 0 where a run has none, by the numbers of two or
-    three runs, the answer's own first; orders are those of :func:`grid_convergence`."""
+    three runs, the answer's own first, or of two by a ratio of sizes; orders are those of
+    :func:`grid_convergence`."""
     sizes = [_size_of(cause, count, scene) for count in counts]
+    if ratio is not None:
+        sizes[1] = ratio * sizes[0]
     return {
         name: grid_convergence(
             sizes, [values.get(name, 0.0) for values in levels], formal=formal, highest=highest

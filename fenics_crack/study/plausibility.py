@@ -392,7 +392,7 @@ class Usual(NamedTuple):
 
 
 MM = {"mm": 1e-3}
-PER_CENT = 0.0, 0.05, "of critical damping, metals have 0.0001 to 0.01", {"%": 1e-2}
+DAMPING = 0.0, 0.05, "of critical damping, metals have 0.0001 to 0.01", {"%": 1e-2}
 USUAL = {
     "material.young": Usual(
         1e7, 1.5e12, "in Pa, steel has 2.1e11, and most solids from 1e7 to 1.5e12",
@@ -405,8 +405,8 @@ USUAL = {
     "material.poisson": Usual(0.0, 0.49, "most solids have 0 to 0.49, steel 0.3", {}),
     "rotation.hub_radius": Usual(0.0, LARGEST_SIDE, "larger than any rotor", MM),
     "tip_timing.tip_radius": Usual(0.0, LARGEST_SIDE, "larger than any rotor", MM),
-    "damping.ratio": Usual(*PER_CENT),
-    "damping.ratios": Usual(*PER_CENT),
+    "damping.ratio": Usual(*DAMPING),
+    "damping.ratios": Usual(*DAMPING),
     "growth.rate": Usual(
         1e-20, 1e-9, "in m in a cycle at 1 MPa m^0.5, steels have 5e-12 to 1.4e-10",
         {"mm in a cycle": 1e-3},
@@ -432,16 +432,14 @@ class Remark:
 def remarks_on_scene(scene: Scene) -> list[Remark]:
     """Return the remarks on the scene alone, without any computation."""
     rules = (
-        (_usual, _probes)
-        if scene.structure
-        else (_usual, _plate, _faces, _rotor, _load, _straight, _probes)
+        (_usual, _probes) if scene.structure else (_usual, _plate, _faces, _rotor, _load, _probes)
     )
     return [remark for rule in rules for remark in rule(scene)]
 
 
 def remarks_on_structure(scene: Scene, structure: Structure) -> list[Remark]:
     """Return the remarks on the scene's structure, before it is reduced (collective)."""
-    rules = _between_nodes, _outermost, remarks_on_rotor, _bouncing
+    rules = _between_nodes, _outermost, _hub, _coriolis, _bouncing
     return [remark for rule in rules for remark in rule(scene, structure)]
 
 
@@ -584,15 +582,6 @@ def is_proportional(scene: Scene) -> bool:
     return not rounded and all(c.clearance == 0.0 for c in scene.all_cracks.values())
 
 
-def _straight(scene: Scene) -> Remarks:
-    if scene.curve is not None and scene.curve.parameter == "load" and is_proportional(scene):
-        text = (
-            "without a clearance or preload (crack.clearance) the response is proportional to the "
-            "load: such a curve is a straight line"
-        )
-        yield Remark("curve.parameter", "load", text)
-
-
 # --- of the structure ---------------------------------------------------------------------------
 
 
@@ -620,12 +609,6 @@ def _outermost(scene: Scene, structure: Structure) -> Remarks:
     away = gather_rows(structure.comm, nodes.points) - point
     across = away - np.outer(away @ axis, axis)
     yield from _tip_speed(scene, table, float(np.linalg.norm(across, axis=1).max()))
-
-
-def remarks_on_rotor(scene: Scene, structure: Structure) -> Remarks:
-    """Yield the remarks on the structure's rotation (collective)."""
-    yield from _hub(scene, structure)
-    yield from _coriolis(scene, structure)
 
 
 def _hub(scene: Scene, structure: Structure) -> Remarks:

@@ -179,8 +179,6 @@ def _at_another_speed(scene: Scene, like: Study) -> Structure | None:
     other, rotation = like.scene, like.structure.whole.rotation
     if rotation is None or scene.speed == 0.0:
         return None
-    if scene.base is not None and scene.base.moves_by_displacement:
-        return None
     same = {"rotation.speed": 1.0, "excitation.omega": 1.0} | dict.fromkeys(LOOKED_AT)
     same["reduction"] = None
     if scene.replace(same) != other.replace(same):

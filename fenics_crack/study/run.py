@@ -361,11 +361,6 @@ def curve(
     check_scene(scene)
     table, balance = scene.given("curve"), scene.harmonic_balance
     parameter, start, stop = table.followed
-    by_frequency = parameter in ("omega", "speed")
-    if by_frequency and scene.base is not None and scene.base.moves_by_displacement:
-        keys = ("displacement_sin", "displacement_cos")
-        why = "a curve over the frequency or speed, which takes base.acceleration_sin or _cos"
-        scene.base.leave_out(keys, why)
     study = _prepare_curve(scene, comm)
     if not study.structure.sum_over_ranks(np.abs(study.structure.force[1:]).sum()):
         raise InputError(

@@ -357,10 +357,8 @@ def _of_scene(path: Path, scene: Scene) -> store.Stored:
         allowed = "the file of the same scene; for another one choose a new folder"
         raise InputError("path", value, allowed)
     version = str(stored.attributes.get("version"))
-    lost = [name for name in _kept(scene) if name not in stored.columns]
-    if version != VERSION or lost:
-        why = f" and has no column {lost[0]!r}" if lost else ""
-        allowed = f"a new name: it was begun by version {version}{why}, this is {VERSION}"
+    if version != VERSION:
+        allowed = f"a new name: it was begun by version {version}, this is {VERSION}"
         raise InputError("path", str(path), allowed)
     stored.check_files(begun)
     return opened(path)

@@ -137,13 +137,9 @@ def _most_pairs(scene: Scene) -> int:
 
 def _free_keys(scene: Scene, swept: Collection[str]) -> set[str]:
     """Keys whose values share a geometry; loads beside the force at ``excitation.point`` are part
-    of it, and so are clearances of matrices, and the frequency where the clamp's displacement is
-    given."""
+    of it, and so are clearances of matrices."""
     free = SAME_GEOMETRY | {key for key in swept if re.fullmatch(r"crack.*\.clearance", key)}
     others = scene.has_other_loads or scene.rotation is not None
     if others or any(key.startswith(("base.", "loads.", "rotation.")) for key in swept):
         free -= OF_FORCES
-    given = scene.base is not None and scene.base.moves_by_displacement
-    if given or any(key.startswith("base.displacement") for key in swept):
-        free -= {*FREQUENCIES}
     return free

@@ -78,7 +78,7 @@ from fenics_crack.sweep.plan import Plan
 
 DRAWN = ("amplitude", "opening", "ratio_2_1", "ratio_3_1", "closed_share", "mean_shift")
 """Quantities that are drawn where the scene does not choose."""
-UNSOUGHT = "without contact, with [rotation], and where base has a displacement"
+UNSOUGHT = "without contact, and with [rotation]"
 """Scenes whose largest response over the load's frequency is not sought."""
 STATES = np.array([state.name.lower() for state in State])
 """Words for the states."""
@@ -138,7 +138,9 @@ def run_sweep(
     >>> table = fc.run_sweep(swept, "sweep.h5").to_dict()
     """
     check_scene(scene)
-    table = _checked(scene)
+    table: Sweep = scene.given("sweep")
+    if table.at_resonance and not resonates(scene):
+        raise InputError("sweep.at_resonance", True, f"false {UNSOUGHT}")
     count = table.shape[-1]
     if outside := [place for place in natural if place not in range(count)]:
         raise InputError("natural", outside, f"places on the last axis, 0 to {count - 1}")
@@ -183,16 +185,7 @@ def _passing_file() -> str:
 def resonates(scene: Scene) -> bool:
     """Return True if the largest response over the load's frequency can be sought; else a scene is
     as :data:`UNSOUGHT` says."""
-    moved = scene.base is not None and scene.base.moves_by_displacement
-    return scene.contact is not None and scene.speed == 0.0 and not moved
-
-
-def _checked(scene: Scene) -> Sweep:
-    """The table of a sweep that can be done."""
-    table: Sweep = scene.given("sweep")
-    if table.at_resonance and not resonates(scene):
-        raise InputError("sweep.at_resonance", True, f"false {UNSOUGHT}")
-    return table
+    return scene.contact is not None and scene.speed == 0.0
 
 
 # --- the result -----------------------------------------------------------------------------------

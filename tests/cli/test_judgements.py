@@ -30,7 +30,6 @@ from fenics_crack.cli.account import (
 from fenics_crack.cli.results import _undecided_stretches, few_special_points
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.words import differences, key_in_words, value_in_words
-from fenics_crack.study.plausibility import remarks_on_scene
 from fenics_crack.sweep import result
 from fenics_crack.sweep.file import COLUMNS, State
 
@@ -280,14 +279,6 @@ def test_a_peak_between_two_speeds(tmp_path: Path) -> None:
     speeds = {"sweep.over": {"rotation.rpm": [12000.0, 3000.0, 9000.0]}}
     [text] = stepped_over(fc.run_sweep(blade.replace(speeds), tmp_path / "sweep.h5"))
     assert text.startswith("between 9000 and 12000 rpm, the sweep steps over a peak")
-
-
-def test_response_proportional_to_the_load(scene: fc.Scene) -> None:
-    """A curve over the load gets a remark; not with a clearance."""
-    over_load = {"curve.parameter": "load", "curve.start": 1.0, "curve.stop": 2.0}
-    [remark] = remarks_on_scene(scene.replace(over_load))
-    assert "proportional to the load" in str(remark)
-    assert not remarks_on_scene(scene.replace(over_load | {"crack.clearance": 1e-6}))
 
 
 @pytest.mark.parametrize("frequency", [800.0, 832.3])

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.io
-from helpers import ROOT
+from helpers import ROOT, columns_of_curve
 from mpi4py import MPI
 from ranks import LIMIT
-from scipy.integrate import quad, simpson
+from scipy.integrate import quad, simpson, trapezoid
 from scipy.optimize import minimize_scalar
 from scipy.signal import find_peaks
 from surroundings import main
@@ -103,6 +103,30 @@ def test_block_loading_of_a_strip() -> None:
     assert found.repeats[-1] == pytest.approx(found.life / 4500.0, rel=1e-12)
     lasting = found.repeats[-1] * (4000.0 / 2.0 + 500.0 / 8.0)
     assert found.time[-1] == pytest.approx(lasting, rel=1e-9)
+
+
+@pytest.mark.usefixtures("errors_left_out", "predicted_errors")
+def test_run_up_through_the_resonance(tmp_path: Path) -> None:
+    """A list of frequencies as close as the half width of the resonance, with the cycles of a
+    run-up, beside the integral along a curve."""
+    span, rate = (760.0, 880.0), 0.5
+    hertz = np.geomspace(*span, 12)
+    cycles = hertz * np.gradient(hertz) / rate
+    cycles[[0, -1]] *= 0.5  # at the ends half as much lies around a frequency
+    levels = {"frequencies": hertz.tolist(), "cycles": cycles.tolist()}
+    scene = plate(drive="spectrum", **levels, until=0.0352, life_tolerance=1.0)
+    coarse = {"harmonic_balance.harmonics": 10, "reduction.modes": 20, "damping.ratio": 0.02}
+    scene = scene.replace(coarse)  # of both
+    found = fc.grow(scene, comm=MPI.COMM_SELF)
+    keys = {"parameter": "frequency", "start": span[0], "stop": span[1], "stability": False}
+    followed = scene.replace({f"curve.{key}": value for key, value in keys.items()})
+    followed = followed.replace({"output.quantities": ("delta_K_effective",)})
+    curve = columns_of_curve(followed, tmp_path)
+    strength, along = curve["delta_K_effective"] / 1e6, curve["frequency"]
+    grown = 6.9e-12 * trapezoid(strength**3 * along / rate, along)
+    assert found.repeats is not None
+    first = found.length[1] - found.length[0]
+    assert first / found.repeats[1] == pytest.approx(grown, rel=0.02)
 
 
 def test_a_threshold_next_to_the_range_makes_the_life_unsure(

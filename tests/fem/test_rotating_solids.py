@@ -10,12 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 from mpi4py import MPI
-from rotating import strip
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
-from fenics_crack.model.rotation import coriolis_shifts
-from fenics_crack.study.plausibility import find_key_figures, remarks_on_rotor
 
 SIDE, LENGTH, YOUNG, DENSITY = 0.01, 0.2, 2.1e11, 7850.0
 BAR: dict[str, Any] = {
@@ -63,34 +60,6 @@ def test_southwell_coefficients_and_stretch(name: str) -> None:
     top = moved[structure.find_dof((SIDE / 2.0, LENGTH, SIDE / 2.0), "y")]
     stretch = DENSITY * 100.0**2 * (hub * LENGTH**2 / 2.0 + LENGTH**3 / 3.0) / YOUNG
     assert top == pytest.approx(stretch, rel=2e-3)
-
-
-def test_coriolis_force_of_a_whirling_bar() -> None:
-    """Seen by a rotor about its own axis, a square bar's bending of w_0 whirls at w_0 - W and
-    w_0 + W; about one across it, the force moves bending by little; a plate's is normal to it."""
-    speed, axis = 200.0 * math.pi, np.array([0.0, 1.0, 0.0])
-    place = {"axis": axis.tolist(), "center": [SIDE / 2.0, 0.0, SIDE / 2.0]}
-    shaft = bar(rotation={"speed": speed} | place)
-    assert shaft.rotation is not None
-    [still, _] = fc.solve_modes(shaft.rotation.at_rest, 2).omega
-    modes = fc.solve_modes(shaft, 2)
-    whirling = modes.omega * (1.0 + coriolis_shifts(modes, speed * axis))
-    assert whirling == pytest.approx([still - speed, still + speed], rel=2e-3)
-    scene = Scene.from_mapping(BAR | PUSHED | {"rotation": {"rpm": 6000.0} | place})
-    [remark] = remarks_on_rotor(scene, shaft)
-    first = 100.0 * (whirling[0] / modes.omega[0] - 1.0)
-    assert str(remark).startswith("rotation.rpm = 6000: the Coriolis force, which is left out,")
-    assert f"modes 1 to 4 by about {first:.3g}, " in str(remark)
-    diagram = fc.campbell(scene, [0.0, speed], 2)
-    assert diagram.coriolis == pytest.approx(whirling / modes.omega - 1.0, abs=2e-3)
-    with pytest.raises(InputError, match="without the Coriolis force, which is left out, the sol"):
-        shaft.rotation.at(3.0 * speed)  # above w_0, where a shaft whirls on
-    across = Scene.from_mapping(BAR | PUSHED | {"rotation": {"speed": 100.0, "hub_radius": 0.1}})
-    blade = fc.build_structure(across)
-    assert np.all(np.abs(coriolis_shifts(fc.solve_modes(blade, 4), 100.0 * axis[[1, 0, 2]])) < 1e-3)
-    assert not [*remarks_on_rotor(across, blade)]
-    plate = fc.solve_modes(fc.build_structure(strip(1, 1.0)), 2)
-    assert not np.any(coriolis_shifts(plate, speed * axis[[1, 0, 2]]))
 
 
 CALCULIX = {
@@ -179,23 +148,6 @@ def test_axes_that_cannot_be(key: str, rotation: dict[str, Any], kind: str) -> N
     with pytest.raises(InputError) as caught:
         Scene.from_mapping(tables)
     assert caught.value.key == key
-
-
-@pytest.mark.nightly
-def test_check_tells_where_the_order_meets_a_twisted_blade() -> None:
-    """S is the slope of w^2 over W^2, as between two speeds next to the blade's; at the speed told,
-    two thirds of its own, the breathing frequency is that of the order to three thousandths."""
-    scene = Scene.load(BLADE).replace({"rotation.rpm": 9000.0})
-    figures, speed = find_key_figures(fc.prepare(scene, whole=True)), scene.speed
-    rotation = fc.build_structure(scene).rotation
-    assert rotation is not None
-    near = np.array([0.99, 1.01]) * speed
-    squares = [fc.solve_modes(rotation.at(float(one)), 1).omega[0] ** 2 for one in near]
-    slope = np.diff(squares)[0] / np.diff(near**2)[0]
-    assert figures.stiffening == pytest.approx(slope, rel=1e-3)
-    met = figures.meeting_speed(4, speed)
-    lips = fc.bilinear_frequencies(rotation.at(met))
-    assert lips.omega_bilinear[0] == pytest.approx(4 * met, rel=3e-3)
 
 
 @pytest.mark.parametrize("key", ["axis", "center"])

@@ -14,22 +14,10 @@ import scipy.linalg
 from mpi4py import MPI
 from numpy.polynomial import Polynomial
 from rotating import DENSITY, HEIGHT, STRIP, UNIT, WIDTH, YOUNG, cracked, strip
-from scipy.spatial.transform import Rotation as Turned
 from surroundings import main
-from test_rotating_solids import BAR, LENGTH, PUSHED, SIDE
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
-from fenics_crack.basics.tables import RPM
-from fenics_crack.fem.build import assemble
-from fenics_crack.model.modes import times
-from fenics_crack.model.rotation import static_state
-from fenics_crack.monitoring.tip_timing.scene_timing import (
-    probed_displacement,
-    tip_direction,
-    tip_in_words,
-)
-from fenics_crack.study.plausibility import remarks_on_rotor
 
 PUBLISHED = {
     (0, 0): (3.5160, 22.0345), (0, 1): (3.6816, 22.1810), (0, 2): (4.1373, 22.6149),
@@ -107,7 +95,7 @@ def test_a_mean_load_bends_less_under_rotation() -> None:
     found = []
     for speed in (0.0, 5.0):
         structure = fc.build_structure(strip(0, speed, excitation=mean))
-        moved, _ = static_state(structure, structure.force[0], np.zeros(0))
+        moved = fc.solve_linear(structure, 100.0, harmonics=1).displacement_coefficients[0]
         found.append(moved[structure.find_dof((WIDTH, HEIGHT), "x")])
     assert found[1] / found[0] == pytest.approx(bent[1] / bent[0], rel=0.01)
     assert found[1] < 0.5 * found[0]
@@ -126,9 +114,12 @@ def test_stiffness_of_linear_motions(strips: dict[int, fc.Structure]) -> None:
             moved = np.zeros((structure.n_dofs, 1))
             free = nodes.dofs[:, component] >= 0
             moved[nodes.dofs[free, component], 0] = nodes.points[free, 1]
-            found = moved[:, 0] @ times(rotation.stiffness, moved)[:, 0]
+            vector, product = rotation.stiffness.createVecs()
+            vector.array[:] = moved[:, 0]
+            rotation.stiffness.mult(vector, product)
+            found = moved[:, 0] @ product.array_r
             assert found == pytest.approx(DENSITY * area * expected, rel=1e-6, abs=1e-9)
-        moved, _ = static_state(structure, structure.force[0], np.zeros(0))
+        moved = fc.solve_linear(structure, 100.0, harmonics=1).displacement_coefficients[0]
         tip = moved[structure.find_dof((WIDTH, HEIGHT), "y")]
         assert tip == pytest.approx(DENSITY * UNIT**2 * pulled / YOUNG, rel=1e-3)
 
@@ -149,33 +140,6 @@ def test_at_rest_nothing_changes() -> None:
 # --- cracks ---------------------------------------------------------------------------------------
 
 
-def equilibrium(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray]:
-    """Gaps and contact forces of the static state, whose equilibrium is checked to 1e-10."""
-    force = structure.force[0]
-    moved, pairs = static_state(structure, force, structure.clearance)
-    left = times(structure.stiffness, moved[:, None])[:, 0] + structure.gap @ pairs - force
-    assert np.abs(left).max() < 1e-10 * np.abs(force).max()
-    gap = structure.apply_bt(moved[None])[0] - structure.clearance
-    assert np.all(pairs >= 0.0) and gap.max() < 1e-10 * np.abs(moved).max()
-    assert np.abs(pairs * gap).max() <= 1e-10 * np.abs(pairs).max() * np.abs(moved).max()
-    return gap, pairs
-
-
-def test_static_state_is_in_equilibrium() -> None:
-    """A mean load presses the crack together, rotation opens it; in between it is half open."""
-    slow, middle, fast = (fc.build_structure(cracked(w, -100.0)) for w in (1.0, 300.0, 600.0))
-    assert np.all(equilibrium(slow)[1] > 0.0)
-    assert 0 < np.count_nonzero(equilibrium(middle)[1]) < middle.n_pairs
-    gap, pairs = equilibrium(fast)
-    assert not np.any(pairs) and np.all(gap < 0.0)
-    # Equilibrium of moments and forces about the whole: rotation pulls with its centrifugal load.
-    total = DENSITY * 0.02 * 0.004 * 600.0**2 * (0.3 * 0.12 + 0.12**2 / 2.0)
-    assert fast.rotation is not None
-    load = 600.0**2 * fast.rotation.force.sum()
-    assert load == pytest.approx(total, rel=0.05)  # less what the clamped row carries
-    assert load < total
-
-
 def test_crack_mouth_opening_is_that_of_fracture_mechanics() -> None:
     """Edge crack in a strip in tension: 4 s a V1(a/W) / E, with s the centrifugal stress over the
     crack (Tada, Paris and Irwin, The Stress Analysis of Cracks Handbook, 2.10)."""
@@ -188,7 +152,7 @@ def test_crack_mouth_opening_is_that_of_fracture_mechanics() -> None:
         rotation={"speed": speed, "hub_radius": hub},
         mesh={"layout": "graded", "order": 2, "size": 0.0015, "lip_elements": 8, "grading": 6.0},
     )
-    gap, _ = equilibrium(fc.build_structure(scene))
+    gap = fc.solve_linear(fc.build_structure(scene), 100.0, harmonics=1).gap_coefficients[0]
     stress = DENSITY * speed**2 * (hub + (level + height) / 2.0) * (height - level)
     bent = math.cos(math.pi * crack / (2.0 * width))
     shape = (1.46 + 3.42 * (1.0 - bent)) / bent**2
@@ -238,126 +202,23 @@ def test_check_tells_speed_and_opening(capsys: pytest.CaptureFixture[str], tmp_p
     printed = capsys.readouterr().out
     assert "rotor speed [rpm]" in printed and "opened by rotation" in printed
     [told] = re.findall(r"order 6 meets it near a rotor speed of \[rpm\] +([\d.]+)\n", printed)
-    near = RPM * float(told)
+    near = math.pi / 30.0 * float(told)
     [(mode, met)] = fc.campbell(scene, [0.9 * near, 1.1 * near], 1).crossings(6)
     assert mode == 1 and near == pytest.approx(met, rel=2e-3)
     assert met > 3.0 * scene.rotation.speed  # type: ignore[union-attr]
-
-
-def test_a_clamp_of_a_file_that_is_not_where_radii_begin(tmp_path: Any) -> None:
-    """It is told where the axis is, and where the clamp; one at y = 0 is fine."""
-    grid = strip(1, 1.0)
-    fc.write_msh(grid, tmp_path / "strip.msh")
-    mesh = {"layout": "file", "file": str(tmp_path / "strip.msh"), "order": 2}
-    scene = strip(1, 1.0, mesh=mesh, geometry={"thickness": 0.02})
-    structure = fc.build_structure(scene)
-    assert structure.nodes is not None and not [*remarks_on_rotor(scene, structure)]
-    for moved, where in (([0.0, 0.25], "y = 0.25 m"), ([0.1, -HEIGHT], f"y = {-HEIGHT:g} m")):
-        nodes = replace(structure.nodes, points=structure.nodes.points + moved)
-        [remark] = remarks_on_rotor(scene, structure.placed(nodes, structure.pairs))
-        assert str(remark).startswith(
-            f"rotation.hub_radius = {HEIGHT:g}: the axis goes through (0, "
-        )
-        assert str(remark).endswith(where)
-        assert not [*remarks_on_rotor(grid, structure.placed(nodes, structure.pairs))]
-
-
-def at_rest(scene: Scene, comm: MPI.Comm) -> list[float]:
-    """Two frequencies, the smallest gap and the sum of the contact forces (collective)."""
-    plate = fc.build_structure(scene, comm)
-    moved, pairs = static_state(plate, plate.force[0], plate.clearance)
-    gap = plate.apply_bt(moved[None])[0]
-    return [*fc.solve_modes(plate, 2).omega, gap.min(), pairs.sum()]
-
-
-@pytest.mark.mpi
-def test_ranks_share_the_mesh(on_ranks: Callable[..., Any]) -> None:
-    """Two ranks find the frequencies, the static opening and its forces of one."""
-    scene = cracked(150.0, -100.0)
-    equilibrium(fc.build_structure(scene, MPI.COMM_SELF))
-    assert on_ranks(at_rest, scene) == pytest.approx(at_rest(scene, MPI.COMM_SELF), rel=1e-8)
 
 
 def test_the_length_found_from_a_frequency_is_that_at_rest() -> None:
     """A crack given by its first natural frequency keeps its length whatever the speed."""
     mesh = {"layout": "graded", "size": 0.01, "lip_elements": 2}
     scene = cracked(0.0, mesh=mesh)
-    first = float(fc.solve_modes(assemble(scene), 1).omega[0])
+    first = float(fc.solve_modes(fc.build_structure(scene), 1).omega[0])
     crack = {"edge": "left", "height": 0.05, "first_omega": first}
     found = fc.find_crack_length(cracked(500.0, crack=crack, mesh=mesh))
     assert found == pytest.approx(0.006, rel=2e-3)
 
 
 # --- tips of solids -------------------------------------------------------------------------------
-
-
-def test_a_tip_passes_probes_by_its_circumferential_motion() -> None:
-    """Normal to the axis and to the radius; what is given by hand stays; a tip on the axis has no
-    such direction."""
-    tip = [0.0, LENGTH, SIDE]
-    scene = Scene.from_mapping(
-        BAR
-        | PUSHED
-        | {
-            "rotation": {"speed": 100.0, "axis": [2.0, 0.0, 0.0], "center": [0.0, -0.1, 0.0]},
-            "tip_timing": {"probes": [0.0, 50.0], "tip_radius": 0.3, "order": 1},
-            "output": {"points": {"tip": tip}},
-        }
-    )
-    run = fc.solve(scene)
-    structure, table = run.structure.whole, scene.given("tip_timing")
-    radius = math.hypot(LENGTH + 0.1, SIDE)
-    shares = {"y": -SIDE / radius, "z": (LENGTH + 0.1) / radius}
-    expected = {structure.find_dof(tip, axis): share for axis, share in shares.items()}
-    assert tip_direction(table, run) == pytest.approx(expected, rel=1e-12)
-    parts = [f"{share:.4g} times the {axis} displacement at (" for axis, share in shares.items()]
-    assert all(part in tip_in_words(table, run) for part in parts)
-    by_hand = scene.replace({"tip_timing.tangential": -0.5}).given("tip_timing")
-    assert tip_direction(by_hand, run) == {run.watched_dof: -0.5}
-    above = replace(run, scene=scene.replace({"rotation.center": [0.0, 0.0, SIDE + 5e-18]}))
-    assert tip_direction(table, above) == {structure.find_dof(tip, "z"): 1.0}  # y by rounding
-    through_it = replace(run, scene=scene.replace({"rotation.center": [1.0, LENGTH, SIDE]}))
-    with pytest.raises(InputError, match="off the axis"):
-        tip_direction(table, through_it)
-
-
-@pytest.mark.parametrize(
-    ("axis", "seen"),
-    [
-        ([1.0, 0.0, 0.0], ("tip.uz", False)), ([-1.0, 0.0, 0.0], ("tip.uz", True)),
-        ([0.0, 0.0, 1.0], ("tip.ux", True)), ([0.0, 0.0, -1.0], ("tip.ux", False)),
-        ([1.0, 0.0, 1.0], None),
-    ],
-)  # fmt: skip
-def test_probes_see_the_displacement_that_rotation_makes(
-    axis: list[float], seen: tuple[str, bool] | None
-) -> None:
-    """The coordinate along which a small turn about the axis moves the tip, with its sign; one that
-    is given by hand is of the first direction; between two coordinates it has to be."""
-    tip = [0.0, LENGTH, 0.0]
-    tables = {
-        "rotation": {"speed": 100.0, "axis": axis, "center": [0.0, -0.1, 0.0]},
-        "tip_timing": {"probes": [0.0, 50.0], "tip_radius": 0.3, "order": 1},
-        "output": {"points": {"tip": tip}},
-    }
-    scene = Scene.from_mapping(BAR | PUSHED | tables)
-    about = np.array(axis) / np.linalg.norm(axis)
-    away = np.array(tip) - [0.0, -0.1, 0.0]
-    moved = Turned.from_rotvec(1e-6 * about).apply(away) - away
-    if seen is not None:
-        name, against = probed_displacement(scene)
-        assert (name, against) == seen
-        share = (-1.0 if against else 1.0) * moved["xyz".index(name[-1])]
-        assert share == pytest.approx(np.linalg.norm(moved), rel=1e-5)
-    else:
-        with pytest.raises(InputError, match="none of x, y and z") as caught:
-            probed_displacement(scene)
-        assert caught.value.key == "tip_timing.tangential"
-    for tangential in (0.5, -0.5):
-        by_hand = scene.replace({"tip_timing.tangential": tangential})
-        assert probed_displacement(by_hand) == ("tip.ux", tangential < 0.0)
-    with pytest.raises(InputError, match="its tip first"):
-        probed_displacement(scene.replace({"output": None}))
 
 
 def test_lumped_and_tied_blades_rotate_still() -> None:
@@ -371,3 +232,6 @@ def test_lumped_and_tied_blades_rotate_still() -> None:
         there = other.rotation.at(650.0)
         expected = fc.solve_modes(there, 3).omega
         assert spinning.at_speed(650.0).omega == pytest.approx(expected, rel=1e-7)
+
+
+# --- insides of solids that rotate, and of compilers ----------------------------------------------

@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 import itertools
+import logging
 import math
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import dolfinx
 import gmsh
 import numpy as np
 import pytest
+import rotating
 import scipy.sparse as sparse
+import ufl
 from helpers import csr, gmsh_model
 from mpi4py import MPI
+from scipy.spatial.transform import Rotation as Turned
 from surroundings import DEMOS, ROOT
+from test_rotating_solids import BAR, BLADE, LENGTH, PUSHED, SIDE, bar
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
 from fenics_crack.basics.ranks import gather_rows
+from fenics_crack.fem import compat
 from fenics_crack.fem.compat import function_space
 from fenics_crack.fem.crack_surface import FACETS, Cells, cracks_between, split_cracks
 from fenics_crack.fem.loads import assemble_loads
@@ -27,7 +35,14 @@ from fenics_crack.fem.matrix_files import coincident
 from fenics_crack.fem.msh_file import cells_of
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.fem.plate import Dofs, build_mesh
+from fenics_crack.model.modes import times
 from fenics_crack.model.nodes import place_in_words
+from fenics_crack.model.rotation import coriolis_shifts, static_state
+from fenics_crack.monitoring.tip_timing.scene_timing import (
+    probed_displacement,
+    tip_direction,
+    tip_in_words,
+)
 from fenics_crack.study.plausibility import (
     find_key_figures,
     remarks_on,
@@ -997,3 +1012,205 @@ def test_two_ranks_build_the_same_solid(on_ranks: Callable[..., Any]) -> None:
     assert omega == pytest.approx(fc.solve_modes(alone, 3).omega.tolist(), rel=1e-8)
     own = [*alone.pair_areas.tolist(), float(np.linalg.norm(alone.gap.toarray()))]
     assert pairs == pytest.approx(own, rel=1e-10)
+
+
+# --- insides of what rotates, and of compilers ----------------------------------------------------
+
+
+def equilibrium(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray]:
+    """Gaps and contact forces of the static state, whose equilibrium is checked to 1e-10."""
+    force = structure.force[0]
+    moved, pairs = static_state(structure, force, structure.clearance)
+    left = times(structure.stiffness, moved[:, None])[:, 0] + structure.gap @ pairs - force
+    assert np.abs(left).max() < 1e-10 * np.abs(force).max()
+    gap = structure.apply_bt(moved[None])[0] - structure.clearance
+    assert np.all(pairs >= 0.0) and gap.max() < 1e-10 * np.abs(moved).max()
+    assert np.abs(pairs * gap).max() <= 1e-10 * np.abs(pairs).max() * np.abs(moved).max()
+    return gap, pairs
+
+
+def test_static_state_is_in_equilibrium() -> None:
+    """A mean load presses the crack together, rotation opens it; in between it is half open."""
+    slow, middle, fast = (
+        fc.build_structure(rotating.cracked(w, -100.0)) for w in (1.0, 300.0, 600.0)
+    )
+    assert np.all(equilibrium(slow)[1] > 0.0)
+    assert 0 < np.count_nonzero(equilibrium(middle)[1]) < middle.n_pairs
+    gap, pairs = equilibrium(fast)
+    assert not np.any(pairs) and np.all(gap < 0.0)
+    # Equilibrium of moments and forces about the whole: rotation pulls with its centrifugal load.
+    total = rotating.DENSITY * 0.02 * 0.004 * 600.0**2 * (0.3 * 0.12 + 0.12**2 / 2.0)
+    assert fast.rotation is not None
+    load = 600.0**2 * fast.rotation.force.sum()
+    assert load == pytest.approx(total, rel=0.05)  # less what the clamped row carries
+    assert load < total
+
+
+def test_a_clamp_of_a_file_that_is_not_where_radii_begin(tmp_path: Any) -> None:
+    """It is told where the axis is, and where the clamp; one at y = 0 is fine."""
+    grid = rotating.strip(1, 1.0)
+    fc.write_msh(grid, tmp_path / "strip.msh")
+    mesh = {"layout": "file", "file": str(tmp_path / "strip.msh"), "order": 2}
+    scene = rotating.strip(1, 1.0, mesh=mesh, geometry={"thickness": 0.02})
+    structure = fc.build_structure(scene)
+    assert structure.nodes is not None and not [*remarks_on_structure(scene, structure)]
+    for moved, where in (
+        ([0.0, 0.25], "y = 0.25 m"),
+        ([0.1, -rotating.HEIGHT], f"y = {-rotating.HEIGHT:g} m"),
+    ):
+        nodes = replace(structure.nodes, points=structure.nodes.points + moved)
+        [remark] = remarks_on_structure(scene, structure.placed(nodes, structure.pairs))
+        assert str(remark).startswith(
+            f"rotation.hub_radius = {rotating.HEIGHT:g}: the axis goes through (0, "
+        )
+        assert str(remark).endswith(where)
+        assert not [*remarks_on_structure(grid, structure.placed(nodes, structure.pairs))]
+
+
+def at_rest(scene: Scene, comm: MPI.Comm) -> list[float]:
+    """Two frequencies, the smallest gap and the sum of the contact forces (collective)."""
+    plate = fc.build_structure(scene, comm)
+    moved, pairs = static_state(plate, plate.force[0], plate.clearance)
+    gap = plate.apply_bt(moved[None])[0]
+    return [*fc.solve_modes(plate, 2).omega, gap.min(), pairs.sum()]
+
+
+@pytest.mark.mpi
+def test_ranks_share_the_mesh(on_ranks: Callable[..., Any]) -> None:
+    """Two ranks find the frequencies, the static opening and its forces of one."""
+    scene = rotating.cracked(150.0, -100.0)
+    equilibrium(fc.build_structure(scene, MPI.COMM_SELF))
+    assert on_ranks(at_rest, scene) == pytest.approx(at_rest(scene, MPI.COMM_SELF), rel=1e-8)
+
+
+def test_a_tip_passes_probes_by_its_circumferential_motion() -> None:
+    """Normal to the axis and to the radius; what is given by hand stays; a tip on the axis has no
+    such direction."""
+    tip = [0.0, LENGTH, SIDE]
+    scene = Scene.from_mapping(
+        BAR
+        | PUSHED
+        | {
+            "rotation": {"speed": 100.0, "axis": [2.0, 0.0, 0.0], "center": [0.0, -0.1, 0.0]},
+            "tip_timing": {"probes": [0.0, 50.0], "tip_radius": 0.3, "order": 1},
+            "output": {"points": {"tip": tip}},
+        }
+    )
+    run = fc.solve(scene)
+    structure, table = run.structure.whole, scene.given("tip_timing")
+    radius = math.hypot(LENGTH + 0.1, SIDE)
+    shares = {"y": -SIDE / radius, "z": (LENGTH + 0.1) / radius}
+    expected = {structure.find_dof(tip, axis): share for axis, share in shares.items()}
+    assert tip_direction(table, run) == pytest.approx(expected, rel=1e-12)
+    parts = [f"{share:.4g} times the {axis} displacement at (" for axis, share in shares.items()]
+    assert all(part in tip_in_words(table, run) for part in parts)
+    by_hand = scene.replace({"tip_timing.tangential": -0.5}).given("tip_timing")
+    assert tip_direction(by_hand, run) == {run.watched_dof: -0.5}
+    above = replace(run, scene=scene.replace({"rotation.center": [0.0, 0.0, SIDE + 5e-18]}))
+    assert tip_direction(table, above) == {structure.find_dof(tip, "z"): 1.0}  # y by rounding
+    through_it = replace(run, scene=scene.replace({"rotation.center": [1.0, LENGTH, SIDE]}))
+    with pytest.raises(InputError, match="off the axis"):
+        tip_direction(table, through_it)
+
+
+@pytest.mark.parametrize(
+    ("axis", "seen"),
+    [
+        ([1.0, 0.0, 0.0], ("tip.uz", False)), ([-1.0, 0.0, 0.0], ("tip.uz", True)),
+        ([0.0, 0.0, 1.0], ("tip.ux", True)), ([0.0, 0.0, -1.0], ("tip.ux", False)),
+        ([1.0, 0.0, 1.0], None),
+    ],
+)  # fmt: skip
+def test_probes_see_the_displacement_that_rotation_makes(
+    axis: list[float], seen: tuple[str, bool] | None
+) -> None:
+    """The coordinate along which a small turn about the axis moves the tip, with its sign; one that
+    is given by hand is of the first direction; between two coordinates it has to be."""
+    tip = [0.0, LENGTH, 0.0]
+    tables = {
+        "rotation": {"speed": 100.0, "axis": axis, "center": [0.0, -0.1, 0.0]},
+        "tip_timing": {"probes": [0.0, 50.0], "tip_radius": 0.3, "order": 1},
+        "output": {"points": {"tip": tip}},
+    }
+    scene = Scene.from_mapping(BAR | PUSHED | tables)
+    about = np.array(axis) / np.linalg.norm(axis)
+    away = np.array(tip) - [0.0, -0.1, 0.0]
+    moved = Turned.from_rotvec(1e-6 * about).apply(away) - away
+    if seen is not None:
+        name, against = probed_displacement(scene)
+        assert (name, against) == seen
+        share = (-1.0 if against else 1.0) * moved["xyz".index(name[-1])]
+        assert share == pytest.approx(np.linalg.norm(moved), rel=1e-5)
+    else:
+        with pytest.raises(InputError, match="none of x, y and z") as caught:
+            probed_displacement(scene)
+        assert caught.value.key == "tip_timing.tangential"
+    for tangential in (0.5, -0.5):
+        by_hand = scene.replace({"tip_timing.tangential": tangential})
+        assert probed_displacement(by_hand) == ("tip.ux", tangential < 0.0)
+    with pytest.raises(InputError, match="its tip first"):
+        probed_displacement(scene.replace({"output": None}))
+
+
+def test_coriolis_force_of_a_whirling_bar() -> None:
+    """Seen by a rotor about its own axis, a square bar's bending of w_0 whirls at w_0 - W and
+    w_0 + W; about one across it, the force moves bending by little; a plate's is normal to it."""
+    speed, axis = 200.0 * math.pi, np.array([0.0, 1.0, 0.0])
+    place = {"axis": axis.tolist(), "center": [SIDE / 2.0, 0.0, SIDE / 2.0]}
+    shaft = bar(rotation={"speed": speed} | place)
+    assert shaft.rotation is not None
+    [still, _] = fc.solve_modes(shaft.rotation.at_rest, 2).omega
+    modes = fc.solve_modes(shaft, 2)
+    whirling = modes.omega * (1.0 + coriolis_shifts(modes, speed * axis))
+    assert whirling == pytest.approx([still - speed, still + speed], rel=2e-3)
+    scene = Scene.from_mapping(BAR | PUSHED | {"rotation": {"rpm": 6000.0} | place})
+    [remark] = remarks_on_structure(scene, shaft)
+    first = 100.0 * (whirling[0] / modes.omega[0] - 1.0)
+    assert str(remark).startswith("rotation.rpm = 6000: the Coriolis force, which is left out,")
+    assert f"modes 1 to 4 by about {first:.3g}, " in str(remark)
+    diagram = fc.campbell(scene, [0.0, speed], 2)
+    assert diagram.coriolis == pytest.approx(whirling / modes.omega - 1.0, abs=2e-3)
+    with pytest.raises(InputError, match="without the Coriolis force, which is left out, the sol"):
+        shaft.rotation.at(3.0 * speed)  # above w_0, where a shaft whirls on
+    across = Scene.from_mapping(BAR | PUSHED | {"rotation": {"speed": 100.0, "hub_radius": 0.1}})
+    blade = fc.build_structure(across)
+    assert np.all(np.abs(coriolis_shifts(fc.solve_modes(blade, 4), 100.0 * axis[[1, 0, 2]])) < 1e-3)
+    assert not [*remarks_on_structure(across, blade)]
+    plate = fc.solve_modes(fc.build_structure(rotating.strip(1, 1.0)), 2)
+    assert not np.any(coriolis_shifts(plate, speed * axis[[1, 0, 2]]))
+
+
+def test_check_tells_where_the_order_meets_a_twisted_blade() -> None:
+    """S is the slope of w^2 over W^2, as between two speeds next to the blade's; at the speed told,
+    two thirds of its own, the breathing frequency is that of the order to three thousandths."""
+    scene = Scene.load(BLADE).replace({"rotation.rpm": 9000.0})
+    figures, speed = find_key_figures(fc.prepare(scene, whole=True)), scene.speed
+    rotation = fc.build_structure(scene).rotation
+    assert rotation is not None
+    near = np.array([0.99, 1.01]) * speed
+    squares = [fc.solve_modes(rotation.at(float(one)), 1).omega[0] ** 2 for one in near]
+    slope = np.diff(squares)[0] / np.diff(near**2)[0]
+    assert figures.stiffening == pytest.approx(slope, rel=1e-3)
+    met = figures.meeting_speed(4, speed)
+    lips = fc.bilinear_frequencies(rotation.at(met))
+    assert lips.omega_bilinear[0] == pytest.approx(4 * met, rel=3e-3)
+
+
+def test_compiler_is_quiet(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Nothing is told of forms compiled for the first time; warnings and other loggers are heard,
+    and logging is left as it was."""
+    ((name, options),) = compat._JIT.items()
+    monkeypatch.setitem(compat._JIT, name, options | {"cache_dir": tmp_path})
+    mesh = dolfinx.mesh.create_unit_square(MPI.COMM_SELF, 1, 1)
+    before = logging.root.level, list(logging.root.filters), logging.root.manager.disable
+    space = compat.function_space(mesh, 1)
+    compat.assembled_matrix(ufl.inner(ufl.TrialFunction(space), ufl.TestFunction(space)) * ufl.dx)
+    assert list(tmp_path.glob("*.so")) and not caplog.records
+    caplog.set_level(logging.INFO, "user")
+    with compat._quiet_compiler():
+        logging.warning("of the compiler")
+        logging.getLogger("user").info("of the user")
+    assert caplog.messages == ["of the compiler", "of the user"]
+    assert before == (logging.root.level, logging.root.filters, logging.root.manager.disable)

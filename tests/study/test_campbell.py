@@ -146,26 +146,6 @@ def test_a_crossing_has_the_state_of_the_crack_at_it(mean: float, does: str) -> 
     assert panel.lines[0].get_xydata() == pytest.approx(np.column_stack([speeds, omega]))
 
 
-def test_a_moving_base_shakes_by_each_frequency() -> None:
-    """Its acceleration is w^2 times its displacement, w being the mode's own frequency, wherever
-    the diagram ends: at a change that of a base whose acceleration is that one."""
-    changes = {"excitation.order": 12, "excitation.force_sin": [0.0, 0.0]}
-    still = cracked(1.0, -250.0).replace(changes)
-    size = 3e-6
-    changed = []
-    for top in (1500.0, 2500.0):
-        shaken = still.replace({"base.displacement_sin": [size, 0.0]})
-        found = fc.campbell(shaken, [600.0, top], 1)
-        assert found.kind[:, 0].tolist() == ["bilinear", "open"]
-        [(_, speed, _)] = found.changes
-        changed.append(speed)
-        [omega] = fc.campbell(shaken, [speed, top], 1).omega_open[0]
-        alike = still.replace({"base.acceleration_sin": [-size * omega**2, 0.0]})
-        near = fc.campbell(alike, [0.998 * speed, 1.002 * speed], 1)
-        assert near.kind[:, 0].tolist() == ["bilinear", "open"]
-    assert changed[0] == pytest.approx(changed[1], rel=1e-4)
-
-
 BAR = """
 [geometry]
 kind = "solid"

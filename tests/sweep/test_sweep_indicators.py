@@ -14,7 +14,9 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack import SweepResult, run_sweep
-from fenics_crack.basics.errors import Exit
+
+MISSED = 4
+"""Exit code of a result whose error is unknown or above the tolerance."""
 
 REDUCED = {
     "mesh.columns": 4, "reduction.method": "massless", "reduction.modes": 12,
@@ -197,7 +199,7 @@ def test_file_of_an_older_version(scene: fc.Scene, tmp_path: Path) -> None:
         del opened["ratio_2_1"]
     with pytest.raises(fc.InputError, match=r"a column 'ratio_2_1': this one is of an older"):
         SweepResult.load(path)
-    with pytest.raises(fc.InputError, match=r"a new name: .* has no column 'ratio_2_1'"):
+    with pytest.raises(fc.InputError, match=r"a column 'ratio_2_1': this one is of an older"):
         run_sweep(scene, path, MPI.COMM_SELF)
 
 
@@ -213,7 +215,7 @@ def test_verdicts_that_hang_on_modes_left_out(
     scene = fc.Scene.load(ROOT / "benchmarks" / "plate.toml").replace(coarse)
     (tmp_path / "plate.toml").write_text(scene.as_toml(), encoding="utf-8")
     out = ["--output", str(tmp_path)]
-    assert main(["sweep", str(tmp_path / "plate.toml"), *out]) == Exit.MISSED  # by its modes
+    assert main(["sweep", str(tmp_path / "plate.toml"), *out]) == MISSED  # by its modes
     few = fc.SweepResult.load(tmp_path / "sweep.h5")
     many = run_sweep(scene.replace({"reduction.modes": 18}), comm=MPI.COMM_SELF)
     assert few["verdict"].tolist() == ["stable", "stable"] == [*many["verdict"][1:], "stable"]

@@ -1,11 +1,12 @@
-"""What is said before anything is solved: key figures of a scene against dense algebra and
-solutions, remarks on what is unusual, the memory that it takes."""
+"""Insides of the commands: key figures of a scene against dense algebra and solutions, remarks on
+what is unusual, memory, failed runs of a study, schemes of an integration."""
 
 import functools
 import gc
 import resource
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,9 +17,12 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import fenics_crack as fc
+from fenics_crack.balance.solution import Solver
+from fenics_crack.basics import progress
 from fenics_crack.fem import blocks
 from fenics_crack.model.factor import Factor, distributed
 from fenics_crack.study import prepare
+from fenics_crack.study.coarser_mesh import finer_mesh
 from fenics_crack.study.plausibility import (
     KeyFigures,
     find_key_figures,
@@ -341,3 +345,119 @@ def test_what_was_prepared_is_given_back(paper_scene: fc.Scene) -> None:
         pages = int(Path("/proc/self/statm").read_text().split()[1])
         sizes.append(pages * resource.getpagesize() / 2**20)
     assert np.diff(sizes[9::15]).min() / 15 < 0.2
+
+
+# --- how the commands compute ---------------------------------------------------------------------
+
+PLATE: dict[str, Any] = {
+    "geometry": {"width": 0.1, "height": 0.1, "thickness": 1.0},
+    "crack": {"edge": "left", "height": 0.05, "length": 0.05},
+    "material": {"young": 2e9, "poisson": 0.3, "density": 7800.0},
+    "damping": {"ratio": 0.01},
+    "excitation": {"omega": 2000.0, "point": [0.1, 0.1], "force_sin": [100.0, 0.0]},
+    "contact": {"stiffness_per_area": 5e10},
+    "mesh": {"layout": "graded", "size": 0.03, "lip_elements": 2, "grading": 2.0},
+    "reduction": {"modes": 6},
+    "output": {"quantities": ["amplitude", "ratio_2_1", "opening"]},
+}
+"""Two pairs, 15 elements."""
+
+
+def plate(changes: dict[str, object] | None = None) -> fc.Scene:
+    """The plate with some keys changed."""
+    return fc.Scene.from_mapping(PLATE).replace(changes or {})
+
+
+def test_failed_runs_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that does not converge leaves two sizes and a factor of 3; two leave a cause unknown: of
+    a smoothed law, which has no exact orbit."""
+    bad: set[int] = set()
+    law = {"contact.law": "smoothed", "contact.sharpness": 1e8}
+    scene = plate(law | {"harmonic_balance.samples": 64})
+
+    whole = Solver.solve
+
+    def failing(solver: Solver, *how: Any, **more: Any) -> fc.PeriodicSolution:
+        found = whole(solver, *how, **more)
+        if found.harmonics in bad:
+            return replace(found, converged=False, status="lost")
+        if found.structure.n_modes == 24:
+            raise fc.InputError("reduction.modes", 24, "less")
+        return found
+
+    monkeypatch.setattr(Solver, "solve", failing)
+    bad.add(10)
+    found = fc.verify(scene)
+    assert found.failures == ["24 modes: reduction.modes = 24: must be less", "10 harmonics: lost"]
+    part = found.parts["harmonics"]["opening"]
+    assert part.behaviour == "two sizes" and part.factor == 3.0
+    assert "failed, 10 harmonics: lost" in found.statement
+    bad.add(20)
+    found = fc.verify(scene)
+    assert "harmonics" in found.unknown and "harmonics" not in found.parts
+    bad.add(5)
+    with pytest.raises(fc.ConvergenceError, match="the scene's own choice: lost"):
+        fc.verify(scene)
+
+
+def test_stages_name_the_run() -> None:
+    """Each stage is that of a run."""
+    told: list[str] = []
+    with progress.listening(told.append):
+        fc.verify(plate())
+    assert "the scene's own choice: mesh" in told and "a mesh 1.5 times finer: mesh" in told
+    assert any(text.startswith("24 modes: ") for text in told)
+
+
+def test_meshes_of_a_solid_are_similar() -> None:
+    """Elements at the front, and what each next one is longer by, have the same ratio in all."""
+    solid = fc.Scene.load(DEMOS.parent / "fenics_crack" / "cli" / "new_solid.toml")
+    finer = [finer_mesh(solid, factor) for factor in (1.5, 2.0)]
+    meshes = [solid.mesh, *(scene.mesh for scene in finer if scene is not None)]
+    fronts, rises = [], []
+    for mesh in meshes:
+        ratio = mesh.grading ** (1.0 / (mesh.lip_elements - 1))
+        fronts.append(sum(ratio**number for number in range(mesh.lip_elements)))
+        rises.append(1.0 / (ratio - 1.0))
+    factors = [front / fronts[0] for front in fronts]
+    assert factors == pytest.approx([1.0, 1.5, 2.0], rel=0.05)
+    assert factors == pytest.approx([rise / rises[0] for rise in rises], rel=1e-9)
+    thick = solid.geometry.thickness  # elements are no longer than that, whatever is asked for
+    assert [mesh.size for mesh in meshes[1:]] == pytest.approx([thick / f for f in factors[1:]])
+
+
+FINE = {
+    "mesh.columns": 8, "damping.ratio": 0.02, "reduction.modes": 10, "contact.stiffness": 1e9,
+    "harmonic_balance.harmonics": 10,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changes", "scheme"),
+    [
+        ({}, "integrate_exponential"),
+        ({"integration.method": "exponential"}, "integrate_exponential"),
+        ({"reduction.method": "free_interface"}, "integrate_central_difference"),
+        (
+            {"reduction.method": "free_interface", "integration.method": "exponential"},
+            "integrate_exponential",
+        ),
+        (
+            {"reduction.method": "craig_bampton", "integration.method": "implicit"},
+            "integrate_implicit",
+        ),
+        ({"reduction.method": "off", "integration.method": "events"}, "integrate_events"),
+    ],
+)
+def test_method_of_integration(
+    paper_scene: fc.Scene, changes: dict[str, Any], scheme: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The scene's, or that of the structure."""
+    asked: list[dict[str, Any]] = []
+    monkeypatch.setattr(
+        f"fenics_crack.study.run.{scheme}", lambda *given, **rest: asked.append(rest)
+    )
+    fc.integrate(paper_scene.replace(FINE | changes), MPI.COMM_SELF)
+    assert len(asked) == 1
+    if scheme == "integrate_exponential":
+        assert asked[0]["steps_per_period"] == 512
