@@ -1,9 +1,9 @@
-"""The crack from measurements: its length and place, how sure they are, and where to measure.
+"""Identification of a crack from measurements: its length and place with their intervals.
 
-``measurements`` holds what was measured, ``responses`` finds natural frequencies in frequency
-responses, ``interpolation`` makes smooth what sweeps over the unknowns hold and goes between their
-values, ``nuisance`` has what else is not as the scene says, and ``model`` makes of these the
-predictions with their covariance, and fits the motion to displacements at probes.
-``posterior`` compares both, ``result`` says what was found and what one measurement more would
-tell; ``identify`` is the call that solves the sweeps and does all of it.
+``measurements`` holds the measurements, ``responses`` finds natural frequencies in frequency
+responses, ``interpolation`` interpolates smooth forms of the quantities of sweeps over the
+unknowns, ``nuisance`` has the priors of the plate, its clamp and the model, and ``model`` the
+predictions with their covariance, with a fit to displacements at probes. ``posterior`` compares
+both, ``result`` has the verdict, the intervals and the information of further measurements;
+``identify`` is the call that solves the sweeps and infers. ``options`` has the numerical settings.
 """

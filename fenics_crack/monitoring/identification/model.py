@@ -32,7 +32,7 @@ from fenics_crack.monitoring.identification.nuisance import (
     OF_SIZE,
     Since,
     Whole,
-    act_as,
+    crack_deviations,
     relative_changes,
 )
 from fenics_crack.scene.scene import Scene
@@ -195,7 +195,7 @@ BREATHING = Faces("bilinear")
 
 
 class Model:
-    """Predicts what would be measured, with the covariance of the predictions.
+    """Predictions of measurements, with their covariance.
 
     Parameters
     ----------
@@ -244,10 +244,10 @@ class Model:
         places = [place for place, key in enumerate(self.keys) if key in OF_SIZE]
         return np.asarray(np.prod(x[:, places] / self.cube.high[places], axis=1))
 
-    def act_as(self, x: np.ndarray) -> np.ndarray:
+    def crack_deviations(self, x: np.ndarray) -> np.ndarray:
         """Standard deviations (m, d) of a crack from the equivalent one, at values (m, d) of the
         unknowns."""
-        return act_as(x, self.keys, self.scene)
+        return crack_deviations(x, self.keys, self.scene)
 
     def candidates(self) -> tuple[Measurement, ...]:
         """List possible measurements: natural frequencies, ratios of harmonics at the points and
@@ -367,11 +367,11 @@ class Quantities:
         of_features[self._own] &= of_features[self._plain]
         self.known = np.array([bool(of_features[places].all()) for places in self._places])
 
-    def since(self, *, clamp: float, warmer: float) -> Quantities:
+    def since(self, *, clamp: float, temperature: float) -> Quantities:
         """The same with the priors of how much the clamp and an unknown temperature have changed
         since there was no crack multiplied by factors."""
         found = copy(self)
-        found.changed = self.changed.scaled(clamp, warmer)
+        found.changed = self.changed.scaled(clamp, temperature)
         return found
 
     def states(self, x: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, Prediction]]:

@@ -1,6 +1,6 @@
 """Nuisance parameters: the material, the clamp, damping, and the error of the model itself.
 
-Each has a prior, a normal distribution about what the scene says, whose width is in ``[identify]``
+Each has a prior, a normal distribution about the scene's value, whose width is in ``[identify]``
 with its source. To first order a standard deviation of it changes the natural frequency of mode j
 by a relative a_j, the size of harmonics by a relative b, and through their poles
 (:mod:`fenics_crack.monitoring.identification.interpolation`) the harmonics by
@@ -14,9 +14,9 @@ and of its frequencies before it had one, so that measuring those calibrates the
 A crack that is inclined acts like a straight one at the height of its crack tip (0.87 to 1.11 of
 that, of ten edge cracks inclined by 10 degrees); a wider or softer one like a sharp one that is
 longer or shorter. Measurements determine this equivalent crack; the real one has a larger standard
-deviation (:func:`act_as`).
+deviation (:func:`crack_deviations`).
 
-Young's modulus E and density change the part e_j of w_j^2 that is elastic, not what rotation adds:
+Young's modulus E and density change the part e_j of w_j^2 that is elastic, not that by rotation:
 
     d ln w_j / d ln E = e_j / 2,      e_j = phi_j^T K_0 phi_j / w_j^2,
 
@@ -72,7 +72,7 @@ class Whole:
     speed : float [rad/s]
         Of the rotor.
     stiffness : (2, r, r) [1/s^2]
-        At rest, and what rotation adds at that speed, by mass-normalised motions.
+        At rest, and the addition of rotation at that speed, by mass-normalised motions.
     reactions : (r, d)
         Forces and moments at the clamp by these, each over that of a clamp of uniform compliance;
         none where the clamped nodes are not known.
@@ -158,13 +158,6 @@ class Whole:
         pairs = zip(keys, widths, strict=True)
         return [0.0 if key in unknown else width for key, width in pairs]
 
-    @property
-    def warmer(self) -> float:
-        """Standard deviation of the temperature since there was no crack against before [K]: by
-        default that of a room, or of blades that their gas or their drag warms."""
-        stated = self.table.temperature_deviation
-        return (25.0 if self.speed else 10.0) if stated is None else stated
-
     def since_at(self, faster: float) -> tuple[np.ndarray, np.ndarray]:
         """Relative changes at a speed over the rotor's between the plate before it had a crack and
         now: (n, 3 + n) by its clamp, that turns and that moves, by the stiffening of all modes, and
@@ -234,7 +227,7 @@ class Since:
         Of predictions, by temperatures that are known.
     clamp : (q, s)
         Relative changes by the clamp, a standard deviation each.
-    warmer : (q, s)
+    temperature : (q, s)
         The same by a temperature that is not known, the first, and its uncertainty.
     known : (q, s)
         The same of temperatures that are known: by the coefficient, the thermometer and rotation.
@@ -242,7 +235,7 @@ class Since:
 
     factors: np.ndarray
     clamp: np.ndarray
-    warmer: np.ndarray
+    temperature: np.ndarray
     known: np.ndarray
 
     @classmethod
@@ -274,20 +267,27 @@ class Since:
             table.thermometer_deviation * measured[:, None] * heat[:, :1],
             off[:, None] * heat[:, 1:],
         ]
-        return cls(factors, clamp, -whole.warmer * unknown * heat, np.hstack(of_known))
+        return cls(
+            factors,
+            clamp,
+            -table.priors["temperature_deviation"] * unknown * heat,
+            np.hstack(of_known),
+        )
 
     @property
     def columns(self) -> np.ndarray:
         """All changes: (q, s)."""
-        return np.hstack([self.warmer, self.clamp, self.known])
+        return np.hstack([self.temperature, self.clamp, self.known])
 
-    def scaled(self, clamp: float, warmer: float) -> Since:
+    def scaled(self, clamp: float, temperature: float) -> Since:
         """The same with the changes by the clamp and by an unknown temperature multiplied."""
-        return replace(self, clamp=clamp * self.clamp, warmer=warmer * self.warmer)
+        return replace(self, clamp=clamp * self.clamp, temperature=temperature * self.temperature)
 
 
 def whole_plate(scene: Scene, table: Identify) -> Whole:
     """Find the modes of a plate without a crack, or with a bonded one, on this rank alone."""
+    if table.temperature_deviation is None:  # of a room; of blades that their gas or drag warms
+        table = replace(table, temperature_deviation=25.0 if scene.speed else 10.0)
     modes = _modes(scene)
     still = _modes(scene.at_rest()) if scene.speed > 0.0 else modes
     every = np.hstack([still.shapes, modes.shapes]) if scene.speed > 0.0 else modes.shapes
@@ -387,7 +387,7 @@ def _of_poles(
     return found - 2.0 * r**2 / pole, -found
 
 
-def act_as(x: np.ndarray, keys: Sequence[str], scene: Scene) -> np.ndarray:
+def crack_deviations(x: np.ndarray, keys: Sequence[str], scene: Scene) -> np.ndarray:
     """Return standard deviations (m, d) of a crack from the equivalent straight and sharp one, at
     values (m, d) of the unknowns."""
     table, found, into = scene.given("identify"), np.zeros_like(x), np.zeros(len(x))

@@ -11,8 +11,8 @@ maxima. Where a crack may breathe or not, L is the sum over both, each with its 
 
 The prior is uniform between the bounds. A crack differs from the equivalent straight and sharp one:
 L is convolved on the grid with the distribution of that difference
-(:func:`fenics_crack.monitoring.identification.nuisance.act_as`). Regions hold a share of the
-posterior's mass, the densest parts first; the integral of L over the prior is a hypothesis'
+(:func:`fenics_crack.monitoring.identification.nuisance.crack_deviations`). Regions hold a share of
+the posterior's mass, the densest parts first; the integral of L over the prior is a hypothesis'
 evidence (D. J. C. MacKay, Information Theory, Inference, and Learning Algorithms, 2003, chapter
 28).
 """
@@ -49,7 +49,7 @@ def with_prior(information: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Likelihood:
-    """Measured values with standard deviations, (q,) each, and what predicts all of them."""
+    """Measured values with standard deviations, (q,) each, and their predictions."""
 
     values: np.ndarray
     deviations: np.ndarray
@@ -89,11 +89,11 @@ class Likelihood:
             rows = np.linalg.solve(factor, differences[..., None])[..., 0]
             yield at, np.column_stack([rows, root]), predicted
 
-    def warmer(self, x: np.ndarray) -> float:
+    def temperature_change(self, x: np.ndarray) -> float:
         """Posterior mean of the unknown change of temperature since there was no crack, at values
         (d,) of the unknowns, in standard deviations of its prior."""
         predicted = self.likeliest(x)
-        column = predicted.values[0] * self.quantities.changed.warmer[:, 0] / self.deviations
+        column = predicted.values[0] * self.quantities.changed.temperature[:, 0] / self.deviations
         left = (self.values - predicted.values[0]) / self.deviations
         covariance = scaled_covariance(predicted, self.values, self.deviations)[0]
         return float(column @ np.linalg.solve(covariance, left))
@@ -216,10 +216,10 @@ def explore(likelihood: Likelihood) -> Branch:
     first = _even(cube)
     height = _heights(likelihood, _points(first)).reshape([len(axis) for axis in first])
     optima = _optima(likelihood, first, height)
-    act_as = likelihood.quantities.model.act_as
+    crack_deviations = likelihood.quantities.model.crack_deviations
     few = optima[:3]
     reaches = [OPTIONS.reach * np.sqrt(np.diag(one.covariance)) for one in few]
-    wider = [OPTIONS.reach * act_as(one.x[None])[0] for one in few]
+    wider = [OPTIONS.reach * crack_deviations(one.x[None])[0] for one in few]
     axes = []
     for place, (axis, low, high) in enumerate(zip(first, cube.low, cube.high, strict=True)):
         pieces = [axis]
@@ -240,7 +240,7 @@ def explore(likelihood: Likelihood) -> Branch:
         near |= np.all(np.abs(points - optimum.x) < reach, axis=1)
     closer = RegularGridInterpolator(first, height)(points)
     closer[near] = _heights(likelihood, points[near])
-    closer = _spread(closer.reshape(weight.shape), axes, weights, act_as(points))
+    closer = _spread(closer.reshape(weight.shape), axes, weights, crack_deviations(points))
     return Branch(likelihood, optima, tuple(axes), closer, weight)
 
 
@@ -375,19 +375,19 @@ class Posterior:
         likelihood, x = self._most_probable
         return [likelihood.without(at).misfit(x) for at in range(len(likelihood.values))]
 
-    def misfit_since(self, *, clamp: float = 1.0, warmer: float = 1.0) -> tuple[float, float]:
+    def misfit_since(self, *, clamp: float = 1.0, temperature: float = 1.0) -> tuple[float, float]:
         """The same, at the same place, with the priors of how much the clamp and an unknown
         temperature have changed since there was no crack multiplied by factors."""
         likelihood, x = self._most_probable
-        quantities = likelihood.quantities.since(clamp=clamp, warmer=warmer)
+        quantities = likelihood.quantities.since(clamp=clamp, temperature=temperature)
         return replace(likelihood, quantities=quantities).misfit(x)
 
     @cached_property
-    def warmer(self) -> float:
+    def temperature_change(self) -> float:
         """Posterior mean of the change of temperature since there was no crack, where L is largest,
         in standard deviations of the prior."""
         likelihood, x = self._most_probable
-        return likelihood.warmer(x)
+        return likelihood.temperature_change(x)
 
     @cached_property
     def unresolved(self) -> float:

@@ -188,7 +188,7 @@ def _known(
     covariance, slopes = seen[0][np.ix_(places, places)], seen[1][places]
     information = with_prior(slopes.T @ np.linalg.solve(covariance, slopes))
     own = np.sqrt(np.diag(np.linalg.inv(information))) * (model.cube.high - model.cube.low)
-    left = np.hypot(own, model.act_as(x[None])[0])
+    left = np.hypot(own, model.crack_deviations(x[None])[0])
     volume = float(np.linalg.slogdet(information)[1])
     return volume, dict(zip(model.keys, left.tolist(), strict=True))
 
@@ -266,9 +266,7 @@ class Identification(Tabular):
     @property
     def priors(self) -> dict[str, float]:
         """Priors and levels of confidence by their keys of ``[identify]``."""
-        return self.scene.given("identify").priors | {
-            "temperature_deviation": _whole_of(self).warmer
-        }
+        return _whole_of(self).table.priors
 
     @property
     def _confidence(self) -> float:
@@ -578,23 +576,23 @@ def _if_as_before(found: Identification) -> str:
     does, but only by the prior of changes since before; else empty."""
     table, rows = found.scene.given("identify"), found.measurements.rows
     plain, known = found.plain, any(row.quantity == "frequency_uncracked" for row in rows)
-    heat = abs(0.5 * table.temperature_coefficient * _whole_of(found).warmer)  # of frequencies
+    heat = abs(0.5 * table.temperature_coefficient * found.priors["temperature_deviation"])
     least = 1.0 - table.confidence
     stated, most = max(table.before_deviation, heat), table.clamp_deviation
     if plain is None or not known or stated == 0.0:
         return ""
     healthy = plain.misfit[1] >= least
-    if healthy and plain.misfit_since(warmer=0.0)[1] < least:
+    if healthy and plain.misfit_since(temperature=0.0)[1] < least:
         return (
             f"; {_modulus(found, plain)}, explains the measurements without a crack: measure the "
             "temperature, too, before and since (temperature), or open the clamp, close it, "
-            "measure again and state by what they change (identify.before_deviation)"
+            "measure again and give their change as identify.before_deviation"
         )
     factors = [
         0.0 if healthy else max(1.0, most / one) if one else 1.0
         for one in (table.before_deviation, heat)
     ]
-    other = plain.misfit_since(clamp=factors[0], warmer=factors[1])
+    other = plain.misfit_since(clamp=factors[0], temperature=factors[1])
     if (other[1] >= least) == healthy:
         return ""
     such = f", or {_modulus(found, plain)}," if healthy else ""
@@ -602,14 +600,14 @@ def _if_as_before(found: Identification) -> str:
         "; a clamp, a temperature or a sensor that has changed frequencies by "
         f"{stated if healthy else most:.2g} since before{such} explains the measurements without a "
         f"crack (identify.before_deviation = {table.before_deviation:.2g}): open the clamp, close "
-        "it, measure again and state there by what they change"
+        "it, measure again and give their change there"
     )
 
 
 def _if_warmer(found: Identification) -> str:
     """The change of Young's modulus without which a crack does not explain the measurements, in
     words; else empty."""
-    if found.posterior.misfit_since(warmer=0.0)[1] >= 1.0 - found.priors["confidence"]:
+    if found.posterior.misfit_since(temperature=0.0)[1] >= 1.0 - found.priors["confidence"]:
         return ""
     return f"; with {_modulus(found, found.posterior)}"
 
@@ -623,7 +621,7 @@ def _modulus(found: Identification, posterior: Posterior) -> str:
     """Posterior mean of the change of Young's modulus, in words: "a Young's modulus 1 % lower than
     before, as about 25 K more make it"."""
     whole = _whole_of(found)
-    kelvin = whole.warmer * posterior.warmer
+    kelvin = whole.table.priors["temperature_deviation"] * posterior.temperature_change
     change = whole.table.temperature_coefficient * kelvin
     way = "lower" if change < 0.0 else "higher"
     how = f"as about {abs(kelvin):.2g} K {'more' if kelvin > 0.0 else 'less'} make it"

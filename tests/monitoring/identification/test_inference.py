@@ -30,7 +30,7 @@ from fenics_crack.monitoring.identification.interpolation import (
     left_out_errors,
 )
 from fenics_crack.monitoring.identification.model import Passages, Prediction
-from fenics_crack.monitoring.identification.nuisance import act_as, whole_plate
+from fenics_crack.monitoring.identification.nuisance import crack_deviations, whole_plate
 from fenics_crack.monitoring.identification.posterior import Likelihood, Posterior, explore
 from fenics_crack.monitoring.identification.result import Worth, advice, worth_of
 from fenics_crack.monitoring.tip_timing.scene_timing import mode_of, passed_in_words
@@ -129,7 +129,7 @@ class Linear:
     def scene(self) -> fc.Scene:
         return fc.Scene.from_text(identification.SCENE)
 
-    def act_as(self, x: np.ndarray) -> np.ndarray:
+    def crack_deviations(self, x: np.ndarray) -> np.ndarray:
         return np.zeros_like(x)
 
     def quantities(self, rows: Any, more: Any = ()) -> Any:
@@ -668,7 +668,7 @@ def test_an_inclined_crack_acts_at_its_tip(tmp_path: Path) -> None:
         changed.append((side * tilted, side * straight))
     tilted, straight = np.sum(changed, axis=0)
     assert 0.8 < tilted @ straight / (straight @ straight) < 1.15
-    spread = act_as(np.array([[length, height]]), ("crack.length", "crack.height"), scene)
+    spread = crack_deviations(np.array([[length, height]]), ("crack.length", "crack.height"), scene)
     assert spread[0, 1] == pytest.approx(length * np.tan(np.radians(5.0)))
 
 
