@@ -27,9 +27,9 @@ SWEPT, REVOLUTIONS = 0.12, 300
 """Relative change of the speed in a run-up, and its revolutions."""
 APART = 0.016
 CLOSEST = np.radians(8.0)
-"""Of two probes."""
+"""Minimum angle between two probes."""
 STEPS = 60
-"""In a period of the highest frequency."""
+"""Steps in a period of the highest frequency."""
 HIGHEST = 12
 COLUMNS = ("probes", "records", "modes", "found", "alone", "share", "wrong", "held")
 
@@ -106,7 +106,7 @@ def record(
 
 
 def stated_alone(fit: fc.PassageFit) -> bool:
-    """Whether an order is stated, and nothing against it."""
+    """Return True if an order is stated, and nothing is against it."""
     return not (fit.ambiguous or fit.in_doubt)
 
 

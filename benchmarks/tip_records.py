@@ -1,6 +1,6 @@
 """Generated tip-timing records with the errors of a laboratory, and what the fits find in them.
 
-Every record has jitter of arrivals and marks, a speed that wanders by 0.5 %, probes off by 0.01
+Every record has jitter of arrivals and marks, a speed that varies by 0.5 %, probes off by 0.01
 degree (standard deviation), 20 % of the passages missing, 1 % of them wrong by 1 to 10 mm (10 % in
 the last rows), and an asynchronous vibration of 200 micrometres at a frequency that follows no
 order. Radius 0.4 m.
@@ -40,7 +40,7 @@ import fenics_crack as fc
 
 RADIUS, SPEED = 0.4, 2.0 * np.pi * 100.0
 ANGLE_DEVIATION = np.radians(0.01)
-WANDER, MISSING = 0.005, 0.2
+VARIATION, MISSING = 0.005, 0.2
 ASYNCHRONOUS = 2e-4
 REVOLUTIONS, SWEPT = 200, 300
 STEPS = 32  # of the rotor's angle in a revolution
@@ -108,7 +108,7 @@ class Record:
     damping: float = 0.0
 
 
-def wandering(angle: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def variation(angle: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Six sines of periods of 5 to 100 revolutions, together from -1/2 to 1/2."""
     periods, phases = rng.uniform(5.0, 100.0, 6), rng.uniform(0.0, 2.0 * np.pi, 6)
     total = np.sin(angle[:, None] / periods + phases).sum(axis=1)
@@ -119,7 +119,7 @@ def draw(row: Row, rng: np.random.Generator) -> Record:
     """A record of a row."""
     turns = 2 * SWEPT if row.sweeps else REVOLUTIONS
     grid = 2.0 * np.pi * np.arange(-STEPS, (turns + 1) * STEPS + 1) / STEPS  # one turn more
-    speed = SPEED * (1.0 + WANDER * wandering(grid, rng))
+    speed = SPEED * (1.0 + VARIATION * variation(grid, rng))
     if row.sweeps:
         along = np.clip(grid / (2.0 * np.pi * turns), 0.0, 1.0)
         speed *= 1.0 + 0.12 * (np.minimum(along, 1.0 - along) * 2.0 - 0.5)
@@ -256,7 +256,7 @@ def judge_passage(row: Row, record: Record, count: Count) -> None:
 
 
 def holds(row: Row, draws: int, count: Count) -> bool:
-    """Whether a row is as it should be."""
+    """Return True if a row is as it should be."""
     low, high = binom.interval(0.99, draws - count.refused, 0.95)
     intervals = [count.covered, count.also]
     by_chance = binom.ppf(0.99, draws * row.harmonics, 0.0027)
