@@ -1,9 +1,9 @@
-"""The command ``timing``: arrival times of a blade's tip, and the vibration found in them."""
+"""The command ``timing``: arrival times of a blade tip, and the vibration found in them."""
 
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,16 +15,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import Exit, InputError
 from fenics_crack.basics.progress import within
 from fenics_crack.basics.ranks import on_root
-from fenics_crack.basics.tables import (
-    RPM,
-    TURN,
-    UNITS,
-    Table,
-    counted,
-    quantity,
-    ranging,
-    speed_in_words,
-)
+from fenics_crack.basics.tables import RPM, TURN, UNITS, Table, counted, quantity, speed_in_words
 from fenics_crack.cli.account import Account, in_one_unit, of_error, of_stability
 from fenics_crack.cli.commands import tell
 from fenics_crack.cli.given import Console, Inputs, changes, keep_before, make_writable, one_of
@@ -32,7 +23,7 @@ from fenics_crack.draw.plot_study import draw_arrivals, draw_passages, draw_tip_
 from fenics_crack.monitoring.tip_timing import scene_timing
 from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes, read_record
 from fenics_crack.monitoring.tip_timing.fit_order import TipTrack
-from fenics_crack.monitoring.tip_timing.harmonics import ORDERS, TipFit
+from fenics_crack.monitoring.tip_timing.harmonics import ORDERS, TipFit, in_words
 from fenics_crack.monitoring.tip_timing.passages import PassageFit, find_passages
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import TipTiming
@@ -44,40 +35,25 @@ KEYS = ("tip_radius", "orders", "probes", "stiffening")
 MISSING = "harmonics are missing (tip_timing.fitted_harmonics), and folded onto the fitted ones"
 UNTESTED = "as many unknowns as probes: neither the order nor the fitted harmonics are tested"
 FOLDED = (
-    "harmonics that are not fitted may be folded onto the fitted ones by more than their errors "
-    "(tip_timing.fitted_harmonics, or more probes)"
+    "harmonics that are not fitted may be folded onto the fitted ones (fit more, or more probes)"
 )
-ONCE = (
-    "no probe sees the vibration twice, so errors of arrivals are unknown: neither the fitted "
-    "harmonics nor the standard errors are tested (more revolutions)"
+ONCE = "no probe sees the vibration twice: fit and standard errors are untested (more revolutions)"
+NEARBY = (
+    "residuals are correlated: another vibration nearby, or drift; errors may be larger than stated"
 )
-BESIDE = (
-    "the residual repeats in all revolutions: there is another vibration nearby, or drift, and "
-    "frequency, damping and order may be wrong by more than their errors"
-)
-UNTESTED_ORDER = (
-    "cannot test an order: frequency and damping are those of order {:g}, and others may be right "
-    "(three probes, or tip_timing.orders = one that is known)"
-)
+UNTESTED_ORDER = "cannot test an order: not {:g}, but others may be right (tip_timing.orders)"
 BLIND = (
-    "it does not measure the vibration that the other probes agree on, so it is excluded: are its "
-    "pulses those of the blade?"
+    "does not measure the vibration that the others agree on: excluded; are its pulses the blade's?"
 )
-FAR = 2.0
-"""Ratio of speeds, of arrivals and of their scene, above which there is a remark."""
 CONSTANT = (
-    "frequency and damping are those of natural frequencies f which do not change with the speed "
-    "n: where rotation stiffens the blade the damping is 1 - d ln f / d ln n times that; a fast "
-    "run-up overestimates and a run-down underestimates the frequency (tip_timing.stiffening)"
+    "frequencies are taken not to change with the speed; else damping is wrong, and a fast run-up "
+    "overestimates and a run-down underestimates the frequency (tip_timing.stiffening)"
 )
 UNSWEPT = (
-    "the speed varies by less than 1 %, and passes hardly a resonance; with a scene that has "
-    "[tip_timing] in front of the record a vibration at that speed is looked for"
+    "the speed varies by less than 1 %: a scene before the record finds a vibration at that speed"
 )
 EMPTY = ("blade", "rpm", "order", "frequency")
 """Columns of a table without a resonance."""
-SHOWN_ORDERS = 6
-"""Printed orders that fit as well, and that cannot be measured."""
 
 
 def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
@@ -126,13 +102,11 @@ def _warnings_of(arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | None) -> 
     if run is None:
         yield from scene_timing.remarks_on_arrivals(arrivals)
         speeds = arrivals.mean_speed, scene.speed
-        if scene.speed > 0.0 and not 1.0 / FAR <= speeds[0] / speeds[1] <= FAR:
+        if scene.speed > 0.0 and not 0.5 <= speeds[0] / speeds[1] <= 2.0:
             seen, own = (speed_in_words(speed, scene.in_rpm) for speed in speeds)
             yield f"the arrivals are of {seen}, [rotation] has {own}: are they in seconds?"
         return
-    yield from filter(
-        None, (scene_timing.of_another_scene(scene, run), scene_timing.run_up_ends(scene, run))
-    )
+    yield from filter(None, [scene_timing.run_up_ends(scene, run)])
     if isinstance(run.result, PeriodicSolution):
         found = run.result
         yield from of_error(run.scene, found.report, found.harmonics)
@@ -140,7 +114,7 @@ def _warnings_of(arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | None) -> 
 
 
 def _record(given: Namespace, console: Console) -> Exit:
-    """The resonances that the blades of a measured record pass, without a scene."""
+    """Find the resonances that the blades of a measured record pass, without a scene."""
     words = {}
     for key, value in changes(given.set).items():
         table, _, name = key.partition(".")
@@ -184,7 +158,7 @@ def _record(given: Namespace, console: Console) -> Exit:
 
 
 def _account_of_passages(found: Mapping[int, Sequence[PassageFit]]) -> Account:
-    """Resonances of each blade, and what is in doubt."""
+    """Return the account of resonances of each blade, and doubts about them."""
     every = [(blade, fit) for blade, fits in found.items() for fit in fits]
     rows = [{"blade": blade} | fit.to_dict() for blade, fit in every]
     names = [name for name in rows[0] if name != "speed"] if rows else [*EMPTY]
@@ -199,32 +173,32 @@ def _account_of_passages(found: Mapping[int, Sequence[PassageFit]]) -> Account:
             seen = counted(fit.probes, "probe")
             warnings.append(f"{name}: {seen} {UNTESTED_ORDER.format(fit.order)}")
         elif fit.ambiguous:
-            others = ", ".join(f"{order:g}" for order in fit.ambiguous)
-            warnings.append(f"{name}: orders that explain the arrivals as well: {others}")
+            warnings.append(f"{name}: {_orders('explain the arrivals as well', fit.ambiguous)}")
         if fit.disagree:
             warnings.append(f"{name}: {fit.disagreement}")
         if fit.in_doubt:
-            warnings.append(f"{name}: {BESIDE}")
-    biases, notes = [fit.steady_bias for _, fit in every], []
-    if biases:
-        notes.append(f"fits of steady vibrations would be off by {ranging(biases, '.2%')}")
-        notes += [CONSTANT] * (every[0][1].stiffening == 0.0)
+            warnings.append(f"{name}: {NEARBY}")
+    notes = [CONSTANT] * any(fit.stiffening == 0.0 for _, fit in every[:1])
     for blade, fits in found.items():
         lines = fits[0].asynchronous if fits else ()
         notes += [f"blade {blade}: {_of_line(line)}" for line in lines]
     return Account("timing", table, notes=notes, warnings=warnings)
 
 
+def _orders(words: str, orders: Iterable[float]) -> str:
+    """Return orders that do something, in words."""
+    return f"orders that {words}: {in_words([*orders])}"
+
+
 def _of_line(line: TipFit) -> str:
-    """A vibration of constant frequency, in words."""
+    """Return a vibration of constant frequency in words."""
     size, error = line.amplitudes[0], line.amplitude_errors[0]
     of = f"{line.omega / TURN:.6g} Hz, {quantity(size, 'm')} ± {quantity(error, 'm')}"
     return f"a vibration that follows no order: {of}"
 
 
 def _account_of_track(track: TipTrack, scene: Scene) -> Account:
-    """A run-up: where along it each harmonic is largest."""
-
+    """Return the account of a run-up, with the point where each harmonic is largest."""
     table = track.table()
     kept = [n for n, name in enumerate(table.columns) if not name.startswith("amplitude")]
     rows = []
@@ -250,7 +224,7 @@ def _account_of_track(track: TipTrack, scene: Scene) -> Account:
 
 
 def _account_of_fit(fit: TipFit, scene: Scene) -> Account:
-    """A fit, the ratio that indicates a crack, and warnings about untested assumptions."""
+    """Return the account of a fit, with the ratio that indicates a crack, and warnings."""
     notes = [f"in addition, {_of_line(line)}" for line in fit.asynchronous]
     warnings = []
     if np.any(np.isclose(fit.multiples, 2.0)):
@@ -267,14 +241,10 @@ def _account_of_fit(fit: TipFit, scene: Scene) -> Account:
         warnings.append(UNTESTED)
     elif fit.seen_once:
         warnings.append(ONCE)
-    for orders, what in (
-        (fit.ambiguous, "orders that explain the arrivals as well"),
-        (fit.hidden, "orders that these probes cannot measure"),
-    ):
-        if orders:
-            first = [f"{order:.6g}" for order in orders[:SHOWN_ORDERS]]
-            more = ["..."] if len(orders) > SHOWN_ORDERS else []
-            warnings.append(f"{what}: {', '.join(first + more)}")
+    if fit.ambiguous:
+        warnings.append(_orders("explain the arrivals as well", fit.ambiguous))
+    if fit.hidden:
+        warnings.append(_orders("these probes cannot measure", fit.hidden))
     table = fit.table()
     shown = in_one_unit(table, scene)
     return Account("timing", table, shown=shown, notes=notes, warnings=warnings)

@@ -493,7 +493,7 @@ def _draw_displacements(panel: Axes, arrivals: ArrivalTimes, in_rpm: bool) -> No
         label = f"probe at {np.degrees(probe):.4g}°"
         panel.plot(place, column, marker, color=colour, ms=size, mew=0, alpha=0.8, label=label)
     panel.set_xlabel("revolution" if steady else with_unit(*over))
-    label_axis(panel.yaxis, "tip displacement", "m")
+    label_axis(panel.yaxis, "blade tip displacement", "m")
 
 
 def draw_tip_fit(fit: TipFit, arrivals: ArrivalTimes, **where: Unpack[Where]) -> Figure:
@@ -534,7 +534,7 @@ def draw_tip_fit(fit: TipFit, arrivals: ArrivalTimes, **where: Unpack[Where]) ->
     label = f"fit, order {fit.order:.6g}"
     upper.plot(turns, wave, color=COLOURS["orange"], lw=1.6, label=label)
     upper.set_xlabel("time / load period")
-    label_axis(upper.yaxis, "tip displacement", "m")
+    label_axis(upper.yaxis, "blade tip displacement", "m")
     if len(fit.candidates.orders) > 1:
         _draw_candidates(lower, fit.candidates, fit.order)
     else:
@@ -551,9 +551,9 @@ def _draw_candidates(axes: Axes, tried: Candidates, order: float) -> None:
         bottom = 0.0
     best = tried.orders == order
     kinds = {
-        "other orders": (~best & ~tried.alike & ~tried.hidden, "o", "grey"),
+        "other orders": (~best & ~tried.equivalent & ~tried.hidden, "o", "grey"),
         "cannot be measured": (tried.hidden & ~best, "X", "pink"),
-        "fit as well": (~best & tried.alike & ~tried.hidden, "s", "blue"),
+        "fit as well": (~best & tried.equivalent & ~tried.hidden, "s", "blue"),
         "best": (best, "o", "orange"),
     }
     for label, (chosen, marker, colour) in kinds.items():
@@ -580,7 +580,7 @@ def _draw_harmonics(axes: Axes, fit: TipFit) -> None:
     axes.errorbar(at, sizes, errors, fmt="o", **look, label="fit, with standard errors")
     axes.set(xticks=at, xlim=(0.0, at[-1] + 0.5))
     axes.set_xlabel("harmonic of the load")
-    label_axis(axes.yaxis, "amplitude of the tip", "m")
+    label_axis(axes.yaxis, "amplitude of the blade tip", "m")
 
 
 def draw_tip_track(track: TipTrack, *, in_hertz: bool = False, **where: Unpack[Where]) -> Figure:
@@ -614,7 +614,7 @@ def draw_tip_track(track: TipTrack, *, in_hertz: bool = False, **where: Unpack[W
         low, high = np.maximum(sizes - errors, 0.0), sizes + errors
         panel.fill_between(place, low, high, color=colour, alpha=0.25, lw=0)
     panel.set_xlabel(with_unit(name, unit))
-    label_axis(panel.yaxis, "amplitude of the tip", "m")
+    label_axis(panel.yaxis, "amplitude of the blade tip", "m")
     panel.set_ylim(bottom=0.0)
     return picture.finished()
 
@@ -677,7 +677,7 @@ def _draw_passage(axes: Axes, fit: PassageFit, arrivals: ArrivalTimes) -> None:
         axes.plot(speed / RPM, seen[:, probe], "o", **look, label=f"arrivals, {way}")
         axes.plot(speed / RPM, motion[:, probe], color=colour, lw=1.2, label=f"fit, {way}")
     axes.set_xlabel("rotor speed [rpm]")
-    label_axis(axes.yaxis, "tip displacement", "m")
+    label_axis(axes.yaxis, "blade tip displacement", "m")
     angle = np.degrees(arrivals.probes[probe])
     where = f"order {fit.order:g}, {fit.omega / TURN:.5g} Hz, probe at {angle:.4g}°"
     axes.set_title(where, fontsize="medium")

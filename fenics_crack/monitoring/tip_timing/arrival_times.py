@@ -1,4 +1,4 @@
-"""Arrival times of a blade's tip at stationary probes, measured or simulated.
+"""Arrival times of a blade tip at stationary probes, measured or simulated.
 
 Measured records, as data systems write them, have a row for each revolution: the rotor's speed, or
 the time of the mark that begins it, and for each blade and probe the angle of arrival or its time.
@@ -23,32 +23,30 @@ from fenics_crack.basics.tables import RPM, TURN, Tabular, counted
 from fenics_crack.basics.untrusted_files import table_lines
 
 COLUMNS = ("revolution", "angle [rad]", "mark [s]", "next_mark [s]", "arrival [s]")
-"""What a CSV file must have."""
-STEADY = 1e-2
-MOST_PASSAGES = 10**7
+"""Required columns of a CSV file."""
 RADIUS = "tip_radius [m]"
-"""What it may have."""
+"""Optional column of a CSV file."""
+STEADY = 1e-2
+"""Maximum relative variation of a constant speed."""
+MOST_PASSAGES = 10**7
+"""Maximum number of passages, for the memory."""
 FEWEST_REVOLUTIONS = 10
-"""Whose speed is smoothed, and of a passage."""
-EITHER_SIDE, UNEVEN = 2, 1.4
-"""Revolutions on each side of one, and the ratio to their median duration that no rotor has."""
-FOURTH = 70.0 * 0.455
-"""Median of the squares of fourth differences of normal errors of variance 1."""
+"""Minimum number of revolutions for a smoothed speed, and of a passage."""
 
 
 @dataclass(frozen=True, repr=False)
 class ArrivalTimes(Tabular):
-    """When the tip of one blade passed stationary probes.
+    """Times at which the tip of one blade passed stationary probes.
 
     The rotor's angle alpha(t) follows from a mark on the shaft, seen once per revolution: it is 0
     at the first mark of revolution 0 and 2 pi n at the mark that begins revolution n, with a cubic
     spline between the marks, which constant speed and constant acceleration meet exactly. A
-    vibration that moves the tip by u in the direction of rotation makes it arrive early. At its
-    arrival
+    vibration that moves the blade tip by u in the direction of rotation makes it arrive early. At
+    its arrival
 
         u = R (phi + 2 pi n - alpha(t)),    at constant speed W:  u = -R W (t - t_expected)
 
-    is the displacement at that very instant, not where the tip was expected: nothing is linearised.
+    is the displacement at that very instant, not at the expected one: nothing is linearised.
 
     Attributes
     ----------
@@ -57,8 +55,8 @@ class ArrivalTimes(Tabular):
     marks : (revolutions + 1,) [s]
         Beginnings of the revolutions, and the end of the last one.
     probes : (probes,) [rad]
-        Angles phi of the probes from the tip's place at a mark, without vibration, in the direction
-        of rotation; from 0 to 2 pi, increasing.
+        Angles phi of the probes from the blade tip's place at a mark, without vibration, in the
+        direction of rotation; from 0 to 2 pi, increasing.
     tip_radius : float [m]
         R.
     first : int
@@ -117,13 +115,13 @@ class ArrivalTimes(Tabular):
 
     @property
     def steady(self) -> bool:
-        """Tell whether the speed varies by less than 1 %; else these are arrivals of a run-up."""
+        """True if the speed varies by less than 1 %; else these are arrivals of a run-up."""
         speed = self.speed
         return bool(np.ptp(speed) <= STEADY * speed.mean())
 
     @cached_property
     def nominal_angle(self) -> np.ndarray:
-        """Rotor angle phi + 2 pi n where a tip without vibration arrives: (revolutions, probes)."""
+        """Rotor angle phi + 2 pi n of arrivals without vibration: (revolutions, probes)."""
         turns = self.first + np.arange(len(self))
         return np.asarray(2.0 * np.pi * turns[:, None] + self.probes)
 
@@ -145,15 +143,15 @@ class ArrivalTimes(Tabular):
         return np.asarray(self.tip_radius * (self.nominal_angle - self.angle))
 
     def zeroed(self, begin: int, end: int) -> Self:
-        """The same with the probes where the mean tip of the revolutions begin to end - 1, counted
-        from 0, stands: displacements are those from there, as of quiet revolutions."""
+        """Return the same with probes at the mean blade tip of the revolutions begin to end - 1,
+        counted from 0: displacements are those from there, as of quiet revolutions."""
         check_count("begin", begin, 0)
         check_count("end", end, begin + 1)
         quiet = np.nanmedian(self.displacement[begin:end], axis=0)
         return replace(self, probes=self.probes - quiet / self.tip_radius)
 
     def between(self, begin: int, end: int) -> Self:
-        """The same with the arrivals of the revolutions begin to end - 1, counted from 0, alone."""
+        """Return the arrivals of the revolutions begin to end - 1, counted from 0, alone."""
         check_count("begin", begin, 0)
         check_count("end", end, begin + 1)
         kept = np.zeros(len(self), dtype=bool)
@@ -161,7 +159,7 @@ class ArrivalTimes(Tabular):
         return replace(self, time=np.where(kept[:, None], self.time, np.nan))
 
     def without(self, probes: np.ndarray) -> Self:
-        """The same without some probes (n,), counted from 0."""
+        """Return the same without some probes (n,), counted from 0."""
         time = np.delete(self.time, probes, axis=1)
         return replace(self, time=time, probes=np.delete(self.probes, probes))
 
@@ -201,7 +199,7 @@ class ArrivalTimes(Tabular):
         return cls(time, np.append(begins, ends[-1]), probes, tip_radius, int(turns[0]))
 
     def to_dict(self) -> dict[str, Any]:
-        """Columns, a row for every passage."""
+        """Return columns, a row for every passage."""
         count, probes = self.time.shape
         rows = np.arange(count)
         return {
@@ -225,14 +223,14 @@ class ArrivalTimes(Tabular):
 
 
 def between(places: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Values (n,) at rising places (n,), at others between these by cubic splines."""
+    """Return values (n,) at rising places (n,), at others between these by cubic splines."""
     from scipy.interpolate import CubicSpline  # takes longer than to read the arrivals
 
     return np.asarray(CubicSpline(places, values)(at))
 
 
 def smoothed(values: np.ndarray) -> np.ndarray:
-    """Values (n,) along the revolutions without their errors, as far as they tell them.
+    """Return values (n,) along the revolutions without their errors, by smoothing.
 
     Quadratics over 2 h + 1 neighbours (Savitzky and Golay, Analytical Chemistry 36, 1964, 1627),
     with h from 0 up of the least risk by Stein's estimate (Annals of Statistics 9, 1981, 1135); the
@@ -242,7 +240,8 @@ def smoothed(values: np.ndarray) -> np.ndarray:
         return values
     from scipy.signal import savgol_coeffs, savgol_filter
 
-    variance = float(np.median(np.diff(values, 4) ** 2)) / FOURTH
+    # Fourth differences of white errors have 70 times their variance; the median of chi^2 is 0.455.
+    variance = float(np.median(np.diff(values, 4) ** 2)) / (70.0 * 0.455)
     found, least = values, variance
     for half in 2 ** np.arange(1, int(np.log2(len(values) / 4.0)) + 1):
         tried = savgol_filter(values, 2 * half + 1, 2)
@@ -254,20 +253,16 @@ def smoothed(values: np.ndarray) -> np.ndarray:
 
 
 def check_turns(name: str, turns: np.ndarray, first: int = 0) -> None:
-    """Raise InputError where the durations of revolutions (n,) [s] show that a mark was missed, or
-    another signal taken for one: no rotor turns so unevenly."""
-    padded = np.pad(turns, EITHER_SIDE, mode="symmetric")
-    around = np.median(
-        np.lib.stride_tricks.sliding_window_view(padded, 2 * EITHER_SIDE + 1), axis=1
-    )
-    wrong = np.abs(np.log(turns / around)) > np.log(UNEVEN)
+    """Raise InputError where the duration of a revolution (n,) [s] is 1.4 times the median of five,
+    or less than its part: a mark was missed, or another signal taken for one."""
+    five = np.lib.stride_tricks.sliding_window_view(np.pad(turns, 2, mode="symmetric"), 5)
+    around = np.median(five, axis=1)
+    wrong = np.abs(np.log(turns / around)) > np.log(1.4)
     if np.any(wrong):
         at = int(np.argmax(wrong))
         found = f"revolution {first + at} takes {turns[at] / around[at]:.3g} times as long as those"
-        allowed = (
-            "marks of which none was missed or seen twice; leave out such rows, and count the "
-        )
-        raise InputError(name, f"{found} around it", f"{allowed}revolutions that they stand for")
+        allowed = "marks of which none was missed or seen twice; leave out such rows, but count "
+        raise InputError(name, f"{found} around it", f"{allowed}their revolutions")
 
 
 def check_probes(probes: np.ndarray) -> None:
@@ -278,7 +273,8 @@ def check_probes(probes: np.ndarray) -> None:
 
 
 def one_radius(path: str | Path, of_file: np.ndarray | None, given: float | None) -> float:
-    """The tip's radius [m], from a column of a file or given; InputError unless it is one."""
+    """Return the radius of the blade tip [m], from a column of a file or given; InputError unless
+    it is one."""
     if of_file is None:
         if given is None:
             allowed = f"given for {path}, which has no column '{RADIUS}'"
@@ -292,8 +288,8 @@ def one_radius(path: str | Path, of_file: np.ndarray | None, given: float | None
 
 
 def _table(path: str | Path) -> tuple[list[str], list[int], np.ndarray]:
-    """Headings of a CSV file, the numbers of its other lines, and its columns, nan where there is
-    no number; lines that begin with # are left out."""
+    """Return headings of a CSV file, the numbers of its other lines, and its columns, nan where
+    there is no number; lines that begin with # are left out."""
     with reading("path", path, "a table of numbers"):
         lines = table_lines(path)
         names, *rows = [next(csv.reader([line])) for _, line in lines] or [[]]
@@ -308,7 +304,7 @@ def _table(path: str | Path) -> tuple[list[str], list[int], np.ndarray]:
 
 
 def _number(cell: str) -> float:
-    """What a cell says; nan where that is no number."""
+    """Return the number in a cell; nan where there is none."""
     try:
         return float(cell)
     except ValueError:
@@ -316,7 +312,7 @@ def _number(cell: str) -> float:
 
 
 def _passages(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
-    """The columns of a file that are needed: (5, rows), and the radii (rows,) if it has them."""
+    """Return the required columns of a file: (5, rows), and the radii (rows,) if it has them."""
     names, lines, columns = _table(path)
     for name in COLUMNS:
         if name not in names:
@@ -335,14 +331,10 @@ def _passages(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
 # --- records --------------------------------------------------------------------------------------
 
 PASSAGE = re.compile(r"(?:blade\s*(\d+))?.*?\bprobe\s*(\d+)", re.IGNORECASE)
-"""Heading of what a probe sees of a blade; 1 where no blade is named."""
+"""Heading of the arrivals of a blade at a probe; blade 1 where none is named."""
 SPEEDS = {"rpm": RPM, "rad/s": 1.0, "Hz": TURN}
 ANGLES = {"rad": 1.0, "deg": np.pi / 180.0}
 """Units by what they are in rad/s and rad; the first one where a heading has none."""
-HAS = (
-    "a file with a column 'speed [rpm]' (rad/s, Hz) or 'mark [s]', and columns 'probe 1 [rad]' "
-    "(deg, s) or 'blade 1 probe 1 [rad]'"
-)
 
 
 def read_record(
@@ -373,9 +365,9 @@ def read_record(
     path : str or Path
         The file.
     tip_radius : float [m]
-        Distance of the tips from the axis.
+        Distance of the blade tips from the axis.
     probes : (n_probes,) [rad]
-        Angles of the probes from the tip's place at a mark. Default: the medians of the arrivals,
+        Angles of the probes from the blade tip's place at a mark. Default: medians of arrivals,
         so that displacements are those from a place in the middle.
 
     Returns
@@ -405,7 +397,7 @@ def read_record(
         raise InputError("path", f"{path}: {', '.join(names)}", "headings, each given once")
     if table.shape[1] < 2:
         given = f"{path}: {counted(table.shape[1], 'revolution')}"
-        raise InputError("path", given, "two or more, whose speed is told")
+        raise InputError("path", given, "two or more, between which the speed is measured")
     turns = _turns(path, columns.get("revolution", np.arange(float(table.shape[1]))))
     marks = _marks(path, columns, turns)
     tip_radius = one_radius(path, columns.get(RADIUS), tip_radius)
@@ -421,7 +413,7 @@ def read_record(
 
 
 def _unit(path: str | Path, name: str, known: dict[str, float]) -> float:
-    """What the unit in a heading is worth."""
+    """Return the factor of the unit in a heading."""
     unit = re.search(r"\[(.*)\]", name)
     word = unit[1] if unit else next(iter(known))
     if word not in known:
@@ -430,7 +422,7 @@ def _unit(path: str | Path, name: str, known: dict[str, float]) -> float:
 
 
 def _turns(path: str | Path, column: np.ndarray) -> np.ndarray:
-    """Numbers of the revolutions (rows,), increasing."""
+    """Return the numbers of the revolutions (rows,), increasing."""
     whole = np.all(np.isfinite(column)) and not np.any(column % 1.0) and column[0] >= 0.0
     if not whole or np.any(np.diff(column) <= 0.0) or np.ptp(column) > MOST_PASSAGES:
         raise InputError("path", f"{path}: revolution", "increasing whole numbers >= 0")
@@ -438,8 +430,8 @@ def _turns(path: str | Path, column: np.ndarray) -> np.ndarray:
 
 
 def _marks(path: str | Path, columns: dict[str, np.ndarray], turns: np.ndarray) -> np.ndarray:
-    """Times of the marks of all revolutions, and of the one that ends the last: (revolutions + 1,)
-    [s]. Those of revolutions that are missing lie between, at a speed that changes evenly."""
+    """Return the times of the marks of all revolutions, and of the one that ends the last:
+    (revolutions + 1,) [s]. Missing ones are interpolated."""
     every = np.arange(turns[0], turns[-1] + 1)
     for name, column in columns.items():
         if re.match("mark", name, re.IGNORECASE):
@@ -459,13 +451,14 @@ def _marks(path: str | Path, columns: dict[str, np.ndarray], turns: np.ndarray) 
             check_turns(f"{path}: {name}", TURN / speed, int(turns[0]))
             durations = TURN / smoothed(speed)
             return np.concatenate([[0.0], np.cumsum(durations)])
-    raise InputError("path", str(path), f"{HAS}; it has {', '.join(columns)}")
+    allowed = "a file with a column 'speed [rpm]' (rad/s, Hz) or 'mark [s]'"
+    raise InputError("path", str(path), f"{allowed}; it has {', '.join(columns)}")
 
 
 def _angles(
     path: str | Path, name: str, column: np.ndarray, turns: np.ndarray, marks: np.ndarray
 ) -> np.ndarray:
-    """Angles from the mark to the arrivals: (rows,) [rad]."""
+    """Return angles from the mark to the arrivals: (rows,) [rad]."""
     if "[s]" not in name:
         angles = column * _unit(path, name, ANGLES)
         if np.nanmedian(np.abs(angles)) > 2.0 * TURN:
@@ -483,7 +476,7 @@ def _arrivals(
     probes: Sequence[float] | np.ndarray | None,
     first: int,
 ) -> ArrivalTimes:
-    """Arrivals of a blade from angles from the mark (revolutions, probes) [rad]."""
+    """Return arrivals of a blade by angles from the mark (revolutions, probes) [rad]."""
     for column in seen.T:  # a blade at the mark is seen before it and after it
         column -= TURN * np.round((column - column[np.isfinite(column)][0]) / TURN)
     middle = np.nanmedian(seen, axis=0)

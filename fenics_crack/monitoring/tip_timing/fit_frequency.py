@@ -4,7 +4,7 @@ At a frequency that is no multiple of the speed each revolution sees another poi
 so few probes suffice; but a probe alone samples once per revolution, and orders p, p + 1, p + 2,
 ... and their mirror images 1 - p, 2 - p, ... look the same to it. Probes at other angles see the
 aliases with other phases: two suffice (Lacaze, arXiv:1711.06135), though not two opposite each
-other, which see every second alias alike. The vibration is one in time,
+other, which see every second alias with the same phase. The vibration is one in time,
 
     u = c_j + sum_k a_k cos(k w t) + b_k sin(k w t)
 
@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc
@@ -29,7 +30,6 @@ from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.basics.tables import TURN
 from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
 from fenics_crack.monitoring.tip_timing.harmonics import (
-    AS_GOOD,
     ORDERS,
     Candidates,
     TipFit,
@@ -38,25 +38,13 @@ from fenics_crack.monitoring.tip_timing.harmonics import (
     rounding,
     taken,
 )
-from fenics_crack.monitoring.tip_timing.robust import Noise, refined, reweighted, student
+from fenics_crack.monitoring.tip_timing.robust import LEVELS, Noise, refined, reweighted, student
 from fenics_crack.numerics.fourier import waves
 
-FINER = 4
-"""Frequencies tried within the resolution, 1 / duration."""
-BAND = 10**6
-"""Of them at once, for the memory."""
 MOST_FREQUENCIES = 10**8
-"""Of a scan: as many as a record of a million revolutions has for orders up to 24."""
-PEAKS = 40
-"""Peaks of the scan that are refined, as far as they are not too low."""
-LOWEST = 0.5
-"""Height of a peak, over that of the highest."""
-APART = 2.0
-"""Peaks nearer to a higher one, in units of the resolution, are its side lobes."""
-CHANCE = 1e-5
-"""Probability of a vibration in the noise, above which there is none."""
-GRID_NEIGHBOURS = 8
-"""Neighbours on each side to which the FFT's grid gets a time: eleven digits."""
+"""Maximum number in a scan: a record of a million revolutions has as many for orders up to 24."""
+PEAKS, LOWEST = 40, 0.5
+"""Maximum number of peaks of a scan that are refined, and their height over the highest."""
 
 
 def fit_frequency(
@@ -69,16 +57,16 @@ def fit_frequency(
 ) -> TipFit:
     """Find a vibration of any frequency by least squares.
 
-    Of frequencies that fit alike, within errors, the one with the smallest vibration is taken and
-    the others are reported, as by :func:`fit_order`. Give no more harmonics than needed: with two,
-    half a frequency may explain it by its second harmonic, too.
+    Of frequencies that fit equally well, within errors, the one with the smallest vibration is
+    taken and the others are reported, as by :func:`fit_order`. Give no more harmonics than needed:
+    with two, half a frequency may explain it by its second harmonic, too.
 
     Parameters
     ----------
     arrivals : ArrivalTimes
         The speed may vary.
     low, high : float [rad/s]
-        Where the frequency of the load is sought.
+        Range in which the frequency of the load is sought.
     harmonics : int
         K.
     angle_deviation : float [rad]
@@ -112,7 +100,7 @@ def fit_frequency(
     constants = np.arange(shape[1]) * bool(angle_deviation) * np.ones(shape, dtype=int)
     values, ends = arrivals.displacement, (low, high)
     fit, chance = _Sought(arrivals, values, constants, harmonics, angle_deviation, ends).best()
-    if len(arrivals.probes) == 1 and chance > CHANCE:
+    if len(arrivals.probes) == 1 and chance > LEVELS.chance:
         found = f"one at {np.degrees(arrivals.probes[0]):g} degrees, whose arrivals do not vary"
         allowed = "two or more: to one a vibration of a whole order is no vibration"
         raise InputError("probes", found, allowed)
@@ -127,8 +115,8 @@ def find_lines(
     *,
     most: int = 3,
 ) -> tuple[tuple[TipFit, ...], np.ndarray]:
-    """Vibrations of constant frequency that are no chance, beside constants that hold all that
-    follows the speed; and displacements without these vibrations.
+    """Find significant vibrations of constant frequency, beside constants that hold all that
+    follows the speed; return them, and the displacements without them.
 
     Parameters
     ----------
@@ -137,12 +125,12 @@ def find_lines(
     values : (revolutions, probes) [m]
         Displacements in which they are sought, one after the other.
     constants : (revolutions, probes) int
-        Which displacements have the same constant.
+        Number of the constant of each displacement.
     highest : float
-        Order of frequencies up to which they are sought, from half the speed on; no lower than the
-        orders that are tried where none are given.
+        Order up to which they are sought, from half the speed on; no lower than the orders that are
+        tried where none are given.
     most : int
-        So many at most.
+        Maximum number of vibrations.
     """
     found: list[TipFit] = []
     speed = arrivals.mean_speed
@@ -150,7 +138,7 @@ def find_lines(
     left, count = np.array(values), len(np.unique(constants[np.isfinite(values)]))
     while len(found) < most and np.isfinite(left).sum() > 2 * (count + 3):
         fit, chance = _Sought(arrivals, left, constants, 1, np.inf, ends).best()
-        if chance > CHANCE:
+        if chance > LEVELS.chance:
             break
         found.append(fit)
         left -= fit.displacement(fit.phases(arrivals)) - fit.coefficients[0]
@@ -163,17 +151,17 @@ class _Sought:
     Parameters
     ----------
     arrivals : ArrivalTimes
-        Of which times and probes are taken.
+        Record with the times and probes.
     values : (revolutions, probes) [m]
         Displacements; nan where there is none.
     constants : (revolutions, probes) int
-        Which of them have the same constant.
+        Number of the constant of each of them.
     harmonics : int
         K.
     deviation : float [rad]
         Standard deviation of the constants, as angles; inf: they are free.
     ends : (float, float) [rad/s]
-        Where the frequency is sought.
+        Range in which the frequency is sought.
     """
 
     omega: float
@@ -209,12 +197,12 @@ class _Sought:
         )  # fmt: skip
 
     def _stiffen(self, scatter: float) -> None:
-        """How stiffly the probes' constants are held together, for a scatter [m]."""
+        """Set the stiffness by which the probes' constants are held together, for a scatter [m]."""
         if self._own.shape[1] > 1:
             self._stiffness = (scatter / self._spread) ** 2
 
     def _without(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Values (n,) or (n, m) without the constants that are fitted to them."""
+        """Return values (n,) or (n, m) without the constants that are fitted to them."""
         weighted, count = weights[:, None] * self._own, self._own.shape[1]
         square = self._own.T @ weighted + self._stiffness * (np.eye(count) - 1.0 / count)
         return np.asarray(values - self._own @ np.linalg.solve(square, weighted.T @ values))
@@ -222,7 +210,7 @@ class _Sought:
     def _fitted(
         self, omega: float, weights: np.ndarray, values: np.ndarray, time: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Coefficients a1, b1, ..., what they leave (n,), and the columns (n, 2K+1), the last one
+        """Return coefficients a1, b1, ..., residuals (n,), and the columns (n, 2K+1), the last one
         by the frequency."""
         raw, root = waves(omega * time, self._multiples)[:, 1:], np.sqrt(weights)[:, None]
         both = self._without(np.column_stack([raw, values]), weights)
@@ -232,38 +220,39 @@ class _Sought:
         slope = self._without(time * (turned @ self._multiples), weights)
         return found, left - columns @ found, np.column_stack([columns, slope])
 
-    def _refined(self, omega: float, weights: np.ndarray) -> float:
-        """Return the frequency near one with the least sum of squares."""
+    def _refined(self, omega: float, weights: np.ndarray) -> tuple[float, Any]:
+        """Return the frequency near one with the least sum of squares, and its fit."""
         unit, root = np.pi / self._span, np.sqrt(weights)[:, None]
+        moved, fit = omega, None
 
         def residuals(step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            nonlocal moved, fit
             moved = omega + unit * float(step[0])
-            _, left, columns = self._fitted(moved, weights, self._values, self._time)
+            _, left, columns = fit = self._fitted(moved, weights, self._values, self._time)
             given, slope = root * columns[:, :-1], -unit * root * columns[:, -1:]
             slope -= given @ np.linalg.lstsq(given, slope, rcond=1e-10)[0]
             return root[:, 0] * left, slope
 
-        low, high = ((end - omega) / unit for end in self._ends)
-        return float(omega + unit * refined(residuals, [low], [high])[0])
+        refined(residuals, *([(end - omega) / unit] for end in self._ends))
+        return moved, fit
 
     def best(self) -> tuple[TipFit, float]:
-        """The vibration that explains most, or as much with the smallest amplitude; and the
+        """Return the vibration that explains most, or as much with the smallest amplitude; and the
         probability that noise has one as large."""
         tried: list[tuple[bool, float, float]] = []
         weights = self._none.weights
         for peak in self._peaks().tolist():
-            omega = self._refined(peak, weights)
-            _, left, columns = self._fitted(omega, weights, self._values, self._time)
+            omega, (_, left, columns) = self._refined(peak, weights)
             tried.append((self._held(columns), float(weights @ left**2), omega))
         kept: list[float] = []
-        for _, _, omega in sorted(tried):
-            if all(abs(omega - other) >= APART * TURN / self._span for other in kept):
+        for _, _, omega in sorted(tried):  # nearer to a higher one they are its side lobes
+            if all(abs(omega - other) >= 2.0 * TURN / self._span for other in kept):
                 kept.append(omega)
         self.omega = kept[0]
         self._settle()
         candidates, self.omega = self._compared(np.sort([self.omega, *kept[1:]]))
         self._settle()
-        # Errors of a mark are those of all arrivals in a revolution, which tell so much less.
+        # Errors of a mark are common to all arrivals of a revolution, which are worth less.
         spread = self.noise.covariance(self.columns, self._places)[:-1, :-1]
         seen = float(self.found @ np.linalg.lstsq(spread, self.found, rcond=1e-10)[0])
         gain = max(min(self._none.cost - self.noise.cost, seen), 0.0)
@@ -272,21 +261,22 @@ class _Sought:
         return self._described(candidates), 1.0 if self._held(self.columns) else chance
 
     def _held(self, columns: np.ndarray) -> bool:
-        """Whether the constants hold half of some vibration or more: to them it is none."""
+        """Return True if the constants hold half of some vibration or more."""
         given = columns[:, :-1]
         return bool(np.linalg.eigvalsh(given.T @ given)[0] < 0.25 * len(columns))
 
     def _peaks(self) -> np.ndarray:
-        """Frequencies at which a periodogram is highest [rad/s]."""
+        """Return the frequencies at which a periodogram is highest [rad/s]."""
         low, high = self._ends
-        step = TURN / (FINER * self._span)
+        step = TURN / (4.0 * self._span)  # of the resolution a quarter
         begin, end = int(np.ceil(low / step)), int(np.floor(high / step)) + 1
         if not 0 < end - begin < MOST_FREQUENCIES:
             allowed = f"between {step:.3g} and {MOST_FREQUENCIES * step:.3g} rad/s"
             raise InputError("high - low", high - low, allowed)
         values, places, power = self._none.psi, np.arange(begin, end), np.zeros(end - begin)
-        for multiple, first in itertools.product(self._multiples, range(0, end - begin, BAND)):
-            band = power[first : first + BAND]
+        size = 10**6  # at once, for the memory
+        for multiple, first in itertools.product(self._multiples, range(0, end - begin, size)):
+            band = power[first : first + size]
             phase = multiple * step * self._time
             band += np.abs(_spectrum(phase, values, begin + first, len(band))) ** 2
         padded = np.concatenate([[-np.inf], power, [-np.inf]])
@@ -300,33 +290,32 @@ class _Sought:
         """Fit frequency, harmonics and constants by turns with weights."""
 
         def solve(weights: np.ndarray) -> np.ndarray:
-            self.omega = self._refined(self.omega, weights)
-            fit = self._fitted(self.omega, weights, self._values, self._time)
-            self.found, left, self.columns = fit
-            return left
+            self.omega, (self.found, left, self.columns) = self._refined(self.omega, weights)
+            return np.asarray(left)
 
         self.noise = reweighted(solve, np.ones(len(self._values)), self._unknowns, self._least)
         self._stiffen(self.noise.scale)
 
     def _compared(self, omegas: np.ndarray) -> tuple[Candidates, float]:
-        """What frequencies explain, with the weights of the best; and the one to be taken."""
-        weights, limit = self.noise.weights, AS_GOOD * self.noise.scale**2
+        """Return candidates of some frequencies, with the weights of the best; and the one to be
+        taken."""
+        weights, limit = self.noise.weights, LEVELS.equal * self.noise.scale**2
         fits = [self._fitted(omega, weights, self._values, self._time) for omega in omegas]
         sums = np.array([weights @ left**2 for _, left, _ in fits])
         sizes = np.array([np.linalg.norm(found) for found, _, _ in fits])
         conditions = np.array([condition(columns[:, :-1]) for _, _, columns in fits])
         hidden = np.array([self._held(columns) for _, _, columns in fits])
-        alike, best = taken(sums, sizes, limit, ~hidden)
-        # That arrivals are not where they were expected tells aliases apart, too little to rely on.
+        equivalent, best = taken(sums, sizes, limit, ~hidden)
+        # Arrivals that are not where they were expected distinguish aliases, but not reliably.
         wave = waves(omegas[best] * self._expected, self._multiples)[:, 1:] @ fits[best][0]
         lefts = [self._fitted(omega, weights, wave, self._expected)[1] for omega in omegas]
-        alike |= np.array([weights @ left**2 for left in lefts]) < limit
+        equivalent |= np.array([weights @ left**2 for left in lefts]) < limit
         residuals = np.sqrt(sums / len(self._values))
         orders = omegas / self._arrivals.mean_speed
-        return Candidates(orders, residuals, conditions, alike, hidden), float(omegas[best])
+        return Candidates(orders, residuals, conditions, equivalent, hidden), float(omegas[best])
 
     def _described(self, candidates: Candidates) -> TipFit:
-        """The fit in numbers; its order stands in the place of its candidate."""
+        """Return the fit in numbers; its order stands in the place of its candidate."""
         speed, count = self._arrivals.mean_speed, 2 * len(self._multiples) + 1
         order = self.omega / speed
         orders = candidates.orders.copy()
@@ -350,24 +339,26 @@ class _Sought:
             misfit=np.nan,
             spare=spare,
             candidates=replace(candidates, orders=orders),
+            asynchronous=(),
         )
 
 
 def _spectrum(phase: np.ndarray, values: np.ndarray, first: int, count: int) -> np.ndarray:
-    """sum_n values_n exp(-i m phase_n) for `count` whole m from the first on, of phases (n,) [rad]:
-    each value is spread over its neighbours on a grid by a Gaussian, whose transform is taken out
-    again."""
+    """Return sum_n values_n exp(-i m phase_n) for `count` whole m from the first on, of phases (n,)
+    [rad]: each value is spread over its neighbours on a grid by a Gaussian, whose transform is
+    taken out again."""
+    near = 8  # neighbours on each side: eleven digits
     modes = 2 * (count // 2 + 1)
     middle, size = modes // 2, 2 * modes
-    width = np.pi * GRID_NEIGHBOURS / (modes**2 * 3.0)  # of Greengard and Lee, twice as fine a grid
+    width = np.pi * near / (modes**2 * 3.0)  # of Greengard and Lee, twice as fine a grid
     turned = values * np.exp(-1j * (first + middle) * phase)
     place = np.floor(phase * size / TURN).astype(int)
     grid = np.zeros(size, dtype=complex)
-    for shift in range(1 - GRID_NEIGHBOURS, GRID_NEIGHBOURS + 1):
-        near = place + shift
-        share = turned * np.exp(-((phase - TURN * near / size) ** 2) / (4.0 * width))
-        grid += np.bincount(near % size, share.real, size)
-        grid += 1j * np.bincount(near % size, share.imag, size)
+    for cell in range(1 - near, near + 1):
+        at = place + cell
+        share = turned * np.exp(-((phase - TURN * at / size) ** 2) / (4.0 * width))
+        grid += np.bincount(at % size, share.real, size)
+        grid += 1j * np.bincount(at % size, share.imag, size)
     order = np.arange(modes) - middle
     found = np.fft.fft(grid)[order] / size
     return np.asarray(found * np.sqrt(np.pi / width) * np.exp(order**2 * width))[:count]

@@ -7,11 +7,11 @@ same point of
     u = a0 + sum_k a_k cos(k p alpha) + b_k sin(k p alpha)
 
 so the probes around the casing are what samples a period: K harmonics need 2K + 1 probes, and two
-orders that agree at all probes cannot be told apart. Heath and Imregun (Journal of Engineering for
-Gas Turbines and Power 120, 1998, 784) survey such methods; Diamond and Heyns (Journal of Vibration
-and Acoustics 140, 2018, 061003) choose the spacing of the probes. As in the improved fit of Applied
-Sciences 10, 2020, 3675, alpha is the rotor's angle at the arrival itself, which depends on the
-vibration, and not where the tip was expected.
+orders that agree at all probes cannot be distinguished. Heath and Imregun (Journal of Engineering
+for Gas Turbines and Power 120, 1998, 784) survey such methods; Diamond and Heyns (Journal of
+Vibration and Acoustics 140, 2018, 061003) choose the spacing of the probes. As in the improved fit
+of Applied Sciences 10, 2020, 3675, alpha is the rotor's angle at the arrival itself, which depends
+on the vibration, and not where the blade tip was expected.
 """
 
 from __future__ import annotations
@@ -32,8 +32,6 @@ from fenics_crack.basics.tables import TURN, UNITS, counted, with_frequency
 from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
 from fenics_crack.monitoring.tip_timing.fit_frequency import find_lines
 from fenics_crack.monitoring.tip_timing.harmonics import (
-    AS_GOOD,
-    MISFIT,
     ORDERS,
     Candidates,
     Fitted,
@@ -46,23 +44,15 @@ from fenics_crack.monitoring.tip_timing.harmonics import (
     taken,
     wanted,
 )
-from fenics_crack.monitoring.tip_timing.robust import EPSILON, reweighted, student, trend
+from fenics_crack.monitoring.tip_timing.robust import EPSILON, LEVELS, reweighted, student, trend
 from fenics_crack.numerics.fourier import waves
 
-SIGNIFICANT = 0.01
-"""Below this probability what is left between the probes' means is no chance."""
 OTHERS = 3
-"""Harmonics beyond those kept that may be folded onto them."""
-WIDEST = 1e6
-"""Of their deviation over the errors, beyond which nothing is told of them."""
+"""Number of harmonics beyond those kept that may be folded onto them."""
 SHARES = np.array([0.0, *2.0 ** -np.arange(0.5, 8.0)])
-"""Of a harmonic kept, which one left out may have."""
+"""Ratios of a harmonic left out to the last one kept that are tried."""
 NEIGHBOURS = 16
-"""On either side of a group of revolutions, whose harmonics left out have alike shares."""
-QUIET = 0.25
-"""Of neighbouring groups, at least, without wrong arrivals."""
-LONGEST = 24
-"""Revolutions after which a probe sees the same again, at most."""
+"""Groups of revolutions on either side whose harmonics left out have the same ratios."""
 
 
 def fit_order(
@@ -75,23 +65,23 @@ def fit_order(
 ) -> TipFit:
     """Find the engine order of a vibration, and its harmonics, by least squares.
 
-    What a probe sees alike in every revolution is its mean, found beside vibrations that follow no
-    order (``asynchronous`` of the fit), with errors of Student's t, so that single wrong arrivals
-    have no weight. Each candidate is fitted to the means. All whose sum of squares is less than 9
-    variances above the least one are alike: the one with the smallest vibration is taken (within
-    20 %, the one that leaves least), and the others are reported. So are those whose columns are
-    dependent at these probes, as hidden (:class:`Candidates`). The variance of a mean is that of
-    the residuals and of the probe's angle; where the means are off by more (F test), it is that of
-    the means, so that harmonics left out do not pass for information. Of these what is seen is in
-    the errors, and what may be there without being seen is told (``folded``).
+    The mean of each probe over the revolutions is found beside vibrations that follow no order
+    (``asynchronous`` of the fit), with errors of Student's t, so that single wrong arrivals have no
+    weight. Each candidate is fitted to the means. All whose sum of squares is less than 9 variances
+    above the least one fit equally well: the one with the smallest vibration is taken (within 20 %,
+    the one of the least sum), and the others are reported. So are those whose columns are dependent
+    at these probes, as hidden (:class:`Candidates`). The variance of a mean is that of the
+    residuals and of the probe's angle; where the means are off by more (F test), it is that of the
+    means, so that harmonics left out do not pass for information. Of these, what is significant is
+    in the errors; what may be there without being so is in ``folded``.
 
     Parameters
     ----------
     arrivals : ArrivalTimes
-        Measured or simulated; of steady vibration. :func:`track_order` is for run-ups.
+        Measured or simulated, at a constant speed. :func:`track_order` is for run-ups.
     orders : iterable of float
         Candidates: periods of the load in a revolution, whole numbers or fractions of small ones.
-        Those that a Campbell diagram allows are told apart most easily.
+        Those that a Campbell diagram allows are distinguished most easily.
     harmonics : int
         K; 2 or more show a breathing crack by :meth:`TipFit.ratio`.
     subharmonic : int
@@ -102,7 +92,7 @@ def fit_order(
     Returns
     -------
     TipFit
-        The order, its harmonics with their standard errors, and other orders that fit alike.
+        The order, its harmonics with standard errors, and other orders that fit equally well.
 
     Raises
     ------
@@ -119,7 +109,9 @@ def fit_order(
     period, highest = _period(tried, multiples), float(tried.max())
     means = Means(arrivals, period, highest, angle_deviation)
     fit = _compared(arrivals, means, tried, multiples)
-    if means.lines and not fit.does_not_fit:  # once more where the tip is that they move
+    if (
+        means.lines and not fit.does_not_fit
+    ):  # once more at the angles to which lines move the blade tip
         moved = means.moved(arrivals, fit)
         means = Means(arrivals, period, highest, angle_deviation, moved)
         fit = _compared(arrivals, means, tried, multiples)
@@ -129,31 +121,32 @@ def fit_order(
 def _compared(
     arrivals: ArrivalTimes, means: Means, tried: np.ndarray, multiples: np.ndarray
 ) -> TipFit:
-    """The candidate that fits the means best, with the smallest vibration, and the others."""
+    """Return the candidate that fits best, with the smallest vibration, and the others."""
     unknowns = 2 * len(multiples) + 1
     fits = [means.fit(order, multiples) for order in tried]
     hidden = np.array([fit is None for fit in fits])
     if np.all(hidden):
         refuse(arrivals, unknowns)
     sums = np.array([np.inf if fit is None else fit.least for fit in fits])
-    lowest, misfit, freedom = means.judged(float(sums.min()), unknowns)
+    lowest, misfit, freedom = means.tested(float(sums.min()), unknowns)
     found = [[np.inf] if fit is None else fit.coefficients[1:] for fit in fits]
     sizes = np.array([np.linalg.norm(one) for one in found])
-    alike, best = taken(sums, sizes, AS_GOOD * lowest)
+    equivalent, best = taken(sums, sizes, LEVELS.equal * lowest)
     chosen = fits[best]
     assert chosen is not None
-    # That arrivals are not at the probes' angles tells aliases apart, too little to rely on.
+    # Arrivals that are not at the probes' angles distinguish aliases, but not reliably.
     wave = waves(tried[best] * means.nominal, multiples) @ chosen.coefficients
-    alike |= np.array([means.unexplained(wave, one, multiples) for one in tried]) < AS_GOOD * lowest
+    left = np.array([means.unexplained(wave, one, multiples) for one in tried])
+    equivalent |= left < LEVELS.equal * lowest
     known = lowest if np.isfinite(lowest) else np.nan
     if means.within > 0 and len(means.values) > unknowns + 1:
         # Nor do harmonics that are left out make another order less likely.
         beside = [(np.inf, fit) if fit is None else means.beside_others(fit) for fit in fits]
         costs = np.array([cost for cost, _ in beside])
-        alike |= costs - costs.min() < AS_GOOD
+        equivalent |= costs - costs.min() < LEVELS.equal
         chosen = beside[best][1]
         assert chosen is not None
-        known, _, freedom = means.judged(chosen.least, unknowns)
+        known, _, freedom = means.tested(chosen.least, unknowns)
         known = max(known, 1.0)
     chosen = replace(chosen, covariance=known * student(freedom) * chosen.covariance)
     residuals = np.array([means.residual(order, multiples) for order in tried])
@@ -168,19 +161,20 @@ def _compared(
         scatter=means.scatter * float(np.sqrt(lowest if np.isfinite(lowest) else np.nan)),
         misfit=misfit,
         folded=means.folded(chosen),
-        candidates=Candidates(tried, residuals, np.array(conditions), alike, hidden),
+        candidates=Candidates(tried, residuals, np.array(conditions), equivalent, hidden),
         spare=len(means.values) - unknowns,
         asynchronous=means.lines,
     )
 
 
 def _period(orders: np.ndarray, multiples: np.ndarray) -> int:
-    """Revolutions after which each probe sees the same again."""
+    """Return the revolutions after which each probe sees the same again."""
+    most = 24
     products = np.multiply.outer(orders, multiples).ravel()
-    parts = [Fraction(product).limit_denominator(LONGEST) for product in products.tolist()]
+    parts = [Fraction(product).limit_denominator(most) for product in products.tolist()]
     period = math.lcm(*(part.denominator for part in parts))
-    if period > LONGEST or np.any(np.abs([float(part) for part in parts] - products) > 1e-9):
-        allowed = f"whole numbers, or fractions that repeat within {LONGEST} revolutions"
+    if period > most or np.any(np.abs([float(part) for part in parts] - products) > 1e-9):
+        allowed = f"whole numbers, or fractions that repeat within {most} revolutions"
         raise InputError("orders", orders.tolist(), f"{allowed}; fit_frequency finds others")
     return period
 
@@ -194,15 +188,15 @@ class _Fit:
     order : float
         Periods of the load in a revolution.
     multiples : (K,)
-        Of its frequency, the harmonics.
+        Harmonics, as multiples of its frequency.
     coefficients : (2K+1,) [m]
         a0, a1, b1, ....
     covariance : (2K+1, 2K+1) [m^2]
-        Of the coefficients.
+        Covariance of the coefficients.
     least : float
-        The sum of squares that they leave, in variances.
+        Sum of squares of the residuals, in variances.
     slope : (g,)
-        What a mean leaves over its error, as the tip moves meanwhile.
+        Residual of a mean over its error, as the blade tip moves meanwhile.
     """
 
     order: float
@@ -219,15 +213,15 @@ class _Seen:
     Parameters
     ----------
     nominal, angle : (g,) [rad]
-        Rotor's angles where the tip is expected, and where it is.
+        Rotor's angles where the blade tip is expected, and where it is.
     values : (g,) [m]
         Displacements.
     covariance : (g, g) [m^2]
-        Of the values; of unknown scale where ``within`` is 0.
+        Covariance of the values; of unknown scale where ``within`` is 0.
     within : int
-        Degrees of freedom from which it is known.
+        Degrees of freedom of this covariance.
     radius : float [m]
-        Of the tip.
+        Radius of the blade tip.
     """
 
     def __init__(
@@ -241,12 +235,12 @@ class _Seen:
         self.nominal, self.values, self.within, self._radius = nominal, values, within, radius
         self.angle = nominal - values / radius
         self.covariance = covariance
-        # Of what a probe sees at two places of a wave the error of its angle is the same.
+        # At two places of a wave the error of a probe's angle is the same.
         self._root = np.linalg.cholesky(covariance + EPSILON * np.diag(np.diag(covariance)))
 
     def fit(self, order: float, multiples: np.ndarray) -> _Fit | None:
-        """Least squares at an order; None where the probes cannot measure it, or the tip would
-        move backwards."""
+        """Return least squares at an order; None where the probes cannot measure it, or the blade
+        tip would move backwards."""
         columns = waves(order * self.angle, multiples)
         planned = waves(order * self.nominal, multiples)
         if np.isinf(condition(planned)) or np.isinf(condition(columns)):
@@ -265,21 +259,21 @@ class _Seen:
         return _Fit(order, multiples, found, covariance, float(left @ left), passed)
 
     def _whitened(self, slope: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Columns (g, m) and the means, over slopes and in standard deviations."""
+        """Return columns (g, m) and the means, over slopes and in standard deviations."""
         both = np.column_stack([columns, self.values]) / slope[:, None]
         both = solve_triangular(self._root, both, lower=True)
         return both[:, :-1], both[:, -1]
 
     def beside_others(self, fit: _Fit) -> tuple[float, _Fit]:
-        """-2 log likelihood (restricted) and fit beside the next harmonics, which are left out, as
-        normal numbers of the variance that makes the means most likely: so far as they are seen,
-        the errors hold what is folded from them onto the harmonics kept."""
-        costs, fits = self.beside_alike(fit, self._sizes(fit))
+        """Return -2 log likelihood (restricted) and fit with the next harmonics, which are left
+        out, as normal numbers of the variance that makes the means most likely: so far as they are
+        significant, the errors hold what is folded from them onto the harmonics kept."""
+        costs, fits = self.beside_all(fit, self._sizes(fit))
         best = int(np.argmin(costs))
         return float(costs[best]), fits[best]
 
-    def beside_alike(self, fit: _Fit, sizes: np.ndarray) -> tuple[np.ndarray, list[_Fit]]:
-        """The same for each deviation (n,) [m] of the next harmonics."""
+    def beside_all(self, fit: _Fit, sizes: np.ndarray) -> tuple[np.ndarray, list[_Fit]]:
+        """Return the same for each standard deviation (n,) [m] of the next harmonics."""
         costs, *parts = self._beside(fit, np.repeat(sizes[:, None], OTHERS, axis=1))
         return costs, [
             replace(fit, coefficients=coefficients, covariance=covariance, least=float(least))
@@ -287,9 +281,9 @@ class _Seen:
         ]
 
     def folded(self, fit: _Fit) -> float:
-        """Probability that an amplitude is more than three of its errors off, whatever the sizes of
-        the harmonics left out, each of its own: averaged over them by how likely they make the
-        means, which hardly tell them where few are to spare. nan where errors are not known."""
+        """Return the probability that an amplitude is more than three of its errors off, for all
+        sizes of the harmonics left out, weighted by the likelihood of the means; nan where errors
+        are not known."""
         if self.within < 1:
             return np.nan
         sizes = np.array(list(product(self._sizes(fit), repeat=OTHERS)))
@@ -297,25 +291,26 @@ class _Seen:
         weights = np.exp(0.5 * (costs.min() - costs))
         middle, error = strengths(fit.coefficients, fit.covariance)
         amplitudes, errors = strengths(*others)
-        high, low = (ndtr((middle + end * error - amplitudes) / errors) for end in (3.0, -3.0))
+        far = LEVELS.deviations * error
+        high, low = (ndtr((middle + end - amplitudes) / errors) for end in (far, -far))
         return 1.0 - float((weights @ (high - low)).min() / weights.sum())
 
     def _sizes(self, fit: _Fit) -> np.ndarray:
-        """Deviations of the parts of a harmonic left out [m]: 0, or up to as large as the last."""
+        """Return standard deviations of a harmonic left out [m]: 0, or up to the last one kept."""
         sizes = np.hypot(*fit.coefficients[-2:]) * SHARES
         return np.asarray(sizes[sizes < self.widest])
 
     @property
     def widest(self) -> float:
-        """Deviation [m] beyond which nothing is told of a harmonic left out."""
-        return float(WIDEST * np.diag(self._root).min())
+        """Maximum standard deviation [m] of a harmonic left out, for well-conditioned squares."""
+        return float(np.diag(self._root).min() / np.sqrt(EPSILON))
 
     def _beside(
         self, fit: _Fit, sizes: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Fits beside the next harmonics of deviations (n, OTHERS) [m], further unknowns that are
-        known to be 0 within these: -2 log likelihoods (n,), coefficients (n, 2K+1), covariances and
-        sums of squares."""
+        """Return fits with the next harmonics of standard deviations (n, OTHERS) [m], further
+        unknowns that are 0 within these: -2 log likelihoods (n,), coefficients (n, 2K+1),
+        covariances and sums of squares."""
         unknowns, multiples = len(fit.coefficients), fit.multiples
         others = multiples[-1] + multiples[0] * np.arange(1.0, OTHERS + 1.0)
         columns = waves(fit.order * self.angle, np.append(multiples, others))
@@ -332,10 +327,10 @@ class _Seen:
         costs = least + np.linalg.slogdet(square)[1] - volume
         return costs, found[:, :unknowns], covariance[:, :unknowns, :unknowns], least
 
-    def judged(self, least: float, unknowns: int) -> tuple[float, float, float]:
-        """The variance in units of the one that is expected, inf where none is to spare; the
-        probability of a misfit, nan where it is not known; and the degrees of freedom of the
-        variance, inf where it is a misfit's, whose errors are no matter of chance."""
+    def tested(self, least: float, unknowns: int) -> tuple[float, float, float]:
+        """Return the variance over the expected one, inf where none is to spare; the probability of
+        a misfit, nan where it is not known; and the degrees of freedom of the variance, inf where
+        it is a misfit's, whose errors are no matter of chance."""
         between = len(self.values) - unknowns
         both = self.within + between
         if self.within < 1:
@@ -343,37 +338,37 @@ class _Seen:
         if between < 1:
             return 1.0, np.nan, both
         chance = float(fdtrc(between, self.within, least / between))
-        if chance < SIGNIFICANT:
+        if chance < LEVELS.scatter:
             return least / between, chance, np.inf
         return (self.within + least) / both, chance, both
 
 
 class Means(_Seen):
-    """What each probe sees alike, every so many revolutions: its means, with their covariance.
+    """Mean displacements of each probe, every so many revolutions, with their covariance.
 
     Parameters
     ----------
     arrivals : ArrivalTimes
-        Of steady vibration.
+        Arrivals at a constant speed.
     period : int
-        After so many revolutions a probe sees the same again.
+        Revolutions after which a probe sees the same again.
     order : float
-        The largest of the candidates; up to it vibrations that follow none are sought.
+        Largest of the candidates; up to it vibrations that follow none are sought.
     angle_deviation : float [rad]
-        Of the probes.
+        Standard deviation of the probes' angles.
     moved : (revolutions, probes) [m]
-        Left out of the displacements.
+        Displacements that are subtracted.
 
     Attributes
     ----------
     scatter : float [m]
-        Of a displacement about its mean; 1 where it is not known.
+        Scatter of a displacement about its mean; 1 where it is not known.
     values, angle : (g,) [m, rad]
-        The means, and the rotor's angles where the tip then is.
+        The means, and the rotor's angles where the blade tip then is.
     covariance : (g, g) [m^2]
-        Of the means.
+        Covariance of the means.
     lines : tuple of TipFit
-        Vibrations beside them.
+        Vibrations that follow no order.
     """
 
     def __init__(
@@ -396,8 +391,7 @@ class Means(_Seen):
         within = len(where) - len(groups)
 
         def solve(weights: np.ndarray) -> np.ndarray:
-            self._share = np.bincount(where, weights)
-            self.values = np.bincount(where, weights * self._data) / self._share
+            self.values = np.bincount(where, weights * self._data) / np.bincount(where, weights)
             return self._data - self.values[where]
 
         noise = reweighted(solve, np.ones(len(where)), len(groups), rounding(arrivals))
@@ -413,8 +407,8 @@ class Means(_Seen):
         super().__init__(nominal, self.values, covariance, within, arrivals.tip_radius)
 
     def moved(self, arrivals: ArrivalTimes, fit: TipFit) -> np.ndarray:
-        """What probes see of an order because the lines move the tip past its wave: to them it is
-        smaller, and there are lines at the sums and differences of the frequencies."""
+        """Return the displacements of an order because the lines move the blade tip past its wave:
+        it becomes smaller, with lines at the sums and differences of the frequencies."""
         angle = np.full(arrivals.time.shape, np.nan)
         angle[np.isfinite(arrivals.time)] = self.angle[self._where]
         beside = sum(
@@ -424,7 +418,7 @@ class Means(_Seen):
         return passed - fit.displacement(angle)
 
     def unexplained(self, wave: np.ndarray, order: float, multiples: np.ndarray) -> float:
-        """What an order leaves of a wave at the nominal angles, in variances."""
+        """Return the residual of a wave at the nominal angles, fitted by an order, in variances."""
         columns, values = (
             solve_triangular(self._root, part, lower=True)
             for part in (waves(order * self.nominal, multiples), wave)
@@ -433,7 +427,7 @@ class Means(_Seen):
         return float(left @ left)
 
     def residual(self, order: float, multiples: np.ndarray) -> float:
-        """Root mean square of what an order leaves of the arrivals [m]."""
+        """Return the root mean square residual of an order [m]."""
         columns = waves(order * self.angle, multiples)
         found = np.linalg.lstsq(columns, self.values, rcond=1e-10)[0]
         left = self._data - (columns @ found)[self._where]
@@ -458,12 +452,12 @@ class TipTrack(Fitted):
     coefficients : (n, 2K+1) [m]
         a0, a1, b1, ....
     amplitudes, amplitude_errors : (n, K) [m]
-        And standard errors; nan where too many arrivals are missing, and errors that two arrivals
-        to spare or fewer would tell.
+        And standard errors; nan where too many arrivals are missing, errors also where two arrivals
+        or fewer are to spare.
     misfit : float
-        Probability that what is left is as alike from revolution to revolution by chance. If it is
-        tiny, harmonics are missing, and what is left out is folded onto those that are kept. nan
-        where there are no more probes than unknowns, which fit anything.
+        Probability that residuals are as correlated from revolution to revolution by chance. If it
+        is tiny, harmonics are missing, and folded onto those that are kept. nan where there are no
+        more probes than unknowns, which fit anything.
     folded : float
         As of :class:`TipFit`, where the harmonics are largest.
     """
@@ -479,8 +473,8 @@ class TipTrack(Fitted):
 
     @property
     def in_doubt(self) -> bool:
-        """Tell whether it does not fit, harmonics left out may be folded, or it has as many
-        unknowns as there are probes."""
+        """True if it does not fit, harmonics left out may be folded, or it has as many unknowns as
+        there are probes."""
         return self.does_not_fit or self.may_be_folded or bool(np.isnan(self.misfit))
 
     @property
@@ -489,7 +483,7 @@ class TipTrack(Fitted):
         return np.asarray(self.order * self.speed)
 
     def to_dict(self) -> dict[str, Any]:
-        """Columns, a row for every group of revolutions."""
+        """Return columns, a row for every group of revolutions."""
         values = {"speed": self.speed.tolist(), "omega": self.omega.tolist()}
         found = with_frequency(values)
         for place, multiple in enumerate(self.multiples):
@@ -517,13 +511,12 @@ def track_order(
 ) -> TipTrack:
     """Fit the harmonics of a known engine order to each few revolutions of a run-up.
 
-    The fit of :func:`fit_order` with one candidate, to ``revolutions`` revolutions at a time.
-    A vibration of twice the load's period and an odd order needs two or more. The variance of an
-    arrival is that of what differs in what neighbouring fits leave. What is alike shows as a
-    misfit, and tells of harmonics that are left out: as in :func:`fit_order` they are further
-    unknowns, of a share of the vibration that is alike in neighbouring fits, so that what is folded
-    from them is in the standard errors so far as it is seen, and told where it may not be
-    (``folded``).
+    The fit of :func:`fit_order` with one candidate, to ``revolutions`` revolutions at a time. A
+    vibration of twice the load's period and an odd order needs two or more. The variance of an
+    arrival is that of differences between residuals of neighbouring fits. Residuals that repeat are
+    a misfit, by harmonics that are left out: as in :func:`fit_order` they are further unknowns,
+    with the same ratio to the vibration in neighbouring fits, so that what is folded from them is
+    in the standard errors so far as it is significant, and else in ``folded``.
 
     Parameters
     ----------
@@ -532,7 +525,7 @@ def track_order(
     order : float
         Periods of the load in a revolution.
     revolutions : int
-        Fitted together.
+        Number of revolutions that are fitted together.
 
     Returns
     -------
@@ -576,7 +569,7 @@ def track_order(
     places = np.nonzero(seen.reshape(-1, probes))
     own = probes * (subharmonic if revolutions > 1 else 1) - unknowns
     misfit = trend(left.reshape(-1, probes)[places], places) if own > 0 else np.nan
-    variance, within = _not_alike(left, seen, np.where(enough, count - unknowns, 0))
+    variance, within = _variance(left, seen, np.where(enough, count - unknowns, 0))
     variance = max(variance, rounding(arrivals) ** 2)
     place = np.tile(np.arange(probes), revolutions)
     spread = (arrivals.tip_radius * angle_deviation) ** 2 * (place[:, None] == place)
@@ -591,11 +584,11 @@ def track_order(
         if (fit := part.fit(order, multiples)) is not None:
             parts[group] = part, fit
     if own > 1 and within > 0:
-        parts = _beside_alike(parts)
+        parts = _beside_all(parts)
     for group, (part, fit) in parts.items():
         found[group] = fit.coefficients
         if count[group] > unknowns:
-            known, _, freedom = part.judged(fit.least, unknowns)
+            known, _, freedom = part.tested(fit.least, unknowns)
             known = max(known, 1.0) if within else known
             errors[group] = known * student(freedom) * fit.covariance
     amplitudes, amplitude_errors = strengths(found, errors)
@@ -608,13 +601,13 @@ def track_order(
     return TipTrack(order, speed, multiples, found, amplitudes, amplitude_errors, misfit, folded)
 
 
-def _beside_alike(parts: dict[int, tuple[_Seen, _Fit]]) -> dict[int, tuple[_Seen, _Fit]]:
-    """Fits of groups beside the next harmonics, whose share of the vibration is that which makes a
-    group and its neighbours most likely: few probes of one group tell hardly anything."""
+def _beside_all(parts: dict[int, tuple[_Seen, _Fit]]) -> dict[int, tuple[_Seen, _Fit]]:
+    """Return fits of groups with the next harmonics, whose ratio to the vibration makes a group and
+    its neighbours most likely: few probes of one group do not determine it."""
     costs, fits = [], []
     for part, fit in parts.values():
         sizes = np.minimum(np.linalg.norm(fit.coefficients[1:]) * SHARES, part.widest)
-        cost, beside = part.beside_alike(fit, sizes)
+        cost, beside = part.beside_all(fit, sizes)
         costs.append(cost)
         fits.append(beside)
     left = np.array([fit.least for _, fit in parts.values()])
@@ -623,16 +616,16 @@ def _beside_alike(parts: dict[int, tuple[_Seen, _Fit]]) -> dict[int, tuple[_Seen
     found = {}
     for place, (group, (part, _)) in enumerate(parts.items()):
         near = slice(max(place - NEIGHBOURS, 0), place + NEIGHBOURS + 1)
-        most = _usual(left[near], spare[near]) * chdtri(spare[near], MISFIT)
-        told = np.array(costs[near])[left[near] <= most]  # the others have wrong arrivals
-        found[group] = part, fits[place][int(np.argmin(told.sum(axis=0)))]
+        most = _usual(left[near], spare[near]) * chdtri(spare[near], LEVELS.misfit)
+        right = np.array(costs[near])[left[near] <= most]  # the others have wrong arrivals
+        found[group] = part, fits[place][int(np.argmin(right.sum(axis=0)))]
     return found
 
 
-def _not_alike(left: np.ndarray, seen: np.ndarray, spare: np.ndarray) -> tuple[float, int]:
-    """Variance of what groups (n, m) leave, so far as it differs from each to the next, by those
-    without wrong arrivals; and its degrees of freedom. 0 of them where there is nothing to compare:
-    the variance of what they leave, 1 where nothing is left to tell."""
+def _variance(left: np.ndarray, seen: np.ndarray, spare: np.ndarray) -> tuple[float, int]:
+    """Return the variance of differences between residuals of a group (n, m) and the next, by those
+    without wrong arrivals, and its degrees of freedom. 0 of them where there is nothing to compare:
+    the variance of the residuals, or 1 without any."""
     total, both = spare.sum(), seen[1:] & seen[:-1]
     spare = np.minimum(spare[1:], spare[:-1])
     there = spare > 0
@@ -643,6 +636,6 @@ def _not_alike(left: np.ndarray, seen: np.ndarray, spare: np.ndarray) -> tuple[f
 
 
 def _usual(squares: np.ndarray, spare: np.ndarray) -> float:
-    """Variance that sums of squares (n,) of so many degrees of freedom (n,) have, where most of
-    them have wrong arrivals, too."""
-    return float(np.quantile(squares / chdtri(spare, 1.0 - QUIET), QUIET))
+    """Return the variance of sums of squares (n,) with some degrees of freedom (n,), by their lower
+    quartile: up to three quarters of them may have wrong arrivals."""
+    return float(np.quantile(squares / chdtri(spare, 0.75), 0.25))

@@ -1,12 +1,9 @@
-"""The vibration fitted to arrival times: amplitudes with their errors, and what else it may be.
-
-Least squares of harmonics at a given order, and what tells two orders apart.
-"""
+"""Vibrations fitted to arrival times: amplitudes with their errors, and other candidates."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
@@ -16,45 +13,38 @@ from scipy.special import ndtr
 from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.basics.tables import TURN, Tabular, counted, quantity, with_frequency
 from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
+from fenics_crack.monitoring.tip_timing.robust import LEVELS
 from fenics_crack.numerics.fourier import waves
 
 ORDERS = range(1, 25)
 """Engine orders that are tried where none are given."""
-MISFIT = 0.001
-"""Probability of a misfit below which a model does not explain what was measured."""
-LARGER = 1.2
-"""Of orders that fit alike, those whose vibration is no larger than this times the smallest are
-told apart by what they leave."""
-AS_GOOD = 9.0
-"""Two candidates fit alike if their sums of squares differ by less, in units of the variance:
-three standard deviations."""
 
 
 @dataclass(frozen=True, repr=False)
 class Candidates(Tabular):
-    """Orders that were tried, and how well each of them explains the arrivals.
+    """Orders that were tried, and the residual of each.
 
     Attributes
     ----------
     orders : (n,)
         Periods of the load in a revolution.
     residuals : (n,) [m]
-        Root mean square of what the fit leaves.
+        Root mean square residual of the fit.
     conditions : (n,)
         Condition number of the fit's columns, scaled to length 1, at these probes; large: errors
         of the probes are amplified.
-    alike : (n,) bool
-        Whether it fits as well as the best one, or could explain the best fit at the angles of the
+    equivalent : (n,) bool
+        True if it fits as well as the best one, or could explain the best fit at the angles of the
         probes, within errors.
     hidden : (n,) bool
-        Whether these probes cannot measure it: to them it looks like a constant, or like one of
+        True if these probes cannot measure it: to them it looks like a constant, or like one of
         its own harmonics; or so nearly that errors of the arrivals become larger than the turning.
     """
 
     orders: np.ndarray
     residuals: np.ndarray
     conditions: np.ndarray
-    alike: np.ndarray
+    equivalent: np.ndarray
     hidden: np.ndarray
 
     def to_dict(self) -> dict[str, Any]:
@@ -63,7 +53,7 @@ class Candidates(Tabular):
             "order": self.orders.tolist(),
             "residual": self.residuals.tolist(),
             "condition": self.conditions.tolist(),
-            "alike": self.alike.tolist(),
+            "equivalent": self.equivalent.tolist(),
             "hidden": self.hidden.tolist(),
         }
 
@@ -71,30 +61,30 @@ class Candidates(Tabular):
         return {"residual": "m"}
 
     def _title(self) -> str:
-        counts = f"{int(self.alike.sum())} alike, {int(self.hidden.sum())} hidden"
+        counts = f"{int(self.equivalent.sum())} equivalent, {int(self.hidden.sum())} hidden"
         return f"{len(self.orders)} orders, {counts}"
 
 
 class Fitted(Tabular):
-    """Harmonics fitted to arrivals, and what tells whether to believe them."""
+    """Harmonics fitted to arrivals, and doubts about them."""
 
     misfit: float
     folded: float
 
     @property
     def does_not_fit(self) -> bool:
-        """Tell whether the misfit is below 0.001: harmonics are missing, or the order is wrong."""
-        return self.misfit < MISFIT
+        """True if the misfit is below 0.001: harmonics are missing, or the order is wrong."""
+        return self.misfit < LEVELS.misfit
 
     @property
     def may_be_folded(self) -> bool:
-        """Tell whether three of the errors hold an amplitude with no more than the probability with
-        which two should: too few probes for the harmonics that are left out."""
+        """True if three errors hold an amplitude with no more than the probability of two: too few
+        probes for the harmonics that are left out."""
         return bool(self.folded > 2.0 * ndtr(-2.0))
 
     @property
     def _doubts(self) -> list[str]:
-        """The larger of them in words, as the one line has it."""
+        """The largest of the doubts, in words."""
         if self.does_not_fit:
             return ["DOES NOT FIT"]
         return ["harmonics left out may be folded"] * self.may_be_folded
@@ -121,19 +111,19 @@ class TipFit(Fitted):
     coefficients : (2K+1,) [m]
         a0, a1, b1, ....
     covariance : (2K+1, 2K+1) [m^2]
-        Of the coefficients.
+        Covariance of the coefficients.
     scatter : float [m]
         Standard deviation of a displacement about the fit; nan where there are no more arrivals
-        than unknowns. Errors that it tells are those of Student's t, and nan up to two more.
+        than unknowns. Errors from it are those of Student's t, and nan up to two more.
     misfit : float
-        Probability that the harmonics kept leave as much between the means of the probes as they
-        do, given the scatter within a probe. If it is tiny, harmonics are missing, probes are out
-        of place, or the order is wrong. nan where too few probes can tell.
+        Probability of residuals as large between the means of the probes, given the scatter within
+        a probe. If it is tiny, harmonics are missing, probes are out of place, or the order is
+        wrong. nan with too few probes.
     candidates : Candidates
-        What else it may be.
+        The orders that were tried.
     spare : int
-        How many means of probes there are more than unknowns of the fit. With none nothing is
-        tested: neither the order, nor that the harmonics kept are enough.
+        Number of means of probes less unknowns of the fit. With none nothing is tested: neither
+        the order, nor that the harmonics kept are enough.
     asynchronous : tuple of TipFit
         Vibrations of frequencies that follow no order, found beside it.
     folded : float
@@ -152,7 +142,7 @@ class TipFit(Fitted):
     misfit: float
     candidates: Candidates
     spare: int
-    asynchronous: tuple[TipFit, ...] = ()
+    asynchronous: tuple[TipFit, ...]
     folded: float = np.nan
 
     @property
@@ -173,30 +163,29 @@ class TipFit(Fitted):
     @property
     def ambiguous(self) -> tuple[float, ...]:
         """Other orders that explain these arrivals as well."""
-        others = self.candidates.alike & (self.candidates.orders != self.order)
+        others = self.candidates.equivalent & (self.candidates.orders != self.order)
         return tuple(self.candidates.orders[others].tolist())
 
     @property
     def hidden(self) -> tuple[float, ...]:
-        """Orders that these probes cannot measure, whether they are there or not."""
+        """Orders that these probes cannot measure, present or not."""
         return tuple(self.candidates.orders[self.candidates.hidden].tolist())
 
     @property
     def in_doubt(self) -> bool:
-        """Tell whether it does not fit, harmonics left out may be folded, it has as many unknowns
-        as there are probes, which fits anything, or no probe sees the vibration twice."""
+        """True if it does not fit, harmonics left out may be folded, it has as many unknowns as
+        there are probes, which fits anything, or no probe sees the vibration twice."""
         return self.does_not_fit or self.may_be_folded or self.spare < 1 or self.seen_once
 
     @property
     def seen_once(self) -> bool:
-        """Tell whether no probe sees the same twice, as in one revolution: errors of arrivals are
-        then not known but from what the fit leaves, and nothing tests that its harmonics are
-        enough."""
+        """True if no probe sees the same twice, as in one revolution: errors of arrivals are then
+        known from the residuals alone, and nothing tests that the harmonics are enough."""
         return self.spare > 0 and bool(np.isnan(self.misfit)) and not self.order_error
 
     def ratio(self, multiple: float = 2.0) -> tuple[float, float]:
-        """Amplitude at a multiple of the load's frequency relative to that at it, and its standard
-        error; a breathing crack has a second harmonic, an open crack none.
+        """Return the amplitude at a multiple of the load's frequency relative to that at it, and
+        its standard error; a breathing crack has a second harmonic, an open crack none.
 
         Raises
         ------
@@ -217,12 +206,12 @@ class TipFit(Fitted):
         return float(value), float(np.sqrt(square) / first)
 
     def displacement(self, angle: np.ndarray) -> np.ndarray:
-        """The fitted vibration at rotor angles: (n,) [m]."""
+        """Return the fitted vibration at rotor angles: (n,) [m]."""
         return waves(self.order * np.asarray(angle), self.multiples) @ self.coefficients
 
     def phases(self, arrivals: ArrivalTimes) -> np.ndarray:
-        """Angles at which :meth:`displacement` has the vibration at arrivals: the rotor's; at any
-        frequency the time since the first mark, times the mean speed."""
+        """Return the angles at which :meth:`displacement` has the vibration at arrivals: the
+        rotor's; at any frequency the time since the first mark, times the mean speed."""
         if self.order_error:
             return self.speed * (arrivals.time - arrivals.marks[0])
         return arrivals.angle
@@ -230,8 +219,8 @@ class TipFit(Fitted):
     # --- shown ------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """Columns, a row for the mean and for every harmonic: its multiple of the load's frequency,
-        order, frequency, amplitude and phase in A cos(m p alpha - phase)."""
+        """Return columns, a row for the mean and for every harmonic: its multiple of the load's
+        frequency, order, frequency, amplitude and phase in A cos(m p alpha - phase)."""
         multiples = np.concatenate([[0.0], self.multiples])
         cosines, sines = self.coefficients[1::2], self.coefficients[2::2]
         mean = self.coefficients[:1], np.sqrt(self.covariance[:1, 0])
@@ -257,17 +246,20 @@ class TipFit(Fitted):
             parts.append("no probe sees it twice")
         parts += [f"beside {line.omega:.6g} rad/s" for line in self.asynchronous]
         for words, orders in (("as well", self.ambiguous), ("not measured", self.hidden)):
-            if orders:
-                shown = ", ".join(f"{one:.6g}" for one in orders[:6])
-                parts.append(f"{words}: {shown}{', ...' if len(orders) > 6 else ''}")
+            parts += [f"{words}: {in_words(orders)}"] * bool(orders)
         return ", ".join(parts)
 
 
+def in_words(orders: Sequence[float]) -> str:
+    """Return the first six of some orders in words."""
+    return ", ".join([*(f"{one:.6g}" for one in orders[:6]), *["..."] * (len(orders) > 6)])
+
+
 def strengths(coefficients: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Amplitudes of coefficients (..., 2K+1) and their standard errors: two arrays (..., K).
+    """Return amplitudes of coefficients (..., 2K+1) and their standard errors: two (..., K).
 
     Errors e along the phase lengthen an amplitude A by e^2 / (2 A), in the mean and in variance 3/4
-    (E e^2 / A)^2 together, or of it where A is smaller than e: probes may tell one part of a
+    (E e^2 / A)^2 together, or of it where A is smaller than e: probes may measure one part of a
     harmonic and not the other. Of an amplitude 0 the error of its cosine part is the first.
     """
     parts = np.stack([coefficients[..., 1::2], coefficients[..., 2::2]])
@@ -292,7 +284,7 @@ def strengths(coefficients: np.ndarray, covariance: np.ndarray) -> tuple[np.ndar
 def wanted(
     orders: Iterable[float], harmonics: int, subharmonic: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Candidates (n,) and multiples (K,), checked."""
+    """Return candidates (n,) and multiples (K,), checked."""
     check_count("harmonics", harmonics, 1)
     check_count("subharmonic", subharmonic, 1)
     tried = list(orders)
@@ -306,28 +298,27 @@ def wanted(
 def taken(
     sums: np.ndarray, sizes: np.ndarray, limit: float, known: np.ndarray | bool = True
 ) -> tuple[np.ndarray, int]:
-    """Which candidates (n,) fit alike, by the sums of squares that they leave; and the one to be
-    taken: of those with about the smallest vibration, and that are known if any is, the one that
-    leaves least."""
-    alike = sums - sums.min() < limit
-    told = alike & known if np.any(alike & known) else alike
-    small = told & (sizes <= LARGER * sizes[told].min())
-    return alike, int(np.argmin(np.where(small, sums, np.inf)))
+    """Return the candidates (n,) that fit equally well, by their sums of squares; and the one to be
+    taken: of those with the smallest vibration, to 20 %, and that are known if any is, the one of
+    the least sum."""
+    equivalent = sums - sums.min() < limit
+    kept = equivalent & known if np.any(equivalent & known) else equivalent
+    small = kept & (sizes <= 1.2 * sizes[kept].min())
+    return equivalent, int(np.argmin(np.where(small, sums, np.inf)))
 
 
 def condition(columns: np.ndarray) -> float:
-    """Condition number of columns (n, m), scaled to length 1; inf where they are dependent."""
+    """Return the condition number of columns (n, m), scaled to length 1; inf: dependent."""
     sizes = np.linalg.norm(columns, axis=0)
     if len(columns) < len(sizes) or sizes.min() < 1e-8 * sizes.max():
         return np.inf
-    values = np.linalg.svd(columns / sizes, compute_uv=False)
-    return np.inf if values[-1] < 1e-8 else float(values[0] / values[-1])
+    value = float(np.linalg.cond(columns / sizes))
+    return value if value < 1e8 else np.inf
 
 
 def check_places(arrivals: ArrivalTimes) -> None:
-    """Raise InputError where a probe is passed, but for what moves the tip at all of them, nearer
-    to where another one is said to be, or in another revolution: a fit would take that for a
-    vibration."""
+    """Raise InputError where a probe is passed, but for a shift of all of them, nearer to the place
+    of another one, or in another revolution: a fit would take that for a vibration."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a probe without arrivals
         off = np.nanmedian(arrivals.nominal_angle - arrivals.angle, axis=0)
@@ -350,16 +341,16 @@ def check_places(arrivals: ArrivalTimes) -> None:
 
 
 def refuse(arrivals: ArrivalTimes, unknowns: int) -> NoReturn:
-    """Raise InputError: these probes cannot tell so many unknowns."""
+    """Raise InputError: these probes cannot determine so many unknowns."""
     angles = ", ".join(f"{angle:g}" for angle in np.degrees(arrivals.probes))
     found = f"{counted(len(arrivals.probes), 'probe')} at {angles} degrees"
-    allowed = f"able to tell the {unknowns} unknowns of a fit: more probes, unequally spaced, "
+    allowed = f"able to determine {unknowns} unknowns of a fit: more probes, unequally spaced, "
     allowed += "fewer harmonics, or arrivals that scatter less"
     raise InputError("probes", found, allowed)
 
 
 def rounding(arrivals: ArrivalTimes) -> float:
-    """Displacement below which nothing is told [m]: rounding of the angles, 1e-9 of the motion."""
+    """Return the rounding of displacements [m]: of the angles, and 1e-9 of the motion."""
     largest = float(np.nanmax(np.abs(arrivals.angle)))
     motion = float(np.nanmax(np.abs(arrivals.displacement)))
     return 1e-9 * motion + 4.0 * float(np.spacing(largest)) * arrivals.tip_radius

@@ -1,4 +1,4 @@
-"""Errors of arrivals: Student's t instead of a normal distribution, and what follows from it.
+"""Errors of arrivals: Student's t instead of a normal distribution, and confidence levels.
 
 Some arrivals are wrong by far more than the others scatter. Residuals r then follow Student's t
 with nu degrees of freedom and a scale s, both fitted to them (Lange, Little and Taylor, Journal of
@@ -10,7 +10,7 @@ estimate is that of least squares with the weights
 by turns with the residuals that it leaves. Its covariance is that of an M-estimator (Huber, Robust
 Statistics, 1981), H^-1 M H^-1, with H = mean(psi') X^T X and psi = w r; M = X^T C X holds the
 correlation of psi between the probes of a revolution, whose marks they share, and between
-revolutions, as far as it is seen in the residuals.
+revolutions, as far as it is significant in the residuals.
 """
 
 from __future__ import annotations
@@ -26,16 +26,45 @@ from scipy.special import gammaln, ndtr
 
 FREEDOMS = np.array([3.0, 5.0, 10.0, 30.0, 1e6])
 """Degrees of freedom that are tried."""
-ROBUST_ROUNDS = 30
-ROBUST_SETTLED = 1e-3
-"""Change of the weights below which they are final."""
+ROBUST_ROUNDS, ROBUST_SETTLED = 30, 1e-2
+"""Maximum rounds of weights, and their change, and that of residuals over their scale, below which
+they are final: some hundredths of a standard error."""
 EPSILON = 1e-12
-"""Columns are dependent below this share of the largest eigenvalue."""
-FLOOR = 0.1
-"""Of the variance by white errors, the least that correlation leaves."""
-SEEN = 3.0
-"""A correlation counts from so many of its standard deviations on."""
+"""Columns are dependent below this fraction of the largest eigenvalue."""
 
+
+@dataclass(frozen=True)
+class Confidence:
+    """Levels of significance.
+
+    Attributes
+    ----------
+    chance : float
+        Probability in noise below which a vibration is significant.
+    gain : float
+        Reduction of -2 log likelihood above which a resonance is: some 1e5 are tried, each with six
+        unknowns.
+    misfit : float
+        Probability of residuals below which a model does not explain them.
+    scatter : float
+        Probability of a misfit above which errors follow from the scatter, else from the misfit.
+    deviations : float
+        Standard deviations within which candidates fit equally well, and correlation is none.
+    """
+
+    chance: float = 1e-5
+    gain: float = 60.0
+    misfit: float = 1e-3
+    scatter: float = 1e-2
+    deviations: float = 3.0
+
+    @property
+    def equal(self) -> float:
+        """Difference of sums of squares, in variances, within which candidates fit equally well."""
+        return self.deviations**2
+
+
+LEVELS = Confidence()
 
 Pair = tuple[float, float]
 Places = tuple[np.ndarray, np.ndarray]
@@ -44,18 +73,18 @@ Places = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class Noise:
-    """What a fit leaves, as errors from Student's t.
+    """Residuals of a fit, as errors from Student's t.
 
     Attributes
     ----------
     left : (n,)
         Residuals.
     weights : (n,)
-        Of the arrivals in the fit.
+        Weights of the arrivals in the fit.
     scale, freedom : float
         s and nu.
     unknowns : int
-        Of the fit.
+        Number of unknowns of the fit.
     """
 
     left: np.ndarray
@@ -101,16 +130,17 @@ class Noise:
         square, (total, count) = own[0] / own[1], later
         if not count or not square:
             return np.nan
-        alike = max(common[0] / common[1], 0.0) if common[1] else 0.0
+        shared = max(common[0] / common[1], 0.0) if common[1] else 0.0
         now, after = shares.T @ shares, (shares[1:] * shares[:-1]).sum(axis=0)
         apart = now[~np.eye(len(now), dtype=bool)]
-        by_marks = alike / apart.mean() * after.mean() if alike else 0.0
-        scatter = square * np.sqrt(count + (alike / square) ** 2 * others[1])
+        by_marks = shared / apart.mean() * after.mean() if shared else 0.0
+        scatter = square * np.sqrt(count + (shared / square) ** 2 * others[1])
         chance = float(ndtr((total - count * by_marks) / scatter))
         return 2.0 * min(chance, 1.0 - chance)
 
     def covariance(self, columns: np.ndarray, places: Places) -> np.ndarray:
-        """Covariance (m, m) of the coefficients of columns (n, m), of arrivals at such places."""
+        """Return the covariance (m, m) of the coefficients of columns (n, m), of arrivals at
+        places."""
         sizes = np.linalg.norm(columns, axis=0)
         columns = columns / sizes
         dense = _dense(columns, places)
@@ -126,22 +156,24 @@ class Noise:
             )
             part = own * at_one + other * (all_of - at_one)
             total += (1.0 - lag / len(lags)) * (part if lag == 0 else part + part.T)
-        # No direction is known much better than by white errors.
+        # Correlation leaves a tenth or more of the variance by white errors.
         scale, turned = np.linalg.eigh(white)
         root = turned * np.where(scale > EPSILON * scale[-1], scale, np.inf) ** -0.5
         values, axes = np.linalg.eigh(root.T @ total @ root)
         root = (root @ axes) / sizes[:, None]
-        return np.asarray((root * np.maximum(values, FLOOR * variance)) @ root.T / self.slope**2)
+        return np.asarray((root * np.maximum(values, 0.1 * variance)) @ root.T / self.slope**2)
 
     def _correlated(self, variance: float, places: Places) -> list[tuple[float, float]]:
-        """Covariances of psi at a probe (of revolution 0 beyond its variance), and at two, of
-        revolutions 0, 1, ... apart, up to the first that are not seen."""
+        """Return covariances of psi at a probe (of revolution 0 beyond its variance), and at two,
+        of revolutions 0, 1, ... apart, up to the first that are not significant."""
         found: list[tuple[float, float]] = []
         for lag, products in enumerate(_products(self.psi, itertools.count(), places)):
             seen = []
             for total, count in products:
                 deviation = variance * np.sqrt(count if lag else 2.0 * count)
-                seen.append(total / count if count and abs(total) > SEEN * deviation else 0.0)
+                seen.append(
+                    total / count if count and abs(total) > LEVELS.deviations * deviation else 0.0
+                )
             if lag == 0:
                 seen[0] = 0.0
             elif not any(seen):
@@ -151,22 +183,22 @@ class Noise:
 
 
 def student(freedom: float) -> float:
-    """Variance of Student's t with so many degrees of freedom over the square of its scale: so much
-    larger are squares of errors whose scale is that of few residuals. nan where it has none."""
+    """Return the variance of Student's t over the square of its scale, by which squares of errors
+    are larger whose scale is that of few residuals; nan where it has none."""
     return 1.0 + 2.0 / (freedom - 2.0) if freedom > 2.0 else np.nan
 
 
 def trend(values: np.ndarray, places: Places) -> float:
-    """Probability that white values (n,) of revolutions and probes are as alike as these from each
-    revolution to the next, or more; nan where there is one revolution."""
+    """Return the probability that white values (n,) of revolutions and probes are as correlated
+    from each revolution to the next as these, or more; nan where there is one revolution."""
     [[(total, count), _]] = _products(values, [1], places)
     square = float(values @ values) / len(values)
     return float(ndtr(-total / (square * np.sqrt(count)))) if count and square else np.nan
 
 
 def _products(values: np.ndarray, lags: Iterable[int], places: Places) -> Iterator[list[Pair]]:
-    """Sums of products of values (n,) in revolutions that are some apart, and how many they are: at
-    the same probe, and at two; of each lag."""
+    """Yield for each lag of revolutions the sums of products of values (n,), and their numbers: at
+    the same probe, and at two."""
     parts = [_dense(part, places) for part in (values, np.ones(len(values)))]
     totals = [dense.sum(axis=1) for dense in parts]
     for lag in lags:
@@ -178,7 +210,7 @@ def _products(values: np.ndarray, lags: Iterable[int], places: Places) -> Iterat
 
 
 def _dense(values: np.ndarray, places: Places) -> np.ndarray:
-    """Values (n, ...) by revolution and probe, 0 where there are none."""
+    """Return values (n, ...) by revolution and probe, 0 where there are none."""
     turn, probe = places[0] - places[0].min(), places[1]
     found = np.zeros((int(turn.max()) + 1, int(probe.max()) + 1, *values.shape[1:]))
     found[turn, probe] = values
@@ -186,33 +218,27 @@ def _dense(values: np.ndarray, places: Places) -> np.ndarray:
 
 
 def reweighted(
-    solve: Callable[[np.ndarray], np.ndarray],
-    weights: np.ndarray,
-    unknowns: int,
-    least: float,
-    settled: float = ROBUST_SETTLED,
+    solve: Callable[[np.ndarray], np.ndarray], weights: np.ndarray, unknowns: int, least: float
 ) -> Noise:
-    """Weights of arrivals, by turns with what a fit with these weights leaves.
+    """Find the weights of arrivals, by turns with the residuals of a fit with these weights.
 
     Parameters
     ----------
     solve : callable
-        Residuals (n,) of a fit with weights (n,), or of its next step.
+        Residuals (n,) of a fit with weights (n,).
     weights : (n,)
         To begin with.
     unknowns : int
-        Coefficients of the fit.
+        Number of coefficients of the fit.
     least : float
-        The scale is no smaller: rounding.
-    settled : float
-        Change of the weights, and of the residuals over their scale, below which they are final.
+        Minimum of the scale: rounding.
     """
     before, scales = np.inf, None
     for _ in range(ROBUST_ROUNDS):
         noise, scales = _noise(solve(weights), unknowns, scales, least)
         change = np.abs(noise.weights - weights).max(), np.abs(noise.left - before).max()
         weights, before = noise.weights, noise.left
-        if change[0] < settled and change[1] < settled * noise.scale:
+        if change[0] < ROBUST_SETTLED and change[1] < ROBUST_SETTLED * noise.scale:
             break
     return noise
 
@@ -221,19 +247,16 @@ def refined(
     function: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
     low: Sequence[float] | np.ndarray,
     high: Sequence[float] | np.ndarray,
-    settled: float = ROBUST_SETTLED,
 ) -> np.ndarray:
-    """Return the unknowns (m,) of least squares, from 0 on.
+    """Find unknowns (m,) by least squares, from 0 on, and return their residuals (n,).
 
     Parameters
     ----------
     function : callable
-        Residuals (n,) and their derivatives (n, m) at unknowns, whose natural size is 1.
+        Residuals (n,) and their derivatives (n, m) at unknowns, whose natural size is 1; called
+        with those that are found last.
     low, high : (m,)
         Bounds of the unknowns.
-    settled : float
-        Relative change of the unknowns, and root of that of the sum of squares, below which they
-        are final.
     """
     both = lru_cache(maxsize=1)(lambda key: function(np.frombuffer(key)))
     found = least_squares(
@@ -242,16 +265,16 @@ def refined(
         lambda x: both(x.tobytes())[1],
         bounds=(np.minimum(low, 0.0), np.maximum(high, 0.0)),
         method="dogbox",
-        ftol=settled**2,
-        xtol=settled,
+        ftol=ROBUST_SETTLED**2,
+        xtol=ROBUST_SETTLED,
         gtol=None,
     )
-    return np.asarray(found.x)
+    return both(found.x.tobytes())[0]
 
 
 def _cost(square: np.ndarray, scale: np.ndarray, freedom: np.ndarray) -> np.ndarray:
-    """-2 log likelihood of squares of residuals over scales, (k, n), by scales and degrees of
-    freedom (k,)."""
+    """Return -2 log likelihood of squares of residuals over scales, (k, n), by scales and degrees
+    of freedom (k,)."""
     each = 2.0 * (gammaln(0.5 * freedom) - gammaln(0.5 * freedom + 0.5) + np.log(scale))
     each += np.log(freedom * np.pi)
     tails = np.log1p(square / freedom[:, None]).sum(axis=1)
@@ -261,15 +284,14 @@ def _cost(square: np.ndarray, scale: np.ndarray, freedom: np.ndarray) -> np.ndar
 def _noise(
     left: np.ndarray, unknowns: int, scales: np.ndarray | None, least: float
 ) -> tuple[Noise, np.ndarray]:
-    """Scale and degrees of freedom of residuals, by maximum likelihood; and the scales by all that
-    are tried, from which those of the next residuals begin.
+    """Find scale and degrees of freedom of residuals, by maximum likelihood; return them, and the
+    scales of all degrees that are tried, from which those of the next residuals begin.
 
-    What the scale was too small by in the weighted squares is 1 + 3 / nu times less than in its own
-    square where residuals follow Student's t (its information is 2 nu / (nu + 3)); where they do
-    not, steps that much longer still come nearer each time.
+    Steps of the scale are 1 + 3 / nu times those of the weighted squares, as the information of
+    Student's t, 2 nu / (nu + 3), has it.
     """
     square, spare = left**2, max(len(left) - unknowns, 1)
-    # As many arrivals as unknowns may be met exactly: no tails are seen where few are to spare.
+    # As many arrivals as unknowns may be met exactly: few to spare have no tails.
     freedoms = FREEDOMS if spare > unknowns else FREEDOMS[-1:]
     if scales is None:
         scale = 1.5 * float(np.median(np.abs(left))) * np.sqrt(len(left) / spare)

@@ -1,4 +1,4 @@
-"""Tip timing of a scene: the arrivals that its probes see, and the vibration sought in arrivals."""
+"""Tip timing of a scene: the arrivals at its probes, and the vibration found in arrivals."""
 
 from __future__ import annotations
 
@@ -13,10 +13,8 @@ from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import MPI, gather_rows
 from fenics_crack.basics.tables import RPM, TURN, speed_in_words
 from fenics_crack.curves.curve import ResponseCurve
-from fenics_crack.fem.build import with_crack_length
 from fenics_crack.fem.lips import SAME
 from fenics_crack.files.results import Result
-from fenics_crack.files.store import with_full_paths
 from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
 from fenics_crack.monitoring.tip_timing.fit_frequency import fit_frequency
 from fenics_crack.monitoring.tip_timing.fit_order import TipTrack, fit_order, track_order
@@ -24,41 +22,28 @@ from fenics_crack.monitoring.tip_timing.harmonics import ORDERS, TipFit
 from fenics_crack.monitoring.tip_timing.passages import Follows, PassageFit, find_passages
 from fenics_crack.monitoring.tip_timing.simulate import run_up_points, tip_timing
 from fenics_crack.numerics.equations import ROUNDING
-from fenics_crack.scene.scene import LOOKED_AT, Scene
+from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Rotation, TipTiming
-from fenics_crack.scene.words import differences
 from fenics_crack.study.campbell import Campbell, campbell
 from fenics_crack.study.plausibility import FASTEST
 from fenics_crack.study.run import Run, load_run, solve
 
-DECIDED = (*LOOKED_AT, "reduction")
-"""Tables of a scene that may differ from those of a result: those that choose results, and those
-that a run decides itself."""
-DIAGRAM = 5, 10
-"""Speeds and modes of a Campbell diagram by which frequencies follow the speed of a record."""
-SHORTEST = 2
-"""Minimum points of a run-up."""
 FARTHEST = 0.1
 """Maximum distance of a resonance from a mode, relative to its frequency."""
-NEARER = 0.5
-"""Minimum distance of a resonance from all other modes, over :data:`FARTHEST`."""
-ALONG = 0.999
-"""Minimum share of a circumferential motion that a displacement along a coordinate carries, to be
-taken for it: at 2.6 degrees, its error is a thousandth."""
 
 
 def arrivals_of(
     scene: Scene, source: ArrivalTimes | Path | None, comm: MPI.Comm = MPI.COMM_WORLD
 ) -> tuple[ArrivalTimes, Run[Result] | None]:
-    """Arrival times by the table ``[tip_timing]`` of a scene, and the vibration that they are
-    computed from; None of measured ones (collective).
+    """Return arrival times by the table ``[tip_timing]`` of a scene, and the run that they are
+    computed from; None for measured ones (collective).
 
     Parameters
     ----------
     scene : Scene
-        With the table.
+        Scene with the table.
     source : ArrivalTimes or path, optional
-        Measured ones; or a result of ``solve`` or ``curve``, whose own scene says how it turns. A
+        Measured ones; or a result of ``solve`` or ``curve``, whose own scene has the rotation. A
         run-up ends where the curve becomes unstable (:func:`run_up_ends`).
         Default: the steady vibration of the scene, which is solved.
 
@@ -107,27 +92,19 @@ def run_up_ends(scene: Scene, run: Run[Any]) -> str:
 def _stable_part(curve: ResponseCurve) -> ResponseCurve:
     """Return the part of a curve before it becomes unstable; all where that is at once."""
     points, lost = run_up_points(curve)
-    if lost is None or len(points) < SHORTEST:
+    if lost is None or len(points) < 2:
         return curve
     return curve.part(points)
-
-
-def of_another_scene(scene: Scene, run: Run[Any]) -> str:
-    """By what a result's own scene differs from this one, in words; "" if it is the same
-    (collective)."""
-    both = with_crack_length(scene, run.structure.comm), run.scene
-    compared = [with_full_paths(one).replace(dict.fromkeys(DECIDED)) for one in both]
-    here, there = differences(compared)
-    words = f"the arrivals are those of a result with {there}; what is sought in them follows this "
-    return words + f"scene, which has {here}" if here else ""
 
 
 def remarks_on_arrivals(arrivals: ArrivalTimes) -> list[str]:
     """Return remarks on measured arrivals with unusual values: numbers in another unit."""
     found, speed = [], arrivals.mean_speed * arrivals.tip_radius
     if speed > FASTEST:
-        text = f"the tip moves at {speed:.3g} m/s, where the fastest have 700: are the speed, or "
-        found.append(f"{text}times, and the tip's radius in the units of their headings?")
+        text = (
+            f"the blade tip moves at {speed:.3g} m/s, where the fastest have 700: are the speed, "
+        )
+        found.append(text + "or times, and tip_radius in the units of their headings?")
     if len(arrivals.probes) > 1 and np.degrees(arrivals.probes[-1]) < TURN:
         within = float(np.degrees(np.ptp(arrivals.probes)))
         found.append(f"all probes are within {within:.3g} degrees: are angles in rad?")
@@ -183,13 +160,13 @@ def vibration_in(
 
 
 def modes_passed(scene: Scene, arrivals: ArrivalTimes) -> list[tuple[PassageFit, int, str]]:
-    """The resonances that a record of a blade on a rotor passes, of which mode of the scene each is
-    (from 1), and why none of it is known, 0, in words (collective).
+    """Return the resonances that a record of a blade on a rotor passes, each with its mode of the
+    scene (from 1), or 0 and the reason in words (collective).
 
     Raises
     ------
     InputError
-        As :func:`find_passages`; or the scene's load is no engine order of a table ``[rotation]``.
+        As :func:`find_passages`; or the load is no engine order of a table ``[rotation]``.
     """
     if scene.rotation is None or scene.excitation.order is None:
         allowed = "those of a constant speed, unless the load is an excitation.order of [rotation]"
@@ -210,7 +187,7 @@ def passed_in_words(fit: PassageFit, mode: int, why: str) -> str:
 
 
 def mode_of(fit: PassageFit, diagram: Campbell) -> tuple[int, str]:
-    """The mode of a resonance (from 1), or 0 and why it is not known."""
+    """Return the mode of a resonance (from 1), or 0 and the reason in words."""
     opened, tied = diagram.between(fit.speed)
 
     def apart(omega: float) -> np.ndarray:
@@ -224,7 +201,7 @@ def mode_of(fit: PassageFit, diagram: Campbell) -> tuple[int, str]:
     ]
     if own[nearest[0]] > FARTHEST:
         return 0, f"that of none of the blade's modes to {FARTHEST:.0%}; {ranges[0]}"
-    if len(own) > 1 and own[nearest[1]] < NEARER * FARTHEST:
+    if len(own) > 1 and own[nearest[1]] < 0.5 * FARTHEST:
         return 0, "; ".join(ranges)
     also = [f"{order:g}" for order in fit.ambiguous if min(apart(order * fit.speed)) <= FARTHEST]
     if also:
@@ -236,8 +213,8 @@ def mode_of(fit: PassageFit, diagram: Campbell) -> tuple[int, str]:
 def _passages(
     table: TipTiming, arrivals: ArrivalTimes, diagram: Campbell | None
 ) -> tuple[PassageFit, ...]:
-    """Resonances that are passed, whose frequencies follow the speed as is given, or by a diagram,
-    or not."""
+    """Return resonances that are passed, with frequencies that follow the speed as given, or by a
+    diagram, or not."""
     follows: float | Follows = table.stiffening or 0.0
     if table.stiffening is None and diagram is not None:
         follows = diagram.stiffening
@@ -247,17 +224,18 @@ def _passages(
 def _diagram(scene: Scene, arrivals: ArrivalTimes) -> Campbell:
     """Return the Campbell diagram of a scene over the speeds of a record (collective)."""
     begin("Campbell diagram")
-    speeds = np.linspace(arrivals.speed.min(), arrivals.speed.max(), DIAGRAM[0])
-    return campbell(scene, speeds, few=DIAGRAM[1])
+    speeds = np.linspace(arrivals.speed.min(), arrivals.speed.max(), 5)
+    return campbell(scene, speeds, few=10)
 
 
 def tip_direction(table: TipTiming, run: Run) -> dict[int, float]:
-    """The tip's displacement in the direction of rotation: shares of dofs (collective).
+    """Return the displacement of the blade tip in the direction of rotation, as factors of dofs
+    (collective).
 
     Raises
     ------
     InputError
-        The tip of a solid lies on the axis.
+        The blade tip of a solid lies on the axis.
     """
     whole, rotation = run.structure.whole, _carrier(table, run.scene)
     if rotation is None:
@@ -270,46 +248,48 @@ def tip_direction(table: TipTiming, run: Run) -> dict[int, float]:
 
 
 def tip_in_words(table: TipTiming, run: Run) -> str:
-    """Describe the displacement that the probes see as a sum of others (collective)."""
+    """Describe the displacement that the probes measure as a sum of others (collective)."""
     whole = run.structure.whole
     shares = tip_direction(table, run).items()
     parts = [f"{share:.4g} times the {whole.dof_name(dof)}" for dof, share in shares]
-    return f"the probes see {' and '.join(parts)}"
+    return f"the probes measure {' and '.join(parts)}"
 
 
 def probed_displacement(scene: Scene) -> tuple[str, bool]:
-    """Return the displacement that measured arrivals show of a scene, without its mesh: its name
-    ("tip.ux"; "" for the one that is watched), and True if it is against the rotation.
+    """Return the displacement of a scene that measured arrivals show, without its mesh: its name
+    ("tip.ux"; "" for the watched one), and True if it is against the rotation.
 
     Raises
     ------
     InputError
-        The tip of a solid is not given, lies on the axis, or moves along no coordinate.
+        The blade tip of a solid is not given, lies on the axis, or moves along no coordinate.
     """
     table = scene.given("tip_timing")
     rotation = _carrier(table, scene)
     if rotation is None:
         return [*scene.point_names, ""][0], (table.tangential or 1.0) < 0.0
     if not scene.points:
-        raise InputError("output.points", None, "given with arrivals of a solid: its tip first")
+        raise InputError(
+            "output.points", None, "given with arrivals of a solid blade: its tip first"
+        )
     tip = scene.points[0]
     along = _circumferential(rotation, np.array(tip.values))
     largest = int(np.abs(along).argmax())
-    if abs(along[largest]) < ALONG:
+    if abs(along[largest]) < 0.999:  # 2.6 degrees, an error of a thousandth
         shares = ", ".join(f"{share:.3g}" for share in along)
-        allowed = f"given: the tip moves along ({shares}), which is none of x, y and z"
+        allowed = f"given: the blade tip moves along ({shares}), which is none of x, y and z"
         raise InputError("tip_timing.tangential", None, allowed)
     return f"{tip.key}.u{'xyz'[largest]}", bool(along[largest] < 0.0)
 
 
 def _carrier(table: TipTiming, scene: Scene) -> Rotation | None:
-    """The rotation whose axis says which way a solid's tip passes the probes; None where that is
-    ``tip_timing.tangential`` of the watched displacement, given or 1."""
+    """Return the rotation that carries the blade tip of a solid past the probes; None where
+    ``tip_timing.tangential`` of the watched displacement, given or 1, has the direction."""
     return scene.rotation if table.tangential is None and scene.dimension == 3 else None
 
 
 def _circumferential(rotation: Rotation, point: np.ndarray) -> np.ndarray:
-    """Direction in which a rotor carries a point: a x (x - x_0), of length 1: (3,).
+    """Return the direction in which a rotor carries a point: a x (x - x_0), of length 1: (3,).
 
     Raises
     ------
@@ -321,12 +301,12 @@ def _circumferential(rotation: Rotation, point: np.ndarray) -> np.ndarray:
     size = float(np.linalg.norm(along))
     if size <= SAME * float(np.abs([point, place]).max()):
         where = [float(x) for x in point]
-        raise InputError("output.points", where, "a tip first, off the axis of the rotation")
+        raise InputError("output.points", where, "a blade tip first, off the axis of the rotation")
     return np.where(np.abs(along) > ROUNDING * size, along / size, 0.0)
 
 
 def _turning(table: TipTiming, run: Run, source: Path | None) -> dict[str, Any]:
-    """The speed of rotation, or the engine order from which it follows.
+    """Return the speed of rotation, or the engine order from which it follows.
 
     Raises
     ------
@@ -354,8 +334,8 @@ def _turning(table: TipTiming, run: Run, source: Path | None) -> dict[str, Any]:
 
 
 def engine_order(table: TipTiming, scene: Scene, whose: str = "") -> int:
-    """Periods of the load in a revolution, by ``[excitation]`` of a scene, or of whose it is in
-    words, or ``[tip_timing]``.
+    """Return periods of the load in a revolution, by ``[excitation]`` of a scene, and whose it is
+    in words, or ``[tip_timing]``.
 
     Raises
     ------

@@ -1,16 +1,16 @@
 """Arrival times of the tip of a vibrating blade, from a periodic solution or a response curve.
 
-The tip's angle is that of the rotor, alpha, plus what its vibration adds (Heath and Imregun,
-International Journal of Mechanical Sciences 38, 1996, 1047, solve the same for arrival times):
+The angle of the blade tip is that of the rotor, alpha, plus that of its vibration (Heath and
+Imregun, International Journal of Mechanical Sciences 38, 1996, 1047, solve this for arrival times):
 
     theta(alpha) = alpha + u(alpha) / R,     u(alpha) = Re sum_k U_k exp(i k q alpha)
 
-U_k are the harmonics of the tip's tangential displacement, positive in the direction of rotation,
-and q the periods of the response in a revolution. The tip passes a probe at phi in revolution n
-where theta = phi + 2 pi n. As |u| <= sum |U_k|, each root lies within sum |U_k| / R of that angle.
-Newton's method finds all roots at once; a step that leaves its root's bracket, or is not half as
-long as the one before, is replaced by the middle of the bracket. There is one root, as long as the
-tip moves forwards: theta' > 0.
+U_k are the harmonics of the tangential displacement of the blade tip, positive in the direction of
+rotation, and q the periods of the response in a revolution. The blade tip passes a probe at phi in
+revolution n where theta = phi + 2 pi n. As |u| <= sum |U_k|, each root lies within sum |U_k| / R of
+that angle. Newton's method finds all roots at once; a step that leaves its root's bracket, or is
+not half as long as the one before, is replaced by the middle of the bracket. There is one root, as
+long as the blade tip moves forwards: theta' > 0.
 """
 
 from __future__ import annotations
@@ -33,13 +33,8 @@ from fenics_crack.monitoring.tip_timing.arrival_times import (
 )
 from fenics_crack.numerics.fourier import from_complex, sampled, to_complex
 
-PASSAGES = 2**15
-"""Solved at once."""
-BISECTIONS = 200
-"""More than bisection needs from any bracket to rounding."""
-
 JUMP = 1e-3
-"""Of the frequency, relative: so near to a fold the motion may jump before it is reached."""
+"""Maximum relative distance in frequency at which a motion may jump before a fold."""
 
 
 def tip_timing(
@@ -57,11 +52,10 @@ def tip_timing(
 ) -> ArrivalTimes:
     """Compute when the tip of a vibrating blade passes stationary probes (collective).
 
-    The tip is at the angle W t + u(t) / R; it passes the probe at phi in revolution n where that
-    is phi + 2 pi n. This is solved to rounding, with the Fourier series of the response (Heath and
-    Imregun, International Journal of Mechanical Sciences 38, 1996, 1047); what answers contact
-    forces at once, in lips without mass, is in it with its H harmonics. At time 0 the rotor's angle
-    is 0 and the load begins its period.
+    The blade tip is at the angle W t + u(t) / R; it passes the probe at phi in revolution n where
+    that is phi + 2 pi n. This is solved to rounding, with the Fourier series of the response (Heath
+    and Imregun, International Journal of Mechanical Sciences 38, 1996, 1047). At time 0 the rotor's
+    angle is 0 and the load begins its period.
 
     A curve is a run-up, or a run-down if it was followed downwards: the speed rises at constant
     acceleration from that of its first point to that of its last one, and the vibration is taken
@@ -72,29 +66,29 @@ def tip_timing(
     Parameters
     ----------
     result : PeriodicSolution or ResponseCurve
-        The vibration; also one of twice the load's period.
+        Vibration; also one of twice the load's period.
     tip : int or mapping of int to float
-        The dof that is the tip's displacement in the direction of rotation; or dofs with factors,
-        whose sum it is: {dof: -1.0} where the dof points against the rotation.
+        The dof that is the blade tip's displacement in the direction of rotation; or dofs with
+        factors, whose sum it is: {dof: -1.0} where the dof points against the rotation.
     probes : (n_probes,) [rad]
-        Angles of the probes from the tip's place at time 0, in the direction of rotation; from 0
-        to 2 pi, increasing.
+        Angles of the probes from the blade tip's place at time 0, in the direction of rotation;
+        from 0 to 2 pi, increasing.
     tip_radius : float [m]
-        R, distance of the tip from the axis.
+        Distance R of the blade tip from the axis.
     speed : float [rad/s]
         W; of a solution, where its frequency is no multiple of the speed (asynchronous).
     order : int
         In place of ``speed``: periods of the load in a revolution (engine order), W = omega /
         order; a curve needs it.
     revolutions : int
-        How many; of a run-up all together.
+        Number of revolutions; of a run-up all together.
     noise : float [s]
         Standard deviation of normal errors added to the arrivals, not to the marks of the shaft;
         shorter than a revolution.
     clock : float [s]
         Resolution, shorter than a revolution: arrivals are rounded to its multiples; 0: none.
     seed : int
-        Of the noise.
+        Seed of the noise.
 
     Returns
     -------
@@ -104,8 +98,8 @@ def tip_timing(
     Raises
     ------
     InputError
-        A value cannot be used; the tip moves backwards and would pass a probe twice; the curve does
-        not go from one speed to another, or is unstable on the way.
+        A value cannot be used; the blade tip moves backwards and would pass a probe twice; the
+        curve does not go from one speed to another, or is unstable on the way.
 
     Examples
     --------
@@ -139,7 +133,7 @@ def tip_timing(
 def _places(
     probes: Sequence[float] | np.ndarray, tip: int | Mapping[int, float]
 ) -> tuple[np.ndarray, Mapping[int, float]]:
-    """Angles of the probes, and the dofs of the tip with their factors; checked."""
+    """Return angles of the probes, and dofs of the blade tip with their factors; checked."""
     angles = np.atleast_1d(numbers(probes))
     check_probes(angles)
     shares = tip if isinstance(tip, Mapping) else {tip: 1.0} if isinstance(tip, Integral) else {}
@@ -151,14 +145,14 @@ def _places(
 
 
 def _arrivals(motion: _TipMotion, angles: np.ndarray, radius: float) -> np.ndarray:
-    """Times at which the tip passes the probes: (revolutions, probes) [s]."""
+    """Return the times at which the blade tip passes the probes: (revolutions, probes) [s]."""
     backwards = motion.fastest_backwards() / radius
     targets = 2.0 * np.pi * np.arange(motion.rotor.revolutions)[:, None] + angles
-    parts = np.array_split(targets.ravel(), -(-targets.size // PASSAGES))
+    parts = np.array_split(targets.ravel(), -(-targets.size // 2**15))  # for the memory
     passed = np.concatenate([_passing_angles(motion, part, radius) for part in parts])
     if backwards >= 1.0 or np.any(np.isnan(passed)):
         allowed = (
-            "so large that the tip never moves backwards, past a probe a second time: its "
+            "so large that the blade tip never moves backwards, past a probe a second time: its "
             f"vibration reaches {backwards:.3g} of the speed of rotation"
         )
         raise InputError("tip_radius", radius, allowed)
@@ -172,8 +166,8 @@ def _motion(
     order: int | None,
     revolutions: int,
 ) -> _TipMotion:
-    """The tip's motion, at one speed or in a run-up (collective); raises InputError unless the
-    speed of rotation is known, once."""
+    """Return the motion of the blade tip, at one speed or in a run-up (collective); raise
+    InputError unless the speed of rotation is known, once."""
     if order is not None:
         check_count("order", order, 1)
     if speed is not None:
@@ -190,8 +184,8 @@ def _motion(
     waves = result.coefficients_at(list(shares)) @ np.array(list(shares.values()), dtype=float)
     return _TipMotion(
         _Rotor(turning, turning, revolutions),
-        np.array([turning]),
-        to_complex(waves)[None],
+        np.array([turning, 2.0 * turning]),
+        to_complex(waves)[None].repeat(2, axis=0),
         result.base_omega / turning,
     )
 
@@ -199,7 +193,7 @@ def _motion(
 def _run_up(
     curve: ResponseCurve, shares: Mapping[int, float], order: int, revolutions: int
 ) -> _TipMotion:
-    """The tip's motion along a curve whose load frequency rises, or falls."""
+    """Return the motion of the blade tip along a curve whose load frequency rises, or falls."""
     begin, end = float(curve.omega[0]), float(curve.omega[-1])
     if begin == end:
         raise InputError("result", f"a curve over {curve.parameter}", "one over the load frequency")
@@ -216,8 +210,8 @@ def _run_up(
 
 
 def run_up_points(curve: ResponseCurve) -> tuple[np.ndarray, int | None]:
-    """Points of a curve that its run-up passes, (k,), up to the first one that is unstable; and
-    that one, None if there is none or the curve was followed without its stability."""
+    """Return points of a curve that its run-up passes, (k,), up to the first one that is unstable;
+    and that one, None if there is none or the curve was followed without its stability."""
     rising = np.sign(curve.omega[-1] - curve.omega[0]) * curve.omega
     before = np.concatenate([[-np.inf], np.maximum.accumulate(rising)[:-1]])
     kept = rising > before
@@ -230,8 +224,8 @@ def run_up_points(curve: ResponseCurve) -> tuple[np.ndarray, int | None]:
 
 
 def _next_to_folds(rising: np.ndarray, kept: np.ndarray, doubtful: np.ndarray) -> np.ndarray:
-    """Points not known to be stable next to where the curve turns back, before which the motion
-    jumps: (n,) bool.
+    """Return points not known to be stable next to where the curve turns back, before which the
+    motion jumps: (n,) bool.
 
     ``rising``: the frequency, rising along the run-up; ``kept``: points that it passes.
     """
@@ -255,7 +249,7 @@ class _Rotor:
     begin, end : float [rad/s]
         Speed at the beginning, and after all revolutions.
     revolutions : int
-        How many.
+        Number of revolutions.
     """
 
     begin: float
@@ -268,22 +262,22 @@ class _Rotor:
         return (self.end - self.begin) * (self.end + self.begin) / (4.0 * np.pi * self.revolutions)
 
     def speed(self, angle: np.ndarray) -> np.ndarray:
-        """Speed [rad/s] at angles [rad]."""
+        """Return the speed [rad/s] at angles [rad]."""
         return np.asarray(np.sqrt(self.begin**2 + 2.0 * self.acceleration * angle))
 
     def time(self, angle: np.ndarray) -> np.ndarray:
-        """Time [s] at angles [rad]; no cancellation where the acceleration is small."""
+        """Return the time [s] at angles [rad], without cancellation at small accelerations."""
         return np.asarray(2.0 * angle / (self.begin + self.speed(angle)))
 
 
 @dataclass(frozen=True)
 class _TipMotion:
-    """The tip's tangential displacement over the rotor's angle.
+    """Tangential displacement of the blade tip over the rotor's angle.
 
     Attributes
     ----------
     rotor : Rotor
-        How the hub turns.
+        Rotation of the hub.
     speeds : (n,) [rad/s]
         Speeds at which the vibration is known, increasing; between them it is interpolated.
     harmonics : (n, H+1) complex [m]
@@ -308,8 +302,8 @@ class _TipMotion:
         return 1j * self.order * np.arange(self.harmonics.shape[1]) * self.harmonics
 
     def fastest_backwards(self) -> float:
-        """Bound of -du/dalpha [m], at all speeds: the largest of samples over a period, and what
-        it may be between them."""
+        """Return a bound of -du/dalpha [m], at all speeds: the largest of samples over a period,
+        and its possible change between them."""
         rates = self._rates.T
         orders = np.arange(len(rates))[:, None]
         count = max(1024, 64 * len(rates))
@@ -317,11 +311,8 @@ class _TipMotion:
         return float((between - sampled(from_complex(rates), count).min(axis=0)).max())
 
     def at(self, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """u [m] and du/dalpha [m] at rotor angles (n,) [rad]."""
+        """Return u [m] and du/dalpha [m] at rotor angles (n,) [rad]."""
         turn = np.exp(1j * self.order * angle)
-        if len(self.speeds) == 1:
-            parts = self.harmonics[0], self._rates[0]
-            return polyval(turn, parts[0]).real, polyval(turn, parts[1]).real
         speed = self.rotor.speed(angle)
         left = np.clip(np.searchsorted(self.speeds, speed) - 1, 0, len(self.speeds) - 2)
         width = self.speeds[left + 1] - self.speeds[left]
@@ -335,12 +326,12 @@ class _TipMotion:
 
 
 def _passing_angles(motion: _TipMotion, targets: np.ndarray, radius: float) -> np.ndarray:
-    """Rotor angles alpha with alpha + u(alpha) / R = targets (n,) [rad], to rounding: (n,) [rad];
-    nan where the tip moves backwards."""
+    """Return rotor angles alpha with alpha + u(alpha) / R = targets (n,) [rad], to rounding:
+    (n,) [rad]; nan where the blade tip moves backwards."""
     reach = motion.reach / radius * (1.0 + 1e-12) + 4.0 * np.spacing(np.abs(targets))
     low, high, angle = targets - reach, targets + reach, targets.copy()
     last, slope = high - low, np.ones_like(targets)
-    for _ in range(BISECTIONS):
+    for _ in range(200):  # more than bisection needs
         value, rate = motion.at(angle)
         excess, slope = angle - targets + value / radius, 1.0 + rate / radius
         high, low = np.where(excess >= 0.0, angle, high), np.where(excess <= 0.0, angle, low)

@@ -368,7 +368,8 @@ PASSED = fc.PassageFit(
     order=5.0, omega=1500.0, omega_error=0.03, damping=2e-3, damping_error=1e-5, amplitude=6e-5,
     forces=np.ones(1), ends=np.array([[0, 300]]), omegas=np.array([1500.0]),
     omega_errors=np.array([0.03]), dampings=np.array([2e-3]), damping_errors=np.array([1e-5]),
-    steady_omegas=np.array([1500.0]), orders=np.array([5.0, 6.0]), margins=np.array([0.0, 50.0]),
+    orders=np.array([5.0, 6.0]), margins=np.array([0.0, 50.0]), asynchronous=(), blind=(),
+    stiffening=0.0,
     probes=4, scatter=2e-6, whiteness=0.4,
 )  # fmt: skip
 

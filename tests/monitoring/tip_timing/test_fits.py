@@ -11,6 +11,7 @@ from helpers import amplitudes, period_two_orbit
 
 import fenics_crack as fc
 
+NIGHTLY = pytest.mark.nightly
 RADIUS = 0.5
 FOUR = (0.1, 0.5, 1.3, 3.1)
 SEVEN = np.radians([0.0, 20.0, 41.0, 63.0, 88.0, 117.0, 150.0])
@@ -48,8 +49,7 @@ def measured(solution: fc.PeriodicSolution, noise: float = 1e-5, **how: Any) -> 
 # --- engine orders --------------------------------------------------------------------------------
 
 
-@pytest.mark.drawn(2)
-@pytest.mark.parametrize("order", [4, 5, 6, 13])
+@pytest.mark.parametrize("order", [5, 13, *(pytest.param(n, marks=NIGHTLY) for n in (4, 6))])
 def test_order_and_amplitude_from_four_probes(order: int, sine: fc.PeriodicSolution) -> None:
     """1 % noise: the order among 24, and 1 % of the amplitude, in every one of ten tries."""
     for seed in range(10):
@@ -61,15 +61,17 @@ def test_order_and_amplitude_from_four_probes(order: int, sine: fc.PeriodicSolut
         assert np.abs(fit.coefficients - wave).max() < 1e-5
 
 
-@pytest.mark.nightly
-def test_standard_errors_and_misfit_are_what_they_say(sine: fc.PeriodicSolution) -> None:
-    """Over 60 tries: deviations in units of the error like a normal distribution's, the misfit's
-    probability uniform."""
-    fits = [fc.fit_order(measured(sine, order=6, seed=seed), [6]) for seed in range(60)]
+@pytest.mark.parametrize("tries", [12, pytest.param(60, marks=NIGHTLY)])
+def test_standard_errors_and_misfit_are_what_they_say(
+    tries: int, sine: fc.PeriodicSolution
+) -> None:
+    """Deviations in units of the error like a normal distribution's, the misfit's probability
+    uniform."""
+    fits = [fc.fit_order(measured(sine, order=6, seed=seed), [6]) for seed in range(tries)]
     scores = [float((fit.amplitudes[0] - 1e-3) / fit.amplitude_errors[0]) for fit in fits]
     assert scipy.stats.kstest(scores, "norm").pvalue > 0.01
     assert scipy.stats.kstest([fit.misfit for fit in fits], "uniform").pvalue > 0.01
-    assert np.median([fit.scatter for fit in fits]) == pytest.approx(1e-5, rel=0.02)
+    assert np.median([fit.scatter for fit in fits]) == pytest.approx(1e-5, rel=0.15 / tries**0.5)
 
 
 @pytest.mark.parametrize("revolutions", [2, 3])
@@ -261,21 +263,15 @@ def test_frequency_of_an_asynchronous_vibration(speed: float, sine: fc.PeriodicS
     assert fit.amplitudes[0] == pytest.approx(1e-3, rel=0.01)
 
 
-def test_more_frequencies_than_are_scanned_at_once(
-    sine: fc.PeriodicSolution, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A scan in bands finds the same; and one may begin beyond the first band."""
-    arrivals = measured(sine, speed=61.3, probes=FOUR[:3], revolutions=200)
-    fit = fc.fit_frequency(arrivals, 100.0, 3000.0)
-    monkeypatch.setattr("fenics_crack.monitoring.tip_timing.fit_frequency.BAND", 1000)
-    same = fc.fit_frequency(arrivals, 100.0, 3000.0)
-    assert same.order == pytest.approx(fit.order, rel=1e-12) and same.ambiguous == fit.ambiguous
-    monkeypatch.undo()
-    arrivals = measured(sine, speed=61.3, probes=FOUR[:3], revolutions=20000)
-    assert 4.0 * 999.0 * np.ptp(arrivals.marks) / (2.0 * np.pi) > 1e6  # times the resolution
-    found = fc.fit_frequency(arrivals, 999.0, 1001.0)
-    assert found.omega == pytest.approx(1000.0, rel=1e-8)
-    assert abs(found.omega - 1000.0) < 4.0 * found.order_error * 61.3
+def test_more_frequencies_than_are_scanned_at_once(sine: fc.PeriodicSolution) -> None:
+    """A scan of more than a million frequencies finds the same as one of few of them."""
+    arrivals = measured(sine, speed=61.3, probes=FOUR[:3], revolutions=8000)
+    high = 1000.0 + 1.2e6 * 2.0 * np.pi / (4.0 * np.ptp(arrivals.marks))
+    few, many = (fc.fit_frequency(arrivals, 999.0, end) for end in (1001.0, high))
+    for found in (few, many):
+        assert found.omega == pytest.approx(1000.0, rel=1e-8)
+        assert abs(found.omega - 1000.0) < 4.0 * found.order_error * 61.3
+    assert many.order == pytest.approx(few.order, rel=1e-10)
 
 
 def test_errors_of_the_frequency(sine: fc.PeriodicSolution) -> None:
@@ -326,22 +322,14 @@ def fit_speed(arrivals: fc.ArrivalTimes) -> float:
     return float(arrivals.speed.mean())
 
 
-def test_scan_finds_harmonics_too(breathing: fc.PeriodicSolution) -> None:
-    """Frequency and ratio of a breathing crack from two probes, which see every phase."""
-    true = amplitudes(breathing.coefficients_at([0])[:, 0])
-    arrivals = measured(breathing, 0.01 * true[0], speed=193.7, probes=FOUR[:2], revolutions=200)
-    fit = fc.fit_frequency(arrivals, 700.0, 1500.0, harmonics=3)
-    assert fit.omega == pytest.approx(1000.0, rel=1e-5)
-    assert abs(fit.ratio()[0] - true[1] / true[0]) < 4.0 * fit.ratio()[1] < 0.02
-
-
 # --- a laboratory's errors ------------------------------------------------------------------------
 
 
-def test_marks_that_jitter_are_no_vibration(sine: fc.PeriodicSolution) -> None:
+@pytest.mark.parametrize("records", [3, pytest.param(10, marks=NIGHTLY)])
+def test_marks_that_jitter_are_no_vibration(records: int, sine: fc.PeriodicSolution) -> None:
     """Marks ten times as uncertain as arrivals move all probes of a revolution: that is no
-    vibration of any frequency, in none of ten records."""
-    for seed in range(10):
+    vibration of any frequency."""
+    for seed in range(records):
         arrivals = measured(sine, order=5, seed=seed, revolutions=150, probes=SEVEN)
         jitter = 1e-6 * np.random.default_rng(seed).standard_normal(151)
         fit = fc.fit_order(replace(arrivals, marks=arrivals.marks + jitter))
@@ -383,51 +371,18 @@ def test_probes_that_are_swapped(sine: fc.PeriodicSolution) -> None:
     assert fc.fit_order(replace(arrivals, time=arrivals.time + lean)).order == 5
 
 
-@pytest.mark.nightly
-def test_outliers_wander_and_errors_of_probes_and_marks(sine: fc.PeriodicSolution) -> None:
-    """A frequency at a speed that wanders by 0.5 %, marks with errors of 5 ns, 1 % of arrivals
-    wrong; and an order beside it whose interval knows of the probes' errors."""
-    rng, speed, turns, deviation = np.random.default_rng(3), 193.7, 200, np.radians(0.01)
-    probes = np.radians([0.0, 17.0, 41.0, 86.0, 140.0, 205.0, 288.0])
-    fits = []
-    for seed in range(4, 12):
-        rng = np.random.default_rng(seed)
-        grid = np.linspace(-8.0, 2.0 * np.pi * (turns + 2), 40_000)
-        pace = speed * (1.0 + 2.5e-3 * np.sin(grid / 31.0 + seed))
-        time = np.concatenate([[0.0], np.cumsum(np.diff(grid) / (0.5 * (pace[1:] + pace[:-1])))])
-        errors = deviation * rng.standard_normal(len(probes))
-        targets = 2.0 * np.pi * np.arange(turns)[:, None] + probes + errors
-        angle = targets
-        for _ in range(6):
-            moved = 1e-3 * np.cos(6.0 * angle) + 2e-4 * np.cos(
-                1000.0 * np.interp(angle, grid, time)
-            )
-            angle = targets - moved / RADIUS
-        seen = np.interp(angle, grid, time) + 2e-8 * rng.standard_normal(angle.shape)
-        seen[rng.random(seen.shape) < 0.01] += 3e-5
-        marks = np.interp(2.0 * np.pi * np.arange(turns + 1), grid, time)
-        marks += 5e-9 * rng.standard_normal(len(marks))
-        arrivals = fc.ArrivalTimes(seen, marks, probes, RADIUS)
-        assert arrivals.steady
-        fits.append(fc.fit_order(arrivals, angle_deviation=deviation))
-        assert fits[-1].order == 6 and not fits[-1].does_not_fit
-        [line] = fits[-1].asynchronous  # no others, of the order seen at where that moves the tip
-        assert abs(line.omega - 1000.0) < 4.0 * line.order_error * line.speed < 0.05
-        assert line.amplitudes[0] == pytest.approx(2e-4, rel=0.02)
-        assert f"beside {line.omega:.6g} rad/s" in repr(fits[-1])
-    alone = fc.fit_frequency(arrivals, 900.0, 1100.0, angle_deviation=1.0)
-    assert alone.omega == pytest.approx(1000.0, rel=1e-4)
-    scores = [(fit.amplitudes[0] - 1e-3) / fit.amplitude_errors[0] for fit in fits]
-    assert 0.4 < np.std(scores) < 1.8 and np.abs(scores).max() < 3.5
-    assert sum(fit.in_doubt for fit in fits) <= 2  # two means that are off look like a harmonic
-    # Without the probes' errors the fit is known not to fit, or its errors follow from the misfit.
-    blind = fc.fit_order(arrivals, [6])
-    assert blind.does_not_fit and blind.amplitude_errors[0] > 1e-5
-
-
-@pytest.mark.drawn(1)
-@pytest.mark.parametrize(("second", "doubted"), [(3e-4, (36, 40)), (0.0, (0, 4))])
-def test_a_second_harmonic_that_is_left_out(second: float, doubted: tuple[int, int]) -> None:
+@pytest.mark.parametrize(
+    ("second", "draws", "doubted"),
+    [
+        (3e-4, 10, (8, 10)),
+        (0.0, 10, (0, 2)),
+        pytest.param(3e-4, 40, (36, 40), marks=NIGHTLY),
+        pytest.param(0.0, 40, (0, 4), marks=NIGHTLY),
+    ],
+)
+def test_a_second_harmonic_that_is_left_out(
+    second: float, draws: int, doubted: tuple[int, int]
+) -> None:
     """30 % of it, and probes out of place: by five of them an amplitude is more than three errors
     off in some of 40 draws, all of which are in doubt; by twelve of them a sine is not, as a rule.
     """
@@ -435,7 +390,7 @@ def test_a_second_harmonic_that_is_left_out(second: float, doubted: tuple[int, i
     probes, rng, deviation = few if second else TWELVE, np.random.default_rng(11), np.radians(0.01)
     marks = 0.01 * np.arange(101)
     off, doubts = [], []
-    for draw in range(40):
+    for draw in range(draws):
         order, (one, two) = 2 + draw % 11, rng.uniform(0.0, 2.0 * np.pi, 2)
         errors = deviation * rng.standard_normal(len(probes))
         target = 2.0 * np.pi * np.arange(100)[:, None] + probes + errors
@@ -449,7 +404,8 @@ def test_a_second_harmonic_that_is_left_out(second: float, doubted: tuple[int, i
         off.append(abs(fit.amplitudes[0] - 1e-3) > 3.0 * fit.amplitude_errors[0])
         doubts.append(fit.in_doubt)
         assert fit.does_not_fit or fit.may_be_folded == ("may be folded" in repr(fit))
-    assert any(off) == bool(second) and not np.any(np.array(off) & ~np.array(doubts))
+    assert not np.any(np.array(off) & ~np.array(doubts))
+    assert any(off) == bool(second) if draws == 40 else second or not any(off)
     assert doubted[0] <= sum(doubts) <= doubted[1]
 
 
@@ -483,8 +439,7 @@ def test_a_run_up_whose_fifth_harmonic_is_folded() -> None:
     assert fc.track_order(record(0.0), 10, harmonics=3).in_doubt
 
 
-@pytest.mark.drawn(1)
-@pytest.mark.parametrize("revolutions", [1, 4])
+@pytest.mark.parametrize("revolutions", [4, pytest.param(1, marks=NIGHTLY)])
 def test_errors_of_a_run_up_hold_what_is_folded(revolutions: int) -> None:
     """One per cent of a fourth harmonic, at probes within 150 degrees that fold it 5 times larger
     onto the two that are fitted: at the resonance they are within three errors in each of eight
@@ -527,7 +482,7 @@ def test_tables(sine: fc.PeriodicSolution, tmp_path: Any) -> None:
     fit, track = fc.fit_order(arrivals), fc.track_order(arrivals, 6, revolutions=5)
     for result, rows, heading in (
         (fit, 2, "multiple,order,omega [rad/s],frequency [Hz],amplitude [m],amplitude_error [m]"),
-        (fit.candidates, 24, "order,residual [m],condition,alike,hidden"),
+        (fit.candidates, 24, "order,residual [m],condition,equivalent,hidden"),
         (track, 10, "speed [rad/s],rpm,omega [rad/s],frequency [Hz],amplitude_1 [m]"),
         (arrivals, 200, "revolution,probe,angle [rad],mark [s],next_mark [s],arrival [s]"),
     ):

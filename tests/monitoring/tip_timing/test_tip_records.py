@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 import tip_records
 
+import fenics_crack as fc
+
 
 @pytest.mark.drawn(1)
 @pytest.mark.parametrize("number", [2, 6, 9])
@@ -19,7 +21,22 @@ def test_orders_and_lines_of_generated_records(number: int) -> None:
     assert count.covered >= 5 and count.also >= 5 and count.unwarned <= 1
 
 
-@pytest.mark.nightly
+def test_errors_of_probes_and_the_line_alone() -> None:
+    """Without errors of its probes' angles the order is known not to fit; the line is named, and
+    found by itself."""
+    row = tip_records.ROWS[0]
+    record = tip_records.draw(row, np.random.default_rng(4))
+    deviation = tip_records.ANGLE_DEVIATION
+    fit = fc.fit_order(record.arrivals, angle_deviation=deviation)
+    assert fit.order == record.order and not fit.does_not_fit
+    assert f"beside {fit.asynchronous[0].omega:.6g} rad/s" in repr(fit)
+    exact = fc.fit_order(record.arrivals, [record.order])
+    assert exact.does_not_fit and exact.amplitude_errors[0] > 1e-5
+    ends = 0.9 * record.asynchronous, 1.1 * record.asynchronous
+    alone = fc.fit_frequency(record.arrivals, *ends, angle_deviation=1.0)
+    assert alone.omega == pytest.approx(record.asynchronous, rel=1e-4)
+
+
 def test_no_order_is_excluded_by_a_harmonic_left_out() -> None:
     """Five probes and a sine fitted to a wave of four harmonics: where the order is wrong, the
     right one is said to fit as well."""
