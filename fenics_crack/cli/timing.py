@@ -38,20 +38,14 @@ FOLDED = (
     "harmonics that are not fitted may be folded onto the fitted ones (fit more, or more probes)"
 )
 ONCE = "no probe sees the vibration twice: fit and standard errors are untested (more revolutions)"
-NEARBY = (
-    "residuals are correlated: another vibration nearby, or drift; errors may be larger than stated"
-)
+NEARBY = "residuals are correlated, by another vibration nearby or drift: errors may be larger"
 UNTESTED_ORDER = "cannot test an order: not {:g}, but others may be right (tip_timing.orders)"
-BLIND = (
-    "does not measure the vibration that the others agree on: excluded; are its pulses the blade's?"
-)
+BLIND = "does not measure the vibration that the others do: excluded; are its pulses the blade's?"
 CONSTANT = (
     "frequencies are taken not to change with the speed; else damping is wrong, and a fast run-up "
     "overestimates and a run-down underestimates the frequency (tip_timing.stiffening)"
 )
-UNSWEPT = (
-    "the speed varies by less than 1 %: a scene before the record finds a vibration at that speed"
-)
+UNSWEPT = "the speed varies by less than 1 %: with a scene a vibration at that speed is found"
 EMPTY = ("blade", "rpm", "order", "frequency")
 """Columns of a table without a resonance."""
 

@@ -145,9 +145,7 @@ class ArrivalTimes(Tabular):
     def zeroed(self, begin: int, end: int) -> Self:
         """Return the same with probes at the mean blade tip of the revolutions begin to end - 1,
         counted from 0: displacements are those from there, as of quiet revolutions."""
-        check_count("begin", begin, 0)
-        check_count("end", end, begin + 1)
-        quiet = np.nanmedian(self.displacement[begin:end], axis=0)
+        quiet = np.nanmedian(self.between(begin, end).displacement[begin:end], axis=0)
         return replace(self, probes=self.probes - quiet / self.tip_radius)
 
     def between(self, begin: int, end: int) -> Self:

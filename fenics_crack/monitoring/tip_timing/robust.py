@@ -85,6 +85,8 @@ class Noise:
         s and nu.
     unknowns : int
         Number of unknowns of the fit.
+    cost : float
+        -2 log likelihood.
     """
 
     left: np.ndarray
@@ -92,6 +94,7 @@ class Noise:
     scale: float
     freedom: float
     unknowns: int
+    cost: float
 
     @property
     def psi(self) -> np.ndarray:
@@ -110,12 +113,6 @@ class Noise:
         """Variance of the errors of an estimate by as many normal errors as there are residuals."""
         spare = len(self.left) - self.unknowns
         return float(self.psi @ self.psi) / (spare * self.slope**2)
-
-    @property
-    def cost(self) -> float:
-        """-2 log likelihood."""
-        square = (self.left / self.scale) ** 2
-        return float(_cost(square[None], np.array([self.scale]), np.array([self.freedom]))[0])
 
     def whiteness(self, places: Places, shares: np.ndarray) -> float:
         """Probability that errors of the arrivals and of the marks alone are as correlated at a
@@ -272,15 +269,6 @@ def refined(
     return both(found.x.tobytes())[0]
 
 
-def _cost(square: np.ndarray, scale: np.ndarray, freedom: np.ndarray) -> np.ndarray:
-    """Return -2 log likelihood of squares of residuals over scales, (k, n), by scales and degrees
-    of freedom (k,)."""
-    each = 2.0 * (gammaln(0.5 * freedom) - gammaln(0.5 * freedom + 0.5) + np.log(scale))
-    each += np.log(freedom * np.pi)
-    tails = np.log1p(square / freedom[:, None]).sum(axis=1)
-    return np.asarray(square.shape[1] * each + (freedom + 1.0) * tails)
-
-
 def _noise(
     left: np.ndarray, unknowns: int, scales: np.ndarray | None, least: float
 ) -> tuple[Noise, np.ndarray]:
@@ -304,9 +292,12 @@ def _noise(
         if np.all(np.abs(value - before) < ROBUST_SETTLED * value):
             break
     scaled = square / value[:, None] ** 2
+    each = 2.0 * (gammaln(0.5 * freedoms) - gammaln(0.5 * freedoms + 0.5) + np.log(value))
+    each += np.log(freedoms * np.pi)
+    costs = len(left) * each + (freedoms + 1.0) * np.log1p(scaled / nu).sum(axis=1)
     # Tails are one unknown more, by which the likelihood has to gain (Akaike's criterion).
-    costs = _cost(scaled, value, freedoms) + 2.0 * (freedoms < FREEDOMS[-1])
-    best = int(np.argmin(costs))
+    best = int(np.argmin(costs + 2.0 * (freedoms < FREEDOMS[-1])))
     freedom = float(freedoms[best])
     weights = (freedom + 1.0) / (freedom + scaled[best])
-    return Noise(left, weights, float(value[best]), freedom, unknowns), value
+    cost = float(costs[best])
+    return Noise(left, weights, float(value[best]), freedom, unknowns, cost), value

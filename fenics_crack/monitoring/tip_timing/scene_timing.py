@@ -101,9 +101,7 @@ def remarks_on_arrivals(arrivals: ArrivalTimes) -> list[str]:
     """Return remarks on measured arrivals with unusual values: numbers in another unit."""
     found, speed = [], arrivals.mean_speed * arrivals.tip_radius
     if speed > FASTEST:
-        text = (
-            f"the blade tip moves at {speed:.3g} m/s, where the fastest have 700: are the speed, "
-        )
+        text = f"the blade tip moves at {speed:.3g} m/s, where the fastest have 700: are speed, "
         found.append(text + "or times, and tip_radius in the units of their headings?")
     if len(arrivals.probes) > 1 and np.degrees(arrivals.probes[-1]) < TURN:
         within = float(np.degrees(np.ptp(arrivals.probes)))

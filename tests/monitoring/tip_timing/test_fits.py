@@ -297,7 +297,7 @@ def test_aliases_of_a_frequency(
 ) -> None:
     """One probe: every order and its mirror image; two opposite ones: every other; else none."""
     arrivals = measured(sine, speed=1000.0 / 5.1626, probes=probes, revolutions=100)
-    fit = fc.fit_frequency(arrivals, 0.7 * fit_speed(arrivals), 10.3 * fit_speed(arrivals))
+    fit = fc.fit_frequency(arrivals, 0.7 * arrivals.mean_speed, 10.3 * arrivals.mean_speed)
     found = np.array(sorted({fit.order, *fit.ambiguous}))
     assert len(found) == len(aliases) and np.allclose(found, sorted(aliases), atol=2e-3)
 
@@ -315,11 +315,6 @@ def test_one_probe_sees_no_whole_order(noise: float, sine: fc.PeriodicSolution) 
         assert fc.fit_frequency(beside, 975.0, 1060.0).omega == pytest.approx(1000.0, rel=1e-3)
     two = measured(sine, noise, order=6, probes=[0.4, 1.1], revolutions=100)
     assert fc.fit_frequency(two, 900.0, 1090.0).order == pytest.approx(6.0, abs=0.02)
-
-
-def fit_speed(arrivals: fc.ArrivalTimes) -> float:
-    """Speed of rotation [rad/s]."""
-    return float(arrivals.speed.mean())
 
 
 # --- a laboratory's errors ------------------------------------------------------------------------

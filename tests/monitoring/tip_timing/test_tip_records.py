@@ -37,11 +37,12 @@ def test_errors_of_probes_and_the_line_alone() -> None:
     assert alone.omega == pytest.approx(record.asynchronous, rel=1e-4)
 
 
-def test_no_order_is_excluded_by_a_harmonic_left_out() -> None:
+@pytest.mark.parametrize("draws", [4, pytest.param(15, marks=pytest.mark.nightly)])
+def test_no_order_is_excluded_by_a_harmonic_left_out(draws: int) -> None:
     """Five probes and a sine fitted to a wave of four harmonics: where the order is wrong, the
     right one is said to fit as well."""
     row, count = tip_records.ROWS[13], tip_records.Count()
     rng = np.random.default_rng([1, 13])
-    for _ in range(15):
+    for _ in range(draws):
         tip_records.judge(row, tip_records.draw(row, rng), count)
-    assert count.order + count.declared == 15 and 5 < count.order < 12
+    assert count.order + count.declared == draws and draws < 3 * count.order < 2.4 * draws
