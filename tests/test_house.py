@@ -7,6 +7,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Iterator
+from functools import cache
 from graphlib import TopologicalSorter
 from itertools import pairwise
 from pathlib import Path
@@ -48,15 +49,18 @@ def folder_of(module: str) -> str | None:
     return parts[1] if len(parts) > 1 and (PACKAGE / parts[1]).is_dir() else None
 
 
-def imports(module: str) -> Iterator[tuple[str, list[str]]]:
+@cache
+def imports(module: str) -> list[tuple[str, list[str]]]:
     """Modules of the package that a module imports anywhere in its text, and the names it takes."""
+    found: list[tuple[str, list[str]]] = []
     for node in ast.walk(MODULES[module]):
         if isinstance(node, ast.Import):
-            yield from ((a.name, []) for a in node.names if a.name.startswith("fenics_crack"))
+            found += [(a.name, []) for a in node.names if a.name.startswith("fenics_crack")]
         elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("fenics_crack"):
             for alias in node.names:
                 inner = f"{node.module}.{alias.name}"
-                yield (inner, []) if inner in MODULES else (str(node.module), [alias.name])
+                found += [(inner, []) if inner in MODULES else (str(node.module), [alias.name])]
+    return found
 
 
 def packages(tree: ast.Module) -> list[str]:
@@ -206,8 +210,8 @@ def test_mpi_is_imported_before_petsc() -> None:
     assert order.index("mpi4py") < order.index("petsc4py")
     for module in MODULES.keys() - {ranks}:
         if folder_of(module) != "cli" and NEED_MPI_FIRST & set(packages(MODULES[module])):
-            first = next(imports(f"fenics_crack.{folder_of(module)}"), None)
-            assert first == (ranks, []), module
+            first = imports(f"fenics_crack.{folder_of(module)}")[:1]
+            assert first == [(ranks, [])], module
 
 
 def test_types_of_others_are_not_followed() -> None:

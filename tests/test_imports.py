@@ -236,6 +236,7 @@ print("done")
     assert fresh(program) == "done"
 
 
+@pytest.mark.nightly
 def test_pictures_of_own_matrices_need_no_meshes() -> None:
     """Spectra, orbits and curves come without DOLFINx and VTK; files for ParaView, which want
     a mesh, are refused without DOLFINx."""

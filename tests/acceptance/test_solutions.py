@@ -28,6 +28,7 @@ def solved(
     return fc.solve_harmonic_balance(structure, omega, law, harmonics=harmonics)
 
 
+@pytest.mark.drawn(6)
 @pytest.mark.parametrize("name", SYSTEMS)
 @pytest.mark.parametrize("harmonics", [10, 30])
 def test_estimated_error_is_the_true_one(name: str, harmonics: int) -> None:

@@ -358,7 +358,9 @@ def test_bad_input_on_two_ranks(tmp_path: Path) -> None:
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("number", [signal.SIGUSR1, signal.SIGINT])
+@pytest.mark.parametrize(
+    "number", [signal.SIGUSR1, pytest.param(signal.SIGINT, marks=pytest.mark.nightly)]
+)
 def test_a_signal_to_mpirun_alone(tmp_path: Path, number: int) -> None:
     """SIGUSR1 goes to the ranks, which end by themselves, with the tables of what was found. At
     SIGINT mpirun soon kills them, and its code is its own; the cases stay."""

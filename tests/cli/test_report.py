@@ -210,6 +210,7 @@ def test_it_refuses(folder: Path, tmp_path: Path, capsys: Any) -> None:
         assert capsys.readouterr().err.startswith(f"fenics-crack: {expected}")
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("not_drawn")
 def test_numbers_of_tips_that_a_scene_asks_for(tmp_path: Path) -> None:
     """A curve of them is drawn beside the plate without its crack, which has none; a page begins

@@ -312,6 +312,7 @@ def test_resonance_of_lips_that_never_part_or_meet(
     assert abs(found["omega"][0] / bilinear - 1.0) > 10.0 * 0.005
 
 
+@pytest.mark.nightly
 def test_natural_frequencies_are_of_one_mode() -> None:
     """Under a load between two modes the nearer one changes as the crack grows: the frequencies of
     a crack that grows only fall, as those of the first length's own mode do; and a spectrum of one
@@ -513,6 +514,7 @@ def test_a_resonance_between_two_lengths_is_seen() -> None:
     assert np.interp(0.042, found.length, found.effective) == pytest.approx(alone, rel=0.05)
 
 
+@pytest.mark.nightly
 def test_next_to_a_fold_it_is_a_largest_response() -> None:
     """With 50 mm two vibrations are possible side by side: the one that is found is the largest on
     its part of the curve."""

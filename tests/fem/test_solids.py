@@ -573,6 +573,7 @@ def test_a_mesh_that_is_written_is_read_again(tmp_path: Path, shape: dict[str, A
         fc.build_structure(of_file(path))
 
 
+@pytest.mark.nightly
 def test_lips_that_a_rounding_moves_are_paired(tmp_path: Path) -> None:
     """Pairs are nodes in one place to 1e-6 of the size of the crack; distances from the front that
     are equal but for rounding do not mix them up. Lips farther apart are told how far."""

@@ -48,6 +48,7 @@ def test_orders_meet_the_modes_where_a_scene_resonates() -> None:
     assert not len(found.crossings(1))  # the first mode stays above W: S > 1
 
 
+@pytest.mark.drawn(2)
 @pytest.mark.parametrize(
     ("speed", "mean", "force", "does"),
     [
@@ -181,6 +182,7 @@ error = false
 """
 
 
+@pytest.mark.nightly
 def test_a_tie_that_takes_a_mode_past_another() -> None:
     """Bending across the crack is the lower mode of a nearly square bar with lips open, and the
     higher one with lips tied: both frequencies of each direction in which the tip moves are told

@@ -160,7 +160,7 @@ def test_inclined_crack_in_a_large_plate(inclined: fc.Scene) -> None:
     assert np.all(across < 0.2)
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", [1, pytest.param(2, marks=pytest.mark.nightly)])
 def test_order_of_convergence(order: int) -> None:
     """Three meshes: one, as of every number that a sharp tip changes; extrapolated to 0.5 %."""
     found = [

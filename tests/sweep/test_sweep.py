@@ -449,6 +449,7 @@ EACH = len(COLUMNS) + 3
 """What is written of each chunk: columns, waves, states."""
 
 
+@pytest.mark.drawn(2)
 @pytest.mark.parametrize("limit", [5, EACH - 1, EACH + 5, 2 * EACH - 1])
 def test_full_disk(
     paper_scene: fc.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: int
