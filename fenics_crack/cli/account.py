@@ -124,12 +124,12 @@ class Account:
     summary: Table
     rows: Table | None = None
     shown: Table | None = None
-    facts: Iterable[str] = field(default_factory=list)
-    notes: Sequence[str] = field(default_factory=list)
-    warnings: Sequence[str] = field(default_factory=list)
+    facts: Iterable[str] = ()
+    notes: Sequence[str] = ()
+    warnings: Sequence[str] = ()
     verdict: tuple[str, str] | None = None
     tables: Mapping[str, Table] = field(default_factory=dict)
-    remarks: Sequence[Remark] = field(default_factory=list)
+    remarks: Sequence[Remark] = ()
     closing: str = ""
     done: bool = True
     missed: bool = False

@@ -109,7 +109,7 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
         study.scene,
         numbers.values,
         numbers.units,
-        failures=runs.failures,
+        failures=tuple(runs.failures),
         verdicts=_doubtful(OWN, own),
     )
     for cause, part_of in PARTS.items():

@@ -253,7 +253,7 @@ class Verification(Tabular):
         Causes that contribute nothing, and why.
     unknown : dict of str to str
         Causes whose contribution is not known, and why: no total has it.
-    failures : list of str
+    failures : tuple of str
         Runs that were refused or did not converge.
     verdicts : dict of str to str
         Of the stability, by the run, where an orbit is not known to be stable.
@@ -266,7 +266,7 @@ class Verification(Tabular):
     counts: dict[str, tuple[int, ...]] = field(default_factory=dict)
     absent: dict[str, str] = field(default_factory=dict)
     unknown: dict[str, str] = field(default_factory=dict)
-    failures: list[str] = field(default_factory=list)
+    failures: tuple[str, ...] = ()
     verdicts: dict[str, str] = field(default_factory=dict)
 
     KIND: ClassVar[str] = "verification"
@@ -540,7 +540,7 @@ def verification_of(stored: Stored) -> Verification | None:
         }
         words = ({n: str(w) for n, w in found[key].items()} for key in WORDS)
         units, absent, unknown, verdicts = words
-        failures = list(map(str, found["failures"]))
+        failures = tuple(map(str, found["failures"]))
         [units[name] for name in values]  # LookupError
         return Verification(
             scene, values, units, grids, counts, absent, unknown, failures, verdicts

@@ -388,7 +388,7 @@ def test_failed_runs_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Solver, "solve", failing)
     bad.add(10)
     found = fc.verify(scene)
-    assert found.failures == ["24 modes: reduction.modes = 24: must be less", "10 harmonics: lost"]
+    assert found.failures == ("24 modes: reduction.modes = 24: must be less", "10 harmonics: lost")
     part = found.parts["harmonics"]["opening"]
     assert part.behaviour == "two sizes" and part.factor == 3.0
     assert "failed, 10 harmonics: lost" in found.statement

@@ -17,8 +17,7 @@ from mpi4py import MPI
 from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack import ConvergenceError, InputError, Scene, Study
-from fenics_crack.balance.solution import Solver
+from fenics_crack import InputError, Scene, Study
 
 MISSED = 4
 """Exit code of a result whose error is unknown or above the tolerance."""
@@ -198,67 +197,6 @@ def test_grids_and_odd_lips_take_whole_factors() -> None:
     assert found.scene.reduction is not None and found.scene.reduction.method == "off"
     found = fc.verify(plate({"mesh.lip_elements": 3}))
     assert found.parts["mesh"]["opening"].sizes[2] > 2.0 * found.parts["mesh"]["opening"].sizes[0]
-
-
-@pytest.mark.nightly
-def test_meshes_of_a_solid_are_alike(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Elements at the front, and what each next one is longer by, have the same ratio in all."""
-    solid = Scene.load(DEMOS.parent / "fenics_crack" / "cli" / "new_solid.toml").replace(
-        {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 3, "reduction.modes": 4}
-    )
-    meshes, whole = [solid.mesh], fc.prepare
-
-    def kept(scene: Scene, *how: Any, **more: Any) -> Study:
-        if "whole" in more:
-            return whole(scene, *how, **more)
-        meshes.insert(1, scene.mesh)
-        raise ConvergenceError("not solved")
-
-    monkeypatch.setattr("fenics_crack.study.refinement.prepare", kept)
-    assert "mesh" in fc.verify(solid).unknown
-    fronts, rises = [], []
-    for mesh in meshes:
-        ratio = mesh.grading ** (1.0 / (mesh.lip_elements - 1))
-        fronts.append(sum(ratio**number for number in range(mesh.lip_elements)))
-        rises.append(1.0 / (ratio - 1.0))
-    factors = [front / fronts[0] for front in fronts]
-    assert factors == pytest.approx([1.0, 1.5, 2.0], rel=0.05)
-    assert factors == pytest.approx([rise / rises[0] for rise in rises], rel=1e-9)
-    thick = solid.geometry.thickness  # elements are no longer than that, whatever is asked for
-    assert [mesh.size for mesh in meshes[1:]] == pytest.approx([thick / f for f in factors[1:]])
-
-
-@pytest.mark.nightly
-def test_failed_runs_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One that does not converge leaves two sizes and a factor of 3; two leave a cause unknown: of
-    a smoothed law, which has no exact orbit."""
-    bad: set[int] = set()
-    law = {"contact.law": "smoothed", "contact.sharpness": 1e8}
-    scene = plate(law | {"harmonic_balance.samples": 64})
-
-    whole = Solver.solve
-
-    def failing(solver: Solver, *how: Any, **more: Any) -> fc.PeriodicSolution:
-        found = whole(solver, *how, **more)
-        if found.harmonics in bad:
-            return replace(found, converged=False, status="lost")
-        if found.structure.n_modes == 24:
-            raise InputError("reduction.modes", 24, "less")
-        return found
-
-    monkeypatch.setattr(Solver, "solve", failing)
-    bad.add(10)
-    found = fc.verify(scene)
-    assert found.failures == ["24 modes: reduction.modes = 24: must be less", "10 harmonics: lost"]
-    part = found.parts["harmonics"]["opening"]
-    assert part.behaviour == "two sizes" and part.factor == 3.0
-    assert "failed, 10 harmonics: lost" in found.statement
-    bad.add(20)
-    found = fc.verify(scene)
-    assert "harmonics" in found.unknown and "harmonics" not in found.parts
-    bad.add(5)
-    with pytest.raises(ConvergenceError, match="the scene's own choice: lost"):
-        fc.verify(scene)
 
 
 def test_unstable_orbits_are_named(paper_scene: Scene) -> None:
