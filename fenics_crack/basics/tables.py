@@ -17,6 +17,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -233,12 +234,16 @@ class Tabular(Described):
         ImportError
             pandas is not installed: the package does without it.
         """
-        try:
-            import pandas
-        except ImportError as error:
-            other = "to_dict() has the same columns, and to_csv(path) writes them"
-            raise ImportError(f"to_dataframe needs pandas (pip install pandas); {other}") from error
-        return pandas.DataFrame(self.to_dict())
+        return optional("pandas", "to_dataframe").DataFrame(self.to_dict())
+
+
+def optional(library: str, method: str) -> Any:
+    """A library that one method needs; the ImportError without it says how to go on."""
+    try:
+        return import_module(library)
+    except ImportError as error:
+        other = "to_dict() has the same columns, and to_csv(path) writes them"
+        raise ImportError(f"{method} needs {library} (pip install {library}); {other}") from error
 
 
 # --- numbers for people ---------------------------------------------------------------------------

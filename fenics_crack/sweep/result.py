@@ -51,6 +51,7 @@ from fenics_crack.basics.tables import (
     closing_sentence,
     counted,
     error_in_words,
+    optional,
 )
 from fenics_crack.files.results import solution_from
 from fenics_crack.files.store import Stored, header
@@ -404,6 +405,23 @@ class SweepResult(Tabular):
         return found | {
             name: self[name].ravel().tolist() for name in self.columns if name != "state"
         }
+
+    def to_xarray(self) -> Any:
+        """The columns of :meth:`to_dict` over the swept keys, as an ``xarray.Dataset`` with units.
+
+        Raises
+        ------
+        ImportError
+            xarray is not installed: the package does without it.
+        """
+        dataset, units = optional("xarray", "to_xarray").Dataset, self._units()
+        swept = {a.key: [v if np.isscalar(v) else str(v) for v in a.values] for a in self.axes}
+        columns = {
+            name: ([*swept], np.reshape(values, self.shape), {"units": units.get(name, "")})
+            for name, values in self.to_dict().items()
+            if name not in swept
+        }
+        return dataset(columns, swept)
 
     def _units(self) -> dict[str, str]:
         swept = {axis.key: unit_of(axis.key) for axis in self.axes}

@@ -18,6 +18,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -233,6 +234,20 @@ def test_entries_of_contact(results: dict[str, Any]) -> None:
     }  # fmt: skip
     table = solution.table("contact_force", "omega")
     assert table.rows == [("contact_force [N]", force.max()), ("omega [rad/s]", solution.omega)]
+
+
+def test_sweep_over_its_keys(results: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """An xarray.Dataset of dimensions, numbers and units; without xarray one clear error."""
+    dataset = SimpleNamespace(Dataset=lambda columns, swept: (columns, swept))
+    monkeypatch.setitem(sys.modules, "xarray", dataset)
+    columns, swept = results["sweep"].to_xarray()
+    keys, response, attributes = columns["response"]
+    assert keys == [*swept] == ["crack.length", "excitation.omega"]
+    assert response.shape == (2, 3) and attributes == {"units": "m"}
+    assert swept["crack.length"] == [0.03, 0.05] and columns["state"][1].shape == (2, 3)
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(ImportError, match=r"to_xarray needs xarray \(pip install"):
+        results["sweep"].to_xarray()
 
 
 def test_long_tables_are_cut_for_eyes_only() -> None:
